@@ -1,0 +1,31 @@
+# Build options, in one place.
+set(CMAKE_CXX_STANDARD 20)
+set(CMAKE_CXX_STANDARD_REQUIRED ON)
+set(CMAKE_CXX_EXTENSIONS OFF)
+set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
+set(CMAKE_POSITION_INDEPENDENT_CODE ON)
+set(CMAKE_CXX_VISIBILITY_PRESET default)
+if(NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
+  set(CMAKE_BUILD_TYPE Release CACHE STRING "Build type" FORCE)
+endif()
+
+option(SEMFIELD_WITH_IMAGES "Read images through OpenImageIO; off: packed scenes only" ON)
+option(SEMFIELD_WITH_RAYCAST "Ray-cast OBJ rooms with Embree and tinyobjloader" ON)
+set(SEMFIELD_MARCH "native" CACHE STRING "-march of the build; empty: the compiler's default")
+set(SEMFIELD_SANITIZE "" CACHE STRING "Sanitizers, e.g. address,undefined or thread; empty: none")
+
+find_program(SEMFIELD_CCACHE ccache)
+if(SEMFIELD_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
+  set(CMAKE_CXX_COMPILER_LAUNCHER ${SEMFIELD_CCACHE})
+endif()
+
+# Fast math stays banned: it deletes the finite checks. Contraction to FMA is allowed, and is the same in a loop's vector body and tail.
+add_compile_options(-ffp-contract=fast -fno-math-errno -fno-trapping-math)
+if(SEMFIELD_MARCH)
+  add_compile_options(-march=${SEMFIELD_MARCH})
+endif()
+if(SEMFIELD_SANITIZE)
+  add_compile_options(-fsanitize=${SEMFIELD_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
+  add_link_options(-fsanitize=${SEMFIELD_SANITIZE})
+endif()
+set(CMAKE_CXX_FLAGS_RELEASE "-O3")

@@ -1,0 +1,85 @@
+// Parameters declared once: name, type, default, range and sentence stand on one line of describe(); reading, validation,
+// help, the reference page, resolved YAML and the JSON schema are visitors over it. No YAML and no template of ours
+// crosses a module border: ParamVisitor is virtual.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <span>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <vector>
+
+namespace semfield {
+
+/// Closed interval of allowed values; for lists, of each element.
+struct Range {
+  double min = -std::numeric_limits<double>::infinity();
+  double max = std::numeric_limits<double>::infinity();
+};
+
+struct ParamInfo {
+  std::string_view name;
+  std::string_view help;  ///< one sentence, with the unit and, for a formula's symbol, its source
+  Range range{};
+};
+
+/// Receives every parameter of a struct in declaration order. A reader assigns, a writer or describer only looks.
+class ParamVisitor {
+ public:
+  virtual ~ParamVisitor() = default;
+  virtual void boolean(const ParamInfo& info, bool& value) = 0;
+  virtual void integer(const ParamInfo& info, std::int64_t& value) = 0;
+  virtual void real(const ParamInfo& info, double& value) = 0;
+  virtual void text(const ParamInfo& info, std::string& value) = 0;
+  /// `value` indexes `names`.
+  virtual void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) = 0;
+  virtual void integers(const ParamInfo& info, std::vector<std::int64_t>& value) = 0;
+  virtual void reals(const ParamInfo& info, std::vector<double>& value) = 0;
+  virtual void texts(const ParamInfo& info, std::vector<std::string>& value) = 0;
+};
+
+/// An enum becomes a choice by specialising this: `static constexpr std::array<std::string_view, N> names{...}`.
+template <class Enum>
+struct ChoiceNames;
+
+template <class T>
+void visit_param(ParamVisitor& visit, std::string_view name, T& value, std::string_view help, Range range = {}) {
+  const ParamInfo info{name, help, range};
+  if constexpr (std::is_same_v<T, bool>) {
+    visit.boolean(info, value);
+  } else if constexpr (std::is_enum_v<T>) {
+    int index = static_cast<int>(value);
+    visit.choice(info, index, ChoiceNames<T>::names);
+    value = static_cast<T>(index);
+  } else if constexpr (std::is_integral_v<T>) {
+    const double lowest = static_cast<double>(std::numeric_limits<T>::lowest());
+    const double highest = static_cast<double>(std::numeric_limits<T>::max());
+    ParamInfo narrowed = info;  // a value that the field's own type cannot hold is out of range, never wrapped
+    if (narrowed.range.min < lowest) narrowed.range.min = lowest;
+    if (narrowed.range.max > highest) narrowed.range.max = highest;
+    auto wide = static_cast<std::int64_t>(value);
+    visit.integer(narrowed, wide);
+    value = static_cast<T>(wide);
+  } else if constexpr (std::is_floating_point_v<T>) {
+    auto wide = static_cast<double>(value);
+    visit.real(info, wide);
+    value = static_cast<T>(wide);
+  } else if constexpr (std::is_same_v<T, std::string>) {
+    visit.text(info, value);
+  } else if constexpr (std::is_same_v<T, std::vector<std::int64_t>>) {
+    visit.integers(info, value);
+  } else if constexpr (std::is_same_v<T, std::vector<double>>) {
+    visit.reals(info, value);
+  } else {
+    static_assert(std::is_same_v<T, std::vector<std::string>>, "no parameter type for this field");
+    visit.texts(info, value);
+  }
+}
+
+}  // namespace semfield
+
+/// SEMFIELD_PARAM(visit, params, field, "sentence", {min, max}): the one line that declares a parameter.
+#define SEMFIELD_PARAM(visit, params, field, help, ...) \
+  ::semfield::visit_param(visit, #field, (params).field, help __VA_OPT__(, ::semfield::Range __VA_ARGS__))

@@ -1,0 +1,19 @@
+// Threads: OpenMP lives behind this header alone.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+
+namespace semfield {
+
+/// Threads that parallel_for uses; 0 means every core. Results never depend on it.
+void set_thread_count(int threads);
+int thread_count();
+/// Cores this process may run on.
+int hardware_threads();
+
+/// Calls body(i) for every i in [0, count), each exactly once, in any order, on thread_count() threads. The first
+/// exception thrown by a body is rethrown here after all bodies have ended. Nested calls run serially.
+void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body);
+
+}  // namespace semfield

@@ -1,0 +1,48 @@
+// A borrowed, strided, row-major matrix: the only array type that crosses a component border.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <type_traits>
+
+namespace semfield {
+
+enum class Device : std::uint8_t { cpu, cuda };
+
+/// Borrowed row-major matrix of `rows` x `cols` elements; row r starts at data + r * row_stride (in elements).
+/// Never owns; the caller keeps the memory alive. An empty view (data == nullptr) means "not wanted".
+template <class T>
+struct View {
+  T* data = nullptr;
+  std::int64_t rows = 0;
+  std::int32_t cols = 0;
+  std::int64_t row_stride = 0;
+  Device device = Device::cpu;
+
+  View() = default;
+  View(T* data_in, std::int64_t rows_in, std::int32_t cols_in, std::int64_t stride_in = -1, Device where = Device::cpu)
+      : data(data_in), rows(rows_in), cols(cols_in), row_stride(stride_in < 0 ? cols_in : stride_in), device(where) {}
+
+  /// A view of mutable elements is also a view of constant ones.
+  template <class U, std::enable_if_t<std::is_same_v<const U, T> && !std::is_const_v<U>, int> = 0>
+  View(const View<U>& other)  // NOLINT(google-explicit-constructor): borrowing as const is always safe
+      : data(other.data), rows(other.rows), cols(other.cols), row_stride(other.row_stride), device(other.device) {}
+
+  T& operator()(std::int64_t r, std::int32_t c) const { return data[r * row_stride + c]; }
+  T* row(std::int64_t r) const { return data + r * row_stride; }
+  bool empty() const { return data == nullptr; }
+  bool contiguous() const { return row_stride == cols; }
+  std::int64_t size() const { return rows * cols; }
+  View row_range(std::int64_t begin, std::int64_t count) const {
+    return View(empty() ? nullptr : data + begin * row_stride, count, cols, row_stride, device);
+  }
+  View col_range(std::int32_t begin, std::int32_t count) const {
+    return View(empty() ? nullptr : data + begin, rows, count, row_stride, device);
+  }
+};
+
+/// What forward leaves for backward; the caller allocates saved_bytes(rows) of it, 64-byte aligned.
+using Saved = std::span<std::byte>;
+
+}  // namespace semfield

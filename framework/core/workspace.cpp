@@ -1,0 +1,57 @@
+#include "core/workspace.h"
+
+#include <algorithm>
+
+namespace semfield {
+
+namespace {
+constexpr std::size_t kAlign = 64;
+constexpr std::size_t kMinBlock = std::size_t{1} << 20;
+std::size_t rounded(std::size_t bytes) { return (bytes + kAlign - 1) / kAlign * kAlign; }
+}  // namespace
+
+void Workspace::add_block(std::size_t bytes) {
+  Block block;
+  block.bytes = rounded(bytes);
+  block.memory = std::make_unique_for_overwrite<std::byte[]>(block.bytes + kAlign);
+  const auto address = reinterpret_cast<std::uintptr_t>(block.memory.get());
+  block.begin = block.memory.get() + (kAlign - address % kAlign) % kAlign;
+  blocks_.push_back(std::move(block));
+  ++growths_;
+}
+
+std::byte* Workspace::take_bytes(std::size_t bytes) {
+  const std::size_t need = rounded(std::max<std::size_t>(bytes, 1));
+  if (blocks_.empty()) add_block(std::max(need, kMinBlock));
+  while (used_ + need > blocks_[block_].bytes) {
+    if (block_ + 1 == blocks_.size()) add_block(std::max(need, 2 * blocks_[block_].bytes));
+    ++block_;
+    used_ = 0;
+  }
+  std::byte* result = blocks_[block_].begin + used_;
+  used_ += need;
+  total_ += need;
+  high_water_ = std::max(high_water_, total_);
+  return result;
+}
+
+void Workspace::release(std::size_t block, std::size_t used, std::size_t total) {
+  block_ = block;
+  used_ = used;
+  total_ = total;
+  if (total_ == 0 && blocks_.size() > 1) {
+    // One block of the whole high-water mark replaces the chain, with room for the waste at block ends.
+    blocks_.clear();
+    add_block(high_water_ + high_water_ / 8);
+    block_ = 0;
+    used_ = 0;
+  }
+}
+
+std::size_t Workspace::reserved_bytes() const noexcept {
+  std::size_t sum = 0;
+  for (const Block& block : blocks_) sum += block.bytes;
+  return sum;
+}
+
+}  // namespace semfield

@@ -1,0 +1,66 @@
+// Bump arena: memory inside a step comes from here and from nowhere else.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "core/view.h"
+
+namespace semfield {
+
+/// Bump allocator with a high-water mark. Grows by whole blocks when it must (only in the first step of a shape), and
+/// merges them at the next full release, so a steady state allocates nothing. Not thread-safe: one a lane.
+class Workspace {
+ public:
+  Workspace() = default;
+  Workspace(const Workspace&) = delete;
+  Workspace& operator=(const Workspace&) = delete;
+
+  /// `bytes` of uninitialised memory, 64-byte aligned, valid until the enclosing Scope ends.
+  std::byte* take_bytes(std::size_t bytes);
+
+  /// Uninitialised [rows, cols] matrix, rows contiguous.
+  template <class T>
+  View<T> take(std::int64_t rows, std::int32_t cols) {
+    return View<T>(reinterpret_cast<T*>(take_bytes(sizeof(T) * static_cast<std::size_t>(rows) * static_cast<std::size_t>(cols))),
+                   rows, cols);
+  }
+
+  std::size_t high_water_bytes() const noexcept { return high_water_; }
+  std::size_t reserved_bytes() const noexcept;
+  /// How often memory was requested from the system; constant in the steady state.
+  std::int64_t growth_count() const noexcept { return growths_; }
+
+  /// Everything taken while a Scope lives is given back when it ends.
+  class Scope {
+   public:
+    explicit Scope(Workspace& arena) : arena_(arena), block_(arena.block_), used_(arena.used_), total_(arena.total_) {}
+    ~Scope() { arena_.release(block_, used_, total_); }
+    Scope(const Scope&) = delete;
+    Scope& operator=(const Scope&) = delete;
+
+   private:
+    Workspace& arena_;
+    std::size_t block_, used_, total_;
+  };
+
+ private:
+  struct Block {
+    std::unique_ptr<std::byte[]> memory;
+    std::byte* begin = nullptr;  // first 64-byte boundary
+    std::size_t bytes = 0;
+  };
+  void add_block(std::size_t bytes);
+  void release(std::size_t block, std::size_t used, std::size_t total);
+
+  std::vector<Block> blocks_;
+  std::size_t block_ = 0;  // block in use
+  std::size_t used_ = 0;   // bytes used in it
+  std::size_t total_ = 0;  // bytes in use over all blocks
+  std::size_t high_water_ = 0;
+  std::int64_t growths_ = 0;
+};
+
+}  // namespace semfield

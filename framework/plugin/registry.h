@@ -1,0 +1,143 @@
+// The one registry: what plugins exist, how to describe them and how to make them.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "config/params.h"
+#include "core/error.h"
+#include "plugin/dataset.h"
+#include "plugin/encoder.h"
+#include "plugin/field.h"
+#include "plugin/kernels.h"
+#include "plugin/sampler.h"
+
+namespace semfield {
+
+enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset };
+std::string_view kind_name(PluginKind kind);
+
+/// A plugin's parameter struct with its type erased.
+class PluginParams {
+ public:
+  virtual ~PluginParams() = default;
+  virtual void describe(ParamVisitor& visit) = 0;
+  /// Only relations between parameters; ranges are checked while reading.
+  virtual void validate(Diagnostics& diagnostics) const = 0;
+};
+
+namespace plugin_detail {
+// Unqualified calls from here see only argument-dependent candidates: the plugin's own describe() and validate().
+template <class Params>
+void call_describe(ParamVisitor& visit, Params& params) {
+  describe(visit, params);
+}
+template <class Params>
+void call_validate(const Params& params, Diagnostics& diagnostics) {
+  validate(params, diagnostics);
+}
+}  // namespace plugin_detail
+
+/// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its namespace.
+template <class Params>
+class ParamsOf final : public PluginParams {
+ public:
+  void describe(ParamVisitor& visit) override { plugin_detail::call_describe(visit, value); }
+  void validate(Diagnostics& diagnostics) const override { plugin_detail::call_validate(value, diagnostics); }
+  Params value;
+};
+
+struct PluginEntry {
+  PluginKind kind = PluginKind::encoder;
+  std::string name;
+  std::string summary;   ///< one sentence
+  std::string module;    ///< module that registered it, with version: "hash_grid 1.0"
+  std::function<std::unique_ptr<PluginParams>()> new_params;
+  // Exactly the maker of the entry's kind is set. Real = float is what runs, double is the oracle.
+  std::function<std::unique_ptr<Encoder<float>>(const PluginParams&, const EncoderBuild&, const KernelTables&)> encoder32;
+  std::function<std::unique_ptr<Encoder<double>>(const PluginParams&, const EncoderBuild&, const KernelTables&)> encoder64;
+  std::function<std::unique_ptr<Field<float>>(const PluginParams&, const FieldBuild&, const KernelTables&)> field32;
+  std::function<std::unique_ptr<Field<double>>(const PluginParams&, const FieldBuild&, const KernelTables&)> field64;
+  std::function<std::unique_ptr<Sampler<float>>(const PluginParams&, const SamplerBuild&, const KernelTables&)> sampler32;
+  std::function<std::unique_ptr<Sampler<double>>(const PluginParams&, const SamplerBuild&, const KernelTables&)> sampler64;
+  std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
+};
+
+class Registry {
+ public:
+  /// Throws Error(unavailable) for a name taken in its kind, naming both modules.
+  void add(PluginEntry entry);
+
+  /// add_encoder<HashGrid, HashGridParams>("hash_grid", "sentence"): HashGrid<Real>(const HashGridParams&, const EncoderBuild&,
+  /// const KernelTables&).
+  template <template <class> class Impl, class Params>
+  void add_encoder(std::string name, std::string summary) {
+    PluginEntry e = entry<Params>(PluginKind::encoder, std::move(name), std::move(summary));
+    e.encoder32 = maker<Encoder<float>, Impl<float>, Params, EncoderBuild>();
+    e.encoder64 = maker<Encoder<double>, Impl<double>, Params, EncoderBuild>();
+    add(std::move(e));
+  }
+  template <template <class> class Impl, class Params>
+  void add_field(std::string name, std::string summary) {
+    PluginEntry e = entry<Params>(PluginKind::field, std::move(name), std::move(summary));
+    e.field32 = maker<Field<float>, Impl<float>, Params, FieldBuild>();
+    e.field64 = maker<Field<double>, Impl<double>, Params, FieldBuild>();
+    add(std::move(e));
+  }
+  template <template <class> class Impl, class Params>
+  void add_sampler(std::string name, std::string summary) {
+    PluginEntry e = entry<Params>(PluginKind::sampler, std::move(name), std::move(summary));
+    e.sampler32 = maker<Sampler<float>, Impl<float>, Params, SamplerBuild>();
+    e.sampler64 = maker<Sampler<double>, Impl<double>, Params, SamplerBuild>();
+    add(std::move(e));
+  }
+  /// Impl(const Params&, const DatasetBuild&).
+  template <class Impl, class Params>
+  void add_dataset(std::string name, std::string summary) {
+    PluginEntry e = entry<Params>(PluginKind::dataset, std::move(name), std::move(summary));
+    e.dataset = [](const PluginParams& p, const DatasetBuild& build) -> std::unique_ptr<Dataset> {
+      return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build);
+    };
+    add(std::move(e));
+  }
+
+  /// Kernel tables of every plugin.
+  KernelTables& kernels() { return kernels_; }
+  const KernelTables& kernels() const { return kernels_; }
+
+  const PluginEntry* find(PluginKind kind, std::string_view name) const;
+  /// Throws Error(config): "no encoder named 'hashgrid'; known: ...; did you mean 'hash_grid'?".
+  const PluginEntry& get(PluginKind kind, std::string_view name) const;
+  /// Every entry, by kind then name.
+  std::vector<const PluginEntry*> entries() const;
+  std::vector<std::string> names(PluginKind kind) const;
+
+  /// Module whose register function runs now; add() stamps entries with it.
+  void set_current_module(std::string module) { current_module_ = std::move(module); }
+
+ private:
+  template <class Params>
+  static PluginEntry entry(PluginKind kind, std::string name, std::string summary) {
+    PluginEntry e;
+    e.kind = kind;
+    e.name = std::move(name);
+    e.summary = std::move(summary);
+    e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<Params>>()); };
+    return e;
+  }
+  template <class Base, class Impl, class Params, class Build>
+  static std::function<std::unique_ptr<Base>(const PluginParams&, const Build&, const KernelTables&)> maker() {
+    return [](const PluginParams& p, const Build& build, const KernelTables& kernels) -> std::unique_ptr<Base> {
+      return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build, kernels);
+    };
+  }
+  std::map<std::pair<PluginKind, std::string>, PluginEntry> entries_;
+  KernelTables kernels_;
+  std::string current_module_;
+};
+
+}  // namespace semfield

@@ -1,0 +1,48 @@
+// Images in and out; image_io.cpp is the only user of OpenImageIO. Without it (SEMFIELD_WITH_IMAGES=OFF) reading throws
+// Error(unavailable) and 8/16-bit PNG writing still works.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+namespace semfield {
+
+/// Row-major, channels interleaved.
+template <class T>
+struct Image {
+  std::int32_t width_px = 0, height_px = 0, channels = 0;
+  std::vector<T> pixels;
+};
+
+struct ImageSize {
+  std::int32_t width_px = 0, height_px = 0, channels = 0;
+  int bits = 8;
+};
+
+bool images_available();
+/// Header only. Refuses axes over 16,384 and over 2^28 pixels before allocating. Errors name the path and the cause.
+ImageSize image_size(const std::string& path);
+/// 8-bit colour, always 3 channels (grey replicated, alpha over `white`/dropped as `alpha_background` says: -1 drop, else 0..255).
+Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background = -1);
+/// Single-channel integer image (labels, depth in mm, instances), 8 or 16 bit, values unchanged; palette PNGs give indices.
+Image<std::uint16_t> read_ids(const std::string& path);
+/// Single-channel float image (EXR depth).
+Image<float> read_float(const std::string& path);
+
+/// Written to a temporary name and renamed. 8-bit RGB, 8-bit or 16-bit grey PNG; palette PNG (index + colours).
+void write_png_rgb(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint8_t> rgb);
+void write_png_gray16(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint16_t> values);
+void write_png_gray8(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint8_t> values);
+void write_png_palette(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint8_t> index,
+                       std::span<const std::uint8_t> palette_rgb);
+/// PNG bytes in memory (for the report).
+std::vector<std::uint8_t> encode_png_rgb(std::int32_t width, std::int32_t height, std::span<const std::uint8_t> rgb);
+/// NumPy .npy, float32, C order.
+void write_npy(const std::string& path, std::span<const std::int64_t> shape, std::span<const float> values);
+
+/// Area-averaged colour, for downscaling only; nearest for ids and depth.
+Image<std::uint8_t> resize_area(const Image<std::uint8_t>& image, std::int32_t width, std::int32_t height);
+
+}  // namespace semfield
