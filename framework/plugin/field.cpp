@@ -1,0 +1,83 @@
+// Checked entry points of every field.
+#include "plugin/field.h"
+
+#include <cstdint>
+
+#include "plugin/view_checks.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::uintptr_t kSavedAlignment = 64;
+
+template <class Real>
+void check_inputs(const char* call, const FieldTraits& traits, const FieldIn<Real>& in, bool wants_rgb) {
+  const std::int64_t samples = in.position.rows;
+  const Device device = in.position.device;
+  view_checks::require(call, "position", in.position, samples, in.position.cols, device);
+  view_checks::require_or_empty(call, "ray_of_sample", in.ray_of_sample, samples, 1, device);
+  if (!in.direction.empty()) {
+    view_checks::require_layout(call, "direction", in.direction, device);
+    view_checks::require(call, "ray_of_sample", in.ray_of_sample, samples, 1, device);
+  } else if (traits.uses_direction && wants_rgb && samples > 0) {
+    view_checks::fail(call, "colour is wanted and direction is empty");
+  }
+}
+
+template <class Real>
+void check_outputs(const char* call, const FieldTraits& traits, const FieldIn<Real>& in, const FieldOut<Real>& out) {
+  const std::int64_t samples = in.position.rows;
+  const Device device = in.position.device;
+  view_checks::require_or_empty(call, "sigma", out.sigma, samples, 1, device);
+  view_checks::require_or_empty(call, "rgb", out.rgb, samples, 3, device);
+  view_checks::require_or_empty(call, "feature", out.feature, samples, traits.feature_dims, device);
+}
+
+void check_saved(const char* call, Saved saved, std::size_t bytes) {
+  if (saved.size() < bytes) {
+    view_checks::fail(call, "saved has " + std::to_string(saved.size()) + " bytes, expected " + std::to_string(bytes));
+  }
+  if (reinterpret_cast<std::uintptr_t>(saved.data()) % kSavedAlignment != 0) {
+    view_checks::fail(call, "saved is not aligned to 64 bytes");
+  }
+}
+
+}  // namespace
+
+template <class Real>
+void Field<Real>::forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
+                          const FieldOut<Real>& out, Saved saved) const {
+  constexpr const char* kCall = "field.forward";
+  const FieldTraits shape = traits();
+  check_inputs(kCall, shape, in, !out.rgb.empty());
+  check_outputs(kCall, shape, in, out);
+  if (in.position.rows == 0) return;
+  if (!saved.empty()) check_saved(kCall, saved, saved_bytes(in.position.rows, in.direction.rows));
+  do_forward(ctx, tensors, in, out, saved);
+}
+
+template <class Real>
+void Field<Real>::backward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
+                           const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved,
+                           View<Real> d_position) const {
+  constexpr const char* kCall = "field.backward";
+  const FieldTraits shape = traits();
+  const std::int64_t samples = in.position.rows;
+  const Device device = in.position.device;
+  check_inputs(kCall, shape, in, !grad.rgb.empty());
+  check_outputs(kCall, shape, in, out);
+  view_checks::require_or_empty(kCall, "grad.sigma", grad.sigma, samples, 1, device);
+  view_checks::require_or_empty(kCall, "grad.rgb", grad.rgb, samples, 3, device);
+  view_checks::require_or_empty(kCall, "grad.feature", grad.feature, samples, shape.feature_dims, device);
+  view_checks::require_or_empty(kCall, "d_position", d_position, samples, in.position.cols, device);
+  if (tensors.grad.size() != tensors.value.size()) view_checks::fail(kCall, "the tensors have no gradients");
+  if (samples == 0) return;
+  check_saved(kCall, saved, saved_bytes(samples, in.direction.rows));
+  do_backward(ctx, tensors, in, out, grad, saved, d_position);
+}
+
+template class Field<float>;
+template class Field<double>;
+
+}  // namespace semfield

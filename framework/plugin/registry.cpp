@@ -1,0 +1,61 @@
+// The registry: entries by kind and name.
+#include "plugin/registry.h"
+
+namespace semfield {
+
+std::string_view kind_name(PluginKind kind) {
+  switch (kind) {
+    case PluginKind::encoder:
+      return "encoder";
+    case PluginKind::field:
+      return "field";
+    case PluginKind::sampler:
+      return "sampler";
+    case PluginKind::dataset:
+      return "dataset";
+  }
+  return "plugin";
+}
+
+void Registry::add(PluginEntry entry) {
+  entry.module = current_module_;
+  if (const PluginEntry* taken = find(entry.kind, entry.name)) {
+    throw Error(ErrorKind::unavailable,
+                "the " + std::string(kind_name(entry.kind)) + " name '" + entry.name + "' of module '" + entry.module +
+                    "' is taken by module '" + taken->module + "'",
+                "give one of them another name or load only one");
+  }
+  auto key = std::pair(entry.kind, entry.name);
+  entries_.emplace(std::move(key), std::move(entry));
+}
+
+const PluginEntry* Registry::find(PluginKind kind, std::string_view name) const {
+  const auto found = entries_.find({kind, std::string(name)});
+  return found == entries_.end() ? nullptr : &found->second;
+}
+
+const PluginEntry& Registry::get(PluginKind kind, std::string_view name) const {
+  if (const PluginEntry* found = find(kind, name)) return *found;
+  const std::vector<std::string> known = names(kind);
+  std::string text = "no " + std::string(kind_name(kind)) + " named '" + std::string(name) +
+                     "'; known: " + (known.empty() ? "none" : join(known));
+  const std::string near = did_you_mean(name, known);
+  throw Error(ErrorKind::config, text, near.empty() ? "" : "did you mean '" + near + "'?");
+}
+
+std::vector<const PluginEntry*> Registry::entries() const {
+  std::vector<const PluginEntry*> all;
+  all.reserve(entries_.size());
+  for (const auto& [key, entry] : entries_) all.push_back(&entry);
+  return all;
+}
+
+std::vector<std::string> Registry::names(PluginKind kind) const {
+  std::vector<std::string> all;
+  for (const auto& [key, entry] : entries_) {
+    if (key.first == kind) all.push_back(key.second);
+  }
+  return all;
+}
+
+}  // namespace semfield

@@ -1,0 +1,61 @@
+// Checked entry point of every sampler.
+#include "plugin/sampler.h"
+
+#include <algorithm>
+
+#include "plugin/view_checks.h"
+
+namespace semfield {
+
+namespace {
+
+template <class Real>
+std::int64_t most_samples_a_ray(const Samples<Real>& samples, std::int64_t rays) {
+  std::int64_t most = 0;
+  for (std::int64_t r = 0; r < rays; ++r) {
+    most = std::max<std::int64_t>(most, samples.first(r + 1, 0) - samples.first(r, 0));
+  }
+  return most;
+}
+
+}  // namespace
+
+template <class Real>
+void Sampler<Real>::sample(const StepContext& ctx, const Tensors<Real>& tensors, const Rays<Real>& rays,
+                           const Proposal<Real>* previous, Samples<Real>& out) const {
+  constexpr const char* kCall = "sampler.sample";
+  const std::int64_t count = rays.origin.rows;
+  const Device device = rays.origin.device;
+  view_checks::require(kCall, "origin", rays.origin, count, 3, device);
+  view_checks::require(kCall, "direction", rays.direction, count, 3, device);
+  view_checks::require(kCall, "near_far", rays.near_far, count, 2, device);
+  view_checks::require_room(kCall, "first", out.first, count + 1, 1, device);
+  out.count = 0;
+  if (count == 0) {
+    if (device == Device::cpu) out.first(0, 0) = 0;
+    return;
+  }
+  std::int64_t previous_per_ray = 0;
+  if (previous != nullptr) {
+    if (previous->samples == nullptr) view_checks::fail(kCall, "previous has no samples");
+    view_checks::require_room(kCall, "previous.first", previous->samples->first, count + 1, 1, device);
+    view_checks::require_room(kCall, "previous.t", previous->samples->t, previous->samples->count, 1, device);
+    view_checks::require_room(kCall, "previous.weight", previous->weight, previous->samples->count, 1, device);
+    if (device == Device::cpu) previous_per_ray = most_samples_a_ray(*previous->samples, count);
+  } else if (traits().needs_previous) {
+    view_checks::fail(kCall, "this sampler needs the samples of an earlier pass");
+  }
+  const std::int64_t room = capacity(count, previous_per_ray);
+  view_checks::require_room(kCall, "t", out.t, room, 1, device);
+  view_checks::require_room(kCall, "delta", out.delta, room, 1, device);
+  view_checks::require_room(kCall, "ray_of_sample", out.ray_of_sample, room, 1, device);
+  do_sample(ctx, tensors, rays, previous, out);
+  if (out.count < 0 || out.count > room) {
+    view_checks::fail(kCall, "wrote " + std::to_string(out.count) + " samples, more than its capacity of " + std::to_string(room));
+  }
+}
+
+template class Sampler<float>;
+template class Sampler<double>;
+
+}  // namespace semfield
