@@ -25,30 +25,32 @@ struct ChoiceNames<SemanticNormalisation> {
 /// Labels of R rays: exactly one view is set.
 struct SemanticTargets {
   View<const std::int16_t> hard;  ///< [R, 1] class 0..C-1, or -1 (void): no loss
-  /// [R, C] probabilities. A row is divided by its sum; a row of zeros is unlabelled; negative or non-finite values are refused.
+  /// [R, C] probabilities. A row is divided by its sum; a row of zeros is unlabelled; negative or non-finite values are
+  /// refused.
   View<const float> soft;
 };
 
 struct SemanticLoss {
-  double sum = 0;              ///< weighted cross-entropy in nats, before division
-  std::int64_t labelled = 0;   ///< rays that carried a label
-  std::int64_t correct = 0;    ///< labelled rays whose largest logit is the label (soft: the most probable class)
+  double sum = 0;             ///< weighted cross-entropy in nats, before division
+  std::int64_t labelled = 0;  ///< rays that carried a label
+  std::int64_t correct = 0;   ///< labelled rays whose largest logit is the label (soft: the most probable class)
 };
 
-/// Labelled rays of the whole batch or, with class weights [C] (as a row view [1, C]), their total weight: the count that
-/// normaliser() wants. Soft rows weigh sum_c p_c weight_c.
+/// Labelled rays of the whole batch or, with class weights [C] (as a row view [1, C]), their total weight: the count
+/// that normaliser() wants. Soft rows weigh sum_c p_c weight_c.
 double labelled_weight(const SemanticTargets& targets, View<const float> class_weight);
 
 /// Divisor for a batch; 0 when mean_labelled finds no label.
 double semantic_normaliser(SemanticNormalisation kind, double labelled_weight, std::int64_t rays);
 
 /// L_s = -sum_r sum_c weight_c p_rc log softmax(s_r)_c / normaliser [Zhi21 Eq. 5], by log-sum-exp from the row maximum.
-/// Writes d_logits [R, C] = scale / normaliser * weight-sum * (softmax - p) when not empty; rows without label, and every row
-/// when normaliser is 0, get exactly 0. Logits [R, C] must be finite: Error(failure) names ray and class. A hard label outside
-/// -1..C-1 is Error(data) naming ray (first_ray + r) and value. class_weight [1, C] or empty.
+/// Writes d_logits [R, C] = scale / normaliser * weight-sum * (softmax - p) when not empty; rows without label, and
+/// every row when normaliser is 0, get exactly 0. Logits [R, C] must be finite: Error(failure) names ray and class. A
+/// hard label outside -1..C-1 is Error(data) naming ray (first_ray + r) and value. class_weight [1, C] or empty.
 template <class Real>
-SemanticLoss semantic_cross_entropy(View<const Real> logits, const SemanticTargets& targets, View<const float> class_weight,
-                                    double normaliser, double scale, View<Real> d_logits, std::int64_t first_ray = 0);
+SemanticLoss semantic_cross_entropy(View<const Real> logits, const SemanticTargets& targets,
+                                    View<const float> class_weight, double normaliser, double scale,
+                                    View<Real> d_logits, std::int64_t first_ray = 0);
 
 /// 1 / ln(1.02 + frequency) per class: finite for absent classes (at most 50.5) [Paszke16]. `pixels` per class.
 std::vector<float> inverse_log_frequency_weights(const std::vector<std::int64_t>& pixels);

@@ -23,15 +23,16 @@ struct ChoiceNames<FarMode> {
   static constexpr std::array<std::string_view, 3> names{"open", "closed", "background"};
 };
 
-/// M = samples->count samples of R = samples->first.rows - 1 rays. An empty view is not composited.
+/// M = samples->count samples of R = samples->first.rows - 1 rays. An empty view is not composited. hidden may cover
+/// the first n rays alone: it then has their first[n] samples as rows, and CompositeOut::hidden has n rows.
 template <class Real>
 struct CompositeIn {
   const Samples<Real>* samples = nullptr;
-  View<const Real> sigma;               ///< [M, 1] after activation, 1/m, >= 0
-  View<const Real> rgb;                 ///< [M, 3]
-  View<const Real> hidden;              ///< [M, H]
+  View<const Real> sigma;   ///< [M, 1] after activation, 1/m, >= 0
+  View<const Real> rgb;     ///< [M, 3]
+  View<const Real> hidden;  ///< [M, H]
   FarMode far = FarMode::open;
-  std::array<double, 3> background{};   ///< colour of what lies behind; added to colour alone
+  std::array<double, 3> background{};  ///< colour of what lies behind; added to colour alone
 };
 
 /// Overwritten; an empty view is not wanted, except weight, which backward reads.
@@ -44,13 +45,13 @@ struct CompositeOut {
   View<Real> weight;   ///< [M, 1] w_k, required
 };
 
-/// dL/d(outputs); empty view = zero.
+/// dL/d(outputs); empty view = zero, and a view with fewer than R rows is zero for the other rays.
 template <class Real>
 struct CompositeGrad {
-  View<const Real> color;    ///< [R, 3]
-  View<const Real> depth;    ///< [R, 1]
-  View<const Real> opacity;  ///< [R, 1]
-  View<const Real> hidden;   ///< [R, H]
+  View<const Real> color;            ///< [R, 3]
+  View<const Real> depth;            ///< [R, 1]
+  View<const Real> opacity;          ///< [R, 1]
+  View<const Real> hidden;           ///< [R, H]
   bool hidden_moves_density = true;  ///< false: `hidden` reaches d_hidden only, its part of d_sigma is exactly 0
 };
 
@@ -64,13 +65,13 @@ void composite_forward(const CompositeIn<Real>& in, const CompositeOut<Real>& ou
 /// R_{N+1} = what the background gives, and from back to front
 ///   R_k = R_{k+1} + alpha_k (v_k - R_{k+1}),  dL/dsigma_k = delta_k T_{k+1} (v_k - R_{k+1}),  dL/dc_k = w_k dL/dC.
 /// Never total minus prefix: that loses the sign in dense fog. Exactly 0 once T underflows, and for an infinite delta.
-/// d_sigma [M, 1], d_rgb [M, 3], d_hidden [M, H] are overwritten; empty ones are not computed.
+/// d_sigma [M, 1], d_rgb [M, 3], d_hidden [M or first[n], H] are overwritten; empty ones are not computed.
 template <class Real>
 void composite_backward(const CompositeIn<Real>& in, const CompositeOut<Real>& out, const CompositeGrad<Real>& grad,
                         View<Real> d_sigma, View<Real> d_rgb, View<Real> d_hidden);
 
-/// Throws Error(failure) for the first density that is negative, infinite or NaN, naming ray (first_ray + its number in the
-/// tile), sample within the ray, distance and value.
+/// Throws Error(failure) for the first density that is negative, infinite or NaN, naming ray (first_ray + its number in
+/// the tile), sample within the ray, distance and value.
 template <class Real>
 void check_density(const Samples<Real>& samples, View<const Real> sigma, std::int64_t first_ray = 0);
 

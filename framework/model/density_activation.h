@@ -14,7 +14,8 @@ namespace semfield {
 /// f(raw) = sigma in 1/m:
 ///   relu       max(raw, 0), f' = 1 for raw > 0, else 0 [Mildenhall20];
 ///   softplus   ln(1 + e^raw) = max(raw, 0) + log1p(e^-|raw|), f' = 1 / (1 + e^-raw);
-///   trunc_exp  e^min(raw, 15) [Mueller22]: 3.3e6 1/m is opaque within a micrometre. f' = e^min(raw, 15): above the clamp the
+///   trunc_exp  e^min(raw, 15) [Mueller22]: 3.3e6 1/m is opaque within a micrometre. f' = e^min(raw, 15): above the
+///   clamp the
 ///              slope at the clamp is used, so that a saturated density is finite and can still come down.
 /// Non-finite raw values pass through as non-finite (relu keeps NaN): check_density names them, nothing hides them.
 enum class DensityActivation : std::uint8_t { relu, softplus, trunc_exp };
@@ -36,7 +37,8 @@ template <class Real>
 void density_backward(DensityActivation activation, View<const Real> raw, View<const Real> d_sigma, View<Real> d_raw);
 
 /// raw += deviation * N(0, 1) (training noise of preset `paper` [Mildenhall20]). Sample k of ray r draws at index
-/// (first_ray + r) * 2^20 + k, so the values do not depend on how rays are cut into tiles. raw [M, 1]; first [R + 1, 1].
+/// (first_ray + r) * 2^20 + k, so the values do not depend on how rays are cut into tiles. raw [M, 1]; first [R + 1,
+/// 1].
 template <class Real>
 void add_density_noise(const RandomAddress& address, std::int64_t first_ray, View<const std::int32_t> first,
                        double deviation, View<Real> raw);

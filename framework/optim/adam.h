@@ -19,8 +19,8 @@ void describe(ParamVisitor& visit, AdamParams& params);
 /// The constants of one update, in double: shared by all tensors of a step.
 struct AdamStep {
   double beta1 = 0.9, beta2 = 0.999, epsilon = 1e-8;
-  double step_size = 0;    ///< learning rate / (1 - beta1^t)
-  double root_scale = 1;   ///< 1 / sqrt(1 - beta2^t)
+  double step_size = 0;   ///< learning rate / (1 - beta1^t)
+  double root_scale = 1;  ///< 1 / sqrt(1 - beta2^t)
 };
 
 /// t = step + 1 counts updates from one; `step` is the number of updates already made. Any step up to 2^53.
@@ -28,27 +28,27 @@ AdamStep adam_step(const AdamParams& params, double learning_rate, std::int64_t 
 
 /// m = b1 m + (1 - b1) g, v = b2 v + (1 - b2) g^2, x -= step_size * m / (sqrt(v) * root_scale + epsilon), for rows
 /// [begin, begin + count) of equal-shaped contiguous views. Elementwise: any split into ranges gives the same bits.
-/// In float, v underflows to 0 for |g| below about 1e-21; epsilon alone then scales the step.
+/// In float, v underflows to 0 for |g| below about 1e-21 (epsilon alone then scales the step) and overflows above 1e19.
 template <class Real>
 void adam_dense(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v,
                 std::int64_t begin, std::int64_t count);
 
-/// The same for rows whose gradient has a non-zero element; other rows are not written at all. Lazy rule: the moments of an
-/// untouched row do not decay, and bias correction uses the global step count. A NaN counts as non-zero. Returns the number
-/// of rows touched.
+/// The same for rows whose gradient has a non-zero element; other rows are not written at all. The gradient of a
+/// touched row is zero afterwards, so that nobody has to clear the whole table. Lazy rule: the moments of an untouched
+/// row do not decay, and bias correction uses the global step count. A NaN counts as non-zero. Returns the number of
+/// rows touched.
 template <class Real>
-std::int64_t adam_touched(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v,
+std::int64_t adam_touched(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m, View<Real> v,
                           std::int64_t begin, std::int64_t count);
 
 /// Whole tensors, cut into fixed ranges over parallel_for.
 template <class Real>
 void adam_dense_parallel(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v);
 template <class Real>
-std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m,
-                                   View<Real> v);
+std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m, View<Real> v);
 
-/// Index (row * cols + col) of the first NaN or infinity of a contiguous view, or -1. To be called for every gradient before any
-/// update, so that a bad step leaves all state untouched.
+/// Index (row * cols + col) of the first NaN or infinity of a contiguous view, or -1. To be called for every gradient
+/// before any update, so that a bad step leaves all state untouched.
 template <class Real>
 std::int64_t first_non_finite(View<const Real> values);
 

@@ -1,0 +1,230 @@
+// Emission and absorption along rays: scalars of a ray in double, channels of a sample as vectors of Real.
+#include "model/compositor.h"
+
+#include <cmath>
+#include <limits>
+#include <string>
+
+#include "core/check.h"
+#include "core/error.h"
+
+namespace semfield {
+namespace {
+
+// tau = sigma * delta; vacuum is vacuum over any distance, so that 0 * inf does not arise.
+template <class Real>
+double optical_depth(Real sigma, Real delta) {
+  return sigma == Real(0) ? 0.0 : static_cast<double>(sigma) * static_cast<double>(delta);
+}
+
+// Accurate for tiny tau, where 1 - exp(-tau) has no digits left.
+template <class Real>
+Real alpha_of(double tau) {
+  return -std::expm1(static_cast<Real>(-tau));
+}
+
+template <class Real>
+Real transmittance_of(double tau_sum) {
+  return std::exp(static_cast<Real>(-tau_sum));
+}
+
+// y += a x over n channels.
+template <class Real>
+void add_scaled(Real a, const Real* __restrict x, Real* __restrict y, std::int32_t n) {
+  for (std::int32_t c = 0; c < n; ++c) y[c] += a * x[c];
+}
+
+// Sixteen partial sums: the order of additions is fixed by the code, not by the vector width.
+template <class Real>
+double dot_channels(const Real* __restrict a, const Real* __restrict b, std::int32_t n) {
+  constexpr std::int32_t kLanes = 16;
+  Real lane[kLanes] = {};
+  std::int32_t c = 0;
+  for (; c + kLanes <= n; c += kLanes) {
+    for (std::int32_t j = 0; j < kLanes; ++j) lane[j] += a[c + j] * b[c + j];
+  }
+  double sum = 0;
+  for (; c < n; ++c) sum += static_cast<double>(a[c]) * static_cast<double>(b[c]);
+  for (std::int32_t j = 0; j < kLanes; ++j) sum += static_cast<double>(lane[j]);
+  return sum;
+}
+
+struct RaySums {
+  double color[3] = {0, 0, 0};
+  double depth = 0;
+  double opacity = 0;
+  double tau = 0;
+};
+
+template <class Real>
+void check_shapes(const CompositeIn<Real>& in, const CompositeOut<Real>& out) {
+  SEMFIELD_CHECK(in.samples != nullptr, "compositing needs samples");
+  const std::int64_t count = in.samples->count;
+  SEMFIELD_CHECK(count == 0 || (in.sigma.rows >= count && out.weight.rows >= count),
+                 "density or weight rows are short");
+  SEMFIELD_CHECK(in.rgb.empty() || in.rgb.rows >= count, "colour rows are short");
+}
+
+template <class Real>
+bool hidden_covers(const View<const Real>& hidden, std::int64_t rays, std::int64_t ray) {
+  return !hidden.empty() && ray < rays;
+}
+
+}  // namespace
+
+template <class Real>
+void composite_forward(const CompositeIn<Real>& in, const CompositeOut<Real>& out) {
+  check_shapes(in, out);
+  const Samples<Real>& samples = *in.samples;
+  const bool wants_color = !out.color.empty() && !in.rgb.empty();
+  for (std::int64_t r = 0; r + 1 < samples.first.rows; ++r) {
+    const std::int32_t begin = *samples.first.row(r), end = *samples.first.row(r + 1);
+    Real* hidden = hidden_covers(in.hidden, out.hidden.rows, r) ? out.hidden.row(r) : nullptr;
+    if (hidden != nullptr) {
+      for (std::int32_t c = 0; c < in.hidden.cols; ++c) hidden[c] = 0;
+    }
+    RaySums sums;
+    Real transmittance = 1;
+    for (std::int32_t k = begin; k < end; ++k) {
+      const bool takes_rest = in.far == FarMode::background && k + 1 == end;
+      const double tau =
+          takes_rest ? std::numeric_limits<double>::infinity() : optical_depth(*in.sigma.row(k), *samples.delta.row(k));
+      const Real weight = tau == 0 ? Real(0) : transmittance * alpha_of<Real>(tau);
+      *out.weight.row(k) = weight;
+      if (tau == 0) continue;
+      sums.tau += tau;
+      transmittance = transmittance_of<Real>(sums.tau);
+      if (weight == Real(0)) continue;
+      const double w = static_cast<double>(weight);
+      sums.opacity += w;
+      sums.depth += w * static_cast<double>(*samples.t.row(k));
+      if (wants_color) {
+        const Real* rgb = in.rgb.row(k);
+        for (int c = 0; c < 3; ++c) sums.color[c] += w * static_cast<double>(rgb[c]);
+      }
+      if (hidden != nullptr) add_scaled(weight, in.hidden.row(k), hidden, in.hidden.cols);
+    }
+    if (!out.color.empty()) {
+      const double behind = in.far == FarMode::closed ? 0.0 : static_cast<double>(transmittance);
+      for (int c = 0; c < 3; ++c) {
+        out.color.row(r)[c] = static_cast<Real>(sums.color[c] + behind * in.background[static_cast<std::size_t>(c)]);
+      }
+    }
+    if (!out.depth.empty()) *out.depth.row(r) = static_cast<Real>(sums.depth);
+    if (!out.opacity.empty()) *out.opacity.row(r) = static_cast<Real>(sums.opacity);
+  }
+}
+
+namespace {
+
+// Gradients at one ray's outputs.
+template <class Real>
+struct RayGrad {
+  double color[3] = {0, 0, 0};
+  double depth = 0;
+  double opacity = 0;
+  const Real* hidden = nullptr;
+  double behind = 0;  // dL/dT_end: what the background colour gives
+
+  RayGrad(const CompositeIn<Real>& in, const CompositeGrad<Real>& grad, std::int64_t r) {
+    if (r < grad.color.rows && !grad.color.empty()) {
+      for (int c = 0; c < 3; ++c) color[c] = static_cast<double>(grad.color.row(r)[c]);
+    }
+    if (r < grad.depth.rows && !grad.depth.empty()) depth = static_cast<double>(*grad.depth.row(r));
+    if (r < grad.opacity.rows && !grad.opacity.empty()) opacity = static_cast<double>(*grad.opacity.row(r));
+    if (!in.hidden.empty() && hidden_covers(grad.hidden, grad.hidden.rows, r)) hidden = grad.hidden.row(r);
+    if (in.far != FarMode::closed) {
+      for (int c = 0; c < 3; ++c) behind += color[c] * in.background[static_cast<std::size_t>(c)];
+    }
+  }
+};
+
+// d_sigma of one ray. First pass: T_{k+1} into d_sigma. Second, from the back: the recurrence.
+template <class Real>
+void ray_density_gradient(const CompositeIn<Real>& in, const RayGrad<Real>& grad, bool hidden_counts,
+                          std::int32_t begin, std::int32_t end, View<Real> d_sigma) {
+  const Samples<Real>& samples = *in.samples;
+  double tau_sum = 0;
+  for (std::int32_t k = begin; k < end; ++k) {
+    tau_sum += optical_depth(*in.sigma.row(k), *samples.delta.row(k));
+    *d_sigma.row(k) = transmittance_of<Real>(tau_sum);
+  }
+  double behind = grad.behind;  // R_{k+1}
+  for (std::int32_t k = end; k-- > begin;) {
+    double value = grad.depth * static_cast<double>(*samples.t.row(k)) + grad.opacity;  // v_k = dL/dw_k
+    if (!in.rgb.empty()) {
+      const Real* rgb = in.rgb.row(k);
+      for (int c = 0; c < 3; ++c) value += grad.color[c] * static_cast<double>(rgb[c]);
+    }
+    if (hidden_counts && grad.hidden != nullptr) value += dot_channels(grad.hidden, in.hidden.row(k), in.hidden.cols);
+    if (in.far == FarMode::background && k + 1 == end) {
+      *d_sigma.row(k) = 0;
+      behind = value;
+      continue;
+    }
+    const Real delta = *samples.delta.row(k);
+    const double after = static_cast<double>(*d_sigma.row(k));
+    const double gap = value - behind;
+    // Behind an opaque sample nothing is seen; an infinite interval is a switch without a slope.
+    const bool has_slope = after != 0 && !std::isinf(delta);
+    *d_sigma.row(k) = has_slope ? static_cast<Real>(static_cast<double>(delta) * after * gap) : Real(0);
+    behind += static_cast<double>(alpha_of<Real>(optical_depth(*in.sigma.row(k), delta))) * gap;
+  }
+}
+
+}  // namespace
+
+template <class Real>
+void composite_backward(const CompositeIn<Real>& in, const CompositeOut<Real>& out, const CompositeGrad<Real>& grad,
+                        View<Real> d_sigma, View<Real> d_rgb, View<Real> d_hidden) {
+  check_shapes(in, out);
+  const Samples<Real>& samples = *in.samples;
+  for (std::int64_t r = 0; r + 1 < samples.first.rows; ++r) {
+    const std::int32_t begin = *samples.first.row(r), end = *samples.first.row(r + 1);
+    const RayGrad<Real> ray(in, grad, r);
+    if (!d_sigma.empty()) ray_density_gradient(in, ray, grad.hidden_moves_density, begin, end, d_sigma);
+    if (!d_rgb.empty()) {
+      for (std::int32_t k = begin; k < end; ++k) {
+        const double w = static_cast<double>(*out.weight.row(k));
+        for (int c = 0; c < 3; ++c) d_rgb.row(k)[c] = static_cast<Real>(w * ray.color[c]);
+      }
+    }
+    if (d_hidden.empty() || begin >= d_hidden.rows) continue;
+    for (std::int32_t k = begin; k < end; ++k) {
+      const Real w = *out.weight.row(k);
+      Real* row = d_hidden.row(k);
+      for (std::int32_t c = 0; c < d_hidden.cols; ++c) row[c] = ray.hidden == nullptr ? Real(0) : w * ray.hidden[c];
+    }
+  }
+}
+
+template <class Real>
+void check_density(const Samples<Real>& samples, View<const Real> sigma, std::int64_t first_ray) {
+  constexpr Real kLargest = std::numeric_limits<Real>::max();
+  int bad = 0;
+  for (std::int64_t k = 0; k < samples.count; ++k) bad |= !(*sigma.row(k) >= 0 && *sigma.row(k) <= kLargest);
+  if (bad == 0) return;
+  for (std::int64_t r = 0; r + 1 < samples.first.rows; ++r) {
+    const std::int32_t begin = *samples.first.row(r), end = *samples.first.row(r + 1);
+    for (std::int32_t k = begin; k < end; ++k) {
+      const Real value = *sigma.row(k);
+      if (value >= 0 && value <= kLargest) continue;
+      throw Error(ErrorKind::failure,
+                  "density of ray " + std::to_string(first_ray + r) + ", sample " + std::to_string(k - begin) + " at " +
+                      std::to_string(static_cast<double>(*samples.t.row(k))) + " m is " +
+                      std::to_string(static_cast<double>(value)) + "; it must be finite and not negative",
+                  "lower the learning rate, or go back to the last checkpoint");
+    }
+  }
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                                        \
+  template void composite_forward<Real>(const CompositeIn<Real>&, const CompositeOut<Real>&);             \
+  template void composite_backward<Real>(const CompositeIn<Real>&, const CompositeOut<Real>&,             \
+                                         const CompositeGrad<Real>&, View<Real>, View<Real>, View<Real>); \
+  template void check_density<Real>(const Samples<Real>&, View<const Real>, std::int64_t);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+}  // namespace semfield
