@@ -1,0 +1,147 @@
+#include "model/param_store.h"
+
+#include <algorithm>
+
+#include "core/check.h"
+#include "core/parallel.h"
+#include "core/rng.h"
+
+namespace semfield {
+
+template <class Real>
+AlignedBuffer<Real>::AlignedBuffer(std::size_t count)
+    : data_(new (std::align_val_t{64}) Real[std::max<std::size_t>(count, 1)]()), size_(count) {}
+
+template <class Real>
+ParamStore<Real>::ParamStore(std::uint64_t seed, int lanes, bool trainable) : seed_(seed), lanes_(lanes), trainable_(trainable) {}
+
+namespace {
+
+class Collector final : public ParamDeclarer {
+ public:
+  int tensor(TensorSpec spec) override {
+    SEMFIELD_CHECK(spec.rows > 0 && spec.cols > 0, "tensor '" + spec.name + "' has an empty shape");
+    for (const TensorSpec& other : specs) SEMFIELD_CHECK(other.name != spec.name, "tensor '" + spec.name + "' declared twice");
+    specs.push_back(std::move(spec));
+    return static_cast<int>(specs.size()) - 1;
+  }
+  std::vector<TensorSpec> specs;
+};
+
+constexpr std::int64_t kChunk = 1 << 14;  // elements a parallel task; sums are per element, so it changes no bits
+
+}  // namespace
+
+template <class Real>
+int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& part) {
+  Collector collector;
+  part.declare(collector);
+  Component component;
+  component.begin = tensors_.size();
+  component.grads.resize(static_cast<std::size_t>(lanes_) + 1);
+  for (TensorSpec& spec : collector.specs) {
+    Tensor<Real> tensor;
+    tensor.name = prefix + "/" + spec.name;
+    SEMFIELD_CHECK(find(tensor.name) == nullptr, "tensor '" + tensor.name + "' exists already");
+    tensor.spec = std::move(spec);
+    const auto count = static_cast<std::size_t>(tensor.size());
+    tensor.value = AlignedBuffer<Real>(count);
+    const Init init = tensor.spec.init;
+    const RandomAddress address{seed_, 0, stream_id(tensor.name)};
+    for (std::size_t i = 0; i < count; ++i) {
+      tensor.value.data()[i] =
+          init.low == init.high ? static_cast<Real>(init.low)
+                                : static_cast<Real>(init.low + (init.high - init.low) * static_cast<double>(uniform01(address, i)));
+    }
+    if (trainable_ && tensor.spec.role != TensorRole::state) {
+      tensor.grad = AlignedBuffer<Real>(count);
+      if (tensor.learned()) {
+        tensor.moment1 = AlignedBuffer<Real>(count);
+        tensor.moment2 = AlignedBuffer<Real>(count);
+      }
+      if (tensor.spec.role != TensorRole::sparse) tensor.lanes = AlignedBuffer<Real>(count * static_cast<std::size_t>(lanes_));
+    }
+    component.values.push_back(tensor.view(tensor.value));
+    component.grads[0].push_back(tensor.view(tensor.grad));
+    for (int lane = 0; lane < lanes_; ++lane) {
+      component.grads[static_cast<std::size_t>(lane) + 1].push_back(
+          tensor.lanes.size() == 0
+              ? View<Real>()
+              : View<Real>(tensor.lanes.data() + static_cast<std::size_t>(lane) * count, tensor.spec.rows, tensor.spec.cols));
+    }
+    tensors_.push_back(std::move(tensor));
+  }
+  component.end = tensors_.size();
+  components_.push_back(std::move(component));
+  return static_cast<int>(components_.size()) - 1;
+}
+
+template <class Real>
+Tensors<Real> ParamStore<Real>::tensors(int component, int lane) const {
+  const Component& c = components_[static_cast<std::size_t>(component)];
+  return {c.values, c.grads[static_cast<std::size_t>(lane + 1)]};
+}
+
+template <class Real>
+void ParamStore<Real>::reduce_lanes() {
+  struct Task {
+    Tensor<Real>* tensor;
+    std::int64_t begin, end;
+  };
+  static thread_local std::vector<Task> tasks;  // keeps its capacity: no allocation in a steady state
+  tasks.clear();
+  for (Tensor<Real>& t : tensors_) {
+    if (t.lanes.size() == 0) continue;
+    for (std::int64_t i = 0; i < t.size(); i += kChunk) tasks.push_back({&t, i, std::min(i + kChunk, t.size())});
+  }
+  const std::vector<Task>& work = tasks;
+  parallel_for(static_cast<std::int64_t>(work.size()), [&work, this](std::int64_t index) {
+    const Task& task = work[static_cast<std::size_t>(index)];
+    Real* const sum = task.tensor->grad.data();
+    for (int lane = 0; lane < lanes_; ++lane) {
+      Real* const part = task.tensor->lanes.data() + static_cast<std::int64_t>(lane) * task.tensor->size();
+      for (std::int64_t i = task.begin; i < task.end; ++i) {
+        sum[i] += part[i];
+        part[i] = 0;
+      }
+    }
+  });
+}
+
+template <class Real>
+void ParamStore<Real>::zero_gradients() {
+  for (Tensor<Real>& t : tensors_) {
+    if (t.spec.role != TensorRole::sparse) std::fill_n(t.grad.data(), t.grad.size(), Real(0));
+  }
+}
+
+template <class Real>
+Tensor<Real>* ParamStore<Real>::find(const std::string& name) {
+  for (Tensor<Real>& t : tensors_) {
+    if (t.name == name) return &t;
+  }
+  return nullptr;
+}
+
+template <class Real>
+std::int64_t ParamStore<Real>::learned_count() const {
+  std::int64_t sum = 0;
+  for (const Tensor<Real>& t : tensors_) sum += t.learned() ? t.size() : 0;
+  return sum;
+}
+
+template <class Real>
+std::size_t ParamStore<Real>::bytes() const {
+  std::size_t sum = 0;
+  for (const Tensor<Real>& t : tensors_) {
+    sum += (t.value.size() + t.grad.size() + t.moment1.size() + t.moment2.size() + t.lanes.size()) * sizeof(Real);
+  }
+  return sum;
+}
+
+template class AlignedBuffer<float>;
+template class AlignedBuffer<double>;
+template class ParamStore<float>;
+template class ParamStore<double>;
+
+}  // namespace semfield

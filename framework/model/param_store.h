@@ -1,0 +1,98 @@
+// Every tensor of a run by name: values, gradients, Adam moments, and the gradient lanes that make sums independent of threads.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <new>
+#include <string>
+#include <vector>
+
+#include "plugin/parametric.h"
+
+namespace semfield {
+
+/// 64-byte aligned, zero-initialised array.
+template <class Real>
+class AlignedBuffer {
+ public:
+  AlignedBuffer() = default;
+  explicit AlignedBuffer(std::size_t count);
+  Real* data() const { return data_.get(); }
+  std::size_t size() const { return size_; }
+
+ private:
+  struct Free {
+    void operator()(Real* p) const { ::operator delete[](p, std::align_val_t{64}); }
+  };
+  std::unique_ptr<Real[], Free> data_;
+  std::size_t size_ = 0;
+};
+
+template <class Real>
+struct Tensor {
+  std::string name;  ///< full: "fine/field/trunk_0/weight"
+  TensorSpec spec;
+  AlignedBuffer<Real> value;
+  AlignedBuffer<Real> grad;                ///< the step's gradient; empty for state tensors
+  AlignedBuffer<Real> moment1, moment2;    ///< Adam; learned tensors only
+  AlignedBuffer<Real> lanes;               ///< [lane_count, size]; dense and derived tensors only
+
+  bool learned() const { return spec.role == TensorRole::dense || spec.role == TensorRole::sparse; }
+  std::int64_t size() const { return spec.rows * spec.cols; }
+  View<Real> view(const AlignedBuffer<Real>& buffer) const {
+    return buffer.size() == 0 ? View<Real>() : View<Real>(buffer.data(), spec.rows, spec.cols);
+  }
+};
+
+/// Where the gradients of a call go.
+inline constexpr int kMainGradient = -1;
+
+/// Owns the tensors of a pipeline. A component is what one Parametric declared.
+///
+/// Gradients of dense tensors are summed in `lanes` fixed slots (tile t belongs to lane t mod lanes, a lane's tiles run in order, lanes are
+/// added in order), so the sum's tree depends on the tile numbering alone. Sparse tensors have one gradient, written outside
+/// parallel regions by their owner.
+template <class Real>
+class ParamStore {
+ public:
+  ParamStore(std::uint64_t seed, int lanes, bool trainable);
+
+  /// Declares `part` under `prefix`, allocates and initialises; returns the component's number.
+  int add(const std::string& prefix, const Parametric<Real>& part);
+
+  /// lane: 0..lanes-1, or kMainGradient.
+  Tensors<Real> tensors(int component, int lane = kMainGradient) const;
+
+  /// grad += sum over lanes, in lane order; lanes are zero afterwards.
+  void reduce_lanes();
+  /// Zeroes gradients of every tensor but sparse ones, which the optimiser clears row by row as it visits them.
+  void zero_gradients();
+
+  std::vector<Tensor<Real>>& all() { return tensors_; }
+  const std::vector<Tensor<Real>>& all() const { return tensors_; }
+  Tensor<Real>* find(const std::string& name);
+  int lanes() const { return lanes_; }
+  /// Learned scalars, and bytes of everything.
+  std::int64_t learned_count() const;
+  std::size_t bytes() const;
+  std::uint64_t seed() const { return seed_; }
+
+ private:
+  struct Component {
+    std::size_t begin = 0, end = 0;
+    std::vector<View<Real>> values;
+    std::vector<std::vector<View<Real>>> grads;  // [0] main, [1 + lane]
+  };
+  std::uint64_t seed_;
+  int lanes_;
+  bool trainable_;
+  std::vector<Tensor<Real>> tensors_;
+  std::vector<Component> components_;
+};
+
+extern template class AlignedBuffer<float>;
+extern template class AlignedBuffer<double>;
+extern template class ParamStore<float>;
+extern template class ParamStore<double>;
+
+}  // namespace semfield

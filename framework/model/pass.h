@@ -1,0 +1,120 @@
+// One pass over a tile of rays: sample -> encode -> field -> semantic head -> composite, and the same backward.
+#pragma once
+
+#include <array>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "model/compositor.h"
+#include "model/density_activation.h"
+#include "model/domain_map.h"
+#include "model/param_store.h"
+#include "model/semantic_head.h"
+#include "plugin/encoder.h"
+#include "plugin/field.h"
+#include "plugin/sampler.h"
+
+namespace semfield {
+
+/// Fixed rules of rendering, the same for every pass.
+struct RenderRules {
+  DensityActivation activation = DensityActivation::relu;
+  FarMode far = FarMode::open;
+  double density_noise = 0;                       ///< standard deviation added to raw density in training [Mildenhall20]
+  std::array<double, 3> background{0, 0, 0};      ///< added to colour only
+  double early_stop = 0;                          ///< rendering stops a ray when its transmittance falls below; 0 = never
+  bool stop_gradient_to_density = false;          ///< semantics do not shape geometry
+  bool deferred_class_layer = true;
+};
+
+template <class Real>
+struct PassParts {
+  std::string name;
+  std::unique_ptr<Sampler<Real>> sampler;
+  std::unique_ptr<Encoder<Real>> position;
+  std::unique_ptr<Encoder<Real>> direction;  ///< null: the view branch is left out
+  std::unique_ptr<Field<Real>> field;
+  std::unique_ptr<SemanticHead<Real>> head;  ///< null: no semantics
+  DomainMap domain;
+};
+
+/// What forward leaves for backward and for the next pass; lives in the tile's workspace.
+template <class Real>
+struct PassTrace {
+  Samples<Real> samples;
+  View<double> x;             ///< [M, 3] encoder coordinates
+  View<Real> encoded;         ///< [M, Dp]
+  View<Real> direction;       ///< [R, Dd]
+  FieldOut<Real> out;         ///< sigma is raw
+  View<Real> sigma;           ///< [M, 1] after activation, 1/m
+  View<Real> weight;          ///< [M, 1]
+  Saved saved;
+  std::int64_t semantic_rays = 0;     ///< rays 0..n-1 carry semantics
+  std::int64_t semantic_samples = 0;  ///< their samples come first
+  View<Real> hidden;          ///< [semantic_samples, H]
+  View<Real> sample_logits;   ///< [semantic_samples, C]; only with the deferral switched off
+  View<Real> ray_hidden;      ///< [semantic_rays, H]
+  // Results a ray.
+  View<Real> color;    ///< [R, 3]
+  View<Real> depth;    ///< [R, 1] metres along the ray
+  View<Real> opacity;  ///< [R, 1]
+  View<Real> logits;   ///< [semantic_rays, C]
+};
+
+/// Coordinates and gradients at encoder outputs that a lane's tiles leave for the scatter after them.
+template <class Real>
+struct EncoderInbox {
+  std::vector<double> x;
+  std::vector<Real> dy;
+  std::int64_t rows = 0;
+};
+
+template <class Real>
+class Pass {
+ public:
+  /// Adds the parts' tensors to `store` under the pass's name.
+  Pass(PassParts<Real> parts, const RenderRules& rules, ParamStore<Real>& store);
+
+  const PassParts<Real>& parts() const { return parts_; }
+  /// Most samples a ray.
+  std::int64_t capacity_per_ray(std::int64_t previous_per_ray) const { return parts_.sampler->capacity(1, previous_per_ray); }
+  bool scatters() const { return encoder_learns_; }
+
+  /// Everything of a tile, in ctx.workspace (the caller's scope keeps it until backward is done). The first `semantic_rays` rays get logits.
+  PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const Proposal<Real>* previous,
+                          std::int64_t previous_per_ray, std::int64_t semantic_rays) const;
+
+  /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero) into the lane's gradients; what the position encoder must
+  /// scatter is appended to `inbox`.
+  void backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_color,
+                View<const Real> d_logits, EncoderInbox<Real>& inbox) const;
+
+  /// Encoder scatter of one lane's inbox; outside parallel regions.
+  void scatter(const StepContext& ctx, const EncoderInbox<Real>& inbox) const;
+
+  void derive(const StepContext& ctx) const;
+  void derive_backward(const StepContext& ctx) const;
+  void observe(const StepContext& ctx) const;
+  std::string status() const { return parts_.sampler->status(store_->tensors(sampler_)); }
+
+  /// sigma [N, 1] after activation at world positions [N, 3].
+  void density(const StepContext& ctx, View<const double> positions, View<Real> sigma) const;
+
+ private:
+  void evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool training) const;
+  void evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace) const;
+  void composite(const StepContext& ctx, int lane, PassTrace<Real>& trace) const;
+  void encode_positions(const Rays<Real>& rays, PassTrace<Real>& trace) const;
+
+  PassParts<Real> parts_;
+  RenderRules rules_;
+  ParamStore<Real>* store_;
+  int sampler_ = 0, position_ = 0, direction_ = -1, field_ = 0, head_ = -1;
+  bool encoder_learns_ = false;
+};
+
+extern template class Pass<float>;
+extern template class Pass<double>;
+
+}  // namespace semfield

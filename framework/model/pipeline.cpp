@@ -1,0 +1,255 @@
+#include "model/pipeline.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/check.h"
+#include "core/parallel.h"
+#include "losses/photometric.h"
+
+namespace semfield {
+
+namespace {
+constexpr std::int64_t kTileRows = 1024;       // samples a tile aims at: activations of a 64-wide net stay in L2
+constexpr std::int64_t kExpectedOccupied = 32;  // samples a ray that a single-pass sampler is expected to keep
+
+template <class T>
+View<const T> rows_of(View<const T> view, std::int64_t begin, std::int64_t count) {
+  return view.empty() ? view : view.row_range(begin, count);
+}
+}  // namespace
+
+template <class Real>
+Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
+    : options_(std::move(options)), store_(options_.seed, options_.lanes, trainable) {
+  SEMFIELD_CHECK(!passes.empty(), "a pipeline needs a pass");
+  std::int64_t per_ray = 0;
+  bool single = false;
+  passes_.reserve(passes.size());
+  for (PassParts<Real>& parts : passes) {
+    passes_.emplace_back(std::move(parts), options_.rules, store_);
+    per_ray = passes_.back().capacity_per_ray(per_ray);
+    per_ray_.push_back(per_ray);
+    single = passes_.back().parts().sampler->traits().single_pass;
+  }
+  const std::int64_t expected = single ? std::min(per_ray, kExpectedOccupied) : *std::max_element(per_ray_.begin(), per_ray_.end());
+  tile_rays_ = options_.tile_rays > 0 ? options_.tile_rays : std::clamp<std::int64_t>(kTileRows / std::max<std::int64_t>(expected, 1), 4, 64);
+  for (int lane = 0; lane < options_.lanes; ++lane) {
+    lanes_.push_back(std::make_unique<Lane>());
+    lanes_.back()->inbox.resize(passes_.size());
+  }
+  derive(0);
+}
+
+template <class Real>
+StepContext Pipeline<Real>::context(std::int64_t step, bool training, int lane, std::int64_t first_ray) {
+  StepContext ctx;
+  ctx.seed = options_.seed;
+  ctx.step = step;
+  ctx.training = training;
+  ctx.first_ray = first_ray;
+  ctx.workspace = &lanes_[static_cast<std::size_t>(lane)]->arena;
+  return ctx;
+}
+
+template <class Real>
+void Pipeline<Real>::derive(std::int64_t step) {
+  StepContext ctx = context(step, false, 0, 0);
+  for (const Pass<Real>& pass : passes_) {
+    pass.derive(ctx);
+    ++ctx.pass;
+  }
+}
+
+template <class Real>
+void Pipeline<Real>::observe(std::int64_t step) {
+  StepContext ctx = context(step, true, 0, 0);
+  for (const Pass<Real>& pass : passes_) {
+    pass.observe(ctx);
+    ++ctx.pass;
+  }
+}
+
+template <class Real>
+StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
+  const std::int64_t rays = batch.origin.rows;
+  const std::int64_t tiles = (rays + tile_rays_ - 1) / tile_rays_;
+  double normaliser = 0;
+  if (has_semantics() && !batch.label.empty()) {
+    const View<const float> weights =
+        options_.class_weight.empty()
+            ? View<const float>()
+            : View<const float>(options_.class_weight.data(), 1, static_cast<std::int32_t>(options_.class_weight.size()));
+    SemanticTargets targets;
+    targets.hard = batch.label;
+    normaliser = semantic_normaliser(options_.normalisation, labelled_weight(targets, weights), rays);
+  }
+  tile_losses_.assign(static_cast<std::size_t>(tiles), StepLosses{});
+  for (auto& lane : lanes_) {
+    for (EncoderInbox<Real>& inbox : lane->inbox) inbox.rows = 0;
+  }
+  parallel_for(options_.lanes, [&](std::int64_t lane) {
+    for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
+      const std::int64_t begin = tile * tile_rays_;
+      tile_losses_[static_cast<std::size_t>(tile)] =
+          train_tile(step, static_cast<int>(lane), batch, begin, std::min(tile_rays_, rays - begin), normaliser);
+    }
+  });
+  StepContext ctx = context(step, true, 0, 0);
+  for (std::size_t p = 0; p < passes_.size(); ++p) {
+    ctx.pass = static_cast<std::uint32_t>(p);
+    if (passes_[p].scatters()) {
+      for (const auto& lane : lanes_) passes_[p].scatter(ctx, lane->inbox[p]);
+    }
+  }
+  store_.reduce_lanes();
+  ctx.pass = 0;
+  for (const Pass<Real>& pass : passes_) {
+    pass.derive_backward(ctx);
+    ++ctx.pass;
+  }
+  StepLosses sum;
+  for (const StepLosses& tile : tile_losses_) {  // tile order: the same sum for any thread count
+    sum.color += tile.color;
+    sum.semantic += tile.semantic;
+    sum.mse += tile.mse;
+    sum.samples += tile.samples;
+    sum.labelled += tile.labelled;
+    sum.correct += tile.correct;
+  }
+  sum.color /= static_cast<double>(3 * rays);
+  sum.mse /= static_cast<double>(3 * rays);
+  sum.semantic = normaliser > 0 ? sum.semantic / normaliser : 0;
+  sum.total = sum.color + options_.semantic_weight * sum.semantic;
+  return sum;
+}
+
+template <class Real>
+StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t begin, std::int64_t count,
+                                      double semantic_normaliser) {
+  StepContext ctx = context(step, true, lane, begin);
+  Workspace& arena = *ctx.workspace;
+  const Workspace::Scope tile_scope(arena);
+  Rays<Real> rays;
+  rays.origin = batch.origin.row_range(begin, count);
+  rays.direction = batch.direction.row_range(begin, count);
+  rays.near_far = batch.near_far.row_range(begin, count);
+  const View<const float> target = batch.target.row_range(begin, count);
+  const View<const std::int16_t> label = rows_of(batch.label, begin, count);
+  std::int64_t semantic_rays = 0;
+  if (has_semantics() && !label.empty()) {
+    for (std::int64_t r = 0; r < count; ++r) {
+      if (label(r, 0) != kVoid) semantic_rays = r + 1;
+    }
+  }
+  const View<const float> class_weight =
+      options_.class_weight.empty()
+          ? View<const float>()
+          : View<const float>(options_.class_weight.data(), 1, static_cast<std::int32_t>(options_.class_weight.size()));
+  const std::int64_t all_rays = batch.origin.rows;
+
+  StepLosses losses;
+  Proposal<Real> proposal;
+  PassTrace<Real> previous;
+  for (std::size_t p = 0; p < passes_.size(); ++p) {
+    ctx.pass = static_cast<std::uint32_t>(p);
+    const Pass<Real>& pass = passes_[p];
+    PassTrace<Real> trace = pass.forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
+    View<Real> d_color = arena.take<Real>(count, 3);
+    const double squares = photometric_loss<Real>(trace.color, target, static_cast<double>(3 * all_rays), 1.0, d_color);
+    losses.color += squares;
+    losses.mse = squares;
+    losses.samples = trace.samples.count;
+    View<Real> d_logits;
+    if (semantic_rays > 0) {
+      d_logits = arena.take<Real>(semantic_rays, trace.logits.cols);
+      SemanticTargets targets;
+      targets.hard = label.row_range(0, semantic_rays);
+      const SemanticLoss semantic = semantic_cross_entropy<Real>(trace.logits, targets, class_weight, semantic_normaliser,
+                                                                 options_.semantic_weight, d_logits, begin);
+      losses.semantic += semantic.sum;
+      losses.labelled = semantic.labelled;
+      losses.correct = semantic.correct;
+    }
+    pass.backward(ctx, lane, trace, d_color, d_logits, lanes_[static_cast<std::size_t>(lane)]->inbox[p]);
+    previous = trace;
+    proposal.samples = &previous.samples;
+    proposal.weight = previous.weight.row_range(0, previous.samples.count);
+  }
+  return losses;
+}
+
+template <class Real>
+void Pipeline<Real>::render(const RenderJob<Real>& job) {
+  const std::int64_t rays = job.origin.rows;
+  const std::int64_t tiles = (rays + tile_rays_ - 1) / tile_rays_;
+  parallel_for(options_.lanes, [&](std::int64_t lane) {
+    for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
+      const std::int64_t begin = tile * tile_rays_;
+      render_tile(static_cast<int>(lane), job, begin, std::min(tile_rays_, rays - begin));
+    }
+  });
+}
+
+template <class Real>
+void Pipeline<Real>::render_tile(int lane, const RenderJob<Real>& job, std::int64_t begin, std::int64_t count) {
+  StepContext ctx = context(0, false, lane, begin);
+  Workspace& arena = *ctx.workspace;
+  const Workspace::Scope tile_scope(arena);
+  Rays<Real> rays;
+  rays.origin = job.origin.row_range(begin, count);
+  rays.direction = job.direction.row_range(begin, count);
+  rays.near_far = job.near_far.row_range(begin, count);
+  const bool semantics = has_semantics() && !(job.label.empty() && job.entropy.empty() && job.confidence.empty());
+  Proposal<Real> proposal;
+  PassTrace<Real> trace;
+  for (std::size_t p = 0; p < passes_.size(); ++p) {
+    ctx.pass = static_cast<std::uint32_t>(p);
+    const bool last = p + 1 == passes_.size();
+    PassTrace<Real> next = passes_[p].forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1],
+                                              last && semantics ? count : 0);
+    trace = next;
+    proposal.samples = &trace.samples;
+    proposal.weight = trace.weight.row_range(0, trace.samples.count);
+  }
+  for (std::int64_t r = 0; r < count; ++r) {
+    for (int i = 0; i < 3 && !job.color.empty(); ++i) job.color(begin + r, i) = trace.color(r, i);
+    if (!job.depth.empty()) job.depth(begin + r, 0) = trace.depth(r, 0);
+    if (!job.opacity.empty()) job.opacity(begin + r, 0) = trace.opacity(r, 0);
+  }
+  if (!semantics) return;
+  if (!job.entropy.empty()) softmax_entropy<Real>(trace.logits, job.entropy.row_range(begin, count));
+  softmax<Real>(trace.logits, trace.logits);
+  for (std::int64_t r = 0; r < count; ++r) {
+    const Real* const p = trace.logits.row(r);
+    const Real* const best = std::max_element(p, p + trace.logits.cols);
+    if (!job.label.empty()) job.label(begin + r, 0) = static_cast<std::int16_t>(best - p);
+    if (!job.confidence.empty()) job.confidence(begin + r, 0) = *best;
+    if (!job.truth_probability.empty()) {
+      const std::int16_t truth = job.truth(begin + r, 0);
+      job.truth_probability(begin + r, 0) = truth == kVoid ? Real(0) : p[truth];
+    }
+  }
+}
+
+template <class Real>
+std::size_t Pipeline<Real>::workspace_bytes() const {
+  std::size_t sum = 0;
+  for (const auto& lane : lanes_) {
+    sum += lane->arena.high_water_bytes();
+    for (const EncoderInbox<Real>& inbox : lane->inbox) sum += inbox.x.capacity() * sizeof(double) + inbox.dy.capacity() * sizeof(Real);
+  }
+  return sum;
+}
+
+template <class Real>
+std::int64_t Pipeline<Real>::workspace_growths() const {
+  std::int64_t sum = 0;
+  for (const auto& lane : lanes_) sum += lane->arena.growth_count();
+  return sum;
+}
+
+template class Pipeline<float>;
+template class Pipeline<double>;
+
+}  // namespace semfield

@@ -1,0 +1,106 @@
+// The whole differentiable renderer: passes over tiles of rays, losses, and gradients that do not depend on threads.
+#pragma once
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "losses/semantic_cross_entropy.h"
+#include "model/pass.h"
+#include "scene/class_table.h"
+
+namespace semfield {
+
+struct PipelineOptions {
+  RenderRules rules;
+  std::uint64_t seed = 1;
+  int lanes = 8;               ///< gradient slots; the sum's order, so part of a run's identity
+  std::int64_t tile_rays = 0;  ///< 0: from the samplers' capacities, never from the thread count
+  double semantic_weight = 0.04;                                                 ///< lambda [Zhi21, Eq. 7]
+  SemanticNormalisation normalisation = SemanticNormalisation::mean_labelled;
+  std::vector<float> class_weight;                                               ///< [C] or empty
+};
+
+/// A training batch of R rays. Within a tile, rays with a label come first when the source put them there: the head then runs
+/// on their samples alone (rays behind the last labelled one of a tile are skipped; their semantic gradient is exactly 0).
+struct RayBatch {
+  View<const double> origin;     ///< [R, 3]
+  View<const double> direction;  ///< [R, 3] unit
+  View<const double> near_far;   ///< [R, 2] metres along the ray
+  View<const float> target;      ///< [R, 3] colour in [0, 1]
+  View<const std::int16_t> label;  ///< [R, 1] class or kVoid; empty when the run has no semantics
+};
+
+struct StepLosses {
+  double total = 0;
+  double color = 0;       ///< sum over passes of the mean squared error
+  double semantic = 0;    ///< sum over passes of the cross-entropy, before lambda
+  double mse = 0;         ///< of the last pass
+  std::int64_t samples = 0;   ///< of the last pass
+  std::int64_t labelled = 0;  ///< rays with a label
+  std::int64_t correct = 0;   ///< of them, rays whose largest logit of the last pass is the label
+};
+
+/// Rays to render and where results go; R rows each, empty = not wanted.
+template <class Real>
+struct RenderJob {
+  View<const double> origin, direction, near_far;
+  View<const std::int16_t> truth;     ///< true classes; only to fill truth_probability
+  View<Real> color;                   ///< [R, 3]
+  View<Real> depth;                   ///< [R, 1] metres along the ray, not divided by opacity
+  View<Real> opacity;                 ///< [R, 1]
+  View<std::int16_t> label;           ///< [R, 1] argmax class
+  View<Real> entropy;                 ///< [R, 1] nats
+  View<Real> confidence;              ///< [R, 1] largest class probability
+  View<Real> truth_probability;       ///< [R, 1] of the true class; 0 where void
+};
+
+template <class Real>
+class Pipeline {
+ public:
+  Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable);
+
+  ParamStore<Real>& store() { return store_; }
+  const ParamStore<Real>& store() const { return store_; }
+  const std::vector<Pass<Real>>& passes() const { return passes_; }
+  const PipelineOptions& options() const { return options_; }
+  std::int64_t tile_rays() const { return tile_rays_; }
+  bool has_semantics() const { return passes_.back().parts().head != nullptr; }
+
+  /// Derived tensors from learned ones: after construction, loading, and every optimiser step.
+  void derive(std::int64_t step);
+  /// Losses of the batch and dL/dtheta in the store's main gradients (which must be zero on entry).
+  StepLosses gradients(std::int64_t step, const RayBatch& batch);
+  /// Lets samplers refresh their state; calls derive() first.
+  void observe(std::int64_t step);
+  /// Renders without jitter or noise; the same bits for any grouping of rays into calls.
+  void render(const RenderJob<Real>& job);
+
+  /// Scratch memory of all lanes: high-water mark, and how often it grew.
+  std::size_t workspace_bytes() const;
+  std::int64_t workspace_growths() const;
+  std::string status() const { return passes_.back().status(); }
+
+ private:
+  struct Lane {
+    Workspace arena;
+    std::vector<EncoderInbox<Real>> inbox;  // one a pass
+  };
+  StepContext context(std::int64_t step, bool training, int lane, std::int64_t first_ray);
+  StepLosses train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t begin, std::int64_t count,
+                        double semantic_normaliser);
+  void render_tile(int lane, const RenderJob<Real>& job, std::int64_t begin, std::int64_t count);
+
+  PipelineOptions options_;
+  ParamStore<Real> store_;
+  std::vector<Pass<Real>> passes_;
+  std::vector<std::int64_t> per_ray_;  // most samples a ray after each pass
+  std::int64_t tile_rays_ = 0;
+  std::vector<std::unique_ptr<Lane>> lanes_;
+  std::vector<StepLosses> tile_losses_;
+};
+
+extern template class Pipeline<float>;
+extern template class Pipeline<double>;
+
+}  // namespace semfield
