@@ -1,0 +1,82 @@
+// Parameters, traits and registration of the frequency encoder.
+#include "encoders/frequency/frequency.h"
+
+#include <algorithm>
+#include <string>
+
+#include "plugin/module.h"
+#include "plugin/registry.h"
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, FrequencyParams& p) {
+  SEMFIELD_PARAM(visit, p, frequencies, "L, number of bands [Mildenhall20 Eq. 4]", {0, 40});
+  SEMFIELD_PARAM(visit, p, include_input, "put the coordinates themselves before the bands");
+  SEMFIELD_PARAM(visit, p, angular, "angle of band k: 2^k x (radian) or 2^k pi x (pi)");
+}
+
+void validate(const FrequencyParams& p, Diagnostics& diagnostics) {
+  if (p.frequencies == 0 && !p.include_input) {
+    diagnostics.error("frequencies", "0 bands without the input leave nothing to encode",
+                      "set include_input: true or frequencies to at least 1");
+  }
+}
+
+int effective_bands(double delta_x, Angular angular) {
+  if (!(delta_x > 0) || !std::isfinite(delta_x)) {
+    throw Error(ErrorKind::config, "effective bands need a positive, finite coordinate error, got " +
+                                       std::to_string(delta_x),
+                "give the rounding or measurement error of the coordinates");
+  }
+  const double a = angular == Angular::pi ? 3.141592653589793 : 1.0;
+  return std::max(0, static_cast<int>(std::floor(std::log2(0.1 / (a * delta_x)))));
+}
+
+template <class Real>
+Frequency<Real>::Frequency(const FrequencyParams& params, const EncoderBuild& build, const KernelTables& kernels)
+    : kernels_(&kernels.get<FrequencyKernels<Real>>(build.device, "encoder 'frequency'")),
+      shape_{build.in_dims, params.frequencies, params.include_input, params.angular} {
+  if (build.in_dims < 1 || build.in_dims > kFrequencyMaxDims) {
+    throw Error(ErrorKind::config,
+                "encoder 'frequency' takes 1 to " + std::to_string(kFrequencyMaxDims) + " coordinates, got " +
+                    std::to_string(build.in_dims));
+  }
+}
+
+template <class Real>
+EncoderTraits Frequency<Real>::traits() const noexcept {
+  const std::int32_t groups = 2 * shape_.frequencies + (shape_.include_input ? 1 : 0);
+  return {shape_.dims, shape_.dims * groups, Domain::metric};
+}
+
+template <class Real>
+void Frequency<Real>::do_forward(const StepContext&, const Tensors<Real>&, View<const double> x, View<Real> y) const {
+  const std::int64_t bad = kernels_->forward(shape_, x, y);
+  if (bad >= 0) {
+    throw Error(ErrorKind::data,
+                "encoder 'frequency': coordinates of row " + std::to_string(bad) +
+                    " are not finite or farther than 2^30 from the origin",
+                "check the camera poses, the scene scale and the ray limits");
+  }
+}
+
+template <class Real>
+void Frequency<Real>::do_backward(const StepContext&, const Tensors<Real>&, View<const double> x, View<const Real> dy,
+                                  View<Real> dx) const {
+  if (!dx.empty()) kernels_->backward(shape_, x, dy, dx);
+}
+
+template class Frequency<float>;
+template class Frequency<double>;
+
+namespace {
+void register_into(Registry& registry) {
+  frequency_kernels(registry.kernels());
+  registry.add_encoder<Frequency, FrequencyParams>(
+      "frequency", "Sines and cosines of the coordinates at doubling frequencies, exact at every band.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(frequency, "1.0", register_into)
+
+}  // namespace semfield

@@ -1,0 +1,59 @@
+// Positional encoding with exact range reduction: [x, sin 2^k x, cos 2^k x], k = 0 .. L-1.
+#pragma once
+
+#include <array>
+#include <string_view>
+
+#include "config/params.h"
+#include "core/error.h"
+#include "encoders/frequency/frequency_kernels.h"
+#include "plugin/encoder.h"
+#include "plugin/kernels.h"
+
+namespace semfield {
+
+struct FrequencyParams {
+  int frequencies = 10;
+  bool include_input = true;
+  Angular angular = Angular::radian;
+};
+
+template <>
+struct ChoiceNames<Angular> {
+  static constexpr std::array<std::string_view, 2> names{"radian", "pi"};
+};
+
+void describe(ParamVisitor& visit, FrequencyParams& params);
+void validate(const FrequencyParams& params, Diagnostics& diagnostics);
+
+/// How many bands carry information when coordinates are known to within `delta_x` (in the encoder's own units): band k
+/// turns an error delta_x into a phase error a 2^k delta_x, and bands up to a phase error of 0.1 rad count:
+/// floor(log2(0.1 / (a delta_x))), a = 1 (radian) or pi; at least 0. About 19 for an fp32 coordinate near 1 with a = pi,
+/// 48 for float64. Bands above are noise. Throws Error(config) unless delta_x is positive and finite.
+int effective_bands(double delta_x, Angular angular);
+
+/// Layout of a row of y, D = in_dims: [x (D) when include_input, then for k = 0 .. L-1: sin(a 2^k x) (D), cos(a 2^k x) (D)].
+/// a = 1 (radian, the paper's) or pi. x [M, D] float64; |x| at most 2^30, else (or NaN) Error(data) naming the row.
+/// Error of a value: 1.2e-7 in float for every band up to k = 39 and |x| up to 2^20; in double 2e-16 for phases 2^k |x| up
+/// to 2^30, growing to 1e-14 at 2^59 (the reciprocal of 2 pi is kept to 107 bits). [Mildenhall20 Eq. 4]
+template <class Real>
+class Frequency final : public Encoder<Real> {
+ public:
+  Frequency(const FrequencyParams& params, const EncoderBuild& build, const KernelTables& kernels);
+  EncoderTraits traits() const noexcept override;
+
+ protected:
+  void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
+                  View<Real> y) const override;
+  void do_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
+                   View<Real> dx) const override;
+
+ private:
+  const FrequencyKernels<Real>* kernels_;
+  FrequencyShape shape_;
+};
+
+extern template class Frequency<float>;
+extern template class Frequency<double>;
+
+}  // namespace semfield

@@ -1,0 +1,194 @@
+// Tests of the frequency encoder against long double references (cases C01, C02, C04 and C06 among them).
+#include "encoders/frequency/frequency.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "core/parallel.h"
+#include "core/rng.h"
+
+namespace semfield {
+namespace {
+
+template <class Real>
+Frequency<Real> make(int bands, Angular angular, bool input = true, std::int32_t dims = 3) {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    frequency_kernels(t);
+    return t;
+  }();
+  EncoderBuild build;
+  build.in_dims = dims;
+  return Frequency<Real>({bands, input, angular}, build, tables);
+}
+
+template <class Real>
+std::vector<Real> encode(const Frequency<Real>& encoder, const std::vector<double>& x) {
+  const EncoderTraits shape = encoder.traits();
+  const auto rows = static_cast<std::int64_t>(x.size()) / shape.in_dims;
+  std::vector<Real> y(static_cast<std::size_t>(rows * shape.out_dims));
+  encoder.forward({}, {}, View<const double>(x.data(), rows, shape.in_dims),
+                  View<Real>(y.data(), rows, shape.out_dims));
+  return y;
+}
+
+/// Random values of both signs, magnitudes spread evenly over powers of two from 2^low to 2^high.
+std::vector<double> spread(int count, int low, int high) {
+  std::vector<double> x;
+  const RandomAddress where{7, 0, stream_id("frequency_test")};
+  for (int i = 0; i < count; ++i) {
+    const PhiloxBlock b = random_block(where, static_cast<std::uint64_t>(i));
+    const double mantissa = 1 + ((std::uint64_t{b.v[0]} << 20) | (b.v[1] >> 12)) * 0x1p-52;
+    const int exponent = low + static_cast<int>(b.v[2] % static_cast<unsigned>(high - low));
+    x.push_back(std::ldexp((b.v[3] & 1) != 0 ? mantissa : -mantissa, exponent));
+  }
+  return x;
+}
+
+/// The angle 2^k a x, exactly reduced for pi and left to the library's own exact reduction for radian.
+long double angle(double x, int k, Angular angular) {
+  const long double scaled = std::ldexp(static_cast<long double>(x), k);
+  return angular == Angular::pi ? std::fmod(scaled, 2.0L) * 3.14159265358979323846264338327950288L : scaled;
+}
+
+template <class Real>
+double largest_error(const std::vector<double>& x, int bands, Angular angular) {
+  const auto encoder = make<Real>(bands, angular, false, 1);
+  const auto y = encode<Real>(encoder, x);
+  long double worst = 0;
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    for (int k = 0; k < bands; ++k) {
+      const std::size_t at = i * 2 * static_cast<std::size_t>(bands) + 2 * static_cast<std::size_t>(k);
+      worst = std::max(worst, std::fabs(y[at] - std::sin(angle(x[i], k, angular))));
+      worst = std::max(worst, std::fabs(y[at + 1] - std::cos(angle(x[i], k, angular))));
+    }
+  }
+  ::testing::Test::RecordProperty(angular == Angular::pi ? "error_pi_in_1e-18" : "error_radian_in_1e-18",
+                                  std::to_string(static_cast<std::int64_t>(worst * 1e18L)));
+  return static_cast<double>(worst);
+}
+
+TEST(Frequency, TenBandsAreExactToRounding) {  // C01
+  for (Angular angular : {Angular::radian, Angular::pi}) {
+    EXPECT_LE(largest_error<float>(spread(4000, -20, 0), 10, angular), 1.2e-7);
+  }
+}
+
+TEST(Frequency, FortyBandsAreExactFarFromTheOrigin) {  // C02
+  for (Angular angular : {Angular::radian, Angular::pi}) {
+    EXPECT_LE(largest_error<float>(spread(4000, -20, 20), 40, angular), 1.2e-7);
+  }
+}
+
+TEST(Frequency, DoubleIsTheOracle) {
+  EXPECT_LE(largest_error<double>(spread(4000, -20, 10), 20, Angular::radian), 3e-16);
+  EXPECT_LE(largest_error<double>(spread(4000, -20, 20), 40, Angular::radian), 1e-14);
+  EXPECT_LE(largest_error<double>(spread(4000, -20, 20), 40, Angular::pi), 3e-16);
+}
+
+TEST(Frequency, LayoutIsInputThenSinesThenCosinesPerBand) {
+  const std::vector<double> x{0.1, -0.2, 0.3};
+  const auto y = encode<double>(make<double>(2, Angular::radian), x);
+  ASSERT_EQ(y.size(), 15u);
+  for (std::size_t c = 0; c < 3; ++c) {
+    EXPECT_EQ(y[c], x[c]);
+    EXPECT_NEAR(y[3 + c], std::sin(x[c]), 1e-15);
+    EXPECT_NEAR(y[6 + c], std::cos(x[c]), 1e-15);
+    EXPECT_NEAR(y[9 + c], std::sin(2 * x[c]), 1e-15);
+    EXPECT_NEAR(y[12 + c], std::cos(2 * x[c]), 1e-15);
+  }
+  EXPECT_EQ(make<float>(10, Angular::radian).traits().out_dims, 63);
+  EXPECT_EQ(make<float>(4, Angular::radian, false).traits().out_dims, 24);
+  EXPECT_EQ(encode<double>(make<double>(0, Angular::radian), x), x);
+}
+
+TEST(Frequency, ExactQuarterTurns) {
+  const auto y = encode<float>(make<float>(3, Angular::pi, false, 1), {0.0, 0.5, 1.0, -0.5});
+  EXPECT_EQ(y, (std::vector<float>{0, 1, 0, 1, 0, 1, 1, 0, 0, -1, 0, 1, 0, -1, 0, 1, 0, 1, -1, 0, 0, -1, 0, 1}));
+}
+
+TEST(Frequency, HighestBandHasAFiniteExactGradient) {  // C04
+  const auto encoder = make<float>(40, Angular::pi, false, 1);
+  for (double x : spread(200, -20, 4)) {
+    std::vector<float> dy(80, 0.f), dx(1);
+    dy[78] = 1;
+    encoder.backward({}, {}, View<const double>(&x, 1, 1), View<const float>(dy.data(), 1, 80),
+                     View<float>(dx.data(), 1, 1));
+    const double expected = static_cast<double>(std::ldexp(3.14159265358979323846L, 39) *
+                                                std::cos(angle(x, 39, Angular::pi)));
+    EXPECT_TRUE(std::isfinite(dx[0]));
+    // Relative to the band's largest slope: a zero of the cosine is a zero only to rounding.
+    EXPECT_NEAR(dx[0], expected, 1e-6 * std::ldexp(3.14159265358979, 39)) << x;
+  }
+}
+
+TEST(Frequency, GradientMatchesDifferences) {
+  for (Angular angular : {Angular::radian, Angular::pi}) {
+    const auto encoder = make<double>(4, angular);
+    const std::vector<double> x{0.31, -0.7, 1.9};
+    std::vector<double> dy(27), dx(3);
+    for (std::size_t i = 0; i < dy.size(); ++i) dy[i] = std::cos(2.1 * static_cast<double>(i));
+    encoder.backward({}, {}, View<const double>(x.data(), 1, 3), View<const double>(dy.data(), 1, 27),
+                     View<double>(dx.data(), 1, 3));
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      auto plus = x, minus = x;
+      plus[axis] += 1e-6;
+      minus[axis] -= 1e-6;
+      const auto yp = encode<double>(encoder, plus);
+      const auto ym = encode<double>(encoder, minus);
+      double expected = 0;
+      for (std::size_t i = 0; i < dy.size(); ++i) expected += dy[i] * (yp[i] - ym[i]) / 2e-6;
+      EXPECT_NEAR(dx[axis], expected, 1e-7 * std::max(1.0, std::fabs(expected)));
+    }
+  }
+}
+
+TEST(Frequency, RowsAndThreadsDoNotChangeBits) {
+  const auto encoder = make<float>(10, Angular::radian);
+  const auto x = spread(3 * 201, -10, 3);
+  const auto whole = encode<float>(encoder, x);
+  for (std::size_t r = 0; r < 201; ++r) {
+    const auto one = encode<float>(encoder, {x[3 * r], x[3 * r + 1], x[3 * r + 2]});
+    ASSERT_TRUE(std::equal(one.begin(), one.end(), whole.begin() + static_cast<std::ptrdiff_t>(63 * r))) << r;
+  }
+  std::vector<float> dy(whole.rbegin(), whole.rend()), one(x.size()), two(x.size());
+  for (std::vector<float>* dx : {&one, &two}) {
+    set_thread_count(dx == &one ? 1 : 2);
+    encoder.backward({}, {}, View<const double>(x.data(), 201, 3), View<const float>(dy.data(), 201, 63),
+                     View<float>(dx->data(), 201, 3));
+  }
+  set_thread_count(0);
+  EXPECT_EQ(one, two);
+}
+
+TEST(Frequency, RefusesWhatCannotBeEncoded) {  // C06
+  const auto encoder = make<float>(10, Angular::radian);
+  for (double bad : {static_cast<double>(NAN), static_cast<double>(INFINITY), 1e30, -1e30}) {
+    std::vector<double> x(3 * 70, 0.5);
+    x[3 * 66 + 1] = bad;
+    try {
+      encode<float>(encoder, x);
+      ADD_FAILURE() << bad << " was accepted";
+    } catch (const Error& e) {
+      EXPECT_NE(e.message().find("row 66"), std::string::npos) << e.what();
+    }
+  }
+  Diagnostics diagnostics;
+  validate(FrequencyParams{0, false, Angular::radian}, diagnostics);
+  EXPECT_EQ(diagnostics.error_count(), 1);
+  EXPECT_THROW(make<float>(1, Angular::pi, true, 17), Error);
+}
+
+TEST(Frequency, KnowsItsEffectiveBands) {
+  EXPECT_EQ(effective_bands(0x1p-24, Angular::pi), 19);  // a 10 m room scaled by 1/10, fp32
+  EXPECT_EQ(effective_bands(0x1p-53, Angular::pi), 48);
+  EXPECT_EQ(effective_bands(0.1, Angular::radian), 0);
+  EXPECT_EQ(effective_bands(5, Angular::radian), 0);
+  EXPECT_THROW(effective_bands(0, Angular::radian), Error);
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,55 @@
+// Tests of the identity encoder.
+#include "encoders/identity/identity.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <vector>
+
+namespace semfield {
+namespace {
+
+template <class Real>
+Identity<Real> make(std::int32_t dims) {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    identity_kernels(t);
+    return t;
+  }();
+  EncoderBuild build;
+  build.in_dims = dims;
+  return Identity<Real>({}, build, tables);
+}
+
+TEST(Identity, RoundsToTheOutputAndHonoursStrides) {
+  const auto encoder = make<float>(2);
+  EXPECT_EQ(encoder.traits().out_dims, 2);
+  const std::vector<double> x{0.1, 1e10, -7, 2, 3, -7};
+  std::vector<float> y(8, -1.f);
+  encoder.forward({}, {}, View<const double>(x.data(), 2, 2, 3), View<float>(y.data(), 2, 2, 4));
+  EXPECT_EQ(y, (std::vector<float>{0.1f, 1e10f, -1, -1, 2, 3, -1, -1}));
+}
+
+TEST(Identity, GradientPassesThrough) {
+  const auto encoder = make<double>(3);
+  const std::vector<double> x{1, 2, 3}, dy{4, 5, 6};
+  std::vector<double> dx(3, NAN);
+  encoder.backward({}, {}, View<const double>(x.data(), 1, 3), View<const double>(dy.data(), 1, 3),
+                   View<double>(dx.data(), 1, 3));
+  EXPECT_EQ(dx, dy);
+}
+
+TEST(Identity, NamesARowThatIsNotFinite) {
+  const auto encoder = make<float>(1);
+  const std::vector<double> x{0, 1, INFINITY};
+  std::vector<float> y(3);
+  try {
+    encoder.forward({}, {}, View<const double>(x.data(), 3, 1), View<float>(y.data(), 3, 1));
+    FAIL() << "infinity was accepted";
+  } catch (const Error& e) {
+    EXPECT_NE(e.message().find("row 2"), std::string::npos) << e.what();
+  }
+}
+
+}  // namespace
+}  // namespace semfield

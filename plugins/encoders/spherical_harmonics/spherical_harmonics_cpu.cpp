@@ -1,0 +1,74 @@
+// CPU kernels of the spherical harmonics encoder: one direction at a time (directions are encoded once a ray).
+#include <algorithm>
+#include <cmath>
+
+#include "core/parallel.h"
+#include "encoders/spherical_harmonics/spherical_harmonics_kernels.h"
+#include "plugin/kernels.h"
+
+namespace semfield {
+namespace {
+
+constexpr std::int64_t kRowsPerTask = 256;
+
+/// Number of bands known to the compiler: the recurrences unroll to straight code.
+template <class Real, std::int32_t kDegree>
+std::int64_t forward_rows(const HarmonicNorms<Real>& norms, View<const double> x, View<Real> y) {
+  for (std::int64_t r = 0; r < x.rows; ++r) {
+    const double* d = x.row(r);
+    const double off = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] - 1;
+    if (!(std::fabs(off) <= kUnitTolerance)) return r;  // written so that NaN is refused
+    HarmonicFactors<Real> f{};
+    harmonic_factors<Real>(kDegree, static_cast<Real>(d[0]), static_cast<Real>(d[1]), static_cast<Real>(d[2]), f);
+    harmonics(norms, kDegree, f, y.row(r));
+  }
+  return -1;
+}
+
+template <class Real>
+std::int64_t forward(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const double> x, View<Real> y) {
+  switch (degree) {
+    case 1: return forward_rows<Real, 1>(norms, x, y);
+    case 2: return forward_rows<Real, 2>(norms, x, y);
+    case 3: return forward_rows<Real, 3>(norms, x, y);
+    case 4: return forward_rows<Real, 4>(norms, x, y);
+    default: return forward_rows<Real, 5>(norms, x, y);
+  }
+}
+
+template <class Real>
+void backward(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const double> x, View<const Real> dy,
+              View<Real> dx) {
+  struct Call {
+    const HarmonicNorms<Real>& norms;
+    std::int32_t degree;
+    View<const double> x;
+    View<const Real> dy;
+    View<Real> dx;
+  };
+  const Call call{norms, degree, x, dy, dx};
+  // One reference captured: small enough for std::function's own storage, so nothing is allocated.
+  parallel_for((x.rows + kRowsPerTask - 1) / kRowsPerTask, [&call](std::int64_t task) {
+    const std::int64_t end = std::min(call.x.rows, (task + 1) * kRowsPerTask);
+    for (std::int64_t r = task * kRowsPerTask; r < end; ++r) {
+      const double* d = call.x.row(r);
+      HarmonicFactors<Real> f{};
+      harmonic_factors<Real>(call.degree, static_cast<Real>(d[0]), static_cast<Real>(d[1]), static_cast<Real>(d[2]),
+                             f);
+      harmonics_gradient(call.norms, call.degree, f, call.dy.row(r), call.dx.row(r));
+    }
+  });
+}
+
+template <class Real>
+const SphericalHarmonicsKernels<Real> kTable{forward<Real>, backward<Real>};
+
+}  // namespace
+
+void spherical_harmonics_cpu_kernels(KernelTables& tables);
+void spherical_harmonics_cpu_kernels(KernelTables& tables) {
+  tables.add(Device::cpu, "encoder 'spherical_harmonics'", &kTable<float>);
+  tables.add(Device::cpu, "encoder 'spherical_harmonics'", &kTable<double>);
+}
+
+}  // namespace semfield
