@@ -1,0 +1,53 @@
+// Matrix product: the one place where multiply-adds of networks happen.
+#pragma once
+
+#include <cstdint>
+
+#include "core/view.h"
+
+namespace semfield {
+
+/// C = start + A B, then the epilogue. Shapes: A [m, k] with any strides, so that the same kernel serves forward (X W), input
+/// gradient (dY W^T, B a stored transpose) and weight gradient (X^T dY: a_row = 1, a_col = row stride of X); B [k, n] and
+/// C [m, n] with contiguous columns. Strides in elements.
+///
+/// start, at most one of: accumulate (C's old value), bias (one row for all), row_term (row row_of[i], or row i when row_of is
+/// null); none: zero. Each element of C is one chain of fused multiply-adds over k ascending from its start, whatever m is
+/// and wherever its row stands: splitting the rows into calls, or k into accumulating calls, gives the same bits.
+template <class Real>
+struct Gemm {
+  std::int64_t m = 0, n = 0, k = 0;
+  const Real* a = nullptr;
+  std::int64_t a_row = 0, a_col = 1;
+  const Real* b = nullptr;
+  std::int64_t b_row = 0;
+  Real* c = nullptr;
+  std::int64_t c_row = 0;
+  bool accumulate = false;
+  const Real* bias = nullptr;             ///< [n]
+  const Real* row_term = nullptr;         ///< [any, n], row stride row_term_stride
+  std::int64_t row_term_stride = 0;
+  const std::int32_t* row_of = nullptr;   ///< [m], contiguous
+  bool relu = false;                      ///< C = max(C, 0) at the end; NaN stays NaN
+};
+
+/// Runs in the calling thread; allocates nothing (64 KiB of stack).
+template <class Real>
+void gemm(const Gemm<Real>& g);
+
+/// The usual starts, from views: start + A B with `accumulate` into C.
+template <class Real>
+void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate = false);
+
+/// C += A^T B: weight gradients. A [rows, m], B [rows, n], C [m, n].
+template <class Real>
+void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c);
+
+extern template void gemm<float>(const Gemm<float>&);
+extern template void gemm<double>(const Gemm<double>&);
+extern template void gemm<float>(View<const float>, View<const float>, View<float>, bool);
+extern template void gemm<double>(View<const double>, View<const double>, View<double>, bool);
+extern template void gemm_at_b_add<float>(View<const float>, View<const float>, View<float>);
+extern template void gemm_at_b_add<double>(View<const double>, View<const double>, View<double>);
+
+}  // namespace semfield

@@ -1,0 +1,136 @@
+// Linear layers as calls of the matrix product, and the few memory-bound loops around them.
+#include "core/linear.h"
+
+#include <algorithm>
+#include <cstring>
+
+#include "core/check.h"
+#include "core/gemm.h"
+
+namespace semfield {
+
+namespace {
+
+template <class Real>
+Gemm<Real> product(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y) {
+  SEMFIELD_CHECK(x.cols == weight.rows && x.rows == y.rows && weight.cols == y.cols, "shapes of a linear layer do not fit");
+  return {.m = x.rows, .n = weight.cols, .k = x.cols, .a = x.data, .a_row = x.row_stride, .b = weight.data,
+          .b_row = weight.row_stride, .c = y.data, .c_row = y.row_stride, .relu = activation == Activation::relu};
+}
+
+}  // namespace
+
+template <class Real>
+void linear_forward(View<const Real> x, View<const Real> weight, View<const Real> bias, Activation activation, View<Real> y) {
+  SEMFIELD_CHECK(bias.empty() || bias.cols == y.cols, "bias of a linear layer has another width");
+  Gemm<Real> g = product(x, weight, activation, y);
+  g.bias = bias.data;
+  gemm(g);
+}
+
+template <class Real>
+void linear_forward_add(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y) {
+  Gemm<Real> g = product(x, weight, activation, y);
+  g.accumulate = true;
+  gemm(g);
+}
+
+template <class Real>
+void linear_forward_per_ray(View<const Real> x, View<const Real> weight, View<const Real> ray_term,
+                            View<const std::int32_t> ray_of_sample, Activation activation, View<Real> y) {
+  SEMFIELD_CHECK(ray_term.cols == y.cols && ray_of_sample.rows == y.rows && ray_of_sample.row_stride == 1,
+                 "ray term of a linear layer does not fit");
+  Gemm<Real> g = product(x, weight, activation, y);
+  g.row_term = ray_term.data;
+  g.row_term_stride = ray_term.row_stride;
+  g.row_of = ray_of_sample.data;
+  gemm(g);
+}
+
+template <class Real>
+void relu_backward(View<const Real> y, View<Real> dy) {
+  SEMFIELD_CHECK(y.rows == dy.rows && y.cols == dy.cols, "shapes of a ReLU do not fit");
+  for (std::int64_t m = 0; m < dy.rows; ++m) {
+    const Real* value = y.row(m);
+    Real* grad = dy.row(m);
+    for (std::int32_t n = 0; n < dy.cols; ++n) grad[n] = value[n] > Real(0) ? grad[n] : Real(0);
+  }
+}
+
+template <class Real>
+void bias_backward(View<const Real> dz, View<Real> d_bias) {
+  SEMFIELD_CHECK(d_bias.cols == dz.cols, "bias gradient has another width");
+  // 64 columns at a time stay in registers while the rows pass by.
+  constexpr std::int32_t kWidth = 64;
+  for (std::int32_t first = 0; first < dz.cols; first += kWidth) {
+    const std::int32_t width = std::min(kWidth, dz.cols - first);
+    Real* target = d_bias.data + first;
+    Real sum[kWidth] = {};
+    std::memcpy(sum, target, sizeof(Real) * static_cast<std::size_t>(width));
+    if (width == kWidth) {
+      for (std::int64_t m = 0; m < dz.rows; ++m) {
+        const Real* row = dz.row(m) + first;
+        for (std::int32_t n = 0; n < kWidth; ++n) sum[n] += row[n];
+      }
+    } else {
+      for (std::int64_t m = 0; m < dz.rows; ++m) {
+        const Real* row = dz.row(m) + first;
+        for (std::int32_t n = 0; n < width; ++n) sum[n] += row[n];
+      }
+    }
+    std::memcpy(target, sum, sizeof(Real) * static_cast<std::size_t>(width));
+  }
+}
+
+template <class Real>
+void per_ray_backward(View<const Real> dz, View<const std::int32_t> ray_of_sample, View<Real> d_ray_term) {
+  SEMFIELD_CHECK(d_ray_term.cols == dz.cols && ray_of_sample.rows == dz.rows, "ray gradient does not fit");
+  fill(d_ray_term, Real(0));
+  for (std::int64_t m = 0; m < dz.rows; ++m) {
+    const Real* row = dz.row(m);
+    Real* sum = d_ray_term.row(ray_of_sample(m, 0));
+    for (std::int32_t n = 0; n < dz.cols; ++n) sum[n] += row[n];
+  }
+}
+
+template <class Real>
+void linear_backward(View<const Real> x, View<const Real> dz, const LinearGrad<Real>& grad) {
+  if (!grad.d_weight.empty()) gemm_at_b_add(x, dz, grad.d_weight);
+  if (!grad.d_bias.empty()) bias_backward(dz, grad.d_bias);
+  if (!grad.dx.empty()) gemm(dz, grad.weight_t, grad.dx, grad.add_to_dx);
+}
+
+template <class Real>
+void linear_backward(Activation activation, View<const Real> x, View<const Real> y, View<Real> dy,
+                     const LinearGrad<Real>& grad) {
+  if (activation == Activation::relu) relu_backward(y, dy);
+  linear_backward(x, View<const Real>(dy), grad);
+}
+
+template <class Real>
+void transpose(View<const Real> in, View<Real> out) {
+  SEMFIELD_CHECK(in.rows == out.cols && in.cols == out.rows, "shapes of a transpose do not fit");
+  constexpr std::int32_t kBlock = 16;  // a block's rows stay in cache while its columns are written
+  for (std::int64_t r0 = 0; r0 < in.rows; r0 += kBlock) {
+    const std::int64_t r1 = std::min<std::int64_t>(in.rows, r0 + kBlock);
+    for (std::int32_t c = 0; c < in.cols; ++c) {
+      for (std::int64_t r = r0; r < r1; ++r) out(c, static_cast<std::int32_t>(r)) = in(r, c);
+    }
+  }
+}
+
+template <class Real>
+void copy_rows(View<const Real> in, View<Real> out) {
+  SEMFIELD_CHECK(in.rows == out.rows && in.cols == out.cols, "shapes of a copy do not fit");
+  for (std::int64_t r = 0; r < in.rows; ++r) std::copy_n(in.row(r), in.cols, out.row(r));
+}
+
+template <class Real>
+void fill(View<Real> out, Real value) {
+  for (std::int64_t r = 0; r < out.rows; ++r) std::fill_n(out.row(r), out.cols, value);
+}
+
+SEMFIELD_LINEAR_OF(, float)
+SEMFIELD_LINEAR_OF(, double)
+
+}  // namespace semfield

@@ -1,0 +1,235 @@
+// Linear layers: values by hand-written loops, gradients by central differences, ray terms, elementary functions.
+#include "core/linear.h"
+
+#include <gtest/gtest.h>
+
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "core/math_functions.h"
+#include "core/rng.h"
+
+namespace semfield {
+namespace {
+
+struct Owned {
+  Owned(std::int64_t rows, std::int32_t cols, std::uint64_t seed = 0) : values(static_cast<std::size_t>(rows * cols)) {
+    view = View<double>(values.data(), rows, cols);
+    if (seed == 0) return;
+    for (std::size_t i = 0; i < values.size(); ++i) values[i] = 2.0 * uniform01({seed, 0, 2}, i) - 1.0;
+  }
+  View<const double> read() const { return view; }
+  std::vector<double> values;
+  View<double> view;
+};
+
+double dot_all(View<const double> a, View<const double> b) {
+  double sum = 0;
+  for (std::int64_t r = 0; r < a.rows; ++r) {
+    for (std::int32_t c = 0; c < a.cols; ++c) sum += a(r, c) * b(r, c);
+  }
+  return sum;
+}
+
+/// Largest difference between `gradient` and central differences of `loss` over the elements of `values`.
+template <class Loss>
+double worst_difference(std::vector<double>& values, View<const double> gradient, Loss loss) {
+  double worst = 0;
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    const double kept = values[i], step = 1e-6;
+    values[i] = kept + step;
+    const double up = loss();
+    values[i] = kept - step;
+    const double down = loss();
+    values[i] = kept;
+    worst = std::max(worst, std::abs((up - down) / (2 * step) - gradient.data[i]));
+  }
+  return worst;
+}
+
+TEST(Linear, ForwardIsTheFormula) {
+  Owned x(7, 5, 1), w(5, 3, 2), bias(1, 3, 3), y(7, 3);
+  for (const Activation activation : {Activation::none, Activation::relu}) {
+    linear_forward(x.read(), w.read(), bias.read(), activation, y.view);
+    for (int m = 0; m < 7; ++m) {
+      for (int n = 0; n < 3; ++n) {
+        double sum = bias.view(0, n);
+        for (int k = 0; k < 5; ++k) sum += x.view(m, k) * w.view(k, n);
+        if (activation == Activation::relu) sum = std::max(sum, 0.0);
+        EXPECT_NEAR(y.view(m, n), sum, 1e-14);
+      }
+    }
+  }
+}
+
+TEST(Linear, GradientsMatchCentralDifferences) {
+  for (const Activation activation : {Activation::none, Activation::relu}) {
+    Owned x(9, 6, 4), w(6, 5, 5), bias(1, 5, 6), y(9, 5), weight_t(5, 6), seed(9, 5, 7);
+    const auto loss = [&] {
+      linear_forward(x.read(), w.read(), bias.read(), activation, y.view);
+      return dot_all(y.read(), seed.read());
+    };
+    loss();
+    transpose(w.read(), weight_t.view);
+    Owned dy(9, 5), dx(9, 6), dw(6, 5), db(1, 5);
+    dy.values = seed.values;
+    linear_backward(activation, x.read(), y.read(), dy.view,
+                    LinearGrad<double>{weight_t.read(), dw.view, db.view, dx.view, false});
+    EXPECT_LT(worst_difference(x.values, dx.read(), loss), 1e-8);
+    EXPECT_LT(worst_difference(w.values, dw.read(), loss), 1e-8);
+    EXPECT_LT(worst_difference(bias.values, db.read(), loss), 1e-8);
+    // Parameters accumulate; activations are assigned unless asked.
+    loss();
+    dy.values = seed.values;
+    const auto once_w = dw.values, once_x = dx.values;
+    linear_backward(activation, x.read(), y.read(), dy.view,
+                    LinearGrad<double>{weight_t.read(), dw.view, db.view, dx.view, true});
+    for (std::size_t i = 0; i < once_w.size(); ++i) EXPECT_NEAR(dw.values[i], 2 * once_w[i], 1e-12);
+    for (std::size_t i = 0; i < once_x.size(); ++i) EXPECT_NEAR(dx.values[i], 2 * once_x[i], 1e-12);
+  }
+}
+
+TEST(Linear, RayTermEqualsConcatenatedInputWithGradients) {
+  const std::int64_t samples = 11, rays = 4;
+  const std::vector<std::int32_t> ray_of{0, 0, 0, 1, 1, 3, 3, 3, 3, 3, 3};  // ray 2 has no sample
+  const View<const std::int32_t> ray_view(ray_of.data(), samples, 1);
+  Owned x(samples, 4, 8), w(4, 6, 9), term(rays, 6, 10), y(samples, 6), seed(samples, 6, 11);
+  const auto loss = [&] {
+    linear_forward_per_ray(x.read(), w.read(), term.read(), ray_view, Activation::relu, y.view);
+    return dot_all(y.read(), seed.read());
+  };
+  loss();
+  for (std::int64_t m = 0; m < samples; ++m) {
+    for (int n = 0; n < 6; ++n) {
+      double sum = term.view(ray_of[static_cast<std::size_t>(m)], n);
+      for (int k = 0; k < 4; ++k) sum += x.view(m, k) * w.view(k, n);
+      EXPECT_NEAR(y.view(m, n), std::max(sum, 0.0), 1e-14);
+    }
+  }
+  Owned dz(samples, 6), d_term(rays, 6);
+  dz.values = seed.values;
+  relu_backward(y.read(), dz.view);
+  fill(d_term.view, std::numeric_limits<double>::quiet_NaN());
+  per_ray_backward(dz.read(), ray_view, d_term.view);
+  EXPECT_LT(worst_difference(term.values, d_term.read(), loss), 1e-8);
+  for (int n = 0; n < 6; ++n) EXPECT_EQ(d_term.view(2, n), 0.0);
+}
+
+TEST(Linear, AddedPartEqualsConcatenation) {
+  Owned x(5, 7, 12), w(7, 3, 13), bias(1, 3, 14), whole(5, 3), parts(5, 3);
+  linear_forward(x.read(), w.read(), bias.read(), Activation::relu, whole.view);
+  linear_forward(x.read().col_range(0, 3), w.read().row_range(0, 3), bias.read(), Activation::none, parts.view);
+  linear_forward_add(x.read().col_range(3, 4), w.read().row_range(3, 4), Activation::relu, parts.view);
+  EXPECT_EQ(std::memcmp(whole.values.data(), parts.values.data(), whole.values.size() * sizeof(double)), 0);
+}
+
+TEST(Linear, BiasGradientSumsRowsInOrderWhateverTheWidth) {
+  for (const std::int32_t cols : {1, 3, 64, 70, 128}) {
+    Owned dz(33, cols, 15), db(1, cols, 16);
+    auto expected = db.values;
+    for (int m = 0; m < 33; ++m) {
+      for (int n = 0; n < cols; ++n) expected[static_cast<std::size_t>(n)] += dz.view(m, n);
+    }
+    bias_backward(dz.read(), db.view);
+    EXPECT_EQ(expected, db.values);
+  }
+}
+
+TEST(Linear, RefusesShapesThatDoNotFit) {
+  Owned x(2, 3), w(4, 2), y(2, 2);
+  EXPECT_THROW(linear_forward(x.read(), w.read(), View<const double>(), Activation::none, y.view), std::exception);
+}
+
+double ulps(float value, double truth) {
+  const auto rounded = static_cast<float>(truth);
+  if (value == rounded) return 0;
+  const double unit = std::max(std::abs(static_cast<double>(std::nextafterf(rounded, INFINITY)) - rounded), 0x1p-149);
+  return std::abs(static_cast<double>(value) - truth) / unit;
+}
+
+TEST(MathFunctions, ExpWithinTwoUlp) {
+  double worst = 0;
+  float worst_at = 0;
+  std::vector<float> x, y;
+  for (double v = -103.9; v < 88.72; v += 1.7e-4) x.push_back(static_cast<float>(v));
+  for (float v : {0.0f, -0.0f, 1e-30f, -1e-8f, 1e-7f, 88.7228f, -87.3f, -103.5f}) x.push_back(v);
+  y = x;
+  exp_inplace(y.data(), static_cast<std::int64_t>(y.size()));
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    const double error = ulps(y[i], std::exp(static_cast<double>(x[i])));
+    if (error > worst) worst = error, worst_at = x[i];
+  }
+  EXPECT_LE(worst, 2.0) << "at " << worst_at;
+  RecordProperty("worst_ulp", std::to_string(worst));
+  float ends[] = {INFINITY, -INFINITY, 89.0f, 1e30f, -105.0f, -1e30f, NAN};
+  exp_inplace(ends, 7);
+  EXPECT_EQ(ends[0], INFINITY);
+  EXPECT_EQ(ends[1], 0.0f);
+  EXPECT_EQ(ends[2], INFINITY);
+  EXPECT_EQ(ends[3], INFINITY);
+  EXPECT_EQ(ends[4], 0.0f);
+  EXPECT_EQ(ends[5], 0.0f);
+  EXPECT_TRUE(std::isnan(ends[6]));
+}
+
+TEST(MathFunctions, OneMinusExpKeepsItsRelativeError) {
+  std::vector<float> tau, x;
+  for (double t = 1e-8; t < 1e8; t *= 1.0003) tau.push_back(static_cast<float>(t));
+  for (double t = -20; t < 88; t += 1.1e-3) tau.push_back(static_cast<float>(-t));  // expm1 of positive arguments too
+  for (float t : tau) x.push_back(-t);
+  expm1_inplace(x.data(), static_cast<std::int64_t>(x.size()));
+  double worst = 0;
+  for (std::size_t i = 0; i < tau.size(); ++i) {
+    const double truth = std::expm1(-static_cast<double>(tau[i]));
+    if (truth != 0) worst = std::max(worst, std::abs(x[i] - truth) / std::abs(truth));
+  }
+  EXPECT_LE(worst, 2.4e-7);
+  RecordProperty("worst_relative_1e9", std::to_string(worst * 1e9));
+  float ends[] = {0.0f, -0.0f, -INFINITY, INFINITY, -1e30f, NAN, 1e-40f};
+  expm1_inplace(ends, 7);
+  EXPECT_EQ(ends[0], 0.0f);
+  EXPECT_EQ(ends[1], 0.0f);
+  EXPECT_EQ(ends[2], -1.0f);
+  EXPECT_EQ(ends[3], INFINITY);
+  EXPECT_EQ(ends[4], -1.0f);
+  EXPECT_TRUE(std::isnan(ends[5]));
+  EXPECT_EQ(ends[6], 1e-40f);
+}
+
+TEST(MathFunctions, AnElementDoesNotDependOnItsPlace) {
+  std::vector<float> x(67);
+  for (std::size_t i = 0; i < x.size(); ++i) x[i] = 0.37f * static_cast<float>(i) - 9.0f;
+  for (auto* function : {&exp_inplace<float>, &expm1_inplace<float>, &sigmoid_inplace<float>}) {
+    auto whole = x;
+    function(whole.data(), static_cast<std::int64_t>(whole.size()));
+    for (std::size_t i = 0; i < x.size(); ++i) {
+      float alone = x[i];
+      function(&alone, 1);
+      EXPECT_EQ(std::bit_cast<std::uint32_t>(alone), std::bit_cast<std::uint32_t>(whole[i])) << "element " << i;
+    }
+  }
+}
+
+TEST(MathFunctions, SigmoidAndSoftplusAtTheEnds) {
+  EXPECT_EQ(sigmoid(0.0), 0.5);
+  EXPECT_EQ(sigmoid(1e4), 1.0);
+  EXPECT_EQ(sigmoid(-1e4), 0.0);
+  EXPECT_NEAR(sigmoid(-30.0), std::exp(-30.0), 1e-26);
+  EXPECT_EQ(softplus(1e4), 1e4);
+  EXPECT_NEAR(softplus(-30.0), std::exp(-30.0), 1e-26);
+  EXPECT_NEAR(softplus(0.0), std::log(2.0), 1e-16);
+  std::vector<float> x;
+  for (float v = -95; v < 95; v += 0.11f) x.push_back(v);
+  auto y = x;
+  sigmoid_inplace(y.data(), static_cast<std::int64_t>(y.size()));
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    const double truth = 1 / (1 + std::exp(-static_cast<double>(x[i])));
+    EXPECT_NEAR(y[i], truth, 3e-7 * truth + 1e-45);
+  }
+}
+
+}  // namespace
+}  // namespace semfield
