@@ -1,0 +1,51 @@
+// Rendered maps as files: labels with their original ids, colours, depth, entropy.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "scene/class_table.h"
+
+namespace semfield {
+
+/// Width and height of a row-major map, top-left first.
+struct MapSize {
+  std::int32_t width_px = 0, height_px = 0;
+};
+
+/// The house's map for scalar images, t in [0, 1] (clamped; NaN gives black): in OKLab [Ottosson20] lightness rises evenly
+/// from 0.22 to 0.95 while the hue turns from violet over teal to yellow, so equal steps of t look equally large.
+std::array<std::uint8_t, 3> perceptual_color(double t);
+
+/// Pixels of `label` (internal indices, kVoid = void) as sRGB; void is black unless the table gives it a colour. [H * W * 3]
+std::vector<std::uint8_t> label_colors(std::span<const std::int16_t> label, const ClassTable& classes);
+/// Depth in metres as colours: near is bright. Values that are not finite or <= 0 are black. [H * W * 3]
+std::vector<std::uint8_t> depth_colors(std::span<const float> depth_m, double near_m, double far_m);
+/// Entropy in nats as colours, full range: ln(classes) is the brightest. [H * W * 3]
+std::vector<std::uint8_t> entropy_colors(std::span<const float> entropy_nats, int classes);
+
+/// 2nd and 98th percentile of the valid depths, for depth_colors; {0, 1} without any.
+struct DepthRange {
+  double near_m = 0, far_m = 1;
+};
+DepthRange robust_depth_range(std::span<const float> depth_m);
+
+/// Single-channel PNG with the ids of the class table: 8 bits, or 16 when the table has an id above 254.
+void write_label_ids(const std::string& path, MapSize size, std::span<const std::int16_t> label, const ClassTable& classes);
+/// The same map for the eye: a palette PNG whose indices are the ids, or RGB when the table has an id above 254.
+void write_label_colors(const std::string& path, MapSize size, std::span<const std::int16_t> label, const ClassTable& classes);
+
+/// 16-bit PNG, z-depth in millimetres; 0 = no value. Depths beyond 65.535 m do not fit and are written as 0; returns how many.
+std::int64_t write_depth_mm(const std::string& path, MapSize size, std::span<const float> depth_m);
+/// 16-bit PNG, 65535 = ln(classes) nats: the full range, whatever the image holds. One class: all 0.
+void write_entropy(const std::string& path, MapSize size, std::span<const float> entropy_nats, int classes);
+/// Float32 .npy of shape [height, width].
+void write_map_npy(const std::string& path, MapSize size, std::span<const float> values);
+/// 8-bit RGB PNG of linear display values in [0, 1], rounded to nearest; NaN is an error naming the pixel. [H * W * 3]
+void write_color(const std::string& path, MapSize size, std::span<const float> rgb);
+std::vector<std::uint8_t> to_bytes(std::span<const float> rgb);
+
+}  // namespace semfield

@@ -1,0 +1,131 @@
+// Metrics of a split: segmentation, colour, depth and calibration, each an accumulator that is merged in frame order.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+namespace semfield {
+
+// Every accumulator adds its pixels one after the other. For results that do not depend on the number of threads, fill
+// one accumulator a frame and merge them in frame order.
+
+/// Scores of one class; none where the ratio is 0/0.
+struct ClassScore {
+  std::int64_t truth_px = 0;      ///< scored pixels of this class in truth
+  std::int64_t predicted_px = 0;  ///< scored pixels predicted as this class
+  std::optional<double> iou;      ///< intersection over union; none when the union is empty
+  std::optional<double> recall;   ///< correct / truth_px; none when the class is not in truth
+};
+
+/// One confusion matrix over all pixels of a split. Pixels with void truth are dropped; void predictions under valid
+/// truth are dropped from scoring and counted. Labels are internal class indices in [0, classes) or kVoid (-1).
+class ConfusionMatrix {
+ public:
+  explicit ConfusionMatrix(int classes);
+
+  /// Adds pixels; both spans have one length. Throws Error(data) naming pixel and value for a label out of range; the
+  /// matrix is then unchanged.
+  void add(std::span<const std::int16_t> truth, std::span<const std::int16_t> predicted);
+  void merge(const ConfusionMatrix& other);
+
+  int classes() const { return classes_; }
+  std::int64_t count(int truth, int predicted) const;
+  std::int64_t scored_px() const;
+  std::int64_t void_truth_px() const { return void_truth_; }
+  std::int64_t void_predicted_px() const { return void_predicted_; }
+
+  // Each is none ("no data") when no pixel was scored.
+  std::optional<double> total_accuracy() const;    ///< trace / sum
+  std::optional<double> average_accuracy() const;  ///< mean recall over classes present in truth
+  std::optional<double> miou() const;              ///< mean IoU over classes with a non-empty union
+  std::optional<double> miou_present() const;      ///< mean IoU over classes present in truth
+  std::vector<ClassScore> per_class() const;
+
+ private:
+  int classes_;
+  std::vector<std::int64_t> counts_;  // [classes, classes], row = truth
+  std::int64_t void_truth_ = 0;
+  std::int64_t void_predicted_ = 0;
+};
+
+/// Pooled squared colour error: PSNR = -10 log10(MSE over all values of the split), colours in [0, 1].
+class ColorError {
+ public:
+  /// Values of equal length (channels interleaved). Non-finite values are counted and make the metric invalid.
+  void add(std::span<const float> truth, std::span<const float> predicted);
+  void merge(const ColorError& other);
+  std::int64_t values() const { return values_; }
+  std::int64_t nonfinite() const { return nonfinite_; }
+  std::optional<double> mse() const;      ///< none without values, or when a value was not finite
+  std::optional<double> psnr_db() const;  ///< +infinity for equal images
+
+ private:
+  double squared_ = 0;
+  std::int64_t values_ = 0;
+  std::int64_t nonfinite_ = 0;
+};
+
+/// Structural similarity of one image pair, mean over windows and channels [Wang04, Eq. 13]: 11 x 11 Gaussian window of
+/// sigma 1.5 pixels, K1 = 0.01, K2 = 0.03, dynamic range 1, windows that lie wholly inside the image. Layout [H, W, channels].
+/// None when the image is smaller than a window or a value is not finite. Average the results over images.
+std::optional<double> ssim(std::span<const float> truth, std::span<const float> predicted, std::int32_t width_px,
+                           std::int32_t height_px, std::int32_t channels);
+
+/// Depth errors over pixels with 0 < truth < far and prediction > 0 [Eigen14, Sec. 4.1], metres.
+class DepthError {
+ public:
+  explicit DepthError(double far_m = 1e30) : far_m_(far_m) {}
+  void add(std::span<const float> truth_m, std::span<const float> predicted_m);
+  void merge(const DepthError& other);
+
+  std::int64_t scored_px() const { return scored_; }
+  std::int64_t valid_truth_px() const { return valid_truth_; }
+  std::int64_t nonfinite() const { return nonfinite_; }  ///< predictions that are NaN or infinite under valid truth
+  // None without scored pixels, or when a prediction was not finite.
+  std::optional<double> abs_rel() const;   ///< mean |p - t| / t
+  std::optional<double> abs_diff() const;  ///< mean |p - t|, m
+  std::optional<double> sq_rel() const;    ///< mean (p - t)^2 / t, m
+  std::optional<double> rmse() const;      ///< m
+  std::optional<double> delta(int power) const;  ///< share with max(p / t, t / p) < 1.25^power, power 1..3
+  std::optional<double> coverage() const;        ///< scored / valid truth; none without valid truth
+
+ private:
+  std::optional<double> mean(double sum) const;
+  double far_m_;
+  double abs_rel_ = 0, abs_diff_ = 0, sq_rel_ = 0, squared_ = 0;
+  std::array<std::int64_t, 3> within_{};
+  std::int64_t scored_ = 0, valid_truth_ = 0, nonfinite_ = 0;
+};
+
+/// Calibration of class probabilities: expected calibration error over 15 equal bins of confidence [Guo17, Eq. 3] and
+/// mean negative log likelihood.
+class Calibration {
+ public:
+  static constexpr int kBins = 15;
+  /// `probabilities` [pixels, classes] row-major; void truth is dropped. A true class with p < 1.2e-38 counts as that.
+  void add(std::span<const float> probabilities, int classes, std::span<const std::int16_t> truth);
+  /// The same from what a renderer kept of each pixel: the largest probability, its class, and the probability of the true class.
+  void add(std::span<const float> confidence, std::span<const float> truth_probability, std::span<const std::int16_t> predicted,
+           std::span<const std::int16_t> truth);
+  void merge(const Calibration& other);
+  std::int64_t scored_px() const { return scored_; }
+  std::int64_t nonfinite() const { return nonfinite_; }
+  std::optional<double> ece() const;
+  std::optional<double> nll() const;  ///< nats a pixel
+
+ private:
+  void add_pixel(double confidence, bool correct, double truth_probability);
+  std::array<std::int64_t, kBins> count_{}, correct_{};
+  std::array<double, kBins> confidence_{};
+  double nll_ = 0;
+  std::int64_t scored_ = 0, nonfinite_ = 0;
+};
+
+/// H = -sum p ln p in nats, with 0 ln 0 = 0.
+double entropy_nats(std::span<const float> probabilities);
+
+}  // namespace semfield

@@ -1,0 +1,55 @@
+// metrics.jsonl, the source of truth of a run: one JSON object a line, appended and flushed.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+namespace semfield {
+
+/// One line. Infinities and NaN are written as the texts "inf", "-inf" and "nan"; a value without data as null, and read
+/// back as absent.
+struct MetricsRow {
+  std::string kind = "train";  ///< "train" or "eval"
+  std::int64_t step = 0;
+  double train_s = 0;  ///< seconds of training, evaluation not counted
+  std::string split;   ///< of an eval row; empty: not written
+  std::vector<std::pair<std::string, std::optional<double>>> values;  ///< in the order written
+  std::vector<std::pair<std::string, std::optional<double>>> per_class_iou;
+
+  void set(const std::string& name, std::optional<double> value) { values.emplace_back(name, value); }
+  std::optional<double> get(std::string_view name) const;
+};
+
+/// The line of a row, without the newline.
+std::string metrics_line(const MetricsRow& row);
+
+/// Every row of a file. A last line without newline (a write cut off by a kill) is dropped; any other bad line throws
+/// Error(data) naming file and line.
+std::vector<MetricsRow> read_metrics(const std::string& path);
+std::vector<MetricsRow> parse_metrics(std::string_view text, const std::string& name);
+
+/// Appends rows; each is on its way to the disk when append returns.
+class MetricsLog {
+ public:
+  /// Opens an empty or absent file. Throws Error(cannot_create).
+  static MetricsLog create(const std::string& path);
+  /// Drops a torn last line and every row after `step`, then opens for appending.
+  static MetricsLog resume(const std::string& path, std::int64_t step);
+
+  MetricsLog(MetricsLog&& other) noexcept;
+  MetricsLog& operator=(MetricsLog&&) = delete;
+  ~MetricsLog();
+  void append(const MetricsRow& row);
+
+ private:
+  MetricsLog(std::string path, int descriptor) : path_(std::move(path)), descriptor_(descriptor) {}
+  static MetricsLog open(const std::string& path);
+  std::string path_;
+  int descriptor_ = -1;
+};
+
+}  // namespace semfield

@@ -1,0 +1,128 @@
+// The folder of one run: layout and lock.
+#include "train/run_folder.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+
+#include "core/error.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+bool holds_files(const std::string& path) {
+  std::error_code error;
+  for (const fs::directory_entry& entry : fs::directory_iterator(path, error)) {
+    if (entry.path().filename() != ".lock") return true;
+  }
+  return false;
+}
+
+Error cannot_write(const std::string& path, int cause) {
+  const bool full = cause == ENOSPC || cause == EDQUOT;
+  const bool closed = cause == EACCES || cause == EROFS || cause == EPERM;
+  return Error(ErrorKind::cannot_create,
+               fmt::format("cannot write in the run folder '{}': {}", path,
+                           full ? "the disk is full" : closed ? "it is read-only for this user" : std::strerror(cause)),
+               full ? "free space, or choose a folder on another disk with --out"
+                    : "choose a folder that you may write to with --out");
+}
+
+}  // namespace
+
+std::string RunFolder::in(std::string_view name) const { return (fs::path(path_) / name).string(); }
+
+bool RunFolder::lock(bool may_create) {
+  const std::string file = in(".lock");
+  const int descriptor = ::open(file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | (may_create ? O_CREAT : 0), 0644);
+  if (descriptor < 0) {
+    if (errno == ENOENT && !may_create) return false;
+    throw cannot_write(path_, errno);
+  }
+  if (::flock(descriptor, LOCK_EX | LOCK_NB) != 0) {
+    const int cause = errno;
+    char text[32] = {};
+    const ssize_t size = ::pread(descriptor, text, sizeof(text) - 1, 0);
+    ::close(descriptor);
+    if (cause != EWOULDBLOCK) throw cannot_write(path_, cause);
+    std::string pid(text, size > 0 ? static_cast<std::size_t>(size) : 0);
+    pid.erase(std::remove_if(pid.begin(), pid.end(), [](char c) { return c < '0' || c > '9'; }), pid.end());
+    throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' is in use by process {}", path_, pid.empty() ? "?" : pid),
+                "wait for it to end, stop it, or choose another folder with --out");
+  }
+  const std::string pid = fmt::format("{}\n", ::getpid());
+  if (::ftruncate(descriptor, 0) != 0 || ::pwrite(descriptor, pid.data(), pid.size(), 0) != static_cast<ssize_t>(pid.size())) {
+    const int cause = errno;
+    ::close(descriptor);
+    throw cannot_write(path_, cause);
+  }
+  lock_descriptor_ = descriptor;
+  return true;
+}
+
+RunFolder RunFolder::create(const std::string& path) {
+  RunFolder folder(path);
+  std::error_code error;
+  fs::create_directories(path, error);
+  if (error && !fs::is_directory(path)) throw cannot_write(path, error.value());
+  // An existing lock first: "in use by process 17" says more than "holds files". No lock file is left in a folder of others.
+  const bool locked = folder.lock(false);
+  if (holds_files(path)) {
+    throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' holds files already", path),
+                fmt::format("go on with that run by --resume {}, or choose another folder with --out", path));
+  }
+  if (!locked) {
+    folder.lock(true);
+    if (holds_files(path)) throw Error(ErrorKind::cannot_create, fmt::format("another process has just used '{}'", path), "choose another folder with --out");
+  }
+  return folder;
+}
+
+RunFolder RunFolder::resume(const std::string& path) {
+  RunFolder folder = read(path);
+  folder.lock(true);
+  return folder;
+}
+
+RunFolder RunFolder::read(const std::string& path) {
+  RunFolder folder(path);
+  if (!fs::is_directory(path)) {
+    throw Error(ErrorKind::no_input, fmt::format("there is no run folder '{}'", path), "give the folder that `train` printed");
+  }
+  if (!fs::exists(folder.config_path())) {
+    throw Error(ErrorKind::no_input, fmt::format("'{}' holds no run.yaml: it is not a run folder", path),
+                "give the folder that `train` printed");
+  }
+  return folder;
+}
+
+RunFolder::RunFolder(RunFolder&& other) noexcept : path_(std::move(other.path_)), lock_descriptor_(other.lock_descriptor_) {
+  other.lock_descriptor_ = -1;
+}
+
+RunFolder::~RunFolder() {
+  // The lock file stays: removing it would let two processes lock two files of one name.
+  if (lock_descriptor_ >= 0) ::close(lock_descriptor_);
+}
+
+std::string RunFolder::render_path(std::string_view split, std::string_view frame, std::string_view kind,
+                                   std::string_view extension) const {
+  std::string name(frame);
+  std::replace(name.begin(), name.end(), '/', '_');
+  const fs::path folder = fs::path(path_) / "render" / split;
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) throw cannot_write(folder.string(), error.value());
+  return (folder / fmt::format("{}_{}.{}", name, kind, extension)).string();
+}
+
+}  // namespace semfield

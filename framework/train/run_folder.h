@@ -1,0 +1,72 @@
+// The folder of one run: where each file lies, who may write in it, and on what machine it was made.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+namespace semfield {
+
+/// Layout (all paths relative to the folder, which may be moved as a whole):
+///   run.yaml  classes.yaml  metrics.jsonl  events.out.tfevents.*  environment.json  left_out.json  report.html  .lock
+///   checkpoints/step_00020000.safetensors + latest    render/<split>/<frame>_{rgb,label,label_vis,depth,entropy}.*
+class RunFolder {
+ public:
+  /// For training from the start: the folder is created; one that holds files is refused. Holds the lock for its life.
+  static RunFolder create(const std::string& path);
+  /// For going on with a run: the folder must hold run.yaml. Holds the lock for its life.
+  static RunFolder resume(const std::string& path);
+  /// For evaluation and reports: no lock, nothing is created.
+  static RunFolder read(const std::string& path);
+
+  RunFolder(RunFolder&& other) noexcept;
+  RunFolder& operator=(RunFolder&&) = delete;
+  ~RunFolder();
+
+  const std::string& path() const { return path_; }
+  std::string config_path() const { return in("run.yaml"); }
+  std::string classes_path() const { return in("classes.yaml"); }
+  std::string metrics_path() const { return in("metrics.jsonl"); }
+  std::string environment_path() const { return in("environment.json"); }
+  std::string left_out_path() const { return in("left_out.json"); }
+  std::string report_path() const { return in("report.html"); }
+  std::string checkpoints_path() const { return in("checkpoints"); }
+  /// "render/test/0017_depth.png"; creates the folders. Slashes in a frame's name become '_'.
+  std::string render_path(std::string_view split, std::string_view frame, std::string_view kind,
+                          std::string_view extension = "png") const;
+
+ private:
+  explicit RunFolder(std::string path) : path_(std::move(path)) {}
+  std::string in(std::string_view name) const;
+  bool lock(bool may_create);
+  std::string path_;
+  int lock_descriptor_ = -1;
+};
+
+/// What a result may depend on beside its configuration.
+struct Environment {
+  std::string version, source, compiler, build_type, cpu, cpu_features, abi;
+  int hardware_threads = 0, threads = 0;
+  std::uint64_t seed = 0;
+  std::string input_hash;                                    ///< of the data set's manifest; "" when there is none
+  std::vector<std::string> modules;                          ///< plugins in use, "name version"
+  std::vector<std::pair<std::string, std::string>> more;     ///< further facts, written under their names
+};
+
+/// Facts of this build and machine; seed, input_hash and modules are the caller's.
+Environment this_environment();
+std::string environment_json(const Environment& environment);
+/// Name and value of every entry, in file order; lists joined by commas. Throws Error(data).
+std::vector<std::pair<std::string, std::string>> parse_environment(std::string_view json, const std::string& name);
+
+/// A component that was not built because the scene does not need it (one row of left_out.json).
+struct LeftOutRow {
+  std::string component, rule, evidence, proof;
+  std::string saving_estimate, saving_measured;
+};
+std::string left_out_json(const std::vector<LeftOutRow>& rows);
+std::vector<LeftOutRow> parse_left_out(std::string_view json, const std::string& name);
+
+}  // namespace semfield
