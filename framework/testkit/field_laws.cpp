@@ -1,0 +1,240 @@
+// The laws of fields.
+#include <cmath>
+
+#include "testkit/compare.h"
+#include "testkit/field_bench.h"
+#include "testkit/gradient_check.h"
+#include "testkit/laws.h"
+
+namespace semfield::testkit {
+
+namespace {
+
+constexpr std::int64_t kSampleCounts[] = {0, 1, 31, 33};
+constexpr std::int64_t kFew = 33;
+
+struct Setup {
+  const FieldBuild& build;
+  const LawOptions& options;
+};
+
+template <class Real>
+void check_sizes(const Field<Real>& field, const Setup& setup, std::int64_t samples, std::int32_t padding, Failures& failures) {
+  const std::string law = std::to_string(samples) + " samples" + (padding > 0 ? ", stride above cols" : "");
+  FieldBench<Real> bench(field, setup.build, samples, padding, setup.options);
+  bench.forward();
+  note_failure(failures, law + ", every sigma written", bench.sigma.unwritten());
+  note_failure(failures, law + ", every colour written", bench.rgb.unwritten());
+  note_failure(failures, law + ", every feature written", bench.feature.unwritten());
+  for (std::int64_t m = 0; m < samples; ++m) {
+    for (std::int32_t c = 0; c < 3; ++c) {
+      const Real value = bench.rgb(m, c);
+      if (!(value >= 0 && value <= 1)) {
+        note_failure(failures, law, "colour " + std::to_string(value) + " of sample " + std::to_string(m) + " is outside [0, 1]");
+      }
+    }
+  }
+  bench.backward();
+  note_failure(failures, law + ", every d_position written", bench.d_position.unwritten());
+  for (const std::string& guard : {bench.sigma.broken_guard(), bench.rgb.broken_guard(), bench.feature.broken_guard(),
+                                   bench.d_position.broken_guard()}) {
+    note_failure(failures, law + ", outputs stay inside", guard);
+  }
+}
+
+// sigma and feature have the same bits whatever the direction; a field that says it uses the direction lets it change colour.
+template <class Real>
+void check_direction(const Field<Real>& field, const Setup& setup, Failures& failures) {
+  if (setup.build.direction_dims == 0) return;
+  FieldBench<Real> plain(field, setup.build, kFew, 0, setup.options);
+  plain.forward();
+  FieldBench<Real> turned(field, setup.build, kFew, 0, setup.options);
+  for (std::int64_t r = 0; r < turned.direction.rows(); ++r) {
+    for (std::int32_t c = 0; c < turned.direction.cols(); ++c) turned.direction(r, c) = Real(0.5) - turned.direction(r, c);
+  }
+  turned.forward();
+  note_failure(failures, "sigma does not see the direction", compare_bits<Real>(turned.sigma.view(), plain.sigma.view()));
+  note_failure(failures, "feature does not see the direction", compare_bits<Real>(turned.feature.view(), plain.feature.view()));
+  const bool changed = !compare_bits<Real>(turned.rgb.view(), plain.rgb.view()).empty();
+  if (changed != plain.shape.uses_direction) {
+    failures.push_back(std::string("traits: uses_direction is ") + (changed ? "false but the colour changes" : "true but the colour does not change") +
+                       " with the direction");
+  }
+}
+
+// An output that is not wanted changes no other, nor does absent memory for backward.
+template <class Real>
+void check_wanted(const Field<Real>& field, const Setup& setup, Failures& failures) {
+  FieldBench<Real> whole(field, setup.build, kFew, 0, setup.options);
+  whole.forward();
+  for (const Wanted wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{true, false, true}, Wanted{true, true, false}}) {
+    FieldBench<Real> part(field, setup.build, kFew, 0, setup.options);
+    field.forward(part.ctx, part.box.values_only(), part.in(), part.out(wanted), {});
+    if (wanted.sigma) note_failure(failures, "sigma with others unwanted", compare_bits<Real>(part.sigma.view(), whole.sigma.view()));
+    if (wanted.rgb) note_failure(failures, "colour with others unwanted", compare_bits<Real>(part.rgb.view(), whole.rgb.view()));
+    if (wanted.feature) {
+      note_failure(failures, "feature with others unwanted", compare_bits<Real>(part.feature.view(), whole.feature.view()));
+    }
+  }
+}
+
+// A batch cut in two between rays gives the bits of the whole.
+template <class Real>
+void check_split(const Field<Real>& field, const Setup& setup, Failures& failures) {
+  FieldBench<Real> whole(field, setup.build, kFew, 0, setup.options);
+  whole.forward();
+  whole.backward();
+  FieldBench<Real> split(field, setup.build, kFew, 0, setup.options);
+  for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 15}, {15, kFew - 15}}) {
+    const auto part = [begin = begin, count = count](auto view) { return view.empty() ? view : view.row_range(begin, count); };
+    const FieldIn<Real> in = split.in();
+    const FieldOut<Real> out = split.out();
+    const FieldGrad<Real> weights = split.output_weights();
+    const FieldIn<Real> part_in{part(in.position), in.direction, part(in.ray_of_sample)};
+    const FieldOut<Real> part_out{part(out.sigma), part(out.rgb), part(out.feature)};
+    const FieldGrad<Real> part_weights{part(weights.sigma), part(weights.rgb), part(weights.feature)};
+    field.forward(split.ctx, split.box.tensors(), part_in, part_out, split.saved());
+    field.backward(split.ctx, split.box.tensors(), part_in, part_out, part_weights, split.saved(), part(split.d_position.view()));
+  }
+  note_failure(failures, "split batch, sigma", compare_bits<Real>(split.sigma.view(), whole.sigma.view()));
+  note_failure(failures, "split batch, colour", compare_bits<Real>(split.rgb.view(), whole.rgb.view()));
+  note_failure(failures, "split batch, feature", compare_bits<Real>(split.feature.view(), whole.feature.view()));
+  note_failure(failures, "split batch, d_position", compare_bits<Real>(split.d_position.view(), whole.d_position.view()));
+}
+
+void check_gradients(const Field<double>& field, const Setup& setup, Failures& failures) {
+  FieldBench<double> bench(field, setup.build, kFew, 0, setup.options);
+  bench.forward();
+  bench.backward();
+  const auto loss = [&bench] { return bench.loss(); };
+  GradientCheck check;
+  check.tolerance = setup.options.gradient_tolerance;
+  check.seed = setup.options.seed;
+  check.max_elements = 24;
+  note_failure(failures, "gradient of position", check_gradient(loss, bench.position.view(), bench.d_position.view(), check));
+  for (std::size_t i = 0; i < bench.box.count(); ++i) {
+    if (!bench.box.learned(i)) continue;
+    note_failure(failures, "gradient of " + bench.box.specs()[i].name,
+                 check_gradient(loss, bench.box.value(i), bench.box.grad(i), check));
+  }
+}
+
+void check_accumulation(const Field<double>& field, const Setup& setup, Failures& failures) {
+  FieldBench<double> clean(field, setup.build, kFew, 0, setup.options);
+  clean.forward();
+  clean.backward();
+  FieldBench<double> prefilled(field, setup.build, kFew, 0, setup.options);
+  for (std::size_t i = 0; i < prefilled.box.count(); ++i) {
+    View<double> grad = prefilled.box.grad(i);
+    if (!prefilled.box.learned(i)) continue;
+    for (std::int64_t e = 0; e < grad.size(); ++e) grad.data[e] = 3.0;
+  }
+  prefilled.d_position.fill(7.0);
+  prefilled.forward();
+  prefilled.backward();
+  note_failure(failures, "d_position is overwritten", compare_bits<double>(prefilled.d_position.view(), clean.d_position.view()));
+  for (std::size_t i = 0; i < clean.box.count(); ++i) {
+    if (!clean.box.learned(i)) continue;
+    View<double> grad = prefilled.box.grad(i);
+    for (std::int64_t e = 0; e < grad.size(); ++e) grad.data[e] -= 3.0;
+    note_failure(failures, "gradients accumulate, " + clean.box.specs()[i].name,
+                 compare<double, double>(grad, clean.box.grad(i), 1e-12, 3.0));
+  }
+}
+
+// An absent output gradient counts as zero.
+void check_absent_gradients(const Field<double>& field, const Setup& setup, Failures& failures) {
+  const Wanted kinds[] = {{true, false, false}, {false, true, false}, {false, false, true}};
+  for (const Wanted wanted : kinds) {
+    FieldBench<double> absent(field, setup.build, kFew, 0, setup.options);
+    absent.forward();
+    absent.backward(wanted);
+    FieldBench<double> zeros(field, setup.build, kFew, 0, setup.options);
+    if (!wanted.sigma) zeros.w_sigma.fill(0);
+    if (!wanted.rgb) zeros.w_rgb.fill(0);
+    if (!wanted.feature) zeros.w_feature.fill(0);
+    zeros.forward();
+    zeros.backward();
+    note_failure(failures, "absent gradients, d_position",
+                 compare<double, double>(absent.d_position.view(), zeros.d_position.view(), 1e-12));
+    for (std::size_t i = 0; i < zeros.box.count(); ++i) {
+      if (!zeros.box.learned(i)) continue;
+      note_failure(failures, "absent gradients, " + zeros.box.specs()[i].name,
+                   compare<double, double>(absent.box.grad(i), zeros.box.grad(i), 1e-12, 1e-3));
+    }
+  }
+}
+
+void check_precision(const Field<float>& field32, const Field<double>& field64, const Setup& setup, Failures& failures) {
+  FieldBench<float> single(field32, setup.build, kFew, 0, setup.options);
+  FieldBench<double> twin(field64, setup.build, kFew, 0, setup.options);
+  single.forward();
+  twin.forward();
+  single.backward();
+  twin.backward();
+  const double tolerance = setup.options.float_tolerance;
+  note_failure(failures, "float against double, sigma", compare<float, double>(single.sigma.view(), twin.sigma.view(), tolerance));
+  note_failure(failures, "float against double, colour", compare<float, double>(single.rgb.view(), twin.rgb.view(), tolerance));
+  note_failure(failures, "float against double, feature",
+               compare<float, double>(single.feature.view(), twin.feature.view(), tolerance));
+  note_failure(failures, "float against double, d_position",
+               compare<float, double>(single.d_position.view(), twin.d_position.view(), tolerance));
+  for (std::size_t i = 0; i < twin.box.count(); ++i) {
+    if (!twin.box.learned(i)) continue;
+    note_failure(failures, "float against double, gradient of " + twin.box.specs()[i].name,
+                 compare<float, double>(single.box.grad(i), twin.box.grad(i), tolerance));
+  }
+}
+
+void check_steady_state(const Field<float>& field, const Setup& setup, Failures& failures) {
+  FieldBench<float> bench(field, setup.build, 257, 0, setup.options);
+  for (int warm_up = 0; warm_up < 2; ++warm_up) {
+    bench.forward();
+    bench.backward();
+  }
+  const std::int64_t growths = bench.workspace.growth_count();
+  bench.forward();
+  bench.backward();
+  if (bench.workspace.growth_count() != growths) {
+    failures.push_back("steady state: the workspace still grows in the third step; is a Workspace::Scope missing?");
+  }
+}
+
+}  // namespace
+
+Failures field_laws(const Field<float>& field32, const Field<double>& field64, const FieldBuild& build, const LawOptions& options) {
+  Failures failures;
+  const FieldTraits shape = field32.traits();
+  const FieldTraits twin = field64.traits();
+  if (shape.feature_dims != twin.feature_dims || shape.uses_direction != twin.uses_direction) {
+    return {"traits: the float and the double field differ"};
+  }
+  if (shape.uses_direction && build.direction_dims == 0) return {"traits: uses a direction that the build does not give"};
+  const Setup setup{build, options};
+  for (const std::int64_t samples : kSampleCounts) check_sizes(field32, setup, samples, 0, failures);
+  check_sizes(field32, setup, options.many_rows, 0, failures);
+  check_sizes(field32, setup, kFew, 5, failures);
+  check_sizes(field64, setup, kFew, 5, failures);
+  check_direction(field32, setup, failures);
+  check_direction(field64, setup, failures);
+  check_wanted(field32, setup, failures);
+  check_split(field32, setup, failures);
+  check_split(field64, setup, failures);
+  check_gradients(field64, setup, failures);
+  check_accumulation(field64, setup, failures);
+  check_absent_gradients(field64, setup, failures);
+  check_precision(field32, field64, setup, failures);
+  check_steady_state(field32, setup, failures);
+  return failures;
+}
+
+Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings, const FieldBuild& build,
+                    const LawOptions& options) {
+  const PluginEntry& entry = registry.get(PluginKind::field, name);
+  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
+  const auto field32 = entry.field32(*params, build, registry.kernels());
+  const auto field64 = entry.field64(*params, build, registry.kernels());
+  return field_laws(*field32, *field64, build, options);
+}
+
+}  // namespace semfield::testkit

@@ -1,0 +1,123 @@
+// The field laws hold for a sound field and catch each broken promise.
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "testkit/laws.h"
+
+namespace semfield {
+namespace {
+
+enum class Break { none, sigma_sees_direction, feature_sees_direction, wrong_gradient, assign_gradient, ignore_feature_gradient, lies_about_direction,
+                   colour_out_of_range, sigma_needs_colour, forget_d_position };
+
+constexpr std::int32_t kFeature = 2;
+
+/// p = mean of position; sigma = w0 p, feature_f = w_f sin(p), rgb_c = logistic(w_c p + mean of the ray's direction).
+template <class Real>
+class ToyField final : public Field<Real> {
+ public:
+  ToyField(const FieldBuild& build, Break broken) : build_(build), broken_(broken) {}
+  FieldTraits traits() const noexcept override {
+    return {kFeature, build_.direction_dims > 0 && broken_ != Break::lies_about_direction};
+  }
+  std::size_t saved_bytes(std::int64_t samples, std::int64_t) const noexcept override { return sizeof(Real) * static_cast<std::size_t>(samples); }
+  void declare(ParamDeclarer& declarer) const override { declarer.tensor({"w", 3, 1, Init::uniform(1.0), TensorRole::dense}); }
+
+ protected:
+  void do_forward(const StepContext&, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out, Saved saved) const override {
+    for (std::int64_t m = 0; m < in.position.rows; ++m) {
+      const double p = mean(in.position, m);
+      const double d = in.direction.empty() ? 0 : mean(in.direction, in.ray_of_sample(m, 0));
+      if (!saved.empty()) reinterpret_cast<Real*>(saved.data())[m] = static_cast<Real>(p);
+      const double leak = broken_ == Break::sigma_sees_direction ? 1e-3 * d : broken_ == Break::sigma_needs_colour && out.rgb.empty() ? 0.1 : 0;
+      if (!out.sigma.empty()) out.sigma(m, 0) = static_cast<Real>(w(tensors, 0) * p + leak);
+      for (std::int32_t c = 0; c < 3 && !out.rgb.empty(); ++c) {
+        const double scale = broken_ == Break::colour_out_of_range ? 3 : 1;
+        out.rgb(m, c) = static_cast<Real>(scale / (1 + std::exp(-w(tensors, c) * p - d)));
+      }
+      const double feature_leak = broken_ == Break::feature_sees_direction ? 1e-3 * d : 0;
+      for (std::int32_t f = 0; f < kFeature && !out.feature.empty(); ++f) {
+        out.feature(m, f) = static_cast<Real>(w(tensors, f) * std::sin(p) + feature_leak);
+      }
+    }
+  }
+  void do_backward(const StepContext&, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out, const FieldGrad<Real>& grad,
+                   Saved saved, View<Real> d_position) const override {
+    double dw[3] = {0, 0, 0};
+    for (std::int64_t m = 0; m < in.position.rows; ++m) {
+      const double p = mean(in.position, m);
+      (void)saved;
+      double dp = 0;
+      if (!grad.sigma.empty()) {
+        const auto g = static_cast<double>(grad.sigma(m, 0));
+        dw[0] += (broken_ == Break::wrong_gradient ? 1.01 : 1.0) * g * p;
+        dp += g * w(tensors, 0);
+      }
+      for (std::int32_t c = 0; c < 3 && !grad.rgb.empty(); ++c) {
+        const auto y = static_cast<double>(out.rgb(m, c));
+        const double g = static_cast<double>(grad.rgb(m, c)) * y * (1 - y);
+        dw[c] += g * p;
+        dp += g * w(tensors, c);
+      }
+      for (std::int32_t f = 0; f < kFeature && !grad.feature.empty() && broken_ != Break::ignore_feature_gradient; ++f) {
+        const auto g = static_cast<double>(grad.feature(m, f));
+        dw[f] += g * std::sin(p);
+        dp += g * w(tensors, f) * std::cos(p);
+      }
+      for (std::int32_t k = 0; k < in.position.cols && !d_position.empty() && broken_ != Break::forget_d_position; ++k) {
+        d_position(m, k) = static_cast<Real>(dp / in.position.cols);
+      }
+    }
+    for (std::int32_t c = 0; c < 3; ++c) {
+      Real& into = tensors.grad[0](c, 0);
+      into = static_cast<Real>(broken_ == Break::assign_gradient ? dw[c] : static_cast<double>(into) + dw[c]);
+    }
+  }
+
+ private:
+  static double mean(View<const Real> rows, std::int64_t r) {
+    double sum = 0;
+    for (std::int32_t c = 0; c < rows.cols; ++c) sum += static_cast<double>(rows(r, c));
+    return sum / rows.cols;
+  }
+  static double w(const Tensors<Real>& tensors, std::int32_t i) { return static_cast<double>(tensors.value[0](i, 0)); }
+  FieldBuild build_;
+  Break broken_;
+};
+
+std::string laws_of(Break broken, std::int32_t direction_dims = 4) {
+  FieldBuild build;
+  build.position_dims = 5;
+  build.direction_dims = direction_dims;
+  return testkit::to_text(testkit::field_laws(ToyField<float>(build, broken), ToyField<double>(build, broken), build));
+}
+
+TEST(FieldLaws, HoldForASoundField) {
+  EXPECT_EQ(laws_of(Break::none), "");
+  EXPECT_EQ(laws_of(Break::none, 0), "");
+}
+
+struct Case {
+  Break broken;
+  const char* law;
+};
+class BrokenField : public testing::TestWithParam<Case> {};
+
+TEST_P(BrokenField, IsCaught) {
+  const std::string failures = laws_of(GetParam().broken);
+  EXPECT_NE(failures.find(GetParam().law), std::string::npos) << "failures were:\n" << failures;
+}
+
+INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenField,
+                         testing::Values(Case{Break::sigma_sees_direction, "sigma does not see the direction"},
+                                         Case{Break::feature_sees_direction, "feature does not see the direction"},
+                                         Case{Break::wrong_gradient, "gradient of w"}, Case{Break::assign_gradient, "gradients accumulate, w"},
+                                         Case{Break::ignore_feature_gradient, "gradient of position"},
+                                         Case{Break::lies_about_direction, "uses_direction is false"},
+                                         Case{Break::colour_out_of_range, "outside [0, 1]"},
+                                         Case{Break::sigma_needs_colour, "sigma with others unwanted"},
+                                         Case{Break::forget_d_position, "every d_position written"}));
+
+}  // namespace
+}  // namespace semfield
