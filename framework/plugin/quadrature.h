@@ -13,9 +13,10 @@
 
 namespace semfield {
 
-/// Where a sample stands in the interval it speaks for. Every rule is exact for the frozen field on its intervals; the error
-/// after N samples of a smooth field is of the order given.
-///   paper           jittered points, each at the near end of its interval: delta_k = t_{k+1} - t_k, the last one to far;
+/// Where a sample stands in the interval it speaks for. Every rule is exact for the frozen field on its intervals; the
+/// error after N samples of a smooth field is of the order given.
+///   paper           jittered points, each at the near end of its interval: delta_k = t_{k+1} - t_k, the last one to
+///   far;
 ///                   [near, t_1] is skipped. Order 1 [Mildenhall20]. Without training the jitter is its mean, 1/2.
 ///   midpoint        fixed points amid their intervals, never jittered. Order 2.
 ///   stratified_bin  jittered points, each speaking for the whole of its bin. Order 1.5, unbiased in optical depth;
@@ -27,8 +28,10 @@ struct ChoiceNames<Quadrature> {
   static constexpr std::array<std::string_view, 3> names{"paper", "midpoint", "stratified_bin"};
 };
 
-/// The part of a ray to be sampled: false for an empty ray (near >= far). Throws Error(data) for limits that are not finite.
-inline bool ray_span(View<const double> near_far, std::int64_t ray, std::int64_t first_ray, double& near_m, double& far_m) {
+/// The part of a ray to be sampled: false for an empty ray (near >= far). Throws Error(data) for limits that are not
+/// finite.
+inline bool ray_span(View<const double> near_far, std::int64_t ray, std::int64_t first_ray, double& near_m,
+                     double& far_m) {
   near_m = near_far(ray, 0);
   far_m = near_far(ray, 1);
   if (std::isfinite(near_m) && std::isfinite(far_m)) return near_m < far_m;
@@ -47,9 +50,10 @@ Real round_inside(double t, double near_m, double far_m) {
   return rounded;
 }
 
-/// Interval lengths of `count` ascending points in [near, far]. paper: to the next point. Else the cells of the points, whose
-/// borders lie midway between neighbours and which together fill [near, far]: the trapezoid rule, order 2.
-inline double interval_of(Quadrature rule, const double* t, std::int64_t count, std::int64_t k, double near_m, double far_m) {
+/// Interval lengths of `count` ascending points in [near, far]. paper: to the next point. Else the cells of the points,
+/// whose borders lie midway between neighbours and which together fill [near, far]: the trapezoid rule, order 2.
+inline double interval_of(Quadrature rule, const double* t, std::int64_t count, std::int64_t k, double near_m,
+                          double far_m) {
   if (rule == Quadrature::paper) return (k + 1 < count ? t[k + 1] : far_m) - t[k];
   const double begin = k == 0 ? near_m : 0.5 * (t[k - 1] + t[k]);
   const double end = k + 1 == count ? far_m : 0.5 * (t[k] + t[k + 1]);

@@ -1,0 +1,64 @@
+// Parameters, traits and registration of the importance sampler.
+#include "samplers/importance/importance.h"
+
+#include "plugin/module.h"
+#include "plugin/registry.h"
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, ImportanceParams& params) {
+  SEMFIELD_PARAM(visit, params, samples, "N_f, new samples a ray [Mildenhall20]", {1, 65536});
+  SEMFIELD_PARAM(visit, params, keep_previous, "Evaluate the previous pass's samples too, merged with the new ones");
+  SEMFIELD_PARAM(visit, params, floor,
+                 "Weight spread evenly over the ray before sampling, against a total of at most 1", {1e-9, 1});
+  SEMFIELD_PARAM(
+      visit, params, quadrature,
+      "Rule of the rendering integral: paper (order 1), midpoint (cells, no jitter), stratified_bin (cells)");
+}
+
+void validate(const ImportanceParams&, Diagnostics&) {}
+
+template <class Real>
+Importance<Real>::Importance(const ImportanceParams& params, const SamplerBuild& build, const KernelTables& kernels)
+    : kernels_(&kernels.get<ImportanceKernels<Real>>(build.device, "sampler 'importance'")), params_(params) {}
+
+template <class Real>
+SamplerTraits Importance<Real>::traits() const noexcept {
+  SamplerTraits traits;
+  traits.needs_previous = true;
+  return traits;
+}
+
+template <class Real>
+std::int64_t Importance<Real>::capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept {
+  return rays * (params_.samples + (params_.keep_previous ? previous_per_ray : 0));
+}
+
+template <class Real>
+void Importance<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays,
+                                 const Proposal<Real>* previous, Samples<Real>& out) const {
+  ImportanceArgs args;
+  args.samples = params_.samples;
+  args.keep_previous = params_.keep_previous;
+  args.floor = params_.floor;
+  args.quadrature = params_.quadrature;
+  args.jitter = ctx.training && params_.quadrature != Quadrature::midpoint;
+  args.random = ctx.random("sampler/importance");
+  args.first_ray = ctx.first_ray;
+  args.workspace = ctx.workspace;
+  kernels_->sample(args, rays.near_far, *previous, out);
+}
+
+template class Importance<float>;
+template class Importance<double>;
+
+namespace {
+void register_into(Registry& registry) {
+  importance_kernels(registry.kernels());
+  registry.add_sampler<Importance, ImportanceParams>("importance", "Samples where the previous pass found weight.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(importance, "1.0", register_into)
+
+}  // namespace semfield

@@ -1,0 +1,135 @@
+// CPU kernels of the importance sampler: a ray after the other, CDF and new points in one walk, then a merge.
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+#include "core/check.h"
+#include "plugin/kernels.h"
+#include "samplers/importance/importance_kernels.h"
+#include "samplers/importance/importance_math.h"
+
+namespace semfield {
+namespace {
+
+// One ray of the previous pass: `count` samples from row `begin`.
+template <class Real>
+struct RayProposal {
+  const Proposal<Real>* previous;
+  std::int64_t begin, count;
+  double near_m, far_m;
+
+  double t(std::int64_t k) const { return static_cast<double>(*previous->samples->t.row(begin + k)); }
+  double weight(std::int64_t k) const { return static_cast<double>(*previous->weight.row(begin + k)); }
+  // Border before cell k; a previous sample outside [near, far] does not move a border out of it.
+  double border(std::int64_t k) const {
+    if (k == 0) return near_m;
+    if (k >= count) return far_m;
+    return std::clamp(0.5 * (t(k - 1) + t(k)), near_m, far_m);
+  }
+};
+
+template <class Real>
+double total_weight(const RayProposal<Real>& ray, std::int64_t ray_number) {
+  double total = 0;
+  for (std::int64_t k = 0; k < ray.count; ++k) {
+    const double w = ray.weight(k);
+    if (!(w >= 0) || std::isinf(w)) {
+      throw Error(ErrorKind::failure,
+                  "sampler 'importance': weight of ray " + std::to_string(ray_number) + ", sample " +
+                      std::to_string(k) + " of the previous pass is " + std::to_string(w) +
+                      "; it must be finite and not negative",
+                  "lower the learning rate, or go back to the last checkpoint");
+    }
+    total += w;
+  }
+  return total;
+}
+
+// Fills `points` with the ascending new samples of one ray.
+template <class Real>
+void draw(const ImportanceArgs& args, const RayProposal<Real>& ray, std::int64_t ray_number, double* points) {
+  const double total = total_weight(ray, ray_number) + args.floor;
+  const double length = ray.far_m - ray.near_m;
+  const std::int64_t cells = std::max<std::int64_t>(1, ray.count);
+  const auto enter = [&](std::int64_t k, double below) {
+    CdfWalk cell;
+    cell.below = below;
+    cell.begin = ray.border(k);
+    cell.end = k + 1 == cells ? ray.far_m : ray.border(k + 1);
+    const double weight = ray.count > 0 ? ray.weight(k) : 0.0;
+    cell.mass = (weight + args.floor * (cell.end - cell.begin) / length) / total;
+    cell.is_last = k + 1 == cells;
+    return cell;
+  };
+  std::int64_t k = 0;
+  CdfWalk cell = enter(0, 0);
+  const auto first_index = static_cast<std::uint64_t>(ray_number * args.samples);
+  for (std::int64_t j = 0; j < args.samples; ++j) {
+    const double jitter =
+        args.jitter ? static_cast<double>(uniform01(args.random, first_index + static_cast<std::uint64_t>(j))) : 0.5;
+    const double u = (static_cast<double>(j) + jitter) / static_cast<double>(args.samples);
+    while (!cell.holds(u)) {
+      k += 1;
+      cell = enter(k, cell.below + cell.mass);
+    }
+    points[j] = cell.point(u);
+  }
+}
+
+// Ascending union in place: `points` holds `fresh` new samples and has room for ray.count more. Merged from the back;
+// at equal distance the previous sample comes first.
+template <class Real>
+std::int64_t merge_previous(const RayProposal<Real>& ray, std::int64_t fresh, double* points) {
+  std::int64_t j = fresh - 1, k = ray.count - 1;
+  for (std::int64_t to = fresh + ray.count - 1; k >= 0; --to) {
+    const double old = std::clamp(ray.t(k), ray.near_m, ray.far_m);
+    if (j >= 0 && points[j] >= old) {
+      points[to] = points[j];
+      --j;
+    } else {
+      points[to] = old;
+      --k;
+    }
+  }
+  return fresh + ray.count;
+}
+
+template <class Real>
+void sample(const ImportanceArgs& args, View<const double> near_far, const Proposal<Real>& previous,
+            Samples<Real>& out) {
+  SEMFIELD_CHECK(args.workspace != nullptr, "the importance sampler needs scratch memory");
+  const View<const std::int32_t> first = previous.samples->first;
+  std::int64_t most = 0;
+  for (std::int64_t r = 0; r < near_far.rows; ++r)
+    most = std::max<std::int64_t>(most, *first.row(r + 1) - *first.row(r));
+  Workspace::Scope scope(*args.workspace);
+  double* points = args.workspace->take<double>(args.samples + most, 1).data;
+  std::int64_t count = 0;
+  for (std::int64_t r = 0; r < near_far.rows; ++r) {
+    *out.first.row(r) = static_cast<std::int32_t>(count);
+    RayProposal<Real> ray{&previous, *first.row(r), *first.row(r + 1) - *first.row(r), 0, 0};
+    if (!ray_span(near_far, r, args.first_ray, ray.near_m, ray.far_m)) continue;
+    draw(args, ray, args.first_ray + r, points);
+    const std::int64_t n = args.keep_previous ? merge_previous(ray, args.samples, points) : args.samples;
+    for (std::int64_t k = 0; k < n; ++k, ++count) {
+      *out.t.row(count) = round_inside<Real>(points[k], ray.near_m, ray.far_m);
+      *out.delta.row(count) = static_cast<Real>(interval_of(args.quadrature, points, n, k, ray.near_m, ray.far_m));
+      *out.ray_of_sample.row(count) = static_cast<std::int32_t>(r);
+    }
+  }
+  *out.first.row(near_far.rows) = static_cast<std::int32_t>(count);
+  out.count = count;
+}
+
+template <class Real>
+const ImportanceKernels<Real> kTable{sample<Real>};
+
+}  // namespace
+
+void importance_cpu_kernels(KernelTables& tables);
+void importance_cpu_kernels(KernelTables& tables) {
+  tables.add(Device::cpu, "sampler 'importance'", &kTable<float>);
+  tables.add(Device::cpu, "sampler 'importance'", &kTable<double>);
+}
+
+}  // namespace semfield

@@ -1,0 +1,163 @@
+// Parameters, traits, state and registration of the occupancy-grid sampler.
+#include "samplers/occupancy_grid/occupancy_grid.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+
+#include "plugin/module.h"
+#include "plugin/registry.h"
+
+namespace semfield {
+namespace {
+
+constexpr double kPadding = 0.01;  // of the longest side: walls lie on the bounds and must not lie on the grid's faces
+constexpr double kLeastSide = 0.02;    // of the longest side: a flat scene still gets cells with volume
+constexpr double kStepsAcross = 1024;  // steps along the diagonal of a cube [Mueller22 App. E.1]
+
+OccupancyGeometry make_geometry(const OccupancyGridParams& params, const SamplerBuild& build) {
+  if (build.bounds.empty()) {
+    throw Error(ErrorKind::config, "sampler 'occupancy_grid' needs the bounds of the scene, and they are unknown",
+                "set the scene's bounds, or use the stratified sampler");
+  }
+  const Vec3d side = build.bounds.size(), center = build.bounds.center();
+  const double longest = std::max({side.x, side.y, side.z});
+  if (!(longest > 0) || !std::isfinite(longest)) {
+    throw Error(ErrorKind::config, "sampler 'occupancy_grid': the bounds of the scene are a point or not finite",
+                "set the scene's bounds, or use the stratified sampler");
+  }
+  OccupancyGeometry g;
+  g.n = static_cast<std::int32_t>(params.resolution);
+  g.cascades = static_cast<std::int32_t>(params.cascades);
+  for (int i = 0; i < 3; ++i) {
+    const double padded = std::max(side[i], kLeastSide * longest) + 2 * kPadding * longest;
+    g.lo[i] = center[i] - 0.5 * padded;
+    g.cell_m[i] = padded / static_cast<double>(g.n);
+  }
+  g.step_m = params.step_m > 0 ? params.step_m : std::sqrt(3.0) * longest / kStepsAcross;
+  return g;
+}
+
+template <class Real>
+OccupancyState<Real> state_of(const Tensors<Real>& tensors) {
+  return {tensors.value[0].data, tensors.value[1].data, tensors.value[2].data, tensors.value[3].data};
+}
+
+}  // namespace
+
+void describe(ParamVisitor& visit, OccupancyGridParams& params) {
+  SEMFIELD_PARAM(visit, params, resolution, "Cells a side of the grid, a multiple of 32 [Mueller22 App. E.2]",
+                 {32, 512});
+  SEMFIELD_PARAM(visit, params, cascades,
+                 "Nested grids, each twice the size of the one before; nothing is outside the last", {1, 8});
+  SEMFIELD_PARAM(visit, params, max_samples, "Most samples a ray; a ray that needs more takes longer steps",
+                 {1, 65536});
+  SEMFIELD_PARAM(visit, params, step_m, "Step along the ray in metres; 0 = sqrt(3) / 1024 of the scene's longest side",
+                 {0, 1e9});
+  SEMFIELD_PARAM(visit, params, skip, "How empty cells are passed over: certified (bounded error) or threshold");
+  SEMFIELD_PARAM(visit, params, skip_budget, "Optical depth a ray may lose to skipping when rendering (certified)",
+                 {0, 1});
+  SEMFIELD_PARAM(visit, params, training_skip_budget, "The same when training", {0, 1});
+  SEMFIELD_PARAM(visit, params, threshold,
+                 "Optical depth of a step above which a cell is occupied; half the grid's mean density when that is less",
+                 {0, 10});
+  SEMFIELD_PARAM(visit, params, decay, "Decay of a cell's density an update [Mueller22 App. E.2]", {0, 1});
+  SEMFIELD_PARAM(visit, params, update_every, "Steps from update to update [Mueller22 App. E.2]", {1, 1000000});
+  SEMFIELD_PARAM(visit, params, warmup_steps, "Steps in which every cell is updated and none is skipped", {0, 1000000});
+  SEMFIELD_PARAM(visit, params, update_share, "Share of the cells that an update after the warm-up draws", {0.001, 1});
+}
+
+void validate(const OccupancyGridParams& params, Diagnostics& diagnostics) {
+  if (params.resolution % 32 != 0) {
+    const std::int64_t near = std::clamp<std::int64_t>((params.resolution + 16) / 32 * 32, 32, 512);
+    diagnostics.error("resolution", "must be a multiple of 32, got " + std::to_string(params.resolution),
+                      "use " + std::to_string(near));
+  }
+}
+
+template <class Real>
+OccupancyGrid<Real>::OccupancyGrid(const OccupancyGridParams& params, const SamplerBuild& build,
+                                   const KernelTables& kernels)
+    : kernels_(&kernels.get<OccupancyGridKernels<Real>>(build.device, "sampler 'occupancy_grid'")),
+      params_(params),
+      geometry_(make_geometry(params, build)) {}
+
+template <class Real>
+SamplerTraits OccupancyGrid<Real>::traits() const noexcept {
+  SamplerTraits traits;
+  traits.single_pass = true;
+  traits.observes = true;
+  return traits;
+}
+
+template <class Real>
+std::int64_t OccupancyGrid<Real>::capacity(std::int64_t rays, std::int64_t) const noexcept {
+  return rays * params_.max_samples;
+}
+
+template <class Real>
+void OccupancyGrid<Real>::declare(ParamDeclarer& declarer) const {
+  declarer.tensor({"density", geometry_.cells(), 1, Init::constant(-1), TensorRole::state});
+  declarer.tensor({"empty_bits", geometry_.cells() / kBitsPerElement, 1, Init::constant(1), TensorRole::state});
+  declarer.tensor({"block_bound", geometry_.blocks(), 1, Init::constant(kUnbounded), TensorRole::state});
+  declarer.tensor({"summary", 3, 1, Init::constant(0), TensorRole::state});
+}
+
+template <class Real>
+void OccupancyGrid<Real>::do_sample(const StepContext& ctx, const Tensors<Real>& tensors, const Rays<Real>& rays,
+                                    const Proposal<Real>*, Samples<Real>& out) const {
+  OccupancySampleArgs args;
+  args.geometry = geometry_;
+  args.max_samples = params_.max_samples;
+  args.skip_budget = params_.skip == SkipRule::threshold ? std::numeric_limits<double>::infinity()
+                     : ctx.training                      ? params_.training_skip_budget
+                                                         : params_.skip_budget;
+  args.jitter = ctx.training;
+  args.random = ctx.random("sampler/occupancy_grid");
+  args.first_ray = ctx.first_ray;
+  kernels_->sample(args, state_of(tensors), rays, out);
+}
+
+template <class Real>
+void OccupancyGrid<Real>::observe(const StepContext& ctx, const Tensors<Real>& tensors,
+                                  const DensityQuery<Real>& query) const {
+  if (ctx.step % params_.update_every != 0) return;
+  const bool warm_up = ctx.step < params_.warmup_steps;
+  OccupancyUpdateArgs args;
+  args.geometry = geometry_;
+  args.parts = warm_up ? 1 : std::max<std::int64_t>(1, std::llround(1.0 / params_.update_share));
+  args.part = ctx.step / params_.update_every % args.parts;
+  // A cell that is drawn in every parts-th update loses as much between draws as one that is drawn in each.
+  args.decay = std::pow(params_.decay, static_cast<double>(args.parts));
+  args.threshold = params_.threshold;
+  args.random = ctx.random("sampler/occupancy_grid/observe");
+  args.workspace = ctx.workspace;
+  const OccupancyState<Real> state = state_of(tensors);
+  kernels_->update(args, state, query);
+  if (ctx.step + params_.update_every >= params_.warmup_steps) kernels_->publish(args, state);
+}
+
+template <class Real>
+std::string OccupancyGrid<Real>::status(const Tensors<Real>& tensors) const {
+  const Real* summary = tensors.value[3].data;
+  if (!(summary[2] > 0)) return "occupied 100 % (warm-up)";
+  char text[48];
+  std::snprintf(text, sizeof text, "occupied %.1f %%", 100.0 * static_cast<double>(summary[2]));
+  return text;
+}
+
+template class OccupancyGrid<float>;
+template class OccupancyGrid<double>;
+
+namespace {
+void register_into(Registry& registry) {
+  occupancy_grid_kernels(registry.kernels());
+  registry.add_sampler<OccupancyGrid, OccupancyGridParams>(
+      "occupancy_grid", "Fixed steps along the ray that leave out cells known to be empty; one pass suffices.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(occupancy_grid, "1.0", register_into)
+
+}  // namespace semfield

@@ -1,0 +1,76 @@
+// The occupancy-grid sampler: fixed steps along the ray, empty cells left out [Mueller22].
+#pragma once
+
+#include <array>
+#include <string>
+#include <string_view>
+
+#include "config/params.h"
+#include "core/error.h"
+#include "plugin/kernels.h"
+#include "plugin/sampler.h"
+#include "samplers/occupancy_grid/occupancy_grid_kernels.h"
+
+namespace semfield {
+
+/// How empty cells are passed over.
+///   certified  only while the optical depth passed over on a ray, by the grid's bounds, stays within the budget:
+///   colour and
+///              opacity are off by at most the budget. A fixed threshold a step has no such bound: 64 steps of 0.01
+///              hide 47 %.
+///   threshold  every cell below the threshold is passed over.
+enum class SkipRule : std::uint8_t { certified, threshold };
+
+template <>
+struct ChoiceNames<SkipRule> {
+  static constexpr std::array<std::string_view, 2> names{"certified", "threshold"};
+};
+
+struct OccupancyGridParams {
+  std::int64_t resolution = 128;
+  std::int64_t cascades = 1;
+  std::int64_t max_samples = 256;
+  double step_m = 0;
+  SkipRule skip = SkipRule::certified;
+  double skip_budget = 1e-3;
+  double training_skip_budget = 0.02;
+  double threshold = 0.01;
+  double decay = 0.95;
+  std::int64_t update_every = 16;
+  std::int64_t warmup_steps = 256;
+  double update_share = 0.125;
+};
+
+void describe(ParamVisitor& visit, OccupancyGridParams& params);
+void validate(const OccupancyGridParams& params, Diagnostics& diagnostics);
+
+/// State: `density` [cells, 1], the decayed maximum of the density seen in each cell (-1: never seen), an estimate of
+/// the cell's bound, as good as the points that were drawn in it; and what sample() reads, made from it by observe():
+/// `empty_bits`, `block_bound` and `summary` (layouts in occupancy_grid_math.h). Cells are numbered ((cascade * n + z)
+/// * n + y) * n + x. Until the warm-up is over every cell counts as occupied, so that no random start decides what is
+/// never looked at.
+template <class Real>
+class OccupancyGrid final : public Sampler<Real> {
+ public:
+  OccupancyGrid(const OccupancyGridParams& params, const SamplerBuild& build, const KernelTables& kernels);
+  SamplerTraits traits() const noexcept override;
+  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept override;
+  void declare(ParamDeclarer& declarer) const override;
+  void observe(const StepContext& ctx, const Tensors<Real>& tensors, const DensityQuery<Real>& query) const override;
+  std::string status(const Tensors<Real>& tensors) const override;
+  const OccupancyGeometry& geometry() const { return geometry_; }
+
+ protected:
+  void do_sample(const StepContext& ctx, const Tensors<Real>& tensors, const Rays<Real>& rays,
+                 const Proposal<Real>* previous, Samples<Real>& out) const override;
+
+ private:
+  const OccupancyGridKernels<Real>* kernels_;
+  OccupancyGridParams params_;
+  OccupancyGeometry geometry_;
+};
+
+extern template class OccupancyGrid<float>;
+extern template class OccupancyGrid<double>;
+
+}  // namespace semfield

@@ -1,0 +1,283 @@
+// CPU kernels of the occupancy-grid sampler: whole empty blocks, then whole empty cells, are passed over in one jump.
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <string>
+
+#include "core/check.h"
+#include "core/error.h"
+#include "core/parallel.h"
+#include "plugin/kernels.h"
+#include "plugin/quadrature.h"
+#include "samplers/occupancy_grid/occupancy_grid_kernels.h"
+
+namespace semfield {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "empty_bits keeps its bits in the low bytes");
+
+constexpr std::int64_t kMostSteps = std::int64_t{1} << 20;  // a ray's lattice, however small the step
+constexpr std::int64_t kChunkCells = 4096;                  // cells of one density query
+constexpr std::int64_t kRoundChunks = 64;                   // queries whose buffers are held at once
+
+template <class Real>
+struct GridReader {
+  const OccupancyGeometry& geometry;
+  const OccupancyState<Real>& state;
+  const unsigned char* bits;
+  bool is_plain_threshold;
+
+  // Lattice index after the empty space at sample i, or i when it must be evaluated.
+  std::int64_t skip_from(const CellRay& ray, const StepLattice& lattice, SkipBudget& budget, std::int64_t i) const {
+    const OccupancyCell cell = ray.cell_at(geometry, lattice.at(i));
+    const double block_bound = static_cast<double>(state.block_bound[cell.block(geometry.blocks_per_side())]);
+    if (block_bound < kUnbounded) {
+      const std::int64_t to = lattice.next(i, ray.exit(geometry, cell, kBlockCells));
+      if (budget.affords(block_bound, static_cast<double>(to - i) * lattice.step_m)) return to;
+    }
+    const std::int64_t index = cell.index(geometry.n);
+    if (!is_empty_cell<Real>(bits, index)) return i;
+    const double bound = is_plain_threshold ? 0.0 : static_cast<double>(state.density[index]);
+    const std::int64_t to = lattice.next(i, ray.exit(geometry, cell, 1));
+    return budget.affords(bound, static_cast<double>(to - i) * lattice.step_m) ? to : i;
+  }
+};
+
+// Writes one ray's samples from row `begin`; returns their number, or -1 when there would be more than `most`.
+template <class Real>
+std::int64_t march(const GridReader<Real>& grid, const CellRay& ray, const StepLattice& lattice, SkipBudget budget,
+                   std::int64_t most, std::int32_t ray_number, std::int64_t begin, Samples<Real>& out) {
+  const double far_m = lattice.near_m + lattice.step_m * static_cast<double>(lattice.count);
+  std::int64_t written = 0;
+  for (std::int64_t i = 0; i < lattice.count;) {
+    const std::int64_t to = grid.skip_from(ray, lattice, budget, i);
+    if (to > i) {
+      i = to;
+      continue;
+    }
+    if (written == most) return -1;
+    const std::int64_t row = begin + written++;
+    *out.t.row(row) = round_inside<Real>(lattice.at(i), lattice.near_m, far_m);
+    *out.delta.row(row) = static_cast<Real>(lattice.step_m);
+    *out.ray_of_sample.row(row) = ray_number;
+    ++i;
+  }
+  return written;
+}
+
+template <class Real>
+void sample(const OccupancySampleArgs& args, const OccupancyState<Real>& state, const Rays<Real>& rays,
+            Samples<Real>& out) {
+  const OccupancyGeometry& geometry = args.geometry;
+  const Box box = geometry.outer();
+  const GridReader<Real> grid{geometry, state, reinterpret_cast<const unsigned char*>(state.empty_bits),
+                              std::isinf(args.skip_budget)};
+  std::int64_t count = 0;
+  for (std::int64_t r = 0; r < rays.near_far.rows; ++r) {
+    *out.first.row(r) = static_cast<std::int32_t>(count);
+    double near_m = 0, far_m = 0, enter = 0, leave = 0;
+    if (!ray_span(rays.near_far, r, args.first_ray, near_m, far_m)) continue;
+    const double* o = rays.origin.row(r);
+    const double* d = rays.direction.row(r);
+    if (!intersect(box, {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave)) continue;
+    near_m = std::max(near_m, enter);
+    far_m = std::min(far_m, leave);
+    if (!(near_m < far_m)) continue;
+    const CellRay ray(geometry, o, d);
+    StepLattice lattice;
+    lattice.near_m = near_m;
+    lattice.u =
+        args.jitter ? static_cast<double>(uniform01(args.random, static_cast<std::uint64_t>(args.first_ray + r))) : 0.5;
+    const double steps = std::ceil((far_m - near_m) / geometry.step_m);
+    lattice.count = steps < static_cast<double>(kMostSteps)
+                        ? std::max<std::int64_t>(1, static_cast<std::int64_t>(steps))
+                        : kMostSteps;
+    std::int64_t written = -1;
+    while (true) {  // ends: a lattice of at most max_samples steps fits
+      lattice.step_m = (far_m - near_m) / static_cast<double>(lattice.count);
+      written = march(grid, ray, lattice, SkipBudget(args.skip_budget, far_m - near_m), args.max_samples,
+                      static_cast<std::int32_t>(r), count, out);
+      if (written >= 0) break;
+      lattice.count = (lattice.count + 1) / 2;
+    }
+    count += written;
+  }
+  *out.first.row(rays.near_far.rows) = static_cast<std::int32_t>(count);
+  out.count = count;
+}
+
+// Buffers of one density query.
+template <class Real>
+struct QueryChunk {
+  View<double> position;    // [kChunkCells, 3]
+  View<Real> sigma;         // [kChunkCells, 1]
+  View<std::int64_t> cell;  // [kChunkCells, 1]
+};
+
+template <class Real>
+struct UpdateJob {
+  const OccupancyUpdateArgs& args;
+  const OccupancyState<Real>& state;
+  const DensityQuery<Real>& query;
+  std::int64_t chosen;       // cells of this update
+  std::int64_t first_chunk;  // of the round
+  QueryChunk<Real>* chunks;
+
+  void run(std::int64_t slot) const {
+    QueryChunk<Real>& chunk = chunks[slot];
+    const OccupancyGeometry& g = args.geometry;
+    const std::int64_t begin = (first_chunk + slot) * kChunkCells;
+    const std::int64_t end = std::min(begin + kChunkCells, chosen);
+    std::int64_t rows = 0;
+    for (std::int64_t j = begin; j < end; ++j) {
+      const std::int64_t index = args.part + j * args.parts;
+      const OccupancyCell cell = cell_of_index(index, g.n);
+      if (covered_by_finer(cell, g.n)) continue;
+      const PhiloxBlock random = random_block(args.random, static_cast<std::uint64_t>(index));
+      const Vec3d share{random.v[0] * 0x1p-32, random.v[1] * 0x1p-32, random.v[2] * 0x1p-32};
+      const Vec3d p = point_in_cell(g, cell, share);
+      for (int i = 0; i < 3; ++i) chunk.position(rows, i) = p[i];
+      *chunk.cell.row(rows) = index;
+      ++rows;
+    }
+    if (rows == 0) return;
+    query(chunk.position.row_range(0, rows), chunk.sigma.row_range(0, rows));
+    for (std::int64_t k = 0; k < rows; ++k) absorb(chunk, k);
+  }
+
+  void absorb(const QueryChunk<Real>& chunk, std::int64_t k) const {
+    const Real sigma = *chunk.sigma.row(k);
+    if (!(sigma >= 0) || std::isinf(sigma)) {
+      throw Error(ErrorKind::failure,
+                  "sampler 'occupancy_grid': density at (" + std::to_string(chunk.position(k, 0)) + ", " +
+                      std::to_string(chunk.position(k, 1)) + ", " + std::to_string(chunk.position(k, 2)) + ") is " +
+                      std::to_string(static_cast<double>(sigma)) + "; it must be finite and not negative",
+                  "lower the learning rate, or go back to the last checkpoint");
+    }
+    Real& value = state.density[*chunk.cell.row(k)];
+    value = std::max(value * static_cast<Real>(args.decay), sigma);  // an unseen cell holds -1
+  }
+};
+
+template <class Real>
+void update(const OccupancyUpdateArgs& args, const OccupancyState<Real>& state, const DensityQuery<Real>& query) {
+  SEMFIELD_CHECK(args.workspace != nullptr, "the occupancy grid needs scratch memory");
+  const std::int64_t cells = args.geometry.cells();
+  const std::int64_t chosen = args.part < cells ? (cells - args.part + args.parts - 1) / args.parts : 0;
+  const std::int64_t chunk_count = (chosen + kChunkCells - 1) / kChunkCells;
+  const std::int64_t held = std::min(chunk_count, kRoundChunks);
+  Workspace::Scope scope(*args.workspace);
+  QueryChunk<Real> chunks[kRoundChunks];
+  for (std::int64_t i = 0; i < held; ++i) {
+    chunks[i] = {args.workspace->take<double>(kChunkCells, 3), args.workspace->take<Real>(kChunkCells, 1),
+                 args.workspace->take<std::int64_t>(kChunkCells, 1)};
+  }
+  for (std::int64_t first = 0; first < chunk_count; first += kRoundChunks) {
+    const UpdateJob<Real> job{args, state, query, chosen, first, chunks};
+    parallel_for(std::min(kRoundChunks, chunk_count - first), [&job](std::int64_t slot) { job.run(slot); });
+  }
+}
+
+// One slab of blocks: 8 layers of cells of one cascade.
+struct SlabTotals {
+  double density = 0;
+  std::int64_t seen = 0;
+  std::int64_t occupied = 0;
+  std::int64_t counted = 0;
+};
+
+template <class Real>
+struct PublishJob {
+  const OccupancyGeometry& geometry;
+  const OccupancyState<Real>& state;
+  Real occupied_above;
+  SlabTotals* totals;
+
+  std::int64_t first_cell(std::int64_t slab) const { return slab * kBlockCells * geometry.n * geometry.n; }
+  std::int64_t slab_cells() const { return static_cast<std::int64_t>(kBlockCells) * geometry.n * geometry.n; }
+  bool covered(std::int64_t index) const {
+    return geometry.cascades > 1 && covered_by_finer(cell_of_index(index, geometry.n), geometry.n);
+  }
+
+  void add_up(std::int64_t slab) const {
+    SlabTotals sum;
+    const std::int64_t begin = first_cell(slab);
+    for (std::int64_t i = begin; i < begin + slab_cells(); ++i) {
+      if (!(state.density[i] >= 0)) continue;
+      sum.density += static_cast<double>(state.density[i]);
+      sum.seen += 1;
+    }
+    totals[slab] = sum;
+  }
+
+  void mark(std::int64_t slab) const {
+    SlabTotals& sum = totals[slab];
+    const std::int64_t begin = first_cell(slab);
+    const std::int64_t side = geometry.blocks_per_side();
+    Real* bounds = state.block_bound + slab * side * side;
+    std::fill(bounds, bounds + side * side, Real(0));
+    for (std::int64_t word = begin; word < begin + slab_cells(); word += kBitsPerElement) {
+      std::uint16_t bits = 0;
+      for (std::int32_t b = 0; b < kBitsPerElement; ++b) {
+        const std::int64_t i = word + b;
+        if (covered(i)) continue;
+        const Real density = state.density[i];
+        const bool occupied = density < 0 || density > occupied_above;
+        sum.counted += 1;
+        sum.occupied += occupied ? 1 : 0;
+        if (!occupied) bits = static_cast<std::uint16_t>(bits | (1u << b));
+        const std::int64_t x = i % geometry.n / kBlockCells, y = i / geometry.n % geometry.n / kBlockCells;
+        Real& bound = bounds[y * side + x];
+        bound = std::max(bound, occupied ? static_cast<Real>(kUnbounded) : density);
+      }
+      Real element = 1;
+      std::memcpy(&element, &bits, sizeof bits);
+      state.empty_bits[word / kBitsPerElement] = element;
+    }
+  }
+};
+
+template <class Real>
+void publish(const OccupancyUpdateArgs& args, const OccupancyState<Real>& state) {
+  const OccupancyGeometry& g = args.geometry;
+  const std::int64_t slabs = static_cast<std::int64_t>(g.cascades) * g.blocks_per_side();
+  Workspace::Scope scope(*args.workspace);
+  SlabTotals* totals = args.workspace->take<SlabTotals>(slabs, 1).data;
+  PublishJob<Real> job{g, state, Real(0), totals};
+  parallel_for(slabs, [&job](std::int64_t slab) { job.add_up(slab); });
+  double density = 0;
+  std::int64_t seen = 0;
+  for (std::int64_t s = 0; s < slabs; ++s) {
+    density += totals[s].density;
+    seen += totals[s].seen;
+  }
+  // A grid without any density tells nothing yet: leaving out everything would end all learning.
+  if (!(density > 0)) return;
+  const double mean = density / static_cast<double>(seen);
+  // Half the mean, so that a grid of equal densities is occupied, not empty.
+  job.occupied_above = static_cast<Real>(std::min(args.threshold / g.step_m, 0.5 * mean));
+  parallel_for(slabs, [&job](std::int64_t slab) { job.mark(slab); });
+  std::int64_t occupied = 0, counted = 0;
+  for (std::int64_t s = 0; s < slabs; ++s) {
+    occupied += totals[s].occupied;
+    counted += totals[s].counted;
+  }
+  state.summary[0] = static_cast<Real>(mean);
+  state.summary[1] = job.occupied_above;
+  state.summary[2] = static_cast<Real>(static_cast<double>(occupied) / static_cast<double>(counted));
+}
+
+template <class Real>
+const OccupancyGridKernels<Real> kTable{sample<Real>, update<Real>, publish<Real>};
+
+}  // namespace
+
+void occupancy_grid_cpu_kernels(KernelTables& tables);
+void occupancy_grid_cpu_kernels(KernelTables& tables) {
+  tables.add(Device::cpu, "sampler 'occupancy_grid'", &kTable<float>);
+  tables.add(Device::cpu, "sampler 'occupancy_grid'", &kTable<double>);
+}
+
+}  // namespace semfield

@@ -1,0 +1,47 @@
+// Parameters, traits and registration of the stratified sampler.
+#include "samplers/stratified/stratified.h"
+
+#include "plugin/module.h"
+#include "plugin/registry.h"
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, StratifiedParams& params) {
+  SEMFIELD_PARAM(visit, params, samples, "N_c, samples a ray [Mildenhall20]", {1, 65536});
+  SEMFIELD_PARAM(
+      visit, params, quadrature,
+      "Rule of the rendering integral: paper (order 1), midpoint (order 2, no jitter), stratified_bin (1.5)");
+}
+
+void validate(const StratifiedParams&, Diagnostics&) {}
+
+template <class Real>
+Stratified<Real>::Stratified(const StratifiedParams& params, const SamplerBuild& build, const KernelTables& kernels)
+    : kernels_(&kernels.get<StratifiedKernels<Real>>(build.device, "sampler 'stratified'")), params_(params) {}
+
+template <class Real>
+std::int64_t Stratified<Real>::capacity(std::int64_t rays, std::int64_t) const noexcept {
+  return rays * params_.samples;
+}
+
+template <class Real>
+void Stratified<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays,
+                                 const Proposal<Real>*, Samples<Real>& out) const {
+  const bool jitter = ctx.training && params_.quadrature != Quadrature::midpoint;
+  kernels_->sample({params_.samples, params_.quadrature, jitter, ctx.random("sampler/stratified"), ctx.first_ray},
+                   rays.near_far, out);
+}
+
+template class Stratified<float>;
+template class Stratified<double>;
+
+namespace {
+void register_into(Registry& registry) {
+  stratified_kernels(registry.kernels());
+  registry.add_sampler<Stratified, StratifiedParams>("stratified", "One sample in each of N equal bins of the ray.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(stratified, "1.0", register_into)
+
+}  // namespace semfield

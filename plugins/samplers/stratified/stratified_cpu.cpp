@@ -1,0 +1,48 @@
+// CPU kernels of the stratified sampler: a ray after the other; one Philox block a jittered sample is nearly all of the
+// time.
+#include "plugin/kernels.h"
+#include "samplers/stratified/stratified_kernels.h"
+#include "samplers/stratified/stratified_math.h"
+
+namespace semfield {
+namespace {
+
+template <class Real>
+void sample(const StratifiedArgs& args, View<const double> near_far, Samples<Real>& out) {
+  const std::int64_t n = args.samples;
+  std::int64_t count = 0;
+  for (std::int64_t r = 0; r < near_far.rows; ++r) {
+    *out.first.row(r) = static_cast<std::int32_t>(count);
+    double near_m = 0, far_m = 0;
+    if (!ray_span(near_far, r, args.first_ray, near_m, far_m)) continue;
+    const auto first_index = static_cast<std::uint64_t>((args.first_ray + r) * n);
+    const double width = (far_m - near_m) / static_cast<double>(n);
+    double previous = 0;
+    for (std::int64_t k = 0; k < n; ++k, ++count) {
+      const double u =
+          args.jitter ? static_cast<double>(uniform01(args.random, first_index + static_cast<std::uint64_t>(k))) : 0.5;
+      const double t = stratum_point(near_m, far_m, k, u, n);
+      *out.t.row(count) = round_inside<Real>(t, near_m, far_m);
+      *out.delta.row(count) = static_cast<Real>(width);
+      *out.ray_of_sample.row(count) = static_cast<std::int32_t>(r);
+      if (args.quadrature == Quadrature::paper && k > 0) *out.delta.row(count - 1) = static_cast<Real>(t - previous);
+      previous = t;
+    }
+    if (args.quadrature == Quadrature::paper) *out.delta.row(count - 1) = static_cast<Real>(far_m - previous);
+  }
+  *out.first.row(near_far.rows) = static_cast<std::int32_t>(count);
+  out.count = count;
+}
+
+template <class Real>
+const StratifiedKernels<Real> kTable{sample<Real>};
+
+}  // namespace
+
+void stratified_cpu_kernels(KernelTables& tables);
+void stratified_cpu_kernels(KernelTables& tables) {
+  tables.add(Device::cpu, "sampler 'stratified'", &kTable<float>);
+  tables.add(Device::cpu, "sampler 'stratified'", &kTable<double>);
+}
+
+}  // namespace semfield
