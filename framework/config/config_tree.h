@@ -36,6 +36,10 @@ class ConfigNode {
   bool is_scalar() const { return kind() == Kind::scalar; }
   bool is_null() const { return kind() == Kind::null; }
   const Location& location() const;
+  /// Where the key of this map entry was written; the value's own place when it is no entry of a parsed map.
+  const Location& key_location() const;
+  /// A copy that remembers the place of its key.
+  ConfigNode with_key_location(Location where) const;
   const std::string& text() const;            ///< scalar text; "" for other kinds
   bool quoted() const;
   const std::vector<ConfigNode>& items() const;  ///< list items; empty for other kinds
@@ -56,8 +60,27 @@ class ConfigNode {
 ConfigNode parse_config_file(const std::string& path);
 /// The same for a text; `name` stands for the file in messages.
 ConfigNode parse_config_text(std::string_view yaml, const std::string& name);
+/// One value of the command line; every node's place is `origin` with line 0. An empty text is null.
+ConfigNode parse_config_value(std::string_view yaml, const std::string& origin);
+
+/// Same kinds, keys in the same order, texts and meaning of quotes ("16" is not 16, "abc" is abc); places are ignored.
+bool equal_config(const ConfigNode& a, const ConfigNode& b);
 
 /// Plain YAML text of a tree, keys in order; parsing it gives an equal tree.
 std::string write_config(const ConfigNode& node);
+/// The same in one line without a line end: "{type: hash_grid, levels: 16}".
+std::string write_config_inline(const ConfigNode& node);
+/// True for a text that means something else without quotes: a number, a bool, null, or a near miss of one ("010", "no").
+bool looks_typed(std::string_view text);
+/// True for a text that can stand unquoted anywhere in YAML and is read back as that same text.
+bool is_plain_text(std::string_view text);
+
+/// One line of written YAML and the node whose value stands on it (nullptr: a bare key or dash).
+struct ConfigLine {
+  std::string text;
+  const ConfigNode* node = nullptr;
+};
+/// What write_config joins, for writers that add comments; the pointers live as long as `node`.
+std::vector<ConfigLine> config_lines(const ConfigNode& node);
 
 }  // namespace semfield

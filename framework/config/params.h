@@ -63,8 +63,14 @@ void visit_param(ParamVisitor& visit, std::string_view name, T& value, std::stri
     visit.integer(narrowed, wide);
     value = static_cast<T>(wide);
   } else if constexpr (std::is_floating_point_v<T>) {
+    ParamInfo narrowed = info;
+    if constexpr (sizeof(T) < sizeof(double)) {  // a double that would become infinite in the field is out of range
+      const double highest = static_cast<double>(std::numeric_limits<T>::max());
+      if (narrowed.range.min < -highest) narrowed.range.min = -highest;
+      if (narrowed.range.max > highest) narrowed.range.max = highest;
+    }
     auto wide = static_cast<double>(value);
-    visit.real(info, wide);
+    visit.real(narrowed, wide);
     value = static_cast<T>(wide);
   } else if constexpr (std::is_same_v<T, std::string>) {
     visit.text(info, value);

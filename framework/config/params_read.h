@@ -23,12 +23,21 @@ void read_params(const ConfigNode& node, const std::string& path, const Describe
 /// The resolved values as a tree: every parameter, defaults included, in declaration order.
 ConfigNode params_to_config(const Describe& describe);
 
-/// One parameter, as the reference page, help and schema need it.
+/// One parameter, as the reference page, help and schema need it. `type` is bool, int, number, text, choice, or list of
+/// int, number or text; `range` is "[1, 32]", ">= 1", "<= 5" or empty, and `limits` the same in numbers.
 struct ParamDoc {
   std::string name, type, default_value, range, help;
   std::vector<std::string> choices;
+  Range limits{};
 };
 std::vector<ParamDoc> describe_params(const Describe& describe);
+
+/// Shortest decimal that reads back as the same double, with a '.' or an exponent for whole numbers ("64.0", "1e-05").
+std::string shortest_number(double value);
+
+/// "[1, 32]", ">= 1", "<= 5" or "" for messages and tables; `hide_type_limits` leaves out a bound that only says what the
+/// field's type can hold.
+std::string range_text(const Range& range, bool hide_type_limits);
 
 /// Scalar readers for keys that belong to no struct; they report into `diagnostics` and return the fallback on error.
 std::string read_text(const ConfigNode& parent, const std::string& path, const std::string& key, const std::string& fallback,

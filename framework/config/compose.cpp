@@ -1,0 +1,224 @@
+// Composition of configs: include, merge, replace-on-type-change, command line overrides, like.
+#include "config/compose.h"
+
+#include <algorithm>
+#include <charconv>
+#include <filesystem>
+#include <iterator>
+#include <string_view>
+#include <system_error>
+#include <unordered_map>
+#include <utility>
+
+#include "core/error.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+
+// More than anyone writes, few enough that a file including two others over and over ends at once.
+constexpr int kMaxIncludedFiles = 256;
+constexpr int kMaxIncludeDepth = 32;
+
+[[noreturn]] void fail(const Location& where, const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::config, where.text() + ": " + message, remedy);
+}
+
+std::string kind_text(const ConfigNode& node) {
+  switch (node.kind()) {
+    case ConfigNode::Kind::null:
+      return "nothing";
+    case ConfigNode::Kind::scalar:
+      return "'" + node.text() + "'";
+    case ConfigNode::Kind::list:
+      return "a list";
+    case ConfigNode::Kind::map:
+      return "a map";
+  }
+  return {};
+}
+
+const ConfigNode* scalar_type(const ConfigNode& map) {
+  const ConfigNode* type = map.find("type");
+  return type != nullptr && type->is_scalar() ? type : nullptr;
+}
+
+bool type_changes(const ConfigNode& base, const ConfigNode& over) {
+  const ConfigNode* old_type = scalar_type(base);
+  const ConfigNode* new_type = scalar_type(over);
+  return old_type != nullptr && new_type != nullptr && old_type->text() != new_type->text();
+}
+
+/// Loads files with their includes; knows which files are open now (cycles) and how many were read.
+class Loader {
+ public:
+  ConfigNode load(const std::string& path) {
+    std::error_code unknown;
+    fs::path identity = fs::weakly_canonical(path, unknown);
+    if (unknown) identity = fs::path(path).lexically_normal();
+    open_.push_back({identity.string(), path});
+    const ConfigNode local = parse_config_file(path);
+    if (!local.is_map()) {
+      fail(local.location(), "expected a map of sections at the top, got " + kind_text(local));
+    }
+    ConfigNode composed = ConfigNode::make_map({}, local.location());
+    if (const ConfigNode* include = local.find("include")) {
+      for (const ConfigNode& item : include->is_list() ? include->items() : std::vector<ConfigNode>{*include}) {
+        composed = merge_config(composed, load_included(item));
+      }
+    }
+    composed = merge_config(composed, local.without("include"));
+    open_.pop_back();
+    return composed;
+  }
+
+ private:
+  struct OpenFile {
+    std::string identity;  // canonical path
+    std::string shown;     // path for messages
+  };
+
+  ConfigNode load_included(const ConfigNode& item) {
+    if (!item.is_scalar()) fail(item.location(), "include: expected a file name, got " + kind_text(item));
+    const fs::path written(item.text());
+    const fs::path path =
+        written.is_absolute() ? written : (fs::path(item.location().file).parent_path() / written).lexically_normal();
+    std::error_code unknown;
+    if (!fs::exists(path, unknown) || fs::is_directory(path, unknown)) {
+      fail(item.location(), "include: no file '" + item.text() + "' (looked for '" + path.string() + "')",
+           "paths in a config are relative to the file that wrote them");
+    }
+    const std::string identity = fs::weakly_canonical(path, unknown).string();
+    const auto first = std::find_if(open_.begin(), open_.end(), [&](const OpenFile& f) { return f.identity == identity; });
+    if (first != open_.end()) {
+      std::string chain;
+      for (auto file = first; file != open_.end(); ++file) chain += file->shown + " -> ";
+      fail(item.location(), "include: '" + item.text() + "' includes itself: " + chain + first->shown);
+    }
+    if (open_.size() >= kMaxIncludeDepth || ++included_ > kMaxIncludedFiles) {
+      fail(item.location(), "include: more than " + std::to_string(kMaxIncludedFiles) + " files or " +
+                                std::to_string(kMaxIncludeDepth) + " levels");
+    }
+    return load(path.string());
+  }
+
+  std::vector<OpenFile> open_;
+  int included_ = 0;
+};
+
+std::string joined(const std::vector<std::string>& segments, std::size_t count) {
+  return join(std::vector<std::string>(segments.begin(), segments.begin() + static_cast<std::ptrdiff_t>(count)), ".");
+}
+
+/// `node` with the value set at segments[at...]; `origin` is the override for messages.
+ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segments, std::size_t at, const ConfigNode& value,
+                  const Location& origin) {
+  if (at == segments.size()) return merge_config(node, value);
+  const std::string& segment = segments[at];
+  if (node.is_list()) {
+    std::size_t index = 0;
+    const char* end = segment.data() + segment.size();
+    const auto parsed = std::from_chars(segment.data(), end, index);
+    if (parsed.ec != std::errc{} || parsed.ptr != end || index >= node.items().size()) {
+      const std::string range = node.items().empty() ? "it is empty" : "0 to " + std::to_string(node.items().size() - 1);
+      fail(origin, "'" + joined(segments, at) + "' is a list (" + node.location().text() + "): expected an item's index, " +
+                       range + ", got '" + segment + "'");
+    }
+    std::vector<ConfigNode> items = node.items();
+    items[index] = set_at(items[index], segments, at + 1, value, origin);
+    return ConfigNode::make_list(std::move(items), node.location()).with_key_location(node.key_location());
+  }
+  if (node.is_scalar()) {
+    fail(origin, "'" + joined(segments, at) + "' is " + kind_text(node) + " (" + node.location().text() +
+                     "), it has no key '" + segment + "'");
+  }
+  // The override is a map of one key at this level: the rule of merging, with its type change, is then the same.
+  const ConfigNode* old_child = node.find(segment);
+  const ConfigNode child = old_child != nullptr ? set_at(*old_child, segments, at + 1, value, origin)
+                                                : set_at(ConfigNode::make_null(origin), segments, at + 1, value, origin);
+  const ConfigNode over = ConfigNode::make_map({{segment, child}}, origin);
+  if (node.is_null() || type_changes(node, over)) return over.with_key_location(node.key_location());
+  return node.with(segment, child);
+}
+
+ConfigNode apply_override(const ConfigNode& root, const std::string& text) {
+  const Location origin{"--set " + text, 0, 0};
+  const std::size_t equals = text.find('=');
+  if (equals == std::string::npos) fail(origin, "expected KEY=VALUE", "for example --set train.steps=1000");
+  std::vector<std::string> segments;
+  for (std::size_t begin = 0; begin <= equals;) {
+    const std::size_t end = std::min(text.find('.', begin), equals);
+    segments.push_back(text.substr(begin, end - begin));
+    if (segments.back().empty()) fail(origin, "empty key in '" + text.substr(0, equals) + "'");
+    begin = end + 1;
+  }
+  if (segments.size() > 32) fail(origin, "key path longer than 32 levels");
+  if (segments[0] == "include") fail(origin, "include: files are included by a config, not by an override");
+  return set_at(root, segments, 0, parse_config_value(std::string_view(text).substr(equals + 1), origin.file), origin);
+}
+
+/// Items of `passes` with `like: NAME`, each merged onto the earlier item of that name.
+ConfigNode resolve_like(const ConfigNode& root) {
+  const ConfigNode* passes = root.find("passes");
+  if (passes == nullptr || !passes->is_list()) return root;
+  std::vector<ConfigNode> items;
+  std::vector<std::string> names;
+  for (const ConfigNode& item : passes->items()) {
+    ConfigNode resolved = item;
+    const ConfigNode* like = item.find("like");
+    if (like != nullptr) {
+      if (!like->is_scalar()) fail(like->location(), "like: expected the name of an earlier pass, got " + kind_text(*like));
+      const auto known = std::find(names.rbegin(), names.rend(), like->text());
+      if (known == names.rend()) {
+        std::vector<std::string> given;
+        std::copy_if(names.begin(), names.end(), std::back_inserter(given), [](const std::string& n) { return !n.empty(); });
+        const std::string near = did_you_mean(like->text(), given);
+        fail(like->location(),
+             "like: no earlier pass named '" + like->text() + "'" +
+                 (given.empty() ? "; this is the first one with a name" : "; known: " + join(given)),
+             near.empty() ? "" : "did you mean '" + near + "'?");
+      }
+      resolved = merge_config(items[static_cast<std::size_t>(names.rend() - known) - 1], item.without("like"));
+    }
+    const ConfigNode* name = item.find("name");
+    names.push_back(name != nullptr ? name->text() : std::string());
+    items.push_back(std::move(resolved));
+  }
+  return root.with("passes", ConfigNode::make_list(std::move(items), passes->location()).with_key_location(passes->key_location()));
+}
+
+}  // namespace
+
+ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
+  if (!base.is_map() || !over.is_map() || type_changes(base, over)) return over;
+  std::vector<ConfigNode::Entry> entries = base.entries();
+  std::unordered_map<std::string_view, std::size_t> places;  // keys of `base`, whose strings outlive this call
+  for (std::size_t i = 0; i < entries.size(); ++i) places.emplace(base.entries()[i].first, i);
+  for (const ConfigNode::Entry& entry : over.entries()) {
+    const auto place = places.find(entry.first);
+    if (place == places.end()) {
+      entries.push_back(entry);
+    } else {
+      entries[place->second].second = merge_config(entries[place->second].second, entry.second);
+    }
+  }
+  return ConfigNode::make_map(std::move(entries), over.location()).with_key_location(over.key_location());
+}
+
+ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides) {
+  ConfigNode root = Loader().load(path);
+  for (const std::string& override_text : overrides) root = apply_override(root, override_text);
+  return resolve_like(root);
+}
+
+std::string resolve_path(const ConfigNode& scalar) {
+  const fs::path written(scalar.text());
+  if (written.is_absolute()) return written.lexically_normal().string();
+  const Location& where = scalar.location();
+  // An override is written on the command line: its paths are relative to the working folder, as are those of no file.
+  const fs::path folder = where.line == 0 ? fs::path() : fs::path(where.file).parent_path();
+  return fs::absolute(folder / written).lexically_normal().string();
+}
+
+}  // namespace semfield

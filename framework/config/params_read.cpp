@@ -1,0 +1,272 @@
+// Reads a map of the tree into a parameter struct, strictly, collecting every error.
+#include "config/params_read.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <optional>
+#include <utility>
+
+namespace semfield {
+namespace {
+
+std::string found(const ConfigNode& node) {
+  switch (node.kind()) {
+    case ConfigNode::Kind::null:
+      return "nothing";
+    case ConfigNode::Kind::scalar:
+      return (node.quoted() ? "text '" : "'") + node.text() + "'";
+    case ConfigNode::Kind::list:
+      return "a list";
+    case ConfigNode::Kind::map:
+      return "a map";
+  }
+  return {};
+}
+
+bool is_digit(char c) { return c >= '0' && c <= '9'; }
+
+// The digits of `text` from `at` on, as many as there are.
+std::size_t skip_digits(std::string_view text, std::size_t at) {
+  while (at < text.size() && is_digit(text[at])) ++at;
+  return at;
+}
+
+// "007", "-010", "00.5": YAML 1.1 reads some of these as octal, YAML 1.2 as decimal, so none is read.
+bool has_leading_zero(std::string_view text) {
+  const std::size_t at = !text.empty() && (text[0] == '-' || text[0] == '+') ? 1 : 0;
+  return at + 1 < text.size() && text[at] == '0' && is_digit(text[at + 1]);
+}
+
+// int = [+-] digits, without leading zeros.
+std::optional<std::int64_t> parse_integer(std::string_view text, std::string& remedy) {
+  const std::size_t at = !text.empty() && (text[0] == '-' || text[0] == '+') ? 1 : 0;
+  if (at == text.size() || skip_digits(text, at) != text.size()) return std::nullopt;
+  if (has_leading_zero(text)) {
+    remedy = "write it without leading zeros";
+    return std::nullopt;
+  }
+  if (text[0] == '+') text.remove_prefix(1);
+  std::int64_t value = 0;
+  if (std::from_chars(text.data(), text.data() + text.size(), value).ec != std::errc{}) {
+    remedy = "it does not fit 64 bits";
+    return std::nullopt;
+  }
+  return value;
+}
+
+// number = [+-] (digits [. digits] | . digits) [e [+-] digits], finite, without leading zeros.
+std::optional<double> parse_number(std::string_view text, std::string& remedy) {
+  std::size_t at = !text.empty() && (text[0] == '-' || text[0] == '+') ? 1 : 0;
+  const std::size_t whole = skip_digits(text, at);
+  std::size_t digits = whole - at;
+  at = whole;
+  if (at < text.size() && text[at] == '.') {
+    const std::size_t end = skip_digits(text, at + 1);
+    digits += end - at - 1;
+    at = end;
+  }
+  if (digits == 0) {
+    const std::string_view bare = text.substr(!text.empty() && (text[0] == '-' || text[0] == '+') ? 1 : 0);
+    for (const std::string_view word : {".nan", ".NaN", ".NAN", ".inf", ".Inf", ".INF", "nan", "inf"}) {
+      if (bare == word) remedy = "only finite numbers are allowed";
+    }
+    return std::nullopt;
+  }
+  if (at < text.size() && (text[at] == 'e' || text[at] == 'E')) {
+    const std::size_t sign = at + 1 < text.size() && (text[at + 1] == '-' || text[at + 1] == '+') ? 2 : 1;
+    const std::size_t end = skip_digits(text, at + sign);
+    if (end == at + sign) return std::nullopt;
+    at = end;
+  }
+  if (at != text.size()) return std::nullopt;
+  if (has_leading_zero(text)) {
+    remedy = "write it without leading zeros";
+    return std::nullopt;
+  }
+  if (text[0] == '+') text.remove_prefix(1);
+  double value = 0;
+  if (std::from_chars(text.data(), text.data() + text.size(), value).ec != std::errc{} || !std::isfinite(value)) {
+    remedy = "it is beyond the range of a double";
+    return std::nullopt;
+  }
+  return value;
+}
+
+class Reader final : public ParamVisitor {
+ public:
+  Reader(const ConfigNode& node, const std::string& path, Diagnostics& diagnostics)
+      : node_(node), path_(path), diagnostics_(diagnostics) {}
+
+  const std::vector<std::string>& seen() const { return seen_; }
+
+  void boolean(const ParamInfo& info, bool& value) override {
+    const ConfigNode* node = get(info);
+    if (node == nullptr) return;
+    if (node->is_scalar() && !node->quoted() && (node->text() == "true" || node->text() == "false")) {
+      value = node->text() == "true";
+    } else {
+      report(*node, key_path(info.name), "bool", found(*node), "write true or false");
+    }
+  }
+  void integer(const ParamInfo& info, std::int64_t& value) override {
+    if (const ConfigNode* node = get(info)) read_integer(*node, key_path(info.name), info.range, value);
+  }
+  void real(const ParamInfo& info, double& value) override {
+    if (const ConfigNode* node = get(info)) read_real(*node, key_path(info.name), info.range, value);
+  }
+  void text(const ParamInfo& info, std::string& value) override {
+    if (const ConfigNode* node = get(info)) read_word(*node, key_path(info.name), value);
+  }
+  void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) override {
+    const ConfigNode* node = get(info);
+    if (node == nullptr) return;
+    for (std::size_t i = 0; i < names.size(); ++i) {
+      if (node->is_scalar() && node->text() == names[i]) {
+        value = static_cast<int>(i);
+        return;
+      }
+    }
+    const std::vector<std::string> known(names.begin(), names.end());
+    const std::string near = node->is_scalar() ? did_you_mean(node->text(), known) : std::string();
+    report(*node, key_path(info.name), "one of " + join(known), found(*node),
+           near.empty() ? "" : "did you mean '" + near + "'?");
+  }
+  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
+    read_list(info, "list of int", value, [&](const ConfigNode& item, const std::string& path, std::int64_t& out) {
+      return read_integer(item, path, info.range, out);
+    });
+  }
+  void reals(const ParamInfo& info, std::vector<double>& value) override {
+    read_list(info, "list of number", value, [&](const ConfigNode& item, const std::string& path, double& out) {
+      return read_real(item, path, info.range, out);
+    });
+  }
+  void texts(const ParamInfo& info, std::vector<std::string>& value) override {
+    read_list(info, "list of text", value, [&](const ConfigNode& item, const std::string& path, std::string& out) {
+      return read_word(item, path, out);
+    });
+  }
+
+ private:
+  const ConfigNode* get(const ParamInfo& info) {
+    seen_.emplace_back(info.name);
+    return node_.find(info.name);
+  }
+
+  std::string key_path(std::string_view key) const {
+    return path_.empty() ? std::string(key) : path_ + "." + std::string(key);
+  }
+
+  void report(const ConfigNode& node, const std::string& path, const std::string& expected, const std::string& got,
+              const std::string& remedy = {}) {
+    diagnostics_.error(node.location().text(), path + ": expected " + expected + ", got " + got, remedy);
+  }
+
+  // "int in [1, 32]", "int >= 1": a limit of the field's type is named only when it is what the value breaks.
+  bool in_range(const ConfigNode& node, const std::string& path, const Range& range, double value, const char* type) {
+    if (value >= range.min && value <= range.max) return true;
+    Range broken;
+    (value < range.min ? broken.min : broken.max) = value < range.min ? range.min : range.max;
+    const bool breaks_type_limit = range_text(broken, true).empty();
+    const std::string bounds = range_text(range, !breaks_type_limit);
+    report(node, path, std::string(type) + (bounds[0] == '[' ? " in " : " ") + bounds, node.text());
+    return false;
+  }
+
+  bool read_integer(const ConfigNode& node, const std::string& path, const Range& range, std::int64_t& value) {
+    std::string remedy;
+    std::optional<std::int64_t> read;
+    if (node.is_scalar() && !node.quoted()) read = parse_integer(node.text(), remedy);
+    if (!read) {
+      if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
+      report(node, path, "int", found(node), remedy);
+      return false;
+    }
+    if (!in_range(node, path, range, static_cast<double>(*read), "int")) return false;
+    value = *read;
+    return true;
+  }
+
+  bool read_real(const ConfigNode& node, const std::string& path, const Range& range, double& value) {
+    std::string remedy;
+    std::optional<double> read;
+    if (node.is_scalar() && !node.quoted()) read = parse_number(node.text(), remedy);
+    if (!read) {
+      if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
+      report(node, path, "number", found(node), remedy);
+      return false;
+    }
+    if (!in_range(node, path, range, *read, "number")) return false;
+    value = *read;
+    return true;
+  }
+
+  bool read_word(const ConfigNode& node, const std::string& path, std::string& value) {
+    if (!node.is_scalar()) {
+      report(node, path, "text", found(node));
+      return false;
+    }
+    value = node.text();
+    return true;
+  }
+
+  // The list is taken whole or, when an item is wrong, not at all.
+  template <class T, class ReadItem>
+  void read_list(const ParamInfo& info, const std::string& type, std::vector<T>& value, const ReadItem& read_item) {
+    const ConfigNode* node = get(info);
+    if (node == nullptr) return;
+    if (!node->is_list()) {
+      report(*node, key_path(info.name), type, found(*node), node->is_scalar() ? "write [" + node->text() + "]" : "");
+      return;
+    }
+    std::vector<T> items;
+    bool whole = true;
+    for (std::size_t i = 0; i < node->items().size(); ++i) {
+      T item{};
+      whole = read_item(node->items()[i], key_path(info.name) + "." + std::to_string(i), item) && whole;
+      items.push_back(std::move(item));
+    }
+    if (whole) value = std::move(items);
+  }
+
+  const ConfigNode& node_;
+  const std::string& path_;
+  Diagnostics& diagnostics_;
+  std::vector<std::string> seen_;
+};
+
+}  // namespace
+
+void read_params(const ConfigNode& node, const std::string& path, const Describe& describe, Diagnostics& diagnostics,
+                 const std::vector<std::string>& other_keys) {
+  const std::string prefix = path.empty() ? "" : path + ": ";
+  if (!node.is_map() && !node.is_null()) {  // a section with every line commented out is an empty one
+    diagnostics.error(node.location().text(), prefix + "expected a map, got " + found(node));
+    return;
+  }
+  Reader reader(node, path, diagnostics);
+  describe(reader);
+  std::vector<std::string> known = reader.seen();
+  known.insert(known.end(), other_keys.begin(), other_keys.end());
+  for (const ConfigNode::Entry& entry : node.entries()) {
+    if (std::find(known.begin(), known.end(), entry.first) != known.end()) continue;
+    const std::string near = did_you_mean(entry.first, known);
+    std::string remedy = "known: " + join(known);
+    if (!near.empty()) remedy = "did you mean '" + near + "'?";
+    if (known.empty()) remedy = "there are no keys here";
+    diagnostics.error(entry.second.key_location().text(), prefix + "unknown key '" + entry.first + "'", remedy);
+  }
+}
+
+std::string read_text(const ConfigNode& parent, const std::string& path, const std::string& key, const std::string& fallback,
+                      Diagnostics& diagnostics) {
+  const ConfigNode* node = parent.find(key);
+  if (node == nullptr) return fallback;
+  if (node->is_scalar()) return node->text();
+  diagnostics.error(node->location().text(),
+                    (path.empty() ? key : path + "." + key) + ": expected text, got " + found(*node));
+  return fallback;
+}
+
+}  // namespace semfield
