@@ -1,0 +1,113 @@
+// Choosing the labelled key-frames.
+#include "labels/label_selection.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+
+#include "core/rng.h"
+
+namespace semfield {
+
+namespace {
+
+[[noreturn]] void refuse(const std::string& message, const std::string& remedy) { throw Error(ErrorKind::config, "labels." + message, remedy); }
+
+template <class T>
+bool parse_number(std::string_view text, T& out) {
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
+  return !text.empty() && status == std::errc{} && end == text.data() + text.size();
+}
+
+std::vector<int> named_frames(const SceneInfo& info, const std::vector<std::string>& names) {
+  std::vector<int> out;
+  std::vector<std::string> known;
+  for (const FrameInfo& f : info.frames) known.push_back(f.name);
+  for (const std::string& name : names) {
+    const auto found = std::find(known.begin(), known.end(), name);
+    if (found == known.end()) {
+      const std::string near = did_you_mean(name, known);
+      refuse("names: no frame '" + name + "'", near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
+    }
+    const auto index = static_cast<std::size_t>(found - known.begin());
+    if (info.frames[index].split != Split::train) refuse("names: frame '" + name + "' is not a training frame", "name training frames only");
+    if (!info.frames[index].has_labels) refuse("names: frame '" + name + "' has no labels", "name frames that have a label image");
+    out.push_back(static_cast<int>(index));
+  }
+  std::sort(out.begin(), out.end());
+  out.erase(std::unique(out.begin(), out.end()), out.end());
+  return out;
+}
+
+}  // namespace
+
+void describe(ParamVisitor& visit, LabelParams& p) {
+  SEMFIELD_PARAM(visit, p, frames, "training frames that keep their labels: all, none, a share such as 10%, or a number of frames");
+  SEMFIELD_PARAM(visit, p, mode, "how they are chosen: evenly spaced key-frames, at random, or by name");
+  SEMFIELD_PARAM(visit, p, seed, "seed of the random choice", {0, 9e15});
+  SEMFIELD_PARAM(visit, p, names, "names of the frames, for mode named");
+}
+
+void validate(const LabelParams& p, Diagnostics& diagnostics) {
+  if (p.mode == LabelMode::named && p.names.empty()) diagnostics.error("labels.names", "mode named needs names", "list the names of frames");
+  if (p.mode != LabelMode::named && !p.names.empty()) diagnostics.error("labels.names", "names are given but mode is not named", "set labels.mode: named");
+  if (p.mode == LabelMode::named && p.frames != "all") diagnostics.error("labels.frames", "a number of frames and names exclude each other", "drop labels.frames");
+  if (p.mode == LabelMode::named) return;
+  try {
+    (void)label_frame_count(p.frames, 1 << 30);
+  } catch (const Error& e) {
+    diagnostics.error("", e.message(), e.remedy());
+  }
+}
+
+int label_frame_count(const std::string& frames, int available) {
+  if (frames == "all") return available;
+  if (frames == "none") return 0;
+  if (!frames.empty() && frames.back() == '%') {
+    double share = 0;
+    if (parse_number(std::string_view(frames).substr(0, frames.size() - 1), share) && share >= 0 && share <= 100) {
+      const auto count = static_cast<int>(std::floor(share / 100 * available + 0.5));
+      return share > 0 && available > 0 ? std::max(1, count) : count;
+    }
+  } else if (int count = 0; parse_number(frames, count) && count >= 0) {
+    if (count <= available) return count;
+    refuse("frames: " + frames + " asked for, " + std::to_string(available) + " labelled training frames are there", "ask for fewer, or write all");
+  }
+  refuse("frames: expected all, none, a share such as 10%, or a number, got '" + frames + "'", "write for example 10%");
+}
+
+std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& params) {
+  if (params.mode == LabelMode::named) return named_frames(info, params.names);
+  std::vector<int> labelled;
+  for (std::size_t i = 0; i < info.frames.size(); ++i) {
+    if (info.frames[i].split == Split::train && info.frames[i].has_labels) labelled.push_back(static_cast<int>(i));
+  }
+  const auto available = static_cast<std::int64_t>(labelled.size());
+  const std::int64_t count = label_frame_count(params.frames, static_cast<int>(available));
+  std::vector<int> out;
+  if (params.mode == LabelMode::even) {
+    for (std::int64_t k = 0; k < count; ++k) out.push_back(labelled[static_cast<std::size_t>(k * available / count)]);
+    return out;
+  }
+  // Fisher-Yates, the first `count` places: without replacement, and a larger choice of the same seed contains the smaller one.
+  const RandomAddress address{static_cast<std::uint64_t>(params.seed), 0, stream_id("labels/selection")};
+  for (std::int64_t k = 0; k < count; ++k) {
+    const auto other = k + static_cast<std::int64_t>(uniform_below(address, static_cast<std::uint64_t>(k), static_cast<std::uint64_t>(available - k)));
+    std::swap(labelled[static_cast<std::size_t>(k)], labelled[static_cast<std::size_t>(other)]);
+    out.push_back(labelled[static_cast<std::size_t>(k)]);
+  }
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+void keep_labels(LoadedScene& scene, const std::vector<int>& keep) {
+  for (std::size_t i = 0; i < scene.frames.size(); ++i) {
+    FrameInfo& frame = scene.info.frames[i];
+    if (frame.split == Split::test || std::find(keep.begin(), keep.end(), static_cast<int>(i)) != keep.end()) continue;
+    frame.has_labels = false;
+    scene.frames[i].label = {};
+  }
+  count_class_pixels(scene);
+}
+
+}  // namespace semfield

@@ -1,0 +1,72 @@
+// A scene in memory: every frame decoded, at the size asked for, with bounds, near and far.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "config/params.h"
+#include "scene/scene.h"
+
+namespace semfield {
+
+/// How frames come into memory; the keys stand in the `scene` section beside the dataset's own.
+struct SceneLoadOptions {
+  std::int32_t width_px = 0;
+  std::int32_t height_px = 0;
+  double downscale = 1;
+  double near_m = 0;
+  double far_m = 0;
+  std::vector<double> bounds;
+  bool with_depth = true;       ///< not a key: false drops depth after bounds are known
+  bool with_instances = false;  ///< not a key
+};
+void describe(ParamVisitor& visit, SceneLoadOptions& options);
+void validate(const SceneLoadOptions& options, Diagnostics& diagnostics);
+
+/// What training and rendering start from.
+struct LoadedScene {
+  SceneInfo info;                          ///< cameras at the loaded size; has_* as loaded
+  std::vector<FrameBuffer> frames;         ///< as info.frames; empty buffers where a frame could not be read
+  Box bounds;                              ///< never empty after a load without errors
+  double near_m = 0, far_m = 0;            ///< along the ray
+  double pixel_footprint_m = 0;            ///< world size of one pixel at the scene's middle depth (training frames)
+  std::string bounds_from, near_far_from;  ///< one phrase each: "depth of 35 training frames", "the configuration", ...
+  /// Pixels of each class in each frame: [frames][C + 1], the last entry is void; empty for a frame without labels.
+  std::vector<std::vector<std::int64_t>> class_pixels;
+
+  std::vector<int> frames_of(Split split) const;
+};
+
+/// A dataset as this floor may see it: the two calls of plugin/dataset.h.
+struct SceneReader {
+  std::function<SceneInfo(Diagnostics&)> open;
+  std::function<void(int, FrameBuffer&)> read;  ///< thread-safe
+};
+
+/// Opens the dataset, reads all frames in parallel (one decoded frame a thread in memory beside the result), scales them: colour
+/// by area, labels, depth and instances by the nearest pixel, camera by Camera::resized. Every problem of every frame goes into
+/// `diagnostics`; the caller decides with throw_if_errors. Throws what open() throws. The result is the same for any number of threads.
+LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& options, Diagnostics& diagnostics);
+/// The same for any class with open() and read(): semfield::Dataset, or a test's own.
+template <class AnyDataset>
+  requires requires(AnyDataset& d, Diagnostics& g, FrameBuffer& b) { d.open(g); d.read(0, b); }
+LoadedScene load_scene(AnyDataset& dataset, const SceneLoadOptions& options, Diagnostics& diagnostics) {
+  return load_scene(SceneReader{[&](Diagnostics& found) { return dataset.open(found); }, [&](int frame, FrameBuffer& out) { dataset.read(frame, out); }},
+                    options, diagnostics);
+}
+
+/// The frame at another size (at most its own); used by load_scene.
+FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int32_t height);
+
+/// The camera at the size that `options` ask for; false (out unchanged) when the frame would have to grow.
+bool scaled_camera(const Camera& camera, const SceneLoadOptions& options, Camera& out);
+
+/// Counts class_pixels again from the labels that the frames hold now.
+void count_class_pixels(LoadedScene& scene);
+
+/// Fills bounds, near, far and footprint (scene_bounds.cpp); load_scene calls it.
+void derive_extent(LoadedScene& scene, const SceneLoadOptions& options, Diagnostics& diagnostics);
+
+}  // namespace semfield

@@ -1,0 +1,173 @@
+// Bounds, near, far and pixel footprint of a scene, from what it holds.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "core/parallel.h"
+#include "scene/frame_source.h"
+
+namespace semfield {
+
+namespace {
+
+struct DepthSurvey {
+  Box box;                        ///< of the back-projected points, metres
+  std::vector<float> distances;   ///< along the ray
+  std::int64_t looked_at = 0, valid = 0;
+};
+
+// Every fourth pixel each way of one frame. The outermost 0.1 % of a coordinate over all frames are dropped later, so points are kept.
+struct FramePoints {
+  std::vector<float> x, y, z, distance;
+  std::int64_t looked_at = 0;
+};
+
+FramePoints back_project(const FrameInfo& frame, const FrameBuffer& buffer) {
+  FramePoints out;
+  const int step = 4;
+  for (int y = step / 2; y < buffer.height_px; y += step) {
+    for (int x = step / 2; x < buffer.width_px; x += step) {
+      ++out.looked_at;
+      const float depth = buffer.depth_m[static_cast<std::size_t>(y) * static_cast<std::size_t>(buffer.width_px) + static_cast<std::size_t>(x)];
+      if (!(depth > 0)) continue;
+      const Vec3d d = frame.camera.direction(x + 0.5, y + 0.5);
+      if (!(d.z > 0)) continue;
+      const double t = depth / d.z;
+      const Vec3d p = frame.world_from_camera.apply(d * t);
+      out.x.push_back(static_cast<float>(p.x));
+      out.y.push_back(static_cast<float>(p.y));
+      out.z.push_back(static_cast<float>(p.z));
+      out.distance.push_back(static_cast<float>(t));
+    }
+  }
+  return out;
+}
+
+float quantile(std::vector<float>& values, double q) {
+  const auto at = static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), values.begin() + at, values.end());
+  return values[static_cast<std::size_t>(at)];
+}
+
+DepthSurvey survey_depth(const LoadedScene& scene, const std::vector<int>& frames) {
+  std::vector<FramePoints> parts(frames.size());
+  parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t i) {
+    const auto f = static_cast<std::size_t>(frames[static_cast<std::size_t>(i)]);
+    if (!scene.frames[f].depth_m.empty()) parts[static_cast<std::size_t>(i)] = back_project(scene.info.frames[f], scene.frames[f]);
+  });
+  DepthSurvey out;
+  std::vector<float> axes[3];
+  for (const FramePoints& p : parts) {
+    out.looked_at += p.looked_at;
+    axes[0].insert(axes[0].end(), p.x.begin(), p.x.end());
+    axes[1].insert(axes[1].end(), p.y.begin(), p.y.end());
+    axes[2].insert(axes[2].end(), p.z.begin(), p.z.end());
+    out.distances.insert(out.distances.end(), p.distance.begin(), p.distance.end());
+  }
+  out.valid = static_cast<std::int64_t>(out.distances.size());
+  if (out.valid == 0) return out;
+  for (int a = 0; a < 3; ++a) {
+    out.box.lo[a] = quantile(axes[a], 0.001);
+    out.box.hi[a] = quantile(axes[a], 0.999);
+  }
+  return out;
+}
+
+void include_frustum(Box& box, const FrameInfo& frame, double distance_m) {
+  box.include(frame.world_from_camera.t);
+  for (int corner = 0; corner < 5; ++corner) {
+    const double u = corner == 4 ? 0.5 : corner % 2, v = corner == 4 ? 0.5 : corner / 2;
+    const Vec3d d = frame.camera.direction(u * frame.camera.width_px, v * frame.camera.height_px);
+    box.include(frame.world_from_camera.apply(d * distance_m));
+  }
+}
+
+void grow(Box& box, double share) {
+  const Vec3d size = box.size();
+  const double least = 0.01 * std::max({size.x, size.y, size.z, 1e-6});  // a flat scene still gets a thickness
+  for (int a = 0; a < 3; ++a) {
+    const double margin = std::max(size[a] * share, least);
+    box.lo[a] -= margin;
+    box.hi[a] += margin;
+  }
+}
+
+std::string short_number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+}  // namespace
+
+void derive_extent(LoadedScene& scene, const SceneLoadOptions& options, Diagnostics& diagnostics) {
+  std::vector<int> usable;
+  for (const int i : scene.frames_of(Split::train)) {
+    if (scene.frames[static_cast<std::size_t>(i)].width_px > 0) usable.push_back(i);
+  }
+  if (usable.empty()) {
+    if (!diagnostics.has_errors()) diagnostics.error(scene.info.name, "no training frame", "check the split parameters of the dataset");
+    return;
+  }
+  DepthSurvey survey = survey_depth(scene, usable);
+  const bool has_depth = survey.valid > 0;
+  const double covered = has_depth ? static_cast<double>(survey.valid) / static_cast<double>(survey.looked_at) : 0;
+  Box cameras;
+  for (const int i : usable) cameras.include(scene.info.frames[static_cast<std::size_t>(i)].world_from_camera.t);
+
+  // Far: asked for, told by the dataset, seen in depth, or twice the walk of the camera.
+  scene.near_m = options.near_m > 0 ? options.near_m : scene.info.near_hint_m;
+  scene.far_m = options.far_m > 0 ? options.far_m : scene.info.far_hint_m;
+  scene.near_far_from = options.near_m > 0 && options.far_m > 0 ? "the configuration" : scene.near_m > 0 && scene.far_m > 0 ? "the dataset" : "";
+  if (scene.far_m <= 0) {
+    const double walk = length(cameras.size());
+    scene.far_m = has_depth ? 1.05 * quantile(survey.distances, 0.999) : walk > 0 ? 2 * walk : 10.0;
+    scene.near_far_from = has_depth ? "depth of the training frames" : walk > 0 ? "twice the extent of the cameras" : "a guess (one camera place, no depth)";
+    if (!has_depth) {
+      diagnostics.warning("scene.far_m", "no depth and no far distance given; far is " + short_number(scene.far_m) + " (" + scene.near_far_from + ")",
+                          "set far_m if parts of the scene are missing");
+    }
+  }
+  if (scene.near_m <= 0) {
+    scene.near_m = has_depth ? std::min(0.5 * quantile(survey.distances, 0.001), 0.5 * scene.far_m) : 0.01 * scene.far_m;
+    if (scene.near_far_from.empty()) scene.near_far_from = has_depth ? "depth of the training frames" : "1 % of far";
+  }
+
+  if (options.bounds.size() == 6) {
+    scene.bounds.lo = {options.bounds[0], options.bounds[1], options.bounds[2]};
+    scene.bounds.hi = {options.bounds[3], options.bounds[4], options.bounds[5]};
+    scene.bounds_from = "the configuration";
+  } else if (!scene.info.bounds.empty()) {
+    scene.bounds = scene.info.bounds;
+    scene.bounds_from = "the dataset";
+  } else if (has_depth) {
+    scene.bounds = survey.box;
+    scene.bounds_from = "depth of " + std::to_string(usable.size()) + " training frames";
+    if (covered < 0.5) {
+      // Too much of the picture has no depth for the points to stand for the scene: what the cameras see counts as well.
+      const double reach = quantile(survey.distances, 0.98);
+      for (const int i : usable) include_frustum(scene.bounds, scene.info.frames[static_cast<std::size_t>(i)], reach);
+      scene.bounds_from += " (valid on " + std::to_string(std::lround(covered * 100)) + " % of pixels) and the view cones";
+    }
+    grow(scene.bounds, 0.02);
+  } else {
+    for (const int i : usable) include_frustum(scene.bounds, scene.info.frames[static_cast<std::size_t>(i)], scene.far_m);
+    scene.bounds_from = "the view cones of " + std::to_string(usable.size()) + " training cameras up to far";
+    grow(scene.bounds, 0.02);
+  }
+
+  std::vector<float> focal;
+  for (const int i : usable) focal.push_back(static_cast<float>(scene.info.frames[static_cast<std::size_t>(i)].camera.fx));
+  const double middle = has_depth ? quantile(survey.distances, 0.5) : 0.5 * (scene.near_m + scene.far_m);
+  scene.pixel_footprint_m = middle / quantile(focal, 0.5);
+  // Float positions have a step of 2^-24 of their size: far from the origin that step eats into a pixel.
+  double largest = 0;
+  for (int a = 0; a < 3; ++a) largest = std::max({largest, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
+  if (largest * 0x1p-24 > 1e-3 * scene.pixel_footprint_m) {
+    diagnostics.warning("scene", "coordinates reach " + short_number(largest) + ", where single precision steps by " + short_number(largest * 0x1p-23) +
+                                     " against a pixel of " + short_number(scene.pixel_footprint_m),
+                        "move the origin of the poses near the scene");
+  }
+}
+
+}  // namespace semfield

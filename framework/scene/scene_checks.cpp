@@ -1,0 +1,145 @@
+// Pose and camera checks.
+#include "scene/scene_checks.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "core/check.h"
+
+namespace semfield {
+
+namespace {
+
+std::string number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+bool finite(const Pose& pose) {
+  for (const auto& row : pose.r) {
+    for (const double v : row) {
+      if (!std::isfinite(v)) return false;
+    }
+  }
+  return std::isfinite(pose.t.x) && std::isfinite(pose.t.y) && std::isfinite(pose.t.z);
+}
+
+// max |R^T R - I|
+double orthonormal_error(const Pose& pose) {
+  double worst = 0;
+  for (int a = 0; a < 3; ++a) {
+    for (int b = 0; b < 3; ++b) worst = std::max(worst, std::abs(dot(pose.axis(a), pose.axis(b)) - (a == b ? 1.0 : 0.0)));
+  }
+  return worst;
+}
+
+void set_axis(Pose& pose, int col, Vec3d axis) {
+  for (int row = 0; row < 3; ++row) pose.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(col)] = axis[row];
+}
+
+}  // namespace
+
+std::string frame_place(const FrameInfo& frame) {
+  std::string place = "frame '";
+  place += frame.name;
+  place += "'";
+  if (!frame.source.empty()) place += " (" + frame.source + ")";
+  return place;
+}
+
+Pose pose_from_rows(std::span<const double> numbers) {
+  SEMFIELD_CHECK(numbers.size() == 12 || numbers.size() == 16, "a pose has 12 or 16 numbers");
+  Pose pose;
+  for (std::size_t row = 0; row < 3; ++row) {
+    for (std::size_t col = 0; col < 3; ++col) pose.r[row][col] = numbers[row * 4 + col];
+  }
+  pose.t = {numbers[3], numbers[7], numbers[11]};
+  return pose;
+}
+
+Pose opencv_from_opengl(Pose pose) {
+  for (auto& row : pose.r) {
+    row[1] = -row[1];
+    row[2] = -row[2];
+  }
+  return pose;
+}
+
+PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnostics) {
+  if (!finite(pose)) return PoseState::not_finite;
+  const double error = orthonormal_error(pose);
+  const double determinant = dot(cross(pose.axis(0), pose.axis(1)), pose.axis(2));
+  if (error > 1e-3) {
+    diagnostics.error(place, "pose is no rotation: its axes are " + number(error) + " off orthonormal (1e-3 is allowed)",
+                      "check that the matrix is camera-to-world, row by row, without a scale");
+    return PoseState::refused;
+  }
+  if (determinant < 0) {
+    diagnostics.error(place, "pose mirrors the scene (determinant -1)", "flip one camera axis in the export");
+    return PoseState::refused;
+  }
+  if (error > 1e-5) {
+    diagnostics.warning(place, "pose is " + number(error) + " off orthonormal and was made orthonormal", "export poses with more digits");
+  }
+  if (error > 1e-9) {
+    const Vec3d z = normalized(pose.axis(2));
+    const Vec3d x = normalized(cross(pose.axis(1), z));
+    set_axis(pose, 0, x);
+    set_axis(pose, 1, cross(z, x));
+    set_axis(pose, 2, z);
+  }
+  return PoseState::good;
+}
+
+void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source, Diagnostics& diagnostics) {
+  if (kept == 0) {
+    diagnostics.error(source, skipped.empty() ? "no frames in it" : "all " + std::to_string(skipped.size()) + " poses are not finite",
+                      skipped.empty() ? "check the path" : "track the cameras again");
+  }
+  if (skipped.empty() || kept == 0) return;
+  std::vector<std::string> shown(skipped.begin(), skipped.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(8, skipped.size())));
+  if (shown.size() < skipped.size()) shown.push_back("...");
+  diagnostics.warning(source, std::to_string(skipped.size()) + " of " + std::to_string(skipped.size() + kept) +
+                                  " frames skipped: their poses are not finite (" + join(shown) + ")");
+}
+
+bool check_camera(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
+  const int before = diagnostics.error_count();
+  if (camera.width_px <= 0 || camera.height_px <= 0) {
+    diagnostics.error(place, "image size is " + std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px), "state the size in pixels");
+    return false;
+  }
+  const double all[] = {camera.fx, camera.fy, camera.cx, camera.cy, camera.k1, camera.k2, camera.k3, camera.k4, camera.p1, camera.p2};
+  if (!std::all_of(std::begin(all), std::end(all), [](double v) { return std::isfinite(v); })) {
+    diagnostics.error(place, "camera has an intrinsic that is not finite", "calibrate again");
+    return false;
+  }
+  if (!(camera.fx > 0) || !(camera.fy > 0)) {
+    diagnostics.error(place, "focal length is " + number(camera.fx) + " x " + number(camera.fy) + " pixels; it must be positive",
+                      "check the intrinsics and the axes convention");
+  }
+  const auto outside = [](double c, int size) { return c < -size || c > 2.0 * size; };
+  if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
+    diagnostics.error(place,
+                      "principal point (" + number(camera.cx) + ", " + number(camera.cy) + ") lies far outside the image of " +
+                          std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) + " pixels",
+                      "check that the intrinsics belong to images of this size");
+  }
+  if (diagnostics.error_count() == before && camera.has_distortion()) {
+    int lost = 0;
+    for (int i = 0; i <= 2; ++i) {
+      for (int j = 0; j <= 2; ++j) lost += camera.direction(camera.width_px * i / 2.0, camera.height_px * j / 2.0) == Vec3d{0, 0, 0} ? 1 : 0;
+    }
+    if (lost == 9) {
+      diagnostics.error(place, "lens distortion has no inverse anywhere in the image", "calibrate again");
+    } else if (lost > 0) {
+      diagnostics.warning(place, "lens distortion has no inverse at " + std::to_string(lost) + " of 9 points of the image; such pixels are masked",
+                          "calibrate with points up to the image corners");
+    }
+  }
+  return diagnostics.error_count() == before;
+}
+
+}  // namespace semfield
