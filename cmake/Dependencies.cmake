@@ -8,7 +8,17 @@ find_package(nlohmann_json REQUIRED)
 find_package(CLI11 REQUIRED)
 find_package(ZLIB REQUIRED)
 if(SEMFIELD_WITH_IMAGES)
-  find_package(OpenImageIO REQUIRED)
+  # Debian's package configuration of OpenImageIO names command line tools of another package and stops without them, so
+  # header and library are looked for directly.
+  find_path(SEMFIELD_OPENIMAGEIO_INCLUDE OpenImageIO/imageio.h REQUIRED)
+  find_library(SEMFIELD_OPENIMAGEIO_LIBRARY OpenImageIO REQUIRED)
+  find_library(SEMFIELD_OPENIMAGEIO_UTIL_LIBRARY OpenImageIO_Util REQUIRED)
+  if(NOT TARGET OpenImageIO::OpenImageIO)
+    add_library(OpenImageIO::OpenImageIO UNKNOWN IMPORTED)
+    set_target_properties(OpenImageIO::OpenImageIO PROPERTIES IMPORTED_LOCATION ${SEMFIELD_OPENIMAGEIO_LIBRARY}
+                          INTERFACE_INCLUDE_DIRECTORIES ${SEMFIELD_OPENIMAGEIO_INCLUDE}
+                          INTERFACE_LINK_LIBRARIES ${SEMFIELD_OPENIMAGEIO_UTIL_LIBRARY})
+  endif()
 endif()
 if(SEMFIELD_WITH_RAYCAST)
   find_package(embree 3 REQUIRED)
