@@ -1,0 +1,47 @@
+// Packed scenes.
+#include "datasets/packed/packed.h"
+
+#include <filesystem>
+
+#include "core/check.h"
+#include "plugin/module.h"
+#include "scene/scene_checks.h"
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, PackedParams& p) { SEMFIELD_PARAM(visit, p, file, "the packed scene, as `semfield pack` wrote it"); }
+
+void validate(const PackedParams& p, Diagnostics& diagnostics) {
+  if (p.file.empty()) diagnostics.error("file", "the packed scene is not given", "set scene.file");
+}
+
+Packed::Packed(const PackedParams& params, const DatasetBuild& build) : path_((std::filesystem::path(build.config_dir) / params.file).string()) {}
+
+SceneInfo Packed::open(Diagnostics& diagnostics) {
+  scene_.reset();
+  scene_.emplace(path_);
+  SceneInfo info = scene_->info();
+  // A checksum proves that the bytes arrived, not that a writer was sane: poses and cameras are checked as everywhere.
+  for (FrameInfo& frame : info.frames) {
+    check_camera(frame.camera, frame_place(frame), diagnostics);
+    if (check_pose(frame.world_from_camera, frame_place(frame), diagnostics) == PoseState::not_finite) {
+      diagnostics.error(frame_place(frame), "pose is not finite", "pack the scene again");
+    }
+  }
+  return info;
+}
+
+void Packed::read(int frame, FrameBuffer& out) const {
+  SEMFIELD_CHECK(scene_.has_value(), "open() comes before read()");
+  scene_->read(frame, out);
+}
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_dataset<Packed, PackedParams>("packed", "One-file scenes written by `semfield pack`; need no image library.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(packed, "1.0", register_into)
+
+}  // namespace semfield

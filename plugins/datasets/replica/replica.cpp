@@ -1,0 +1,209 @@
+// Pre-rendered Replica sequences.
+#include "datasets/replica/replica.h"
+
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <numeric>
+
+#include "core/files.h"
+#include "plugin/module.h"
+#include "scene/image_io.h"
+#include "scene/scene_checks.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+void describe(ParamVisitor& visit, ReplicaParams& p) {
+  SEMFIELD_PARAM(visit, p, root, "folder of the scene: it holds traj_w_c.txt, or Sequence_1 and so on");
+  SEMFIELD_PARAM(visit, p, sequence, "folder of the sequence inside root; empty = root itself, else Sequence_1");
+  SEMFIELD_PARAM(visit, p, hfov_deg, "horizontal field of view of the renders, degrees", {1, 179});
+  SEMFIELD_PARAM(visit, p, label_dir, "folder of the label images semantic_class_<i>.png; empty = no labels");
+  SEMFIELD_PARAM(visit, p, test_label_dir, "label folder of the test frames; empty = label_dir");
+  SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found beside the sequence");
+  SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
+  SEMFIELD_PARAM(visit, p, train_step, "every how many-th frame trains", {1, 1e6});
+  SEMFIELD_PARAM(visit, p, train_offset, "number of the first training frame", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, test_step, "every how many-th frame is held out for tests; 0 = none", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, test_offset, "number of the first test frame", {0, 1e6});
+}
+
+void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
+  if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  // Two arithmetic sequences meet when their offsets agree modulo the greatest common divisor of their steps.
+  if (p.test_step > 0 && (p.train_offset - p.test_offset) % std::gcd(p.train_step, p.test_step) == 0) {
+    diagnostics.error("test_offset",
+                      "test frames " + std::to_string(p.test_offset) + " + n * " + std::to_string(p.test_step) + " meet training frames " +
+                          std::to_string(p.train_offset) + " + n * " + std::to_string(p.train_step),
+                      "choose offsets that never meet, or test_step: 0");
+  }
+}
+
+Replica::Replica(const ReplicaParams& params, const DatasetBuild& build) : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
+  if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
+}
+
+std::string Replica::sequence_folder() const {
+  if (!fs::is_directory(root_)) throw Error(ErrorKind::no_input, "folder '" + root_ + "' is missing", "check scene.root");
+  if (!params_.sequence.empty()) {
+    const fs::path folder = fs::path(root_) / params_.sequence;
+    if (!fs::is_directory(folder)) throw Error(ErrorKind::no_input, "folder '" + folder.string() + "' is missing", "check scene.sequence");
+    return folder.string();
+  }
+  if (fs::exists(fs::path(root_) / "traj_w_c.txt")) return root_;
+  const fs::path first = fs::path(root_) / "Sequence_1";
+  if (fs::exists(first / "traj_w_c.txt")) return first.string();
+  throw Error(ErrorKind::no_input, "no traj_w_c.txt in '" + root_ + "' or its Sequence_1", "check scene.root; it names the folder of one scene");
+}
+
+std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diagnostics& diagnostics, std::size_t& rows) const {
+  const std::string text = read_text_file(path);
+  std::vector<Row> out;
+  std::vector<std::string> skipped;
+  std::size_t at = 0;
+  rows = 0;
+  for (int line = 1; at < text.size(); ++line) {
+    const std::size_t end = std::min(text.find('\n', at), text.size());
+    const std::string row = text.substr(at, end - at);
+    at = end + 1;
+    std::vector<double> numbers;
+    const char* p = row.c_str();
+    while (true) {
+      char* next = nullptr;
+      const double value = std::strtod(p, &next);
+      if (next == p) break;
+      numbers.push_back(value);
+      p = next;
+    }
+    while (*p == ' ' || *p == '\t' || *p == '\r') ++p;
+    if (numbers.empty() && *p == '\0') continue;
+    const std::string place = path + ":" + std::to_string(line);
+    Row found{static_cast<int>(rows++), {}};
+    if (numbers.size() != 16 || *p != '\0') {
+      diagnostics.error(place, "expected 16 numbers, got " + std::to_string(numbers.size()) + (*p != '\0' ? " and the text '" + std::string(p) + "'" : ""),
+                        "write one camera-to-world matrix a line, row by row");
+      continue;
+    }
+    if (split_of(found.number) == Split::unused) continue;
+    found.pose = pose_from_rows(numbers);
+    const PoseState state = check_pose(found.pose, place, diagnostics);
+    if (state == PoseState::not_finite) skipped.push_back(std::to_string(found.number));
+    if (state == PoseState::good) out.push_back(found);
+  }
+  if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, out.size(), path, diagnostics);
+  return out;
+}
+
+Split Replica::split_of(int number) const {
+  if (number >= params_.train_offset && (number - params_.train_offset) % params_.train_step == 0) return Split::train;
+  if (params_.test_step > 0 && number >= params_.test_offset && (number - params_.test_offset) % params_.test_step == 0) return Split::test;
+  return Split::unused;
+}
+
+FrameFiles Replica::files_of(const std::string& folder, int number, Split split) const {
+  const std::string n = std::to_string(number) + ".png";
+  const auto in_folder = [&](const std::string& directory, const char* prefix) {
+    const fs::path where = fs::path(folder) / directory;
+    return directory.empty() || !fs::is_directory(where) ? std::string() : (where / (prefix + n)).string();
+  };
+  const std::string& labels = split == Split::test && !params_.test_label_dir.empty() ? params_.test_label_dir : params_.label_dir;
+  FrameFiles files;
+  files.color = (fs::path(folder) / "rgb" / ("rgb_" + n)).string();
+  files.depth = in_folder("depth", "depth_");
+  files.label = in_folder(labels, "semantic_class_");
+  files.instance = in_folder("semantic_instance", "semantic_instance_");
+  return files;
+}
+
+void Replica::load_classes(const std::string& folder, bool has_labels, Diagnostics& diagnostics) {
+  std::string path = class_file_;
+  if (path.empty()) path = find_class_file({folder, root_, (fs::path(root_) / "habitat").string()});
+  if (path.empty()) {
+    if (has_labels) {
+      diagnostics.error(root_, "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
+                        "write classes.yaml with one {id, name} a class, or set scene.classes");
+    }
+    return;
+  }
+  try {
+    info_.classes = ClassTable::load(path);
+  } catch (const Error& e) {
+    diagnostics.error("", e.message(), e.remedy());
+  }
+}
+
+SceneInfo Replica::open(Diagnostics& diagnostics) {
+  const std::string folder = sequence_folder();
+  info_ = {};
+  files_.clear();
+  info_.name = fs::weakly_canonical(root_).filename().string();
+  info_.near_hint_m = 0.1;  // the rooms' range [Zhi21, section 4.1]
+  info_.far_hint_m = 10;
+  for (const std::string& labels : {params_.label_dir, params_.test_label_dir}) {
+    // The default folder may be absent (a scene without labels); one that was asked for may not.
+    const bool asked = !labels.empty() && labels != ReplicaParams{}.label_dir;
+    if (asked && !fs::is_directory(fs::path(folder) / labels)) {
+      diagnostics.error((fs::path(folder) / labels).string(), "label folder is missing", "check scene.label_dir and scene.test_label_dir");
+    }
+  }
+  std::size_t rows = 0;
+  const std::vector<Row> trajectory = read_trajectory((fs::path(folder) / "traj_w_c.txt").string(), diagnostics, rows);
+
+  // One camera for all frames, from the first image that can be read; check_frame_files finds those of another size.
+  Camera camera;
+  for (const Row& row : trajectory) {
+    try {
+      const ImageSize size = image_size(files_of(folder, row.number, Split::train).color);
+      camera.width_px = size.width_px;
+      camera.height_px = size.height_px;
+      break;
+    } catch (const Error&) {
+      continue;
+    }
+  }
+  // hfov: tan(hfov / 2) = (W / 2) / fx. The renders put cx = (W - 1) / 2 with integer pixel centres: W / 2 here.
+  camera.fx = camera.fy = 0.5 * camera.width_px / std::tan(params_.hfov_deg * (M_PI / 360));
+  camera.cx = 0.5 * camera.width_px;
+  camera.cy = 0.5 * camera.height_px;
+
+  bool has_labels = false;
+  for (const Row& row : trajectory) {
+    FrameInfo frame;
+    frame.split = split_of(row.number);
+    const FrameFiles files = files_of(folder, row.number, frame.split);
+    frame.name = "rgb_" + std::to_string(row.number);
+    frame.source = files.color;
+    frame.camera = camera;
+    frame.world_from_camera = row.pose;
+    frame.has_depth = !files.depth.empty();
+    frame.has_labels = !files.label.empty();
+    frame.has_instances = !files.instance.empty();
+    has_labels = has_labels || frame.has_labels;
+    check_frame_files(frame, files, diagnostics);
+    info_.frames.push_back(frame);
+    files_.push_back(files);
+  }
+  if (rows > trajectory.size() && !trajectory.empty()) {
+    diagnostics.note(root_, std::to_string(rows - trajectory.size()) + " of " + std::to_string(rows) + " frames are in neither split");
+  }
+  load_classes(folder, has_labels, diagnostics);
+  return info_;
+}
+
+void Replica::read(int frame, FrameBuffer& out) const {
+  const auto i = static_cast<std::size_t>(frame);
+  FrameReadRules rules;
+  rules.unknown_labels_void = params_.unknown_labels == ReplicaUnknownLabels::as_void;
+  read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
+}
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_dataset<Replica, ReplicaParams>("replica", "Pre-rendered Replica sequences: poses, colour, depth, class and instance images.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(replica, "1.0", register_into)
+
+}  // namespace semfield

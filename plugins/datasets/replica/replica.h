@@ -1,0 +1,62 @@
+// Pre-rendered Replica sequences: traj_w_c.txt, rgb/, depth/, semantic_class/, semantic_instance/.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "config/params.h"
+#include "plugin/dataset.h"
+#include "scene/frame_files.h"
+
+namespace semfield {
+
+enum class ReplicaUnknownLabels { error, as_void };
+template <>
+struct ChoiceNames<ReplicaUnknownLabels> {
+  static constexpr std::array<std::string_view, 2> names{"error", "void"};
+};
+
+struct ReplicaParams {
+  std::string root;
+  std::string sequence;
+  double hfov_deg = 90;
+  std::string label_dir = "semantic_class";
+  std::string test_label_dir;
+  std::string classes;
+  ReplicaUnknownLabels unknown_labels = ReplicaUnknownLabels::error;
+  std::int32_t train_step = 5;
+  std::int32_t train_offset = 0;
+  std::int32_t test_step = 5;
+  std::int32_t test_offset = 2;
+};
+void describe(ParamVisitor& visit, ReplicaParams& params);
+void validate(const ReplicaParams& params, Diagnostics& diagnostics);
+
+class Replica final : public Dataset {
+ public:
+  Replica(const ReplicaParams& params, const DatasetBuild& build);
+  SceneInfo open(Diagnostics& diagnostics) override;
+  void read(int frame, FrameBuffer& out) const override;
+
+ private:
+  struct Row {
+    int number = 0;  ///< <i> of rgb_<i>.png
+    Pose pose;
+  };
+  std::string sequence_folder() const;
+  std::vector<Row> read_trajectory(const std::string& path, Diagnostics& diagnostics, std::size_t& rows) const;
+  Split split_of(int number) const;
+  FrameFiles files_of(const std::string& folder, int number, Split split) const;
+  void load_classes(const std::string& folder, bool has_labels, Diagnostics& diagnostics);
+
+  ReplicaParams params_;
+  std::string root_;
+  std::string class_file_;
+  SceneInfo info_;
+  std::vector<FrameFiles> files_;
+};
+
+}  // namespace semfield

@@ -1,0 +1,208 @@
+// Reading transforms.json.
+#include "datasets/transforms_json/transforms_index.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "core/files.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+namespace {
+
+// Blender leaves the extension out.
+std::string with_extension(const fs::path& path) {
+  std::error_code ignored;
+  if (fs::exists(path, ignored)) return path.string();
+  for (const char* extension : {".png", ".jpg", ".jpeg", ".JPG", ".PNG", ".exr", ".webp", ".tif"}) {
+    const fs::path longer = path.string() + extension;
+    if (fs::exists(longer, ignored)) return longer.string();
+  }
+  return path.string();
+}
+
+class FileReader {
+ public:
+  FileReader(std::string path, std::optional<Split> split, TransformsIndex& out, Diagnostics& diagnostics)
+      : path_(std::move(path)), folder_(fs::path(path_).parent_path()), split_(split), out_(out), diagnostics_(diagnostics) {}
+
+  void read() {
+    json root;
+    try {
+      root = json::parse(read_text_file(path_));
+    } catch (const json::exception& e) {
+      throw Error(ErrorKind::data, "'" + path_ + "' is not valid JSON: " + e.what(), "export the poses again");
+    }
+    if (!root.is_object() || !root.contains("frames") || !root["frames"].is_array()) {
+      throw Error(ErrorKind::data, "'" + path_ + "' has no list 'frames'", "give a transforms.json of nerfstudio, instant-ngp or Blender");
+    }
+    if (!check_model(root, path_)) return;
+    const TransformsLens lens = read_lens(root, {}, path_);
+    if (const auto unit = number(root, "depth_unit_m", path_)) out_.depth_unit_m = *unit;
+    if (!(out_.depth_unit_m >= 0)) diagnostics_.error(path_, "depth_unit_m must be positive", "write the metres of one step, such as 0.001");
+    read_classes(root);
+    const auto listed = [&](const char* key) {
+      std::vector<std::string> names;
+      if (root.contains(key) && root[key].is_array()) {
+        for (const json& name : root[key]) {
+          if (name.is_string()) names.push_back(name.get<std::string>());
+        }
+      }
+      return names;
+    };
+    const std::vector<std::string> train = listed("train_filenames"), test = listed("test_filenames"), val = listed("val_filenames");
+    std::size_t number_of_frame = 0;
+    for (const json& item : root["frames"]) {
+      TransformsFrame frame = read_frame(item, number_of_frame++, lens);
+      const auto in = [&](const std::vector<std::string>& names) { return std::find(names.begin(), names.end(), frame.file_path) != names.end(); };
+      frame.split = split_;
+      if (!train.empty()) frame.split = in(train) ? Split::train : in(test) || (test.empty() && in(val)) ? Split::test : Split::unused;
+      out_.frames.push_back(std::move(frame));
+    }
+  }
+
+ private:
+  std::optional<double> number(const json& node, const char* key, const std::string& place) {
+    if (!node.contains(key) || node[key].is_null()) return std::nullopt;
+    if (!node[key].is_number()) {
+      diagnostics_.error(place, std::string("'") + key + "' is not a number", "write a number");
+      return std::nullopt;
+    }
+    return node[key].get<double>();
+  }
+
+  bool check_model(const json& node, const std::string& place) {
+    std::string model;
+    if (node.contains("camera_model") && node["camera_model"].is_string()) model = node["camera_model"].get<std::string>();
+    if (node.contains("is_fisheye") && node["is_fisheye"].is_boolean() && node["is_fisheye"].get<bool>()) model = "OPENCV_FISHEYE";
+    static const std::vector<std::string> known{"", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"};
+    if (std::find(known.begin(), known.end(), model) != known.end()) return true;
+    diagnostics_.error(place, "camera model '" + model + "' is not supported (only perspective lenses: OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL)",
+                       "undistort the images to a pinhole camera, for example with colmap image_undistorter");
+    return false;
+  }
+
+  TransformsLens read_lens(const json& node, const TransformsLens& base, const std::string& place) {
+    TransformsLens lens = base;
+    const std::pair<const char*, double*> fields[] = {
+        {"w", &lens.w},   {"h", &lens.h},   {"fl_x", &lens.fl_x}, {"fl_y", &lens.fl_y}, {"camera_angle_x", &lens.camera_angle_x}, {"camera_angle_y", &lens.camera_angle_y},
+        {"k1", &lens.k1}, {"k2", &lens.k2}, {"k3", &lens.k3},     {"k4", &lens.k4},     {"p1", &lens.p1},                         {"p2", &lens.p2}};
+    for (const auto& [key, field] : fields) {
+      if (const auto value = number(node, key, place)) *field = *value;
+    }
+    if (const auto value = number(node, "cx", place)) lens.cx = value;
+    if (const auto value = number(node, "cy", place)) lens.cy = value;
+    return lens;
+  }
+
+  void read_classes(const json& root) {
+    if (!root.contains("classes")) return;
+    const json& classes = root["classes"];
+    if (classes.is_string()) {
+      out_.classes = (folder_ / classes.get<std::string>()).string();
+      return;
+    }
+    const bool valid = classes.is_array() && std::all_of(classes.begin(), classes.end(), [](const json& c) {
+                         return c.is_object() && c.contains("id") && c["id"].is_number_integer() && c.contains("name") && c["name"].is_string() &&
+                                (!c.contains("ignore") || c["ignore"].is_boolean());
+                       });
+    if (!valid) {
+      diagnostics_.error(path_, "'classes' is neither a path nor a list of {id, name, ignore}", "write \"classes\": \"classes.yaml\"");
+      return;
+    }
+    for (const json& c : classes) {
+      const auto id = c["id"].get<std::int64_t>();
+      ClassEntry entry;
+      entry.id = id < -1 || id > 70000 ? -1 : static_cast<std::int32_t>(id);  // out of range stays out of range: the table refuses it
+      entry.name = c["name"].get<std::string>();
+      entry.ignore = c.value("ignore", false);
+      entry.color = ClassTable::default_color(std::max(entry.id, 0));
+      out_.class_list.push_back(std::move(entry));
+    }
+  }
+
+  TransformsFrame read_frame(const json& item, std::size_t index, const TransformsLens& lens) {
+    TransformsFrame frame;
+    frame.place = path_ + ": frame " + std::to_string(index);
+    if (!item.is_object()) {
+      diagnostics_.error(frame.place, "is not a map", "write {\"file_path\": ..., \"transform_matrix\": ...}");
+      return frame;
+    }
+    const auto path_of = [&](const char* key) { return item.contains(key) && item[key].is_string() ? item[key].get<std::string>() : std::string(); };
+    frame.file_path = path_of("file_path");
+    if (frame.file_path.empty()) {
+      diagnostics_.error(frame.place, "has no 'file_path'", "name the image of the frame");
+      return frame;
+    }
+    frame.place += " (" + frame.file_path + ")";
+    if (!check_model(item, frame.place)) return frame;
+    frame.lens = read_lens(item, lens, frame.place);
+    frame.files.color = with_extension(folder_ / frame.file_path);
+    std::string depth = path_of("depth_path");
+    if (depth.empty()) depth = path_of("depth_file_path");  // nerfstudio's name for it
+    if (!depth.empty()) frame.files.depth = with_extension(folder_ / depth);
+    if (const std::string label = path_of("label_path"); !label.empty()) frame.files.label = with_extension(folder_ / label);
+    if (const std::string instance = path_of("instance_path"); !instance.empty()) frame.files.instance = with_extension(folder_ / instance);
+    read_matrix(item, frame);
+    return frame;
+  }
+
+  void read_matrix(const json& item, TransformsFrame& frame) {
+    const json* rows = item.contains("transform_matrix") ? &item["transform_matrix"] : nullptr;
+    bool valid = rows != nullptr && rows->is_array() && (rows->size() == 4 || rows->size() == 3);
+    for (std::size_t r = 0; valid && r < rows->size(); ++r) {
+      valid = (*rows)[r].is_array() && (*rows)[r].size() == 4;
+      for (std::size_t c = 0; valid && c < 4; ++c) {
+        const json& v = (*rows)[r][c];
+        // Exporters write a lost pose as null; it is skipped and counted like NaN.
+        if (v.is_null()) frame.matrix.push_back(std::nan(""));
+        else if (v.is_number()) frame.matrix.push_back(v.get<double>());
+        else valid = false;
+      }
+    }
+    if (valid) return;
+    frame.matrix.clear();
+    diagnostics_.error(frame.place, "'transform_matrix' is not 4 rows of 4 numbers", "write the camera-to-world matrix row by row");
+  }
+
+  std::string path_;
+  fs::path folder_;
+  std::optional<Split> split_;
+  TransformsIndex& out_;
+  Diagnostics& diagnostics_;
+};
+
+}  // namespace
+
+TransformsIndex read_transforms(const std::string& root, Diagnostics& diagnostics) {
+  TransformsIndex out;
+  std::error_code ignored;
+  if (fs::is_regular_file(root, ignored)) {
+    FileReader(root, std::nullopt, out, diagnostics).read();
+    return out;
+  }
+  if (!fs::is_directory(root, ignored)) throw Error(ErrorKind::no_input, "folder '" + root + "' is missing", "check scene.root");
+  const fs::path folder(root);
+  if (fs::exists(folder / "transforms.json", ignored)) {
+    FileReader((folder / "transforms.json").string(), std::nullopt, out, diagnostics).read();
+    return out;
+  }
+  const std::pair<const char*, Split> parts[] = {{"transforms_train.json", Split::train}, {"transforms_test.json", Split::test}, {"transforms_val.json", Split::unused}};
+  bool any = false;
+  for (const auto& [name, split] : parts) {
+    if (!fs::exists(folder / name, ignored)) continue;
+    any = true;
+    FileReader((folder / name).string(), split, out, diagnostics).read();
+  }
+  if (!any) {
+    throw Error(ErrorKind::no_input, "no transforms.json or transforms_train.json in '" + root + "'", "check scene.root; it names the folder of one scene");
+  }
+  return out;
+}
+
+}  // namespace semfield

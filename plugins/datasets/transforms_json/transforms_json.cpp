@@ -1,0 +1,180 @@
+// transforms.json scenes.
+#include "datasets/transforms_json/transforms_json.h"
+
+#include <cmath>
+#include <filesystem>
+#include <set>
+
+#include "plugin/module.h"
+#include "scene/image_io.h"
+#include "scene/scene_checks.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+void describe(ParamVisitor& visit, TransformsJsonParams& p) {
+  SEMFIELD_PARAM(visit, p, root, "folder with transforms.json (or Blender's transforms_train.json and transforms_test.json), or the file itself");
+  SEMFIELD_PARAM(visit, p, test_every, "every how many-th frame, by name, is held out for tests where the file names no split; 0 = none", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the file's own, or the one beside it");
+  SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
+  SEMFIELD_PARAM(visit, p, depth_unit_m, "metres of one step of a depth image; 0 = as the file tells, else 0.001", {0, 1000});
+  SEMFIELD_PARAM(visit, p, alpha_background, "grey that shows through transparent pixels, 0 to 255; -1 = drop alpha", {-1, 255});
+  SEMFIELD_PARAM(visit, p, metric, "poses are in metres (they are taken to be when the scene has depth)");
+}
+
+void validate(const TransformsJsonParams& p, Diagnostics& diagnostics) {
+  if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  if (p.test_every == 1) diagnostics.error("test_every", "1 leaves no frame to train on", "take 2 or more, or 0 for no test frames");
+}
+
+TransformsJson::TransformsJson(const TransformsJsonParams& params, const DatasetBuild& build)
+    : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
+  if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
+}
+
+namespace {
+
+// Pixel centres at +0.5 already; fx from fl_x or fx = (w / 2) / tan(angle / 2).
+Camera camera_of(const TransformsLens& lens, std::int32_t width, std::int32_t height) {
+  const auto from_angle = [](double size, double angle) { return angle > 0 && angle < M_PI ? 0.5 * size / std::tan(0.5 * angle) : 0.0; };
+  Camera c;
+  c.width_px = width;
+  c.height_px = height;
+  c.fx = lens.fl_x != 0 ? lens.fl_x : from_angle(width, lens.camera_angle_x);
+  c.fy = lens.fl_y != 0 ? lens.fl_y : lens.camera_angle_y != 0 && lens.fl_x == 0 ? from_angle(height, lens.camera_angle_y) : c.fx;
+  c.cx = lens.cx.value_or(0.5 * width);
+  c.cy = lens.cy.value_or(0.5 * height);
+  c.k1 = lens.k1;
+  c.k2 = lens.k2;
+  c.k3 = lens.k3;
+  c.k4 = lens.k4;
+  c.p1 = lens.p1;
+  c.p2 = lens.p2;
+  return c;
+}
+
+bool whole_size(double value) { return value >= 1 && value <= 16384 && value == std::floor(value); }
+
+// The camera of one frame; the image's header tells the size where the file does not. False when reported.
+bool frame_camera(const TransformsFrame& in, const std::string& place, Camera& out, Diagnostics& diagnostics) {
+  ImageSize size;
+  if (in.lens.w != 0 || in.lens.h != 0) {
+    if (!whole_size(in.lens.w) || !whole_size(in.lens.h)) {
+      diagnostics.error(place, "image size 'w' x 'h' is not a pair of whole numbers of pixels", "write the size of the image, or leave both out");
+      return false;
+    }
+    size = {static_cast<std::int32_t>(in.lens.w), static_cast<std::int32_t>(in.lens.h), 3, 8};
+  } else {
+    try {
+      size = image_size(in.files.color);
+    } catch (const Error& e) {
+      diagnostics.error(place, "colour image " + e.message(), e.remedy());
+      return false;
+    }
+  }
+  out = camera_of(in.lens, size.width_px, size.height_px);
+  return check_camera(out, place, diagnostics);
+}
+
+// Names are stems; where two folders hold the same stem, the folder is added.
+std::string unique_name(const std::string& file_path, std::set<std::string>& taken) {
+  const fs::path path(file_path);
+  std::string name = path.stem().string();
+  if (taken.count(name) > 0) {
+    name = (path.parent_path().filename() / path.stem()).string();
+    for (char& c : name) c = c == '/' ? '_' : c;
+  }
+  const std::string base = name;
+  for (int i = 2; taken.count(name) > 0; ++i) name = base + "_" + std::to_string(i);
+  taken.insert(name);
+  return name;
+}
+
+}  // namespace
+
+SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
+  info_ = {};
+  files_.clear();
+  const TransformsIndex index = read_transforms(root_, diagnostics);
+  const fs::path canonical = fs::weakly_canonical(root_);
+  info_.name = (fs::is_regular_file(canonical) ? canonical.parent_path() : canonical).filename().string();
+  depth_unit_m_ = params_.depth_unit_m > 0 ? params_.depth_unit_m : index.depth_unit_m > 0 ? index.depth_unit_m : 0.001;
+
+  std::vector<std::string> skipped;
+  std::set<std::string> taken, seen;
+  bool has_labels = false, has_depth = false;
+  std::vector<const TransformsFrame*> kept;
+  for (const TransformsFrame& in : index.frames) {
+    if (in.matrix.empty() || in.split == Split::unused) continue;
+    if (!seen.insert(in.files.color).second) {
+      diagnostics.error(in.place, "image is listed twice", "keep one of the two frames");
+      continue;
+    }
+    kept.push_back(&in);
+  }
+  // Every n-th of the sorted names, so that the order of the export does not matter.
+  std::vector<std::string> order;
+  for (const TransformsFrame* in : kept) order.push_back(in->file_path);
+  std::sort(order.begin(), order.end());
+  for (const TransformsFrame* in : kept) {
+    FrameInfo frame;
+    frame.name = unique_name(in->file_path, taken);
+    frame.source = in->files.color;
+    frame.world_from_camera = opencv_from_opengl(pose_from_rows(in->matrix));
+    const PoseState state = check_pose(frame.world_from_camera, frame_place(frame), diagnostics);
+    if (state == PoseState::not_finite) skipped.push_back(frame.name);
+    if (state != PoseState::good || !frame_camera(*in, frame_place(frame), frame.camera, diagnostics)) continue;
+    const auto rank = std::lower_bound(order.begin(), order.end(), in->file_path) - order.begin();
+    const bool held_out = params_.test_every > 0 && rank % params_.test_every == 0 && order.size() > 1;
+    frame.split = in->split.value_or(held_out ? Split::test : Split::train);
+    frame.has_depth = !in->files.depth.empty();
+    frame.has_labels = !in->files.label.empty();
+    frame.has_instances = !in->files.instance.empty();
+    has_labels = has_labels || frame.has_labels;
+    has_depth = has_depth || frame.has_depth;
+    check_frame_files(frame, in->files, diagnostics);
+    info_.frames.push_back(frame);
+    files_.push_back(in->files);
+  }
+  if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), root_, diagnostics);
+  info_.metric = params_.metric || has_depth;
+  load_classes(index, has_labels, diagnostics);
+  return info_;
+}
+
+void TransformsJson::load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics) {
+  const std::string folder = fs::is_regular_file(root_) ? fs::path(root_).parent_path().string() : root_;
+  const std::string path = !class_file_.empty() ? class_file_ : !index.classes.empty() ? index.classes : index.class_list.empty() ? find_class_file({folder}) : "";
+  try {
+    if (!path.empty()) {
+      info_.classes = ClassTable::load(path);
+    } else if (!index.class_list.empty()) {
+      info_.classes = ClassTable(index.class_list);
+    } else if (has_labels) {
+      diagnostics.error(root_, "labels without a class table: no 'classes' in the file, no classes.yaml or classes.csv beside it",
+                        "write classes.yaml with one {id, name} a class, or set scene.classes");
+    }
+  } catch (const Error& e) {
+    diagnostics.error("", e.message(), e.remedy());
+  }
+}
+
+void TransformsJson::read(int frame, FrameBuffer& out) const {
+  const auto i = static_cast<std::size_t>(frame);
+  FrameReadRules rules;
+  rules.depth_unit_m = depth_unit_m_;
+  rules.alpha_background = params_.alpha_background;
+  rules.unknown_labels_void = params_.unknown_labels == TransformsUnknownLabels::as_void;
+  read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
+}
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_dataset<TransformsJson, TransformsJsonParams>("transforms_json", "Posed images with a transforms.json of nerfstudio, instant-ngp or Blender.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(transforms_json, "1.0", register_into)
+
+}  // namespace semfield

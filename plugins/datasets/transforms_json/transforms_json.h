@@ -1,0 +1,50 @@
+// transforms.json scenes of nerfstudio, instant-ngp and Blender.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "config/params.h"
+#include "plugin/dataset.h"
+#include "scene/frame_files.h"
+#include "datasets/transforms_json/transforms_index.h"
+
+namespace semfield {
+
+enum class TransformsUnknownLabels { error, as_void };
+template <>
+struct ChoiceNames<TransformsUnknownLabels> {
+  static constexpr std::array<std::string_view, 2> names{"error", "void"};
+};
+
+struct TransformsJsonParams {
+  std::string root;
+  std::int32_t test_every = 8;
+  std::string classes;
+  TransformsUnknownLabels unknown_labels = TransformsUnknownLabels::error;
+  double depth_unit_m = 0;
+  std::int32_t alpha_background = 255;
+  bool metric = false;
+};
+void describe(ParamVisitor& visit, TransformsJsonParams& params);
+void validate(const TransformsJsonParams& params, Diagnostics& diagnostics);
+
+class TransformsJson final : public Dataset {
+ public:
+  TransformsJson(const TransformsJsonParams& params, const DatasetBuild& build);
+  SceneInfo open(Diagnostics& diagnostics) override;
+  void read(int frame, FrameBuffer& out) const override;
+
+ private:
+  void load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics);
+  TransformsJsonParams params_;
+  std::string root_, class_file_;
+  SceneInfo info_;
+  std::vector<FrameFiles> files_;
+  double depth_unit_m_ = 0.001;
+};
+
+}  // namespace semfield
