@@ -42,8 +42,16 @@ void forward(std::int64_t rows, std::int64_t in, std::int64_t out) {
   Matrix y = Matrix::Zero(rows, out);
   const double flop = 2.0 * static_cast<double>(rows * in * out);
   const double ours = rate(flop, [&] {
-    semfield::gemm(semfield::Gemm<float>{.m = rows, .n = out, .k = in, .a = x.data(), .a_row = in, .b = w.data(),
-                                         .b_row = out, .c = y.data(), .c_row = out, .relu = true});
+    semfield::gemm(semfield::Gemm<float>{.m = rows,
+                                         .n = out,
+                                         .k = in,
+                                         .a = x.data(),
+                                         .a_row = in,
+                                         .b = w.data(),
+                                         .b_row = out,
+                                         .c = y.data(),
+                                         .c_row = out,
+                                         .relu = true});
   });
   const double theirs = rate(flop, [&] { y.noalias() = x * w; });
   report("forward x W, ReLU", rows, out, in, ours, theirs);
@@ -67,8 +75,15 @@ void weight_gradient(std::int64_t rows, std::int64_t in, std::int64_t out) {
 }  // namespace
 
 int main() {
-  for (const auto& [in, out] : {std::pair<int, int>{32, 64}, {64, 64}, {64, 16}, {64, 3}, {256, 1}, {63, 256}, {256, 256},
-                                {256, 128}, {128, 13}}) {
+  for (const auto& [in, out] : {std::pair<int, int>{32, 64},
+                                {64, 64},
+                                {64, 16},
+                                {64, 3},
+                                {256, 1},
+                                {63, 256},
+                                {256, 256},
+                                {256, 128},
+                                {128, 13}}) {
     forward(1024, in, out);
     weight_gradient(1024, in, out);
   }

@@ -24,8 +24,8 @@ void validate(const FrequencyParams& p, Diagnostics& diagnostics) {
 
 int effective_bands(double delta_x, Angular angular) {
   if (!(delta_x > 0) || !std::isfinite(delta_x)) {
-    throw Error(ErrorKind::config, "effective bands need a positive, finite coordinate error, got " +
-                                       std::to_string(delta_x),
+    throw Error(ErrorKind::config,
+                "effective bands need a positive, finite coordinate error, got " + std::to_string(delta_x),
                 "give the rounding or measurement error of the coordinates");
   }
   const double a = angular == Angular::pi ? 3.141592653589793 : 1.0;
@@ -37,9 +37,8 @@ Frequency<Real>::Frequency(const FrequencyParams& params, const EncoderBuild& bu
     : kernels_(&kernels.get<FrequencyKernels<Real>>(build.device, "encoder 'frequency'")),
       shape_{build.in_dims, params.frequencies, params.include_input, params.angular} {
   if (build.in_dims < 1 || build.in_dims > kFrequencyMaxDims) {
-    throw Error(ErrorKind::config,
-                "encoder 'frequency' takes 1 to " + std::to_string(kFrequencyMaxDims) + " coordinates, got " +
-                    std::to_string(build.in_dims));
+    throw Error(ErrorKind::config, "encoder 'frequency' takes 1 to " + std::to_string(kFrequencyMaxDims) +
+                                       " coordinates, got " + std::to_string(build.in_dims));
   }
 }
 

@@ -28,14 +28,14 @@ void validate(const FrequencyParams& params, Diagnostics& diagnostics);
 
 /// How many bands carry information when coordinates are known to within `delta_x` (in the encoder's own units): band k
 /// turns an error delta_x into a phase error a 2^k delta_x, and bands up to a phase error of 0.1 rad count:
-/// floor(log2(0.1 / (a delta_x))), a = 1 (radian) or pi; at least 0. About 19 for an fp32 coordinate near 1 with a = pi,
-/// 48 for float64. Bands above are noise. Throws Error(config) unless delta_x is positive and finite.
+/// floor(log2(0.1 / (a delta_x))), a = 1 (radian) or pi; at least 0. About 19 for an fp32 coordinate near 1 with a =
+/// pi, 48 for float64. Bands above are noise. Throws Error(config) unless delta_x is positive and finite.
 int effective_bands(double delta_x, Angular angular);
 
-/// Layout of a row of y, D = in_dims: [x (D) when include_input, then for k = 0 .. L-1: sin(a 2^k x) (D), cos(a 2^k x) (D)].
-/// a = 1 (radian, the paper's) or pi. x [M, D] float64; |x| at most 2^30, else (or NaN) Error(data) naming the row.
-/// Error of a value: 1.2e-7 in float for every band up to k = 39 and |x| up to 2^20; in double 2e-16 for phases 2^k |x| up
-/// to 2^30, growing to 1e-14 at 2^59 (the reciprocal of 2 pi is kept to 107 bits). [Mildenhall20 Eq. 4]
+/// Layout of a row of y, D = in_dims: [x (D) when include_input, then for k = 0 .. L-1: sin(a 2^k x) (D), cos(a 2^k x)
+/// (D)]. a = 1 (radian, the paper's) or pi. x [M, D] float64; |x| at most 2^30, else (or NaN) Error(data) naming the
+/// row. Error of a value: 1.2e-7 in float for every band up to k = 39 and |x| up to 2^20; in double 2e-16 for phases
+/// 2^k |x| up to 2^30, growing to 1e-14 at 2^59 (the reciprocal of 2 pi is kept to 107 bits). [Mildenhall20 Eq. 4]
 template <class Real>
 class Frequency final : public Encoder<Real> {
  public:

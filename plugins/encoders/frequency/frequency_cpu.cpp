@@ -10,7 +10,7 @@ namespace semfield {
 namespace {
 
 constexpr std::int32_t kBlockValues = 192;  // 64 rows of 3 coordinates: phases, sines and cosines stay in the L1 cache
-constexpr std::int32_t kLanes = 16;         // loops run over whole groups, so a row's bits never depend on its neighbours
+constexpr std::int32_t kLanes = 16;  // loops run over whole groups, so a row's bits never depend on its neighbours
 
 /// Phases of one block of rows, flattened row by row.
 struct Block {
@@ -23,7 +23,8 @@ struct Block {
 std::int64_t rows_per_block(const FrequencyShape& shape) { return kBlockValues / shape.dims; }
 
 /// Fills the block with the phases of rows [begin, begin + rows); false when a coordinate cannot be encoded.
-bool load_block(const FrequencyShape& shape, View<const double> x, std::int64_t begin, std::int64_t rows, Block& block) {
+bool load_block(const FrequencyShape& shape, View<const double> x, std::int64_t begin, std::int64_t rows,
+                Block& block) {
   alignas(64) double flat[kBlockValues];
   std::int32_t n = 0;
   for (std::int64_t r = 0; r < rows; ++r) {
@@ -98,7 +99,8 @@ std::int64_t forward(const FrequencyShape& shape, View<const double> x, View<Rea
   return -1;
 }
 
-/// dx = dy_x + sum_k a 2^k (dy_sin cos(a 2^k x) - dy_cos sin(a 2^k x)), a = 1 or pi; summed in double, lowest band first.
+/// dx = dy_x + sum_k a 2^k (dy_sin cos(a 2^k x) - dy_cos sin(a 2^k x)), a = 1 or pi; summed in double, lowest band
+/// first.
 template <class Real>
 void backward_block(const FrequencyShape& shape, View<const double> x, View<const Real> dy, View<Real> dx,
                     std::int64_t begin) {
@@ -124,8 +126,7 @@ void backward_block(const FrequencyShape& shape, View<const double> x, View<cons
       const Real* d_cosine = d_sine + dims;
       for (std::int32_t c = 0; c < dims; ++c) {
         const std::int64_t i = r * dims + c;
-        sum[i] += a * scale *
-                  (static_cast<double>(d_sine[c]) * cosine[i] - static_cast<double>(d_cosine[c]) * sine[i]);
+        sum[i] += a * scale * (static_cast<double>(d_sine[c]) * cosine[i] - static_cast<double>(d_cosine[c]) * sine[i]);
       }
     }
   }

@@ -66,8 +66,9 @@ SEMFIELD_HD inline double cosine_near_zero(double z) {
   return 1.0 + s * (-0.5 + s * p);
 }
 
-/// sin and cos of 2 pi 2^k phase, `scale` = 2^k. Scaling by a power of two and subtracting the nearest whole turn are both
-/// exact, so no band loses accuracy: 2 pi t = z + q pi/2 with whole q and |z| <= pi/4. Branch-free: loops over it vectorise.
+/// sin and cos of 2 pi 2^k phase, `scale` = 2^k. Scaling by a power of two and subtracting the nearest whole turn are
+/// both exact, so no band loses accuracy: 2 pi t = z + q pi/2 with whole q and |z| <= pi/4. Branch-free: loops over it
+/// vectorise.
 template <class Real>
 SEMFIELD_HD inline void sincos_of_turns(Turns phase, double scale, Real& sine, Real& cosine) {
   constexpr double half_pi = 1.5707963267948966;

@@ -117,8 +117,8 @@ TEST(Frequency, HighestBandHasAFiniteExactGradient) {  // C04
     dy[78] = 1;
     encoder.backward({}, {}, View<const double>(&x, 1, 1), View<const float>(dy.data(), 1, 80),
                      View<float>(dx.data(), 1, 1));
-    const double expected = static_cast<double>(std::ldexp(3.14159265358979323846L, 39) *
-                                                std::cos(angle(x, 39, Angular::pi)));
+    const double expected =
+        static_cast<double>(std::ldexp(3.14159265358979323846L, 39) * std::cos(angle(x, 39, Angular::pi)));
     EXPECT_TRUE(std::isfinite(dx[0]));
     // Relative to the band's largest slope: a zero of the cosine is a zero only to rounding.
     EXPECT_NEAR(dx[0], expected, 1e-6 * std::ldexp(3.14159265358979, 39)) << x;

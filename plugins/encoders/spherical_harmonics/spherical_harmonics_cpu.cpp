@@ -28,11 +28,16 @@ std::int64_t forward_rows(const HarmonicNorms<Real>& norms, View<const double> x
 template <class Real>
 std::int64_t forward(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const double> x, View<Real> y) {
   switch (degree) {
-    case 1: return forward_rows<Real, 1>(norms, x, y);
-    case 2: return forward_rows<Real, 2>(norms, x, y);
-    case 3: return forward_rows<Real, 3>(norms, x, y);
-    case 4: return forward_rows<Real, 4>(norms, x, y);
-    default: return forward_rows<Real, 5>(norms, x, y);
+    case 1:
+      return forward_rows<Real, 1>(norms, x, y);
+    case 2:
+      return forward_rows<Real, 2>(norms, x, y);
+    case 3:
+      return forward_rows<Real, 3>(norms, x, y);
+    case 4:
+      return forward_rows<Real, 4>(norms, x, y);
+    default:
+      return forward_rows<Real, 5>(norms, x, y);
   }
 }
 
@@ -53,8 +58,7 @@ void backward(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const 
     for (std::int64_t r = task * kRowsPerTask; r < end; ++r) {
       const double* d = call.x.row(r);
       HarmonicFactors<Real> f{};
-      harmonic_factors<Real>(call.degree, static_cast<Real>(d[0]), static_cast<Real>(d[1]), static_cast<Real>(d[2]),
-                             f);
+      harmonic_factors<Real>(call.degree, static_cast<Real>(d[0]), static_cast<Real>(d[1]), static_cast<Real>(d[2]), f);
       harmonics_gradient(call.norms, call.degree, f, call.dy.row(r), call.dx.row(r));
     }
   });

@@ -17,7 +17,8 @@ struct HarmonicNorms {
   Real n[kHarmonicMaxDegree * (kHarmonicMaxDegree + 1) / 2];
 };
 
-/// N_lm = sqrt((2 - [m = 0]) (2l + 1) / (4 pi) (l - m)! / (l + m)!), which makes the square of every function integrate to 1.
+/// N_lm = sqrt((2 - [m = 0]) (2l + 1) / (4 pi) (l - m)! / (l + m)!), which makes the square of every function integrate
+/// to 1.
 template <class Real>
 inline HarmonicNorms<Real> harmonic_norms() {
   constexpr double pi = 3.141592653589793;
@@ -34,7 +35,8 @@ inline HarmonicNorms<Real> harmonic_norms() {
 }
 
 /// The factors that every function is made of. On the unit sphere the associated Legendre function P_l^m(z) is
-/// (x^2 + y^2)^(m/2) Q_lm(z) with Q_lm = d^m P_l / dz^m, and (x^2 + y^2)^(m/2) e^(i m phi) = (x + i y)^m = A_m + i B_m; so
+/// (x^2 + y^2)^(m/2) Q_lm(z) with Q_lm = d^m P_l / dz^m, and (x^2 + y^2)^(m/2) e^(i m phi) = (x + i y)^m = A_m + i B_m;
+/// so
 ///   Y_lm = N_lm Q_lm(z) A_m(x, y),  Y_l,-m = N_lm Q_lm(z) B_m(x, y),  m >= 0,
 /// which is a polynomial: no angle and no pole. Differentiating Legendre's recurrence m times gives
 ///   (l - m) Q_lm = (2l - 1) z Q_l-1,m - (l + m - 1) Q_l-2,m,  Q_mm = (2m - 1)!!,  d Q_lm / dz = Q_l,m+1.

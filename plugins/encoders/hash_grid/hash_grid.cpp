@@ -1,0 +1,135 @@
+// Parameters, traits, tensors and registration of the hash grid.
+#include "encoders/hash_grid/hash_grid.h"
+
+#include <string>
+
+#include "core/check.h"
+#include "plugin/module.h"
+#include "plugin/registry.h"
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, HashGridParams& p) {
+  SEMFIELD_PARAM(visit, p, levels, "L, number of resolutions [Mueller22 Tab. 1]", {1, kHashGridMaxLevels});
+  SEMFIELD_PARAM(visit, p, features, "F, features of an entry: 1, 2, 4 or 8 [Mueller22 Tab. 1]",
+                 {1, kHashGridMaxFeatures});
+  SEMFIELD_PARAM(visit, p, log2_entries, "log2 of T, the most entries of a level [Mueller22 Tab. 1]", {1, 24});
+  SEMFIELD_PARAM(visit, p, base_resolution, "cells along an axis of the coarsest level [Mueller22 Tab. 1]",
+                 {1, 1048576});
+  SEMFIELD_PARAM(visit, p, finest_resolution,
+                 "cells along an axis of the finest level; growth between levels follows from it [Mueller22 Eq. 3]",
+                 {1, 1048576});
+  SEMFIELD_PARAM(visit, p, interpolation, "weights between vertices: linear, or smoothstep with continuous slopes");
+  SEMFIELD_PARAM(visit, p, init, "entries start uniform in [-init, init) [Mueller22 Sec. 4]", {0, 1});
+}
+
+void validate(const HashGridParams& p, Diagnostics& diagnostics) {
+  if (p.features != 1 && p.features != 2 && p.features != 4 && p.features != 8) {
+    diagnostics.error("features", "must be 1, 2, 4 or 8, got " + std::to_string(p.features), "2 suits most scenes");
+  }
+  if (p.finest_resolution < p.base_resolution) {
+    diagnostics.error(
+        "finest_resolution",
+        std::to_string(p.finest_resolution) + " is coarser than base_resolution " + std::to_string(p.base_resolution),
+        "give at least base_resolution");
+  }
+  if (p.levels == 1 && p.finest_resolution > p.base_resolution) {
+    diagnostics.error("levels",
+                      "1 level has one resolution, but base_resolution " + std::to_string(p.base_resolution) +
+                          " and finest_resolution " + std::to_string(p.finest_resolution) + " differ",
+                      "make them equal or use more levels");
+  }
+}
+
+HashGridShape hash_grid_shape(const HashGridParams& p) {
+  HashGridShape shape;
+  shape.levels = p.levels;
+  shape.features = p.features;
+  shape.interpolation = p.interpolation;
+  const std::int64_t most = std::int64_t{1} << p.log2_entries;
+  for (int l = 0; l < p.levels; ++l) {
+    HashGridLevel& level = shape.level[l];
+    level.resolution = level_resolution(p.base_resolution, p.finest_resolution, l, p.levels);
+    const std::uint64_t vertices = vertex_count(level.resolution);
+    level.dense = vertices <= static_cast<std::uint64_t>(most);
+    level.entries = level.dense ? static_cast<std::int64_t>(vertices) : most;
+  }
+  return shape;
+}
+
+template <class Real>
+HashGrid<Real>::HashGrid(const HashGridParams& params, const EncoderBuild& build, const KernelTables& kernels)
+    : kernels_(&kernels.get<HashGridKernels<Real>>(build.device, "encoder 'hash_grid'")), init_(params.init) {
+  if (build.in_dims != 3) {
+    throw Error(ErrorKind::config, "encoder 'hash_grid' takes 3 coordinates, got " + std::to_string(build.in_dims));
+  }
+  Diagnostics diagnostics;
+  validate(params, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "encoder 'hash_grid'");
+  SEMFIELD_CHECK(params.levels >= 1 && params.levels <= kHashGridMaxLevels && params.log2_entries >= 1 &&
+                     params.log2_entries <= 24 && params.base_resolution >= 1 && params.finest_resolution <= 1048576,
+                 "ranges are checked while reading");
+  shape_ = hash_grid_shape(params);
+}
+
+template <class Real>
+EncoderTraits HashGrid<Real>::traits() const noexcept {
+  return {3, shape_.levels * shape_.features, Domain::unit_cube};
+}
+
+template <class Real>
+void HashGrid<Real>::declare(ParamDeclarer& declarer) const {
+  for (int l = 0; l < shape_.levels; ++l) {
+    const std::string number = std::to_string(l);
+    declarer.tensor({(l < 10 ? "level_0" : "level_") + number, shape_.level[l].entries, shape_.features,
+                     Init::uniform(init_), TensorRole::sparse});
+  }
+}
+
+namespace {
+template <class Real>
+void check_tables(const HashGridShape& shape, std::span<const View<Real>> tables) {
+  SEMFIELD_CHECK(tables.size() == static_cast<std::size_t>(shape.levels), "one tensor a level");
+  for (std::size_t l = 0; l < tables.size(); ++l) {
+    SEMFIELD_CHECK(tables[l].rows == shape.level[l].entries && tables[l].cols == shape.features &&
+                       tables[l].contiguous() && !tables[l].empty(),
+                   "tensors come as declared, without gaps between rows");
+  }
+}
+}  // namespace
+
+template <class Real>
+void HashGrid<Real>::do_forward(const StepContext&, const Tensors<Real>& tensors, View<const double> x,
+                                View<Real> y) const {
+  check_tables(shape_, tensors.value);
+  const std::int64_t bad = kernels_->forward(shape_, tensors.value.data(), x, y);
+  if (bad >= 0) {
+    throw Error(ErrorKind::data, "encoder 'hash_grid': coordinates of row " + std::to_string(bad) + " are not finite",
+                "check the camera poses and the ray limits");
+  }
+}
+
+template <class Real>
+void HashGrid<Real>::do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x,
+                                 View<const Real> dy, View<Real> dx) const {
+  check_tables(shape_, tensors.grad);
+  kernels_->backward_tables(shape_, tensors.grad.data(), x, dy);
+  if (dx.empty()) return;
+  check_tables(shape_, tensors.value);
+  kernels_->backward_input(shape_, tensors.value.data(), x, dy, dx);
+}
+
+template class HashGrid<float>;
+template class HashGrid<double>;
+
+namespace {
+void register_into(Registry& registry) {
+  hash_grid_kernels(registry.kernels());
+  registry.add_encoder<HashGrid, HashGridParams>(
+      "hash_grid", "Learned features on nested grids, interpolated; fine grids share a table by hashing.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(hash_grid, "1.0", register_into)
+
+}  // namespace semfield

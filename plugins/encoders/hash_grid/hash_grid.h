@@ -1,0 +1,63 @@
+// Multiresolution hash grid: learned feature vectors on the vertices of nested grids.
+#pragma once
+
+#include <array>
+#include <string_view>
+
+#include "config/params.h"
+#include "core/error.h"
+#include "encoders/hash_grid/hash_grid_kernels.h"
+#include "plugin/encoder.h"
+#include "plugin/kernels.h"
+
+namespace semfield {
+
+struct HashGridParams {
+  int levels = 16;
+  int features = 2;
+  int log2_entries = 19;
+  int base_resolution = 16;
+  int finest_resolution = 2048;
+  Interpolation interpolation = Interpolation::linear;
+  double init = 1e-4;
+};
+
+template <>
+struct ChoiceNames<Interpolation> {
+  static constexpr std::array<std::string_view, 2> names{"linear", "smoothstep"};
+};
+
+void describe(ParamVisitor& visit, HashGridParams& params);
+void validate(const HashGridParams& params, Diagnostics& diagnostics);
+
+/// The grids that the parameters ask for, coarsest first.
+HashGridShape hash_grid_shape(const HashGridParams& params);
+
+/// y [M, levels * features], level by level: the feature vectors of the 8 vertices around x, interpolated. x [M, 3]
+/// float64 in the unit cube; outside it is clamped (and dx is 0 along that axis); not finite is Error(data) naming the
+/// row. One tensor a level, "level_00" .., [entries, features], role sparse. The cell is found in float64, so positions
+/// keep their accuracy at every resolution; weights and sums are Real. [Mueller22]
+template <class Real>
+class HashGrid final : public Encoder<Real> {
+ public:
+  HashGrid(const HashGridParams& params, const EncoderBuild& build, const KernelTables& kernels);
+  EncoderTraits traits() const noexcept override;
+  void declare(ParamDeclarer& declarer) const override;
+  const HashGridShape& shape() const noexcept { return shape_; }
+
+ protected:
+  void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
+                  View<Real> y) const override;
+  void do_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
+                   View<Real> dx) const override;
+
+ private:
+  const HashGridKernels<Real>* kernels_;
+  HashGridShape shape_;
+  double init_;
+};
+
+extern template class HashGrid<float>;
+extern template class HashGrid<double>;
+
+}  // namespace semfield

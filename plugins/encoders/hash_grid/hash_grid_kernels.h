@@ -1,0 +1,43 @@
+// Arguments and kernel table of the hash grid.
+#pragma once
+
+#include "core/view.h"
+#include "encoders/hash_grid/hash_grid_math.h"
+
+namespace semfield {
+
+class KernelTables;
+
+inline constexpr std::int32_t kHashGridMaxLevels = 32;
+inline constexpr std::int32_t kHashGridMaxFeatures = 8;
+
+struct HashGridLevel {
+  std::int64_t resolution = 0;  ///< cells along an axis, N
+  std::int64_t entries = 0;     ///< rows of the level's tensor: (N + 1)^3 when dense, else a power of two
+  bool dense = false;
+};
+
+struct HashGridShape {
+  HashGridLevel level[kHashGridMaxLevels];
+  std::int32_t levels = 0;
+  std::int32_t features = 0;  ///< 1, 2, 4 or 8
+  Interpolation interpolation = Interpolation::linear;
+};
+
+template <class Real>
+struct HashGridKernels {
+  /// y [M, levels * features] from x [M, 3] and one table a level. Returns the first row that is not finite, or -1.
+  /// Runs in the calling thread.
+  std::int64_t (*forward)(const HashGridShape& shape, const View<Real>* tables, View<const double> x,
+                          View<Real> y) = nullptr;
+  /// grads += dL/dtables; one thread a level, rows in order, so any thread count gives the same bits.
+  void (*backward_tables)(const HashGridShape& shape, const View<Real>* grads, View<const double> x,
+                          View<const Real> dy) = nullptr;
+  /// dx = dL/dx [M, 3]; parallel over blocks of rows.
+  void (*backward_input)(const HashGridShape& shape, const View<Real>* tables, View<const double> x,
+                         View<const Real> dy, View<Real> dx) = nullptr;
+};
+
+void hash_grid_kernels(KernelTables& tables);
+
+}  // namespace semfield

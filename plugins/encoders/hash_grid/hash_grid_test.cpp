@@ -1,0 +1,338 @@
+// Tests of the hash grid (cases C08, C09, C10, C11, C13, C14 among them) against a long double trilinear reference.
+#include "encoders/hash_grid/hash_grid.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "core/parallel.h"
+#include "core/rng.h"
+
+namespace semfield {
+namespace {
+
+HashGridParams params_of(int levels, int features, int log2_entries, int base, int finest,
+                         Interpolation interpolation = Interpolation::linear) {
+  HashGridParams p;
+  p.levels = levels;
+  p.features = features;
+  p.log2_entries = log2_entries;
+  p.base_resolution = base;
+  p.finest_resolution = finest;
+  p.interpolation = interpolation;
+  return p;
+}
+
+class Declared final : public ParamDeclarer {
+ public:
+  int tensor(TensorSpec spec) override {
+    specs.push_back(std::move(spec));
+    return static_cast<int>(specs.size()) - 1;
+  }
+  std::vector<TensorSpec> specs;
+};
+
+/// An encoder with tables of its own.
+template <class Real>
+struct Grid {
+  explicit Grid(const HashGridParams& params, std::uint64_t seed = 1) : encoder(params, {}, kernels()) {
+    Declared declared;
+    encoder.declare(declared);
+    std::uint64_t element = 0;
+    for (const TensorSpec& spec : declared.specs) {
+      const auto size = static_cast<std::size_t>(spec.rows * spec.cols);
+      table.emplace_back(size);
+      for (Real& v : table.back()) v = static_cast<Real>(2 * uniform01({seed, 0, 9}, element++) - 1);
+      grad.emplace_back(size, Real(0));
+    }
+    for (std::size_t l = 0; l < table.size(); ++l) {
+      value_views.emplace_back(table[l].data(), declared.specs[l].rows, declared.specs[l].cols);
+      grad_views.emplace_back(grad[l].data(), declared.specs[l].rows, declared.specs[l].cols);
+    }
+    width = encoder.traits().out_dims;
+  }
+  static const KernelTables& kernels() {
+    static const KernelTables tables = [] {
+      KernelTables t;
+      hash_grid_kernels(t);
+      return t;
+    }();
+    return tables;
+  }
+  Tensors<Real> tensors() const { return {value_views, grad_views}; }
+  std::vector<Real> forward(const std::vector<double>& x) const {
+    const auto rows = static_cast<std::int64_t>(x.size() / 3);
+    std::vector<Real> y(static_cast<std::size_t>(rows * width), static_cast<Real>(NAN));
+    encoder.forward({}, tensors(), View<const double>(x.data(), rows, 3), View<Real>(y.data(), rows, width));
+    return y;
+  }
+  std::vector<Real> backward(const std::vector<double>& x, const std::vector<Real>& dy) {
+    const auto rows = static_cast<std::int64_t>(x.size() / 3);
+    std::vector<Real> dx(x.size(), static_cast<Real>(NAN));
+    encoder.backward({}, tensors(), View<const double>(x.data(), rows, 3), View<const Real>(dy.data(), rows, width),
+                     View<Real>(dx.data(), rows, 3));
+    return dx;
+  }
+  HashGrid<Real> encoder;
+  std::vector<std::vector<Real>> table, grad;
+  std::vector<View<Real>> value_views, grad_views;
+  std::int32_t width = 0;
+};
+
+std::vector<double> random_points(std::int64_t rows, std::uint64_t seed = 3) {
+  std::vector<double> x(static_cast<std::size_t>(3 * rows));
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    const PhiloxBlock b = random_block({seed, 0, 4}, i);
+    x[i] = ((std::uint64_t{b.v[0]} << 21) ^ b.v[1]) * 0x1p-53;
+  }
+  return x;
+}
+
+__extension__ using Wide = unsigned __int128;
+
+/// Entry of a vertex by 128-bit arithmetic.
+std::size_t reference_entry(const HashGridLevel& level, const std::uint64_t* v) {
+  if (level.dense) {
+    const auto n = static_cast<Wide>(level.resolution) + 1;
+    return static_cast<std::size_t>(v[0] + n * v[1] + n * n * v[2]);
+  }
+  const std::uint64_t mixed = v[0] ^ (v[1] * 2654435761ull) ^ (v[2] * 805459861ull);
+  return static_cast<std::size_t>((mixed & 0xFFFFFFFFull) % static_cast<std::uint64_t>(level.entries));
+}
+
+/// Feature f of level l at x: three nested linear interpolations in long double.
+template <class Real>
+long double reference(const Grid<Real>& grid, int l, int f, const double* x) {
+  const HashGridShape& shape = grid.encoder.shape();
+  const HashGridLevel& level = shape.level[l];
+  std::uint64_t cell[3];
+  long double w[3];
+  for (int d = 0; d < 3; ++d) {
+    const long double p = std::min(1.0L, std::max(0.0L, static_cast<long double>(x[d]))) * level.resolution;
+    cell[d] = static_cast<std::uint64_t>(std::min<long double>(std::floor(p), level.resolution - 1));
+    w[d] = p - cell[d];
+    if (shape.interpolation == Interpolation::smoothstep) w[d] = w[d] * w[d] * (3 - 2 * w[d]);
+  }
+  long double along_z[2];
+  for (std::uint64_t k = 0; k < 2; ++k) {
+    long double along_y[2];
+    for (std::uint64_t j = 0; j < 2; ++j) {
+      long double ends[2];
+      for (std::uint64_t i = 0; i < 2; ++i) {
+        const std::uint64_t v[3] = {cell[0] + i, cell[1] + j, cell[2] + k};
+        ends[i] = grid.table[static_cast<std::size_t>(l)]
+                            [reference_entry(level, v) * static_cast<std::size_t>(shape.features) + f];
+      }
+      along_y[j] = ends[0] + w[0] * (ends[1] - ends[0]);
+    }
+    along_z[k] = along_y[0] + w[1] * (along_y[1] - along_y[0]);
+  }
+  return along_z[0] + w[2] * (along_z[1] - along_z[0]);
+}
+
+template <class Real>
+double largest_error(const Grid<Real>& grid, const std::vector<double>& x) {
+  const auto y = grid.forward(x);
+  const HashGridShape& shape = grid.encoder.shape();
+  long double worst = 0;
+  for (std::size_t r = 0; r < x.size() / 3; ++r) {
+    for (int l = 0; l < shape.levels; ++l) {
+      for (int f = 0; f < shape.features; ++f) {
+        const Real got = y[r * static_cast<std::size_t>(grid.width) + static_cast<std::size_t>(l * shape.features + f)];
+        const long double error = std::fabs(got - reference(grid, l, f, &x[3 * r]));
+        worst = std::isnan(got) ? 1e30L : std::max(worst, error);
+      }
+    }
+  }
+  return static_cast<double>(worst);
+}
+
+TEST(HashGrid, MatchesTheReferenceForEveryShape) {
+  const auto x = random_points(133);
+  for (int features : {1, 2, 4, 8}) {
+    for (Interpolation interpolation : {Interpolation::linear, Interpolation::smoothstep}) {
+      const HashGridParams p = params_of(6, features, 12, 4, 300, interpolation);
+      EXPECT_LE(largest_error(Grid<float>(p), x), 3e-7) << features;
+      EXPECT_LE(largest_error(Grid<double>(p), x), 2e-13) << features;
+    }
+  }
+}
+
+TEST(HashGrid, FacesOfTheCubeAreOrdinaryPlaces) {  // C08; run under AddressSanitizer it also proves the addresses
+  const std::vector<double> edge{0, 1, 1 - 0x1p-24, -1e-7, 1 + 1e-7, -0.0, -1e300, 1e300, 5e-324, 0.5};
+  std::vector<double> x;
+  for (double a : edge) {
+    for (double b : edge) {
+      for (double c : edge) x.insert(x.end(), {a, b, c});
+    }
+  }
+  const HashGridParams p = params_of(8, 2, 10, 4, 1 << 20);
+  EXPECT_LE(largest_error(Grid<float>(p), x), 3e-7);
+  EXPECT_LE(largest_error(Grid<double>(p), x), 1e-10);  // 1 - 2^-24 at N = 2^20: exact place; others at rounding
+  Grid<float> ones(p);
+  for (auto& table : ones.table) std::fill(table.begin(), table.end(), 1.f);
+  for (const auto& points : {x, random_points(500)}) {
+    for (float y : ones.forward(points)) EXPECT_NEAR(y, 1.f, 2e-7f);  // partition of unity
+  }
+  std::vector<float> dy(ones.forward(x).size(), 1.f);
+  const auto dx = ones.backward(x, dy);
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    if (x[i] < 0 || x[i] > 1) {
+      EXPECT_EQ(dx[i], 0.f) << x[i];
+    }
+  }
+}
+
+TEST(HashGrid, IsContinuousAcrossCells) {  // C09
+  const HashGridParams p = params_of(4, 2, 12, 5, 640);
+  const Grid<float> grid(p);
+  const HashGridShape& shape = grid.encoder.shape();
+  const double lipschitz = 2.0 * 3 * static_cast<double>(shape.level[3].resolution);  // entries differ by at most 2
+  for (int i = 1; i < 640; i += 7) {
+    const double border = i / 640.0;
+    const double step = std::nextafter(border, 1.0) - border;
+    const auto y = grid.forward({border - step, 0.3, 0.6, border, 0.3, 0.6, border + step, 0.3, 0.6});
+    for (std::size_t f = 0; f < 8; ++f) {
+      EXPECT_LE(std::fabs(y[f] - y[8 + f]), lipschitz * step + 2e-6);
+      EXPECT_LE(std::fabs(y[16 + f] - y[8 + f]), lipschitz * step + 2e-6);
+    }
+  }
+}
+
+TEST(HashGrid, KeepsPositionsAtEveryResolution) {  // C10
+  for (int log2_resolution = 10; log2_resolution <= 20; ++log2_resolution) {
+    const int n = 1 << log2_resolution;
+    EXPECT_LE(largest_error(Grid<float>(params_of(1, 2, 14, n, n)), random_points(50)), 3e-7) << n;
+  }
+}
+
+TEST(HashGrid, ManySamplesOnOneEntryRepeatTheirBits) {  // C13
+  constexpr std::size_t rows = 1 << 18;
+  Grid<float> grid(params_of(2, 2, 4, 64, 64));  // two equal levels: two threads have work
+  std::vector<double> x(3 * rows, 0.5);          // a vertex: weight 1 on one entry
+  std::vector<float> dy(4 * rows);
+  std::vector<long double> sum(2, 0), magnitude(2, 0);
+  for (std::size_t i = 0; i < 2 * rows; ++i) {
+    const float d = uniform01({5, 0, 6}, i) - 0.25f;
+    dy[i / 2 * 4 + i % 2] = dy[i / 2 * 4 + 2 + i % 2] = d;
+    sum[i % 2] += d;
+    magnitude[i % 2] += std::fabs(d);
+  }
+  const View<const double> xv(x.data(), rows, 3);
+  const View<const float> dyv(dy.data(), rows, 4);
+  std::vector<float> first;
+  for (int repeat = 0; repeat < 100; ++repeat) {
+    for (auto& g : grid.grad) std::fill(g.begin(), g.end(), 0.f);
+    set_thread_count(1 + repeat % 2);
+    grid.encoder.backward({}, grid.tensors(), xv, dyv, {});
+    if (first.empty()) first = grid.grad[0];
+    ASSERT_EQ(grid.grad[0], first) << "repeat " << repeat;
+    ASSERT_EQ(grid.grad[1], first) << "repeat " << repeat;
+  }
+  set_thread_count(0);
+  const std::uint64_t vertex[3] = {32, 32, 32};
+  const std::size_t entry = reference_entry(grid.encoder.shape().level[0], vertex);
+  for (std::size_t f = 0; f < 2; ++f) {
+    // Running float sums: each of the n additions errs by half a bit of the partial sum at most.
+    EXPECT_NEAR(first[2 * entry + f], static_cast<double>(sum[f]), 2e-5 * static_cast<double>(magnitude[f]));
+  }
+}
+
+TEST(HashGrid, GradientsMatchDifferences) {  // C14
+  for (Interpolation interpolation : {Interpolation::linear, Interpolation::smoothstep}) {
+    for (int features : {1, 2, 4, 8}) {
+      Grid<double> grid(params_of(3, features, 6, 2, 9, interpolation));
+      const auto x = random_points(5, 11);
+      std::vector<double> dy(static_cast<std::size_t>(5 * grid.width));
+      for (std::size_t i = 0; i < dy.size(); ++i) dy[i] = std::cos(1.3 * static_cast<double>(i));
+      const auto loss = [&](const std::vector<double>& at) {
+        const auto y = grid.forward(at);
+        long double sum = 0;
+        for (std::size_t i = 0; i < y.size(); ++i) sum += static_cast<long double>(y[i]) * dy[i];
+        return static_cast<double>(sum);
+      };
+      const auto dx = grid.backward(x, dy);
+      for (std::size_t i = 0; i < x.size(); ++i) {
+        auto plus = x, minus = x;
+        const double h = 1e-6;
+        plus[i] += h;
+        minus[i] -= h;
+        const double expected = (loss(plus) - loss(minus)) / (2 * h);
+        EXPECT_NEAR(dx[i], expected, 1e-7 * std::max(1.0, std::fabs(expected)));
+      }
+      for (std::size_t l = 0; l < grid.table.size(); ++l) {
+        for (std::size_t i = 0; i < grid.table[l].size(); ++i) {
+          const double kept = grid.table[l][i];  // the loss is linear in the tables: a large step is exact
+          grid.table[l][i] = kept + 1;
+          const double above = loss(x);
+          grid.table[l][i] = kept - 1;
+          const double below = loss(x);
+          grid.table[l][i] = kept;
+          EXPECT_NEAR(grid.grad[l][i], (above - below) / 2, 1e-12) << "level " << l << " element " << i;
+        }
+      }
+    }
+  }
+}
+
+TEST(HashGrid, GradientsAddUp) {
+  Grid<float> grid(params_of(2, 2, 6, 2, 5));
+  const auto x = random_points(20);
+  const std::vector<float> dy(static_cast<std::size_t>(20 * grid.width), 0.5f);
+  grid.backward(x, dy);
+  const auto once = grid.grad;
+  grid.backward(x, dy);
+  for (std::size_t l = 0; l < once.size(); ++l) {
+    for (std::size_t i = 0; i < once[l].size(); ++i) EXPECT_NEAR(grid.grad[l][i], 2 * once[l][i], 1e-5f);
+  }
+}
+
+// Blocks, tiles, groups, strides and threads: nothing but the row's own coordinates may decide its bits.
+TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
+  Grid<float> grid(params_of(5, 2, 16, 8, 500));  // its tables are large enough to be fetched ahead
+  constexpr std::int64_t rows = 9000;             // more than a block
+  const auto x = random_points(rows);
+  const auto whole = grid.forward(x);
+  for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 8191, 8192, 8999}) {
+    std::vector<float> part(33, -1.f);  // 3 rows of stride 11
+    const std::int64_t count = std::min<std::int64_t>(3, rows - begin);
+    grid.encoder.forward({}, grid.tensors(), View<const double>(&x[static_cast<std::size_t>(3 * begin)], count, 3),
+                         View<float>(part.data(), count, 10, 11));
+    for (std::int64_t r = 0; r < count; ++r) {
+      for (std::int64_t c = 0; c < 10; ++c) {
+        ASSERT_EQ(part[static_cast<std::size_t>(r * 11 + c)], whole[static_cast<std::size_t>((begin + r) * 10 + c)]);
+      }
+      ASSERT_EQ(part[static_cast<std::size_t>(r * 11 + 10)], -1.f);
+    }
+  }
+  std::vector<float> dy(whole.rbegin(), whole.rend());
+  set_thread_count(1);
+  const auto dx = grid.backward(x, dy);
+  const auto grads = grid.grad;
+  for (auto& g : grid.grad) std::fill(g.begin(), g.end(), 0.f);
+  set_thread_count(2);
+  const auto dx_of_two = grid.backward(x, dy);
+  set_thread_count(0);
+  EXPECT_EQ(dx, dx_of_two);
+  EXPECT_EQ(grads, grid.grad);
+}
+
+TEST(HashGrid, RefusesWhatItCannotEncode) {
+  const Grid<float> grid(params_of(2, 2, 6, 2, 5));
+  for (double bad : {static_cast<double>(NAN), static_cast<double>(INFINITY), -static_cast<double>(INFINITY)}) {
+    auto x = random_points(1100);
+    x[3 * 1050 + 2] = bad;
+    try {
+      grid.forward(x);
+      ADD_FAILURE() << bad << " was accepted";
+    } catch (const Error& e) {
+      EXPECT_NE(e.message().find("row 1050"), std::string::npos) << e.what();
+    }
+  }
+}
+
+}  // namespace
+}  // namespace semfield
