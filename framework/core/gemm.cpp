@@ -1,4 +1,5 @@
-// Register-blocked matrix product in the compiler's vector extensions; intrinsics only where the compiler must have no choice.
+// Register-blocked matrix product in the compiler's vector extensions; intrinsics only where the compiler must have no
+// choice.
 #include "core/gemm.h"
 
 #if defined(__FMA__)
@@ -22,8 +23,8 @@ constexpr int kVectorBytes = 32;
 constexpr int kVectorBytes = 16;
 #endif
 
-// Explicit vector types: the compiler's own choice for this machine may be half the register width. Bytes is the width of a
-// whole vector, or half of it for products with very few columns.
+// Explicit vector types: the compiler's own choice for this machine may be half the register width. Bytes is the width
+// of a whole vector, or half of it for products with very few columns.
 template <class Real, int kBytes>
 struct Simd {
   typedef Real Vec __attribute__((vector_size(kBytes)));
@@ -33,8 +34,8 @@ struct Simd {
 template <class Real>
 constexpr int kLanesOf = kVectorBytes / static_cast<int>(sizeof(Real));
 
-// acc += value * b, fused in every lane. Spelled out: left to contraction, GCC splits the multiply-add in tiles of one or two rows
-// (its tuning avoids long chains), and then an element's bits would depend on the tile that it fell into.
+// acc += value * b, fused in every lane. Spelled out: left to contraction, GCC splits the multiply-add in tiles of one
+// or two rows (its tuning avoids long chains), and then an element's bits would depend on the tile that it fell into.
 template <class S, class Real>
 inline void multiply_add(typename S::Vec& acc, Real value, typename S::Vec b) {
 #if defined(__FMA__)
@@ -61,14 +62,16 @@ inline void multiply_add(typename S::Vec& acc, Real value, typename S::Vec b) {
 #endif
 }
 
-// Tile shapes. 32 registers (AVX-512): 24 accumulators, the vectors of B and one broadcast; 16 registers: 12 accumulators.
-// One tile element costs 1 FMA; a k step loads kVecs vectors and kRows broadcasts, so wide tiles keep the load ports free.
+// Tile shapes. 32 registers (AVX-512): 24 accumulators, the vectors of B and one broadcast; 16 registers: 12
+// accumulators. One tile element costs 1 FMA; a k step loads kVecs vectors and kRows broadcasts, so wide tiles keep the
+// load ports free.
 constexpr int kMaxVecs = kVectorBytes == 64 ? 4 : 2;
 constexpr int rows_of_tile(int vecs) {
   if (kVectorBytes == 64) return vecs == 4 ? 6 : vecs == 3 ? 8 : 12;
   return kVectorBytes == 32 ? (vecs == 2 ? 6 : 8) : 4;
 }
-// Rows of B per block: the packed panel (kBlockK x kMaxVecs vectors, 64 KiB at 64-byte vectors) streams from L2 once a tile.
+// Rows of B per block: the packed panel (kBlockK x kMaxVecs vectors, 64 KiB at 64-byte vectors) streams from L2 once a
+// tile.
 constexpr std::int64_t kBlockK = 256;
 constexpr int kMaxRows = 12;
 
@@ -82,7 +85,7 @@ struct TileArgs {
   std::int64_t c_row;
   const Real* start[kMaxRows];  // first element of each row's start; null: zero
   std::int64_t k;
-  int cols;   // of the tile's kVecs * kLanes columns, those that exist
+  int cols;  // of the tile's kVecs * kLanes columns, those that exist
   bool relu;
 };
 
@@ -224,7 +227,7 @@ template <class Real>
 const Real* start_of_row(const Gemm<Real>& g, std::int64_t row, std::int64_t col) {
   if (g.accumulate) return g.c + row * g.c_row + col;
   if (g.bias) return g.bias + col;
-  if (g.row_term) return g.row_term + (g.row_of ? g.row_of[row] : row) * g.row_term_stride + col;
+  if (g.row_term) return g.row_term + (g.row_of ? g.row_of[row * g.row_of_stride] : row) * g.row_term_stride + col;
   return nullptr;
 }
 
@@ -292,8 +295,16 @@ void gemm(const Gemm<Real>& g) {
 template <class Real>
 void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate) {
   SEMFIELD_CHECK(a.cols == b.rows && a.rows == c.rows && b.cols == c.cols, "shapes of a matrix product do not fit");
-  gemm(Gemm<Real>{.m = a.rows, .n = b.cols, .k = a.cols, .a = a.data, .a_row = a.row_stride, .b = b.data,
-                  .b_row = b.row_stride, .c = c.data, .c_row = c.row_stride, .accumulate = accumulate});
+  gemm(Gemm<Real>{.m = a.rows,
+                  .n = b.cols,
+                  .k = a.cols,
+                  .a = a.data,
+                  .a_row = a.row_stride,
+                  .b = b.data,
+                  .b_row = b.row_stride,
+                  .c = c.data,
+                  .c_row = c.row_stride,
+                  .accumulate = accumulate});
 }
 
 template <class Real>
@@ -301,8 +312,17 @@ void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c) {
   SEMFIELD_CHECK(a.rows == b.rows && a.cols == c.rows && b.cols == c.cols, "shapes of a matrix product do not fit");
   constexpr int kNarrow = 8;
   if (b.cols > kNarrow || a.cols < 2 * kNarrow) {
-    gemm(Gemm<Real>{.m = a.cols, .n = b.cols, .k = a.rows, .a = a.data, .a_row = 1, .a_col = a.row_stride, .b = b.data,
-                    .b_row = b.row_stride, .c = c.data, .c_row = c.row_stride, .accumulate = true});
+    gemm(Gemm<Real>{.m = a.cols,
+                    .n = b.cols,
+                    .k = a.rows,
+                    .a = a.data,
+                    .a_row = 1,
+                    .a_col = a.row_stride,
+                    .b = b.data,
+                    .b_row = b.row_stride,
+                    .c = c.data,
+                    .c_row = c.row_stride,
+                    .accumulate = true});
     return;
   }
   // Few columns: C^T += B^T A fills whole vectors along A's columns. The same chain of products, so the same bits.
@@ -313,8 +333,17 @@ void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c) {
     for (std::int32_t i = 0; i < count; ++i) {
       for (std::int32_t j = 0; j < b.cols; ++j) strip[j * kStrip + i] = c(first + i, j);
     }
-    gemm(Gemm<Real>{.m = b.cols, .n = count, .k = a.rows, .a = b.data, .a_row = 1, .a_col = b.row_stride,
-                    .b = a.data + first, .b_row = a.row_stride, .c = strip, .c_row = kStrip, .accumulate = true});
+    gemm(Gemm<Real>{.m = b.cols,
+                    .n = count,
+                    .k = a.rows,
+                    .a = b.data,
+                    .a_row = 1,
+                    .a_col = b.row_stride,
+                    .b = a.data + first,
+                    .b_row = a.row_stride,
+                    .c = strip,
+                    .c_row = kStrip,
+                    .accumulate = true});
     for (std::int32_t i = 0; i < count; ++i) {
       for (std::int32_t j = 0; j < b.cols; ++j) c(first + i, j) = strip[j * kStrip + i];
     }

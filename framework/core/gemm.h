@@ -7,13 +7,14 @@
 
 namespace semfield {
 
-/// C = start + A B, then the epilogue. Shapes: A [m, k] with any strides, so that the same kernel serves forward (X W), input
-/// gradient (dY W^T, B a stored transpose) and weight gradient (X^T dY: a_row = 1, a_col = row stride of X); B [k, n] and
-/// C [m, n] with contiguous columns. Strides in elements.
+/// C = start + A B, then the epilogue. Shapes: A [m, k] with any strides, so that the same kernel serves forward (X W),
+/// input gradient (dY W^T, B a stored transpose) and weight gradient (X^T dY: a_row = 1, a_col = row stride of X); B
+/// [k, n] and C [m, n] with contiguous columns. Strides in elements.
 ///
-/// start, at most one of: accumulate (C's old value), bias (one row for all), row_term (row row_of[i], or row i when row_of is
-/// null); none: zero. Each element of C is one chain of fused multiply-adds over k ascending from its start, whatever m is
-/// and wherever its row stands: splitting the rows into calls, or k into accumulating calls, gives the same bits.
+/// start, at most one of: accumulate (C's old value), bias (one row for all), row_term (row row_of[i], or row i when
+/// row_of is null); none: zero. Each element of C is one chain of fused multiply-adds over k ascending from its start,
+/// whatever m is and wherever its row stands: splitting the rows into calls, or k into accumulating calls, gives the
+/// same bits.
 template <class Real>
 struct Gemm {
   std::int64_t m = 0, n = 0, k = 0;
@@ -24,11 +25,12 @@ struct Gemm {
   Real* c = nullptr;
   std::int64_t c_row = 0;
   bool accumulate = false;
-  const Real* bias = nullptr;             ///< [n]
-  const Real* row_term = nullptr;         ///< [any, n], row stride row_term_stride
+  const Real* bias = nullptr;      ///< [n]
+  const Real* row_term = nullptr;  ///< [any, n], row stride row_term_stride
   std::int64_t row_term_stride = 0;
-  const std::int32_t* row_of = nullptr;   ///< [m], contiguous
-  bool relu = false;                      ///< C = max(C, 0) at the end; NaN stays NaN
+  const std::int32_t* row_of = nullptr;  ///< [m]
+  std::int64_t row_of_stride = 1;
+  bool relu = false;  ///< C = max(C, 0) at the end; NaN stays NaN
 };
 
 /// Runs in the calling thread; allocates nothing (64 KiB of stack).

@@ -13,15 +13,25 @@ namespace {
 
 template <class Real>
 Gemm<Real> product(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y) {
-  SEMFIELD_CHECK(x.cols == weight.rows && x.rows == y.rows && weight.cols == y.cols, "shapes of a linear layer do not fit");
-  return {.m = x.rows, .n = weight.cols, .k = x.cols, .a = x.data, .a_row = x.row_stride, .b = weight.data,
-          .b_row = weight.row_stride, .c = y.data, .c_row = y.row_stride, .relu = activation == Activation::relu};
+  SEMFIELD_CHECK(x.cols == weight.rows && x.rows == y.rows && weight.cols == y.cols,
+                 "shapes of a linear layer do not fit");
+  return {.m = x.rows,
+          .n = weight.cols,
+          .k = x.cols,
+          .a = x.data,
+          .a_row = x.row_stride,
+          .b = weight.data,
+          .b_row = weight.row_stride,
+          .c = y.data,
+          .c_row = y.row_stride,
+          .relu = activation == Activation::relu};
 }
 
 }  // namespace
 
 template <class Real>
-void linear_forward(View<const Real> x, View<const Real> weight, View<const Real> bias, Activation activation, View<Real> y) {
+void linear_forward(View<const Real> x, View<const Real> weight, View<const Real> bias, Activation activation,
+                    View<Real> y) {
   SEMFIELD_CHECK(bias.empty() || bias.cols == y.cols, "bias of a linear layer has another width");
   Gemm<Real> g = product(x, weight, activation, y);
   g.bias = bias.data;
@@ -38,12 +48,12 @@ void linear_forward_add(View<const Real> x, View<const Real> weight, Activation 
 template <class Real>
 void linear_forward_per_ray(View<const Real> x, View<const Real> weight, View<const Real> ray_term,
                             View<const std::int32_t> ray_of_sample, Activation activation, View<Real> y) {
-  SEMFIELD_CHECK(ray_term.cols == y.cols && ray_of_sample.rows == y.rows && ray_of_sample.row_stride == 1,
-                 "ray term of a linear layer does not fit");
+  SEMFIELD_CHECK(ray_term.cols == y.cols && ray_of_sample.rows == y.rows, "ray term of a linear layer does not fit");
   Gemm<Real> g = product(x, weight, activation, y);
   g.row_term = ray_term.data;
   g.row_term_stride = ray_term.row_stride;
   g.row_of = ray_of_sample.data;
+  g.row_of_stride = ray_of_sample.row_stride;
   gemm(g);
 }
 

@@ -12,10 +12,11 @@ namespace {
 constexpr float kLog2e = 1.44269504088896341f;
 constexpr float kLn2High = 0.693145751953125f;
 constexpr float kLn2Low = 1.42860677e-6f;
-constexpr float kRound = 12582912.0f;  // 1.5 * 2^23: adding it rounds to the nearest integer and leaves that in the low bits
+constexpr float kRound =
+    12582912.0f;  // 1.5 * 2^23: adding it rounds to the nearest integer and leaves that in the low bits
 
 struct Reduced {
-  float r;         // x - n ln2
+  float r;  // x - n ln2
   std::int32_t n;
 };
 

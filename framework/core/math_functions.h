@@ -19,12 +19,13 @@ inline Real softplus(Real x) {
   return (x > Real(0) ? x : Real(0)) + std::log1p(std::exp(-std::abs(x)));
 }
 
-/// x[i] = e^x[i]. float: own polynomial, at most 2 ulp, subnormal results kept, +inf above 88.73, 0 below -104; double: std::exp.
-/// NaN stays NaN. An element's result does not depend on its place.
+/// x[i] = e^x[i]. float: own polynomial, at most 2 ulp, subnormal results kept, +inf above 88.73, 0 below -104; double:
+/// std::exp. NaN stays NaN. An element's result does not depend on its place.
 template <class Real>
 void exp_inplace(Real* x, std::int64_t n);
 
-/// x[i] = e^x[i] - 1 with small relative error everywhere (float: at most 2.4e-7), exactly 0 at 0, -1 for very negative x.
+/// x[i] = e^x[i] - 1 with small relative error everywhere (float: at most 2.4e-7), exactly 0 at 0, -1 for very negative
+/// x.
 template <class Real>
 void expm1_inplace(Real* x, std::int64_t n);
 

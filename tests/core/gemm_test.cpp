@@ -37,9 +37,9 @@ struct Shape {
   std::int64_t m, n, k;
 };
 
-const Shape kShapes[] = {{1, 1, 1},   {2, 3, 5},    {5, 16, 7},   {6, 64, 64},  {13, 65, 31}, {31, 13, 63}, {33, 80, 17},
-                         {37, 48, 9}, {64, 33, 16}, {100, 1, 70}, {7, 130, 3},  {12, 128, 1}, {25, 8, 600}, {9, 70, 513},
-                         {3, 4, 0},   {0, 5, 5},    {5, 0, 5},    {48, 96, 256}};
+const Shape kShapes[] = {{1, 1, 1},    {2, 3, 5},    {5, 16, 7},   {6, 64, 64},  {13, 65, 31}, {31, 13, 63},
+                         {33, 80, 17}, {37, 48, 9},  {64, 33, 16}, {100, 1, 70}, {7, 130, 3},  {12, 128, 1},
+                         {25, 8, 600}, {9, 70, 513}, {3, 4, 0},    {0, 5, 5},    {5, 0, 5},    {48, 96, 256}};
 
 template <class Real>
 class GemmTest : public ::testing::Test {};
@@ -61,7 +61,8 @@ TYPED_TEST(GemmTest, MatchesEigenForEveryStrideStartAndTail) {
         const auto extra = random_values<Real>(static_cast<std::size_t>(4 * s.n + 1), 3);
         std::vector<Real> c(static_cast<std::size_t>(s.m * c_row + 1), kGuard);
         std::vector<std::int32_t> row_of(static_cast<std::size_t>(s.m));
-        for (std::size_t i = 0; i < row_of.size(); ++i) row_of[i] = static_cast<std::int32_t>(i * 4 / (row_of.size() + 1));
+        for (std::size_t i = 0; i < row_of.size(); ++i)
+          row_of[i] = static_cast<std::int32_t>(i * 4 / (row_of.size() + 1));
         Matrix<Real> expected = Matrix<Real>::Zero(s.m, s.n);
         for (std::int64_t i = 0; i < s.m; ++i) {
           for (std::int64_t j = 0; j < s.n; ++j) {
@@ -80,8 +81,17 @@ TYPED_TEST(GemmTest, MatchesEigenForEveryStrideStartAndTail) {
         if (s.k > 0) expected += a_dense * mapped(b.data(), s.k, s.n, b_row);
         const bool relu = start == Start::bias;
         if (relu) expected = expected.cwiseMax(Real(0));
-        Gemm<Real> g{.m = s.m, .n = s.n, .k = s.k, .a = a.data(), .a_row = a_row, .a_col = a_col, .b = b.data(),
-                     .b_row = b_row, .c = c.data(), .c_row = c_row, .relu = relu};
+        Gemm<Real> g{.m = s.m,
+                     .n = s.n,
+                     .k = s.k,
+                     .a = a.data(),
+                     .a_row = a_row,
+                     .a_col = a_col,
+                     .b = b.data(),
+                     .b_row = b_row,
+                     .c = c.data(),
+                     .c_row = c_row,
+                     .relu = relu};
         g.accumulate = start == Start::accumulate;
         if (start == Start::bias) g.bias = extra.data();
         if (start == Start::row_term) {
@@ -113,7 +123,8 @@ TYPED_TEST(GemmTest, SplittingRowsOrDepthGivesTheSameBits) {
     const auto a = random_values<Real>(static_cast<std::size_t>(m * k), 4);
     const auto b = random_values<Real>(static_cast<std::size_t>(k * n), 5);
     std::vector<Real> whole(static_cast<std::size_t>(m * n)), split(whole.size()), deep(whole.size());
-    Gemm<Real> g{.m = m, .n = n, .k = k, .a = a.data(), .a_row = k, .b = b.data(), .b_row = n, .c = whole.data(), .c_row = n};
+    Gemm<Real> g{
+        .m = m, .n = n, .k = k, .a = a.data(), .a_row = k, .b = b.data(), .b_row = n, .c = whole.data(), .c_row = n};
     gemm(g);
     // Every tile height and both ways of reading B (packed or in place) take part.
     for (std::int64_t row = 0, size = 1; row < m; row += size++) {
@@ -124,8 +135,16 @@ TYPED_TEST(GemmTest, SplittingRowsOrDepthGivesTheSameBits) {
     }
     EXPECT_EQ(std::memcmp(whole.data(), split.data(), whole.size() * sizeof(Real)), 0) << "n " << n;
     for (std::int64_t first = 0; first < k; first += 77) {
-      gemm(Gemm<Real>{.m = m, .n = n, .k = std::min<std::int64_t>(77, k - first), .a = a.data() + first, .a_row = k,
-                      .b = b.data() + first * n, .b_row = n, .c = deep.data(), .c_row = n, .accumulate = first > 0});
+      gemm(Gemm<Real>{.m = m,
+                      .n = n,
+                      .k = std::min<std::int64_t>(77, k - first),
+                      .a = a.data() + first,
+                      .a_row = k,
+                      .b = b.data() + first * n,
+                      .b_row = n,
+                      .c = deep.data(),
+                      .c_row = n,
+                      .accumulate = first > 0});
     }
     EXPECT_EQ(std::memcmp(whole.data(), deep.data(), whole.size() * sizeof(Real)), 0) << "n " << n;
   }
@@ -140,7 +159,8 @@ TYPED_TEST(GemmTest, WeightGradientEqualsTheGeneralProductInBits) {
       auto dy = random_values<Real>(static_cast<std::size_t>(rows * n), 7);
       auto c = random_values<Real>(static_cast<std::size_t>(m * n), 8);
       auto d = c;
-      gemm_at_b_add(View<const Real>(x.data(), rows, m), View<const Real>(dy.data(), rows, n), View<Real>(c.data(), m, n));
+      gemm_at_b_add(View<const Real>(x.data(), rows, m), View<const Real>(dy.data(), rows, n),
+                    View<Real>(c.data(), m, n));
       for (std::int32_t i = 0; i < m; ++i) {
         for (std::int32_t j = 0; j < n; ++j) {
           Real& sum = d[static_cast<std::size_t>(i * n + j)];
@@ -172,8 +192,17 @@ TYPED_TEST(GemmTest, ReluKeepsNan) {
 TYPED_TEST(GemmTest, RefusesTwoStartsAndShapesThatDoNotFit) {
   using Real = TypeParam;
   Real x[6] = {};
-  EXPECT_THROW(gemm(Gemm<Real>{.m = 1, .n = 1, .k = 1, .a = x, .a_row = 1, .b = x, .b_row = 1, .c = x + 1, .c_row = 1,
-                               .accumulate = true, .bias = x}),
+  EXPECT_THROW(gemm(Gemm<Real>{.m = 1,
+                               .n = 1,
+                               .k = 1,
+                               .a = x,
+                               .a_row = 1,
+                               .b = x,
+                               .b_row = 1,
+                               .c = x + 1,
+                               .c_row = 1,
+                               .accumulate = true,
+                               .bias = x}),
                std::exception);
   EXPECT_THROW(gemm(View<const Real>(x, 2, 3), View<const Real>(x, 2, 3), View<Real>(x, 2, 3)), std::exception);
 }

@@ -1,0 +1,150 @@
+// Parameters, tensors and registration of the NeRF network.
+#include "fields/nerf_mlp/nerf_mlp.h"
+
+#include <cmath>
+#include <string>
+
+#include "plugin/module.h"
+#include "plugin/registry.h"
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, NerfMlpParams& p) {
+  SEMFIELD_PARAM(visit, p, depth, "number of trunk layers [Mildenhall20 Fig. 7]", {1, 32});
+  SEMFIELD_PARAM(visit, p, width, "width of the trunk and of the feature layer", {1, 4096});
+  SEMFIELD_PARAM(visit, p, skip_at, "trunk layer before which the encoded position is concatenated again, 0: none",
+                 {0, 31});
+  SEMFIELD_PARAM(visit, p, view_width, "width of the layer between feature, direction and colour", {1, 4096});
+}
+
+void validate(const NerfMlpParams& p, Diagnostics& diagnostics) {
+  if (p.skip_at >= p.depth) {
+    diagnostics.error("skip_at",
+                      "layer " + std::to_string(p.skip_at) + " is not one of the layers 1 to " +
+                          std::to_string(p.depth - 1) + " of a trunk of depth " + std::to_string(p.depth),
+                      "set skip_at below depth, or 0 for no skip connection");
+  }
+}
+
+namespace {
+
+/// Collects tensor specs in order of declaration.
+class LayerList {
+ public:
+  explicit LayerList(std::vector<TensorSpec>& specs) : specs_(specs) {}
+
+  int tensor(const std::string& name, std::int64_t rows, std::int32_t cols, Init init, TensorRole role) {
+    specs_.push_back({name, rows, cols, init, role});
+    return static_cast<int>(specs_.size()) - 1;
+  }
+
+  /// Learned weight and bias, uniform within 1/sqrt(fan_in).
+  NerfMlpLayer learned(const std::string& name, std::int32_t in, std::int32_t out) {
+    const Init init = Init::uniform(1.0 / std::sqrt(static_cast<double>(in)));
+    NerfMlpLayer layer;
+    layer.weight = tensor(name + "/weight", in, out, init, TensorRole::dense);
+    layer.bias = tensor(name + "/bias", 1, out, init, TensorRole::dense);
+    return layer;
+  }
+
+  void add_transpose(const std::string& name, NerfMlpLayer& layer) {
+    const TensorSpec weight = specs_[static_cast<std::size_t>(layer.weight)];
+    layer.weight_t =
+        tensor(name + "/weight_t", weight.cols, static_cast<std::int32_t>(weight.rows), {}, TensorRole::derived);
+  }
+
+ private:
+  std::vector<TensorSpec>& specs_;
+};
+
+}  // namespace
+
+template <class Real>
+NerfMlp<Real>::NerfMlp(const NerfMlpParams& params, const FieldBuild& build, const KernelTables& kernels)
+    : kernels_(&kernels.get<NerfMlpKernels<Real>>(build.device, "field 'nerf_mlp'")) {
+  Diagnostics diagnostics;
+  validate(params, diagnostics);
+  if (build.position_dims < 1)
+    diagnostics.error("", "field 'nerf_mlp' needs an encoded position of at least one number");
+  diagnostics.throw_if_errors(ErrorKind::config, "field 'nerf_mlp' cannot be built");
+  NerfMlpShape& s = shape_;
+  s.position_dims = build.position_dims;
+  s.direction_dims = build.direction_dims;
+  s.depth = params.depth;
+  s.width = params.width;
+  s.skip_at = params.skip_at;
+  s.view_width = params.view_width;
+  s.fold = build.savings.fold_feature_layer;
+  s.direction_once = build.savings.direction_once_per_ray;
+
+  LayerList list(specs_);
+  for (std::int32_t i = 0; i < s.depth; ++i) {
+    const std::int32_t in = i == 0 ? s.position_dims : i == s.skip_at ? s.position_dims + s.width : s.width;
+    s.trunk.push_back(list.learned("trunk_" + std::to_string(i), in, s.width));
+  }
+  s.density = list.learned("density", s.width, 1);
+  if (s.has_direction()) s.feature = list.learned("feature", s.width, s.width);
+  s.view = list.learned("view", s.width + s.direction_dims, s.view_width);
+  s.color = list.learned("color", s.view_width, 3);
+
+  for (std::int32_t i = 0; i < s.depth; ++i) {
+    list.add_transpose("trunk_" + std::to_string(i), s.trunk[static_cast<std::size_t>(i)]);
+  }
+  list.add_transpose("density", s.density);
+  if (s.has_feature_activation()) list.add_transpose("feature", s.feature);
+  list.add_transpose("view", s.view);
+  list.add_transpose("color", s.color);
+  if (s.folds()) {
+    s.folded.weight = list.tensor("folded/weight", s.width, s.view_width, {}, TensorRole::derived);
+    s.folded.bias = list.tensor("folded/bias", 1, s.view_width, {}, TensorRole::derived);
+    list.add_transpose("folded", s.folded);
+  }
+}
+
+template <class Real>
+void NerfMlp<Real>::declare(ParamDeclarer& declarer) const {
+  for (const TensorSpec& spec : specs_) declarer.tensor(spec);
+}
+
+template <class Real>
+std::size_t NerfMlp<Real>::saved_bytes(std::int64_t samples, std::int64_t) const noexcept {
+  return kernels_->saved_bytes(shape_, samples);
+}
+
+template <class Real>
+void NerfMlp<Real>::derive(const StepContext&, const Tensors<Real>& tensors) const {
+  kernels_->derive(shape_, tensors);
+}
+
+template <class Real>
+void NerfMlp<Real>::derive_backward(const StepContext&, const Tensors<Real>& tensors) const {
+  kernels_->derive_backward(shape_, tensors);
+}
+
+template <class Real>
+void NerfMlp<Real>::do_forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
+                               const FieldOut<Real>& out, Saved saved) const {
+  kernels_->forward(shape_, ctx, tensors, in, out, saved);
+}
+
+template <class Real>
+void NerfMlp<Real>::do_backward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
+                                const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved,
+                                View<Real> d_position) const {
+  kernels_->backward(shape_, ctx, tensors, in, out, grad, saved, d_position);
+}
+
+template class NerfMlp<float>;
+template class NerfMlp<double>;
+
+namespace {
+void register_into(Registry& registry) {
+  nerf_mlp_kernels(registry.kernels());
+  registry.add_field<NerfMlp, NerfMlpParams>(
+      "nerf_mlp", "Deep network of NeRF: trunk with a skip connection, density, view-dependent colour.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(nerf_mlp, "1.0", register_into)
+
+}  // namespace semfield

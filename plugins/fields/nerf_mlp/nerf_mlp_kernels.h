@@ -1,0 +1,52 @@
+// Shape, tensor numbering and kernel table of the NeRF network.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "plugin/field.h"
+
+namespace semfield {
+
+class KernelTables;
+
+/// Indices of a layer's tensors; -1 = there is none.
+struct NerfMlpLayer {
+  int weight = -1, bias = -1;
+  int weight_t = -1;  ///< derived transpose
+};
+
+/// What the kernels know. The widths of the tensors follow from it.
+struct NerfMlpShape {
+  std::int32_t position_dims = 0;
+  std::int32_t direction_dims = 0;
+  std::int32_t depth = 8;
+  std::int32_t width = 256;
+  std::int32_t skip_at = 5;  ///< 0: none
+  std::int32_t view_width = 128;
+  bool fold = true;  ///< feature and view layer as their product
+  bool direction_once = true;
+  std::vector<NerfMlpLayer> trunk;
+  NerfMlpLayer density, feature, view, color;
+  NerfMlpLayer folded;  ///< derived product of feature and view layer
+
+  bool has_direction() const { return direction_dims > 0; }
+  bool folds() const { return has_direction() && fold; }
+  bool has_feature_activation() const { return has_direction() && !fold; }
+};
+
+template <class Real>
+struct NerfMlpKernels {
+  void (*forward)(const NerfMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
+                  const FieldIn<Real>& in, const FieldOut<Real>& out, Saved saved) = nullptr;
+  void (*backward)(const NerfMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
+                   const FieldIn<Real>& in, const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved,
+                   View<Real> d_position) = nullptr;
+  void (*derive)(const NerfMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
+  void (*derive_backward)(const NerfMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
+  std::size_t (*saved_bytes)(const NerfMlpShape& shape, std::int64_t samples) = nullptr;
+};
+
+void nerf_mlp_kernels(KernelTables& tables);
+
+}  // namespace semfield

@@ -1,0 +1,217 @@
+// Tests of the NeRF network: laws for every switch, exactness of the savings, parameter count, an independent forward.
+#include "fields/nerf_mlp/nerf_mlp.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "plugin/registry.h"
+#include "testkit/compare.h"
+#include "testkit/field_bench.h"
+#include "testkit/laws.h"
+#include "testkit/tensor_box.h"
+
+namespace semfield {
+namespace {
+
+using testkit::FieldBench;
+using testkit::LawOptions;
+
+const KernelTables& tables() {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    nerf_mlp_kernels(t);
+    return t;
+  }();
+  return tables;
+}
+
+const NerfMlpParams kSmall{4, 12, 2, 9};
+
+FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims, bool fold = true, bool once = true) {
+  FieldBuild build;
+  build.position_dims = position_dims;
+  build.direction_dims = direction_dims;
+  build.savings.fold_feature_layer = fold;
+  build.savings.direction_once_per_ray = once;
+  return build;
+}
+
+void expect_laws(const NerfMlpParams& params, const FieldBuild& build) {
+  LawOptions options;
+  options.many_rows = 1025;
+  const NerfMlp<float> field32(params, build, tables());
+  const NerfMlp<double> field64(params, build, tables());
+  const testkit::Failures failures = testkit::field_laws(field32, field64, build, options);
+  EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
+}
+
+TEST(NerfMlp, LawsWithEverySwitch) {
+  for (const bool fold : {true, false}) {
+    for (const bool once : {true, false}) {
+      SCOPED_TRACE("fold " + std::to_string(fold) + ", once a ray " + std::to_string(once));
+      expect_laws(kSmall, build_of(7, 5, fold, once));
+    }
+  }
+}
+
+TEST(NerfMlp, LawsWithoutDirectionSkipOrDepth) {
+  expect_laws(kSmall, build_of(7, 0));
+  expect_laws({3, 8, 0, 5}, build_of(6, 3));
+  expect_laws({1, 8, 0, 4}, build_of(6, 3));
+  expect_laws({2, 70, 1, 33}, build_of(9, 4));
+}
+
+std::int64_t learned_count(const NerfMlpParams& params, const FieldBuild& build) {
+  struct Counter final : ParamDeclarer {
+    int tensor(TensorSpec spec) override {
+      if (spec.role == TensorRole::dense) learned += spec.rows * spec.cols;
+      return tensors++;
+    }
+    std::int64_t learned = 0;
+    int tensors = 0;
+  } counter;
+  NerfMlp<float>(params, build, tables()).declare(counter);
+  return counter.learned;
+}
+
+TEST(NerfMlp, HasThePapersParameterCount) {
+  EXPECT_EQ(learned_count({}, build_of(63, 27)), 595844);
+  EXPECT_EQ(learned_count({}, build_of(63, 27, false, false)), 595844);
+  // Without direction the feature layer and 27 x 128 view weights are gone.
+  EXPECT_EQ(learned_count({}, build_of(63, 0)), 595844 - (256 * 256 + 256) - 27 * 128);
+}
+
+TEST(NerfMlp, StartsWithinTheFanIn) {
+  struct Check final : ParamDeclarer {
+    int tensor(TensorSpec spec) override {
+      if (spec.name == "trunk_5/weight") skip = spec.init.high;
+      if (spec.name == "trunk_5/bias") skip_bias = spec.init.high;
+      return count++;
+    }
+    double skip = 0, skip_bias = 0;
+    int count = 0;
+  } check;
+  NerfMlp<float>({}, build_of(63, 27), tables()).declare(check);
+  EXPECT_DOUBLE_EQ(check.skip, 1 / std::sqrt(319.0));
+  EXPECT_DOUBLE_EQ(check.skip_bias, 1 / std::sqrt(319.0));
+}
+
+TEST(NerfMlp, SavingsChangeNeitherOutputsNorGradients) {
+  const LawOptions options;
+  const FieldBuild plain_build = build_of(7, 5, false, false);
+  const NerfMlp<double> plain_field(kSmall, plain_build, tables());
+  FieldBench<double> plain(plain_field, plain_build, 33, 0, options);
+  plain.forward();
+  plain.backward();
+  for (const auto& [fold, once] : {std::pair{true, false}, {false, true}, {true, true}}) {
+    SCOPED_TRACE("fold " + std::to_string(fold) + ", once a ray " + std::to_string(once));
+    const FieldBuild build = build_of(7, 5, fold, once);
+    const NerfMlp<double> field(kSmall, build, tables());
+    FieldBench<double> saving(field, build, 33, 0, options);
+    saving.forward();
+    saving.backward();
+    const auto same = [](View<const double> got, View<const double> want) {
+      return testkit::compare<double, double>(got, want, 1e-12);
+    };
+    EXPECT_EQ(same(saving.sigma.view(), plain.sigma.view()), "");
+    EXPECT_EQ(same(saving.rgb.view(), plain.rgb.view()), "");
+    EXPECT_EQ(same(saving.feature.view(), plain.feature.view()), "");
+    EXPECT_EQ(same(saving.d_position.view(), plain.d_position.view()), "");
+    int compared = 0;
+    for (std::size_t i = 0; i < plain.box.count(); ++i) {
+      if (!plain.box.learned(i)) continue;
+      const std::string& name = plain.box.specs()[i].name;
+      ASSERT_EQ(saving.box.specs()[i].name, name);
+      ASSERT_EQ(same(saving.box.value(i), plain.box.value(i)), "") << name;
+      EXPECT_EQ(same(saving.box.grad(i), plain.box.grad(i)), "") << name;
+      ++compared;
+    }
+    EXPECT_EQ(compared, 2 * (4 + 4));
+  }
+}
+
+/// [x, extra] W + b with plain loops; rectified when wanted.
+std::vector<double> layer(const std::vector<double>& x, View<const double> w, View<const double> b, bool relu) {
+  std::vector<double> y(static_cast<std::size_t>(w.cols));
+  for (std::int32_t n = 0; n < w.cols; ++n) {
+    double sum = b(0, n);
+    for (std::size_t k = 0; k < x.size(); ++k) sum += x[k] * w(static_cast<std::int64_t>(k), n);
+    y[static_cast<std::size_t>(n)] = relu ? std::max(0.0, sum) : sum;
+  }
+  return y;
+}
+
+TEST(NerfMlp, ForwardIsThePapersNetwork) {
+  const FieldBuild build = build_of(7, 5);
+  const NerfMlp<double> field(kSmall, build, tables());
+  FieldBench<double> bench(field, build, 33, 0, {});
+  bench.forward();
+  const auto tensor = [&](const std::string& name) -> View<const double> {
+    for (std::size_t i = 0; i < bench.box.count(); ++i) {
+      if (bench.box.specs()[i].name == name) return bench.box.value(i);
+    }
+    ADD_FAILURE() << "no tensor " << name;
+    return {};
+  };
+  const FieldIn<double> in = bench.in();
+  for (std::int64_t m = 0; m < 33; ++m) {
+    const std::vector<double> x(in.position.row(m), in.position.row(m) + 7);
+    const double* d = in.direction.row(in.ray_of_sample(m, 0));
+    std::vector<double> h = x;
+    for (int i = 0; i < 4; ++i) {
+      if (i == 2) h.insert(h.begin(), x.begin(), x.end());
+      const std::string name = "trunk_" + std::to_string(i);
+      h = layer(h, tensor(name + "/weight"), tensor(name + "/bias"), true);
+    }
+    EXPECT_NEAR(bench.sigma(m, 0), layer(h, tensor("density/weight"), tensor("density/bias"), false)[0], 1e-12);
+    for (int c = 0; c < 12; ++c) EXPECT_NEAR(bench.feature(m, c), h[static_cast<std::size_t>(c)], 1e-12);
+    std::vector<double> f = layer(h, tensor("feature/weight"), tensor("feature/bias"), false);
+    f.insert(f.end(), d, d + 5);
+    const auto v = layer(f, tensor("view/weight"), tensor("view/bias"), true);
+    const auto logit = layer(v, tensor("color/weight"), tensor("color/bias"), false);
+    for (int c = 0; c < 3; ++c) {
+      EXPECT_NEAR(bench.rgb(m, c), 1 / (1 + std::exp(-logit[static_cast<std::size_t>(c)])), 1e-12);
+    }
+  }
+}
+
+TEST(NerfMlp, BackwardWithoutPositionGradientGivesTheSameParameterGradients) {
+  const FieldBuild build = build_of(7, 5);
+  const NerfMlp<float> field(kSmall, build, tables());
+  FieldBench<float> with(field, build, 33, 0, {}), without(field, build, 33, 0, {});
+  with.forward();
+  with.backward();
+  without.forward();
+  without.backward({}, false);
+  for (std::size_t i = 0; i < with.box.count(); ++i) {
+    EXPECT_EQ(testkit::compare_bits<float>(with.box.grad(i), without.box.grad(i)), "") << with.box.specs()[i].name;
+  }
+}
+
+TEST(NerfMlp, RefusesASkipBeyondTheTrunk) {
+  Diagnostics diagnostics;
+  validate(NerfMlpParams{4, 8, 4, 8}, diagnostics);
+  ASSERT_EQ(diagnostics.error_count(), 1);
+  EXPECT_EQ(diagnostics.all()[0].where, "skip_at");
+  EXPECT_THROW(NerfMlp<float>({4, 8, 4, 8}, build_of(7, 5), tables()), Error);
+  EXPECT_THROW(NerfMlp<float>({}, build_of(0, 5), tables()), Error);
+}
+
+TEST(NerfMlp, SaysWhenADeviceHasNoKernels) {
+  FieldBuild build = build_of(7, 5);
+  build.device = Device::cuda;
+  try {
+    const NerfMlp<float> field({}, build, tables());
+    ADD_FAILURE() << "built without cuda kernels";
+  } catch (const Error& e) {
+    EXPECT_NE(e.message().find("field 'nerf_mlp' has no cuda kernels"), std::string::npos) << e.what();
+  }
+}
+
+}  // namespace
+}  // namespace semfield

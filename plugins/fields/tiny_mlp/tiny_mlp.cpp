@@ -1,0 +1,121 @@
+// Parameters, tensors and registration of the small network.
+#include "fields/tiny_mlp/tiny_mlp.h"
+
+#include <cmath>
+#include <string>
+
+#include "plugin/module.h"
+#include "plugin/registry.h"
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, TinyMlpParams& p) {
+  SEMFIELD_PARAM(visit, p, hidden_width, "width of the density network's hidden layers [Mueller22 Sec. 5.4]",
+                 {1, 4096});
+  SEMFIELD_PARAM(visit, p, hidden_layers, "hidden layers of the density network", {1, 8});
+  SEMFIELD_PARAM(visit, p, geometry_features, "numbers that the density network hands to the colour network", {1, 255});
+  SEMFIELD_PARAM(visit, p, color_width, "width of the colour network's hidden layers", {1, 4096});
+  SEMFIELD_PARAM(visit, p, color_layers, "hidden layers of the colour network", {1, 8});
+  SEMFIELD_PARAM(visit, p, feature,
+                 "what the semantic head reads: the last hidden activations or the geometry features");
+}
+
+// Every combination within the ranges is a network.
+void validate(const TinyMlpParams&, Diagnostics&) {}
+
+namespace {
+
+/// Learned weight and bias, uniform within 1/sqrt(fan_in).
+TinyMlpLayer learned(std::vector<TensorSpec>& specs, const std::string& name, std::int32_t in, std::int32_t out) {
+  const Init init = Init::uniform(1.0 / std::sqrt(static_cast<double>(in)));
+  const auto next = static_cast<int>(specs.size());
+  specs.push_back({name + "/weight", in, out, init, TensorRole::dense});
+  specs.push_back({name + "/bias", 1, out, init, TensorRole::dense});
+  return {next, next + 1, -1};
+}
+
+void add_transpose(std::vector<TensorSpec>& specs, TinyMlpLayer& layer) {
+  const TensorSpec weight = specs[static_cast<std::size_t>(layer.weight)];
+  layer.weight_t = static_cast<int>(specs.size());
+  specs.push_back({weight.name + "_t", weight.cols, static_cast<std::int32_t>(weight.rows), {}, TensorRole::derived});
+}
+
+}  // namespace
+
+template <class Real>
+TinyMlp<Real>::TinyMlp(const TinyMlpParams& params, const FieldBuild& build, const KernelTables& kernels)
+    : kernels_(&kernels.get<TinyMlpKernels<Real>>(build.device, "field 'tiny_mlp'")) {
+  Diagnostics diagnostics;
+  validate(params, diagnostics);
+  if (build.position_dims < 1)
+    diagnostics.error("", "field 'tiny_mlp' needs an encoded position of at least one number");
+  diagnostics.throw_if_errors(ErrorKind::config, "field 'tiny_mlp' cannot be built");
+  TinyMlpShape& s = shape_;
+  s.position_dims = build.position_dims;
+  s.direction_dims = build.direction_dims;
+  s.hidden_width = params.hidden_width;
+  s.geometry_features = params.geometry_features;
+  s.color_width = params.color_width;
+  s.feature = params.feature;
+  s.direction_once = build.savings.direction_once_per_ray;
+
+  std::int32_t in = s.position_dims;
+  for (int i = 0; i < params.hidden_layers; ++i) {
+    s.hidden.push_back(learned(specs_, "hidden_" + std::to_string(i), in, s.hidden_width));
+    in = s.hidden_width;
+  }
+  s.geometry = learned(specs_, "geometry", s.hidden_width, 1 + s.geometry_features);
+  in = s.geometry_features + s.direction_dims;
+  for (int i = 0; i < params.color_layers; ++i) {
+    s.color.push_back(learned(specs_, "color_" + std::to_string(i), in, s.color_width));
+    in = s.color_width;
+  }
+  s.rgb = learned(specs_, "rgb", s.color_width, 3);
+  for (TinyMlpLayer& layer : s.hidden) add_transpose(specs_, layer);
+  add_transpose(specs_, s.geometry);
+  for (TinyMlpLayer& layer : s.color) add_transpose(specs_, layer);
+  add_transpose(specs_, s.rgb);
+}
+
+template <class Real>
+void TinyMlp<Real>::declare(ParamDeclarer& declarer) const {
+  for (const TensorSpec& spec : specs_) declarer.tensor(spec);
+}
+
+template <class Real>
+std::size_t TinyMlp<Real>::saved_bytes(std::int64_t samples, std::int64_t) const noexcept {
+  return kernels_->saved_bytes(shape_, samples);
+}
+
+template <class Real>
+void TinyMlp<Real>::derive(const StepContext&, const Tensors<Real>& tensors) const {
+  kernels_->derive(shape_, tensors);
+}
+
+template <class Real>
+void TinyMlp<Real>::do_forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
+                               const FieldOut<Real>& out, Saved saved) const {
+  kernels_->forward(shape_, ctx, tensors, in, out, saved);
+}
+
+template <class Real>
+void TinyMlp<Real>::do_backward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
+                                const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved,
+                                View<Real> d_position) const {
+  kernels_->backward(shape_, ctx, tensors, in, out, grad, saved, d_position);
+}
+
+template class TinyMlp<float>;
+template class TinyMlp<double>;
+
+namespace {
+void register_into(Registry& registry) {
+  tiny_mlp_kernels(registry.kernels());
+  registry.add_field<TinyMlp, TinyMlpParams>(
+      "tiny_mlp", "Small network behind a learned encoding: density, geometry features, view-dependent colour.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(tiny_mlp, "1.0", register_into)
+
+}  // namespace semfield

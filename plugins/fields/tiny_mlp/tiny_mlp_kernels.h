@@ -1,0 +1,52 @@
+// Shape, tensor numbering and kernel table of the small network.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "plugin/field.h"
+
+namespace semfield {
+
+class KernelTables;
+
+/// What the semantic head reads.
+enum class TinyFeature : std::uint8_t { hidden, geometry };
+
+/// Indices of a layer's tensors.
+struct TinyMlpLayer {
+  int weight = -1, bias = -1;
+  int weight_t = -1;  ///< derived transpose
+};
+
+struct TinyMlpShape {
+  std::int32_t position_dims = 0;
+  std::int32_t direction_dims = 0;
+  std::int32_t hidden_width = 64;
+  std::int32_t geometry_features = 15;
+  std::int32_t color_width = 64;
+  TinyFeature feature = TinyFeature::hidden;
+  bool direction_once = true;
+  std::vector<TinyMlpLayer> hidden;  ///< position to last hidden activation
+  TinyMlpLayer geometry;             ///< to [sigma, geometry features]
+  std::vector<TinyMlpLayer> color;   ///< [geometry features, direction] to last colour activation
+  TinyMlpLayer rgb;
+
+  bool has_direction() const { return direction_dims > 0; }
+  std::int32_t feature_dims() const { return feature == TinyFeature::hidden ? hidden_width : geometry_features; }
+};
+
+template <class Real>
+struct TinyMlpKernels {
+  void (*forward)(const TinyMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
+                  const FieldIn<Real>& in, const FieldOut<Real>& out, Saved saved) = nullptr;
+  void (*backward)(const TinyMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
+                   const FieldIn<Real>& in, const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved,
+                   View<Real> d_position) = nullptr;
+  void (*derive)(const TinyMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
+  std::size_t (*saved_bytes)(const TinyMlpShape& shape, std::int64_t samples) = nullptr;
+};
+
+void tiny_mlp_kernels(KernelTables& tables);
+
+}  // namespace semfield

@@ -1,0 +1,150 @@
+// Tests of the small network: laws for every switch and feature, exactness of the saving, an independent forward.
+#include "fields/tiny_mlp/tiny_mlp.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "plugin/registry.h"
+#include "testkit/compare.h"
+#include "testkit/field_bench.h"
+#include "testkit/laws.h"
+
+namespace semfield {
+namespace {
+
+using testkit::FieldBench;
+using testkit::LawOptions;
+
+const KernelTables& tables() {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    tiny_mlp_kernels(t);
+    return t;
+  }();
+  return tables;
+}
+
+TinyMlpParams small(TinyFeature feature = TinyFeature::hidden) { return {12, 2, 5, 10, 2, feature}; }
+
+FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims, bool once = true) {
+  FieldBuild build;
+  build.position_dims = position_dims;
+  build.direction_dims = direction_dims;
+  build.savings.direction_once_per_ray = once;
+  return build;
+}
+
+void expect_laws(const TinyMlpParams& params, const FieldBuild& build) {
+  LawOptions options;
+  options.many_rows = 1025;
+  const TinyMlp<float> field32(params, build, tables());
+  const TinyMlp<double> field64(params, build, tables());
+  const testkit::Failures failures = testkit::field_laws(field32, field64, build, options);
+  EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
+}
+
+TEST(TinyMlp, LawsWithEverySwitchAndFeature) {
+  for (const TinyFeature feature : {TinyFeature::hidden, TinyFeature::geometry}) {
+    for (const std::int32_t direction_dims : {4, 0}) {
+      for (const bool once : {true, false}) {
+        SCOPED_TRACE("feature " + std::to_string(static_cast<int>(feature)) + ", direction " +
+                     std::to_string(direction_dims) + ", once a ray " + std::to_string(once));
+        expect_laws(small(feature), build_of(7, direction_dims, once));
+      }
+    }
+  }
+}
+
+TEST(TinyMlp, LawsForOtherDepths) {
+  expect_laws({8, 1, 1, 6, 1, TinyFeature::hidden}, build_of(5, 3));
+  expect_laws({9, 3, 4, 17, 3, TinyFeature::geometry}, build_of(5, 3));
+  expect_laws({}, build_of(32, 16));
+}
+
+TEST(TinyMlp, OnceARayChangesNeitherOutputsNorGradients) {
+  const FieldBuild plain_build = build_of(7, 4, false), saving_build = build_of(7, 4, true);
+  const TinyMlp<double> plain_field(small(), plain_build, tables()), saving_field(small(), saving_build, tables());
+  FieldBench<double> plain(plain_field, plain_build, 33, 0, {}), saving(saving_field, saving_build, 33, 0, {});
+  for (FieldBench<double>* bench : {&plain, &saving}) {
+    bench->forward();
+    bench->backward();
+  }
+  const auto same = [](View<const double> got, View<const double> want) {
+    return testkit::compare<double, double>(got, want, 1e-12);
+  };
+  EXPECT_EQ(same(saving.sigma.view(), plain.sigma.view()), "");
+  EXPECT_EQ(same(saving.rgb.view(), plain.rgb.view()), "");
+  EXPECT_EQ(same(saving.feature.view(), plain.feature.view()), "");
+  EXPECT_EQ(same(saving.d_position.view(), plain.d_position.view()), "");
+  for (std::size_t i = 0; i < plain.box.count(); ++i) {
+    EXPECT_EQ(same(saving.box.grad(i), plain.box.grad(i)), "") << plain.box.specs()[i].name;
+  }
+}
+
+/// x W + b with plain loops; rectified when wanted.
+std::vector<double> layer(const std::vector<double>& x, View<const double> w, View<const double> b, bool relu) {
+  std::vector<double> y(static_cast<std::size_t>(w.cols));
+  for (std::int32_t n = 0; n < w.cols; ++n) {
+    double sum = b(0, n);
+    for (std::size_t k = 0; k < x.size(); ++k) sum += x[k] * w(static_cast<std::int64_t>(k), n);
+    y[static_cast<std::size_t>(n)] = relu ? std::max(0.0, sum) : sum;
+  }
+  return y;
+}
+
+TEST(TinyMlp, ForwardIsTheNetwork) {
+  for (const TinyFeature feature : {TinyFeature::hidden, TinyFeature::geometry}) {
+    const FieldBuild build = build_of(7, 4);
+    const TinyMlp<double> field(small(feature), build, tables());
+    FieldBench<double> bench(field, build, 33, 0, {});
+    bench.forward();
+    const auto tensor = [&](const std::string& name) -> View<const double> {
+      for (std::size_t i = 0; i < bench.box.count(); ++i) {
+        if (bench.box.specs()[i].name == name) return bench.box.value(i);
+      }
+      ADD_FAILURE() << "no tensor " << name;
+      return {};
+    };
+    const auto apply = [&](const std::string& name, const std::vector<double>& x, bool relu) {
+      return layer(x, tensor(name + "/weight"), tensor(name + "/bias"), relu);
+    };
+    const FieldIn<double> in = bench.in();
+    for (std::int64_t m = 0; m < 33; ++m) {
+      const std::vector<double> x(in.position.row(m), in.position.row(m) + 7);
+      const double* d = in.direction.row(in.ray_of_sample(m, 0));
+      const auto h = apply("hidden_1", apply("hidden_0", x, true), true);
+      const auto out = apply("geometry", h, false);
+      EXPECT_NEAR(bench.sigma(m, 0), out[0], 1e-12);
+      std::vector<double> g(out.begin() + 1, out.end());
+      const std::vector<double>& wanted = feature == TinyFeature::hidden ? h : g;
+      ASSERT_EQ(field.traits().feature_dims, static_cast<std::int32_t>(wanted.size()));
+      for (std::size_t c = 0; c < wanted.size(); ++c) {
+        EXPECT_NEAR(bench.feature(m, static_cast<std::int32_t>(c)), wanted[c], 1e-12);
+      }
+      g.insert(g.end(), d, d + 4);
+      const auto logit = apply("rgb", apply("color_1", apply("color_0", g, true), true), false);
+      for (int c = 0; c < 3; ++c) {
+        EXPECT_NEAR(bench.rgb(m, c), 1 / (1 + std::exp(-logit[static_cast<std::size_t>(c)])), 1e-12);
+      }
+    }
+  }
+}
+
+TEST(TinyMlp, SaysWhatItCannotBuild) {
+  EXPECT_THROW(TinyMlp<float>({}, build_of(0, 4), tables()), Error);
+  FieldBuild build = build_of(7, 4);
+  build.device = Device::cuda;
+  try {
+    const TinyMlp<float> field({}, build, tables());
+    ADD_FAILURE() << "built without cuda kernels";
+  } catch (const Error& e) {
+    EXPECT_NE(e.message().find("field 'tiny_mlp' has no cuda kernels"), std::string::npos) << e.what();
+  }
+}
+
+}  // namespace
+}  // namespace semfield
