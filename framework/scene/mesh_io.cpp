@@ -1,0 +1,326 @@
+// OBJ + MTL reading on tinyobjloader's callbacks, with every index checked here.
+#include "scene/mesh_io.h"
+
+#ifdef SEMFIELD_WITH_RAYCAST
+#include <tiny_obj_loader.h>
+#endif
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <map>
+#include <set>
+#include <sstream>
+#include <string_view>
+
+#include "core/files.h"
+
+namespace semfield {
+
+#ifdef SEMFIELD_WITH_RAYCAST
+namespace {
+
+namespace fs = std::filesystem;
+
+/// What a first look at the text gives: lines of faces (for messages) and names of MTL files.
+struct Outline {
+  std::vector<std::uint32_t> face_lines;
+  std::vector<std::string> material_files;
+  bool has_objects = false;
+};
+
+std::string_view trimmed(std::string_view text) {
+  const auto begin = text.find_first_not_of(" \t\r");
+  if (begin == std::string_view::npos) return {};
+  return text.substr(begin, text.find_last_not_of(" \t\r") - begin + 1);
+}
+
+std::string place(const std::string& path, std::size_t line) { return path + ":" + std::to_string(line) + ": "; }
+
+// The loader reads "abc" and "nan" as 0: numbers are checked before it sees them.
+void check_numbers(std::string_view rest, int least, const std::string& path, std::size_t line) {
+  int count = 0;
+  while (!(rest = trimmed(rest)).empty()) {
+    const std::string_view word = rest.substr(0, rest.find_first_of(" \t"));
+    const std::string_view digits = word.front() == '+' ? word.substr(1) : word;
+    double value = 0;
+    const auto [end, code] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
+    const bool too_small = code == std::errc::result_out_of_range && digits.find("e-") != std::string_view::npos;
+    if (!too_small && (code != std::errc{} || end != digits.data() + digits.size() || !std::isfinite(value) ||
+                       std::abs(value) > 1e30)) {
+      throw Error(ErrorKind::data, place(path, line) + "'" + std::string(word) + "' is not a finite number",
+                  "export the mesh again");
+    }
+    rest.remove_prefix(word.size());
+    ++count;
+  }
+  if (count < least) {
+    throw Error(ErrorKind::data,
+                place(path, line) + "expected " + std::to_string(least) + " numbers, found " + std::to_string(count),
+                "export the mesh again");
+  }
+}
+
+Outline outline_of(const std::string& text, const std::string& path) {
+  Outline outline;
+  std::size_t line = 0;
+  for (std::size_t begin = 0; begin < text.size();) {
+    std::size_t end = text.find('\n', begin);
+    if (end == std::string::npos) end = text.size();
+    ++line;
+    const std::string_view row = trimmed(std::string_view(text).substr(begin, end - begin));
+    begin = end + 1;
+    if (row.size() < 2) continue;
+    const std::string_view word = row.substr(0, row.find_first_of(" \t"));
+    if (word == "v") check_numbers(row.substr(1), 3, path, line);
+    if (word == "vn") check_numbers(row.substr(2), 3, path, line);
+    if (word == "vt") check_numbers(row.substr(2), 1, path, line);
+    if (word == "f") outline.face_lines.push_back(static_cast<std::uint32_t>(line));
+    if (word == "o") outline.has_objects = true;
+    if (word == "mtllib") outline.material_files.emplace_back(trimmed(row.substr(6)));
+  }
+  return outline;
+}
+
+std::string resolved_map(const fs::path& folder, std::string name, const std::string& owner, Diagnostics& diagnostics) {
+  if (name.empty()) return {};
+  for (char& c : name) {
+    if (c == '\\') c = '/';
+  }
+  const fs::path file = folder / name;
+  if (fs::is_regular_file(file)) return file.string();
+  diagnostics.warning(owner, "texture '" + file.string() + "' is missing", "the plain colour is used; add the file to see it");
+  return {};
+}
+
+void load_materials(const fs::path& folder, const std::string& name, TriangleMesh& mesh, std::map<std::string, int>& index,
+                    Diagnostics& diagnostics) {
+  const fs::path file = folder / name;
+  if (!fs::is_regular_file(file)) {
+    diagnostics.warning(file.string(), "material file is missing", "surfaces are grey; put it beside the OBJ file");
+    return;
+  }
+  std::istringstream stream(read_text_file(file.string()));
+  std::map<std::string, int> local;
+  std::vector<tinyobj::material_t> found;
+  std::string warning, error;
+  tinyobj::LoadMtl(&local, &found, &stream, &warning, &error);
+  for (const tinyobj::material_t& m : found) {
+    if (m.name.empty() || index.count(m.name) != 0) continue;
+    Material material;
+    material.name = m.name;
+    for (std::size_t c = 0; c < 3; ++c) {
+      material.diffuse[c] = static_cast<float>(m.diffuse[c]);
+      material.emission[c] = static_cast<float>(m.emission[c]);
+    }
+    material.opacity = static_cast<float>(m.dissolve);
+    material.diffuse_map = resolved_map(file.parent_path(), m.diffuse_texname, file.string() + ": " + m.name, diagnostics);
+    material.opacity_map = resolved_map(file.parent_path(), m.alpha_texname, file.string() + ": " + m.name, diagnostics);
+    index[m.name] = static_cast<int>(mesh.materials.size());
+    mesh.materials.push_back(std::move(material));
+  }
+}
+
+struct Builder {
+  const std::string& path;
+  const Outline& outline;
+  TriangleMesh& mesh;
+  const std::map<std::string, int>& material_index;
+  std::map<std::string, int> object_index, group_index;
+  std::set<std::string> missing_materials;
+  std::vector<Vec3f> normals;
+  std::vector<std::array<float, 2>> uvs;
+  std::int32_t object = -1, group = -1, material = -1;
+  std::size_t face = 0;
+
+  static std::int32_t named(std::map<std::string, int>& index, std::vector<std::string>& names, const std::string& name) {
+    const auto [it, fresh] = index.emplace(name, static_cast<int>(names.size()));
+    if (fresh) names.push_back(name);
+    return it->second;
+  }
+
+  [[noreturn]] void fail(const std::string& why) const {
+    const std::string owner = object < 0 ? "" : "object '" + mesh.objects[static_cast<std::size_t>(object)] + "': ";
+    throw Error(ErrorKind::data, place(path, outline.face_lines.at(face)) + owner + why, "export the mesh again");
+  }
+
+  // 1-based or negative (counting back) to 0-based; -1 for "none given".
+  std::int64_t resolve(int raw, std::size_t count, const char* what) const {
+    if (raw == 0) return -1;
+    const std::int64_t n = static_cast<std::int64_t>(count);
+    const std::int64_t i = raw > 0 ? raw - 1 : n + raw;
+    if (i < 0 || i >= n) {
+      fail("face names " + std::string(what) + " " + std::to_string(raw) + " of " + std::to_string(count));
+    }
+    return i;
+  }
+
+  void add_face(const tinyobj::index_t* corners, int count) {
+    if (count < 3) fail("face has " + std::to_string(count) + " corners, at least 3 are needed");
+    if (object < 0) object = named(object_index, mesh.objects, "unnamed");
+    if (group < 0) group = named(group_index, mesh.groups, "");
+    std::vector<Vec3f> polygon;
+    std::vector<std::array<std::int64_t, 3>> index;  // position, uv, normal
+    for (int k = 0; k < count; ++k) {
+      const std::int64_t p = resolve(corners[k].vertex_index, mesh.positions.size(), "vertex");
+      if (p < 0) fail("face names vertex 0; indices start at 1");
+      index.push_back({p, resolve(corners[k].texcoord_index, uvs.size(), "texture coordinate"),
+                       resolve(corners[k].normal_index, normals.size(), "normal")});
+      polygon.push_back(mesh.positions[static_cast<std::size_t>(p)]);
+    }
+    for (const std::array<int, 3>& t : triangulate_polygon(polygon)) add_triangle(t, index);
+    ++face;
+  }
+
+  void add_triangle(const std::array<int, 3>& corner, const std::vector<std::array<std::int64_t, 3>>& index) {
+    std::array<std::uint32_t, 3> triangle{};
+    std::array<std::array<float, 2>, 3> uv{};
+    std::array<Vec3f, 3> normal{};
+    for (std::size_t k = 0; k < 3; ++k) {
+      const auto& c = index[static_cast<std::size_t>(corner[k])];
+      triangle[k] = static_cast<std::uint32_t>(c[0]);
+      if (c[1] >= 0) uv[k] = uvs[static_cast<std::size_t>(c[1])];
+      if (c[2] >= 0) normal[k] = normals[static_cast<std::size_t>(c[2])];
+    }
+    const auto position = [&](std::size_t k) {
+      const Vec3f v = mesh.positions[triangle[k]];
+      return Vec3d{v.x, v.y, v.z};
+    };
+    const Vec3d a = position(0), b = position(1), c = position(2);
+    const double longest = std::max({dot(b - a, b - a), dot(c - b, c - b), dot(a - c, a - c)});
+    // Relative to the longest side: a sliver of this shape is a line in float32.
+    if (!(length(cross(b - a, c - a)) > 1e-9 * longest)) {
+      ++mesh.zero_area_skipped;
+      return;
+    }
+    for (const Vec3d& p : {a, b, c}) mesh.bounds.include(p);
+    mesh.triangles.push_back(triangle);
+    mesh.uv.push_back(uv);
+    mesh.normals.push_back(normal);
+    mesh.material_of.push_back(material);
+    mesh.object_of.push_back(object);
+    mesh.group_of.push_back(group);
+  }
+};
+
+Builder& self(void* user) { return *static_cast<Builder*>(user); }
+
+tinyobj::callback_t callbacks() {
+  tinyobj::callback_t c;
+  c.vertex_cb = [](void* user, tinyobj::real_t x, tinyobj::real_t y, tinyobj::real_t z, tinyobj::real_t) {
+    self(user).mesh.positions.push_back({static_cast<float>(x), static_cast<float>(y), static_cast<float>(z)});
+  };
+  c.normal_cb = [](void* user, tinyobj::real_t x, tinyobj::real_t y, tinyobj::real_t z) {
+    const Vec3f n{static_cast<float>(x), static_cast<float>(y), static_cast<float>(z)};
+    const float size = length(n);
+    self(user).normals.push_back(size > 1e-20f ? n * (1 / size) : Vec3f{});
+  };
+  c.texcoord_cb = [](void* user, tinyobj::real_t x, tinyobj::real_t y, tinyobj::real_t) {
+    self(user).uvs.push_back({static_cast<float>(x), static_cast<float>(y)});
+  };
+  c.index_cb = [](void* user, tinyobj::index_t* corners, int count) { self(user).add_face(corners, count); };
+  c.usemtl_cb = [](void* user, const char* name, int) {
+    Builder& b = self(user);
+    const std::string text(trimmed(name));
+    const auto it = b.material_index.find(text);
+    b.material = it == b.material_index.end() ? -1 : it->second;
+    if (it == b.material_index.end()) b.missing_materials.insert(text);
+  };
+  c.group_cb = [](void* user, const char** names, int count) {
+    Builder& b = self(user);
+    std::string name;
+    for (int i = 0; i < count; ++i) name += (i == 0 ? "" : " ") + std::string(names[i]);
+    b.group = Builder::named(b.group_index, b.mesh.groups, name);
+    if (!b.outline.has_objects) {
+      b.object = Builder::named(b.object_index, b.mesh.objects, name.empty() ? "unnamed" : name);
+    }
+  };
+  c.object_cb = [](void* user, const char* name) {
+    Builder& b = self(user);
+    b.object = Builder::named(b.object_index, b.mesh.objects, std::string(trimmed(name)));
+    b.group = Builder::named(b.group_index, b.mesh.groups, "");
+  };
+  return c;
+}
+
+}  // namespace
+#endif
+
+std::vector<std::array<int, 3>> triangulate_polygon(const std::vector<Vec3f>& corners) {
+  const int n = static_cast<int>(corners.size());
+  std::vector<std::array<int, 3>> out;
+  if (n == 3) return {{0, 1, 2}};
+  // Newell's normal: its largest component is the axis to drop.
+  Vec3d normal{};
+  for (int i = 0; i < n; ++i) {
+    const Vec3f p = corners[static_cast<std::size_t>(i)], q = corners[static_cast<std::size_t>((i + 1) % n)];
+    normal.x += static_cast<double>(p.y - q.y) * (p.z + q.z);
+    normal.y += static_cast<double>(p.z - q.z) * (p.x + q.x);
+    normal.z += static_cast<double>(p.x - q.x) * (p.y + q.y);
+  }
+  int drop = 0;
+  if (std::abs(normal.y) > std::abs(normal[drop])) drop = 1;
+  if (std::abs(normal.z) > std::abs(normal[drop])) drop = 2;
+  const int ax = (drop + 1) % 3, ay = (drop + 2) % 3;
+  const double sign = normal[drop] < 0 ? -1 : 1;
+  const auto turn = [&](int a, int b, int c) {  // > 0: left turn seen along the normal
+    const Vec3f &p = corners[static_cast<std::size_t>(a)], &q = corners[static_cast<std::size_t>(b)],
+                &r = corners[static_cast<std::size_t>(c)];
+    return sign * ((static_cast<double>(q[ax]) - p[ax]) * (static_cast<double>(r[ay]) - p[ay]) -
+                   (static_cast<double>(q[ay]) - p[ay]) * (static_cast<double>(r[ax]) - p[ax]));
+  };
+  std::vector<int> ring;
+  for (int i = 0; i < n; ++i) ring.push_back(i);
+  while (ring.size() > 3) {
+    const std::size_t m = ring.size();
+    std::size_t ear = m;
+    for (std::size_t i = 0; i < m && ear == m; ++i) {
+      const int a = ring[(i + m - 1) % m], b = ring[i], c = ring[(i + 1) % m];
+      if (turn(a, b, c) <= 0) continue;
+      bool clear = true;
+      for (const int p : ring) {
+        if (p == a || p == b || p == c) continue;
+        if (turn(a, b, p) >= 0 && turn(b, c, p) >= 0 && turn(c, a, p) >= 0) clear = false;
+      }
+      if (clear) ear = i;
+    }
+    if (ear == m) break;  // crosses itself or is flat: a fan of what is left
+    out.push_back({ring[(ear + m - 1) % m], ring[ear], ring[(ear + 1) % m]});
+    ring.erase(ring.begin() + static_cast<std::ptrdiff_t>(ear));
+  }
+  for (std::size_t i = 1; i + 1 < ring.size(); ++i) out.push_back({ring[0], ring[i], ring[i + 1]});
+  return out;
+}
+
+#ifdef SEMFIELD_WITH_RAYCAST
+TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics) {
+  const std::string text = read_text_file(path, std::size_t{1} << 30);
+  const Outline outline = outline_of(text, path);
+  const fs::path folder = fs::path(path).parent_path();
+  TriangleMesh mesh;
+  std::map<std::string, int> material_index;
+  for (const std::string& name : outline.material_files) load_materials(folder, name, mesh, material_index, diagnostics);
+  Builder builder{path, outline, mesh, material_index, {}, {}, {}, {}, {}};
+  std::istringstream stream(text);
+  std::string warning, error;
+  tinyobj::LoadObjWithCallback(stream, callbacks(), &builder, nullptr, &warning, &error);
+  if (!error.empty()) throw Error(ErrorKind::data, path + ": " + error, "export the mesh again");
+  for (const std::string& name : builder.missing_materials) {
+    diagnostics.warning(path, "material '" + name + "' is not defined", "its surfaces are grey; add it to the MTL file");
+  }
+  if (mesh.triangles.empty()) {
+    throw Error(ErrorKind::data, path + ": holds no triangle", "check that the file was exported completely");
+  }
+  if (mesh.zero_area_skipped > 0) {
+    diagnostics.note(path, "skipped " + std::to_string(mesh.zero_area_skipped) + " faces without area");
+  }
+  return mesh;
+}
+#else
+TriangleMesh load_obj(const std::string& path, Diagnostics&) {
+  throw Error(ErrorKind::unavailable, path + ": this build cannot read OBJ files", "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs tinyobjloader)");
+}
+#endif
+
+}  // namespace semfield

@@ -1,0 +1,313 @@
+// Shading: interleaved sampling of the light, smoothed over pixels that show the same surface [Keller01].
+#include "scene/mesh_render.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "core/parallel.h"
+#include "core/rng.h"
+
+namespace semfield {
+namespace {
+
+constexpr double kTwoPi = 6.283185307179586;
+constexpr int kLattice = 32;
+constexpr double kNoTextureCell_m = 0.35;
+
+Vec3d to_double(Vec3f v) { return {v.x, v.y, v.z}; }
+Vec3f to_float(Vec3d v) { return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)}; }
+
+double radical_inverse2(std::uint32_t k) {
+  k = (k << 16) | (k >> 16);
+  k = ((k & 0x00ff00ffu) << 8) | ((k & 0xff00ff00u) >> 8);
+  k = ((k & 0x0f0f0f0fu) << 4) | ((k & 0xf0f0f0f0u) >> 4);
+  k = ((k & 0x33333333u) << 2) | ((k & 0xccccccccu) >> 2);
+  k = ((k & 0x55555555u) << 1) | ((k & 0xaaaaaaaau) >> 1);
+  return static_cast<double>(k) * 0x1p-32;
+}
+
+// Hammersley point of a set of n, jittered within its stratum.
+void spread_sample(int k, int n, const PhiloxBlock& jitter, double& a, double& b) {
+  a = (k + static_cast<double>(jitter.v[0]) * 0x1p-32) / n;
+  b = radical_inverse2(static_cast<std::uint32_t>(k)) + static_cast<double>(jitter.v[1]) * 0x1p-32 / n;
+  if (b >= 1) b -= 1;
+}
+
+// Two unit vectors that complete n to a frame [Duff17].
+void frame_of(Vec3d n, Vec3d& s, Vec3d& t) {
+  const double sign = std::copysign(1.0, n.z);
+  const double a = -1.0 / (sign + n.z), b = n.x * n.y * a;
+  s = {1 + sign * n.x * n.x * a, sign * b, -sign * n.x};
+  t = {b, sign + n.y * n.y * a, -n.y};
+}
+
+std::array<float, 3> pastel(const RandomAddress& address, std::uint64_t index) {
+  const float hue = uniform01(address, 3 * index) * 6.0f;
+  const float saturation = 0.25f + 0.4f * uniform01(address, 3 * index + 1);
+  const float value = 0.35f + 0.4f * uniform01(address, 3 * index + 2);
+  std::array<float, 3> out{};
+  for (int c = 0; c < 3; ++c) {
+    const float k = std::fmod(hue + static_cast<float>(5 - 2 * c), 6.0f);
+    out[static_cast<std::size_t>(c)] = value * (1 - saturation * std::clamp(std::min(k, 4 - k), 0.0f, 1.0f));
+  }
+  return out;
+}
+
+}  // namespace
+
+MeshRenderer::MeshRenderer(TriangleMesh mesh, std::vector<std::int16_t> class_of, RenderSettings settings,
+                           Diagnostics& diagnostics)
+    : mesh_(std::move(mesh)), class_of_(std::move(class_of)), settings_(std::move(settings)) {
+  prepare_materials(diagnostics);
+  std::vector<bool> cut_out(mesh_.size());
+  for (std::size_t i = 0; i < mesh_.size(); ++i) {
+    const std::int32_t m = mesh_.material_of[i];
+    if (m < 0) continue;
+    const auto index = static_cast<std::size_t>(m);
+    cut_out[i] = mask_of_[index] >= 0 || mesh_.materials[index].opacity < 0.5f;
+  }
+  rays_ = std::make_unique<Raycaster>(mesh_, std::move(cut_out),
+                                      [this](std::int64_t t, float b1, float b2) { return opaque(t, b1, b2); });
+}
+
+void MeshRenderer::prepare_materials(Diagnostics& diagnostics) {
+  std::map<std::string, int> known_textures, known_masks;
+  for (const Material& material : mesh_.materials) {
+    const auto load = [&](const std::string& path, auto& list, std::map<std::string, int>& known) {
+      if (path.empty()) return -1;
+      const auto it = known.find(path);
+      if (it != known.end()) return it->second;
+      int index = -1;
+      try {
+        list.push_back(std::decay_t<decltype(list)>::value_type::load(path));
+        index = static_cast<int>(list.size()) - 1;
+      } catch (const Error& error) {
+        diagnostics.warning(path, "texture cannot be read: " + error.message(), "the plain colour is used");
+      }
+      known[path] = index;
+      return index;
+    };
+    texture_of_.push_back(load(material.diffuse_map, textures_, known_textures));
+    mask_of_.push_back(load(material.opacity_map, masks_, known_masks));
+  }
+  texels_per_m_.assign(mesh_.size(), 0);
+  for (std::size_t i = 0; i < mesh_.size(); ++i) {
+    const std::int32_t m = mesh_.material_of[i];
+    if (m < 0 || texture_of_[static_cast<std::size_t>(m)] < 0) continue;
+    const Texture& texture = textures_[static_cast<std::size_t>(texture_of_[static_cast<std::size_t>(m)])];
+    const auto& uv = mesh_.uv[i];
+    const double area_uv = std::abs((uv[1][0] - uv[0][0]) * (uv[2][1] - uv[0][1]) - (uv[1][1] - uv[0][1]) * (uv[2][0] - uv[0][0]));
+    const auto corner = [&](std::size_t k) { return to_double(mesh_.positions[mesh_.triangles[i][k]]); };
+    const double area_m = length(cross(corner(1) - corner(0), corner(2) - corner(0)));
+    texels_per_m_[i] = static_cast<float>(std::sqrt(area_uv * texture.width() * texture.height() / area_m));
+  }
+  const RandomAddress colors{settings_.seed, 0, stream_id("mesh/object_color")};
+  for (std::size_t i = 0; i < mesh_.objects.size(); ++i) object_color_.push_back(pastel(colors, i));
+  const RandomAddress cells{settings_.seed, 0, stream_id("mesh/lattice")};
+  lattice_.resize(kLattice * kLattice * kLattice);
+  for (std::size_t i = 0; i < lattice_.size(); ++i) lattice_[i] = uniform01(cells, i);
+}
+
+bool MeshRenderer::opaque(std::int64_t triangle, float b1, float b2) const {
+  const auto i = static_cast<std::size_t>(triangle);
+  const std::int32_t m = mesh_.material_of[i];
+  if (m < 0) return true;
+  const auto index = static_cast<std::size_t>(m);
+  if (mesh_.materials[index].opacity < 0.5f) return false;
+  if (mask_of_[index] < 0) return true;
+  const auto& uv = mesh_.uv[i];
+  const float b0 = 1 - b1 - b2;
+  return masks_[static_cast<std::size_t>(mask_of_[index])].opaque(b0 * uv[0][0] + b1 * uv[1][0] + b2 * uv[2][0],
+                                                                 b0 * uv[0][1] + b1 * uv[1][1] + b2 * uv[2][1]);
+}
+
+MeshRenderer::Surface MeshRenderer::surface(Vec3d origin, Vec3d direction) const {
+  Surface s;
+  const RayHit hit = rays_->trace(origin, direction);
+  if (!hit.hit()) return s;
+  const auto i = static_cast<std::size_t>(hit.triangle);
+  s.triangle = hit.triangle;
+  s.object = mesh_.object_of[i];
+  s.distance_m = hit.distance_m;
+  s.point = origin + direction * hit.distance_m;
+  const auto corner = [&](std::size_t k) { return to_double(mesh_.positions[mesh_.triangles[i][k]]); };
+  Vec3d facet = normalized(cross(corner(1) - corner(0), corner(2) - corner(0)));
+  const float b0 = 1 - hit.b1 - hit.b2;
+  const auto& n = mesh_.normals[i];
+  Vec3f smooth = n[0] * b0 + n[1] * hit.b1 + n[2] * hit.b2;
+  Vec3d shading = dot(smooth, smooth) > 1e-6f ? normalized(to_double(smooth)) : facet;
+  if (dot(facet, direction) > 0) facet = facet * -1.0;
+  if (dot(shading, facet) < 0) shading = shading * -1.0;
+  s.facet = to_float(facet);
+  s.normal = to_float(shading);
+  const auto& uv = mesh_.uv[i];
+  s.u = b0 * uv[0][0] + hit.b1 * uv[1][0] + hit.b2 * uv[2][0];
+  s.v = b0 * uv[0][1] + hit.b1 * uv[1][1] + hit.b2 * uv[2][1];
+  return s;
+}
+
+// Value noise: trilinear between random values on a lattice of 1 unit, in [0, 1].
+float MeshRenderer::noise(Vec3d p) const {
+  const double f[3] = {std::floor(p.x), std::floor(p.y), std::floor(p.z)};
+  int cell[3];
+  float w[3];
+  for (int k = 0; k < 3; ++k) {
+    cell[k] = static_cast<int>(static_cast<std::int64_t>(f[k]) & (kLattice - 1));
+    w[k] = static_cast<float>(p[k] - f[k]);
+  }
+  float sum = 0;
+  for (int corner = 0; corner < 8; ++corner) {
+    float weight = 1;
+    int at[3];
+    for (int k = 0; k < 3; ++k) {
+      const int bit = (corner >> k) & 1;
+      at[k] = (cell[k] + bit) & (kLattice - 1);
+      weight *= bit != 0 ? w[k] : 1 - w[k];
+    }
+    sum += weight * lattice_[static_cast<std::size_t>((at[2] * kLattice + at[1]) * kLattice + at[0])];
+  }
+  return sum;
+}
+
+MeshRenderer::Color MeshRenderer::albedo(const Surface& s, double footprint_m) const {
+  const auto i = static_cast<std::size_t>(s.triangle);
+  const std::int32_t m = mesh_.material_of[i];
+  if (m < 0) {
+    // A file without materials still needs something to match between views: blotches in two sizes.
+    const Color base = object_color_[static_cast<std::size_t>(s.object)];
+    const Vec3d p = s.point * (1 / kNoTextureCell_m);
+    const float value = 0.55f + 0.6f * noise(p) + 0.3f * noise(p * 4.0);
+    return {base[0] * value, base[1] * value, base[2] * value};
+  }
+  const auto index = static_cast<std::size_t>(m);
+  const Material& material = mesh_.materials[index];
+  if (texture_of_[index] < 0) return material.diffuse;
+  const float level = std::log2(std::max(1e-6f, texels_per_m_[i] * static_cast<float>(footprint_m)));
+  return textures_[static_cast<std::size_t>(texture_of_[index])].sample(s.u, s.v, level);
+}
+
+MeshRenderer::Color MeshRenderer::emission(const Surface& s, const Color& color) const {
+  const std::int32_t m = mesh_.material_of[static_cast<std::size_t>(s.triangle)];
+  if (m < 0) return {};
+  const Material& material = mesh_.materials[static_cast<std::size_t>(m)];
+  if (texture_of_[static_cast<std::size_t>(m)] < 0) return material.emission;
+  return {material.emission[0] * color[0], material.emission[1] * color[1], material.emission[2] * color[2]};
+}
+
+MeshRenderer::Color MeshRenderer::irradiance(const Surface& s, int pattern, std::uint64_t frame, std::uint64_t pixel) const {
+  const Vec3d normal = to_double(s.normal);
+  const Vec3d start = s.point + to_double(s.facet) * (2e-4 * (1 + s.distance_m * 0.1));
+  const RandomAddress address{settings_.seed, frame, stream_id("mesh/irradiance")};
+  Vec3d tangent, bitangent;
+  frame_of(normal, tangent, bitangent);
+  const int ao = settings_.occlusion_rays;
+  int open = 0;
+  std::uint64_t draw = pixel * static_cast<std::uint64_t>(ao + settings_.shadow_rays * static_cast<int>(settings_.lights.size()));
+  for (int i = 0; i < ao; ++i) {
+    double a = 0, b = 0;
+    spread_sample(i * 16 + pattern, ao * 16, random_block(address, draw++), a, b);
+    // Cosine-weighted hemisphere: r = sqrt(b), phi = 2 pi a.
+    const double r = std::sqrt(b), up = std::sqrt(std::max(0.0, 1 - b)), phi = kTwoPi * a;
+    const Vec3d d = tangent * (r * std::cos(phi)) + bitangent * (r * std::sin(phi)) + normal * up;
+    if (dot(d, to_double(s.facet)) > 0 && !rays_->blocked(start, d, settings_.occlusion_m)) ++open;
+  }
+  const float sky = ao > 0 ? static_cast<float>(open) / static_cast<float>(ao) : 1.0f;
+  const float side = 0.5f + 0.5f * static_cast<float>(dot(normal, settings_.up));
+  Color out{};
+  for (std::size_t c = 0; c < 3; ++c) {
+    out[c] = sky * (settings_.ambient_below[c] + side * (settings_.ambient_above[c] - settings_.ambient_below[c]));
+  }
+  for (const Light& light : settings_.lights) {
+    const int n = std::max(1, settings_.shadow_rays);
+    for (int i = 0; i < n; ++i) {
+      double a = 0, b = 0;
+      spread_sample(i * 16 + pattern, n * 16, random_block(address, draw++), a, b);
+      const double z = 1 - 2 * b, r = std::sqrt(std::max(0.0, 1 - z * z)), phi = kTwoPi * a;
+      const Vec3d to = light.position + Vec3d{r * std::cos(phi), r * std::sin(phi), z} * light.radius_m - start;
+      const double distance = length(to);
+      const Vec3d d = to * (1 / std::max(distance, 1e-6));
+      const double facing = dot(d, normal);
+      if (facing <= 0 || dot(d, to_double(s.facet)) <= 0 || rays_->blocked(start, d, distance)) continue;
+      // E = I cos / d^2, with d^2 kept from running away next to the light.
+      const auto e = static_cast<float>(facing / std::max(0.09, distance * distance) / n);
+      for (std::size_t c = 0; c < 3; ++c) out[c] += light.intensity[c] * e;
+    }
+  }
+  return out;
+}
+
+void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t frame, FrameBuffer& out) const {
+  const std::int32_t w = camera.width_px, h = camera.height_px;
+  const auto pixels = static_cast<std::size_t>(w) * static_cast<std::size_t>(h);
+  out.width_px = w;
+  out.height_px = h;
+  out.rgb.assign(pixels * 3, 0);
+  out.depth_m.assign(pixels, 0);
+  out.label.assign(pixels, kVoid);
+  out.instance.assign(pixels, 0);
+  std::vector<Surface> center(pixels);
+  std::vector<Color> light(pixels);
+  parallel_for(h, [&](std::int64_t y) {
+    for (std::int32_t x = 0; x < w; ++x) {
+      const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(w) + static_cast<std::size_t>(x);
+      const Vec3d d = camera.direction(x + 0.5, static_cast<double>(y) + 0.5);
+      if (dot(d, d) < 0.5) continue;
+      center[i] = surface(pose.t, pose.rotate(d));
+      if (center[i].triangle < 0) continue;
+      out.depth_m[i] = static_cast<float>(center[i].distance_m * d.z);
+      out.label[i] = class_of_[static_cast<std::size_t>(center[i].triangle)];
+      out.instance[i] = center[i].object + 1;
+      light[i] = irradiance(center[i], (x & 3) + 4 * static_cast<int>(y & 3), frame, i);
+    }
+  });
+  const int n = std::max(1, settings_.supersample);
+  const double pixel_angle = 1.0 / (camera.fx * n);
+  parallel_for(h, [&](std::int64_t row) {
+    const auto y = static_cast<std::int32_t>(row);
+    for (std::int32_t x = 0; x < w; ++x) {
+      Color sum{};
+      for (int k = 0; k < n * n; ++k) {
+        const Vec3d d = camera.direction(x + (k % n + 0.5) / n, y + (k / n + 0.5) / n);
+        const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(w) + static_cast<std::size_t>(x);
+        const Surface s = dot(d, d) < 0.5 ? Surface{} : n == 1 ? center[i] : surface(pose.t, pose.rotate(d));
+        if (s.triangle < 0) {
+          for (std::size_t c = 0; c < 3; ++c) sum[c] += settings_.background[c];
+          continue;
+        }
+        // A 4 x 4 window holds each of the 16 sample sets once; pixels of another surface are left out.
+        Color e{};
+        int used = 0;
+        const double slack = 0.004 + 0.01 * s.distance_m;
+        for (int dy = -2; dy < 2; ++dy) {
+          for (int dx = -2; dx < 2; ++dx) {
+            const std::int32_t px = x + dx + (k % n >= (n + 1) / 2 ? 1 : 0), py = y + dy + (k / n >= (n + 1) / 2 ? 1 : 0);
+            if (px < 0 || py < 0 || px >= w || py >= h) continue;
+            const std::size_t q = static_cast<std::size_t>(py) * static_cast<std::size_t>(w) + static_cast<std::size_t>(px);
+            const Surface& o = center[q];
+            if (o.object != s.object || dot(o.normal, s.normal) < 0.94f) continue;
+            if (std::abs(dot(o.point - s.point, to_double(s.facet))) > slack) continue;
+            for (std::size_t c = 0; c < 3; ++c) e[c] += light[q][c];
+            ++used;
+          }
+        }
+        if (used == 0) {
+          e = irradiance(s, (x & 3) + 4 * (y & 3), frame, pixels * static_cast<std::size_t>(k + 1) + i);
+          used = 1;
+        }
+        const double cosine = std::max(0.15, std::abs(dot(to_double(s.facet), pose.rotate(d))));
+        const Color a = albedo(s, s.distance_m * pixel_angle / std::sqrt(cosine));
+        const Color glow = emission(s, a);
+        for (std::size_t c = 0; c < 3; ++c) sum[c] += a[c] * e[c] / static_cast<float>(used) + glow[c];
+      }
+      const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(w) + static_cast<std::size_t>(x);
+      for (std::size_t c = 0; c < 3; ++c) {
+        // Film-like shoulder, so that bright walls keep their shading: 1 - exp(-exposure * L).
+        const float tone = 1 - std::exp(-settings_.exposure * sum[c] / static_cast<float>(n * n));
+        out.rgb[3 * i + c] = static_cast<std::uint8_t>(std::lround(255 * std::clamp(srgb_of_linear(tone), 0.0f, 1.0f)));
+      }
+    }
+  });
+}
+
+}  // namespace semfield

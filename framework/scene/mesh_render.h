@@ -1,0 +1,87 @@
+// Pictures of a mesh: lambertian shading with soft shadows and ambient occlusion, labels and depth at pixel centres.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "core/error.h"
+#include "scene/mesh_io.h"
+#include "scene/raycast.h"
+#include "scene/scene.h"
+#include "scene/texture.h"
+
+namespace semfield {
+
+/// A ball of light.
+struct Light {
+  Vec3d position;
+  double radius_m = 0.15;
+  std::array<float, 3> intensity{1, 1, 1};  ///< irradiance at 1 m, facing it
+};
+
+struct RenderSettings {
+  std::vector<Light> lights;
+  std::array<float, 3> ambient_above{0.42f, 0.43f, 0.45f};  ///< irradiance of a surface facing up, unoccluded
+  std::array<float, 3> ambient_below{0.34f, 0.32f, 0.30f};  ///< ... facing down
+  Vec3d up{0, 0, 1};
+  double occlusion_m = 1.0;      ///< hemisphere rays end here
+  int occlusion_rays = 8;        ///< a pixel
+  int shadow_rays = 2;           ///< a pixel and light
+  int supersample = 2;           ///< colour samples a pixel = its square
+  float exposure = 1.0f;
+  std::array<float, 3> background{0.75f, 0.85f, 0.95f};  ///< linear colour where no surface is hit
+  std::uint64_t seed = 0;
+};
+
+/// Renders a mesh. Colours do not depend on the view direction; results do not depend on threads.
+class MeshRenderer {
+ public:
+  /// Loads textures (problems become warnings) and builds the ray-casting scene. `class_of` has one class index a triangle.
+  MeshRenderer(TriangleMesh mesh, std::vector<std::int16_t> class_of, RenderSettings settings, Diagnostics& diagnostics);
+
+  MeshRenderer(const MeshRenderer&) = delete;  // the ray-casting scene points into this object
+  MeshRenderer& operator=(const MeshRenderer&) = delete;
+
+  /// All channels of one frame; instance = object index + 1. `frame` addresses the random values.
+  void render(const Camera& camera, const Pose& world_from_camera, std::uint64_t frame, FrameBuffer& out) const;
+
+  const Raycaster& rays() const { return *rays_; }
+  const TriangleMesh& mesh() const { return mesh_; }
+  void set_lights(std::vector<Light> lights) { settings_.lights = std::move(lights); }
+
+ private:
+  struct Surface {
+    std::int64_t triangle = -1;
+    std::int32_t object = -1;
+    double distance_m = 0;
+    Vec3d point;
+    Vec3f normal;   // shading normal towards the viewer
+    Vec3f facet;    // geometric normal towards the viewer
+    float u = 0, v = 0;
+  };
+  using Color = std::array<float, 3>;
+
+  Surface surface(Vec3d origin, Vec3d direction) const;
+  Color albedo(const Surface& s, double footprint_m) const;
+  Color emission(const Surface& s, const Color& albedo) const;
+  /// Irradiance from `pattern` (0..15) of 16 interleaved sample sets; all 16 together are one well spread set.
+  Color irradiance(const Surface& s, int pattern, std::uint64_t frame, std::uint64_t pixel) const;
+  bool opaque(std::int64_t triangle, float b1, float b2) const;
+  float noise(Vec3d p) const;
+  void prepare_materials(Diagnostics& diagnostics);
+
+  TriangleMesh mesh_;
+  std::vector<std::int16_t> class_of_;
+  RenderSettings settings_;
+  std::vector<Texture> textures_;
+  std::vector<Mask> masks_;
+  std::vector<int> texture_of_, mask_of_;       // by material, -1 = none
+  std::vector<float> texels_per_m_;             // by triangle, 0 = no texture
+  std::vector<Color> object_color_;             // for surfaces without material
+  std::vector<float> lattice_;                  // 32^3 random values
+  std::unique_ptr<Raycaster> rays_;
+};
+
+}  // namespace semfield

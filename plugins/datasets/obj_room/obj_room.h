@@ -1,0 +1,78 @@
+// Dataset 'obj_room': an OBJ + MTL room, rendered on demand along a camera path.
+#pragma once
+
+#include <array>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "config/params.h"
+#include "plugin/dataset.h"
+#include "scene/camera_path.h"
+#include "scene/mesh_render.h"
+
+namespace semfield {
+
+enum class UpAxis : std::uint8_t { y, z };
+
+template <>
+struct ChoiceNames<UpAxis> {
+  static constexpr std::array<std::string_view, 2> names{"y", "z"};
+};
+template <>
+struct ChoiceNames<CameraAxes> {
+  static constexpr std::array<std::string_view, 3> names{"right_down_forward", "right_up_backward", "left_up_forward"};
+};
+
+struct ObjRoomParams {
+  std::string root = "room";
+  std::string obj;
+  std::string classes;
+  std::string cameras;
+  CameraAxes camera_axes = CameraAxes::right_down_forward;
+  UpAxis up = UpAxis::z;
+  int width_px = 160;
+  int height_px = 120;
+  double hfov_deg = 90;
+  int frames = 90;
+  int test_frames = 30;
+  std::int64_t seed = 1;
+  int supersample = 2;
+  int occlusion_rays = 8;
+  int shadow_rays = 2;
+  double exposure = 1.4;
+  double daylight = 0.6;
+  double clearance_m = 0.35;
+  double lowest_m = 0.9;
+  double highest_m = 1.9;
+  std::vector<double> bounds;
+  std::vector<std::string> room_classes{"wall", "ceiling"};
+  double near_m = 0;
+  double far_m = 0;
+};
+
+void describe(ParamVisitor& visit, ObjRoomParams& p);
+void validate(const ObjRoomParams& p, Diagnostics& diagnostics);
+
+class ObjRoom final : public Dataset {
+ public:
+  ObjRoom(const ObjRoomParams& params, const DatasetBuild& build);
+  SceneInfo open(Diagnostics& diagnostics) override;
+  void read(int frame, FrameBuffer& out) const override;
+
+ private:
+  std::string obj_path() const;
+  std::string class_path() const;
+  Box room_box(const ClassTable& classes, const std::vector<std::int16_t>& class_of) const;
+  std::vector<Light> lights(const Box& room, const ClassTable& classes, const std::vector<std::int16_t>& class_of) const;
+  void measure(SceneInfo& info, const Box& room) const;
+
+  ObjRoomParams params_;
+  std::string root_;
+  std::string config_dir_;
+  std::unique_ptr<MeshRenderer> renderer_;
+  std::vector<FrameInfo> frames_;
+};
+
+}  // namespace semfield
