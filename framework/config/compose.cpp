@@ -90,7 +90,8 @@ class Loader {
            "paths in a config are relative to the file that wrote them");
     }
     const std::string identity = fs::weakly_canonical(path, unknown).string();
-    const auto first = std::find_if(open_.begin(), open_.end(), [&](const OpenFile& f) { return f.identity == identity; });
+    const auto first =
+        std::find_if(open_.begin(), open_.end(), [&](const OpenFile& f) { return f.identity == identity; });
     if (first != open_.end()) {
       std::string chain;
       for (auto file = first; file != open_.end(); ++file) chain += file->shown + " -> ";
@@ -112,8 +113,8 @@ std::string joined(const std::vector<std::string>& segments, std::size_t count) 
 }
 
 /// `node` with the value set at segments[at...]; `origin` is the override for messages.
-ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segments, std::size_t at, const ConfigNode& value,
-                  const Location& origin) {
+ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segments, std::size_t at,
+                  const ConfigNode& value, const Location& origin) {
   if (at == segments.size()) return merge_config(node, value);
   const std::string& segment = segments[at];
   if (node.is_list()) {
@@ -121,9 +122,10 @@ ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segmen
     const char* end = segment.data() + segment.size();
     const auto parsed = std::from_chars(segment.data(), end, index);
     if (parsed.ec != std::errc{} || parsed.ptr != end || index >= node.items().size()) {
-      const std::string range = node.items().empty() ? "it is empty" : "0 to " + std::to_string(node.items().size() - 1);
-      fail(origin, "'" + joined(segments, at) + "' is a list (" + node.location().text() + "): expected an item's index, " +
-                       range + ", got '" + segment + "'");
+      const std::string range =
+          node.items().empty() ? "it is empty" : "0 to " + std::to_string(node.items().size() - 1);
+      fail(origin, "'" + joined(segments, at) + "' is a list (" + node.location().text() +
+                       "): expected an item's index, " + range + ", got '" + segment + "'");
     }
     std::vector<ConfigNode> items = node.items();
     items[index] = set_at(items[index], segments, at + 1, value, origin);
@@ -135,8 +137,9 @@ ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segmen
   }
   // The override is a map of one key at this level: the rule of merging, with its type change, is then the same.
   const ConfigNode* old_child = node.find(segment);
-  const ConfigNode child = old_child != nullptr ? set_at(*old_child, segments, at + 1, value, origin)
-                                                : set_at(ConfigNode::make_null(origin), segments, at + 1, value, origin);
+  const ConfigNode child = old_child != nullptr
+                               ? set_at(*old_child, segments, at + 1, value, origin)
+                               : set_at(ConfigNode::make_null(origin), segments, at + 1, value, origin);
   const ConfigNode over = ConfigNode::make_map({{segment, child}}, origin);
   if (node.is_null() || type_changes(node, over)) return over.with_key_location(node.key_location());
   return node.with(segment, child);
@@ -168,11 +171,13 @@ ConfigNode resolve_like(const ConfigNode& root) {
     ConfigNode resolved = item;
     const ConfigNode* like = item.find("like");
     if (like != nullptr) {
-      if (!like->is_scalar()) fail(like->location(), "like: expected the name of an earlier pass, got " + kind_text(*like));
+      if (!like->is_scalar())
+        fail(like->location(), "like: expected the name of an earlier pass, got " + kind_text(*like));
       const auto known = std::find(names.rbegin(), names.rend(), like->text());
       if (known == names.rend()) {
         std::vector<std::string> given;
-        std::copy_if(names.begin(), names.end(), std::back_inserter(given), [](const std::string& n) { return !n.empty(); });
+        std::copy_if(names.begin(), names.end(), std::back_inserter(given),
+                     [](const std::string& n) { return !n.empty(); });
         const std::string near = did_you_mean(like->text(), given);
         fail(like->location(),
              "like: no earlier pass named '" + like->text() + "'" +
@@ -185,7 +190,8 @@ ConfigNode resolve_like(const ConfigNode& root) {
     names.push_back(name != nullptr ? name->text() : std::string());
     items.push_back(std::move(resolved));
   }
-  return root.with("passes", ConfigNode::make_list(std::move(items), passes->location()).with_key_location(passes->key_location()));
+  return root.with(
+      "passes", ConfigNode::make_list(std::move(items), passes->location()).with_key_location(passes->key_location()));
 }
 
 }  // namespace

@@ -8,13 +8,14 @@
 
 namespace semfield {
 
-/// `over` merged onto `base`: maps merge key by key, lists and scalars replace, and a map whose scalar `type` differs from
-/// the base's is replaced whole.
+/// `over` merged onto `base`: maps merge key by key, lists and scalars replace, and a map whose scalar `type` differs
+/// from the base's is replaced whole.
 ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over);
 
-/// Loads `path`, resolves `include:` (a file or a list of files relative to the including file; cycles refused), then local
-/// keys, then each "a.b=value" of `overrides` in order (list items by index: "passes.0.sampler.samples=32"). Also resolves `like: NAME` of list items under `passes` (the item is
-/// merged onto the earlier item of that name). Throws Error(config).
+/// Loads `path`, resolves `include:` (a file or a list of files relative to the including file; cycles refused), then
+/// local keys, then each "a.b=value" of `overrides` in order (list items by index: "passes.0.sampler.samples=32"). Also
+/// resolves `like: NAME` of list items under `passes` (the item is merged onto the earlier item of that name). Throws
+/// Error(config).
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides = {});
 
 /// Paths in a config are relative to the file that wrote them: the absolute path of a scalar node's text.

@@ -1,4 +1,5 @@
-// From YAML text to the immutable tree, strictly. The only user of yaml-cpp: its parser sends events, its nodes are never built.
+// From YAML text to the immutable tree, strictly. The only user of yaml-cpp: its parser sends events, its nodes are
+// never built.
 #include "config/config_tree.h"
 
 #include <yaml-cpp/eventhandler.h>
@@ -187,7 +188,8 @@ class TreeBuilder final : public YAML::EventHandler {
     if (expects_value() && where.line != stack_.back().key_where.line) where = stack_.back().key_where;
     add(ConfigNode::make_null(where), where);
   }
-  void OnScalar(const YAML::Mark& mark, const std::string& tag, YAML::anchor_t anchor, const std::string& value) override {
+  void OnScalar(const YAML::Mark& mark, const std::string& tag, YAML::anchor_t anchor,
+                const std::string& value) override {
     check_properties(mark, tag, anchor);
     const Location where = source_.at(mark);
     if (tag == "!" && !source_.quote_closes(mark)) source_.fail(where, kUnclosedQuote);

@@ -1,4 +1,5 @@
-// The immutable configuration tree: every node knows its file, line and column. config_tree.cpp is the only user of yaml-cpp.
+// The immutable configuration tree: every node knows its file, line and column. config_tree.cpp is the only user of
+// yaml-cpp.
 #pragma once
 
 #include <memory>
@@ -40,7 +41,7 @@ class ConfigNode {
   const Location& key_location() const;
   /// A copy that remembers the place of its key.
   ConfigNode with_key_location(Location where) const;
-  const std::string& text() const;            ///< scalar text; "" for other kinds
+  const std::string& text() const;  ///< scalar text; "" for other kinds
   bool quoted() const;
   const std::vector<ConfigNode>& items() const;  ///< list items; empty for other kinds
   const std::vector<Entry>& entries() const;     ///< map entries in file order; empty for other kinds
@@ -70,7 +71,8 @@ bool equal_config(const ConfigNode& a, const ConfigNode& b);
 std::string write_config(const ConfigNode& node);
 /// The same in one line without a line end: "{type: hash_grid, levels: 16}".
 std::string write_config_inline(const ConfigNode& node);
-/// True for a text that means something else without quotes: a number, a bool, null, or a near miss of one ("010", "no").
+/// True for a text that means something else without quotes: a number, a bool, null, or a near miss of one ("010",
+/// "no").
 bool looks_typed(std::string_view text);
 /// True for a text that can stand unquoted anywhere in YAML and is read back as that same text.
 bool is_plain_text(std::string_view text);

@@ -25,7 +25,8 @@ bool survives_unquoted(std::string_view text) {
   if (text.empty() || text.size() > 256) return false;
   const char first = text.front();
   const bool sign = first == '-' || first == '+';
-  if (sign ? text.size() < 2 || !(is_alnum(text[1]) || text[1] == '.') : !(is_alnum(first) || first == '_' || first == '.' || first == '/')) {
+  if (sign ? text.size() < 2 || !(is_alnum(text[1]) || text[1] == '.')
+           : !(is_alnum(first) || first == '_' || first == '.' || first == '/')) {
     return false;
   }
   if (text.back() == ' ' || text.substr(0, 3) == "...") return false;
@@ -109,7 +110,8 @@ void write_inline(const ConfigNode& node, std::string& out) {
 }
 
 // `lead` stands before the first line ("  - "), `indent` before each further one.
-void write_block(const ConfigNode& node, const std::string& lead, const std::string& indent, std::vector<ConfigLine>& lines) {
+void write_block(const ConfigNode& node, const std::string& lead, const std::string& indent,
+                 std::vector<ConfigLine>& lines) {
   if (fits_line(node)) {
     lines.push_back({lead + write_config_inline(node), &node});
     return;

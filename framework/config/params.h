@@ -1,6 +1,6 @@
-// Parameters declared once: name, type, default, range and sentence stand on one line of describe(); reading, validation,
-// help, the reference page, resolved YAML and the JSON schema are visitors over it. No YAML and no template of ours
-// crosses a module border: ParamVisitor is virtual.
+// Parameters declared once: name, type, default, range and sentence stand on one line of describe(); reading,
+// validation, help, the reference page, resolved YAML and the JSON schema are visitors over it. No YAML and no template
+// of ours crosses a module border: ParamVisitor is virtual.
 #pragma once
 
 #include <cstdint>

@@ -259,8 +259,8 @@ void read_params(const ConfigNode& node, const std::string& path, const Describe
   }
 }
 
-std::string read_text(const ConfigNode& parent, const std::string& path, const std::string& key, const std::string& fallback,
-                      Diagnostics& diagnostics) {
+std::string read_text(const ConfigNode& parent, const std::string& path, const std::string& key,
+                      const std::string& fallback, Diagnostics& diagnostics) {
   const ConfigNode* node = parent.find(key);
   if (node == nullptr) return fallback;
   if (node->is_scalar()) return node->text();

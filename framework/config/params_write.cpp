@@ -27,7 +27,9 @@ class Writer final : public ParamVisitor {
     SEMFIELD_CHECK(value >= 0 && static_cast<std::size_t>(value) < names.size(), "choice outside its names");
     add(info, text_node(std::string(names[static_cast<std::size_t>(value)])));
   }
-  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override { add_list(info, value, integer_node); }
+  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
+    add_list(info, value, integer_node);
+  }
   void reals(const ParamInfo& info, std::vector<double>& value) override { add_list(info, value, number_node); }
   void texts(const ParamInfo& info, std::vector<std::string>& value) override { add_list(info, value, text_node); }
 

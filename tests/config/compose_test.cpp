@@ -29,7 +29,8 @@ TEST(Merge, ChangedTypeReplacesWhole) {
   EXPECT_EQ(merged("{e: {type: hash_grid, levels: 8}}", "{e: {type: hash_grid, features: 2}}"),
             "{e: {type: hash_grid, levels: 8, features: 2}}");
   EXPECT_EQ(merged("{e: {levels: 8}}", "{e: {type: hash_grid}}"), "{e: {levels: 8, type: hash_grid}}");
-  EXPECT_EQ(merged("{e: {type: {x: 1}}}", "{e: {type: {y: 1}}}"), "{e: {type: {x: 1, y: 1}}}");  // a key called type, no type
+  EXPECT_EQ(merged("{e: {type: {x: 1}}}", "{e: {type: {y: 1}}}"),
+            "{e: {type: {x: 1, y: 1}}}");  // a key called type, no type
 }
 
 TEST(Merge, LeavesItsArgumentsAlone) {
@@ -44,7 +45,8 @@ TEST(Compose, IncludesThenLocalKeysThenOverrides) {
   folder.write("parts/base.yaml", "train: {steps: 10, rate: 0.1}\nscene: {root: data}\n");
   folder.write("parts/more.yaml", "include: base.yaml\ntrain: {rate: 0.2}\n");
   folder.write("parts/last.yaml", "train: {batch: 64}\nscene: {root: other}\n");
-  const std::string path = folder.write("room.yaml", "include: [parts/more.yaml, parts/last.yaml]\ntrain: {batch: 32}\n");
+  const std::string path =
+      folder.write("room.yaml", "include: [parts/more.yaml, parts/last.yaml]\ntrain: {batch: 32}\n");
   const ConfigNode root = compose_config(path, {"train.steps=20", "runtime.seed=7"});
   EXPECT_EQ(write_config_inline(root),
             "{train: {steps: 20, rate: 0.2, batch: 32}, scene: {root: other}, runtime: {seed: 7}}");
@@ -73,7 +75,8 @@ TEST(Compose, RefusesMissingAndCyclicIncludes) {
   EXPECT_EQ(refusal([&] { compose_config(a); }),
             b + ":2:10: include: '../a.yaml' includes itself: " + a + " -> " + b + " -> " + a);
   const std::string self = folder.write("self.yaml", "include: ./self.yaml\n");
-  EXPECT_EQ(refusal([&] { compose_config(self); }), self + ":1:10: include: './self.yaml' includes itself: " + self + " -> " + self);
+  EXPECT_EQ(refusal([&] { compose_config(self); }),
+            self + ":1:10: include: './self.yaml' includes itself: " + self + " -> " + self);
   const std::string odd = folder.write("odd.yaml", "include: [{a: 1}]\n");
   EXPECT_EQ(refusal([&] { compose_config(odd); }), odd + ":1:11: include: expected a file name, got a map");
   const std::string empty = folder.write("empty.yaml", "include:\na: 1\n");
@@ -96,7 +99,8 @@ TEST(Compose, TopMustBeAMap) {
   const std::string list = folder.write("list.yaml", "# passes\n- a\n- b\n");
   EXPECT_EQ(refusal([&] { compose_config(list); }), list + ":2:1: expected a map of sections at the top, got a list");
   const std::string word = folder.write("word.yaml", "train steps 10\n");
-  EXPECT_EQ(refusal([&] { compose_config(word); }), word + ":1:1: expected a map of sections at the top, got 'train steps 10'");
+  EXPECT_EQ(refusal([&] { compose_config(word); }),
+            word + ":1:1: expected a map of sections at the top, got 'train steps 10'");
   EXPECT_EQ(write_config_inline(compose_config(folder.write("empty.yaml", ""))), "{}");
   const std::string null = folder.write("null.yaml", "~\n");
   EXPECT_EQ(refusal([&] { compose_config(null); }), null + ":1:1: expected a map of sections at the top, got nothing");
@@ -106,8 +110,9 @@ class Overrides : public testing::Test {
  protected:
   const TempFolder folder_;
   const std::string path_ = folder_.write(
-      "room.yaml", "train: {steps: 10}\npasses:\n  - {name: coarse, encoder: {type: hash_grid, levels: 8}}\n  - {name: fine}\n"
-                   "empty:\nnone: []\n");
+      "room.yaml",
+      "train: {steps: 10}\npasses:\n  - {name: coarse, encoder: {type: hash_grid, levels: 8}}\n  - {name: fine}\n"
+      "empty:\nnone: []\n");
   std::string set(const std::vector<std::string>& overrides) const {
     return write_config_inline(compose_config(path_, overrides));
   }
@@ -128,49 +133,58 @@ TEST_F(Overrides, ValuesAreYaml) {
 }
 
 TEST_F(Overrides, ListItemsByIndex) {
-  EXPECT_NE(set({"passes.0.encoder.levels=4"}).find("{name: coarse, encoder: {type: hash_grid, levels: 4}}"), std::string::npos);
+  EXPECT_NE(set({"passes.0.encoder.levels=4"}).find("{name: coarse, encoder: {type: hash_grid, levels: 4}}"),
+            std::string::npos);
   EXPECT_NE(set({"passes.1.samples=3"}).find("{name: fine, samples: 3}"), std::string::npos);
 }
 
 TEST_F(Overrides, ChangedTypeReplacesWhole) {
   EXPECT_NE(set({"passes.0.encoder.type=frequency"}).find("encoder: {type: frequency}"), std::string::npos);
   EXPECT_NE(set({"passes.0.encoder.type=hash_grid"}).find("encoder: {type: hash_grid, levels: 8}"), std::string::npos);
-  EXPECT_NE(set({"passes.0.encoder={type: frequency, frequencies: 4}"}).find("encoder: {type: frequency, frequencies: 4}"),
-            std::string::npos);
+  EXPECT_NE(
+      set({"passes.0.encoder={type: frequency, frequencies: 4}"}).find("encoder: {type: frequency, frequencies: 4}"),
+      std::string::npos);
 }
 
 TEST_F(Overrides, RefusesPathsThatLeadNowhere) {
-  EXPECT_EQ(refused("train.steps.x=1"), "--set train.steps.x=1: 'train.steps' is '10' (" + path_ + ":1:16), it has no key 'x'");
+  EXPECT_EQ(refused("train.steps.x=1"),
+            "--set train.steps.x=1: 'train.steps' is '10' (" + path_ + ":1:16), it has no key 'x'");
   EXPECT_EQ(refused("passes.2.name=x"),
             "--set passes.2.name=x: 'passes' is a list (" + path_ + ":3:3): expected an item's index, 0 to 1, got '2'");
-  EXPECT_EQ(refused("passes.coarse.name=x"),
-            "--set passes.coarse.name=x: 'passes' is a list (" + path_ + ":3:3): expected an item's index, 0 to 1, got 'coarse'");
-  EXPECT_EQ(refused("passes.-1.name=x"),
-            "--set passes.-1.name=x: 'passes' is a list (" + path_ + ":3:3): expected an item's index, 0 to 1, got '-1'");
-  EXPECT_EQ(refused("none.0=x"), "--set none.0=x: 'none' is a list (" + path_ + ":6:7): expected an item's index, it is empty, got '0'");
+  EXPECT_EQ(refused("passes.coarse.name=x"), "--set passes.coarse.name=x: 'passes' is a list (" + path_ +
+                                                 ":3:3): expected an item's index, 0 to 1, got 'coarse'");
+  EXPECT_EQ(refused("passes.-1.name=x"), "--set passes.-1.name=x: 'passes' is a list (" + path_ +
+                                             ":3:3): expected an item's index, 0 to 1, got '-1'");
+  EXPECT_EQ(refused("none.0=x"),
+            "--set none.0=x: 'none' is a list (" + path_ + ":6:7): expected an item's index, it is empty, got '0'");
   EXPECT_EQ(refused("train"), "--set train: expected KEY=VALUE; for example --set train.steps=1000");
   EXPECT_EQ(refused("=1"), "--set =1: empty key in ''");
   EXPECT_EQ(refused("train..x=1"), "--set train..x=1: empty key in 'train..x'");
   EXPECT_EQ(refused("train.=1"), "--set train.=1: empty key in 'train.'");
-  EXPECT_EQ(refused("include=x.yaml"), "--set include=x.yaml: include: files are included by a config, not by an override");
+  EXPECT_EQ(refused("include=x.yaml"),
+            "--set include=x.yaml: include: files are included by a config, not by an override");
   EXPECT_EQ(refused("a=*x"), "--set a=*x: aliases are not allowed");
 }
 
 TEST(Like, OwnKeysWinOverTheNamedPass) {
   const TempFolder folder;
-  const std::string path = folder.write(
-      "room.yaml",
-      "passes:\n"
-      "  - name: coarse\n    sampler: {type: stratified, samples: 64}\n    field: {type: nerf_mlp, depth: 8, width: 256}\n"
-      "  - name: fine\n    like: coarse\n    sampler: {type: importance, keep_previous: true}\n    field: {width: 128}\n"
-      "  - like: fine\n    name: finest\n");
-  EXPECT_EQ(write_config_inline(*compose_config(path).find("passes")),
-            "[{name: coarse, sampler: {type: stratified, samples: 64}, field: {type: nerf_mlp, depth: 8, width: 256}}, "
-            "{name: fine, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 8, width: 128}}, "
-            "{name: finest, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 8, width: 128}}]");
+  const std::string path = folder.write("room.yaml",
+                                        "passes:\n"
+                                        "  - name: coarse\n    sampler: {type: stratified, samples: 64}\n    field: "
+                                        "{type: nerf_mlp, depth: 8, width: 256}\n"
+                                        "  - name: fine\n    like: coarse\n    sampler: {type: importance, "
+                                        "keep_previous: true}\n    field: {width: 128}\n"
+                                        "  - like: fine\n    name: finest\n");
+  EXPECT_EQ(
+      write_config_inline(*compose_config(path).find("passes")),
+      "[{name: coarse, sampler: {type: stratified, samples: 64}, field: {type: nerf_mlp, depth: 8, width: 256}}, "
+      "{name: fine, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 8, width: 128}}, "
+      "{name: finest, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 8, width: "
+      "128}}]");
   // An override of the named pass reaches those that are like it.
   EXPECT_NE(write_config_inline(compose_config(path, {"passes.0.field.depth=4"}))
-                .find("finest, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 4, width: 128}"),
+                .find("finest, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 4, "
+                      "width: 128}"),
             std::string::npos);
 }
 
@@ -186,7 +200,8 @@ TEST(Like, RefusesUnknownNames) {
   EXPECT_EQ(refusal([&] { compose_config(self); }),
             self + ":2:24: like: no earlier pass named 'fine'; this is the first one with a name");
   const std::string list = folder.write("d.yaml", "passes:\n  - {name: fine, like: [x]}\n");
-  EXPECT_EQ(refusal([&] { compose_config(list); }), list + ":2:24: like: expected the name of an earlier pass, got a list");
+  EXPECT_EQ(refusal([&] { compose_config(list); }),
+            list + ":2:24: like: expected the name of an earlier pass, got a list");
 }
 
 TEST(ResolvePath, RelativeToTheFileThatWroteIt) {
@@ -195,7 +210,8 @@ TEST(ResolvePath, RelativeToTheFileThatWroteIt) {
   const ConfigNode root = compose_config(folder.write("room.yaml", "include: parts/base.yaml\n"), {"mesh=../m.obj"});
   EXPECT_EQ(resolve_path(*root.find("scene")->find("root")), folder.at("data/room"));
   EXPECT_EQ(resolve_path(*root.find("scene")->find("out")), "/tmp/y");
-  EXPECT_EQ(resolve_path(*root.find("mesh")), (std::filesystem::current_path() / "../m.obj").lexically_normal().string());
+  EXPECT_EQ(resolve_path(*root.find("mesh")),
+            (std::filesystem::current_path() / "../m.obj").lexically_normal().string());
   const ConfigNode here = parse_config_text("root: data", "configs/room.yaml");
   EXPECT_EQ(resolve_path(*here.find("root")), (std::filesystem::current_path() / "configs/data").string());
 }

@@ -53,7 +53,9 @@ TEST(ConfigTree, ColumnsCountCharacters) {
 }
 
 TEST(ConfigTree, WindowsAndOldMacLineEndsAndByteOrderMark) {
-  for (const std::string text : {"a: 1\r\nb: x\r\n", "a: 1\rb: x\r", "\xEF\xBB\xBF" "a: 1\nb: x\n"}) {
+  for (const std::string text : {"a: 1\r\nb: x\r\n", "a: 1\rb: x\r",
+                                 "\xEF\xBB\xBF"
+                                 "a: 1\nb: x\n"}) {
     const ConfigNode root = parse(text);
     ASSERT_EQ(root.entries().size(), 2u) << text;
     EXPECT_EQ(root.find("a")->location().text(), "room.yaml:1:4");
@@ -94,14 +96,18 @@ TEST(ConfigTree, CopiesDoNotShareChanges) {
 }
 
 TEST(ConfigTree, RefusesDuplicateKeys) {
-  EXPECT_EQ(refused("a: 1\nb: 2\na: 3\n"), "room.yaml:3:1: duplicate key 'a' (first at room.yaml:1:1); keep one of them");
-  EXPECT_EQ(refused("x: {a: 1, 'a': 2}\n"), "room.yaml:1:11: duplicate key 'a' (first at room.yaml:1:5); keep one of them");
+  EXPECT_EQ(refused("a: 1\nb: 2\na: 3\n"),
+            "room.yaml:3:1: duplicate key 'a' (first at room.yaml:1:1); keep one of them");
+  EXPECT_EQ(refused("x: {a: 1, 'a': 2}\n"),
+            "room.yaml:1:11: duplicate key 'a' (first at room.yaml:1:5); keep one of them");
   EXPECT_EQ(refusal([] { parse("x: {a: 1}\ny: {a: 1}\n"); }), "nothing was thrown");
 }
 
 TEST(ConfigTree, RefusesAnchorsAliasesTagsMergeKeysAndDocuments) {
-  EXPECT_EQ(refused("a: &x 1\nb: *x\n"), "room.yaml:1:4: anchors are not allowed ('&x'); use 'include' or write the value out");
-  EXPECT_EQ(refused("a: &x [*x]\n"), "room.yaml:1:4: anchors are not allowed ('&x'); use 'include' or write the value out");
+  EXPECT_EQ(refused("a: &x 1\nb: *x\n"),
+            "room.yaml:1:4: anchors are not allowed ('&x'); use 'include' or write the value out");
+  EXPECT_EQ(refused("a: &x [*x]\n"),
+            "room.yaml:1:4: anchors are not allowed ('&x'); use 'include' or write the value out");
   EXPECT_EQ(refused("a: *x\n"), "room.yaml:1:4: aliases are not allowed");
   EXPECT_EQ(refused("a: !!int 3\n"),
             "room.yaml:1:4: tags are not allowed ('tag:yaml.org,2002:int'); write the plain value");
@@ -122,7 +128,8 @@ TEST(ConfigTree, RefusesAliasBomb) {
 }
 
 TEST(ConfigTree, RefusesKeysThatAreNoWords) {
-  EXPECT_EQ(refused("? [a]\n: b\n"), "room.yaml:1:3: a list or a map where a key should stand (is a bracket left open?)");
+  EXPECT_EQ(refused("? [a]\n: b\n"),
+            "room.yaml:1:3: a list or a map where a key should stand (is a bracket left open?)");
   EXPECT_EQ(refused("~: b\n"), "room.yaml:1:1: a key is missing before ':'");
   EXPECT_EQ(refused("'': b\n"), "room.yaml:1:1: a key must not be empty");
   EXPECT_EQ(refused("? " + times("k", 600) + "\n: b\n"), "room.yaml:1:3: a key longer than 512 bytes");
@@ -152,7 +159,9 @@ TEST(ConfigTree, RefusesBytesThatAreNoText) {
   EXPECT_EQ(refused("a: \x07\n"), "room.yaml:1:4: control character 7; write it as an escape in double quotes");
   EXPECT_EQ(refused("a: \"\\0\"\n"), "room.yaml:1:4: NUL character in a text");
   // Lone continuation, overlong '/', a surrogate, beyond U+10FFFF, cut short, UTF-16 byte order mark.
-  for (const std::string bad : {"\x80", "\xC0\xAF", "\xED\xA0\x80", "\xF4\x90\x80\x80", "\xE2\x82", "\xFF\xFE" "a"}) {
+  for (const std::string bad : {"\x80", "\xC0\xAF", "\xED\xA0\x80", "\xF4\x90\x80\x80", "\xE2\x82",
+                                "\xFF\xFE"
+                                "a"}) {
     EXPECT_EQ(refused("a: " + bad), "room.yaml:1:4: not valid UTF-8; save the file as UTF-8");
   }
   EXPECT_EQ(parse("a: \"\\u00e9\xF0\x9F\x8F\xA0\"").find("a")->text(), "\xC3\xA9\xF0\x9F\x8F\xA0");
@@ -175,14 +184,16 @@ TEST(ConfigTree, SizeOfOneMebibyteIsTheLast) {
   EXPECT_EQ(refused(text + "\n"), "room.yaml: larger than 1 MiB; keep big tables in files of their own");
   const TempFolder folder;
   const std::string path = folder.write("big.yaml", text + "\n");
-  EXPECT_EQ(refusal([&] { parse_config_file(path); }), path + ": larger than 1 MiB; keep big tables in files of their own");
+  EXPECT_EQ(refusal([&] { parse_config_file(path); }),
+            path + ": larger than 1 MiB; keep big tables in files of their own");
 }
 
 // Deep nesting, unclosed and self-repeating input must end in a refusal, soon, without exhausting the stack.
 TEST(ConfigTree, HostileInputIsRefusedQuickly) {
   std::vector<std::string> hostile = {"[[:", "{foo:", "{foo", "[[", "a: ["};
-  for (const std::string part : {"[", "{", "- ", "? ", "[[:", "{foo:", "[\"]\",", "{a: ", "&a ", "!a ", "*a ", "a: [", "[?",
-                                 "[a,", "[[[]],", "|", "[:", "{:", "[-", ",", "a: ", "x: y\n", "]", "\"a\":"}) {
+  for (const std::string part :
+       {"[",  "{",   "- ",     "? ", "[[:", "{foo:", "[\"]\",", "{a: ", "&a ", "!a ",    "*a ", "a: [",
+        "[?", "[a,", "[[[]],", "|",  "[:",  "{:",    "[-",      ",",    "a: ", "x: y\n", "]",   "\"a\":"}) {
     hostile.push_back(times(part, 100000));
   }
   for (const std::string& text : hostile) {
@@ -207,21 +218,67 @@ TEST(ConfigTree, MissingFileIsNoInput) {
 
 TEST(ConfigWrite, BlockAndInlineForms) {
   const std::string yaml =
-      "scene:\n  type: replica\n  betas: [0.9, 0.999]\npasses:\n  - name: coarse\n    sampler:\n      type: stratified\n"
+      "scene:\n  type: replica\n  betas: [0.9, 0.999]\npasses:\n  - name: coarse\n    sampler:\n      type: "
+      "stratified\n"
       "    tags: []\n  - 7\n  - [1, 2]\n  - - a\n    - b: {}\nnone: null\n";
   EXPECT_EQ(write_config(parse(yaml)), yaml);
-  EXPECT_EQ(write_config_inline(parse(yaml)),
-            "{scene: {type: replica, betas: [0.9, 0.999]}, passes: [{name: coarse, sampler: {type: stratified}, tags: []}, "
-            "7, [1, 2], [a, {b: {}}]], none: null}");
+  EXPECT_EQ(
+      write_config_inline(parse(yaml)),
+      "{scene: {type: replica, betas: [0.9, 0.999]}, passes: [{name: coarse, sampler: {type: stratified}, tags: []}, "
+      "7, [1, 2], [a, {b: {}}]], none: null}");
   EXPECT_EQ(write_config(ConfigNode()), "{}\n");
 }
 
 TEST(ConfigWrite, RoundTripOfTexts) {
-  for (const std::string text :
-       {"", " ", "010", "true", "no", "null", "~", "a: b", "a #b", "#b", "- a", "-", "--- a", "...", "? a", "*a", "&a", "!a", "%a",
-        "@a", "`a", "[a", "a]", "{a", "a}", "a,b", "a'b", "a\"b", "a\\b", "line\nline\n\n", "\ttab\t", " lead", "trail ", "1e5",
-        ".nan", "../data/x y.png", "größe", "\xE2\x80\xA8", "\xEF\xBB\xBF", "\xC2\x85", "\x01\x7F", "\xF0\x9F\x8F\xA0", "a:", ":a",
-        "10%", "=", "<<", "|", ">"}) {
+  for (const std::string text : {"",
+                                 " ",
+                                 "010",
+                                 "true",
+                                 "no",
+                                 "null",
+                                 "~",
+                                 "a: b",
+                                 "a #b",
+                                 "#b",
+                                 "- a",
+                                 "-",
+                                 "--- a",
+                                 "...",
+                                 "? a",
+                                 "*a",
+                                 "&a",
+                                 "!a",
+                                 "%a",
+                                 "@a",
+                                 "`a",
+                                 "[a",
+                                 "a]",
+                                 "{a",
+                                 "a}",
+                                 "a,b",
+                                 "a'b",
+                                 "a\"b",
+                                 "a\\b",
+                                 "line\nline\n\n",
+                                 "\ttab\t",
+                                 " lead",
+                                 "trail ",
+                                 "1e5",
+                                 ".nan",
+                                 "../data/x y.png",
+                                 "größe",
+                                 "\xE2\x80\xA8",
+                                 "\xEF\xBB\xBF",
+                                 "\xC2\x85",
+                                 "\x01\x7F",
+                                 "\xF0\x9F\x8F\xA0",
+                                 "a:",
+                                 ":a",
+                                 "10%",
+                                 "=",
+                                 "<<",
+                                 "|",
+                                 ">"}) {
     for (const bool in_list : {false, true}) {
       ConfigNode value = ConfigNode::make_scalar(text, true, {});
       if (in_list) value = ConfigNode::make_list({value, ConfigNode::make_list({value}, {})}, {});
@@ -248,7 +305,8 @@ TEST(ConfigWrite, RoundTripKeepsQuotesThatMatter) {
 }
 
 TEST(ConfigWrite, PlainTexts) {
-  for (const char* plain : {"hash_grid", "data/room_0", "../x", "./x", "a b", "/abs/path"}) EXPECT_TRUE(is_plain_text(plain)) << plain;
+  for (const char* plain : {"hash_grid", "data/room_0", "../x", "./x", "a b", "/abs/path"})
+    EXPECT_TRUE(is_plain_text(plain)) << plain;
   for (const char* typed : {"1", "-1", "010", "1e5", ".5", "true", "No", "null", "~", ".inf", "-.inf", "10%"}) {
     EXPECT_FALSE(is_plain_text(typed)) << typed;
     EXPECT_TRUE(looks_typed(typed)) << typed;

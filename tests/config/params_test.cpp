@@ -66,7 +66,8 @@ std::string errors_of(const std::string& yaml, Sample* out = nullptr) {
 TEST(ParamsRead, TakesEveryType) {
   Sample p;
   EXPECT_EQ(errors_of("type: x\nlevels: 8\nseed: 9223372036854775807\nsmall: 255\ngrowth: 2\nrate: 1e-3\ndense: true\n"
-                      "root: 10%\ninterpolation: smoothstep\nskips: [0, +8]\nbetas: [.5, 1.]\nfiles: [a, 'b c', 3]\n", &p),
+                      "root: 10%\ninterpolation: smoothstep\nskips: [0, +8]\nbetas: [.5, 1.]\nfiles: [a, 'b c', 3]\n",
+                      &p),
             "");
   EXPECT_EQ(p.levels, 8);
   EXPECT_EQ(p.seed, std::numeric_limits<std::int64_t>::max());
@@ -119,8 +120,9 @@ TEST(ParamsRead, RangesAreNamed) {
   EXPECT_EQ(errors_of("seed: -1"), "room.yaml:1:7: encoder.seed: expected int >= 0, got -1");
   EXPECT_EQ(errors_of("small: 256"), "room.yaml:1:8: encoder.small: expected int in [0, 255], got 256");
   EXPECT_EQ(errors_of("growth: 3"), "room.yaml:1:9: encoder.growth: expected number in [1, 2.5], got 3");
-  EXPECT_EQ(errors_of("rate: 1e39"),
-            "room.yaml:1:7: encoder.rate: expected number in [-3.4028234663852886e+38, 3.4028234663852886e+38], got 1e39");
+  EXPECT_EQ(
+      errors_of("rate: 1e39"),
+      "room.yaml:1:7: encoder.rate: expected number in [-3.4028234663852886e+38, 3.4028234663852886e+38], got 1e39");
   EXPECT_EQ(errors_of("skips: [1, 9]"), "room.yaml:1:12: encoder.skips.1: expected int in [0, 8], got 9");
 }
 
@@ -137,7 +139,8 @@ TEST(ParamsRead, NumbersAreStrict) {
     EXPECT_EQ(errors_of("rate: " + word),
               "room.yaml:1:7: encoder.rate: expected number, got '" + word + "'; write it without leading zeros");
   }
-  for (const std::string word : {"big", "1e", "1e+", ".", "-x", "1.2.3", "1,5", "0x1p3", "1f", "1 2", "e5", "infinity"}) {
+  for (const std::string word :
+       {"big", "1e", "1e+", ".", "-x", "1.2.3", "1,5", "0x1p3", "1f", "1 2", "e5", "infinity"}) {
     EXPECT_EQ(errors_of("rate: " + word), "room.yaml:1:7: encoder.rate: expected number, got '" + word + "'");
   }
   Sample p;
@@ -151,35 +154,40 @@ TEST(ParamsRead, BoolsAreTrueOrFalse) {
     EXPECT_EQ(errors_of("dense: " + word),
               "room.yaml:1:8: encoder.dense: expected bool, got '" + word + "'; write true or false");
   }
-  EXPECT_EQ(errors_of("dense: 'true'"), "room.yaml:1:8: encoder.dense: expected bool, got text 'true'; write true or false");
+  EXPECT_EQ(errors_of("dense: 'true'"),
+            "room.yaml:1:8: encoder.dense: expected bool, got text 'true'; write true or false");
 }
 
 TEST(ParamsRead, ChoicesListsTexts) {
   EXPECT_EQ(errors_of("interpolation: smothstep"),
             "room.yaml:1:16: encoder.interpolation: expected one of linear, smoothstep, got 'smothstep'; "
             "did you mean 'smoothstep'?");
-  EXPECT_EQ(errors_of("interpolation: 1"), "room.yaml:1:16: encoder.interpolation: expected one of linear, smoothstep, got '1'");
+  EXPECT_EQ(errors_of("interpolation: 1"),
+            "room.yaml:1:16: encoder.interpolation: expected one of linear, smoothstep, got '1'");
   EXPECT_EQ(errors_of("skips: 5"), "room.yaml:1:8: encoder.skips: expected list of int, got '5'; write [5]");
   EXPECT_EQ(errors_of("betas: {a: 1}"), "room.yaml:1:8: encoder.betas: expected list of number, got a map");
   EXPECT_EQ(errors_of("files: [[a]]"), "room.yaml:1:9: encoder.files.0: expected text, got a list");
   EXPECT_EQ(errors_of("root: ~"), "room.yaml:1:7: encoder.root: expected text, got nothing");
   Sample p;
   EXPECT_EQ(errors_of("betas: [0.5, x, 0.7, y]", &p),
-            "room.yaml:1:14: encoder.betas.1: expected number, got 'x'\nroom.yaml:1:22: encoder.betas.3: expected number, got 'y'");
+            "room.yaml:1:14: encoder.betas.1: expected number, got 'x'\nroom.yaml:1:22: encoder.betas.3: expected "
+            "number, got 'y'");
   EXPECT_EQ(p.betas, (std::vector<double>{0.9, 0.999}));  // not half a list
 }
 
 TEST(ParamsRead, UnknownKeysAndAllErrorsAtOnce) {
-  EXPECT_EQ(errors_of("encoder_levels_of_all: 1"),
-            "room.yaml:1:1: encoder: unknown key 'encoder_levels_of_all'; known: levels, seed, small, growth, rate, dense, "
-            "root, interpolation, skips, betas, files, type");
+  EXPECT_EQ(
+      errors_of("encoder_levels_of_all: 1"),
+      "room.yaml:1:1: encoder: unknown key 'encoder_levels_of_all'; known: levels, seed, small, growth, rate, dense, "
+      "root, interpolation, skips, betas, files, type");
   EXPECT_EQ(errors_of("n_level: 8\nlevels: big\ndense: no\n"),
             "room.yaml:2:9: encoder.levels: expected int, got 'big'\n"
             "room.yaml:3:8: encoder.dense: expected bool, got 'no'; write true or false\n"
             "room.yaml:1:1: encoder: unknown key 'n_level'; did you mean 'levels'?");
   Diagnostics diagnostics;
   Sample p;
-  read_params(parse_config_text("x: 1", "room.yaml"), "", [](ParamVisitor&) {}, diagnostics);
+  read_params(
+      parse_config_text("x: 1", "room.yaml"), "", [](ParamVisitor&) {}, diagnostics);
   read_params(parse_config_text("[1]", "room.yaml"), "train", describer(p), diagnostics);
   read_params(parse_config_text("levels: x", "room.yaml"), "", describer(p), diagnostics);
   ASSERT_EQ(diagnostics.error_count(), 3);
@@ -217,9 +225,10 @@ TEST(ParamsWrite, ResolvedTreeReadsBackTheSame) {
   EXPECT_EQ(q.betas, p.betas);
   EXPECT_EQ(q.files, p.files);
   EXPECT_EQ(q.root, p.root);
-  EXPECT_EQ(write_config(params_to_config(describer(*std::make_unique<Sample>()))),
-            "levels: 16\nseed: 1\nsmall: 3\ngrowth: 1.5\nrate: 0.25\ndense: false\nroot: data/room\ninterpolation: linear\n"
-            "skips: [4]\nbetas: [0.9, 0.999]\nfiles: []\n");
+  EXPECT_EQ(
+      write_config(params_to_config(describer(*std::make_unique<Sample>()))),
+      "levels: 16\nseed: 1\nsmall: 3\ngrowth: 1.5\nrate: 0.25\ndense: false\nroot: data/room\ninterpolation: linear\n"
+      "skips: [4]\nbetas: [0.9, 0.999]\nfiles: []\n");
 }
 
 TEST(ParamsWrite, DoublesAreShortestAndExact) {

@@ -1,0 +1,21 @@
+// What a composed configuration is made of, and how two differ, as text.
+#pragma once
+
+#include <string>
+
+#include "config/config_tree.h"
+
+namespace semfield {
+
+/// The tree as YAML with the origin of every value as an aligned comment: "  levels: 8   # room.yaml:7:13"; values of
+/// no file (filled in by the program) say "default". Parsing the text gives an equal tree.
+std::string explain_config(const ConfigNode& node);
+
+/// `resolved` (every value, defaults included) with the values and places of `written` where that has them.
+ConfigNode with_origins(const ConfigNode& resolved, const ConfigNode& written);
+
+/// One line a difference, "train.steps: 100 -> 200", in the order of `a` and then of what only `b` has; a value that
+/// one side lacks is "(absent)". Places and the order of keys do not count. Empty when nothing differs.
+std::string diff_config(const ConfigNode& a, const ConfigNode& b);
+
+}  // namespace semfield

@@ -1,0 +1,170 @@
+// A JSON schema of the configuration, from the same descriptions that read it.
+#include "config/schema.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <nlohmann/json.hpp>
+#include <string_view>
+
+#include "core/check.h"
+
+namespace semfield {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+/// The map at one key path: what stands in it, and the maps below.
+struct SchemaNode {
+  std::string key;
+  bool is_list = false;  // the maps are the items of a list
+  std::string sentence;
+  const std::vector<ParamDoc>* docs = nullptr;
+  const SchemaChoice* choice = nullptr;
+  std::vector<SchemaNode> children;
+};
+
+SchemaNode& node_at(SchemaNode& root, const std::string& path) {
+  SchemaNode* node = &root;
+  for (std::size_t begin = 0; begin < path.size();) {
+    const std::size_t end = std::min(path.find('.', begin), path.size());
+    std::string key = path.substr(begin, end - begin);
+    const bool is_list = key.ends_with("[]");
+    if (is_list) key.resize(key.size() - 2);
+    SEMFIELD_CHECK(!key.empty(), "empty key in schema path '" + path + "'");
+    SchemaNode* child = nullptr;
+    for (SchemaNode& known : node->children) {
+      if (known.key == key) child = &known;
+    }
+    if (child == nullptr) {
+      node->children.push_back({});
+      child = &node->children.back();
+      child->key = key;
+      child->is_list = is_list;
+    }
+    SEMFIELD_CHECK(child->is_list == is_list, "schema path '" + path + "' is a list here and a map elsewhere");
+    node = child;
+    begin = end + 1;
+  }
+  return *node;
+}
+
+// A value of the tree as JSON; the declared type says whether a word is a text.
+Json value_json(const ConfigNode& node, std::string_view type) {
+  if (node.is_list()) {
+    Json list = Json::array();
+    const std::string_view item_type = type.starts_with("list of ") ? type.substr(8) : type;
+    for (const ConfigNode& item : node.items()) list.push_back(value_json(item, item_type));
+    return list;
+  }
+  if (type == "bool") return node.text() == "true";
+  if (type == "int" || type == "number") return Json::parse(node.text());
+  return node.text();
+}
+
+Json limits_json(const Range& limits) {
+  Json out = Json::object();
+  const auto bound = [](double value) -> Json {
+    if (value == std::floor(value) && std::fabs(value) < 1e15) return static_cast<std::int64_t>(value);
+    return value;
+  };
+  if (std::isfinite(limits.min)) out["minimum"] = bound(limits.min);
+  if (std::isfinite(limits.max)) out["maximum"] = bound(limits.max);
+  return out;
+}
+
+Json value_schema(std::string_view type, const Range& limits) {
+  if (type == "bool") return {{"type", "boolean"}};
+  if (type == "int" || type == "number") {
+    Json out{{"type", type == "int" ? "integer" : "number"}};
+    out.update(limits_json(limits));
+    return out;
+  }
+  if (type.starts_with("list of ")) return {{"type", "array"}, {"items", value_schema(type.substr(8), limits)}};
+  // An unquoted number or bool is read as text where text is asked for.
+  return {{"type", Json::array({"string", "number", "boolean"})}};
+}
+
+Json param_schema(const ParamDoc& doc) {
+  Json out = doc.type == "choice" ? Json{{"enum", doc.choices}} : value_schema(doc.type, doc.limits);
+  if (!doc.help.empty()) out["description"] = doc.help;
+  if (!doc.default_value.empty()) out["default"] = value_json(parse_config_text(doc.default_value, doc.name), doc.type);
+  return out;
+}
+
+void add_params(Json& properties, const std::vector<ParamDoc>& docs) {
+  for (const ParamDoc& doc : docs) properties[doc.name] = param_schema(doc);
+}
+
+Json closed_map(Json properties) {
+  return {{"type", "object"}, {"properties", std::move(properties)}, {"additionalProperties", false}};
+}
+
+Json node_schema(const SchemaNode& node);
+
+Json choice_schema(const SchemaNode& node, const Json& shared) {
+  Json alternatives = Json::array();
+  Json any_key = shared;
+  for (const SchemaAlternative& alternative : node.choice->alternatives) {
+    Json properties{{"type", {{"const", alternative.name}}}};
+    add_params(properties, alternative.docs);
+    properties.update(shared);
+    Json map = closed_map(std::move(properties));
+    map["title"] = alternative.name;
+    if (!alternative.sentence.empty()) map["description"] = alternative.sentence;
+    map["required"] = Json::array({"type"});
+    alternatives.push_back(std::move(map));
+    for (const ParamDoc& doc : alternative.docs) {
+      if (!any_key.contains(doc.name)) any_key[doc.name] = Json::object();
+    }
+  }
+  Json partial = closed_map(std::move(any_key));
+  partial["title"] = "type from an include or like";
+  partial["not"] = {{"required", Json::array({"type"})}};
+  alternatives.push_back(std::move(partial));
+  return {{"oneOf", std::move(alternatives)}};
+}
+
+Json node_schema(const SchemaNode& node) {
+  Json properties = Json::object();
+  if (node.docs != nullptr) add_params(properties, *node.docs);
+  for (const SchemaNode& child : node.children) properties[child.key] = node_schema(child);
+  Json map;
+  if (node.choice != nullptr) {
+    map = choice_schema(node, properties);
+  } else {
+    map = closed_map(std::move(properties));
+    if (!node.is_list) map["type"] = Json::array({"object", "null"});  // a section with every line commented out
+  }
+  if (node.is_list) map = Json{{"type", "array"}, {"items", std::move(map)}};
+  if (!node.sentence.empty()) map["description"] = node.sentence;
+  return map;
+}
+
+}  // namespace
+
+std::string json_schema_of(const std::string& title, const std::vector<SchemaSection>& sections,
+                           const std::vector<SchemaChoice>& choices) {
+  SchemaNode root;
+  for (const SchemaSection& section : sections) {
+    SchemaNode& node = node_at(root, section.path);
+    SEMFIELD_CHECK(node.docs == nullptr, "schema path '" + section.path + "' is described twice");
+    node.docs = &section.docs;
+    if (!section.sentence.empty()) node.sentence = section.sentence;
+  }
+  for (const SchemaChoice& choice : choices) {
+    SchemaNode& node = node_at(root, choice.path);
+    SEMFIELD_CHECK(node.choice == nullptr, "schema path '" + choice.path + "' is described twice");
+    node.choice = &choice;
+    if (!choice.sentence.empty()) node.sentence = choice.sentence;
+  }
+  Json schema{{"$schema", "http://json-schema.org/draft-07/schema#"}, {"title", title}};
+  schema.update(node_schema(root));
+  const Json file{{"type", "string"}};
+  schema["properties"]["include"] = {
+      {"description", "config files to start from, relative to this one; later ones win"},
+      {"oneOf", Json::array({file, Json{{"type", "array"}, {"items", file}}})}};
+  return schema.dump(2) + "\n";
+}
+
+}  // namespace semfield
