@@ -1,0 +1,175 @@
+// Adam against long double, the lazy rule, zero and bad gradients, counters, ranges and threads.
+#include "optim/adam.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "core/parallel.h"
+#include "core/rng.h"
+
+namespace semfield {
+namespace {
+
+struct Reference {
+  long double x = 0, m = 0, v = 0;
+  void update(const AdamParams& p, long double g, long double t) {
+    m = static_cast<long double>(p.beta1) * m + (1 - static_cast<long double>(p.beta1)) * g;
+    v = static_cast<long double>(p.beta2) * v + (1 - static_cast<long double>(p.beta2)) * g * g;
+    const long double m_hat = m / (1 - std::pow(static_cast<long double>(p.beta1), t));
+    const long double v_hat = v / (1 - std::pow(static_cast<long double>(p.beta2), t));
+    x -= static_cast<long double>(p.learning_rate) * m_hat / (std::sqrt(v_hat) + static_cast<long double>(p.epsilon));
+  }
+};
+
+template <class Real>
+struct State {
+  explicit State(std::int64_t rows, std::int32_t cols = 1)
+      : value(static_cast<std::size_t>(rows * cols)), grad(value), m(value), v(value), rows_(rows), cols_(cols) {}
+  View<Real> view(std::vector<Real>& x) { return View<Real>(x.data(), rows_, cols_); }
+  void dense(const AdamStep& step) { adam_dense<Real>(step, view(value), view(grad), view(m), view(v), 0, rows_); }
+  std::int64_t touched(const AdamStep& step) {
+    return adam_touched<Real>(step, view(value), view(grad), view(m), view(v), 0, rows_);
+  }
+  std::vector<Real> value, grad, m, v;
+  std::int64_t rows_;
+  std::int32_t cols_;
+};
+
+template <class Real>
+void expect_close(Real got, long double want, double tolerance, const char* what) {
+  const auto w = static_cast<double>(want);
+  EXPECT_NEAR(static_cast<double>(got), w, tolerance * std::abs(w) + 1e-300) << what;
+}
+
+TEST(Adam, FollowsTheFormulaForGradientsOfAnySize) {  // E01, E03
+  for (const double epsilon : {1e-8, 1e-15}) {
+    for (int exponent = -20; exponent <= 10; exponent += 2) {
+      AdamParams params;
+      params.epsilon = epsilon;
+      State<float> state(1);
+      State<double> twin(1);
+      Reference want;
+      for (std::int64_t step = 0; step < 1000; ++step) {
+        const double noise = static_cast<double>(uniform01({1, 0, 2}, static_cast<std::uint64_t>(step)));
+        const auto g = static_cast<float>((0.5 + noise) * std::pow(10.0, exponent));
+        state.grad[0] = g;
+        twin.grad[0] = static_cast<double>(g);
+        const AdamStep constants = adam_step(params, params.learning_rate, step);
+        state.dense(constants);
+        twin.dense(constants);
+        want.update(params, static_cast<long double>(g), static_cast<long double>(step + 1));
+      }
+      expect_close(state.value[0], want.x, 1e-5, "float");
+      expect_close(twin.value[0], want.x, 1e-11, "double");
+    }
+  }
+}
+
+TEST(Adam, LazyRuleOfTouchedRows) {  // E02
+  AdamParams params;
+  State<float> state(3, 2);
+  Reference want;  // row 1, column 0: moments stand still between touches, t goes on
+  for (std::int64_t step = 0; step < 20000; ++step) {
+    const bool hit = step % 1000 == 7;
+    state.grad[2] = hit ? 0.25f : 0.f;
+    const std::int64_t touched = state.touched(adam_step(params, params.learning_rate, step));
+    ASSERT_EQ(touched, hit ? 1 : 0);
+    ASSERT_EQ(state.grad[2], 0);  // cleared by the visit
+    if (hit) want.update(params, 0.25L, static_cast<long double>(step + 1));
+  }
+  expect_close(state.value[2], want.x, 1e-5, "touched");
+  expect_close(state.m[2], want.m, 1e-5, "first moment");
+  EXPECT_EQ(state.value[3], 0);  // zero gradient in a touched row
+  for (const std::size_t i : {0u, 1u, 4u, 5u}) EXPECT_TRUE(state.value[i] == 0 && state.m[i] == 0 && state.v[i] == 0);
+}
+
+TEST(Adam, TouchedEqualsDenseWhenEveryRowIsTouched) {
+  State<float> a(1000, 2), b(1000, 2);
+  for (std::size_t i = 0; i < 2000; ++i) a.grad[i] = b.grad[i] = 0.001f * static_cast<float>(i + 1);
+  const AdamStep step = adam_step({}, 1e-2, 3);
+  a.dense(step);
+  EXPECT_EQ(b.touched(step), 1000);
+  EXPECT_EQ(a.value, b.value);
+  EXPECT_EQ(a.m, b.m);
+  EXPECT_EQ(a.v, b.v);
+}
+
+TEST(Adam, ZeroGradientLeavesParametersBitwiseAlone) {  // E04
+  State<float> state(5);
+  state.value = {1.5f, -0.f, 1e-40f, 1e30f, -3.25f};
+  const auto before = state.value;
+  for (std::int64_t step = 0; step < 10; ++step) state.dense(adam_step({}, 0.1, step));
+  for (std::size_t i = 0; i < 5; ++i) {
+    EXPECT_EQ(state.value[i], before[i]);
+    EXPECT_EQ(std::signbit(state.value[i]), std::signbit(before[i]));
+  }
+}
+
+TEST(Adam, FirstNonFiniteIsFoundAnywhere) {  // E05
+  std::vector<float> g(10000, 1.f);
+  const View<float> view(g.data(), 5000, 2);
+  EXPECT_EQ(first_non_finite<float>(view), -1);
+  EXPECT_EQ(first_non_finite<float>({}), -1);
+  for (const float bad :
+       {std::nanf(""), std::numeric_limits<float>::infinity(), -std::numeric_limits<float>::infinity()}) {
+    for (const std::size_t at :
+         {std::size_t{0}, std::size_t{1}, std::size_t{4095}, std::size_t{4096}, std::size_t{9999}}) {
+      g[at] = bad;
+      g[9999] = at == 9999 ? bad : std::nanf("");
+      EXPECT_EQ(first_non_finite<float>(view), static_cast<std::int64_t>(at));
+      g[at] = g[9999] = std::numeric_limits<float>::max();
+    }
+  }
+}
+
+TEST(Adam, CountersFarOut) {  // E07
+  const AdamParams params;
+  const AdamStep first = adam_step(params, 1, 0);
+  EXPECT_NEAR(first.step_size, 1 / (1 - 0.9), 1e-12 / 0.1);
+  EXPECT_NEAR(first.root_scale, 1 / std::sqrt(1 - 0.999), 1e-10);
+  const AdamStep late = adam_step(params, 1, std::int64_t{1} << 31);
+  EXPECT_EQ(late.step_size, 1);
+  EXPECT_EQ(late.root_scale, 1);
+  AdamParams slow;
+  slow.beta2 = 1 - 1e-8;
+  const long double t = 2147483648.0L + 1;
+  const auto want = static_cast<double>(1 / std::sqrt(-std::expm1(t * std::log(static_cast<long double>(slow.beta2)))));
+  EXPECT_NEAR(adam_step(slow, 1, std::int64_t{1} << 31).root_scale, want, 1e-9 * want);
+}
+
+TEST(Adam, SameBitsForAnyRangesAndThreads) {
+  constexpr std::int64_t kRows = 100003;
+  State<float> whole(kRows, 2), ranges(kRows, 2), threads(kRows, 2), lazy(kRows, 2), lazy_threads(kRows, 2);
+  for (std::size_t i = 0; i < 2 * kRows; ++i) {
+    const float g = i % 7 < 2 ? 0.f : uniform01({9, 0, 1}, i) - 0.5f;
+    for (auto* s : {&whole, &ranges, &threads, &lazy, &lazy_threads}) s->grad[i] = g;
+  }
+  const AdamStep step = adam_step({}, 1e-3, 5);
+  whole.dense(step);
+  for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 1}, {1, 77776}, {77777, kRows - 77777}}) {
+    adam_dense<float>(step, ranges.view(ranges.value), ranges.view(ranges.grad), ranges.view(ranges.m),
+                      ranges.view(ranges.v), begin, count);
+  }
+  const std::int64_t touched = lazy.touched(step);
+  const int before = thread_count();
+  set_thread_count(2);
+  adam_dense_parallel<float>(step, threads.view(threads.value), threads.view(threads.grad), threads.view(threads.m),
+                             threads.view(threads.v));
+  EXPECT_EQ(
+      adam_touched_parallel<float>(step, lazy_threads.view(lazy_threads.value), lazy_threads.view(lazy_threads.grad),
+                                   lazy_threads.view(lazy_threads.m), lazy_threads.view(lazy_threads.v)),
+      touched);
+  set_thread_count(before);
+  EXPECT_LT(touched, kRows);
+  EXPECT_EQ(whole.value, ranges.value);
+  EXPECT_EQ(whole.value, threads.value);
+  EXPECT_EQ(whole.v, threads.v);
+  EXPECT_EQ(lazy.value, lazy_threads.value);
+  EXPECT_EQ(lazy.m, lazy_threads.m);
+}
+
+}  // namespace
+}  // namespace semfield
