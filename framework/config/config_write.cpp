@@ -22,7 +22,7 @@ bool is_null_word(std::string_view text) { return text.empty() || text == "~" ||
 // Unquoted and unchanged in block and flow context alike; narrower than YAML's own rule, so that it needs no context.
 bool survives_unquoted(std::string_view text) {
   constexpr std::string_view kInside = "_./+-%()=@^~ ";
-  if (text.empty() || text.size() > 256) return false;
+  if (text.empty()) return false;
   const char first = text.front();
   const bool sign = first == '-' || first == '+';
   if (sign ? text.size() < 2 || !(is_alnum(text[1]) || text[1] == '.')
@@ -141,8 +141,10 @@ bool looks_typed(std::string_view text) {
   for (const std::string_view known : {"true", "false", "yes", "no", "on", "off", ".nan", ".inf", "+.inf", "-.inf"}) {
     if (word == known) return true;
   }
+  // Whatever starts like a number, unless it could not even stand without quotes.
+  if (!survives_unquoted(text)) return false;
   const std::size_t at = text[0] == '-' || text[0] == '+' ? 1 : 0;
-  if (at < text.size() && is_digit(text[at])) return true;
+  if (is_digit(text[at])) return true;
   return at + 1 < text.size() && text[at] == '.' && is_digit(text[at + 1]);
 }
 

@@ -312,6 +312,7 @@ TEST(ConfigWrite, PlainTexts) {
     EXPECT_TRUE(looks_typed(typed)) << typed;
   }
   EXPECT_FALSE(looks_typed("a: b"));
+  EXPECT_FALSE(looks_typed("010 #"));  // needs quotes, so it cannot be a number
   EXPECT_FALSE(is_plain_text("a: b"));
 }
 
