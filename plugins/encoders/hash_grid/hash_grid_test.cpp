@@ -177,13 +177,13 @@ TEST(HashGrid, FacesOfTheCubeAreOrdinaryPlaces) {  // C08; run under AddressSani
   for (const auto& points : {x, random_points(500)}) {
     for (float y : ones.forward(points)) EXPECT_NEAR(y, 1.f, 2e-7f);  // partition of unity
   }
-  std::vector<float> dy(ones.forward(x).size(), 1.f);
-  const auto dx = ones.backward(x, dy);
+  Grid<float> grid(p);
+  const auto dx = grid.backward(x, std::vector<float>(grid.forward(x).size(), 1.f));
   for (std::size_t i = 0; i < x.size(); ++i) {
-    if (x[i] < 0 || x[i] > 1) {
-      EXPECT_EQ(dx[i], 0.f) << x[i];
-    }
+    EXPECT_EQ(dx[i] == 0.f, x[i] < 0 || x[i] > 1) << x[i];  // clamped: constant outside
   }
+  EXPECT_EQ(axis_cell<float>(1.0, 7.0).cell, 6u);  // the far face has no cell beyond it
+  EXPECT_EQ(axis_cell<float>(1.0, 7.0).place, 1.f);
 }
 
 TEST(HashGrid, IsContinuousAcrossCells) {  // C09
