@@ -59,9 +59,10 @@ void describe(ParamVisitor& visit, OccupancyGridParams& params) {
   SEMFIELD_PARAM(visit, params, skip_budget, "Optical depth a ray may lose to skipping when rendering (certified)",
                  {0, 1});
   SEMFIELD_PARAM(visit, params, training_skip_budget, "The same when training", {0, 1});
-  SEMFIELD_PARAM(visit, params, threshold,
-                 "Optical depth of a step above which a cell is occupied; half the grid's mean density when that is less",
-                 {0, 10});
+  SEMFIELD_PARAM(
+      visit, params, threshold,
+      "Optical depth of a step above which a cell is occupied; half the grid's mean density when that is less",
+      {0, 10});
   SEMFIELD_PARAM(visit, params, decay, "Decay of a cell's density an update [Mueller22 App. E.2]", {0, 1});
   SEMFIELD_PARAM(visit, params, update_every, "Steps from update to update [Mueller22 App. E.2]", {1, 1000000});
   SEMFIELD_PARAM(visit, params, warmup_steps, "Steps in which every cell is updated and none is skipped", {0, 1000000});

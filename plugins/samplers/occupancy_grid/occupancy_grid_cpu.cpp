@@ -218,24 +218,30 @@ struct PublishJob {
     const std::int64_t side = geometry.blocks_per_side();
     Real* bounds = state.block_bound + slab * side * side;
     std::fill(bounds, bounds + side * side, Real(0));
-    for (std::int64_t word = begin; word < begin + slab_cells(); word += kBitsPerElement) {
-      std::uint16_t bits = 0;
-      for (std::int32_t b = 0; b < kBitsPerElement; ++b) {
-        const std::int64_t i = word + b;
-        if (covered(i)) continue;
-        const Real density = state.density[i];
-        const bool occupied = density < 0 || density > occupied_above;
-        sum.counted += 1;
-        sum.occupied += occupied ? 1 : 0;
-        if (!occupied) bits = static_cast<std::uint16_t>(bits | (1u << b));
-        const std::int64_t x = i % geometry.n / kBlockCells, y = i / geometry.n % geometry.n / kBlockCells;
-        Real& bound = bounds[y * side + x];
-        bound = std::max(bound, occupied ? static_cast<Real>(kUnbounded) : density);
+    for (std::int64_t row = begin; row < begin + slab_cells(); row += geometry.n) {
+      Real* row_bounds = bounds + row / geometry.n % geometry.n / kBlockCells * side;
+      for (std::int64_t word = row; word < row + geometry.n; word += kBitsPerElement) {
+        mark_word(word, row_bounds + (word - row) / kBlockCells, sum);
       }
-      Real element = 1;
-      std::memcpy(&element, &bits, sizeof bits);
-      state.empty_bits[word / kBitsPerElement] = element;
     }
+  }
+
+  // 16 cells of a row; they lie in two blocks.
+  void mark_word(std::int64_t word, Real* bounds, SlabTotals& sum) const {
+    std::uint16_t bits = 0;
+    for (std::int32_t b = 0; b < kBitsPerElement; ++b) {
+      if (covered(word + b)) continue;
+      const Real density = state.density[word + b];
+      const bool occupied = density < 0 || density > occupied_above;
+      sum.counted += 1;
+      sum.occupied += occupied ? 1 : 0;
+      if (!occupied) bits = static_cast<std::uint16_t>(bits | (1u << b));
+      Real& bound = bounds[b / kBlockCells];
+      bound = std::max(bound, occupied ? static_cast<Real>(kUnbounded) : density);
+    }
+    Real element = 1;
+    std::memcpy(&element, &bits, sizeof bits);
+    state.empty_bits[word / kBitsPerElement] = element;
   }
 };
 

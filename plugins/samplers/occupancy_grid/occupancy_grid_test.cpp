@@ -1,0 +1,313 @@
+// Tests of the occupancy-grid sampler: jumps against step-by-step marching, certified skipping, updates, laws.
+#include "samplers/occupancy_grid/occupancy_grid.h"
+
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "core/parallel.h"
+#include "testkit/laws.h"
+#include "testkit/tensor_box.h"
+
+namespace semfield {
+namespace {
+
+SamplerBuild room() {
+  SamplerBuild build;
+  build.bounds = {{-2, -2, -1}, {3, 2, 2}};
+  build.near_m = 0.05;
+  build.far_m = 12;
+  return build;
+}
+
+// Density of a ball at (0.5, 0, 0.5), radius 0.8, over a thin haze.
+template <class Real>
+DensityQuery<Real> ball(double inside, double haze) {
+  return [=](View<const double> p, View<Real> sigma) {
+    for (std::int64_t i = 0; i < p.rows; ++i) {
+      const double x = p(i, 0) - 0.5, y = p(i, 1), z = p(i, 2) - 0.5;
+      *sigma.row(i) = static_cast<Real>(x * x + y * y + z * z < 0.64 ? inside : haze);
+    }
+  };
+}
+
+template <class Real>
+struct Bench {
+  explicit Bench(const OccupancyGridParams& p) : sampler(p, room(), tables()), box(sampler, 1, 0.0) {
+    ctx.seed = 3;
+    ctx.workspace = &workspace;
+  }
+  static const KernelTables& tables() {
+    static const KernelTables tables = [] {
+      KernelTables t;
+      occupancy_grid_kernels(t);
+      return t;
+    }();
+    return tables;
+  }
+  void learn(const DensityQuery<Real>& query, std::int64_t steps) {
+    for (std::int64_t s = 0; s < steps; ++s) {
+      ctx.step = s;
+      ctx.training = true;
+      sampler.observe(ctx, box.values_only(), query);
+    }
+    ctx.training = false;
+  }
+  // Rays from a corner of the room in many directions.
+  void shoot(std::int64_t rays) {
+    origin.assign(static_cast<std::size_t>(3 * rays), 0.0);
+    direction = origin;
+    near_far.clear();
+    for (std::int64_t r = 0; r < rays; ++r) {
+      const auto random = [&](int i) {
+        return static_cast<double>(uniform01({8, 0, 1}, static_cast<std::uint64_t>(8 * r + i)));
+      };
+      const Vec3d d = normalized(Vec3d{random(0) - 0.5, random(1) - 0.5, random(2) - 0.5});
+      for (int i = 0; i < 3; ++i) {
+        origin[static_cast<std::size_t>(3 * r + i)] =
+            room().bounds.lo[i] + (0.05 + 0.9 * random(3 + i)) * room().bounds.size()[i];
+        direction[static_cast<std::size_t>(3 * r + i)] = d[i];
+      }
+      near_far.insert(near_far.end(), {0.05, 12.0});
+    }
+    sample(rays);
+  }
+  void sample(std::int64_t rays) {
+    const std::int64_t capacity = sampler.capacity(rays, 0);
+    t.resize(static_cast<std::size_t>(capacity));
+    delta.resize(t.size());
+    ray.resize(t.size());
+    first.resize(static_cast<std::size_t>(rays + 1));
+    out = {View<Real>(t.data(), capacity, 1), View<Real>(delta.data(), capacity, 1),
+           View<std::int32_t>(ray.data(), capacity, 1), View<std::int32_t>(first.data(), rays + 1, 1), 0};
+    sampler.sample(ctx, box.values_only(),
+                   {View<const double>(origin.data(), rays, 3), View<const double>(direction.data(), rays, 3),
+                    View<const double>(near_far.data(), rays, 2)},
+                   nullptr, out);
+  }
+  OccupancyGrid<Real> sampler;
+  testkit::TensorBox<Real> box;
+  Workspace workspace;
+  StepContext ctx;
+  std::vector<double> origin, direction, near_far;
+  std::vector<Real> t, delta;
+  std::vector<std::int32_t> ray, first;
+  Samples<Real> out;
+};
+
+OccupancyGridParams small_grid() {
+  OccupancyGridParams params;
+  params.resolution = 32;
+  params.max_samples = 2048;
+  params.warmup_steps = 64;
+  return params;
+}
+
+// Lattice indices whose cell is marked occupied, looked at one by one.
+template <class Real>
+std::vector<Real> brute_force(Bench<Real>& bench, std::int64_t r) {
+  const OccupancyGeometry& g = bench.sampler.geometry();
+  const double* o = &bench.origin[static_cast<std::size_t>(3 * r)];
+  const double* d = &bench.direction[static_cast<std::size_t>(3 * r)];
+  double enter = 0, leave = 0;
+  std::vector<Real> result;
+  if (!intersect(g.outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave)) return result;
+  const double near_m = std::max(0.05, enter), far_m = std::min(12.0, leave);
+  const auto n = static_cast<std::int64_t>(std::ceil((far_m - near_m) / g.step_m));
+  const auto* bits = reinterpret_cast<const unsigned char*>(bench.box.value(1).data);
+  const CellRay ray(g, o, d);
+  for (std::int64_t i = 0; i < n; ++i) {
+    const double t = near_m + (static_cast<double>(i) + 0.5) * ((far_m - near_m) / static_cast<double>(n));
+    if (!is_empty_cell<Real>(bits, ray.cell_at(g, t).index(g.n))) result.push_back(static_cast<Real>(t));
+  }
+  return result;
+}
+
+TEST(OccupancyGrid, JumpsGiveTheSamplesOfStepByStepMarching) {
+  for (const std::int64_t cascades : {1, 3}) {
+    OccupancyGridParams params = small_grid();
+    params.cascades = cascades;
+    params.resolution = cascades == 1 ? 64 : 32;
+    params.skip = SkipRule::threshold;
+    Bench<double> bench(params);
+    bench.learn(ball<double>(50, 0), 80);
+    bench.shoot(300);
+    std::size_t total = 0;
+    for (std::int64_t r = 0; r < 300; ++r) {
+      const std::vector<double> want = brute_force(bench, r);
+      const auto begin = bench.t.begin() + bench.first[static_cast<std::size_t>(r)];
+      ASSERT_EQ(std::vector<double>(begin, bench.t.begin() + bench.first[static_cast<std::size_t>(r) + 1]), want)
+          << "ray " << r;
+      total += want.size();
+    }
+    EXPECT_GT(total, 1000u);
+    EXPECT_LT(total, 300u * 200u);  // most of the lattice is empty
+  }
+}
+
+TEST(OccupancyGrid, EverySampleNearTheBallIsKept) {
+  OccupancyGridParams params = small_grid();
+  params.update_every = 1;  // cells that the ball only grazes need many draws
+  Bench<float> bench(params);
+  bench.learn(ball<float>(50, 0), 80);
+  bench.shoot(200);
+  for (std::int64_t r = 0; r < 200; ++r) {
+    // Length inside the ball, from the geometry, against the length that the samples inside it cover.
+    const double* o = &bench.origin[static_cast<std::size_t>(3 * r)];
+    const double* d = &bench.direction[static_cast<std::size_t>(3 * r)];
+    const Vec3d to{0.5 - o[0], -o[1], 0.5 - o[2]};
+    const double along = to.x * d[0] + to.y * d[1] + to.z * d[2];
+    const double gap2 = 0.64 - (dot(to, to) - along * along);
+    const double half = gap2 > 0 ? std::sqrt(gap2) : 0;
+    const double want = std::max(0.0, along + half - std::max(0.05, along - half));
+    double covered = 0;
+    for (std::int32_t k = bench.first[static_cast<std::size_t>(r)]; k < bench.first[static_cast<std::size_t>(r) + 1];
+         ++k) {
+      const double t = static_cast<double>(bench.t[static_cast<std::size_t>(k)]);
+      if (std::abs(t - along) < half) covered += static_cast<double>(bench.delta[static_cast<std::size_t>(k)]);
+    }
+    EXPECT_NEAR(covered, gap2 > 0 ? want : 0, 2 * bench.sampler.geometry().step_m) << "ray " << r;
+  }
+}
+
+// Optical depth of the haze that samples leave out, the most over all rays.
+double largest_loss(SkipRule rule, double haze) {
+  OccupancyGridParams params = small_grid();
+  params.skip = rule;
+  Bench<double> bench(params);
+  bench.learn(ball<double>(50, haze), 80);
+  bench.shoot(200);
+  double worst = 0;
+  for (std::int64_t r = 0; r < 200; ++r) {
+    double enter = 0, leave = 0, covered = 0;
+    const double* o = &bench.origin[static_cast<std::size_t>(3 * r)];
+    const double* d = &bench.direction[static_cast<std::size_t>(3 * r)];
+    intersect(bench.sampler.geometry().outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave);
+    for (std::int32_t k = bench.first[static_cast<std::size_t>(r)]; k < bench.first[static_cast<std::size_t>(r) + 1];
+         ++k) {
+      covered += bench.delta[static_cast<std::size_t>(k)];
+    }
+    worst = std::max(worst, haze * (std::min(12.0, leave) - std::max(0.05, enter) - covered));
+  }
+  return worst;
+}
+
+TEST(OccupancyGrid, CertifiedSkippingKeepsItsBudget) {
+  for (const double haze : {1e-5, 1e-3, 0.1, 1.0})
+    EXPECT_LE(largest_loss(SkipRule::certified, haze), 1e-3 + 1e-9) << haze;
+  EXPECT_GT(largest_loss(SkipRule::certified, 1e-5), 0);
+  EXPECT_GT(largest_loss(SkipRule::threshold, 0.1), 0.1);  // what the budget is there to prevent
+}
+
+TEST(OccupancyGrid, NothingIsLeftOutDuringWarmUpOrWithoutAnyDensity) {
+  Bench<float> bench(small_grid());
+  bench.shoot(20);
+  const std::int64_t all = bench.out.count;
+  bench.learn(ball<float>(50, 0), 40);
+  bench.shoot(20);
+  EXPECT_EQ(bench.out.count, all);
+  EXPECT_EQ(bench.sampler.status(bench.box.values_only()), "occupied 100 % (warm-up)");
+  Bench<float> dead(small_grid());
+  dead.learn(ball<float>(0, 0), 200);
+  dead.shoot(20);
+  EXPECT_EQ(dead.out.count, all);
+  Bench<float> even(small_grid());  // equal densities below the threshold: occupied, not empty
+  even.learn(ball<float>(0.01, 0.01), 200);
+  even.shoot(20);
+  EXPECT_EQ(even.out.count, all);
+}
+
+TEST(OccupancyGrid, FollowsAFieldThatMoves) {
+  OccupancyGridParams params = small_grid();
+  params.update_share = 0.25;
+  Bench<float> bench(params);
+  bench.learn(ball<float>(50, 0), 80);
+  const float before = bench.box.value(3).data[2];
+  EXPECT_NEAR(before, 2.14 / (5.1 * 4.1 * 3.1), 0.01);  // the ball's share of the padded room
+  for (std::int64_t s = 80; s < 80 + 16 * 300; s += 16) {
+    bench.ctx.step = s;
+    bench.sampler.observe(bench.ctx, bench.box.values_only(), ball<float>(0, 20));  // inside out
+  }
+  EXPECT_NEAR(bench.box.value(3).data[2], 1 - before, 0.02);
+}
+
+TEST(OccupancyGrid, UpdateIsTheSameForAnyThreadCount) {
+  const auto bits_after = [](int threads) {
+    const int before = thread_count();
+    set_thread_count(threads);
+    Bench<float> bench(small_grid());
+    const DensityQuery<float> waves = [](View<const double> p, View<float> sigma) {
+      for (std::int64_t i = 0; i < p.rows; ++i)
+        *sigma.row(i) = static_cast<float>(std::exp(8 * std::sin(5 * p(i, 0) + p(i, 1) * p(i, 2))));
+    };
+    bench.learn(waves, 129);
+    set_thread_count(before);
+    std::vector<float> all;
+    for (std::size_t i = 0; i < 4; ++i)
+      all.insert(all.end(), bench.box.value(i).data, bench.box.value(i).data + bench.box.value(i).rows);
+    for (const float v : all) EXPECT_TRUE(std::isfinite(v));  // a checkpoint refuses anything else
+    return all;
+  };
+  EXPECT_EQ(bits_after(1), bits_after(2));
+}
+
+TEST(OccupancyGrid, LongStepsWhenSamplesAreScarce) {  // B11
+  OccupancyGridParams params = small_grid();
+  params.max_samples = 48;
+  Bench<float> bench(params);
+  bench.shoot(50);  // warm-up: the whole ray is occupied
+  for (std::int64_t r = 0; r < 50; ++r) {
+    const std::int32_t n = bench.first[static_cast<std::size_t>(r) + 1] - bench.first[static_cast<std::size_t>(r)];
+    EXPECT_LE(n, 48);
+    EXPECT_GE(n, n > 0 ? 5 : 0);
+    double enter = 0, leave = 0, covered = 0;
+    const double* o = &bench.origin[static_cast<std::size_t>(3 * r)];
+    const double* d = &bench.direction[static_cast<std::size_t>(3 * r)];
+    intersect(bench.sampler.geometry().outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave);
+    for (std::int32_t k = 0; k < n; ++k)
+      covered +=
+          static_cast<double>(bench.delta[static_cast<std::size_t>(bench.first[static_cast<std::size_t>(r)] + k)]);
+    EXPECT_NEAR(covered, std::min(12.0, leave) - 0.05, 1e-4);  // coarser, not shorter
+  }
+  params.step_m = 1e-9;  // a lattice of 1e10 steps is cut, not walked
+  Bench<float> tiny(params);
+  tiny.shoot(5);
+  EXPECT_GT(tiny.out.count, 0);
+  bench.origin = {1e5, 1e5, 1e5};  // misses the grid
+  bench.direction = {1, 0, 0};
+  bench.near_far = {0, 1e7};
+  bench.sample(1);
+  EXPECT_EQ(bench.out.count, 0);
+}
+
+TEST(OccupancyGrid, RefusesWhatItCannotUse) {
+  SamplerBuild build = room();
+  build.bounds = Box{};
+  EXPECT_THROW((OccupancyGrid<float>({}, build, Bench<float>::tables())), Error);
+  OccupancyGridParams params;
+  params.resolution = 100;
+  Diagnostics diagnostics;
+  validate(params, diagnostics);
+  EXPECT_EQ(diagnostics.error_count(), 1);
+  Bench<float> bench(small_grid());
+  EXPECT_THROW(bench.learn(ball<float>(NAN, 0), 1), Error);
+}
+
+TEST(OccupancyGrid, Laws) {
+  for (const std::int64_t cascades : {1, 2}) {
+    OccupancyGridParams params = small_grid();
+    params.resolution = 32;
+    params.max_samples = 64;
+    params.cascades = cascades;
+    const OccupancyGrid<float> single(params, room(), Bench<float>::tables());
+    const OccupancyGrid<double> twin(params, room(), Bench<double>::tables());
+    const auto failures = testkit::sampler_laws(single, twin, room());
+    EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
+  }
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,184 @@
+// Tests of the stratified sampler: strata, quadrature rules, limits, laws.
+#include "samplers/stratified/stratified.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "testkit/laws.h"
+
+namespace semfield {
+namespace {
+
+SamplerBuild room() {
+  SamplerBuild build;
+  build.bounds = {{-2, -2, -1}, {3, 2, 2}};
+  build.near_m = 0.1;
+  build.far_m = 6;
+  return build;
+}
+
+template <class Real>
+Stratified<Real> make(std::int64_t samples, Quadrature quadrature) {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    stratified_kernels(t);
+    return t;
+  }();
+  return Stratified<Real>({samples, quadrature}, room(), tables);
+}
+
+// Rays with given limits; the sampler looks at nothing else.
+template <class Real>
+struct Batch {
+  explicit Batch(std::vector<double> limits, std::int64_t capacity) : near_far(std::move(limits)) {
+    rays = static_cast<std::int64_t>(near_far.size()) / 2;
+    origin.assign(static_cast<std::size_t>(3 * rays), 0.0);
+    direction.assign(static_cast<std::size_t>(3 * rays), 0.0);
+    for (std::int64_t r = 0; r < rays; ++r) direction[static_cast<std::size_t>(3 * r)] = 1;
+    t.resize(static_cast<std::size_t>(capacity));
+    delta.resize(t.size());
+    ray.resize(t.size());
+    first.resize(static_cast<std::size_t>(rays + 1));
+    out = {View<Real>(t.data(), capacity, 1), View<Real>(delta.data(), capacity, 1),
+           View<std::int32_t>(ray.data(), capacity, 1), View<std::int32_t>(first.data(), rays + 1, 1), 0};
+  }
+  Rays<Real> view() const {
+    return {View<const double>(origin.data(), rays, 3), View<const double>(direction.data(), rays, 3),
+            View<const double>(near_far.data(), rays, 2)};
+  }
+  std::int64_t rays = 0;
+  std::vector<double> origin, direction, near_far;
+  std::vector<Real> t, delta;
+  std::vector<std::int32_t> ray, first;
+  Samples<Real> out;
+};
+
+StepContext training_at(std::int64_t step) {
+  StepContext ctx;
+  ctx.seed = 4;
+  ctx.step = step;
+  ctx.training = true;
+  return ctx;
+}
+
+TEST(Stratified, OneSampleInEachStratum) {  // B09
+  const auto sampler = make<float>(64, Quadrature::paper);
+  for (std::int64_t step = 0; step < 50; ++step) {
+    Batch<float> batch({0.1, 6, 2, 3}, 128);
+    sampler.sample(training_at(step), {}, batch.view(), nullptr, batch.out);
+    ASSERT_EQ(batch.out.count, 128);
+    for (int r = 0; r < 2; ++r) {
+      const double near_m = r == 0 ? 0.1 : 2, h = (r == 0 ? 5.9 : 1) / 64;
+      for (int k = 0; k < 64; ++k) {
+        const auto t = static_cast<double>(batch.t[static_cast<std::size_t>(64 * r + k)]);
+        EXPECT_GE(t, near_m + k * h - 1e-6);
+        EXPECT_LE(t, near_m + (k + 1) * h + 1e-6);
+      }
+    }
+  }
+}
+
+TEST(Stratified, JitterIsUniformInTheStratum) {
+  const auto sampler = make<double>(4, Quadrature::stratified_bin);
+  double mean = 0, square = 0;
+  constexpr int kSteps = 4000;
+  for (std::int64_t step = 0; step < kSteps; ++step) {
+    Batch<double> batch({0, 4}, 4);
+    sampler.sample(training_at(step), {}, batch.view(), nullptr, batch.out);
+    const double u = batch.t[2] - 2;
+    mean += u / kSteps;
+    square += (u - 0.5) * (u - 0.5) / kSteps;
+  }
+  EXPECT_NEAR(mean, 0.5, 4 * std::sqrt(1.0 / 12 / kSteps));
+  EXPECT_NEAR(square, 1.0 / 12, 0.01);
+}
+
+TEST(Stratified, QuadratureRules) {
+  for (const bool training : {false, true}) {
+    for (const auto rule : {Quadrature::paper, Quadrature::midpoint, Quadrature::stratified_bin}) {
+      const auto sampler = make<double>(8, rule);
+      Batch<double> batch({1, 5}, 8);
+      StepContext ctx = training_at(3);
+      ctx.training = training;
+      sampler.sample(ctx, {}, batch.view(), nullptr, batch.out);
+      for (std::size_t k = 0; k < 8; ++k) {
+        if (rule == Quadrature::paper) {
+          EXPECT_NEAR(batch.delta[k], (k == 7 ? 5 : batch.t[k + 1]) - batch.t[k], 1e-14);
+        } else {
+          EXPECT_DOUBLE_EQ(batch.delta[k], 0.5);
+        }
+        const double centre = 1.25 + 0.5 * static_cast<double>(k);
+        if (!training || rule == Quadrature::midpoint) {
+          EXPECT_DOUBLE_EQ(batch.t[k], centre);
+        } else {
+          EXPECT_NE(batch.t[k], centre);
+        }
+      }
+    }
+  }
+}
+
+// Optical depth of sigma = e^-t over [0, 1], by each rule without jitter: the error's order in 1 / N.
+double order_of(Quadrature rule) {
+  double error[2];
+  for (int i = 0; i < 2; ++i) {
+    const std::int64_t n = i == 0 ? 64 : 256;
+    const auto sampler = make<double>(n, rule);
+    Batch<double> batch({0, 1}, n);
+    sampler.sample({}, {}, batch.view(), nullptr, batch.out);
+    double tau = 0;
+    for (std::size_t k = 0; k < static_cast<std::size_t>(n); ++k) tau += std::exp(-batch.t[k]) * batch.delta[k];
+    error[i] = std::abs(tau - (1 - std::exp(-1.0)));
+  }
+  return std::log(error[0] / error[1]) / std::log(4.0);
+}
+
+TEST(Stratified, OrdersOfTheRules) {
+  EXPECT_NEAR(order_of(Quadrature::paper), 1, 0.05);
+  EXPECT_NEAR(order_of(Quadrature::midpoint), 2, 0.05);
+}
+
+TEST(Stratified, LimitsOfARay) {  // B10, B12
+  const auto sampler = make<float>(4, Quadrature::midpoint);
+  Batch<float> batch({1, 1, 3, 2, 0, 1}, 12);
+  sampler.sample({}, {}, batch.view(), nullptr, batch.out);
+  EXPECT_EQ(batch.first, (std::vector<std::int32_t>{0, 0, 0, 4}));
+  Batch<float> none({}, 0);
+  sampler.sample({}, {}, none.view(), nullptr, none.out);
+  EXPECT_EQ(none.out.count, 0);
+  for (const double bad : {std::numeric_limits<double>::infinity(), std::nan("")}) {
+    Batch<float> broken({0, 1, 0, bad}, 8);
+    StepContext ctx;
+    ctx.first_ray = 40;
+    try {
+      sampler.sample(ctx, {}, broken.view(), nullptr, broken.out);
+      FAIL() << bad << " was accepted";
+    } catch (const Error& e) {
+      EXPECT_NE(e.message().find("ray 41"), std::string::npos) << e.what();
+    }
+  }
+}
+
+TEST(Stratified, FloatStaysInsideTheLimits) {
+  const auto sampler = make<float>(4096, Quadrature::paper);
+  Batch<float> batch({0.1, 0.3}, 4096);
+  sampler.sample(training_at(0), {}, batch.view(), nullptr, batch.out);
+  for (std::size_t k = 0; k < 4096; ++k) {
+    ASSERT_GE(static_cast<double>(batch.t[k]), 0.1);
+    ASSERT_LE(static_cast<double>(batch.t[k]), 0.3);
+  }
+}
+
+TEST(Stratified, Laws) {
+  for (const auto rule : {Quadrature::paper, Quadrature::midpoint, Quadrature::stratified_bin}) {
+    const auto failures = testkit::sampler_laws(make<float>(24, rule), make<double>(24, rule), room());
+    EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
+  }
+}
+
+}  // namespace
+}  // namespace semfield
