@@ -31,3 +31,16 @@ void ${ARG_NAME}_kernels(KernelTables& tables) { ${ARG_NAME}_cpu_kernels(tables)
     set_property(GLOBAL APPEND PROPERTY SEMFIELD_PLUGIN_TESTS ${test_file})
   endforeach()
 endfunction()
+
+# semfield_add_loadable_plugin(NAME waves SOURCES waves.cpp ... [LIBRARIES ...]): waves.so, for `plugins: [path/waves.so]`. The same sources as a
+# linked plugin; for projects outside the tree that found the package.
+function(semfield_add_loadable_plugin)
+  cmake_parse_arguments(ARG "" "NAME" "SOURCES;LIBRARIES" ${ARGN})
+  if(NOT ARG_NAME OR NOT ARG_SOURCES)
+    message(FATAL_ERROR "semfield_add_loadable_plugin needs NAME and SOURCES")
+  endif()
+  add_library(${ARG_NAME} MODULE ${ARG_SOURCES})
+  set_target_properties(${ARG_NAME} PROPERTIES PREFIX "")
+  target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_LOADABLE_MODULE)
+  target_link_libraries(${ARG_NAME} PRIVATE semfield::sdk ${ARG_LIBRARIES})
+endfunction()

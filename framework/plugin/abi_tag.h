@@ -13,5 +13,12 @@
 #else
 #define SEMFIELD_ABI_DEBUG ""
 #endif
-/// The Itanium ABI version is shared by g++ and clang++, so both may build plugins for one framework.
-#define SEMFIELD_ABI_TAG "cxx" SEMFIELD_STRINGIFY(__GXX_ABI_VERSION) "-" SEMFIELD_ABI_STDLIB SEMFIELD_ABI_DEBUG
+// g++ and clang++ both follow the Itanium C++ ABI but number it differently (1017 and 1002); from 1002 on class layouts, virtual tables
+// and names of what crosses this border agree, so a plugin of one works in a framework of the other.
+#if defined(__GXX_ABI_VERSION) && __GXX_ABI_VERSION >= 1002
+#define SEMFIELD_ABI_CXX "itanium"
+#else
+#define SEMFIELD_ABI_CXX "other-cxx-abi"
+#endif
+/// C++ ABI, standard library with its string layout, and debug containers of whatever is compiled with this header.
+#define SEMFIELD_ABI_TAG SEMFIELD_ABI_CXX "-" SEMFIELD_ABI_STDLIB SEMFIELD_ABI_DEBUG

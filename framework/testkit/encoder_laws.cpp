@@ -138,6 +138,7 @@ void check_gradients(const Encoder<double>& encoder, const LawOptions& options, 
   GradientCheck check;
   check.tolerance = options.gradient_tolerance;
   check.seed = options.seed;
+  check.max_elements = options.gradient_elements;
   note_failure(failures, "gradient of x", check_gradient(loss, bench.x.view(), bench.dx.view(), check));
   for (std::size_t i = 0; i < bench.box.count(); ++i) {
     if (!bench.box.learned(i)) continue;

@@ -110,7 +110,7 @@ void check_gradients(const Field<double>& field, const Setup& setup, Failures& f
   GradientCheck check;
   check.tolerance = setup.options.gradient_tolerance;
   check.seed = setup.options.seed;
-  check.max_elements = 24;
+  check.max_elements = setup.options.gradient_elements;
   note_failure(failures, "gradient of position", check_gradient(loss, bench.position.view(), bench.d_position.view(), check));
   for (std::size_t i = 0; i < bench.box.count(); ++i) {
     if (!bench.box.learned(i)) continue;

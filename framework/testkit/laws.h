@@ -16,6 +16,7 @@ struct LawOptions {
   double gradient_tolerance = 1e-5;  ///< double against central differences, of the largest gradient in the tensor
   double float_tolerance = 1e-4;     ///< float against double, of the largest value in the matrix
   std::int64_t many_rows = 4097;     ///< the largest batch
+  int gradient_elements = 24;        ///< elements of each tensor that central differences check
 };
 
 /// Names, sentences, defaults in range and a lossless round trip of the parameters of one entry; a value outside its range and an

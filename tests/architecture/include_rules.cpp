@@ -1,0 +1,150 @@
+// Floors and never-arrows as a table.
+#include "tests/architecture/include_rules.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <set>
+#include <sstream>
+
+namespace semfield::architecture {
+
+namespace {
+
+using Folders = std::set<std::string>;
+
+bool starts_with(const std::string& text, const std::string& start) { return text.rfind(start, 0) == 0; }
+bool ends_with(const std::string& text, const std::string& end) {
+  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
+}
+
+const Folders kFrameworkFolders{"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "fuse", "mesh", "testkit"};
+
+// app -> train, fuse, mesh -> model, losses, optim, labels -> plugin -> config, scene -> core. Folders of one floor may use each other where the
+// table says so: scene reads class tables through config's tree; model and labels are told apart from the rest of their floor.
+const std::map<std::string, Folders>& floors() {
+  static const Folders below_plugin{"core", "config", "scene"};
+  static const Folders middle{"core", "config", "scene", "plugin", "labels", "losses", "model", "optim"};
+  static const std::map<std::string, Folders> table{
+      {"core", {"core"}},
+      {"config", {"core", "config"}},
+      {"scene", below_plugin},
+      {"plugin", {"core", "config", "scene", "plugin"}},
+      {"labels", {"core", "config", "scene", "plugin", "labels"}},
+      {"losses", {"core", "config", "losses"}},
+      {"optim", {"core", "config", "plugin", "model", "optim"}},
+      {"model", {"core", "config", "scene", "plugin", "losses", "model"}},
+      {"train", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train"}},
+      {"fuse", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "fuse"}},
+      {"mesh", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "mesh"}},
+      {"testkit", kFrameworkFolders},
+  };
+  return table;
+}
+
+// Libraries with exactly one user, and those that may not enter a header.
+std::string forbidden_library(const std::string& path, const std::string& target) {
+  static const std::vector<std::pair<std::string, std::string>> only{
+      {"yaml-cpp/", "framework/config/config_tree.cpp"}, {"yaml.h", "framework/config/config_tree.cpp"},
+      {"OpenImageIO/", "framework/scene/image_io.cpp"},  {"tiny_obj_loader.h", "framework/scene/mesh_io.cpp"},
+      {"omp.h", "framework/core/parallel.cpp"},
+  };
+  for (const auto& [library, user] : only) {
+    if (starts_with(target, library) && path != user) return "only " + user + " may include " + library;
+  }
+  for (const char* library : {"Eigen/", "nlohmann/", "CLI/", "fmt/", "embree", "dnnl", "oneapi/"}) {
+    if (starts_with(target, library) && ends_with(path, ".h")) return std::string(library) + " may be included by .cpp files only";
+  }
+  const bool gpu = starts_with(target, "cuda") || starts_with(target, "cublas");
+  if (gpu && !ends_with(path, ".cu") && path.find("cuda") == std::string::npos) return "CUDA headers belong to CUDA files";
+  return {};
+}
+
+std::string first_folder(const std::string& path) { return path.substr(0, path.find('/')); }
+
+bool names_plugin(const std::string& target) {
+  for (const char* kind : {"encoders/", "fields/", "samplers/", "datasets/", "fused/"}) {
+    if (starts_with(target, kind)) return true;
+  }
+  return starts_with(target, "plugins/");
+}
+
+std::string forbidden_in_framework(const std::string& folder, const std::string& target) {
+  if (names_plugin(target)) return "the framework includes no plugin";
+  if (starts_with(target, "app/") || starts_with(target, "tests/")) return "the framework includes neither the application nor tests";
+  const std::string other = first_folder(target);
+  const auto floor = floors().find(folder);
+  if (floor == floors().end()) return "framework/" + folder + " stands on no floor of the table";
+  if (kFrameworkFolders.contains(other) && !floor->second.contains(other)) return folder + " may not include " + other;
+  return {};
+}
+
+// `inside` = "encoders/hash_grid/hash_grid.h".
+std::string forbidden_in_plugin(const std::string& inside, const std::string& target) {
+  const std::string kind = first_folder(inside);
+  const std::string own = inside.substr(0, inside.find('/', kind.size() + 1) + 1);
+  if (names_plugin(target)) {
+    if (starts_with(target, own) || (kind == "fused" && ends_with(target, "_math.h"))) return {};
+    return "a plugin includes no other plugin";
+  }
+  const std::string other = first_folder(target);
+  if (!kFrameworkFolders.contains(other) || target.find('/') == std::string::npos) return {};
+  if (other == "core" || other == "plugin" || target == "config/params.h") return {};
+  if (other == "scene" && kind == "datasets") return {};
+  if (kind == "fused" && target == "model/encoded_field.h") return {};
+  return "a plugin sees core, config/params.h, plugin" + std::string(kind == "datasets" ? " and scene" : "") + " alone";
+}
+
+}  // namespace
+
+std::vector<SourceFile> files_under(const std::string& folder, const std::vector<std::string>& endings) {
+  const std::filesystem::path root = SEMFIELD_SOURCE_DIR;
+  std::vector<SourceFile> files;
+  if (!std::filesystem::exists(root / folder)) return files;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(root / folder)) {
+    const std::string path = std::filesystem::relative(entry.path(), root).generic_string();
+    const bool wanted = std::any_of(endings.begin(), endings.end(), [&](const std::string& ending) { return ends_with(path, ending); });
+    if (!entry.is_regular_file() || !wanted) continue;
+    std::ifstream file(entry.path());
+    std::ostringstream text;
+    text << file.rdbuf();
+    files.push_back({path, text.str()});
+  }
+  std::sort(files.begin(), files.end(), [](const SourceFile& a, const SourceFile& b) { return a.path < b.path; });
+  return files;
+}
+
+std::vector<Include> includes_of(const std::string& text) {
+  std::vector<Include> found;
+  std::istringstream lines(text);
+  int number = 0;
+  for (std::string line; std::getline(lines, line);) {
+    ++number;
+    const std::size_t hash = line.find_first_not_of(" \t");
+    if (hash == std::string::npos || line[hash] != '#') continue;
+    const std::size_t word = line.find_first_not_of(" \t", hash + 1);
+    if (word == std::string::npos || line.compare(word, 7, "include") != 0) continue;
+    const std::size_t open = line.find_first_of("\"<", word);
+    const std::size_t close = open == std::string::npos ? open : line.find_first_of("\">", open + 1);
+    if (close != std::string::npos) found.push_back({number, line.substr(open + 1, close - open - 1)});
+  }
+  return found;
+}
+
+std::string why_forbidden(const std::string& path, const std::string& target) {
+  if (std::string why = forbidden_library(path, target); !why.empty()) return why;
+  if (starts_with(path, "framework/")) {
+    const std::string rest = path.substr(std::string("framework/").size());
+    return forbidden_in_framework(first_folder(rest), target);
+  }
+  // A plugin's test may use the testkit and whatever else it needs to feed the plugin.
+  if (starts_with(path, "plugins/") && !ends_with(path, "_test.cpp") && !ends_with(path, "_sample.cpp")) {
+    return forbidden_in_plugin(path.substr(std::string("plugins/").size()), target);
+  }
+  if (starts_with(path, "app/") && names_plugin(target)) return "the application knows plugins by their names in the registry alone";
+  if (starts_with(path, "app/") && starts_with(target, "testkit/")) return "the application does not use the testkit";
+  return {};
+}
+
+}  // namespace semfield::architecture

@@ -1,0 +1,24 @@
+// A tiny scene on disk for each dataset, so that its laws run on files and not on hope.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <string>
+
+#include "testkit/laws.h"
+
+namespace semfield::testkit {
+
+struct DatasetSample {
+  Settings settings;  ///< parameters that make the dataset read the scene
+  DatasetExpectation expected;
+  bool needs_images = false;    ///< the scene holds PNG files: needs a build that reads images
+};
+
+/// Writes a tiny scene in the dataset's format into an existing empty folder.
+using WriteSample = std::function<DatasetSample(const std::string& folder)>;
+
+/// By dataset name; generated from the `<name>_sample.cpp` files.
+const std::map<std::string, WriteSample>& dataset_samples();
+
+}  // namespace semfield::testkit

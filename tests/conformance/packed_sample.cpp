@@ -1,0 +1,24 @@
+// A tiny packed scene.
+#include <filesystem>
+
+#include "scene/packed_scene.h"
+#include "testkit/analytic_scene.h"
+#include "tests/conformance/dataset_samples.h"
+
+namespace semfield::testkit {
+
+DatasetSample semfield_sample_packed(const std::string& folder);
+
+DatasetSample semfield_sample_packed(const std::string& folder) {
+  const std::unique_ptr<Dataset> room = make_analytic_scene();
+  Diagnostics diagnostics;
+  const SceneInfo scene = room->open(diagnostics);
+  write_packed_scene((std::filesystem::path(folder) / "room.semfield").string(), scene, [&](int frame, FrameBuffer& out) { room->read(frame, out); });
+  DatasetSample sample;
+  sample.settings = {{"file", "room.semfield"}};
+  sample.expected.frames = 12;
+  sample.expected.depth = sample.expected.labels = true;
+  return sample;
+}
+
+}  // namespace semfield::testkit

@@ -1,0 +1,31 @@
+// Which settings each registered plugin is tested with.
+#pragma once
+
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include "plugin/registry.h"
+#include "testkit/settings.h"
+
+namespace semfield::testkit {
+
+/// Every plugin that this build links.
+const Registry& linked_registry();
+
+struct Row {
+  PluginKind kind = PluginKind::encoder;
+  std::string name;
+  Device device = Device::cpu;
+  int number = 0;     ///< which of the plugin's settings
+  Settings settings;
+  std::string text() const;  ///< "encoder_hash_grid_cpu_0"
+};
+
+std::ostream& operator<<(std::ostream& out, const Row& row);
+
+/// Rows of one kind: entry x device x settings. Settings are the lines "name=value name=value" of `conformance.txt` in the plugin's folder or
+/// of tests/conformance/rows/<name>.txt (for plugins whose defaults are too large for a test); without either, the defaults.
+std::vector<Row> rows_of(PluginKind kind);
+
+}  // namespace semfield::testkit

@@ -1,0 +1,37 @@
+// Writing the analytic room.
+#include "tests/conformance/sample_files.h"
+
+#include <cmath>
+#include <filesystem>
+
+#include "core/files.h"
+#include "scene/image_io.h"
+#include "testkit/analytic_scene.h"
+
+namespace semfield::testkit {
+
+SceneInfo write_sample_images(const std::string& folder, const SampleNames& names) {
+  const auto path_of = [&](const std::string& prefix, std::size_t i) {
+    const std::filesystem::path path = std::filesystem::path(folder) / (prefix + std::to_string(i) + ".png");
+    std::filesystem::create_directories(path.parent_path());
+    return path.string();
+  };
+  const std::unique_ptr<Dataset> room = make_analytic_scene();
+  Diagnostics diagnostics;
+  SceneInfo scene = room->open(diagnostics);
+  for (std::size_t i = 0; i < scene.frames.size(); ++i) {
+    FrameBuffer pixels;
+    room->read(static_cast<int>(i), pixels);
+    std::vector<std::uint16_t> depth_mm;
+    std::vector<std::uint8_t> ids;
+    for (const float depth : pixels.depth_m) depth_mm.push_back(static_cast<std::uint16_t>(std::lround(1000 * depth)));
+    for (const std::int16_t label : pixels.label) ids.push_back(static_cast<std::uint8_t>(scene.classes.id_of(label)));
+    write_png_rgb(path_of(names.color, i), pixels.width_px, pixels.height_px, pixels.rgb);
+    write_png_gray16(path_of(names.depth_mm, i), pixels.width_px, pixels.height_px, depth_mm);
+    write_png_gray8(path_of(names.label, i), pixels.width_px, pixels.height_px, ids);
+  }
+  write_file_atomic((std::filesystem::path(folder) / "classes.yaml").string(), scene.classes.to_yaml());
+  return scene;
+}
+
+}  // namespace semfield::testkit
