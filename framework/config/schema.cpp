@@ -118,9 +118,8 @@ Json choice_schema(const SchemaNode& node, const Json& shared) {
       if (!any_key.contains(doc.name)) any_key[doc.name] = Json::object();
     }
   }
-  Json partial = closed_map(std::move(any_key));
+  Json partial = closed_map(std::move(any_key));  // without the key 'type', so it never matches beside another one
   partial["title"] = "type from an include or like";
-  partial["not"] = {{"required", Json::array({"type"})}};
   alternatives.push_back(std::move(partial));
   return {{"oneOf", std::move(alternatives)}};
 }

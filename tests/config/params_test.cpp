@@ -218,6 +218,8 @@ TEST(ParamsWrite, ResolvedTreeReadsBackTheSame) {
   const std::string yaml = write_config(params_to_config(describer(p)));
   Sample q;
   EXPECT_EQ(errors_of(yaml, &q), "") << yaml;
+  EXPECT_NE(yaml.find("root: \"010\"\n"), std::string::npos) << yaml;  // other YAML readers must see a text, too
+  EXPECT_NE(yaml.find("files: [\"true\", \"a: b\", "), std::string::npos) << yaml;
   EXPECT_EQ(write_config(params_to_config(describer(q))), yaml);
   EXPECT_EQ(q.growth, p.growth);
   EXPECT_EQ(q.rate, p.rate);

@@ -100,8 +100,6 @@ bool valid(const json& value, const json& rule) {
       for (const json& key : what) {
         if (value.is_object() && !value.contains(key)) return false;
       }
-    } else if (word == "not") {
-      if (valid(value, what)) return false;
     } else if (word == "oneOf") {
       int matches = 0;
       for (const json& one : what) matches += valid(value, one) ? 1 : 0;
