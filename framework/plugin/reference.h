@@ -1,0 +1,28 @@
+// What plugins there are and what they take, as text and Markdown, from their own declarations.
+#pragma once
+
+#include <string>
+
+#include "plugin/registry.h"
+
+namespace semfield {
+
+/// One plugin a line, grouped by kind: name, sentence, module.
+std::string plugins_list_text(const Registry& registry);
+/// Every plugin of that name (kinds may share one), with its parameters: type, default, range, sentence. Throws Error(config) for an
+/// unknown name, with the nearest known.
+std::string plugin_details_text(const Registry& registry, const std::string& name);
+/// Plugins by device: which kernels this build has. Datasets run on the host and have none.
+std::string support_matrix_text(const Registry& registry);
+
+/// Markdown table of one entry's parameters, or a sentence when it has none. Ends with a line feed.
+std::string parameter_table_markdown(const PluginEntry& entry);
+/// The whole reference page (docs/plugins.md).
+std::string plugins_markdown(const Registry& registry);
+
+inline constexpr const char* kTableBegin = "<!-- parameters -->";
+inline constexpr const char* kTableEnd = "<!-- /parameters -->";
+/// `page` with the lines between kTableBegin and kTableEnd replaced by the entry's table; unchanged when it lacks the pair of markers.
+std::string with_parameter_table(const std::string& page, const PluginEntry& entry);
+
+}  // namespace semfield
