@@ -28,8 +28,8 @@ struct Constants {
 
 // [Kingma15, Alg. 1].
 template <class Real>
-void update(const Constants<Real>& k, Real* __restrict x, const Real* __restrict g, Real* __restrict m,
-            Real* __restrict v, std::int64_t n) {
+inline void update(const Constants<Real>& k, Real* __restrict x, const Real* __restrict g, Real* __restrict m,
+                   Real* __restrict v, std::int64_t n) {
   for (std::int64_t i = 0; i < n; ++i) {
     m[i] = k.beta1 * m[i] + k.one_minus_beta1 * g[i];
     v[i] = k.beta2 * v[i] + k.one_minus_beta2 * (g[i] * g[i]);
@@ -96,7 +96,11 @@ std::int64_t adam_touched(const AdamStep& step, View<Real> value, View<Real> gra
     for (std::int64_t r = block; r < block + rows; ++r) {
       Real* g = grad.row(r);
       if (!any_non_zero(g, cols)) continue;
-      update(constants, value.row(r), g, m.row(r), v.row(r), cols);
+      if (cols == 2) {  // the usual hash-table row: a loop of known length has no prologue
+        update(constants, value.row(r), g, m.row(r), v.row(r), 2);
+      } else {
+        update(constants, value.row(r), g, m.row(r), v.row(r), cols);
+      }
       for (std::int64_t c = 0; c < cols; ++c) g[c] = 0;
       ++touched;
     }

@@ -184,7 +184,7 @@ void update(const OccupancyUpdateArgs& args, const OccupancyState<Real>& state, 
 struct SlabTotals {
   double density = 0;
   std::int64_t seen = 0;
-  std::int64_t occupied = 0;
+  std::int64_t empty = 0;
   std::int64_t counted = 0;
 };
 
@@ -228,19 +228,23 @@ struct PublishJob {
 
   // 16 cells of a row; they lie in two blocks.
   void mark_word(std::int64_t word, Real* bounds, SlabTotals& sum) const {
-    std::uint16_t bits = 0;
-    for (std::int32_t b = 0; b < kBitsPerElement; ++b) {
-      if (covered(word + b)) continue;
-      const Real density = state.density[word + b];
-      const bool occupied = density < 0 || density > occupied_above;
-      sum.counted += 1;
-      sum.occupied += occupied ? 1 : 0;
-      if (!occupied) bits = static_cast<std::uint16_t>(bits | (1u << b));
-      Real& bound = bounds[b / kBlockCells];
-      bound = std::max(bound, occupied ? static_cast<Real>(kUnbounded) : density);
+    std::uint32_t bits = 0;
+    for (std::int32_t half = 0; half < kBitsPerElement; half += kBlockCells) {
+      if (covered(word + half)) continue;  // a finer grid's border is a multiple of 8 cells
+      Real bound = bounds[half / kBlockCells];
+      for (std::int32_t b = half; b < half + kBlockCells; ++b) {
+        const Real density = state.density[word + b];
+        const bool occupied = density < 0 || density > occupied_above;
+        bits |= static_cast<std::uint32_t>(!occupied) << b;
+        bound = std::max(bound, occupied ? static_cast<Real>(kUnbounded) : density);
+      }
+      sum.counted += kBlockCells;
+      bounds[half / kBlockCells] = bound;
     }
+    sum.empty += std::popcount(bits);
+    const auto low = static_cast<std::uint16_t>(bits);
     Real element = 1;
-    std::memcpy(&element, &bits, sizeof bits);
+    std::memcpy(&element, &low, sizeof low);
     state.empty_bits[word / kBitsPerElement] = element;
   }
 };
@@ -267,7 +271,7 @@ void publish(const OccupancyUpdateArgs& args, const OccupancyState<Real>& state)
   parallel_for(slabs, [&job](std::int64_t slab) { job.mark(slab); });
   std::int64_t occupied = 0, counted = 0;
   for (std::int64_t s = 0; s < slabs; ++s) {
-    occupied += totals[s].occupied;
+    occupied += totals[s].counted - totals[s].empty;
     counted += totals[s].counted;
   }
   state.summary[0] = static_cast<Real>(mean);

@@ -227,7 +227,7 @@ TEST(OccupancyGrid, FollowsAFieldThatMoves) {
   bench.learn(ball<float>(50, 0), 80);
   const float before = bench.box.value(3).data[2];
   EXPECT_NEAR(before, 2.14 / (5.1 * 4.1 * 3.1), 0.01);  // the ball's share of the padded room
-  for (std::int64_t s = 80; s < 80 + 16 * 300; s += 16) {
+  for (std::int64_t s = 80; s < 80 + 16 * 110; s += 16) {
     bench.ctx.step = s;
     bench.sampler.observe(bench.ctx, bench.box.values_only(), ball<float>(0, 20));  // inside out
   }
