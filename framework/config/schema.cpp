@@ -81,6 +81,7 @@ Json value_schema(std::string_view type, const Range& limits) {
     return out;
   }
   if (type.starts_with("list of ")) return {{"type", "array"}, {"items", value_schema(type.substr(8), limits)}};
+  SEMFIELD_CHECK(type == "text", "no parameter type '" + std::string(type) + "' (see ParamDoc)");
   // An unquoted number or bool is read as text where text is asked for.
   return {{"type", Json::array({"string", "number", "boolean"})}};
 }

@@ -151,6 +151,25 @@ TEST(Schema, RefusesWhatTheReadersRefuse) {
   }
 }
 
+TEST(Schema, RefusesDescriptionsThatMakeNoSense) {
+  ParamDoc odd;
+  odd.name = "files";
+  odd.type = "texts";
+  const auto made_of = [](const std::vector<SchemaSection>& sections) {
+    try {
+      json_schema_of("test", sections);
+    } catch (const Error& error) {
+      return error.kind() == ErrorKind::internal ? "internal" : "another kind";
+    }
+    return "nothing was thrown";
+  };
+  EXPECT_STREQ(made_of({{"train", "", {odd}}}), "internal");
+  EXPECT_STREQ(made_of({{"train", "", {}}, {"train", "", {}}}), "internal");
+  EXPECT_STREQ(made_of({{"passes[]", "", {}}, {"passes.x", "", {}}}), "internal");
+  odd.type = "list of text";
+  EXPECT_STREQ(made_of({{"train", "", {odd}}}), "nothing was thrown");
+}
+
 TEST(Schema, CarriesSentencesAndDefaults) {
   const json rule = schema();
   const json& train = rule["properties"]["train"];
