@@ -17,11 +17,16 @@ namespace fs = std::filesystem;
 void print(const std::string& text) { std::fwrite(text.data(), 1, text.size(), stdout); }
 
 nlohmann::ordered_json entry_json(const PluginEntry& entry) {
-  nlohmann::ordered_json json{{"kind", kind_name(entry.kind)}, {"name", entry.name}, {"summary", entry.summary}, {"module", entry.module}};
+  nlohmann::ordered_json json{
+      {"kind", kind_name(entry.kind)}, {"name", entry.name}, {"summary", entry.summary}, {"module", entry.module}};
   json["parameters"] = nlohmann::ordered_json::array();
   const std::unique_ptr<PluginParams> params = entry.new_params();
   for (const ParamDoc& doc : describe_params([&params](ParamVisitor& visit) { params->describe(visit); })) {
-    nlohmann::ordered_json parameter{{"name", doc.name}, {"type", doc.type}, {"default", doc.default_value}, {"range", doc.range}, {"help", doc.help}};
+    nlohmann::ordered_json parameter{{"name", doc.name},
+                                     {"type", doc.type},
+                                     {"default", doc.default_value},
+                                     {"range", doc.range},
+                                     {"help", doc.help}};
     if (!doc.choices.empty()) parameter["choices"] = doc.choices;
     json["parameters"].push_back(std::move(parameter));
   }
@@ -70,7 +75,8 @@ int run_plugins_show(const std::string& name, AppContext& context) {
   return 0;
 }
 
-// `out`: "" prints the reference page, a file receives it, a source tree (a folder with plugins/) has all its generated pages renewed.
+// `out`: "" prints the reference page, a file receives it, a source tree (a folder with plugins/) has all its generated
+// pages renewed.
 int run_plugins_docs(const std::string& out, AppContext& context) {
   if (!out.empty() && fs::is_directory(fs::path(out) / "plugins")) return refresh_tree(out, context);
   const std::string page = plugins_markdown(context.registry);

@@ -10,7 +10,7 @@ namespace semfield {
 
 }  // namespace semfield
 
-#define SEMFIELD_CHECK(condition, why)                                             \
-  do {                                                                             \
+#define SEMFIELD_CHECK(condition, why)                                               \
+  do {                                                                               \
     if (!(condition)) ::semfield::check_failed(#condition, __FILE__, __LINE__, why); \
   } while (false)

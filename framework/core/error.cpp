@@ -64,7 +64,8 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
     for (std::size_t j = 1; j <= b.size(); ++j) {
       const std::size_t swap_cost = a[i - 1] == b[j - 1] ? 0 : 1;
       d[i][j] = std::min({d[i - 1][j] + 1, d[i][j - 1] + 1, d[i - 1][j - 1] + swap_cost});
-      if (i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1]) d[i][j] = std::min(d[i][j], d[i - 2][j - 2] + 1);
+      if (i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1])
+        d[i][j] = std::min(d[i][j], d[i - 2][j - 2] + 1);
     }
   }
   return d[a.size()][b.size()];
@@ -78,7 +79,8 @@ std::string did_you_mean(std::string_view word, const std::vector<std::string>& 
   for (const std::string& candidate : known) {
     // A shared prefix of four letters also counts as near ('n_level' is far from 'levels' by edits alone).
     std::size_t distance = edit_distance(word, candidate);
-    if (word.size() >= 4 && candidate.find(word.substr(word.size() > 4 ? word.size() - 5 : 0)) != std::string::npos) distance = std::min<std::size_t>(distance, 2);
+    if (word.size() >= 4 && candidate.find(word.substr(word.size() > 4 ? word.size() - 5 : 0)) != std::string::npos)
+      distance = std::min<std::size_t>(distance, 2);
     if (distance < best_distance) {
       best_distance = distance;
       best = candidate;

@@ -22,13 +22,17 @@ std::string cause_text(int cause) { return std::strerror(cause); }
 
 std::string file_remedy(int cause) {
   switch (cause) {
-    case ENOENT: return "create the folder first";
+    case ENOENT:
+      return "create the folder first";
     case EACCES:
     case EPERM:
-    case EROFS: return "choose a folder that you may write to";
+    case EROFS:
+      return "choose a folder that you may write to";
     case ENOSPC:
-    case EDQUOT: return "free some space or choose another disk";
-    default: return {};
+    case EDQUOT:
+      return "free some space or choose another disk";
+    default:
+      return {};
   }
 }
 
@@ -37,7 +41,8 @@ std::string file_remedy(int cause) {
 std::string read_text_file(const std::string& path, std::size_t limit_bytes) {
   std::string out = read_file_start(path, limit_bytes + 1);
   if (out.size() > limit_bytes) {
-    throw Error(ErrorKind::data, "'" + path + "' is larger than " + std::to_string(limit_bytes) + " bytes", "check that it is the right file");
+    throw Error(ErrorKind::data, "'" + path + "' is larger than " + std::to_string(limit_bytes) + " bytes",
+                "check that it is the right file");
   }
   return out;
 }
@@ -71,7 +76,8 @@ std::string read_file_start(const std::string& path, std::size_t bytes) {
     }
   }
   ::close(file);
-  if (cause != 0) throw Error(ErrorKind::no_input, "cannot read '" + path + "': " + cause_text(cause), "check the path");
+  if (cause != 0)
+    throw Error(ErrorKind::no_input, "cannot read '" + path + "': " + cause_text(cause), "check the path");
   return out;
 }
 

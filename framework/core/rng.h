@@ -34,7 +34,8 @@ SEMFIELD_HD constexpr std::uint32_t stream_id(std::string_view name) {
   return h;
 }
 
-/// Where a random value lives. `index` is the caller's own numbering (ray * samples + sample, element of a tensor, ...).
+/// Where a random value lives. `index` is the caller's own numbering (ray * samples + sample, element of a tensor,
+/// ...).
 struct RandomAddress {
   std::uint64_t seed = 0;
   std::uint64_t step = 0;
@@ -42,10 +43,12 @@ struct RandomAddress {
 };
 
 SEMFIELD_HD inline PhiloxBlock random_block(const RandomAddress& a, std::uint64_t index) {
-  // The counter holds index and step, the key holds seed and stream; step is folded to 32 bits with its high half in the key.
+  // The counter holds index and step, the key holds seed and stream; step is folded to 32 bits with its high half in
+  // the key.
   const PhiloxBlock counter{{static_cast<std::uint32_t>(index), static_cast<std::uint32_t>(index >> 32),
                              static_cast<std::uint32_t>(a.step), a.stream}};
-  return philox4x32(counter, static_cast<std::uint32_t>(a.seed) ^ static_cast<std::uint32_t>(a.step >> 32) * 0x85EBCA6Bu,
+  return philox4x32(counter,
+                    static_cast<std::uint32_t>(a.seed) ^ static_cast<std::uint32_t>(a.step >> 32) * 0x85EBCA6Bu,
                     static_cast<std::uint32_t>(a.seed >> 32));
 }
 
@@ -58,7 +61,8 @@ SEMFIELD_HD inline float uniform01(const RandomAddress& a, std::uint64_t index) 
 SEMFIELD_HD inline std::uint64_t uniform_below(const RandomAddress& a, std::uint64_t index, std::uint64_t n) {
   const PhiloxBlock b = random_block(a, index);
   const std::uint64_t x = (std::uint64_t{b.v[0]} << 32) | b.v[1];
-  return static_cast<std::uint64_t>((static_cast<unsigned __int128>(x) * n) >> 64);
+  __extension__ using Wide = unsigned __int128;
+  return static_cast<std::uint64_t>((static_cast<Wide>(x) * n) >> 64);
 }
 
 /// Standard normal by Box-Muller; the first uniform is shifted off zero.

@@ -24,8 +24,9 @@ class Workspace {
   /// Uninitialised [rows, cols] matrix, rows contiguous.
   template <class T>
   View<T> take(std::int64_t rows, std::int32_t cols) {
-    return View<T>(reinterpret_cast<T*>(take_bytes(sizeof(T) * static_cast<std::size_t>(rows) * static_cast<std::size_t>(cols))),
-                   rows, cols);
+    return View<T>(
+        reinterpret_cast<T*>(take_bytes(sizeof(T) * static_cast<std::size_t>(rows) * static_cast<std::size_t>(cols))),
+        rows, cols);
   }
 
   std::size_t high_water_bytes() const noexcept { return high_water_; }

@@ -12,8 +12,8 @@ struct DomainMap {
   double scale = 1;
   double offset = 0;
 
-  /// unit_cube: the longest side of `bounds` spans [0, 1] (isotropic, so cells are cubes). metric: p * scene_scale when it is
-  /// given [Zhi21, Sec. 4: 0.1]; scene_scale 0 derives centre and scale so that `bounds` fits [-1, 1].
+  /// unit_cube: the longest side of `bounds` spans [0, 1] (isotropic, so cells are cubes). metric: p * scene_scale when
+  /// it is given [Zhi21, Sec. 4: 0.1]; scene_scale 0 derives centre and scale so that `bounds` fits [-1, 1].
   static DomainMap make(Domain domain, const Box& bounds, double scene_scale) {
     const Vec3d size = bounds.size();
     const double longest = std::fmax(size.x, std::fmax(size.y, size.z));

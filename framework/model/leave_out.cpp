@@ -1,9 +1,8 @@
 #include "model/leave_out.h"
 
-#include <algorithm>
-#include <nlohmann/json.hpp>
-
 #include <fmt/format.h>
+
+#include <algorithm>
 
 #include "core/error.h"
 
@@ -30,8 +29,9 @@ class Planner {
     for (const std::string& name : keep_) {
       if (std::find(seen_.begin(), seen_.end(), name) != seen_.end()) continue;
       const std::string near = did_you_mean(name, seen_);
-      throw Error(ErrorKind::usage, fmt::format("--keep {}: nothing of that name is left out here (left out: {})", name,
-                                                seen_.empty() ? "nothing" : join(seen_)),
+      throw Error(ErrorKind::usage,
+                  fmt::format("--keep {}: nothing of that name is left out here (left out: {})", name,
+                              seen_.empty() ? "nothing" : join(seen_)),
                   near.empty() ? "" : "did you mean '" + near + "'?");
     }
   }
@@ -55,19 +55,24 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
   }
 
   if (labelled == 0) {
-    const bool out = planner.leave({"semantics", manifest.classes == 0 ? "the scene has no labels"
-                                                                       : fmt::format("0 labelled pixels in {} training frames", manifest.train_frames),
+    const bool out = planner.leave({"semantics",
+                                    manifest.classes == 0
+                                        ? "the scene has no labels"
+                                        : fmt::format("0 labelled pixels in {} training frames", manifest.train_frames),
                                     ProofClass::bitwise, "head, class layer, logits and cross-entropy"});
     if (!out && manifest.classes == 0) {
-      throw Error(ErrorKind::usage, "--keep semantics: the scene has no class table, so a head has no classes to predict",
+      throw Error(ErrorKind::usage,
+                  "--keep semantics: the scene has no class table, so a head has no classes to predict",
                   "give the scene labels and classes.yaml");
     }
     plan.semantics = !out;
   }
   if (plan.semantics) {
     if (present < manifest.classes && labelled > 0 &&
-        planner.leave({"absent_classes", fmt::format("{} of {} classes have no training pixel", manifest.classes - present, manifest.classes),
-                       ProofClass::statistical, fmt::format("{} of {} logits", manifest.classes - present, manifest.classes)})) {
+        planner.leave(
+            {"absent_classes",
+             fmt::format("{} of {} classes have no training pixel", manifest.classes - present, manifest.classes),
+             ProofClass::statistical, fmt::format("{} of {} logits", manifest.classes - present, manifest.classes)})) {
       for (int c = 0; c < manifest.classes; ++c) {
         if (manifest.train_class_pixels[static_cast<std::size_t>(c)] > 0) plan.class_of_logit.push_back(c);
       }
@@ -77,7 +82,8 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
     if (labelled < manifest.train_pixels) {
       const double share = 100.0 * (1 - static_cast<double>(labelled) / static_cast<double>(manifest.train_pixels));
       plan.head_on_unlabelled_rays = !planner.leave(
-          {"unlabelled_rays", fmt::format("{:.1f} % of training pixels carry no label; their semantic gradient is exactly 0", share),
+          {"unlabelled_rays",
+           fmt::format("{:.1f} % of training pixels carry no label; their semantic gradient is exactly 0", share),
            ProofClass::bitwise, fmt::format("{:.0f} % of the head's work in training", share)});
     }
   }
@@ -88,41 +94,32 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
   }
   if (!request.direction_encoder) {
     // Nothing to keep: without a direction encoder there is no input for the branch.
-    plan.left_out.push_back({"view_branch", "the config asks for no direction encoder", ProofClass::bitwise, "the colour's direction input"});
+    plan.left_out.push_back({"view_branch", "the config asks for no direction encoder", ProofClass::bitwise,
+                             "the colour's direction input"});
     plan.view_branch = false;
   }
   if (!manifest.any_distortion) {
-    plan.undistortion = !planner.leave({"undistortion", "every distortion coefficient is 0", ProofClass::bitwise, "Newton iterations a ray"});
+    plan.undistortion = !planner.leave(
+        {"undistortion", "every distortion coefficient is 0", ProofClass::bitwise, "Newton iterations a ray"});
   }
   if (!manifest.any_depth) {
     plan.depth_metrics = false;
-    plan.left_out.push_back({"depth_metrics", "the scene has no depth maps", ProofClass::bitwise, "depth buffers and their metrics"});
+    plan.left_out.push_back(
+        {"depth_metrics", "the scene has no depth maps", ProofClass::bitwise, "depth buffers and their metrics"});
   }
   if (request.density_noise == 0) {
-    plan.left_out.push_back({"density_noise", "its deviation is 0", ProofClass::bitwise, "one normal variate a sample"});
+    plan.left_out.push_back(
+        {"density_noise", "its deviation is 0", ProofClass::bitwise, "one normal variate a sample"});
   }
   if (!request.device_cuda_available) {
     plan.left_out.push_back({"cuda", "this build has no CUDA kernels", ProofClass::bitwise, "start-up of the device"});
   }
   if (!request.periodic_evaluation) {
-    plan.left_out.push_back({"periodic_evaluation", "report.eval_every_s is 0", ProofClass::bitwise, "rendering test frames while training"});
+    plan.left_out.push_back({"periodic_evaluation", "report.eval_every_s is 0", ProofClass::bitwise,
+                             "rendering test frames while training"});
   }
   planner.refuse_unknown();
   return plan;
-}
-
-std::string left_out_json(const BuildPlan& plan) {
-  nlohmann::ordered_json rows = nlohmann::ordered_json::array();
-  for (const LeftOut& row : plan.left_out) {
-    rows.push_back({{"component", row.component},
-                    {"reason", row.reason},
-                    {"proof", std::string(1, static_cast<char>(row.proof))},
-                    {"saving_estimate", row.saving}});
-  }
-  nlohmann::ordered_json all;
-  all["left_out"] = rows;
-  all["kept"] = plan.kept;
-  return all.dump(2) + "\n";
 }
 
 }  // namespace semfield

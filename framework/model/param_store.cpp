@@ -13,7 +13,8 @@ AlignedBuffer<Real>::AlignedBuffer(std::size_t count)
     : data_(new (std::align_val_t{64}) Real[std::max<std::size_t>(count, 1)]()), size_(count) {}
 
 template <class Real>
-ParamStore<Real>::ParamStore(std::uint64_t seed, int lanes, bool trainable) : seed_(seed), lanes_(lanes), trainable_(trainable) {}
+ParamStore<Real>::ParamStore(std::uint64_t seed, int lanes, bool trainable)
+    : seed_(seed), lanes_(lanes), trainable_(trainable) {}
 
 namespace {
 
@@ -21,7 +22,8 @@ class Collector final : public ParamDeclarer {
  public:
   int tensor(TensorSpec spec) override {
     SEMFIELD_CHECK(spec.rows > 0 && spec.cols > 0, "tensor '" + spec.name + "' has an empty shape");
-    for (const TensorSpec& other : specs) SEMFIELD_CHECK(other.name != spec.name, "tensor '" + spec.name + "' declared twice");
+    for (const TensorSpec& other : specs)
+      SEMFIELD_CHECK(other.name != spec.name, "tensor '" + spec.name + "' declared twice");
     specs.push_back(std::move(spec));
     return static_cast<int>(specs.size()) - 1;
   }
@@ -50,8 +52,9 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
     const RandomAddress address{seed_, 0, stream_id(tensor.name)};
     for (std::size_t i = 0; i < count; ++i) {
       tensor.value.data()[i] =
-          init.low == init.high ? static_cast<Real>(init.low)
-                                : static_cast<Real>(init.low + (init.high - init.low) * static_cast<double>(uniform01(address, i)));
+          init.low == init.high
+              ? static_cast<Real>(init.low)
+              : static_cast<Real>(init.low + (init.high - init.low) * static_cast<double>(uniform01(address, i)));
     }
     if (trainable_ && tensor.spec.role != TensorRole::state) {
       tensor.grad = AlignedBuffer<Real>(count);
@@ -59,15 +62,16 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
         tensor.moment1 = AlignedBuffer<Real>(count);
         tensor.moment2 = AlignedBuffer<Real>(count);
       }
-      if (tensor.spec.role != TensorRole::sparse) tensor.lanes = AlignedBuffer<Real>(count * static_cast<std::size_t>(lanes_));
+      if (tensor.spec.role != TensorRole::sparse)
+        tensor.lanes = AlignedBuffer<Real>(count * static_cast<std::size_t>(lanes_));
     }
     component.values.push_back(tensor.view(tensor.value));
     component.grads[0].push_back(tensor.view(tensor.grad));
     for (int lane = 0; lane < lanes_; ++lane) {
       component.grads[static_cast<std::size_t>(lane) + 1].push_back(
-          tensor.lanes.size() == 0
-              ? View<Real>()
-              : View<Real>(tensor.lanes.data() + static_cast<std::size_t>(lane) * count, tensor.spec.rows, tensor.spec.cols));
+          tensor.lanes.size() == 0 ? View<Real>()
+                                   : View<Real>(tensor.lanes.data() + static_cast<std::size_t>(lane) * count,
+                                                tensor.spec.rows, tensor.spec.cols));
     }
     tensors_.push_back(std::move(tensor));
   }

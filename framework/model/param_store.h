@@ -1,4 +1,5 @@
-// Every tensor of a run by name: values, gradients, Adam moments, and the gradient lanes that make sums independent of threads.
+// Every tensor of a run by name: values, gradients, Adam moments, and the gradient lanes that make sums independent of
+// threads.
 #pragma once
 
 #include <cstdint>
@@ -33,9 +34,9 @@ struct Tensor {
   std::string name;  ///< full: "fine/field/trunk_0/weight"
   TensorSpec spec;
   AlignedBuffer<Real> value;
-  AlignedBuffer<Real> grad;                ///< the step's gradient; empty for state tensors
-  AlignedBuffer<Real> moment1, moment2;    ///< Adam; learned tensors only
-  AlignedBuffer<Real> lanes;               ///< [lane_count, size]; dense and derived tensors only
+  AlignedBuffer<Real> grad;              ///< the step's gradient; empty for state tensors
+  AlignedBuffer<Real> moment1, moment2;  ///< Adam; learned tensors only
+  AlignedBuffer<Real> lanes;             ///< [lane_count, size]; dense and derived tensors only
 
   bool learned() const { return spec.role == TensorRole::dense || spec.role == TensorRole::sparse; }
   std::int64_t size() const { return spec.rows * spec.cols; }
@@ -49,9 +50,9 @@ inline constexpr int kMainGradient = -1;
 
 /// Owns the tensors of a pipeline. A component is what one Parametric declared.
 ///
-/// Gradients of dense tensors are summed in `lanes` fixed slots (tile t belongs to lane t mod lanes, a lane's tiles run in order, lanes are
-/// added in order), so the sum's tree depends on the tile numbering alone. Sparse tensors have one gradient, written outside
-/// parallel regions by their owner.
+/// Gradients of dense tensors are summed in `lanes` fixed slots (tile t belongs to lane t mod lanes, a lane's tiles run
+/// in order, lanes are added in order), so the sum's tree depends on the tile numbering alone. Sparse tensors have one
+/// gradient, written outside parallel regions by their owner.
 template <class Real>
 class ParamStore {
  public:

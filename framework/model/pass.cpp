@@ -34,14 +34,18 @@ Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, ParamStore<Rea
   sampler_ = store.add(name + "/sampler", *parts_.sampler);
   const std::size_t before = store.all().size();
   position_ = store.add(name + "/position", *parts_.position);
-  for (std::size_t i = before; i < store.all().size(); ++i) encoder_learns_ = encoder_learns_ || store.all()[i].learned();
+  for (std::size_t i = before; i < store.all().size(); ++i)
+    encoder_learns_ = encoder_learns_ || store.all()[i].learned();
   if (parts_.direction) {
     const std::size_t first = store.all().size();
     direction_ = store.add(name + "/direction", *parts_.direction);
     for (std::size_t i = first; i < store.all().size(); ++i) {
       if (store.all()[i].learned()) {
-        throw Error(ErrorKind::config, "pass '" + name + "': the direction encoder has learned tensors; directions are encoded once a ray without gradients",
-                    "choose a direction encoder without learned tensors");
+        throw Error(
+            ErrorKind::config,
+            "pass '" + name +
+                "': the direction encoder has learned tensors; directions are encoded once a ray without gradients",
+            "choose a direction encoder without learned tensors");
       }
     }
   }
@@ -77,8 +81,9 @@ void Pass<Real>::encode_positions(const Rays<Real>& rays, PassTrace<Real>& trace
 }
 
 template <class Real>
-PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const Proposal<Real>* previous,
-                                    std::int64_t previous_per_ray, std::int64_t semantic_rays) const {
+PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
+                                    const Proposal<Real>* previous, std::int64_t previous_per_ray,
+                                    std::int64_t semantic_rays) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t ray_count = rays.origin.rows;
   const std::int64_t capacity = parts_.sampler->capacity(ray_count, previous_per_ray);
@@ -106,7 +111,8 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
     trace.hidden = arena.take<Real>(trace.semantic_samples, parts_.head->hidden_width());
     trace.ray_hidden = arena.take<Real>(trace.semantic_rays, parts_.head->hidden_width());
     trace.logits = arena.take<Real>(trace.semantic_rays, parts_.head->classes());
-    if (!rules_.deferred_class_layer) trace.sample_logits = arena.take<Real>(trace.semantic_samples, parts_.head->classes());
+    if (!rules_.deferred_class_layer)
+      trace.sample_logits = arena.take<Real>(trace.semantic_samples, parts_.head->classes());
   }
   trace.color = arena.take<Real>(ray_count, 3);
   trace.depth = arena.take<Real>(ray_count, 1);
@@ -132,18 +138,22 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
     trace.saved = Saved(arena.take_bytes(bytes), bytes);
   }
   const View<const std::int32_t> ray_of_sample = trace.samples.ray_of_sample.row_range(0, count);
-  parts_.field->forward(ctx, store_->tensors(field_, lane), {trace.encoded, trace.direction, ray_of_sample}, trace.out, trace.saved);
+  parts_.field->forward(ctx, store_->tensors(field_, lane), {trace.encoded, trace.direction, ray_of_sample}, trace.out,
+                        trace.saved);
   if (training && rules_.density_noise > 0) {
-    add_density_noise<Real>(ctx.random("density_noise"), ctx.first_ray, trace.samples.first, rules_.density_noise, trace.out.sigma);
+    add_density_noise<Real>(ctx.random("density_noise"), ctx.first_ray, trace.samples.first, rules_.density_noise,
+                            trace.out.sigma);
   }
   density_forward<Real>(rules_.activation, trace.out.sigma, trace.sigma);
   if (parts_.head && trace.semantic_samples > 0) {
-    parts_.head->hidden_forward(ctx, store_->tensors(head_, lane), trace.out.feature.row_range(0, trace.semantic_samples), trace.hidden);
+    parts_.head->hidden_forward(ctx, store_->tensors(head_, lane),
+                                trace.out.feature.row_range(0, trace.semantic_samples), trace.hidden);
   }
 }
 
-// Front to back in rounds of kRound samples a ray; a ray whose transmittance fell below early_stop asks no further. Samples
-// that were not evaluated keep sigma = 0, so they take no weight: |error| <= early_stop * max|value| (numerics: certified).
+// Front to back in rounds of kRound samples a ray; a ray whose transmittance fell below early_stop asks no further.
+// Samples that were not evaluated keep sigma = 0, so they take no weight: |error| <= early_stop * max|value| (numerics:
+// certified).
 template <class Real>
 void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace) const {
   Workspace& arena = *ctx.workspace;
@@ -227,7 +237,8 @@ void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& tr
   run(0, labelled, true);
   run(labelled, ray_count - labelled, false);
   if (labelled > 0 && deferred) {
-    parts_.head->class_forward(ctx, store_->tensors(head_, lane), trace.ray_hidden, trace.opacity.row_range(0, labelled), trace.logits);
+    parts_.head->class_forward(ctx, store_->tensors(head_, lane), trace.ray_hidden,
+                               trace.opacity.row_range(0, labelled), trace.logits);
   }
 }
 
@@ -246,11 +257,13 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   View<Real> d_per_sample, d_ray_hidden, d_opacity;
   const bool deferred = rules_.deferred_class_layer;
   if (labelled > 0) {
-    d_per_sample = arena.take<Real>(trace.semantic_samples, deferred ? parts_.head->hidden_width() : parts_.head->classes());
+    d_per_sample =
+        arena.take<Real>(trace.semantic_samples, deferred ? parts_.head->hidden_width() : parts_.head->classes());
     if (deferred) {
       d_ray_hidden = arena.take<Real>(labelled, parts_.head->hidden_width());
       d_opacity = arena.take<Real>(labelled, 1);
-      parts_.head->class_backward(ctx, head, trace.ray_hidden, trace.opacity.row_range(0, labelled), d_logits, d_ray_hidden, d_opacity);
+      parts_.head->class_backward(ctx, head, trace.ray_hidden, trace.opacity.row_range(0, labelled), d_logits,
+                                  d_ray_hidden, d_opacity);
     }
   }
   const auto run = [&](std::int64_t begin, std::int64_t rays, bool with_semantics) {
@@ -313,8 +326,8 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   grad.rgb = d_rgb;
   grad.feature = d_feature;
   const View<const std::int32_t> ray_of_sample = trace.samples.ray_of_sample.row_range(0, count);
-  parts_.field->backward(ctx, store_->tensors(field_, lane), {trace.encoded, trace.direction, ray_of_sample}, trace.out, grad,
-                         trace.saved, d_encoded);
+  parts_.field->backward(ctx, store_->tensors(field_, lane), {trace.encoded, trace.direction, ray_of_sample}, trace.out,
+                         grad, trace.saved, d_encoded);
 }
 
 template <class Real>

@@ -21,10 +21,10 @@ namespace semfield {
 struct RenderRules {
   DensityActivation activation = DensityActivation::relu;
   FarMode far = FarMode::open;
-  double density_noise = 0;                       ///< standard deviation added to raw density in training [Mildenhall20]
-  std::array<double, 3> background{0, 0, 0};      ///< added to colour only
-  double early_stop = 0;                          ///< rendering stops a ray when its transmittance falls below; 0 = never
-  bool stop_gradient_to_density = false;          ///< semantics do not shape geometry
+  double density_noise = 0;                   ///< standard deviation added to raw density in training [Mildenhall20]
+  std::array<double, 3> background{0, 0, 0};  ///< added to colour only
+  double early_stop = 0;                      ///< rendering stops a ray when its transmittance falls below; 0 = never
+  bool stop_gradient_to_density = false;      ///< semantics do not shape geometry
   bool deferred_class_layer = true;
 };
 
@@ -43,18 +43,18 @@ struct PassParts {
 template <class Real>
 struct PassTrace {
   Samples<Real> samples;
-  View<double> x;             ///< [M, 3] encoder coordinates
-  View<Real> encoded;         ///< [M, Dp]
-  View<Real> direction;       ///< [R, Dd]
-  FieldOut<Real> out;         ///< sigma is raw
-  View<Real> sigma;           ///< [M, 1] after activation, 1/m
-  View<Real> weight;          ///< [M, 1]
+  View<double> x;        ///< [M, 3] encoder coordinates
+  View<Real> encoded;    ///< [M, Dp]
+  View<Real> direction;  ///< [R, Dd]
+  FieldOut<Real> out;    ///< sigma is raw
+  View<Real> sigma;      ///< [M, 1] after activation, 1/m
+  View<Real> weight;     ///< [M, 1]
   Saved saved;
   std::int64_t semantic_rays = 0;     ///< rays 0..n-1 carry semantics
   std::int64_t semantic_samples = 0;  ///< their samples come first
-  View<Real> hidden;          ///< [semantic_samples, H]
-  View<Real> sample_logits;   ///< [semantic_samples, C]; only with the deferral switched off
-  View<Real> ray_hidden;      ///< [semantic_rays, H]
+  View<Real> hidden;                  ///< [semantic_samples, H]
+  View<Real> sample_logits;           ///< [semantic_samples, C]; only with the deferral switched off
+  View<Real> ray_hidden;              ///< [semantic_rays, H]
   // Results a ray.
   View<Real> color;    ///< [R, 3]
   View<Real> depth;    ///< [R, 1] metres along the ray
@@ -78,15 +78,18 @@ class Pass {
 
   const PassParts<Real>& parts() const { return parts_; }
   /// Most samples a ray.
-  std::int64_t capacity_per_ray(std::int64_t previous_per_ray) const { return parts_.sampler->capacity(1, previous_per_ray); }
+  std::int64_t capacity_per_ray(std::int64_t previous_per_ray) const {
+    return parts_.sampler->capacity(1, previous_per_ray);
+  }
   bool scatters() const { return encoder_learns_; }
 
-  /// Everything of a tile, in ctx.workspace (the caller's scope keeps it until backward is done). The first `semantic_rays` rays get logits.
+  /// Everything of a tile, in ctx.workspace (the caller's scope keeps it until backward is done). The first
+  /// `semantic_rays` rays get logits.
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const Proposal<Real>* previous,
                           std::int64_t previous_per_ray, std::int64_t semantic_rays) const;
 
-  /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero) into the lane's gradients; what the position encoder must
-  /// scatter is appended to `inbox`.
+  /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero) into the lane's gradients; what the
+  /// position encoder must scatter is appended to `inbox`.
   void backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_color,
                 View<const Real> d_logits, EncoderInbox<Real>& inbox) const;
 

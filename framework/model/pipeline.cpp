@@ -10,7 +10,7 @@
 namespace semfield {
 
 namespace {
-constexpr std::int64_t kTileRows = 1024;       // samples a tile aims at: activations of a 64-wide net stay in L2
+constexpr std::int64_t kTileRows = 1024;        // samples a tile aims at: activations of a 64-wide net stay in L2
 constexpr std::int64_t kExpectedOccupied = 32;  // samples a ray that a single-pass sampler is expected to keep
 
 template <class T>
@@ -32,8 +32,11 @@ Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions op
     per_ray_.push_back(per_ray);
     single = passes_.back().parts().sampler->traits().single_pass;
   }
-  const std::int64_t expected = single ? std::min(per_ray, kExpectedOccupied) : *std::max_element(per_ray_.begin(), per_ray_.end());
-  tile_rays_ = options_.tile_rays > 0 ? options_.tile_rays : std::clamp<std::int64_t>(kTileRows / std::max<std::int64_t>(expected, 1), 4, 64);
+  const std::int64_t expected =
+      single ? std::min(per_ray, kExpectedOccupied) : *std::max_element(per_ray_.begin(), per_ray_.end());
+  tile_rays_ = options_.tile_rays > 0
+                   ? options_.tile_rays
+                   : std::clamp<std::int64_t>(kTileRows / std::max<std::int64_t>(expected, 1), 4, 64);
   for (int lane = 0; lane < options_.lanes; ++lane) {
     lanes_.push_back(std::make_unique<Lane>());
     lanes_.back()->inbox.resize(passes_.size());
@@ -76,10 +79,10 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
   const std::int64_t tiles = (rays + tile_rays_ - 1) / tile_rays_;
   double normaliser = 0;
   if (has_semantics() && !batch.label.empty()) {
-    const View<const float> weights =
-        options_.class_weight.empty()
-            ? View<const float>()
-            : View<const float>(options_.class_weight.data(), 1, static_cast<std::int32_t>(options_.class_weight.size()));
+    const View<const float> weights = options_.class_weight.empty()
+                                          ? View<const float>()
+                                          : View<const float>(options_.class_weight.data(), 1,
+                                                              static_cast<std::int32_t>(options_.class_weight.size()));
     SemanticTargets targets;
     targets.hard = batch.label;
     normaliser = semantic_normaliser(options_.normalisation, labelled_weight(targets, weights), rays);
@@ -125,8 +128,8 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
 }
 
 template <class Real>
-StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t begin, std::int64_t count,
-                                      double semantic_normaliser) {
+StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t begin,
+                                      std::int64_t count, double semantic_normaliser) {
   StepContext ctx = context(step, true, lane, begin);
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope tile_scope(arena);
@@ -139,7 +142,7 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
   std::int64_t semantic_rays = 0;
   if (has_semantics() && !label.empty()) {
     for (std::int64_t r = 0; r < count; ++r) {
-      if (label(r, 0) != kVoid) semantic_rays = r + 1;
+      if (options_.head_on_all_rays || label(r, 0) != kVoid) semantic_rays = r + 1;
     }
   }
   const View<const float> class_weight =
@@ -154,7 +157,8 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
   for (std::size_t p = 0; p < passes_.size(); ++p) {
     ctx.pass = static_cast<std::uint32_t>(p);
     const Pass<Real>& pass = passes_[p];
-    PassTrace<Real> trace = pass.forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
+    PassTrace<Real> trace =
+        pass.forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
     View<Real> d_color = arena.take<Real>(count, 3);
     const double squares = photometric_loss<Real>(trace.color, target, static_cast<double>(3 * all_rays), 1.0, d_color);
     losses.color += squares;
@@ -165,8 +169,8 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
       d_logits = arena.take<Real>(semantic_rays, trace.logits.cols);
       SemanticTargets targets;
       targets.hard = label.row_range(0, semantic_rays);
-      const SemanticLoss semantic = semantic_cross_entropy<Real>(trace.logits, targets, class_weight, semantic_normaliser,
-                                                                 options_.semantic_weight, d_logits, begin);
+      const SemanticLoss semantic = semantic_cross_entropy<Real>(
+          trace.logits, targets, class_weight, semantic_normaliser, options_.semantic_weight, d_logits, begin);
       losses.semantic += semantic.sum;
       losses.labelled = semantic.labelled;
       losses.correct = semantic.correct;
@@ -206,8 +210,8 @@ void Pipeline<Real>::render_tile(int lane, const RenderJob<Real>& job, std::int6
   for (std::size_t p = 0; p < passes_.size(); ++p) {
     ctx.pass = static_cast<std::uint32_t>(p);
     const bool last = p + 1 == passes_.size();
-    PassTrace<Real> next = passes_[p].forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1],
-                                              last && semantics ? count : 0);
+    PassTrace<Real> next = passes_[p].forward(ctx, lane, rays, p == 0 ? nullptr : &proposal,
+                                              p == 0 ? 0 : per_ray_[p - 1], last && semantics ? count : 0);
     trace = next;
     proposal.samples = &trace.samples;
     proposal.weight = trace.weight.row_range(0, trace.samples.count);
@@ -233,11 +237,38 @@ void Pipeline<Real>::render_tile(int lane, const RenderJob<Real>& job, std::int6
 }
 
 template <class Real>
+std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
+  // A tile's arena holds every pass's trace and the gradients of one backward; the inboxes hold a step's encoder
+  // gradients.
+  std::size_t arena = 0, inbox = 0;
+  const auto lanes = static_cast<std::size_t>(options_.lanes);
+  for (std::size_t p = 0; p < passes_.size(); ++p) {
+    const PassParts<Real>& parts = passes_[p].parts();
+    const std::int64_t previous = p == 0 ? 0 : per_ray_[p - 1];
+    const auto samples = static_cast<std::size_t>(parts.sampler->capacity(tile_rays_, previous));
+    const auto encoded = static_cast<std::size_t>(parts.position->traits().out_dims);
+    std::size_t reals = 12 + encoded;
+    if (parts.head) {
+      reals += 2 * static_cast<std::size_t>(parts.field->traits().feature_dims) +
+               2 * static_cast<std::size_t>(parts.head->hidden_width());
+    }
+    arena += samples * (reals * sizeof(Real) + 3 * sizeof(double)) +
+             2 * parts.field->saved_bytes(static_cast<std::int64_t>(samples), tile_rays_);
+    if (passes_[p].scatters()) {
+      const auto all = static_cast<std::size_t>(parts.sampler->capacity(rays, previous));
+      inbox += all * (3 * sizeof(double) + encoded * sizeof(Real));
+    }
+  }
+  return arena * lanes + inbox;
+}
+
+template <class Real>
 std::size_t Pipeline<Real>::workspace_bytes() const {
   std::size_t sum = 0;
   for (const auto& lane : lanes_) {
     sum += lane->arena.high_water_bytes();
-    for (const EncoderInbox<Real>& inbox : lane->inbox) sum += inbox.x.capacity() * sizeof(double) + inbox.dy.capacity() * sizeof(Real);
+    for (const EncoderInbox<Real>& inbox : lane->inbox)
+      sum += inbox.x.capacity() * sizeof(double) + inbox.dy.capacity() * sizeof(Real);
   }
   return sum;
 }

@@ -14,28 +14,31 @@ namespace semfield {
 struct PipelineOptions {
   RenderRules rules;
   std::uint64_t seed = 1;
-  int lanes = 8;               ///< gradient slots; the sum's order, so part of a run's identity
-  std::int64_t tile_rays = 0;  ///< 0: from the samplers' capacities, never from the thread count
-  double semantic_weight = 0.04;                                                 ///< lambda [Zhi21, Eq. 7]
+  int lanes = 8;                  ///< gradient slots; the sum's order, so part of a run's identity
+  std::int64_t tile_rays = 0;     ///< 0: from the samplers' capacities, never from the thread count
+  double semantic_weight = 0.04;  ///< lambda [Zhi21, Eq. 7]
   SemanticNormalisation normalisation = SemanticNormalisation::mean_labelled;
-  std::vector<float> class_weight;                                               ///< [C] or empty
+  std::vector<float> class_weight;  ///< [C] or empty
+  bool head_on_all_rays =
+      false;  ///< run the head on unlabelled rays too (their gradient is exactly 0): the leave-out's pair
 };
 
-/// A training batch of R rays. Within a tile, rays with a label come first when the source put them there: the head then runs
-/// on their samples alone (rays behind the last labelled one of a tile are skipped; their semantic gradient is exactly 0).
+/// A training batch of R rays. Within a tile, rays with a label come first when the source put them there: the head
+/// then runs on their samples alone (rays behind the last labelled one of a tile are skipped; their semantic gradient
+/// is exactly 0).
 struct RayBatch {
-  View<const double> origin;     ///< [R, 3]
-  View<const double> direction;  ///< [R, 3] unit
-  View<const double> near_far;   ///< [R, 2] metres along the ray
-  View<const float> target;      ///< [R, 3] colour in [0, 1]
+  View<const double> origin;       ///< [R, 3]
+  View<const double> direction;    ///< [R, 3] unit
+  View<const double> near_far;     ///< [R, 2] metres along the ray
+  View<const float> target;        ///< [R, 3] colour in [0, 1]
   View<const std::int16_t> label;  ///< [R, 1] class or kVoid; empty when the run has no semantics
 };
 
 struct StepLosses {
   double total = 0;
-  double color = 0;       ///< sum over passes of the mean squared error
-  double semantic = 0;    ///< sum over passes of the cross-entropy, before lambda
-  double mse = 0;         ///< of the last pass
+  double color = 0;           ///< sum over passes of the mean squared error
+  double semantic = 0;        ///< sum over passes of the cross-entropy, before lambda
+  double mse = 0;             ///< of the last pass
   std::int64_t samples = 0;   ///< of the last pass
   std::int64_t labelled = 0;  ///< rays with a label
   std::int64_t correct = 0;   ///< of them, rays whose largest logit of the last pass is the label
@@ -45,14 +48,14 @@ struct StepLosses {
 template <class Real>
 struct RenderJob {
   View<const double> origin, direction, near_far;
-  View<const std::int16_t> truth;     ///< true classes; only to fill truth_probability
-  View<Real> color;                   ///< [R, 3]
-  View<Real> depth;                   ///< [R, 1] metres along the ray, not divided by opacity
-  View<Real> opacity;                 ///< [R, 1]
-  View<std::int16_t> label;           ///< [R, 1] argmax class
-  View<Real> entropy;                 ///< [R, 1] nats
-  View<Real> confidence;              ///< [R, 1] largest class probability
-  View<Real> truth_probability;       ///< [R, 1] of the true class; 0 where void
+  View<const std::int16_t> truth;  ///< true classes; only to fill truth_probability
+  View<Real> color;                ///< [R, 3]
+  View<Real> depth;                ///< [R, 1] metres along the ray, not divided by opacity
+  View<Real> opacity;              ///< [R, 1]
+  View<std::int16_t> label;        ///< [R, 1] argmax class
+  View<Real> entropy;              ///< [R, 1] nats
+  View<Real> confidence;           ///< [R, 1] largest class probability
+  View<Real> truth_probability;    ///< [R, 1] of the true class; 0 where void
 };
 
 template <class Real>
@@ -76,6 +79,8 @@ class Pipeline {
   /// Renders without jitter or noise; the same bits for any grouping of rays into calls.
   void render(const RenderJob<Real>& job);
 
+  /// Scratch of all lanes for a batch, from the samplers' capacities: an upper bound, known before step 0.
+  std::size_t predicted_workspace_bytes(std::int64_t rays) const;
   /// Scratch memory of all lanes: high-water mark, and how often it grew.
   std::size_t workspace_bytes() const;
   std::int64_t workspace_growths() const;

@@ -1,13 +1,14 @@
-// The fixed semantic head: position-only feature -> hidden (ReLU) -> class logits, with the class layer deferred to once a ray.
+// The fixed semantic head: position-only feature -> hidden (ReLU) -> class logits, with the class layer deferred to
+// once a ray.
 #pragma once
 
 #include "plugin/parametric.h"
 
 namespace semfield {
 
-/// S(r) = W2 (sum_k w_k h_k) + b2 sum_k w_k: the class layer and compositing are both linear, so the hidden activations are
-/// composited and the class layer is applied once a ray [Zhi21, Eq. 6 with linearity]. The head sees no view direction: its
-/// only input is the field's position-only feature.
+/// S(r) = W2 (sum_k w_k h_k) + b2 sum_k w_k: the class layer and compositing are both linear, so the hidden activations
+/// are composited and the class layer is applied once a ray [Zhi21, Eq. 6 with linearity]. The head sees no view
+/// direction: its only input is the field's position-only feature.
 template <class Real>
 class SemanticHead final : public Parametric<Real> {
  public:
@@ -20,13 +21,14 @@ class SemanticHead final : public Parametric<Real> {
   void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override;
 
   /// hidden [M, H] = relu(feature [M, F] W1 + b1).
-  void hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature, View<Real> hidden) const;
+  void hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
+                      View<Real> hidden) const;
   /// d_hidden [M, H] is overwritten (masked by the ReLU); d_feature [M, F] = dL/dfeature.
-  void hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature, View<const Real> hidden,
-                       View<Real> d_hidden, View<Real> d_feature) const;
+  void hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
+                       View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const;
 
-  /// logits [N, C] = h [N, H] W2 + share [N, 1] b2. Once a ray: h composited, share the opacity. Once a sample (the deferral
-  /// switched off): h the hidden activations, share empty (taken as 1).
+  /// logits [N, C] = h [N, H] W2 + share [N, 1] b2. Once a ray: h composited, share the opacity. Once a sample (the
+  /// deferral switched off): h the hidden activations, share empty (taken as 1).
   void class_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h, View<const Real> share,
                      View<Real> logits) const;
   /// d_h [N, H] = d_logits W2^T; d_share [N, 1] = d_logits . b2 (when not empty).

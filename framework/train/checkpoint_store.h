@@ -28,13 +28,13 @@ class CheckpointStore {
   /// checkpoints stay.
   explicit CheckpointStore(std::string folder, int keep = 2);
 
-  /// Writes the checkpoint of `step` atomically, reads it back and verifies it, moves `latest`, and only then deletes older
-  /// ones. Checkpoints of later steps belong to a course that this run has left: they get the suffix ".abandoned". Returns
-  /// the path. Throws Error(io) that names the last good checkpoint, which is then untouched.
+  /// Writes the checkpoint of `step` atomically, reads it back and verifies it, moves `latest`, and only then deletes
+  /// older ones. Checkpoints of later steps belong to a course that this run has left: they get the suffix
+  /// ".abandoned". Returns the path. Throws Error(io) that names the last good checkpoint, which is then untouched.
   std::string save(std::int64_t step, const std::vector<TensorRef>& tensors, const TensorMetadata& metadata);
 
-  /// The newest checkpoint that verifies; each newer one that does not is reported as a warning. None without checkpoints;
-  /// throws Error(data) when there are some but none verifies.
+  /// The newest checkpoint that verifies; each newer one that does not is reported as a warning. None without
+  /// checkpoints; throws Error(data) when there are some but none verifies.
   std::optional<Found> find_latest(Diagnostics& diagnostics) const;
 
   /// By step, newest first; not verified.

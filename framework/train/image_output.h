@@ -16,11 +16,13 @@ struct MapSize {
   std::int32_t width_px = 0, height_px = 0;
 };
 
-/// The house's map for scalar images, t in [0, 1] (clamped; NaN gives black): in OKLab [Ottosson20] lightness rises evenly
-/// from 0.22 to 0.95 while the hue turns from violet over teal to yellow, so equal steps of t look equally large.
+/// The house's map for scalar images, t in [0, 1] (clamped; NaN gives black): in OKLab [Ottosson20] lightness rises
+/// evenly from 0.22 to 0.95 while the hue turns from violet over teal to yellow, so equal steps of t look equally
+/// large.
 std::array<std::uint8_t, 3> perceptual_color(double t);
 
-/// Pixels of `label` (internal indices, kVoid = void) as sRGB; void is black unless the table gives it a colour. [H * W * 3]
+/// Pixels of `label` (internal indices, kVoid = void) as sRGB; void is black unless the table gives it a colour. [H * W
+/// * 3]
 std::vector<std::uint8_t> label_colors(std::span<const std::int16_t> label, const ClassTable& classes);
 /// Depth in metres as colours: near is bright. Values that are not finite or <= 0 are black. [H * W * 3]
 std::vector<std::uint8_t> depth_colors(std::span<const float> depth_m, double near_m, double far_m);
@@ -34,11 +36,14 @@ struct DepthRange {
 DepthRange robust_depth_range(std::span<const float> depth_m);
 
 /// Single-channel PNG with the ids of the class table: 8 bits, or 16 when the table has an id above 254.
-void write_label_ids(const std::string& path, MapSize size, std::span<const std::int16_t> label, const ClassTable& classes);
+void write_label_ids(const std::string& path, MapSize size, std::span<const std::int16_t> label,
+                     const ClassTable& classes);
 /// The same map for the eye: a palette PNG whose indices are the ids, or RGB when the table has an id above 254.
-void write_label_colors(const std::string& path, MapSize size, std::span<const std::int16_t> label, const ClassTable& classes);
+void write_label_colors(const std::string& path, MapSize size, std::span<const std::int16_t> label,
+                        const ClassTable& classes);
 
-/// 16-bit PNG, z-depth in millimetres; 0 = no value. Depths beyond 65.535 m do not fit and are written as 0; returns how many.
+/// 16-bit PNG, z-depth in millimetres; 0 = no value. Depths beyond 65.535 m do not fit and are written as 0; returns
+/// how many.
 std::int64_t write_depth_mm(const std::string& path, MapSize size, std::span<const float> depth_m);
 /// 16-bit PNG, 65535 = ln(classes) nats: the full range, whatever the image holds. One class: all 0.
 void write_entropy(const std::string& path, MapSize size, std::span<const float> entropy_nats, int classes);

@@ -70,8 +70,8 @@ class ColorError {
 };
 
 /// Structural similarity of one image pair, mean over windows and channels [Wang04, Eq. 13]: 11 x 11 Gaussian window of
-/// sigma 1.5 pixels, K1 = 0.01, K2 = 0.03, dynamic range 1, windows that lie wholly inside the image. Layout [H, W, channels].
-/// None when the image is smaller than a window or a value is not finite. Average the results over images.
+/// sigma 1.5 pixels, K1 = 0.01, K2 = 0.03, dynamic range 1, windows that lie wholly inside the image. Layout [H, W,
+/// channels]. None when the image is smaller than a window or a value is not finite. Average the results over images.
 std::optional<double> ssim(std::span<const float> truth, std::span<const float> predicted, std::int32_t width_px,
                            std::int32_t height_px, std::int32_t channels);
 
@@ -86,10 +86,10 @@ class DepthError {
   std::int64_t valid_truth_px() const { return valid_truth_; }
   std::int64_t nonfinite() const { return nonfinite_; }  ///< predictions that are NaN or infinite under valid truth
   // None without scored pixels, or when a prediction was not finite.
-  std::optional<double> abs_rel() const;   ///< mean |p - t| / t
-  std::optional<double> abs_diff() const;  ///< mean |p - t|, m
-  std::optional<double> sq_rel() const;    ///< mean (p - t)^2 / t, m
-  std::optional<double> rmse() const;      ///< m
+  std::optional<double> abs_rel() const;         ///< mean |p - t| / t
+  std::optional<double> abs_diff() const;        ///< mean |p - t|, m
+  std::optional<double> sq_rel() const;          ///< mean (p - t)^2 / t, m
+  std::optional<double> rmse() const;            ///< m
   std::optional<double> delta(int power) const;  ///< share with max(p / t, t / p) < 1.25^power, power 1..3
   std::optional<double> coverage() const;        ///< scored / valid truth; none without valid truth
 
@@ -108,9 +108,10 @@ class Calibration {
   static constexpr int kBins = 15;
   /// `probabilities` [pixels, classes] row-major; void truth is dropped. A true class with p < 1.2e-38 counts as that.
   void add(std::span<const float> probabilities, int classes, std::span<const std::int16_t> truth);
-  /// The same from what a renderer kept of each pixel: the largest probability, its class, and the probability of the true class.
-  void add(std::span<const float> confidence, std::span<const float> truth_probability, std::span<const std::int16_t> predicted,
-           std::span<const std::int16_t> truth);
+  /// The same from what a renderer kept of each pixel: the largest probability, its class, and the probability of the
+  /// true class.
+  void add(std::span<const float> confidence, std::span<const float> truth_probability,
+           std::span<const std::int16_t> predicted, std::span<const std::int16_t> truth);
   void merge(const Calibration& other);
   std::int64_t scored_px() const { return scored_; }
   std::int64_t nonfinite() const { return nonfinite_; }

@@ -93,6 +93,15 @@ std::size_t each_line(std::string_view text, Body&& body) {
 
 }  // namespace
 
+void MetricsRow::set(const std::string& name, std::optional<double> value) {
+  for (auto& [key, present] : values) {
+    if (key != name) continue;
+    present = value;
+    return;
+  }
+  values.emplace_back(name, value);
+}
+
 std::optional<double> MetricsRow::get(std::string_view name) const {
   for (const auto& [key, value] : values) {
     if (key == name) return value;

@@ -10,17 +10,18 @@
 
 namespace semfield {
 
-/// One line. Infinities and NaN are written as the texts "inf", "-inf" and "nan"; a value without data as null, and read
-/// back as absent.
+/// One line. Infinities and NaN are written as the texts "inf", "-inf" and "nan"; a value without data as null, and
+/// read back as absent.
 struct MetricsRow {
   std::string kind = "train";  ///< "train" or "eval"
   std::int64_t step = 0;
-  double train_s = 0;  ///< seconds of training, evaluation not counted
-  std::string split;   ///< of an eval row; empty: not written
+  double train_s = 0;                                                 ///< seconds of training, evaluation not counted
+  std::string split;                                                  ///< of an eval row; empty: not written
   std::vector<std::pair<std::string, std::optional<double>>> values;  ///< in the order written
   std::vector<std::pair<std::string, std::optional<double>>> per_class_iou;
 
-  void set(const std::string& name, std::optional<double> value) { values.emplace_back(name, value); }
+  /// Adds a value, or replaces the one of that name.
+  void set(const std::string& name, std::optional<double> value);
   std::optional<double> get(std::string_view name) const;
 };
 

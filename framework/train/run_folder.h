@@ -50,9 +50,9 @@ struct Environment {
   std::string version, source, compiler, build_type, cpu, cpu_features, abi;
   int hardware_threads = 0, threads = 0;
   std::uint64_t seed = 0;
-  std::string input_hash;                                    ///< of the data set's manifest; "" when there is none
-  std::vector<std::string> modules;                          ///< plugins in use, "name version"
-  std::vector<std::pair<std::string, std::string>> more;     ///< further facts, written under their names
+  std::string input_hash;                                 ///< of the data set's manifest; "" when there is none
+  std::vector<std::string> modules;                       ///< plugins in use, "name version"
+  std::vector<std::pair<std::string, std::string>> more;  ///< further facts, written under their names
 };
 
 /// Facts of this build and machine; seed, input_hash and modules are the caller's.

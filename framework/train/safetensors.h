@@ -32,9 +32,10 @@ TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, std::spa
 
 using TensorMetadata = std::map<std::string, std::string>;
 
-/// File image: 8-byte little-endian header length, JSON header (dtype, shape, data_offsets, `__metadata__`), data without
-/// holes. Metadata keys starting with "semfield.crc32c" are ours: one CRC-32C a tensor and one over the whole file (its
-/// own eight digits taken as zeros). Throws Error(internal) for duplicate names or sizes that do not fit the shape.
+/// File image: 8-byte little-endian header length, JSON header (dtype, shape, data_offsets, `__metadata__`), data
+/// without holes. Metadata keys starting with "semfield.crc32c" are ours: one CRC-32C a tensor and one over the whole
+/// file (its own eight digits taken as zeros). Throws Error(internal) for duplicate names or sizes that do not fit the
+/// shape.
 std::string encode_safetensors(const std::vector<TensorRef>& tensors, const TensorMetadata& metadata);
 
 /// encode_safetensors, then written atomically. Throws Error(io).
@@ -56,7 +57,8 @@ class TensorFile {
   TensorFile(const TensorFile&) = delete;
   TensorFile& operator=(const TensorFile&) = delete;
 
-  /// Throws Error(no_input) when it cannot be opened and Error(data), naming file, tensor and remedy, for anything else.
+  /// Throws Error(no_input) when it cannot be opened and Error(data), naming file, tensor and remedy, for anything
+  /// else.
   static TensorFile read(const std::string& path, const Limits& limits);
   static TensorFile read(const std::string& path) { return read(path, Limits{}); }
   /// The same for bytes in memory; `name` stands for the file in messages.

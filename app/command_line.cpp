@@ -1,0 +1,165 @@
+#include "command_line.h"
+
+#include <CLI/CLI.hpp>
+
+namespace semfield::app {
+
+namespace {
+
+// `choice` is the verb's function, bound when the words were parsed.
+using Choice = std::function<int()>;
+
+void config_options(CLI::App* verb, ConfigOptions& options) {
+  verb->add_option("config", options.config, "configuration file (YAML)")->required();
+  verb->add_option("--set", options.set, "override a value: --set train.rays=2048")->expected(1)->take_all();
+  verb->add_option("--plugin", options.plugins, "load a plugin module first")->expected(1)->take_all();
+}
+
+void add_train(CLI::App& root, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<TrainOptions>();
+  CLI::App* verb = root.add_subcommand("train", "train a field on a scene; writes a run folder");
+  verb->add_option("config", options->config.config, "configuration file (YAML)");
+  verb->add_option("--set", options->config.set, "override a value: --set train.rays=2048")->expected(1)->take_all();
+  verb->add_option("--plugin", options->config.plugins, "load a plugin module first")->expected(1)->take_all();
+  verb->add_option("--out", options->out, "run folder to create (default: runs/<name>)");
+  verb->add_option("--resume", options->resume, "run folder to go on with");
+  verb->add_option("--time", options->time, "end after this much training: 90s, 5m, 1h");
+  verb->add_option("--steps", options->steps, "end after this many steps");
+  verb->add_option("--threads", options->threads, "CPU threads (results do not depend on it)");
+  verb->add_option("--device", options->device, "auto, cpu or cuda");
+  verb->add_option("--keep", options->keep, "force a component back in that would be left out")
+      ->expected(1)
+      ->take_all();
+  verb->add_flag("--dry-run", options->dry_run, "say what would be built, left out and needed, then stop");
+  verb->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_train(*options, context); }; });
+}
+
+void add_run_verbs(CLI::App& root, AppContext& context, Choice& choice) {
+  auto eval = std::make_shared<EvalOptions>();
+  CLI::App* verb = root.add_subcommand("eval", "metrics of a run's field on a split");
+  verb->add_option("run", eval->run, "run folder")->required();
+  verb->add_option("--split", eval->split, "train or test");
+  verb->add_option("--set", eval->set, "override a value of run.yaml")->expected(1)->take_all();
+  verb->callback([&context, &choice, eval] { choice = [&context, eval] { return run_eval(*eval, context); }; });
+
+  auto render = std::make_shared<RenderOptions>();
+  verb = root.add_subcommand("render", "colour, label, depth and entropy images from a run's field");
+  verb->add_option("run", render->run, "run folder")->required();
+  verb->add_option("--split", render->split, "train or test");
+  verb->add_option("--trajectory", render->trajectory,
+                   "file with one camera-to-world matrix a line (12 or 16 numbers), instead of a split");
+  verb->add_option("--out", render->out, "folder for the images (default: render/ in the run folder)");
+  verb->add_flag("--npy", render->npy, "also write depth and entropy as float32 .npy");
+  verb->add_option("--set", render->set, "override a value of run.yaml")->expected(1)->take_all();
+  verb->callback([&context, &choice, render] { choice = [&context, render] { return run_render(*render, context); }; });
+
+  auto runs = std::make_shared<std::vector<std::string>>();
+  auto out = std::make_shared<std::string>();
+  verb = root.add_subcommand("report", "one page of one or several runs: error against run time");
+  verb->add_option("runs", *runs, "run folders")->required();
+  verb->add_option("--out", *out, "file to write (default: report.html of the first run)");
+  verb->callback(
+      [&context, &choice, runs, out] { choice = [&context, runs, out] { return run_report(*runs, *out, context); }; });
+}
+
+void add_scene_verbs(CLI::App& root, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<ConfigOptions>();
+  auto path = std::make_shared<std::string>();
+  CLI::App* verb = root.add_subcommand("inspect", "what the scene holds, and every problem with its remedy");
+  config_options(verb, *options);
+  verb->add_option("--frusta", *path, "write the cameras as a PLY file");
+  verb->callback([&context, &choice, options, path] {
+    choice = [&context, options, path] { return run_inspect(*options, *path, context); };
+  });
+
+  verb = root.add_subcommand("capture", "write a scene's frames out in Replica layout");
+  config_options(verb, *options);
+  verb->add_option("--out", *path, "folder to create")->required();
+  verb->callback([&context, &choice, options, path] {
+    choice = [&context, options, path] { return run_capture(*options, *path, context); };
+  });
+
+  verb = root.add_subcommand("pack", "write a scene as one file, for machines without image libraries");
+  config_options(verb, *options);
+  verb->add_option("--out", *path, "file to write (.sfpack)")->required();
+  verb->callback([&context, &choice, options, path] {
+    choice = [&context, options, path] { return run_pack(*options, *path, context); };
+  });
+}
+
+void add_config_verbs(CLI::App& root, AppContext& context, Choice& choice) {
+  CLI::App* group = root.add_subcommand("config", "check, explain and compare configurations");
+  group->require_subcommand(1);
+  auto options = std::make_shared<ConfigOptions>();
+  CLI::App* verb = group->add_subcommand("check", "read a configuration and report every error");
+  config_options(verb, *options);
+  verb->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_config_check(*options, context); }; });
+  verb = group->add_subcommand("explain", "the final tree, with the origin of every value");
+  config_options(verb, *options);
+  verb->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_config_explain(*options, context); }; });
+  auto pair = std::make_shared<std::pair<std::string, std::string>>();
+  verb = group->add_subcommand("diff", "what differs between two configurations");
+  verb->add_option("a", pair->first)->required();
+  verb->add_option("b", pair->second)->required();
+  verb->callback([&context, &choice, pair] {
+    choice = [&context, pair] { return run_config_diff(pair->first, pair->second, context); };
+  });
+  verb = group->add_subcommand("schema", "JSON schema of the configuration, for editors");
+  verb->callback([&context, &choice] { choice = [&context] { return run_config_schema(context); }; });
+}
+
+void add_plugins_verbs(CLI::App& root, AppContext& context, Choice& choice) {
+  CLI::App* group = root.add_subcommand("plugins", "what plugins there are and what they take");
+  group->require_subcommand(1);
+  auto modules = std::make_shared<std::vector<std::string>>();
+  group->add_option("--plugin", *modules, "load a plugin module first")->expected(1)->take_all();
+  const auto bind = [&context, &choice, modules](CLI::App* verb, std::function<int()> run) {
+    verb->callback([&context, &choice, modules, run] {
+      choice = [&context, modules, run] {
+        load_modules(*modules, context);
+        return run();
+      };
+    });
+  };
+  bind(group->add_subcommand("list", "every plugin with its sentence"),
+       [&context] { return run_plugins_list(context); });
+  auto name = std::make_shared<std::string>();
+  CLI::App* show = group->add_subcommand("show", "one plugin's parameters");
+  show->add_option("name", *name)->required();
+  bind(show, [&context, name] { return run_plugins_show(*name, context); });
+  auto out = std::make_shared<std::string>();
+  CLI::App* docs = group->add_subcommand("docs", "the reference page");
+  docs->add_option("--out", *out, "file to write (default: stdout)");
+  bind(docs, [&context, out] { return run_plugins_docs(*out, context); });
+  bind(group->add_subcommand("matrix", "plugins by device"), [&context] { return run_plugins_matrix(context); });
+}
+
+}  // namespace
+
+int run_command_line(int argc, char** argv, AppContext& context) {
+  CLI::App root{"Semfield: neural fields of appearance, geometry and semantics for one scene", "semfield"};
+  root.require_subcommand(1);
+  root.fallthrough();
+  root.add_flag("-q,--quiet", context.quiet, "no progress and no notes");
+  root.add_flag("--json", context.json, "results as JSON on stdout");
+  Choice choice;
+  add_train(root, context, choice);
+  add_run_verbs(root, context, choice);
+  add_scene_verbs(root, context, choice);
+  add_config_verbs(root, context, choice);
+  add_plugins_verbs(root, context, choice);
+  CLI::App* version = root.add_subcommand("version", "version, build and plugins");
+  version->callback([&context, &choice] { choice = [&context] { return run_version(context); }; });
+  try {
+    root.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    const int code = root.exit(error);
+    return code == 0 ? 0 : static_cast<int>(ErrorKind::usage);
+  }
+  return choice ? choice() : static_cast<int>(ErrorKind::usage);
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,39 @@
+// semfield: one binary, verbs. Only this folder prints and exits.
+#include <unistd.h>
+
+#include <csignal>
+#include <cstdio>
+#include <exception>
+
+#include "command_line.h"
+#include "core/error.h"
+#include "core/log.h"
+#include "plugin/linked_plugins.h"
+#include "verbs.h"
+
+int main(int argc, char** argv) {
+  using namespace semfield;
+  app::AppContext context;
+  std::signal(SIGPIPE, SIG_IGN);
+  std::signal(SIGXFSZ, SIG_IGN);  // a file limit then shows as a failed write, which is handled
+  context.terminal = isatty(STDERR_FILENO) != 0;
+  set_log_sink([&](Severity severity, const std::string& text) {
+    if (context.quiet && severity == Severity::note) return;
+    std::fprintf(stderr, "%s%s\n", severity == Severity::warning ? "warning: " : "", text.c_str());
+  });
+  try {
+    register_linked_plugins(context.registry);
+    return app::run_command_line(argc, argv, context);
+  } catch (const Error& error) {
+    std::fprintf(stderr, "semfield: %s\n", error.what());
+    return static_cast<int>(error.kind());
+  } catch (const std::bad_alloc&) {
+    std::fprintf(
+        stderr,
+        "semfield: out of memory; lower train.rays or scene.load.downscale, or see `semfield train --dry-run`\n");
+    return static_cast<int>(ErrorKind::failure);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "semfield: internal error: %s\n", error.what());
+    return static_cast<int>(ErrorKind::internal);
+  }
+}

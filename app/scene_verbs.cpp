@@ -1,0 +1,74 @@
+// inspect, capture, pack: a configuration's scene without training.
+#include <cstdio>
+
+#include "core/parallel.h"
+#include "plugin/loader.h"
+#include "train/run_config.h"
+#include "verb_capture.h"
+#include "verb_inspect.h"
+#include "verb_pack.h"
+#include "verbs.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct OpenedDataset {
+  RunConfig config;
+  std::unique_ptr<Dataset> dataset;
+};
+
+OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context) {
+  load_modules(options.plugins, context);
+  OpenedDataset opened;
+  opened.config = load_run_config(options.config, options.set, context.registry);
+  set_thread_count(opened.config.runtime.threads);
+  DatasetBuild build;
+  build.config_dir = opened.config.base_dir;
+  opened.dataset = opened.config.dataset.entry->dataset(*opened.config.dataset.params, build);
+  return opened;
+}
+
+}  // namespace
+
+int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context) {
+  OpenedDataset opened = dataset_of(options, context);
+  Diagnostics diagnostics;
+  LoadedScene scene = load_scene(*opened.dataset, opened.config.load, diagnostics);
+  keep_labels(scene, select_label_frames(scene.info, opened.config.labels));
+  std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
+  if (!frusta_path.empty()) {
+    write_frusta_ply(frusta_path, scene);
+    print_note(context, "cameras written to " + frusta_path);
+  }
+  return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
+}
+
+int run_capture(const ConfigOptions& options, const std::string& out, AppContext& context) {
+  OpenedDataset opened = dataset_of(options, context);
+  Diagnostics diagnostics;
+  const SceneInfo info = opened.dataset->open(diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) {
+    if (finding.severity != Severity::error) print_note(context, finding.text());
+  }
+  diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
+  const CaptureReport report = capture_replica(*opened.dataset, info, out, [&](int done, int total) {
+    if (context.terminal && !context.quiet)
+      std::fprintf(stderr, "\r\033[Kcaptured %d/%d%s", done, total, done == total ? "\n" : "");
+  });
+  std::printf("capture: frames=%d bytes=%lld folder=%s\n", report.frames, static_cast<long long>(report.bytes),
+              out.c_str());
+  return 0;
+}
+
+int run_pack(const ConfigOptions& options, const std::string& out, AppContext& context) {
+  OpenedDataset opened = dataset_of(options, context);
+  Diagnostics diagnostics;
+  const PackSummary summary = pack_scene(*opened.dataset, out, opened.config.load, PackOptions{}, diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  std::printf("pack: frames=%d bytes=%llu file=%s\n", summary.frames, static_cast<unsigned long long>(summary.bytes),
+              out.c_str());
+  return 0;
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,22 @@
+// version: what this binary is.
+#include <cstdio>
+
+#include "plugin/loader.h"
+#include "train/run_folder.h"
+#include "verbs.h"
+
+namespace semfield::app {
+
+int run_version(AppContext& context) {
+  const Environment e = this_environment();
+  if (context.json) {
+    std::fputs(environment_json(e).c_str(), stdout);
+    return 0;
+  }
+  std::printf("semfield %s (%s)\ncompiler  %s, %s\nplugin api %d, abi %s\ncpu       %s (%d threads)\n",
+              e.version.c_str(), e.source.c_str(), e.compiler.c_str(), e.build_type.c_str(), kPluginApi, e.abi.c_str(),
+              e.cpu.c_str(), e.hardware_threads);
+  return 0;
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,79 @@
+// The verbs as plain functions; command_line.cpp alone knows CLI11. Results go to stdout, sentences to stderr.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "plugin/registry.h"
+
+namespace semfield::app {
+
+/// What every verb gets.
+struct AppContext {
+  Registry registry;
+  bool quiet = false;
+  bool json = false;
+  bool terminal = false;  ///< stderr is a terminal: one progress line, overwritten
+};
+
+/// An option of the `--set a.b=c` kind, and modules to load first.
+struct ConfigOptions {
+  std::string config;
+  std::vector<std::string> set;
+  std::vector<std::string> plugins;
+};
+
+struct TrainOptions {
+  ConfigOptions config;
+  std::string out;
+  std::string resume;
+  std::string time;  ///< "90s", "5m", "1h"
+  std::optional<long long> steps;
+  std::optional<int> threads;
+  std::string device;
+  std::vector<std::string> keep;
+  bool dry_run = false;
+};
+int run_train(const TrainOptions& options, AppContext& context);
+
+struct EvalOptions {
+  std::string run;
+  std::string split = "test";
+  std::vector<std::string> set;
+};
+int run_eval(const EvalOptions& options, AppContext& context);
+
+struct RenderOptions {
+  std::string run;
+  std::string split = "test";
+  std::string trajectory;  ///< file of camera-to-world matrices; replaces the split
+  std::string out;         ///< default: render/<split> of the run
+  bool npy = false;
+  std::vector<std::string> set;
+};
+int run_render(const RenderOptions& options, AppContext& context);
+
+int run_report(const std::vector<std::string>& runs, const std::string& out, AppContext& context);
+
+int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context);
+int run_capture(const ConfigOptions& options, const std::string& out, AppContext& context);
+int run_pack(const ConfigOptions& options, const std::string& out, AppContext& context);
+
+int run_config_check(const ConfigOptions& options, AppContext& context);
+int run_config_explain(const ConfigOptions& options, AppContext& context);
+int run_config_diff(const std::string& a, const std::string& b, AppContext& context);
+int run_config_schema(AppContext& context);
+
+int run_plugins_list(AppContext& context);
+int run_plugins_show(const std::string& name, AppContext& context);
+int run_plugins_docs(const std::string& out, AppContext& context);
+int run_plugins_matrix(AppContext& context);
+
+int run_version(AppContext& context);
+
+/// Loads the modules of `--plugin`.
+void load_modules(const std::vector<std::string>& paths, AppContext& context);
+void print_note(const AppContext& context, const std::string& text);
+
+}  // namespace semfield::app

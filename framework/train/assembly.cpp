@@ -1,0 +1,145 @@
+#include "train/assembly.h"
+
+#include <algorithm>
+
+#include "core/error.h"
+
+namespace semfield {
+
+namespace {
+
+// The maker of the slot's plugin for Real, one overload a kind.
+template <class Real, class Kind32, class Kind64, class Build>
+auto make(const Kind32& maker32, const Kind64& maker64, const PluginSlot& slot, const Build& build,
+          const Registry& registry) {
+  if constexpr (std::is_same_v<Real, float>) {
+    return maker32(*slot.params, build, registry.kernels());
+  } else {
+    return maker64(*slot.params, build, registry.kernels());
+  }
+}
+
+template <class Real>
+std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Registry& registry, const SceneExtent& extent,
+                                            bool is_direction, const std::string& path) {
+  EncoderBuild build;
+  build.is_direction = is_direction;
+  const Vec3d size = extent.bounds.empty() ? Vec3d{} : extent.bounds.size();
+  build.extent_m = std::max({size.x, size.y, size.z});
+  build.pixel_footprint_m = extent.pixel_footprint_m;
+  std::unique_ptr<Encoder<Real>> encoder =
+      make<Real>(slot.entry->encoder32, slot.entry->encoder64, slot, build, registry);
+  const EncoderTraits traits = encoder->traits();
+  if (traits.in_dims != 3) {
+    throw Error(ErrorKind::config, path + ": encoder '" + slot.entry->name + "' reads " +
+                                       std::to_string(traits.in_dims) + " coordinates, but the scene has 3");
+  }
+  if (!is_direction && traits.domain == Domain::direction) {
+    throw Error(ErrorKind::config, path + ": encoder '" + slot.entry->name + "' encodes unit directions, not positions",
+                "choose a position encoder, or move it to 'direction'");
+  }
+  if (is_direction && traits.domain == Domain::unit_cube) {
+    throw Error(ErrorKind::config,
+                path + ": encoder '" + slot.entry->name + "' encodes positions in a cube, not directions",
+                "choose a direction encoder");
+  }
+  return encoder;
+}
+
+template <class Real>
+PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const Registry& registry,
+                          const BuildPlan& plan, const SceneExtent& extent) {
+  PassParts<Real> parts;
+  parts.name = pass.name;
+  SamplerBuild sampler_build;
+  sampler_build.bounds = extent.bounds;
+  sampler_build.near_m = extent.near_m;
+  sampler_build.far_m = extent.far_m;
+  parts.sampler =
+      make<Real>(pass.sampler.entry->sampler32, pass.sampler.entry->sampler64, pass.sampler, sampler_build, registry);
+  parts.position = make_encoder<Real>(pass.position, registry, extent, false, "passes." + pass.name + ".position");
+  parts.domain = DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale);
+  FieldBuild field_build;
+  field_build.position_dims = parts.position->traits().out_dims;
+  if (plan.view_branch && pass.direction.entry != nullptr) {
+    parts.direction = make_encoder<Real>(pass.direction, registry, extent, true, "passes." + pass.name + ".direction");
+    field_build.direction_dims = parts.direction->traits().out_dims;
+  }
+  field_build.wants_feature = plan.semantics;
+  field_build.savings = {config.runtime.fold_feature_layer, config.runtime.direction_once_per_ray,
+                         config.runtime.deferred_class_layer};
+  parts.field = make<Real>(pass.field.entry->field32, pass.field.entry->field64, pass.field, field_build, registry);
+  if (plan.semantics) {
+    parts.head = std::make_unique<SemanticHead<Real>>(parts.field->traits().feature_dims, config.semantics.hidden_width,
+                                                      static_cast<std::int32_t>(plan.class_of_logit.size()));
+  }
+  return parts;
+}
+
+}  // namespace
+
+BuildRequest build_request(const RunConfig& config, const Registry& registry) {
+  BuildRequest request;
+  const PluginSlot& sampler = config.passes.back().sampler;
+  SamplerBuild build;  // a unit box: only the traits are asked
+  build.bounds = {{-1, -1, -1}, {1, 1, 1}};
+  build.near_m = 0.1;
+  build.far_m = 1;
+  request.last_sampler_single_pass =
+      sampler.entry->sampler32(*sampler.params, build, registry.kernels())->traits().single_pass;
+  request.passes = static_cast<int>(config.passes.size());
+  request.direction_encoder = config.passes.back().direction.entry != nullptr;
+  request.density_noise = config.rendering.density_noise;
+  request.early_stop = config.rendering.early_stop;
+  request.periodic_evaluation = config.report.eval_every_s > 0;
+  return request;
+}
+
+bool needs_bounds(const RunConfig& config, const Registry& registry) {
+  EncoderBuild build;
+  for (const PassConfig& pass : config.passes) {
+    if (pass.position.entry->encoder32(*pass.position.params, build, registry.kernels())->traits().domain ==
+        Domain::unit_cube)
+      return true;
+  }
+  return false;
+}
+
+template <class Real>
+std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                                         const SceneExtent& extent, std::vector<float> class_weight, bool trainable) {
+  std::vector<PassParts<Real>> passes;
+  for (std::size_t p = static_cast<std::size_t>(plan.first_pass); p < config.passes.size(); ++p) {
+    const PassConfig& pass = config.passes[p];
+    passes.push_back(make_pass<Real>(pass, config, registry, plan, extent));
+    if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
+      throw Error(ErrorKind::config,
+                  "passes." + pass.name + ".sampler: '" + pass.sampler.entry->name +
+                      "' refines the weights of an earlier pass, but this is the first",
+                  "put a pass with another sampler before it");
+    }
+  }
+  PipelineOptions options;
+  options.rules.activation = config.rendering.density_activation;
+  options.rules.far = config.rendering.far;
+  options.rules.density_noise = config.rendering.density_noise;
+  for (std::size_t i = 0; i < 3; ++i) options.rules.background[i] = config.rendering.background[i];
+  options.rules.early_stop = config.rendering.early_stop;
+  options.rules.stop_gradient_to_density = config.semantics.stop_gradient_to_density;
+  options.rules.deferred_class_layer = config.runtime.deferred_class_layer;
+  options.seed = config.runtime.seed;
+  options.lanes = config.runtime.lanes;
+  options.tile_rays = config.runtime.tile_rays;
+  options.semantic_weight = config.semantics.weight;
+  options.normalisation = config.semantics.normalisation;
+  options.class_weight = std::move(class_weight);
+  options.head_on_all_rays = plan.head_on_unlabelled_rays;
+  return std::make_unique<Pipeline<Real>>(std::move(passes), std::move(options), trainable);
+}
+
+template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
+                                                          const SceneExtent&, std::vector<float>, bool);
+template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,
+                                                            const SceneExtent&, std::vector<float>, bool);
+
+}  // namespace semfield

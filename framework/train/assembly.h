@@ -1,0 +1,35 @@
+// From configuration, scene and plan to a pipeline: traits are wired here and mismatches named.
+#pragma once
+
+#include <memory>
+
+#include "model/leave_out.h"
+#include "model/pipeline.h"
+#include "train/run_config.h"
+
+namespace semfield {
+
+/// What the plan needs to know of the config.
+BuildRequest build_request(const RunConfig& config, const Registry& registry);
+
+/// Facts of the scene that components may size themselves by.
+struct SceneExtent {
+  Box bounds;
+  double near_m = 0, far_m = 0;
+  double pixel_footprint_m = 0;
+};
+
+/// True when a position encoder of the plan's passes lives in the unit cube: rays must then be clipped to the bounds.
+bool needs_bounds(const RunConfig& config, const Registry& registry);
+
+/// Real = float trains and renders; double is the oracle of the tests. `class_weight` [C logits] or empty.
+template <class Real>
+std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                                         const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
+
+extern template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
+                                                                 const SceneExtent&, std::vector<float>, bool);
+extern template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,
+                                                                   const SceneExtent&, std::vector<float>, bool);
+
+}  // namespace semfield

@@ -1,0 +1,156 @@
+#include "train/evaluator.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace semfield {
+
+namespace {
+constexpr std::int64_t kChunkRays = 8192;  // rays a render call; results do not depend on it
+}
+
+RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
+                           const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth) {
+  RenderedFrame frame;
+  frame.width_px = camera.camera.width_px;
+  frame.height_px = camera.camera.height_px;
+  const std::int64_t pixels = std::int64_t{frame.width_px} * frame.height_px;
+  const auto size = static_cast<std::size_t>(pixels);
+  const bool semantics = pipeline.has_semantics();
+  frame.rgb.resize(3 * size);
+  frame.depth_m.resize(size);
+  frame.opacity.resize(size);
+  std::vector<std::int16_t> truth_logit;
+  if (semantics) {
+    frame.label.resize(size);
+    frame.entropy.resize(size);
+    frame.confidence.resize(size);
+    if (!truth.empty()) {
+      frame.truth_probability.resize(size);
+      truth_logit.resize(size, kVoid);
+      for (std::size_t i = 0; i < size; ++i) {
+        const auto logit = std::find(class_of_logit.begin(), class_of_logit.end(), static_cast<int>(truth[i]));
+        if (truth[i] >= 0 && logit != class_of_logit.end())
+          truth_logit[i] = static_cast<std::int16_t>(logit - class_of_logit.begin());
+      }
+    }
+  }
+  std::vector<double> origin(3 * kChunkRays), direction(3 * kChunkRays), near_far(2 * kChunkRays), cosine(kChunkRays);
+  for (std::int64_t begin = 0; begin < pixels; begin += kChunkRays) {
+    const std::int64_t count = std::min(kChunkRays, pixels - begin);
+    for (std::int64_t i = 0; i < count; ++i) {
+      const auto column = static_cast<std::int32_t>((begin + i) % frame.width_px);
+      const auto row = static_cast<std::int32_t>((begin + i) / frame.width_px);
+      const auto k = static_cast<std::size_t>(i);
+      cosine[k] = cast_ray(camera, limits, column, row, &origin[3 * k], &direction[3 * k], &near_far[2 * k]);
+    }
+    RenderJob<float> job;
+    job.origin = {origin.data(), count, 3};
+    job.direction = {direction.data(), count, 3};
+    job.near_far = {near_far.data(), count, 2};
+    job.color = {frame.rgb.data() + 3 * begin, count, 3};
+    job.depth = {frame.depth_m.data() + begin, count, 1};
+    job.opacity = {frame.opacity.data() + begin, count, 1};
+    if (semantics) {
+      job.label = {frame.label.data() + begin, count, 1};
+      job.entropy = {frame.entropy.data() + begin, count, 1};
+      job.confidence = {frame.confidence.data() + begin, count, 1};
+      if (!truth_logit.empty()) {
+        job.truth = {truth_logit.data() + begin, count, 1};
+        job.truth_probability = {frame.truth_probability.data() + begin, count, 1};
+      }
+    }
+    pipeline.render(job);
+    for (std::int64_t i = 0; i < count; ++i) {
+      frame.depth_m[static_cast<std::size_t>(begin + i)] *= static_cast<float>(cosine[static_cast<std::size_t>(i)]);
+    }
+  }
+  for (float& value : frame.rgb) value = std::clamp(value, 0.0F, 1.0F);
+  for (std::int16_t& label : frame.label)
+    label = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(label)]);
+  return frame;
+}
+
+std::optional<double> SplitScore::ssim() const {
+  if (ssim_frames == 0) return std::nullopt;
+  return ssim_sum / static_cast<double>(ssim_frames);
+}
+
+std::vector<std::pair<std::string, std::optional<double>>> SplitScore::values() const {
+  std::vector<std::pair<std::string, std::optional<double>>> out;
+  out.emplace_back("psnr", color.psnr_db());
+  out.emplace_back("ssim", ssim());
+  if (confusion.classes() > 0) {
+    out.emplace_back("miou", confusion.miou());
+    out.emplace_back("miou_present", confusion.miou_present());
+    out.emplace_back("total_accuracy", confusion.total_accuracy());
+    out.emplace_back("average_accuracy", confusion.average_accuracy());
+    out.emplace_back("ece", calibration.ece());
+    out.emplace_back("nll", calibration.nll());
+  }
+  if (depth.valid_truth_px() > 0) {
+    out.emplace_back("absrel", depth.abs_rel());
+    out.emplace_back("absdiff", depth.abs_diff());
+    out.emplace_back("sqrel", depth.sq_rel());
+    out.emplace_back("rmse", depth.rmse());
+    out.emplace_back("delta1", depth.delta(1));
+    out.emplace_back("delta2", depth.delta(2));
+    out.emplace_back("delta3", depth.delta(3));
+    out.emplace_back("depth_coverage", depth.coverage());
+  }
+  return out;
+}
+
+SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimits& limits,
+                    const ClassOfLogit& class_of_logit) {
+  const bool semantics = pipeline.has_semantics();
+  SplitScore score(semantics ? job.classes : 0, limits.far_m);
+  for (const int index : job.frames) {
+    if (job.stop && job.stop()) break;
+    const FrameInfo& info = (*job.infos)[static_cast<std::size_t>(index)];
+    const FrameBuffer& truth = (*job.buffers)[static_cast<std::size_t>(index)];
+    const RayCamera camera{info.camera, info.world_from_camera, job.undistort};
+    const RenderedFrame frame = render_frame(pipeline, camera, limits, class_of_logit, truth.label);
+    FrameScore row;
+    row.frame = index;
+    row.name = info.name;
+    std::vector<float> truth_rgb(truth.rgb.size());
+    for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(truth.rgb[i]) / 255.0F;
+    ColorError color;
+    color.add(truth_rgb, frame.rgb);
+    row.psnr_db = color.psnr_db();
+    score.color.merge(color);
+    if (const std::optional<double> value = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3)) {
+      score.ssim_sum += *value;
+      ++score.ssim_frames;
+    }
+    if (semantics && !truth.label.empty()) {
+      ConfusionMatrix confusion(job.classes);
+      confusion.add(truth.label, frame.label);
+      row.miou_present = confusion.miou_present();
+      score.confusion.merge(confusion);
+      Calibration calibration;
+      calibration.add(frame.confidence, frame.truth_probability, frame.label, truth.label);
+      score.calibration.merge(calibration);
+    }
+    if (!truth.depth_m.empty()) {
+      DepthError depth(limits.far_m);
+      depth.add(truth.depth_m, frame.depth_m);
+      row.absrel = depth.abs_rel();
+      score.depth.merge(depth);
+    }
+    score.frames.push_back(std::move(row));
+    if (job.on_frame) job.on_frame(index, frame);
+  }
+  return score;
+}
+
+std::vector<int> evenly_spaced(const std::vector<int>& all, int count) {
+  const auto have = static_cast<int>(all.size());
+  if (count >= have) return all;
+  std::vector<int> chosen;
+  for (int i = 0; i < count; ++i) chosen.push_back(all[static_cast<std::size_t>((2 * i + 1) * have / (2 * count))]);
+  return chosen;
+}
+
+}  // namespace semfield

@@ -1,0 +1,75 @@
+// Renders whole frames and scores them against what the scene knows.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "model/pipeline.h"
+#include "scene/scene.h"
+#include "train/metrics.h"
+#include "train/rays.h"
+
+namespace semfield {
+
+/// Maps of one frame, row-major. Label, entropy and confidence are empty without semantics.
+struct RenderedFrame {
+  std::int32_t width_px = 0, height_px = 0;
+  std::vector<float> rgb;                ///< [H * W * 3] in [0, 1]
+  std::vector<float> depth_m;            ///< [H * W] z-depth, expected depth sum w t (not divided by opacity)
+  std::vector<float> opacity;            ///< [H * W]
+  std::vector<std::int16_t> label;       ///< [H * W] class index (not logit)
+  std::vector<float> entropy;            ///< [H * W] nats
+  std::vector<float> confidence;         ///< [H * W]
+  std::vector<float> truth_probability;  ///< [H * W], when truth was given
+};
+
+/// Which class each logit stands for; empty without semantics.
+using ClassOfLogit = std::vector<int>;
+
+/// `truth` [H * W] class indices, or empty.
+RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
+                           const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth = {});
+
+struct FrameScore {
+  int frame = 0;
+  std::string name;
+  std::optional<double> psnr_db, miou_present, absrel;
+};
+
+/// Scores of a set of frames: every metric pooled over all pixels.
+struct SplitScore {
+  explicit SplitScore(int classes, double far_m) : confusion(classes), depth(far_m) {}
+  ConfusionMatrix confusion;
+  ColorError color;
+  DepthError depth;
+  Calibration calibration;
+  double ssim_sum = 0;
+  std::int64_t ssim_frames = 0;
+  std::vector<FrameScore> frames;
+
+  std::optional<double> ssim() const;
+  /// Name and value of every metric that has data, in a fixed order: psnr, ssim, miou, miou_present, total_accuracy,
+  /// ...
+  std::vector<std::pair<std::string, std::optional<double>>> values() const;
+};
+
+struct EvalJob {
+  const std::vector<FrameInfo>* infos = nullptr;
+  const std::vector<FrameBuffer>* buffers = nullptr;
+  std::vector<int> frames;
+  int classes = 0;
+  bool undistort = true;
+  /// Called after each frame with its maps; may be null.
+  std::function<void(int frame, const RenderedFrame&)> on_frame;
+  /// Asked between frames; true ends the evaluation early.
+  std::function<bool()> stop;
+};
+
+SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimits& limits,
+                    const ClassOfLogit& class_of_logit);
+
+/// Up to `count` of `all`, evenly spaced, always the same ones.
+std::vector<int> evenly_spaced(const std::vector<int>& all, int count);
+
+}  // namespace semfield

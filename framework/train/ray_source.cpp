@@ -1,0 +1,127 @@
+#include "train/ray_source.h"
+
+#include <algorithm>
+
+#include "core/error.h"
+#include "core/parallel.h"
+#include "core/rng.h"
+
+namespace semfield {
+
+void BatchBuffers::resize(std::int64_t rays) {
+  const auto n = static_cast<std::size_t>(rays);
+  origin.resize(3 * n);
+  direction.resize(3 * n);
+  near_far.resize(2 * n);
+  target.resize(3 * n);
+  label.resize(n);
+}
+
+RayBatch BatchBuffers::view(bool with_labels) const {
+  const auto rays = static_cast<std::int64_t>(label.size());
+  RayBatch batch;
+  batch.origin = {origin.data(), rays, 3};
+  batch.direction = {direction.data(), rays, 3};
+  batch.near_far = {near_far.data(), rays, 2};
+  batch.target = {target.data(), rays, 3};
+  if (with_labels) batch.label = {label.data(), rays, 1};
+  return batch;
+}
+
+RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> logit_of_class, const RayLimits& limits,
+                     const RaySourceOptions& options)
+    : frames_(std::move(frames)), logit_of_class_(std::move(logit_of_class)), limits_(limits), options_(options) {
+  offsets_.push_back(0);
+  for (const TrainFrame& frame : frames_) {
+    offsets_.push_back(offsets_.back() + std::int64_t{frame.pixels->width_px} * frame.pixels->height_px);
+  }
+  if (offsets_.back() == 0) {
+    throw Error(ErrorKind::data, "the training split has no pixels",
+                "check the split rule of 'scene' with `semfield inspect`");
+  }
+  if (offsets_.back() > std::int64_t{0xFFFFFFFF}) {
+    throw Error(ErrorKind::data, "the training split has more than 2^32 pixels", "reduce it with scene.load.downscale");
+  }
+  if (options_.kind != RaySourceKind::label_balanced) return;
+  for (std::size_t f = 0; f < frames_.size(); ++f) {
+    for (std::int64_t p = offsets_[f]; frames_[f].labelled && p < offsets_[f + 1]; ++p) {
+      const Pixel pixel{static_cast<std::int32_t>(f), static_cast<std::int32_t>(p - offsets_[f])};
+      if (label_of(pixel) != kVoid) labelled_pixels_.push_back(static_cast<std::uint32_t>(p));
+    }
+  }
+  if (labelled_pixels_.empty()) {
+    throw Error(ErrorKind::data, "train.ray_source is label_balanced, but no training pixel carries a label",
+                "choose all_images, or give the scene labels");
+  }
+}
+
+RaySource::Pixel RaySource::locate(std::int64_t global) const {
+  const auto after = std::upper_bound(offsets_.begin(), offsets_.end(), global);
+  const auto frame = static_cast<std::int32_t>(after - offsets_.begin() - 1);
+  return {frame, static_cast<std::int32_t>(global - offsets_[static_cast<std::size_t>(frame)])};
+}
+
+RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
+  const RandomAddress address{options_.seed, static_cast<std::uint64_t>(step), stream_id("ray_source/pixel")};
+  const auto index = static_cast<std::uint64_t>(ray);
+  switch (options_.kind) {
+    case RaySourceKind::one_image: {
+      const RandomAddress frame_address{options_.seed, static_cast<std::uint64_t>(step), stream_id("ray_source/frame")};
+      const auto frame = static_cast<std::int32_t>(uniform_below(frame_address, 0, frames_.size()));
+      const std::int64_t pixels =
+          offsets_[static_cast<std::size_t>(frame) + 1] - offsets_[static_cast<std::size_t>(frame)];
+      return {frame, static_cast<std::int32_t>(uniform_below(address, index, static_cast<std::uint64_t>(pixels)))};
+    }
+    case RaySourceKind::label_balanced: {
+      // Every ray whose running share crosses an integer is a labelled one: spread evenly over the tiles.
+      const double share = options_.labelled_share;
+      if (std::floor(static_cast<double>(ray + 1) * share) > std::floor(static_cast<double>(ray) * share)) {
+        return locate(labelled_pixels_[uniform_below(address, index, labelled_pixels_.size())]);
+      }
+      break;
+    }
+    case RaySourceKind::all_images:
+      break;
+  }
+  return locate(static_cast<std::int64_t>(uniform_below(address, index, static_cast<std::uint64_t>(offsets_.back()))));
+}
+
+std::int16_t RaySource::label_of(const Pixel& pixel) const {
+  const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
+  if (!frame.labelled || frame.pixels->label.empty()) return kVoid;
+  const std::int16_t cls = frame.pixels->label[static_cast<std::size_t>(pixel.index)];
+  return cls < 0 || static_cast<std::size_t>(cls) >= logit_of_class_.size()
+             ? kVoid
+             : logit_of_class_[static_cast<std::size_t>(cls)];
+}
+
+void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
+  batch.resize(options_.rays);
+  const std::int64_t tile_rays = options_.tile_rays;
+  const std::int64_t tiles = (options_.rays + tile_rays - 1) / tile_rays;
+  parallel_for(tiles, [&](std::int64_t tile) {
+    const std::int64_t begin = tile * tile_rays;
+    const std::int64_t end = std::min(begin + tile_rays, options_.rays);
+    // Two passes over the tile's addressed choices: labelled rays, then the others.
+    std::int64_t slot = begin;
+    for (const bool labelled : {true, false}) {
+      for (std::int64_t ray = begin; ray < end; ++ray) {
+        const Pixel pixel = choose(step, ray);
+        const std::int16_t label = label_of(pixel);
+        if ((label != kVoid) != labelled) continue;
+        const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
+        const std::int32_t width = frame.pixels->width_px;
+        const auto s = static_cast<std::size_t>(slot++);
+        cast_ray(frame.camera, limits_, pixel.index % width, pixel.index / width, &batch.origin[3 * s],
+                 &batch.direction[3 * s], &batch.near_far[2 * s]);
+        for (std::size_t i = 0; i < 3; ++i) {
+          batch.target[3 * s + i] =
+              static_cast<float>(frame.pixels->rgb[3 * static_cast<std::size_t>(pixel.index) + i]) / 255.0F;
+        }
+        batch.label[s] = label;
+      }
+    }
+  });
+}
+
+}  // namespace semfield

@@ -1,0 +1,69 @@
+// Which pixels a step trains on: addressed by (seed, step, ray), never consumed from a generator.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "model/pipeline.h"
+#include "scene/scene.h"
+#include "train/rays.h"
+#include "train/run_config.h"
+
+namespace semfield {
+
+/// One training frame as the source needs it; pixels are borrowed.
+struct TrainFrame {
+  RayCamera camera;
+  const FrameBuffer* pixels = nullptr;
+  bool labelled = false;  ///< its labels were selected
+};
+
+/// Buffers of one batch; view() borrows them.
+struct BatchBuffers {
+  std::vector<double> origin, direction, near_far;
+  std::vector<float> target;
+  std::vector<std::int16_t> label;
+  void resize(std::int64_t rays);
+  RayBatch view(bool with_labels) const;
+};
+
+struct RaySourceOptions {
+  RaySourceKind kind = RaySourceKind::all_images;
+  double labelled_share = 0.5;
+  std::uint64_t seed = 1;
+  std::int64_t rays = 1024;
+  std::int64_t tile_rays = 32;
+};
+
+class RaySource {
+ public:
+  /// `logit_of_class` maps a frame's class to the head's logit, kVoid for a class without one. Throws Error(data) when
+  /// there is no training pixel, or no labelled one for label_balanced.
+  RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> logit_of_class, const RayLimits& limits,
+            const RaySourceOptions& options);
+
+  /// Fills the batch of `step`. Within a tile labelled rays come first (their order is otherwise kept), so the head's
+  /// samples are contiguous. The same for any thread count.
+  void fill(std::int64_t step, BatchBuffers& batch) const;
+
+  std::int64_t pixel_count() const { return offsets_.back(); }
+  /// Frame and pixel of ray i of a step, before the tile's reordering; for messages and tests.
+  struct Pixel {
+    std::int32_t frame = 0;
+    std::int32_t index = 0;  ///< row * width + column
+  };
+  Pixel choose(std::int64_t step, std::int64_t ray) const;
+
+ private:
+  Pixel locate(std::int64_t global) const;
+  std::int16_t label_of(const Pixel& pixel) const;
+
+  std::vector<TrainFrame> frames_;
+  std::vector<std::int16_t> logit_of_class_;
+  RayLimits limits_;
+  RaySourceOptions options_;
+  std::vector<std::int64_t> offsets_;           // first global pixel of each frame, and the total
+  std::vector<std::uint32_t> labelled_pixels_;  // global pixel numbers; label_balanced only
+};
+
+}  // namespace semfield

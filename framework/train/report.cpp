@@ -1,0 +1,63 @@
+// report.html: the page around its sections.
+#include "train/report.h"
+
+#include <fmt/format.h>
+
+#include <array>
+
+#include "core/check.h"
+#include "train/html.h"
+#include "train/report_sections.h"
+
+namespace semfield {
+
+namespace {
+
+std::string chosen_split(const ReportInput& input) {
+  if (!input.split.empty()) return input.split;
+  std::string split;
+  for (const MetricsRow& row : input.runs.front().rows) {
+    if (row.kind == "eval") split = row.split;
+  }
+  return split;
+}
+
+}  // namespace
+
+std::string make_report(const ReportInput& input) {
+  SEMFIELD_CHECK(!input.runs.empty(), "a report is about at least one run");
+  const std::string split = chosen_split(input);
+  struct Part {
+    const char *id, *name;
+    std::string html;
+  };
+  const std::array<Part, 7> parts{{
+      {"figures", "Figures", figures_section(input, split)},
+      {"curves", "Error against run time", curves_section(input, split)},
+      {"classes", "Classes", classes_section(input, split)},
+      {"frames", "Frames", strips_section(input.strips, "frames", "Rendered frames", "Entropy runs over its full range, 0 to ln C; depth is bright where near.")},
+      {"worst", "Worst frames", strips_section(input.worst, "worst", "Worst frames", "The frames with the lowest scores, worst first.")},
+      {"left-out", "Left out", left_out_section(input)},
+      {"setup", "Set-up", environment_section(input)},
+  }};
+  const std::string title = html_escape(input.title.empty() ? "Semfield run" : input.title);
+  std::string page = fmt::format(
+      "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
+      "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n"
+      "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">\n"
+      "<title>{} – Semfield report</title>\n<style>",
+      title);
+  page += report_style();
+  page += fmt::format("</style>\n</head>\n<body>\n<header class=\"top\">\n<h1>{}</h1>\n", title);
+  if (!input.subtitle.empty()) page += fmt::format("<p class=\"lead\">{}</p>\n", html_escape(input.subtitle));
+  page += "<nav aria-label=\"Sections\">\n";
+  for (const Part& part : parts) {
+    if (!part.html.empty()) page += fmt::format("<a href=\"#{}\">{}</a>\n", part.id, part.name);
+  }
+  page += "</nav>\n" + cards_section(input, split) + "</header>\n<main>\n";
+  for (const Part& part : parts) page += part.html;
+  page += "</main>\n<footer>Made by Semfield from metrics.jsonl; the same files give the same bytes.</footer>\n</body>\n</html>\n";
+  return page;
+}
+
+}  // namespace semfield

@@ -1,0 +1,64 @@
+// report.html: one self-contained page about one or several runs; the same input gives the same bytes.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "train/metrics_log.h"
+#include "train/run_folder.h"
+
+namespace semfield {
+
+/// One PNG of a strip.
+struct ReportImage {
+  std::string caption;            ///< "truth", "colour", "label truth", "label", "entropy", "depth"
+  std::vector<std::uint8_t> png;  ///< the file's bytes
+};
+
+/// A frame as a row of images.
+struct ReportStrip {
+  std::string name;  ///< frame name
+  std::string note;  ///< e.g. "mIoU 0.31, PSNR 18.2 dB"; may be empty
+  std::vector<ReportImage> images;
+};
+
+struct ReportClass {
+  std::string name;
+  std::array<std::uint8_t, 3> color{};
+};
+
+using ReportFacts = std::vector<std::pair<std::string, std::string>>;
+
+/// One curve in every plot and one column in every table.
+struct ReportRun {
+  std::string name;              ///< shown in legends; unique
+  std::vector<MetricsRow> rows;  ///< of metrics.jsonl
+  std::string config;            ///< resolved YAML; may be empty
+  ReportFacts environment;
+  std::vector<LeftOutRow> left_out;
+};
+
+struct ReportInput {
+  std::string title;                 ///< e.g. the scene's name
+  std::string subtitle;              ///< one sentence: configuration, split
+  std::string split;                 ///< eval rows that count; empty: those of the last eval row's split
+  std::vector<ReportRun> runs;       ///< at least one
+  std::vector<ReportClass> classes;  ///< order and colours of the per-class list; empty: order of the rows, no colours
+  std::vector<ReportStrip> strips;
+  std::vector<ReportStrip> worst;  ///< worst frames, worst first
+};
+
+/// The page: no scripts, no network, images inside. Throws Error(internal) without runs.
+std::string make_report(const ReportInput& input);
+
+/// What a report needs, read from run folders: metrics.jsonl, run.yaml, environment.json, left_out.json, classes.yaml
+/// and the images render/<split>/<frame>_{rgb_truth,rgb,label_truth_vis,label_vis,entropy_vis,depth_vis}.png of the
+/// first run (at most `most_frames` frames, evenly chosen). Only metrics.jsonl must be there. Names are the folders',
+/// made unique.
+ReportInput read_report_input(const std::vector<std::string>& run_folders, int most_frames = 4);
+
+}  // namespace semfield

@@ -1,0 +1,311 @@
+#include "train/run_config.h"
+
+#include <algorithm>
+#include <filesystem>
+
+#include "config/compose.h"
+#include "plugin/loader.h"
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, SemanticsParams& p) {
+  SEMFIELD_PARAM(visit, p, weight, "lambda, weight of the semantic loss beside the colour loss [Zhi21, Eq. 7]",
+                 {0, 1e6});
+  SEMFIELD_PARAM(visit, p, stop_gradient_to_density, "true: semantics do not shape geometry");
+  SEMFIELD_PARAM(visit, p, hidden_width, "width of the semantic hidden layer [Zhi21: 128]", {1, 1024});
+  SEMFIELD_PARAM(visit, p, normalisation, "what the summed cross-entropy of a batch is divided by");
+  SEMFIELD_PARAM(visit, p, balance_classes, "weigh classes by inverse log frequency [Paszke16]");
+}
+
+void describe(ParamVisitor& visit, RenderingParams& p) {
+  SEMFIELD_PARAM(visit, p, density_activation, "raw density to attenuation in 1/m");
+  SEMFIELD_PARAM(visit, p, far, "what a ray meets behind its last sample");
+  SEMFIELD_PARAM(visit, p, density_noise, "standard deviation of the noise on raw density in training [Mildenhall20]",
+                 {0, 1e3});
+  SEMFIELD_PARAM(visit, p, background, "colour behind everything, three values in [0, 1]", {0, 1});
+  SEMFIELD_PARAM(visit, p, early_stop,
+                 "transmittance below which rendering stops a ray; the error is at most this share; 0: never",
+                 {0, 0.1});
+  SEMFIELD_PARAM(visit, p, scene_scale,
+                 "factor from metres to a metric encoder's coordinates [Zhi21: 0.1]; 0: from the scene's bounds",
+                 {0, 1e6});
+}
+
+void validate(const RenderingParams& p, Diagnostics& diagnostics) {
+  if (p.background.size() != 3) {
+    diagnostics.error("rendering.background", "expected 3 values, got " + std::to_string(p.background.size()),
+                      "write [r, g, b]");
+  }
+}
+
+void describe(ParamVisitor& visit, TrainParams& p) {
+  SEMFIELD_PARAM(visit, p, steps, "optimiser steps of the run", {0, 1e9});
+  SEMFIELD_PARAM(visit, p, time_limit_s, "seconds of training after which the run ends early; 0: no limit", {0, 1e8});
+  SEMFIELD_PARAM(visit, p, rays, "rays a step", {1, 1 << 20});
+  SEMFIELD_PARAM(visit, p, ray_source, "where a step's rays come from");
+  SEMFIELD_PARAM(visit, p, labelled_share, "share of rays from labelled pixels, for label_balanced", {0, 1});
+}
+
+void describe(ParamVisitor& visit, RuntimeParams& p) {
+  SEMFIELD_PARAM(visit, p, device, "where kernels run; auto takes the fastest that this build and machine have");
+  SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
+  SEMFIELD_PARAM(visit, p, seed, "seed of every random value");
+  SEMFIELD_PARAM(visit, p, lanes,
+                 "gradient slots, also the most threads that help in a step; changes the order of sums", {1, 256});
+  SEMFIELD_PARAM(visit, p, tile_rays, "rays a tile, 0: from the samplers; changes the order of sums", {0, 1 << 16});
+  SEMFIELD_PARAM(visit, p, fold_feature_layer, "multiply a field's feature and view layer once a step (exact)");
+  SEMFIELD_PARAM(visit, p, direction_once_per_ray, "compute the view layer's direction term once a ray (exact)");
+  SEMFIELD_PARAM(visit, p, deferred_class_layer, "apply the class layer once a ray, after compositing (exact)");
+}
+
+void describe(ParamVisitor& visit, ReportParams& p) {
+  SEMFIELD_PARAM(visit, p, log_every_steps, "steps between rows of metrics.jsonl", {1, 1e9});
+  SEMFIELD_PARAM(visit, p, eval_every_s, "seconds of training between evaluations on test frames; 0: only at the end",
+                 {0, 1e8});
+  SEMFIELD_PARAM(visit, p, eval_frames,
+                 "test frames of an evaluation while training, evenly spaced; the last one takes all", {1, 1e6});
+  SEMFIELD_PARAM(visit, p, checkpoint_every_s, "seconds between checkpoints; 0: only at the end", {0, 1e8});
+  SEMFIELD_PARAM(visit, p, keep_checkpoints, "checkpoints that stay on disk", {2, 1e6});
+  SEMFIELD_PARAM(visit, p, strips, "test frames shown in the report", {0, 64});
+}
+
+namespace {
+
+constexpr std::array<std::string_view, 8> kTopKeys{"scene", "semantics", "rendering", "passes",
+                                                   "train", "runtime",   "report",    "plugins"};
+
+// Calls `section(key path, params)` for every fixed section of `config`: the one list that reading, writing and
+// documenting share.
+template <class Config, class Fn>
+void each_section(Config& config, Fn&& section) {
+  section("scene.labels", "which training frames keep their labels", config.labels);
+  section("scene.load", "size, bounds and distances of the loaded scene", config.load);
+  section("semantics", "the semantic head and its loss", config.semantics);
+  section("rendering", "fixed rules of volume rendering", config.rendering);
+  section("train", "length and batches of the run", config.train);
+  section("train.adam", "optimiser [Kingma15]", config.adam);
+  section("train.schedule", "learning rate over the steps", config.schedule);
+  section("runtime", "device, threads, seed and exact savings", config.runtime);
+  section("report", "what is measured and kept while training", config.report);
+}
+
+// Sub-sections of a section, which are keys of its map but no parameters.
+std::vector<std::string> nested_keys(std::string_view path) {
+  if (path == "train") return {"adam", "schedule"};
+  return {};
+}
+
+const ConfigNode* find_path(const ConfigNode& tree, std::string_view path) {
+  const ConfigNode* node = &tree;
+  while (node != nullptr && !path.empty()) {
+    const std::size_t dot = path.find('.');
+    node = node->find(path.substr(0, dot));
+    path = dot == std::string_view::npos ? std::string_view() : path.substr(dot + 1);
+  }
+  return node;
+}
+
+PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,
+                     Diagnostics& diagnostics, const std::vector<std::string>& other_keys = {}) {
+  PluginSlot slot;
+  if (!node.is_map()) {
+    diagnostics.error(node.location().text(),
+                      path + ": expected a map with 'type', one of " + join(registry.names(kind)));
+    return slot;
+  }
+  const ConfigNode* type = node.find("type");
+  if (type == nullptr || !type->is_scalar()) {
+    diagnostics.error(node.location().text(), path + ": key 'type' is missing",
+                      "choose one of " + join(registry.names(kind)));
+    return slot;
+  }
+  try {
+    slot.entry = &registry.get(kind, type->text());
+  } catch (const Error& error) {
+    diagnostics.error(type->location().text(), error.message(), error.remedy());
+    return slot;
+  }
+  slot.params = slot.entry->new_params();
+  std::vector<std::string> allowed = other_keys;
+  allowed.push_back("type");
+  const int errors = diagnostics.error_count();
+  read_params(
+      node, path, [&](ParamVisitor& visit) { slot.params->describe(visit); }, diagnostics, allowed);
+  if (diagnostics.error_count() == errors) {
+    Diagnostics relations;
+    slot.params->validate(relations);
+    for (const Diagnostic& finding : relations.all()) {
+      const std::string message = path + (finding.where.empty() ? "" : "." + finding.where) + ": " + finding.message;
+      if (finding.severity == Severity::error) {
+        diagnostics.error(node.location().text(), message, finding.remedy);
+      } else {
+        diagnostics.warning(node.location().text(), message, finding.remedy);
+      }
+    }
+  }
+  return slot;
+}
+
+void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
+  const ConfigNode* list = tree.find("passes");
+  if (list == nullptr || !list->is_list() || list->items().empty()) {
+    const Location& where = list == nullptr ? tree.location() : list->location();
+    diagnostics.error(where.text(),
+                      "passes: expected a list of at least one pass {name, sampler, position, direction, field}");
+    return;
+  }
+  static const std::vector<std::string> kKeys{"name", "like", "sampler", "position", "direction", "field"};
+  int index = 0;
+  for (const ConfigNode& item : list->items()) {
+    const std::string path = "passes." + std::to_string(index);
+    PassConfig pass;
+    if (!item.is_map()) {
+      diagnostics.error(item.location().text(), path + ": expected a map {name, sampler, position, direction, field}");
+      continue;
+    }
+    for (const auto& [key, value] : item.entries()) {
+      if (std::find(kKeys.begin(), kKeys.end(), key) != kKeys.end()) continue;
+      const std::string near = did_you_mean(key, kKeys);
+      diagnostics.error(value.location().text(), path + ": unknown key '" + key + "'",
+                        near.empty() ? "known: " + join(kKeys) : "did you mean '" + near + "'?");
+    }
+    pass.name = read_text(item, path, "name", index == 0 ? "main" : "pass" + std::to_string(index), diagnostics);
+    const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out, bool required) {
+      const ConfigNode* node = item.find(key);
+      if (node == nullptr || node->is_null()) {
+        if (required) diagnostics.error(item.location().text(), path + ": key '" + key + "' is missing");
+        return;
+      }
+      out = read_slot(kind, *node, path + "." + key, registry, diagnostics);
+    };
+    slot("sampler", PluginKind::sampler, pass.sampler, true);
+    slot("position", PluginKind::encoder, pass.position, true);
+    slot("direction", PluginKind::encoder, pass.direction, false);
+    slot("field", PluginKind::field, pass.field, true);
+    for (const PassConfig& other : config.passes) {
+      if (other.name == pass.name)
+        diagnostics.error(item.location().text(), path + ": name '" + pass.name + "' is taken by an earlier pass");
+    }
+    config.passes.push_back(std::move(pass));
+    ++index;
+  }
+}
+
+void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
+  const ConfigNode* scene = tree.find("scene");
+  if (scene == nullptr) {
+    diagnostics.error(tree.location().text(), "scene: section is missing",
+                      "name a dataset: scene: {type: replica, root: ...}");
+    return;
+  }
+  config.dataset = read_slot(PluginKind::dataset, *scene, "scene", registry, diagnostics, {"labels", "load"});
+  if (config.base_dir.empty()) {
+    const ConfigNode* type = scene->is_map() ? scene->find("type") : nullptr;
+    const std::filesystem::path file = (type == nullptr ? scene->location() : type->location()).file;
+    std::error_code ignored;
+    config.base_dir =
+        std::filesystem::weakly_canonical(std::filesystem::absolute(file).parent_path(), ignored).string();
+  }
+}
+
+ConfigNode slot_config(const PluginSlot& slot) {
+  ConfigNode node = params_to_config([&](ParamVisitor& visit) { slot.params->describe(visit); });
+  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(slot.entry->name, false, {})}};
+  entries.insert(entries.end(), node.entries().begin(), node.entries().end());
+  return ConfigNode::make_map(std::move(entries), {});
+}
+
+ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
+  const std::size_t dot = path.find('.');
+  if (dot == std::string::npos) return tree.with(path, value);
+  const std::string key = path.substr(0, dot);
+  const ConfigNode* child = tree.find(key);
+  return tree.with(key, with_path(child == nullptr ? ConfigNode() : *child, path.substr(dot + 1), value));
+}
+
+}  // namespace
+
+RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics) {
+  RunConfig config;
+  if (!tree.is_map()) {
+    diagnostics.error(tree.location().text(), "expected a map of sections at the top of the config");
+    return config;
+  }
+  std::vector<std::string> known(kTopKeys.begin(), kTopKeys.end());
+  known.insert(known.end(), {"name", "base_dir"});
+  for (const auto& [key, value] : tree.entries()) {
+    if (std::find(known.begin(), known.end(), key) != known.end()) continue;
+    const std::string near = did_you_mean(key, known);
+    diagnostics.error(value.location().text(), "unknown section '" + key + "'",
+                      near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
+  }
+  config.name = read_text(tree, "", "name", "run", diagnostics);
+  config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
+  if (const ConfigNode* plugins = tree.find("plugins"); plugins != nullptr && !plugins->is_null()) {
+    if (!plugins->is_list()) diagnostics.error(plugins->location().text(), "plugins: expected a list of module files");
+    for (const ConfigNode& item : plugins->items()) {
+      config.plugins.push_back(resolve_path(item));
+      try {
+        load_module(registry, config.plugins.back());
+      } catch (const Error& error) {
+        diagnostics.error(item.location().text(), error.message(), error.remedy());
+      }
+    }
+  }
+  read_scene(tree, registry, config, diagnostics);
+  each_section(config, [&](const char* path, const char*, auto& params) {
+    const ConfigNode* node = find_path(tree, path);
+    if (node == nullptr || node->is_null()) return;
+    read_params(
+        *node, path, [&](ParamVisitor& visit) { describe(visit, params); }, diagnostics, nested_keys(path));
+  });
+  validate(config.rendering, diagnostics);
+  read_passes(tree, registry, config, diagnostics);
+  return config;
+}
+
+RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
+  const ConfigNode tree = compose_config(path, overrides);
+  Diagnostics diagnostics;
+  RunConfig config = read_run_config(tree, registry, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "");
+  if (tree.find("name") == nullptr) config.name = std::filesystem::path(path).stem().string();
+  return config;
+}
+
+ConfigNode resolved_config(const RunConfig& config) {
+  ConfigNode tree = ConfigNode::make_map({}, {});
+  tree = tree.with("name", ConfigNode::make_scalar(config.name, true, {}));
+  tree = tree.with("base_dir", ConfigNode::make_scalar(config.base_dir, true, {}));
+  if (config.dataset.entry != nullptr) tree = tree.with("scene", slot_config(config.dataset));
+  RunConfig& editable = const_cast<RunConfig&>(config);  // describe() takes a mutable struct; the writer only looks
+  each_section(editable, [&](const char* path, const char*, auto& params) {
+    ConfigNode section = params_to_config([&](ParamVisitor& visit) { describe(visit, params); });
+    tree = with_path(tree, path, section);
+  });
+  std::vector<ConfigNode> passes;
+  for (const PassConfig& pass : config.passes) {
+    ConfigNode node = ConfigNode::make_map({{"name", ConfigNode::make_scalar(pass.name, true, {})}}, {});
+    node = node.with("sampler", slot_config(pass.sampler)).with("position", slot_config(pass.position));
+    if (pass.direction.entry != nullptr) node = node.with("direction", slot_config(pass.direction));
+    passes.push_back(node.with("field", slot_config(pass.field)));
+  }
+  tree = tree.with("passes", ConfigNode::make_list(std::move(passes), {}));
+  if (!config.plugins.empty()) {
+    std::vector<ConfigNode> modules;
+    for (const std::string& module : config.plugins) modules.push_back(ConfigNode::make_scalar(module, true, {}));
+    tree = tree.with("plugins", ConfigNode::make_list(std::move(modules), {}));
+  }
+  return tree;
+}
+
+std::vector<SectionDoc> describe_sections() {
+  std::vector<SectionDoc> docs;
+  RunConfig defaults;
+  each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
+    docs.push_back({path, sentence, describe_params([&](ParamVisitor& visit) { describe(visit, params); })});
+  });
+  return docs;
+}
+
+}  // namespace semfield

@@ -1,0 +1,133 @@
+// A run's configuration as typed sections and plugin slots, read from the composed tree with every error at once.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "config/config_tree.h"
+#include "config/params_read.h"
+#include "labels/label_selection.h"
+#include "losses/semantic_cross_entropy.h"
+#include "model/compositor.h"
+#include "model/density_activation.h"
+#include "optim/adam.h"
+#include "optim/schedule.h"
+#include "plugin/registry.h"
+#include "scene/frame_source.h"
+
+namespace semfield {
+
+struct SemanticsParams {
+  double weight = 0.04;
+  bool stop_gradient_to_density = false;
+  int hidden_width = 128;
+  SemanticNormalisation normalisation = SemanticNormalisation::mean_labelled;
+  bool balance_classes = false;
+};
+void describe(ParamVisitor& visit, SemanticsParams& params);
+
+struct RenderingParams {
+  DensityActivation density_activation = DensityActivation::relu;
+  FarMode far = FarMode::open;
+  double density_noise = 0;
+  std::vector<double> background{0, 0, 0};
+  double early_stop = 1e-4;
+  double scene_scale = 0;
+};
+void describe(ParamVisitor& visit, RenderingParams& params);
+void validate(const RenderingParams& params, Diagnostics& diagnostics);
+
+enum class RaySourceKind : std::uint8_t { all_images, one_image, label_balanced };
+template <>
+struct ChoiceNames<RaySourceKind> {
+  static constexpr std::array<std::string_view, 3> names{"all_images", "one_image", "label_balanced"};
+};
+
+struct TrainParams {
+  std::int64_t steps = 20000;
+  double time_limit_s = 0;
+  std::int64_t rays = 1024;
+  RaySourceKind ray_source = RaySourceKind::all_images;
+  double labelled_share = 0.5;
+};
+void describe(ParamVisitor& visit, TrainParams& params);
+
+enum class DeviceChoice : std::uint8_t { automatic, cpu, cuda };
+template <>
+struct ChoiceNames<DeviceChoice> {
+  static constexpr std::array<std::string_view, 3> names{"auto", "cpu", "cuda"};
+};
+
+struct RuntimeParams {
+  DeviceChoice device = DeviceChoice::automatic;
+  int threads = 0;
+  std::uint32_t seed = 1;
+  int lanes = 8;
+  int tile_rays = 0;
+  bool fold_feature_layer = true;
+  bool direction_once_per_ray = true;
+  bool deferred_class_layer = true;
+};
+void describe(ParamVisitor& visit, RuntimeParams& params);
+
+struct ReportParams {
+  std::int64_t log_every_steps = 20;
+  double eval_every_s = 10;
+  int eval_frames = 4;
+  double checkpoint_every_s = 60;
+  int keep_checkpoints = 2;
+  int strips = 4;
+};
+void describe(ParamVisitor& visit, ReportParams& params);
+
+/// A plugin chosen by `type`, with its parameters read.
+struct PluginSlot {
+  const PluginEntry* entry = nullptr;  ///< null: the slot is empty
+  std::unique_ptr<PluginParams> params;
+};
+
+struct PassConfig {
+  std::string name;
+  PluginSlot sampler, position, direction, field;
+};
+
+struct RunConfig {
+  std::string name;
+  std::string base_dir;  ///< relative paths of the scene start here
+  PluginSlot dataset;
+  LabelParams labels;
+  SceneLoadOptions load;
+  SemanticsParams semantics;
+  RenderingParams rendering;
+  std::vector<PassConfig> passes;
+  TrainParams train;
+  AdamParams adam;
+  ScheduleParams schedule;
+  RuntimeParams runtime;
+  ReportParams report;
+  std::vector<std::string> plugins;  ///< loadable modules, absolute paths
+};
+
+/// Loads the modules that `plugins:` names into `registry`, then reads every section. Collects all errors in
+/// `diagnostics`.
+RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics);
+
+/// compose + read; throws Error(config) with every error on its own line.
+RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry);
+
+/// The resolved configuration: every parameter written out, absolute base_dir; reading it gives the same run.
+ConfigNode resolved_config(const RunConfig& config);
+
+/// Fixed sections and plugin slots by key path, for the schema and the reference.
+struct SectionDoc {
+  std::string path;
+  std::string sentence;
+  std::vector<ParamDoc> params;
+};
+std::vector<SectionDoc> describe_sections();
+
+}  // namespace semfield

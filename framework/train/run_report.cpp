@@ -1,0 +1,44 @@
+#include "train/run_report.h"
+
+#include <algorithm>
+
+#include "core/files.h"
+#include "scene/image_io.h"
+#include "train/image_output.h"
+#include "train/report.h"
+
+namespace semfield {
+
+namespace {
+
+// The six pictures of a strip, under the names that a report looks for.
+void write_strip(const RunFolder& folder, const Session& s, int frame, const RenderedFrame& maps) {
+  const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frame)];
+  const FrameBuffer& truth = s.scene.frames[static_cast<std::size_t>(frame)];
+  const MapSize size{maps.width_px, maps.height_px};
+  const auto path = [&](const char* kind) { return folder.render_path("test", info.name, kind); };
+  const auto rgb = [&](const char* kind, const std::vector<std::uint8_t>& pixels) {
+    write_png_rgb(path(kind), size.width_px, size.height_px, pixels);
+  };
+  rgb("rgb_truth", truth.rgb);
+  write_color(path("rgb"), size, maps.rgb);
+  const DepthRange range = robust_depth_range(truth.depth_m.empty() ? maps.depth_m : truth.depth_m);
+  rgb("depth_vis", depth_colors(maps.depth_m, range.near_m, range.far_m));
+  if (maps.label.empty()) return;
+  if (!truth.label.empty()) rgb("label_truth_vis", label_colors(truth.label, s.scene.info.classes));
+  write_label_ids(path("label"), size, maps.label, s.scene.info.classes);
+  rgb("label_vis", label_colors(maps.label, s.scene.info.classes));
+  rgb("entropy_vis", entropy_colors(maps.entropy, static_cast<int>(s.plan.class_of_logit.size())));
+}
+
+}  // namespace
+
+std::string write_run_report(const RunFolder& folder, const Session& session,
+                             const std::vector<std::pair<int, RenderedFrame>>& strips) {
+  for (const auto& [frame, maps] : strips) write_strip(folder, session, frame, maps);
+  write_file_atomic(folder.report_path(),
+                    make_report(read_report_input({folder.path()}, static_cast<int>(strips.size()))));
+  return folder.report_path();
+}
+
+}  // namespace semfield

@@ -1,0 +1,169 @@
+#include "train/session.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "core/error.h"
+#include "core/parallel.h"
+
+namespace semfield {
+
+namespace {
+
+SceneManifest manifest_of(const LoadedScene& scene, const std::vector<char>& labelled) {
+  SceneManifest manifest;
+  manifest.classes = scene.info.classes.valid_count();
+  manifest.train_class_pixels.resize(static_cast<std::size_t>(manifest.classes));
+  for (std::size_t f = 0; f < scene.frames.size(); ++f) {
+    const FrameInfo& info = scene.info.frames[f];
+    manifest.any_depth = manifest.any_depth || !scene.frames[f].depth_m.empty();
+    manifest.any_distortion = manifest.any_distortion || info.camera.has_distortion();
+    if (info.split != Split::train) continue;
+    ++manifest.train_frames;
+    manifest.train_pixels += std::int64_t{scene.frames[f].width_px} * scene.frames[f].height_px;
+    if (labelled[f] == 0) continue;
+    ++manifest.labelled_frames;
+    if (scene.class_pixels[f].empty()) continue;
+    for (std::size_t c = 0; c < manifest.train_class_pixels.size(); ++c)
+      manifest.train_class_pixels[c] += scene.class_pixels[f][c];
+  }
+  return manifest;
+}
+
+}  // namespace
+
+Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
+  Session s;
+  s.config = std::move(config);
+  set_thread_count(s.config.runtime.threads);
+  if (s.config.runtime.device == DeviceChoice::cuda) {
+    throw Error(ErrorKind::unavailable, "runtime.device: this build has no CUDA kernels (has: cpu)",
+                "set runtime.device: cpu, or auto");
+  }
+  DatasetBuild dataset_build;
+  dataset_build.config_dir = s.config.base_dir;
+  const std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
+  s.scene = load_scene(*dataset, s.config.load, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
+  s.labelled.assign(s.scene.frames.size(), 0);
+  for (const int f : select_label_frames(s.scene.info, s.config.labels)) s.labelled[static_cast<std::size_t>(f)] = 1;
+  s.manifest = manifest_of(s.scene, s.labelled);
+  s.plan = plan_build(s.manifest, build_request(s.config, registry), options.keep);
+
+  s.extent = {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m};
+  s.limits.near_m = s.scene.near_m;
+  s.limits.far_m = s.scene.far_m;
+  s.limits.bounds = s.scene.bounds;
+  s.limits.clip = needs_bounds(s.config, registry);
+  // Derived values become part of the resolved configuration, so that a later session cannot derive others.
+  const Box& b = s.scene.bounds;
+  s.config.load.near_m = s.scene.near_m;
+  s.config.load.far_m = s.scene.far_m;
+  s.config.load.bounds = {b.lo.x, b.lo.y, b.lo.z, b.hi.x, b.hi.y, b.hi.z};
+  if (!options.build) return s;
+
+  std::vector<float> class_weight;
+  if (s.plan.semantics && s.config.semantics.balance_classes) {
+    std::vector<std::int64_t> pixels;
+    for (const int c : s.plan.class_of_logit)
+      pixels.push_back(s.manifest.train_class_pixels[static_cast<std::size_t>(c)]);
+    class_weight = inverse_log_frequency_weights(pixels);
+  }
+  s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
+  return s;
+}
+
+EvalJob Session::eval_job(std::vector<int> frames) const {
+  EvalJob job;
+  job.infos = &scene.info.frames;
+  job.buffers = &scene.frames;
+  job.frames = std::move(frames);
+  job.classes = classes();
+  job.undistort = plan.undistortion;
+  return job;
+}
+
+std::vector<std::int16_t> Session::logit_of_class() const {
+  std::vector<std::int16_t> logit(static_cast<std::size_t>(classes()), kVoid);
+  for (std::size_t l = 0; l < plan.class_of_logit.size(); ++l) {
+    logit[static_cast<std::size_t>(plan.class_of_logit[l])] = static_cast<std::int16_t>(l);
+  }
+  return logit;
+}
+
+std::unique_ptr<RaySource> Session::make_ray_source() const {
+  std::vector<TrainFrame> frames;
+  for (std::size_t f = 0; f < scene.frames.size(); ++f) {
+    const FrameInfo& info = scene.info.frames[f];
+    if (info.split != Split::train || scene.frames[f].rgb.empty()) continue;
+    frames.push_back({{info.camera, info.world_from_camera, plan.undistortion}, &scene.frames[f], labelled[f] != 0});
+  }
+  RaySourceOptions options;
+  options.kind = config.train.ray_source;
+  options.labelled_share = config.train.labelled_share;
+  options.seed = config.runtime.seed;
+  options.rays = config.train.rays;
+  options.tile_rays = pipeline->tile_rays();
+  return std::make_unique<RaySource>(std::move(frames), plan.semantics ? logit_of_class() : std::vector<std::int16_t>{},
+                                     limits, options);
+}
+
+MemoryPlan plan_memory(const Session& s) {
+  MemoryPlan plan;
+  for (const FrameBuffer& frame : s.scene.frames) {
+    plan.scene += frame.rgb.capacity() + frame.depth_m.capacity() * 4 + frame.label.capacity() * 2 +
+                  frame.instance.capacity() * 4;
+  }
+  if (s.pipeline) {
+    plan.parameters = s.pipeline->store().bytes();
+    plan.activations = s.pipeline->predicted_workspace_bytes(s.config.train.rays);
+  }
+  return plan;
+}
+
+std::string describe_session(const Session& s) {
+  const double mb = 1.0 / (1 << 20);
+  std::string out;
+  const auto add = [&](const std::string& line) { out += line + "\n"; };
+  const std::vector<int> train = s.scene.frames_of(Split::train), test = s.scene.frames_of(Split::test);
+  const FrameInfo& first = s.scene.info.frames.at(static_cast<std::size_t>(train.empty() ? 0 : train.front()));
+  const Vec3d size = s.extent.bounds.size();
+  add(fmt::format("scene     {}: {} training and {} test frames at {}x{}, {} classes, labels on {} training frames",
+                  s.scene.info.name, train.size(), test.size(), first.camera.width_px, first.camera.height_px,
+                  s.classes(), s.manifest.labelled_frames));
+  add(fmt::format("bounds    {:.2f} x {:.2f} x {:.2f} {} (from {}), near {:.3g}, far {:.3g} (from {})", size.x, size.y,
+                  size.z, s.scene.info.metric ? "m" : "units", s.scene.bounds_from, s.extent.near_m, s.extent.far_m,
+                  s.scene.near_far_from));
+  if (s.pipeline) {
+    for (const Pass<float>& pass : s.pipeline->passes()) {
+      std::string slots;
+      for (const PassConfig& p : s.config.passes) {
+        if (p.name != pass.parts().name) continue;
+        slots = p.sampler.entry->name + ", " + p.position.entry->name + " (" +
+                std::to_string(pass.parts().position->traits().out_dims) + ")";
+        if (pass.parts().direction) slots += ", direction " + p.direction.entry->name;
+        slots += ", " + p.field.entry->name;
+      }
+      add(fmt::format(
+          "pass      {}: {}{}", pass.parts().name, slots,
+          pass.parts().head ? fmt::format(", {} classes", pass.parts().head->classes()) : ", no semantics"));
+    }
+    add(fmt::format("learned   {} parameters; {} steps of {} rays, tiles of {}, {} lanes, {} threads",
+                    s.pipeline->store().learned_count(), s.config.train.steps, s.config.train.rays,
+                    s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
+    const MemoryPlan memory = plan_memory(s);
+    add(fmt::format(
+        "memory    {:.0f} MB: scene {:.0f}, parameters with gradients and moments {:.0f}, activations {:.0f}",
+        static_cast<double>(memory.total()) * mb, static_cast<double>(memory.scene) * mb,
+        static_cast<double>(memory.parameters) * mb, static_cast<double>(memory.activations) * mb));
+  }
+  for (const LeftOut& row : s.plan.left_out) {
+    add(fmt::format("left out  {} [{}]: {} (saves {})", row.component, static_cast<char>(row.proof), row.reason,
+                    row.saving));
+  }
+  for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");
+  return out;
+}
+
+}  // namespace semfield

@@ -1,0 +1,53 @@
+// What train, eval and render share: configuration, loaded scene, plan and pipeline.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "model/leave_out.h"
+#include "train/assembly.h"
+#include "train/evaluator.h"
+#include "train/ray_source.h"
+#include "train/run_config.h"
+
+namespace semfield {
+
+struct Session {
+  RunConfig config;
+  LoadedScene scene;
+  std::vector<char> labelled;  ///< [frames] training frames that keep their labels
+  SceneManifest manifest;
+  BuildPlan plan;
+  SceneExtent extent;
+  RayLimits limits;
+  std::unique_ptr<Pipeline<float>> pipeline;
+
+  int classes() const { return scene.info.classes.valid_count(); }
+  EvalJob eval_job(std::vector<int> frames) const;
+  /// Inverse of plan.class_of_logit, kVoid for absent classes.
+  std::vector<std::int16_t> logit_of_class() const;
+  std::unique_ptr<RaySource> make_ray_source() const;
+};
+
+struct SessionOptions {
+  std::vector<std::string> keep;  ///< components forced back in
+  bool trainable = true;
+  bool build = true;  ///< false: stop after the plan
+};
+
+/// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, assembles.
+/// Problems that do not stop go into `diagnostics`; those that do are thrown together.
+Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics);
+
+/// Bytes that training will hold, by part.
+struct MemoryPlan {
+  std::size_t scene = 0, parameters = 0, activations = 0;
+  std::size_t total() const { return scene + parameters + activations; }
+};
+MemoryPlan plan_memory(const Session& session);
+
+/// `train --dry-run`: scene, network, memory, and every component left out with its reason.
+std::string describe_session(const Session& session);
+
+}  // namespace semfield

@@ -1,0 +1,288 @@
+#include "train/train_run.h"
+
+#include <fmt/format.h>
+#include <sys/resource.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+#include "config/compose.h"
+#include "core/checksum.h"
+#include "core/files.h"
+#include "core/parallel.h"
+#include "train/checkpoint_store.h"
+#include "train/metrics_log.h"
+#include "train/run_folder.h"
+#include "train/run_report.h"
+#include "train/tensorboard.h"
+#include "train/trainer.h"
+
+namespace semfield {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double unix_seconds() {
+  return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+}
+
+double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+
+constexpr const char* kFormat = "semfield-checkpoint-1";
+// A step is well under this; SIGTERM leaves ten seconds at least, so the loop looks at the signal after each step.
+constexpr double kProgressEvery_s = 0.2;
+
+// The run's moving parts while it trains.
+class Run {
+ public:
+  Run(RunConfig config, Registry& registry, const TrainRequest& request, const TrainHooks& hooks)
+      : hooks_(hooks),
+        folder_(request.resume ? RunFolder::resume(request.out_dir) : RunFolder::create(request.out_dir)),
+        checkpoints_(folder_.checkpoints_path(), config.report.keep_checkpoints) {
+    if (!request.resume) write_file_atomic(folder_.config_path(), write_config(resolved_config(config)));
+    Diagnostics diagnostics;
+    SessionOptions options;
+    options.keep = request.keep;
+    session_ = open_session(std::move(config), registry, options, diagnostics);
+    for (const Diagnostic& finding : diagnostics.all()) note(finding.text());
+    if (!request.resume) write_file_atomic(folder_.config_path(), write_config(resolved_config(session_.config)));
+    if (!session_.scene.info.classes.empty())
+      write_file_atomic(folder_.classes_path(), session_.scene.info.classes.to_yaml());
+    write_left_out();
+    rays_ = session_.make_ray_source();
+    trainer_ = std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule);
+    if (request.resume) load_checkpoint();
+    write_environment(registry);
+  }
+
+  TrainOutcome train() {
+    MetricsLog log = trainer_->step() > 0 ? MetricsLog::resume(folder_.metrics_path(), trainer_->step()) : start_log();
+    EventWriter events(folder_.path(), unix_seconds());
+    log_ = &log;
+    events_ = &events;
+    const RunConfig& config = session_.config;
+    last_checkpoint_ = last_progress_ = Clock::now();
+    next_eval_s_ = config.report.eval_every_s > 0
+                       ? (std::floor(train_s_ / config.report.eval_every_s) + 1) * config.report.eval_every_s
+                       : INFINITY;
+    int signal = 0;
+    saved_step_ = trainer_->step();
+    while (trainer_->step() < config.train.steps &&
+           (config.train.time_limit_s <= 0 || train_s_ < config.train.time_limit_s)) {
+      const Clock::time_point start = Clock::now();
+      const StepLosses losses = trainer_->advance();
+      train_s_ += seconds_since(start);
+      record(losses);
+      if (train_s_ >= next_eval_s_) {
+        next_eval_s_ += config.report.eval_every_s;
+        evaluate_now(config.report.eval_frames, false);
+      }
+      if (config.report.checkpoint_every_s > 0 && seconds_since(last_checkpoint_) >= config.report.checkpoint_every_s)
+        save();
+      if (hooks_.stop_signal && (signal = hooks_.stop_signal()) != 0) break;
+    }
+    if (trainer_->step() != saved_step_ || trainer_->step() == 0) save();
+    TrainOutcome outcome;
+    if (signal == 0) outcome.values = evaluate_now(1 << 30, true);
+    outcome.signal = signal;
+    outcome.step = trainer_->step();
+    outcome.train_s = train_s_;
+    outcome.run_dir = folder_.path();
+    outcome.peak_bytes = peak_resident_bytes();
+    if (signal == 0) outcome.report_path = write_run_report(folder_, session_, strips_);
+    return outcome;
+  }
+
+ private:
+  void note(const std::string& text) const {
+    if (hooks_.note) hooks_.note(text);
+  }
+
+  MetricsLog start_log() {
+    // A run that was killed before its first checkpoint starts over: its rows are dropped.
+    return MetricsLog::resume(folder_.metrics_path(), 0);
+  }
+
+  void load_checkpoint() {
+    Diagnostics diagnostics;
+    std::optional<CheckpointStore::Found> found = checkpoints_.find_latest(diagnostics);
+    for (const Diagnostic& finding : diagnostics.all()) note(finding.text());
+    if (!found) {
+      note("no checkpoint yet: starting from step 0");
+      return;
+    }
+    trainer_->load(found->file, found->step);
+    train_s_ = std::stod(found->file.metadata().at("train_s"));
+    note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", found->step, train_s_, found->path));
+  }
+
+  void save() {
+    TensorMetadata metadata;
+    metadata["format"] = kFormat;
+    metadata["step"] = std::to_string(trainer_->step());
+    metadata["train_s"] = fmt::format("{}", train_s_);
+    metadata["seed"] = std::to_string(session_.config.runtime.seed);
+    metadata["config"] = write_config(resolved_config(session_.config));
+    metadata["config_hash"] = hex64(fnv1a64(metadata["config"]));
+    metadata["classes"] = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
+    checkpoints_.save(trainer_->step(), trainer_->state(), metadata);
+    saved_step_ = trainer_->step();
+    last_checkpoint_ = Clock::now();
+  }
+
+  void record(const StepLosses& losses) {
+    const RunConfig& config = session_.config;
+    mse_sum_ += losses.mse;
+    ++mse_steps_;
+    const std::int64_t step = trainer_->step();
+    const double psnr = -10 * std::log10(mse_sum_ / static_cast<double>(mse_steps_));
+    const double span = std::max(train_s_ - window_start_s_, 1e-9);
+    const double rays_per_s = static_cast<double>(mse_steps_ * config.train.rays) / span;
+    if (step % config.report.log_every_steps == 0 || step == config.train.steps) {
+      MetricsRow row;
+      row.step = step;
+      row.train_s = train_s_;
+      row.set("loss", losses.total);
+      row.set("loss_color", losses.color);
+      if (session_.pipeline->has_semantics()) row.set("loss_semantic", losses.semantic);
+      row.set("psnr", psnr);
+      row.set("rays_per_s", rays_per_s);
+      row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(config.train.rays));
+      log_->append(row);
+      for (const auto& [name, value] : row.values) events_->scalar("train/" + name, step, *value, unix_seconds());
+      report_progress(losses, psnr, rays_per_s);
+      mse_sum_ = 0;
+      mse_steps_ = 0;
+      window_start_s_ = train_s_;
+    }
+  }
+
+  void report_progress(const StepLosses& losses, double psnr, double rays_per_s) {
+    if (!hooks_.progress ||
+        (seconds_since(last_progress_) < kProgressEvery_s && trainer_->step() < session_.config.train.steps))
+      return;
+    last_progress_ = Clock::now();
+    const RunConfig& config = session_.config;
+    TrainProgress p;
+    p.step = trainer_->step();
+    p.steps = config.train.steps;
+    p.loss = losses.total;
+    p.psnr = psnr;
+    p.miou = last_miou_;
+    p.rays_per_s = rays_per_s;
+    p.train_s = train_s_;
+    const double per_step = train_s_ / static_cast<double>(std::max<std::int64_t>(p.step, 1));
+    p.remaining_s = per_step * static_cast<double>(p.steps - p.step);
+    if (config.train.time_limit_s > 0) p.remaining_s = std::min(p.remaining_s, config.train.time_limit_s - train_s_);
+    hooks_.progress(p);
+  }
+
+  std::vector<std::pair<std::string, std::optional<double>>> evaluate_now(int most_frames, bool last) {
+    const std::vector<int> test = session_.scene.frames_of(Split::test);
+    if (test.empty()) return {};
+    EvalJob job = session_.eval_job(evenly_spaced(test, most_frames));
+    if (!last && hooks_.stop_signal) job.stop = [this] { return hooks_.stop_signal() != 0; };
+    if (last) {
+      const std::vector<int> shown = evenly_spaced(test, session_.config.report.strips);
+      job.on_frame = [&, shown](int frame, const RenderedFrame& maps) {
+        if (std::find(shown.begin(), shown.end(), frame) != shown.end()) strips_.emplace_back(frame, maps);
+      };
+    }
+    const SplitScore score = evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);
+    if (score.frames.size() < job.frames.size()) return {};  // stopped between frames: no partial figures
+    MetricsRow row;
+    row.kind = "eval";
+    row.step = trainer_->step();
+    row.train_s = train_s_;
+    row.split = "test";
+    row.values = score.values();
+    row.set("frames", static_cast<double>(score.frames.size()));
+    const std::vector<ClassScore> per_class = score.confusion.per_class();
+    for (std::size_t c = 0; c < per_class.size(); ++c) {
+      row.per_class_iou.emplace_back(session_.scene.info.classes.valid(static_cast<int>(c)).name, per_class[c].iou);
+    }
+    log_->append(row);
+    for (const auto& [name, value] : row.values) {
+      if (value) events_->scalar("eval/" + name, row.step, *value, unix_seconds());
+    }
+    last_miou_ = score.confusion.miou_present();
+    return score.values();
+  }
+
+  void write_left_out() {
+    std::vector<LeftOutRow> rows;
+    for (const LeftOut& out : session_.plan.left_out) {
+      rows.push_back(
+          {out.component, out.component, out.reason, std::string(1, static_cast<char>(out.proof)), out.saving, ""});
+    }
+    write_file_atomic(folder_.left_out_path(), left_out_json(rows));
+  }
+
+  void write_environment(const Registry& registry) {
+    Environment environment = this_environment();
+    environment.threads = thread_count();
+    environment.seed = session_.config.runtime.seed;
+    std::string manifest;
+    for (const FrameInfo& frame : session_.scene.info.frames)
+      manifest += frame.name + fmt::format(" {} {}\n", frame.camera.width_px, frame.camera.fx);
+    for (const FrameBuffer& frame : session_.scene.frames)
+      manifest += hex64(crc32c(std::as_bytes(std::span(frame.rgb))));
+    environment.input_hash = hex64(fnv1a64(manifest));
+    for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
+    environment.more.emplace_back("gemm", "own register-blocked kernels");
+    write_file_atomic(folder_.environment_path(), environment_json(environment));
+  }
+
+  TrainHooks hooks_;
+  RunFolder folder_;
+  CheckpointStore checkpoints_;
+  Session session_;
+  std::unique_ptr<RaySource> rays_;
+  std::unique_ptr<Trainer> trainer_;
+  MetricsLog* log_ = nullptr;
+  EventWriter* events_ = nullptr;
+  double train_s_ = 0, next_eval_s_ = 0;
+  double mse_sum_ = 0, window_start_s_ = 0;
+  std::int64_t mse_steps_ = 0, saved_step_ = 0;
+  Clock::time_point last_checkpoint_, last_progress_;
+  std::optional<double> last_miou_;
+  std::vector<std::pair<int, RenderedFrame>> strips_;
+};
+
+}  // namespace
+
+TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, const TrainHooks& hooks) {
+  Run run(std::move(config), registry, request, hooks);
+  return run.train();
+}
+
+OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
+                   Diagnostics& diagnostics) {
+  OpenedRun run;
+  const RunFolder folder = RunFolder::read(run_dir);
+  run.run_dir = folder.path();
+  CheckpointStore store(folder.checkpoints_path());
+  std::optional<CheckpointStore::Found> found = store.find_latest(diagnostics);
+  if (!found) {
+    throw Error(ErrorKind::no_input, run_dir + ": the run has no checkpoint yet",
+                "go on with `semfield train --resume " + run_dir + "`");
+  }
+  RunConfig config = load_run_config(folder.config_path(), overrides, registry);
+  SessionOptions options;
+  options.trainable = false;
+  run.session = open_session(std::move(config), registry, options, diagnostics);
+  load_pipeline(*run.session.pipeline, found->file);
+  run.step = found->step;
+  run.train_s = std::stod(found->file.metadata().at("train_s"));
+  return run;
+}
+
+std::size_t peak_resident_bytes() {
+  rusage usage{};
+  if (getrusage(RUSAGE_SELF, &usage) != 0) return 0;
+  return static_cast<std::size_t>(usage.ru_maxrss) * 1024;
+}
+
+}  // namespace semfield

@@ -1,0 +1,61 @@
+// A whole training run in its folder: steps, rows, evaluations, checkpoints, report; started, stopped, killed and
+// resumed.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "train/run_config.h"
+#include "train/session.h"
+
+namespace semfield {
+
+struct TrainProgress {
+  std::int64_t step = 0, steps = 0;
+  double loss = 0;
+  double psnr = 0;             ///< of the training rays since the last progress
+  std::optional<double> miou;  ///< of the last evaluation
+  double rays_per_s = 0;
+  double train_s = 0;      ///< seconds of training, evaluation not counted
+  double remaining_s = 0;  ///< estimate
+};
+
+struct TrainHooks {
+  std::function<void(const TrainProgress&)> progress;
+  std::function<void(const std::string&)> note;
+  std::function<int()> stop_signal;  ///< 0, or the number of the signal that asks for an orderly end
+};
+
+struct TrainRequest {
+  std::string out_dir;
+  bool resume = false;            ///< go on in out_dir from its newest checkpoint that verifies
+  std::vector<std::string> keep;  ///< components forced back in
+};
+
+struct TrainOutcome {
+  int signal = 0;  ///< the signal that ended the run early, after its checkpoint
+  std::int64_t step = 0;
+  double train_s = 0;
+  std::string run_dir, report_path;
+  std::vector<std::pair<std::string, std::optional<double>>> values;  ///< test split, final evaluation
+  std::size_t peak_bytes = 0;                                         ///< of the process
+};
+
+TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, const TrainHooks& hooks);
+
+/// Opens a finished or interrupted run for evaluation and rendering: run.yaml, scene, newest checkpoint.
+struct OpenedRun {
+  Session session;
+  std::int64_t step = 0;
+  double train_s = 0;
+  std::string run_dir;
+};
+OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
+                   Diagnostics& diagnostics);
+
+/// Peak resident memory of this process in bytes; 0 where the system does not tell.
+std::size_t peak_resident_bytes();
+
+}  // namespace semfield
