@@ -1,0 +1,198 @@
+// Loading: sizes, bounds, near and far, histograms, every problem in one pass, any number of threads.
+#include "scene/frame_source.h"
+
+#include <gtest/gtest.h>
+
+#include "core/parallel.h"
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_room;
+
+// Six frames of the box room; frame 5 is a test frame.
+struct RoomDataset {
+  bool depth = true, labels = true;
+  int broken = -1;
+  double offset = 0;
+  int sparse_depth = 1;  // every n-th pixel has depth
+  double far_hint = 0;
+
+  SceneInfo open(Diagnostics&) const {
+    SceneInfo info;
+    info.name = "room";
+    info.far_hint_m = far_hint;
+    info.classes = ClassTable({{1, "a", {}, false}, {2, "b", {}, false}, {3, "c", {}, false}, {4, "d", {}, false}, {5, "e", {}, false}, {6, "f", {}, false}});
+    for (int i = 0; i < 6; ++i) {
+      FrameInfo f;
+      f.name = std::to_string(i);
+      f.camera = room_camera();
+      f.world_from_camera = room_pose(i);
+      f.world_from_camera.t.x += offset;
+      f.split = i == 5 ? Split::test : Split::train;
+      f.has_depth = depth;
+      f.has_labels = labels;
+      info.frames.push_back(f);
+    }
+    return info;
+  }
+  void read(int i, FrameBuffer& out) const {
+    if (i == broken) throw Error(ErrorKind::data, "the file is broken", "mend it");
+    out = render_room(room_camera(), room_pose(i));
+    out.instance.clear();
+    if (!depth) out.depth_m.clear();
+    if (!labels) out.label.clear();
+    for (std::size_t k = 0; k < out.depth_m.size(); ++k) {
+      if (k % static_cast<std::size_t>(sparse_depth) != 0) out.depth_m[k] = 0;
+    }
+  }
+};
+
+TEST(LoadScene, BoundsComeFromDepthOfTrainingFrames) {
+  RoomDataset room;
+  Diagnostics d;
+  const LoadedScene s = load_scene(room, {}, d);
+  EXPECT_TRUE(d.all().empty());
+  EXPECT_EQ(s.bounds_from, "depth of 5 training frames");
+  // Cameras turn from +z to the right: they see the far z wall and the +x wall, floor and ceiling.
+  EXPECT_NEAR(s.bounds.hi.x, 2.0, 0.15);
+  EXPECT_NEAR(s.bounds.hi.z, 2.5, 0.15);
+  EXPECT_NEAR(s.bounds.lo.y, -1.5, 0.15);
+  EXPECT_NEAR(s.bounds.hi.y, 1.5, 0.15);
+  EXPECT_GT(s.far_m, 2.0);
+  EXPECT_LT(s.far_m, 6.5);
+  EXPECT_GT(s.near_m, 0.0);
+  EXPECT_LT(s.near_m, 1.0);
+  EXPECT_NEAR(s.pixel_footprint_m, 2.3 / 20, 0.05);
+  EXPECT_EQ(s.frames_of(Split::test), (std::vector<int>{5}));
+}
+
+TEST(LoadScene, CameraConesStandInForMissingDepth) {
+  RoomDataset room;
+  room.depth = false;
+  room.far_hint = 3;
+  Diagnostics d;
+  const LoadedScene s = load_scene(room, {}, d);
+  EXPECT_EQ(s.bounds_from, "the view cones of 5 training cameras up to far");
+  EXPECT_EQ(s.far_m, 3.0);
+  EXPECT_GT(s.bounds.hi.z, 3.0);  // the first camera looks along +z from z = 0.2
+  EXPECT_LT(s.bounds.hi.z, 3.7);
+  room.far_hint = 0;
+  const LoadedScene t = load_scene(room, {}, d);
+  EXPECT_EQ(t.near_far_from, "twice the extent of the cameras");
+  ASSERT_EQ(d.all().size(), 1u);
+  EXPECT_EQ(d.all()[0].remedy, "set far_m if parts of the scene are missing");
+}
+
+TEST(LoadScene, ThinDepthIsJoinedByTheCones) {
+  RoomDataset room;
+  room.sparse_depth = 3;
+  Diagnostics d;
+  EXPECT_NE(load_scene(room, {}, d).bounds_from.find("and the view cones"), std::string::npos);
+}
+
+TEST(LoadScene, OptionsWin) {
+  RoomDataset room;
+  SceneLoadOptions o;
+  o.near_m = 0.25;
+  o.far_m = 4;
+  o.bounds = {-1, -2, -3, 1, 2, 3};
+  Diagnostics d;
+  const LoadedScene s = load_scene(room, o, d);
+  EXPECT_EQ(s.near_m, 0.25);
+  EXPECT_EQ(s.far_m, 4.0);
+  EXPECT_EQ(s.bounds.hi, (Vec3d{1, 2, 3}));
+  EXPECT_EQ(s.bounds_from, "the configuration");
+}
+
+TEST(LoadScene, ResizesColourByAreaAndTheRestByNearest) {
+  RoomDataset room;
+  SceneLoadOptions o;
+  o.width_px = 20;
+  Diagnostics d;
+  const LoadedScene s = load_scene(room, o, d);
+  ASSERT_EQ(s.frames[0].width_px, 20);
+  ASSERT_EQ(s.frames[0].height_px, 15);
+  EXPECT_EQ(s.info.frames[0].camera.fx, 10.0);
+  FrameBuffer whole;
+  room.read(0, whole);
+  for (int y = 0; y < 15; ++y) {
+    for (int x = 0; x < 20; ++x) {
+      const auto to = static_cast<std::size_t>(y * 20 + x), from = static_cast<std::size_t>((2 * y + 1) * 40 + 2 * x + 1);
+      EXPECT_EQ(s.frames[0].label[to], whole.label[from]);
+      EXPECT_EQ(s.frames[0].depth_m[to], whole.depth_m[from]);
+      const int sum = whole.rgb[from * 3] + whole.rgb[(from - 1) * 3] + whole.rgb[(from - 40) * 3] + whole.rgb[(from - 41) * 3];
+      EXPECT_EQ(s.frames[0].rgb[to * 3], (sum + 2) / 4);
+    }
+  }
+  o.width_px = 80;
+  Diagnostics grow;
+  (void)load_scene(room, o, grow);
+  EXPECT_EQ(grow.error_count(), 6);
+  EXPECT_EQ(grow.all()[0].text(), "frame '0': frame is 40 x 30 pixels, smaller than the size asked for; ask for at most the stored size");
+}
+
+TEST(LoadScene, HistogramCountsEveryPixel) {
+  RoomDataset room;
+  Diagnostics d;
+  const LoadedScene s = load_scene(room, {}, d);
+  FrameBuffer f;
+  room.read(2, f);
+  std::vector<std::int64_t> want(7);
+  for (const std::int16_t c : f.label) ++want[static_cast<std::size_t>(c)];
+  EXPECT_EQ(s.class_pixels[2], want);
+  room.labels = false;
+  EXPECT_TRUE(load_scene(room, {}, d).class_pixels[2].empty());
+}
+
+TEST(LoadScene, BrokenFramesAreListedAndTheRestIsRead) {
+  RoomDataset room;
+  room.broken = 3;
+  Diagnostics d;
+  const LoadedScene s = load_scene(room, {}, d);
+  ASSERT_EQ(d.error_count(), 1);
+  EXPECT_EQ(d.all()[0].text(), "frame '3': the file is broken; mend it");
+  EXPECT_TRUE(s.frames[3].rgb.empty());
+  EXPECT_FALSE(s.frames[4].rgb.empty());
+}
+
+TEST(LoadScene, FarOriginIsWarnedAbout) {
+  RoomDataset room;
+  room.offset = 1e6;
+  Diagnostics d;
+  (void)load_scene(room, {}, d);
+  ASSERT_EQ(d.all().size(), 1u);
+  EXPECT_EQ(d.all()[0].remedy, "move the origin of the poses near the scene");
+}
+
+TEST(LoadScene, SameForAnyNumberOfThreads) {
+  RoomDataset room;
+  Diagnostics d;
+  set_thread_count(1);
+  const LoadedScene a = load_scene(room, {}, d);
+  set_thread_count(3);
+  const LoadedScene b = load_scene(room, {}, d);
+  set_thread_count(0);
+  EXPECT_EQ(a.bounds.lo, b.bounds.lo);
+  EXPECT_EQ(a.bounds.hi, b.bounds.hi);
+  EXPECT_EQ(a.far_m, b.far_m);
+  EXPECT_EQ(a.pixel_footprint_m, b.pixel_footprint_m);
+  for (std::size_t i = 0; i < 6; ++i) EXPECT_EQ(a.frames[i].rgb, b.frames[i].rgb);
+}
+
+TEST(LoadScene, ContradictingOptionsAreRefused) {
+  Diagnostics d;
+  SceneLoadOptions o;
+  o.downscale = 2;
+  o.width_px = 10;
+  o.near_m = 3;
+  o.far_m = 2;
+  o.bounds = {0, 0, 0, 1, 0, 1};
+  validate(o, d);
+  ASSERT_EQ(d.error_count(), 3);
+  EXPECT_EQ(d.all()[0].text(), "scene.downscale: downscale and width_px or height_px exclude each other; keep one of them");
+}
+
+}  // namespace
+}  // namespace semfield
