@@ -1,0 +1,35 @@
+// Packed scenes as a dataset.
+#include "datasets/packed/packed.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_room;
+
+TEST(Packed, PosesAreCheckedAndPathsStartAtTheConfig) {
+  const std::string folder = fresh_folder("p");
+  SceneInfo info;
+  info.name = "room";
+  FrameInfo f;
+  f.name = "a";
+  f.camera = room_camera();
+  info.frames = {f, f};
+  info.frames[1].name = "b";
+  info.frames[1].world_from_camera.r[0][0] = 2;
+  write_packed_scene(folder + "/s", info, [&](int, FrameBuffer& out) { out = render_room(room_camera(), Pose{}); out.label.clear(); });
+  Packed packed(PackedParams{"s"}, DatasetBuild{folder});
+  Diagnostics d;
+  EXPECT_EQ(packed.open(d).frames.size(), 2u);
+  ASSERT_EQ(d.error_count(), 1);
+  EXPECT_EQ(d.all()[0].where, "frame 'b'");
+  FrameBuffer out;
+  packed.read(0, out);
+  EXPECT_EQ(out.rgb, render_room(room_camera(), Pose{}).rgb);
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,73 @@
+// transforms.json flavours: nerfstudio with a lens of its own a frame, Blender's splits, label and depth paths.
+#include "datasets/transforms_json/transforms_json.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_room;
+
+constexpr const char* kEye = "\"transform_matrix\": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]";
+
+void write_image(const std::string& path) { write_png_rgb(path, 4, 2, std::vector<std::uint8_t>(24, 9)); }
+
+TEST(TransformsJson, BlenderSplitsAndAngle) {
+  const std::string folder = fresh_folder("b");
+  std::filesystem::create_directories(folder + "/train");
+  std::filesystem::create_directories(folder + "/test");
+  write_image(folder + "/train/r_0.png");
+  write_image(folder + "/test/r_0.png");
+  const std::string head = "{\"camera_angle_x\": 1.5707963267948966, \"frames\": [{\"file_path\": \"./";
+  write_file_atomic(folder + "/transforms_train.json", head + "train/r_0\", " + kEye + "}]}");
+  write_file_atomic(folder + "/transforms_test.json", head + "test/r_0\", " + kEye + "}]}");
+  TransformsJsonParams p;
+  p.root = folder;
+  TransformsJson scene(p, {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(info.frames.size(), 2u);
+  EXPECT_EQ(info.frames[0].split, Split::train);
+  EXPECT_EQ(info.frames[1].split, Split::test);
+  EXPECT_EQ(info.frames[1].name, "test_r_0");
+  EXPECT_NEAR(info.frames[0].camera.fx, 2.0, 1e-12);
+  EXPECT_NEAR(info.frames[0].camera.fy, 2.0, 1e-12);
+  EXPECT_EQ(info.frames[0].camera.cy, 1.0);
+  EXPECT_EQ(info.frames[0].world_from_camera.axis(2), (Vec3d{0, 0, -1}));
+  EXPECT_EQ(info.frames[0].world_from_camera.t, (Vec3d{1, 2, 3}));
+}
+
+TEST(TransformsJson, OwnLensDepthAndLabels) {
+  const std::string folder = fresh_folder("n");
+  write_image(folder + "/a.png");
+  write_image(folder + "/b.png");
+  write_png_gray16(folder + "/d.png", 4, 2, std::vector<std::uint16_t>{0, 1, 65535, 4000, 1, 1, 1, 1});
+  write_png_gray8(folder + "/l.png", 4, 2, std::vector<std::uint8_t>{0, 7, 7, 7, 0, 0, 0, 7});
+  write_file_atomic(folder + "/transforms.json",
+                    std::string("{\"fl_x\": 3, \"fl_y\": 4, \"cx\": 1.5, \"k1\": 0.1, \"depth_unit_m\": 0.0005, \"classes\": [{\"id\": 0, \"name\": \"void\", \"ignore\": "
+                                "true}, {\"id\": 7, \"name\": \"cup\"}], \"frames\": [{\"file_path\": \"a.png\", ") + kEye +
+                        "}, {\"file_path\": \"b.png\", \"fl_x\": 5, \"depth_path\": \"d.png\", \"label_path\": \"l.png\", " + kEye + "}]}");
+  TransformsJsonParams p;
+  p.root = folder;
+  p.test_every = 0;
+  TransformsJson scene(p, {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(info.frames.size(), 2u);
+  EXPECT_EQ(info.frames[0].camera.fx, 3.0);
+  EXPECT_EQ(info.frames[1].camera.fx, 5.0);
+  EXPECT_EQ(info.frames[1].camera.fy, 4.0);
+  EXPECT_EQ(info.frames[1].camera.k1, 0.1);
+  EXPECT_FALSE(info.frames[0].has_depth);
+  FrameBuffer out;
+  scene.read(1, out);
+  EXPECT_EQ(out.depth_m, (std::vector<float>{0, 0.0005f, 0, 2, 0.0005f, 0.0005f, 0.0005f, 0.0005f}));
+  EXPECT_EQ(out.label, (std::vector<std::int16_t>{kVoid, 0, 0, 0, kVoid, kVoid, kVoid, 0}));
+}
+
+}  // namespace
+}  // namespace semfield
