@@ -13,8 +13,9 @@
 #else
 #define SEMFIELD_ABI_DEBUG ""
 #endif
-// g++ and clang++ both follow the Itanium C++ ABI but number it differently (1017 and 1002); from 1002 on class layouts, virtual tables
-// and names of what crosses this border agree, so a plugin of one works in a framework of the other.
+// g++ and clang++ both follow the Itanium C++ ABI but number it differently (1017 and 1002); from 1002 on class
+// layouts, virtual tables and names of what crosses this border agree, so a plugin of one works in a framework of the
+// other.
 #if defined(__GXX_ABI_VERSION) && __GXX_ABI_VERSION >= 1002
 #define SEMFIELD_ABI_CXX "itanium"
 #else

@@ -9,8 +9,8 @@ namespace semfield {
 class Dataset {
  public:
   virtual ~Dataset() = default;
-  /// Reads everything but pixels. Every problem found goes into `diagnostics` (frame, file, cause, remedy); throws Error only when
-  /// nothing can be listed (folder missing, unreadable index).
+  /// Reads everything but pixels. Every problem found goes into `diagnostics` (frame, file, cause, remedy); throws
+  /// Error only when nothing can be listed (folder missing, unreadable index).
   virtual SceneInfo open(Diagnostics& diagnostics) = 0;
   /// Pixels of one frame, at the size that SceneInfo states. Thread-safe. Throws Error(data) naming the file.
   virtual void read(int frame, FrameBuffer& out) const = 0;

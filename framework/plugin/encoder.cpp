@@ -6,7 +6,8 @@
 namespace semfield {
 
 template <class Real>
-void Encoder<Real>::forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const {
+void Encoder<Real>::forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
+                            View<Real> y) const {
   constexpr const char* kCall = "encoder.forward";
   const EncoderTraits shape = traits();
   view_checks::require(kCall, "x", x, x.rows, shape.in_dims, x.device);

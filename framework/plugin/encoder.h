@@ -6,9 +6,9 @@
 namespace semfield {
 
 enum class Domain : std::uint8_t {
-  metric,      ///< any real coordinates: world position times scene_scale, about [-1, 1]
-  unit_cube,   ///< [0, 1]^D; the implementation clamps
-  direction,   ///< unit vectors
+  metric,     ///< any real coordinates: world position times scene_scale, about [-1, 1]
+  unit_cube,  ///< [0, 1]^D; the implementation clamps
+  direction,  ///< unit vectors
 };
 
 struct EncoderTraits {
@@ -17,8 +17,8 @@ struct EncoderTraits {
   Domain domain = Domain::metric;
 };
 
-/// Shapes: M samples. Coordinates are float64 whatever Real is, because fp32 positions carry only about 19 useful bands of
-/// a 10 m room; the output and all gradients are Real (float in use, double as the oracle).
+/// Shapes: M samples. Coordinates are float64 whatever Real is, because fp32 positions carry only about 19 useful bands
+/// of a 10 m room; the output and all gradients are Real (float in use, double as the oracle).
 template <class Real>
 class Encoder : public Parametric<Real> {
  public:
@@ -27,9 +27,10 @@ class Encoder : public Parametric<Real> {
   /// y = encode(x). x [M, in_dims] float64, y [M, out_dims], overwritten. Runs inside one thread of a tile.
   void forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const;
 
-  /// tensors.grad += dL/dtheta and, when dx is not empty, dx = dL/dx. x as in forward, dy [M, out_dims], dx [M, in_dims].
-  /// Called once a lane with all its samples, outside parallel regions: it may use parallel_for, and must give the same bits
-  /// for any thread count. Recomputes what it needs from x (encoders are memory-bound; nothing is saved by forward).
+  /// tensors.grad += dL/dtheta and, when dx is not empty, dx = dL/dx. x as in forward, dy [M, out_dims], dx [M,
+  /// in_dims]. Called once a lane with all its samples, outside parallel regions: it may use parallel_for, and must
+  /// give the same bits for any thread count. Recomputes what it needs from x (encoders are memory-bound; nothing is
+  /// saved by forward).
   void backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
                 View<Real> dx) const;
 

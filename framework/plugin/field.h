@@ -6,16 +6,16 @@
 namespace semfield {
 
 struct FieldTraits {
-  std::int32_t feature_dims = 0;   ///< width of the feature the semantic head reads
+  std::int32_t feature_dims = 0;  ///< width of the feature the semantic head reads
   bool uses_direction = false;
 };
 
 /// M samples of R rays. direction is encoded once a ray.
 template <class Real>
 struct FieldIn {
-  View<const Real> position;                ///< [M, Dp]
-  View<const Real> direction;               ///< [R, Dd]; empty when the view branch is left out
-  View<const std::int32_t> ray_of_sample;   ///< [M, 1], 0..R-1, ascending
+  View<const Real> position;               ///< [M, Dp]
+  View<const Real> direction;              ///< [R, Dd]; empty when the view branch is left out
+  View<const std::int32_t> ray_of_sample;  ///< [M, 1], 0..R-1, ascending
 };
 
 /// Empty view = not wanted (not computed). Overwritten.
@@ -42,21 +42,23 @@ class Field : public Parametric<Real> {
   /// saved may be empty when no backward will follow.
   void forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out,
                Saved saved) const;
-  /// tensors.grad += dL/dtheta; d_position = dL/d(position) [M, Dp] when not empty. `out` is what forward gave. Runs inside one thread of a tile; tensors.grad belongs to the lane.
-  void backward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out,
-                const FieldGrad<Real>& grad, Saved saved, View<Real> d_position) const;
+  /// tensors.grad += dL/dtheta; d_position = dL/d(position) [M, Dp] when not empty. `out` is what forward gave. Runs
+  /// inside one thread of a tile; tensors.grad belongs to the lane.
+  void backward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
+                const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved, View<Real> d_position) const;
 
  protected:
-  virtual void do_forward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>&, const FieldOut<Real>&, Saved) const = 0;
+  virtual void do_forward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>&, const FieldOut<Real>&,
+                          Saved) const = 0;
   virtual void do_backward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>&, const FieldOut<Real>&,
                            const FieldGrad<Real>&, Saved, View<Real> d_position) const = 0;
 };
 
 /// The exact savings (same function, same gradients), each with its off-switch for the parity test.
 struct ExactSavings {
-  bool fold_feature_layer = true;     ///< multiply feature and view layer once a step (no activation stands between)
-  bool direction_once_per_ray = true; ///< the view layer's direction part and bias once a ray
-  bool deferred_class_layer = true;   ///< composite the hidden semantic feature, apply the class layer once a ray
+  bool fold_feature_layer = true;      ///< multiply feature and view layer once a step (no activation stands between)
+  bool direction_once_per_ray = true;  ///< the view layer's direction part and bias once a ray
+  bool deferred_class_layer = true;    ///< composite the hidden semantic feature, apply the class layer once a ray
 };
 
 struct FieldBuild {

@@ -21,7 +21,8 @@ std::string KernelTables::devices_of(std::string_view owner) const {
 void KernelTables::add_erased(std::type_index type, Device device, std::string_view owner, const void* table) {
   const auto [place, is_new] = tables_.try_emplace({type, device}, table);
   if (!is_new && place->second != table) {
-    throw Error(ErrorKind::unavailable, std::string(owner) + " has two " + std::string(device_name(device)) + " kernel tables",
+    throw Error(ErrorKind::unavailable,
+                std::string(owner) + " has two " + std::string(device_name(device)) + " kernel tables",
                 "load only one module that brings these kernels");
   }
   std::vector<Device>& devices = owners_[std::string(owner)];

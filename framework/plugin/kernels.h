@@ -14,7 +14,8 @@ namespace semfield {
 
 std::string_view device_name(Device device);
 
-/// Tables are keyed by their own type (e.g. HashGridKernels<float>) and device; a plugin's `*_cpu.cpp` adds the CPU one, its
+/// Tables are keyed by their own type (e.g. HashGridKernels<float>) and device; a plugin's `*_cpu.cpp` adds the CPU
+/// one, its
 /// `*_cuda.cu`, when built, the CUDA one.
 class KernelTables {
  public:

@@ -16,13 +16,15 @@ void check_compatible(const PluginModule& module) {
   // The API number stands first in the descriptor and is read first: with another one the rest may have another layout.
   if (module.api != kPluginApi) {
     throw Error(ErrorKind::unavailable,
-                "the module speaks plugin API " + std::to_string(module.api) + ", this framework speaks " + std::to_string(kPluginApi),
+                "the module speaks plugin API " + std::to_string(module.api) + ", this framework speaks " +
+                    std::to_string(kPluginApi),
                 "rebuild the plugin against the installed headers");
   }
   const std::string theirs = module.abi_tag == nullptr ? "" : module.abi_tag;
   const std::string ours = abi_tag_of_framework();
   if (theirs != ours) {
-    throw Error(ErrorKind::unavailable, "the module was built with ABI '" + theirs + "', this framework with '" + ours + "'",
+    throw Error(ErrorKind::unavailable,
+                "the module was built with ABI '" + theirs + "', this framework with '" + ours + "'",
                 "build both with the same standard library and its options");
   }
   if (module.name == nullptr || module.version == nullptr || module.register_into == nullptr) {
@@ -63,7 +65,8 @@ void load_module(Registry& registry, const std::string& path) {
   const std::string doing = "cannot load plugin '" + path + "'";
   std::error_code ignored;
   if (!std::filesystem::is_regular_file(path, ignored)) {
-    throw Error(ErrorKind::unavailable, doing + ": there is no such file", "check the path; it is relative to the working directory");
+    throw Error(ErrorKind::unavailable, doing + ": there is no such file",
+                "check the path; it is relative to the working directory");
   }
   // A name without a slash would be searched in the library path, which is not what was asked for.
   const std::string absolute = std::filesystem::absolute(path).string();

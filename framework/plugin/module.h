@@ -23,14 +23,15 @@ struct PluginModule {
 
 #include "plugin/abi_tag.h"
 
-/// Last line of a plugin. Linked build (inside namespace semfield): a function semfield_module_<name>() that the generated table
-/// calls. Loadable build (SEMFIELD_LOADABLE_MODULE defined): the one exported symbol semfield_plugin_module.
+/// Last line of a plugin. Linked build (inside namespace semfield): a function semfield_module_<name>() that the
+/// generated table calls. Loadable build (SEMFIELD_LOADABLE_MODULE defined): the one exported symbol
+/// semfield_plugin_module.
 #ifdef SEMFIELD_LOADABLE_MODULE
-#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                                   \
-  extern "C" {                                                                                                   \
-  __attribute__((visibility("default"))) extern const ::semfield::PluginModule semfield_plugin_module;           \
+#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                                     \
+  extern "C" {                                                                                                     \
+  __attribute__((visibility("default"))) extern const ::semfield::PluginModule semfield_plugin_module;             \
   const ::semfield::PluginModule semfield_plugin_module = {::semfield::kPluginApi, SEMFIELD_ABI_TAG, #module_name, \
-                                                           module_version, register_function};                   \
+                                                           module_version, register_function};                     \
   }
 #else
 #define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                           \

@@ -20,7 +20,7 @@ enum class TensorRole : std::uint8_t {
 /// How a learned tensor starts. Values are addressed by (seed, tensor's full name, element): they do not depend on
 /// which other tensors exist.
 struct Init {
-  double low = 0;   ///< uniform in [low, high); constant when equal
+  double low = 0;  ///< uniform in [low, high); constant when equal
   double high = 0;
   static Init constant(double value) { return {value, value}; }
   static Init uniform(double bound) { return {-bound, bound}; }
@@ -41,7 +41,8 @@ class ParamDeclarer {
   virtual int tensor(TensorSpec spec) = 0;
 };
 
-/// A component's tensors in the order it declared them. `grad` is empty outside training; gradients of state tensors are empty views.
+/// A component's tensors in the order it declared them. `grad` is empty outside training; gradients of state tensors
+/// are empty views.
 template <class Real>
 struct Tensors {
   std::span<const View<Real>> value;
@@ -57,7 +58,8 @@ class Parametric {
   virtual void declare(ParamDeclarer&) const {}
   /// Fills derived tensors from learned ones; called once a step before any forward, and after a checkpoint is loaded.
   virtual void derive(const StepContext&, const Tensors<Real>&) const {}
-  /// Adds to the learned tensors' gradients what the derived tensors' gradients imply; called once a step, after every backward.
+  /// Adds to the learned tensors' gradients what the derived tensors' gradients imply; called once a step, after every
+  /// backward.
   virtual void derive_backward(const StepContext&, const Tensors<Real>&) const {}
 };
 

@@ -9,8 +9,8 @@ namespace semfield {
 
 /// One plugin a line, grouped by kind: name, sentence, module.
 std::string plugins_list_text(const Registry& registry);
-/// Every plugin of that name (kinds may share one), with its parameters: type, default, range, sentence. Throws Error(config) for an
-/// unknown name, with the nearest known.
+/// Every plugin of that name (kinds may share one), with its parameters: type, default, range, sentence. Throws
+/// Error(config) for an unknown name, with the nearest known.
 std::string plugin_details_text(const Registry& registry, const std::string& name);
 /// Plugins by device: which kernels this build has. Datasets run on the host and have none.
 std::string support_matrix_text(const Registry& registry);
@@ -22,7 +22,8 @@ std::string plugins_markdown(const Registry& registry);
 
 inline constexpr const char* kTableBegin = "<!-- parameters -->";
 inline constexpr const char* kTableEnd = "<!-- /parameters -->";
-/// `page` with the lines between kTableBegin and kTableEnd replaced by the entry's table; unchanged when it lacks the pair of markers.
+/// `page` with the lines between kTableBegin and kTableEnd replaced by the entry's table; unchanged when it lacks the
+/// pair of markers.
 std::string with_parameter_table(const std::string& page, const PluginEntry& entry);
 
 }  // namespace semfield

@@ -42,7 +42,8 @@ void call_validate(const Params& params, Diagnostics& diagnostics) {
 }
 }  // namespace plugin_detail
 
-/// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its namespace.
+/// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its
+/// namespace.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
@@ -54,16 +55,20 @@ class ParamsOf final : public PluginParams {
 struct PluginEntry {
   PluginKind kind = PluginKind::encoder;
   std::string name;
-  std::string summary;   ///< one sentence
-  std::string module;    ///< module that registered it, with version: "hash_grid 1.0"
+  std::string summary;  ///< one sentence
+  std::string module;   ///< module that registered it, with version: "hash_grid 1.0"
   std::function<std::unique_ptr<PluginParams>()> new_params;
   // Exactly the maker of the entry's kind is set. Real = float is what runs, double is the oracle.
-  std::function<std::unique_ptr<Encoder<float>>(const PluginParams&, const EncoderBuild&, const KernelTables&)> encoder32;
-  std::function<std::unique_ptr<Encoder<double>>(const PluginParams&, const EncoderBuild&, const KernelTables&)> encoder64;
+  std::function<std::unique_ptr<Encoder<float>>(const PluginParams&, const EncoderBuild&, const KernelTables&)>
+      encoder32;
+  std::function<std::unique_ptr<Encoder<double>>(const PluginParams&, const EncoderBuild&, const KernelTables&)>
+      encoder64;
   std::function<std::unique_ptr<Field<float>>(const PluginParams&, const FieldBuild&, const KernelTables&)> field32;
   std::function<std::unique_ptr<Field<double>>(const PluginParams&, const FieldBuild&, const KernelTables&)> field64;
-  std::function<std::unique_ptr<Sampler<float>>(const PluginParams&, const SamplerBuild&, const KernelTables&)> sampler32;
-  std::function<std::unique_ptr<Sampler<double>>(const PluginParams&, const SamplerBuild&, const KernelTables&)> sampler64;
+  std::function<std::unique_ptr<Sampler<float>>(const PluginParams&, const SamplerBuild&, const KernelTables&)>
+      sampler32;
+  std::function<std::unique_ptr<Sampler<double>>(const PluginParams&, const SamplerBuild&, const KernelTables&)>
+      sampler64;
   std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
 };
 
@@ -72,8 +77,8 @@ class Registry {
   /// Throws Error(unavailable) for a name taken in its kind, naming both modules.
   void add(PluginEntry entry);
 
-  /// add_encoder<HashGrid, HashGridParams>("hash_grid", "sentence"): HashGrid<Real>(const HashGridParams&, const EncoderBuild&,
-  /// const KernelTables&).
+  /// add_encoder<HashGrid, HashGridParams>("hash_grid", "sentence"): HashGrid<Real>(const HashGridParams&, const
+  /// EncoderBuild&, const KernelTables&).
   template <template <class> class Impl, class Params>
   void add_encoder(std::string name, std::string summary) {
     PluginEntry e = entry<Params>(PluginKind::encoder, std::move(name), std::move(summary));

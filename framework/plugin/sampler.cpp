@@ -51,7 +51,8 @@ void Sampler<Real>::sample(const StepContext& ctx, const Tensors<Real>& tensors,
   view_checks::require_room(kCall, "ray_of_sample", out.ray_of_sample, room, 1, device);
   do_sample(ctx, tensors, rays, previous, out);
   if (out.count < 0 || out.count > room) {
-    view_checks::fail(kCall, "wrote " + std::to_string(out.count) + " samples, more than its capacity of " + std::to_string(room));
+    view_checks::fail(
+        kCall, "wrote " + std::to_string(out.count) + " samples, more than its capacity of " + std::to_string(room));
   }
 }
 

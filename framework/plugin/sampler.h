@@ -19,11 +19,11 @@ struct Rays {
 /// Ragged samples in CSR form: ray r owns samples first[r] .. first[r+1]-1, t ascending.
 template <class Real>
 struct Samples {
-  View<Real> t;                        ///< [capacity, 1] metres along the ray
-  View<Real> delta;                    ///< [capacity, 1] metres, length of the sample's interval
-  View<std::int32_t> ray_of_sample;    ///< [capacity, 1]
-  View<std::int32_t> first;            ///< [R+1, 1]
-  std::int64_t count = 0;              ///< samples written
+  View<Real> t;                      ///< [capacity, 1] metres along the ray
+  View<Real> delta;                  ///< [capacity, 1] metres, length of the sample's interval
+  View<std::int32_t> ray_of_sample;  ///< [capacity, 1]
+  View<std::int32_t> first;          ///< [R+1, 1]
+  std::int64_t count = 0;            ///< samples written
 };
 
 /// What a later pass may learn from an earlier one.
@@ -52,8 +52,8 @@ class Sampler : public Parametric<Real> {
 
   /// Fills out (views of at least capacity rows). Random values are addressed by (ctx.first_ray + ray, sample). Without
   /// ctx.training there is no jitter.
-  void sample(const StepContext& ctx, const Tensors<Real>& tensors, const Rays<Real>& rays, const Proposal<Real>* previous,
-              Samples<Real>& out) const;
+  void sample(const StepContext& ctx, const Tensors<Real>& tensors, const Rays<Real>& rays,
+              const Proposal<Real>* previous, Samples<Real>& out) const;
 
   /// After an optimiser step: refresh state tensors. Outside parallel regions.
   virtual void observe(const StepContext&, const Tensors<Real>&, const DensityQuery<Real>&) const {}
@@ -61,7 +61,8 @@ class Sampler : public Parametric<Real> {
   virtual std::string status(const Tensors<Real>&) const { return {}; }
 
  protected:
-  virtual void do_sample(const StepContext&, const Tensors<Real>&, const Rays<Real>&, const Proposal<Real>*, Samples<Real>&) const = 0;
+  virtual void do_sample(const StepContext&, const Tensors<Real>&, const Rays<Real>&, const Proposal<Real>*,
+                         Samples<Real>&) const = 0;
 };
 
 struct SamplerBuild {

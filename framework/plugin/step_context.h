@@ -12,10 +12,10 @@ namespace semfield {
 struct StepContext {
   std::uint64_t seed = 0;
   std::int64_t step = 0;
-  bool training = false;          ///< false: no jitter, no noise; results depend on the inputs alone
-  std::int64_t first_ray = 0;     ///< number of the call's ray 0 within the step's batch (or within the frame)
-  std::uint32_t pass = 0;         ///< 0 = first (coarse) pass
-  Workspace* workspace = nullptr; ///< scratch of this lane; take inside a Workspace::Scope
+  bool training = false;           ///< false: no jitter, no noise; results depend on the inputs alone
+  std::int64_t first_ray = 0;      ///< number of the call's ray 0 within the step's batch (or within the frame)
+  std::uint32_t pass = 0;          ///< 0 = first (coarse) pass
+  Workspace* workspace = nullptr;  ///< scratch of this lane; take inside a Workspace::Scope
 
   /// Address of random values of component `name` at this step and pass.
   RandomAddress random(std::string_view name) const {

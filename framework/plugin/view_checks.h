@@ -23,7 +23,8 @@ void require_layout(const char* call, const char* name, const View<T>& v, Device
 
 /// Exactly [rows, cols], not empty (unless rows is 0), on `device`.
 template <class T>
-void require(const char* call, const char* name, const View<T>& v, std::int64_t rows, std::int32_t cols, Device device) {
+void require(const char* call, const char* name, const View<T>& v, std::int64_t rows, std::int32_t cols,
+             Device device) {
   if (v.rows != rows || v.cols != cols) fail_shape(call, name, v.rows, v.cols, rows, cols);
   require_layout(call, name, v, device);
 }

@@ -105,8 +105,10 @@ class AnalyticScene final : public Dataset {
     out.height_px = camera.height_px;
     for (std::int32_t row = 0; row < camera.height_px; ++row) {
       for (std::int32_t col = 0; col < camera.width_px; ++col) {
-        const Vec3d in_camera = normalized(Vec3d{(col + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy, 1.0});
-        const AnalyticHit hit = intersect_analytic_room(info.world_from_camera.t, info.world_from_camera.rotate(in_camera));
+        const Vec3d in_camera =
+            normalized(Vec3d{(col + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy, 1.0});
+        const AnalyticHit hit =
+            intersect_analytic_room(info.world_from_camera.t, info.world_from_camera.rotate(in_camera));
         for (int c = 0; c < 3; ++c) out.rgb.push_back(to_byte(hit.color[c]));
         if (options_.with_depth) out.depth_m.push_back(static_cast<float>(hit.t_m * in_camera.z));
         if (options_.with_labels) out.label.push_back(static_cast<std::int16_t>(hit.label));
@@ -169,6 +171,8 @@ AnalyticHit intersect_analytic_room(Vec3d origin, Vec3d unit_direction) {
   return hit;
 }
 
-std::unique_ptr<Dataset> make_analytic_scene(const AnalyticSceneOptions& options) { return std::make_unique<AnalyticScene>(options); }
+std::unique_ptr<Dataset> make_analytic_scene(const AnalyticSceneOptions& options) {
+  return std::make_unique<AnalyticScene>(options);
+}
 
 }  // namespace semfield::testkit

@@ -26,7 +26,8 @@ struct AnalyticHit {
 /// First surface along a ray that starts inside the room (4 m x 3 m x 2 m around the origin, z up).
 AnalyticHit intersect_analytic_room(Vec3d origin, Vec3d unit_direction);
 
-/// Frames 48 x 36 by default with colour, z-depth in metres and labels; ids 1..5 are the classes above and id 0 is void. read() renders.
+/// Frames 48 x 36 by default with colour, z-depth in metres and labels; ids 1..5 are the classes above and id 0 is
+/// void. read() renders.
 std::unique_ptr<Dataset> make_analytic_scene(const AnalyticSceneOptions& options = {});
 
 }  // namespace semfield::testkit

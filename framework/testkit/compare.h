@@ -8,11 +8,11 @@
 namespace semfield::testkit {
 
 struct Difference {
-  double max_abs = 0;       ///< largest |got - want|; infinity when exactly one of the two is not finite
-  double max_want = 0;      ///< largest |want|
-  std::int64_t row = 0;     ///< where max_abs is
+  double max_abs = 0;    ///< largest |got - want|; infinity when exactly one of the two is not finite
+  double max_want = 0;   ///< largest |want|
+  std::int64_t row = 0;  ///< where max_abs is
   std::int32_t col = 0;
-  double got = 0, want = 0; ///< the values there
+  double got = 0, want = 0;  ///< the values there
 };
 
 /// Element by element; the views have the same shape.

@@ -10,7 +10,9 @@ namespace semfield::testkit {
 
 namespace {
 
-std::string frame_text(const SceneInfo& scene, int frame) { return "frame '" + scene.frames[static_cast<std::size_t>(frame)].name + "'"; }
+std::string frame_text(const SceneInfo& scene, int frame) {
+  return "frame '" + scene.frames[static_cast<std::size_t>(frame)].name + "'";
+}
 
 // R^T R = I within 1e-6 and det R = 1: a reflection would mirror the scene.
 void check_pose(const std::string& where, const Pose& pose, Failures& failures) {
@@ -22,13 +24,15 @@ void check_pose(const std::string& where, const Pose& pose, Failures& failures) 
     }
     if (!std::isfinite(pose.t[i])) return note_failure(failures, where, "the camera centre is not finite");
   }
-  if (dot(cross(pose.axis(0), pose.axis(1)), pose.axis(2)) < 0) note_failure(failures, where, "the camera axes are left-handed");
+  if (dot(cross(pose.axis(0), pose.axis(1)), pose.axis(2)) < 0)
+    note_failure(failures, where, "the camera axes are left-handed");
 }
 
 void check_manifest(const SceneInfo& scene, const DatasetExpectation& expected, Failures& failures) {
   if (scene.frames.empty()) failures.push_back("manifest: no frames");
   if (expected.frames >= 0 && static_cast<int>(scene.frames.size()) != expected.frames) {
-    failures.push_back("manifest: " + std::to_string(scene.frames.size()) + " frames, expected " + std::to_string(expected.frames));
+    failures.push_back("manifest: " + std::to_string(scene.frames.size()) + " frames, expected " +
+                       std::to_string(expected.frames));
   }
   std::set<std::string> names;
   bool depth = false;
@@ -36,7 +40,8 @@ void check_manifest(const SceneInfo& scene, const DatasetExpectation& expected, 
   for (std::size_t i = 0; i < scene.frames.size(); ++i) {
     const FrameInfo& frame = scene.frames[i];
     const std::string where = frame_text(scene, static_cast<int>(i));
-    if (frame.name.empty() || !names.insert(frame.name).second) note_failure(failures, where, "the name is empty or not unique");
+    if (frame.name.empty() || !names.insert(frame.name).second)
+      note_failure(failures, where, "the name is empty or not unique");
     const Camera& camera = frame.camera;
     if (camera.width_px <= 0 || camera.height_px <= 0 || !(camera.fx > 0) || !(camera.fy > 0)) {
       note_failure(failures, where, "the camera's size or focal length is not positive");
@@ -47,13 +52,17 @@ void check_manifest(const SceneInfo& scene, const DatasetExpectation& expected, 
   }
   if (expected.depth && !depth) failures.push_back("manifest: no frame has depth");
   if (expected.labels && !labels) failures.push_back("manifest: no frame has labels");
-  if (labels && scene.classes.valid_count() == 0) failures.push_back("manifest: frames have labels but there are no classes");
+  if (labels && scene.classes.valid_count() == 0)
+    failures.push_back("manifest: frames have labels but there are no classes");
 }
 
-void check_channel(const std::string& where, const char* channel, std::size_t size, bool stated, std::size_t pixels, Failures& failures) {
+void check_channel(const std::string& where, const char* channel, std::size_t size, bool stated, std::size_t pixels,
+                   Failures& failures) {
   const std::size_t want = stated ? pixels : 0;
   if (size == want) return;
-  note_failure(failures, where, std::string(channel) + " has " + std::to_string(size) + " values, the manifest implies " + std::to_string(want));
+  note_failure(
+      failures, where,
+      std::string(channel) + " has " + std::to_string(size) + " values, the manifest implies " + std::to_string(want));
 }
 
 void check_pixels(const SceneInfo& scene, int index, const FrameBuffer& pixels, Failures& failures) {
@@ -82,8 +91,8 @@ void check_pixels(const SceneInfo& scene, int index, const FrameBuffer& pixels, 
 }
 
 bool same_pixels(const FrameBuffer& a, const FrameBuffer& b) {
-  return a.width_px == b.width_px && a.height_px == b.height_px && a.rgb == b.rgb && a.depth_m == b.depth_m && a.label == b.label &&
-         a.instance == b.instance;
+  return a.width_px == b.width_px && a.height_px == b.height_px && a.rgb == b.rgb && a.depth_m == b.depth_m &&
+         a.label == b.label && a.instance == b.instance;
 }
 
 struct Agreement {
@@ -92,7 +101,8 @@ struct Agreement {
 };
 
 // Points of frame `from` projected into frame `to`: z there against the depth stored there.
-Agreement reproject(const FrameInfo& from, const FrameBuffer& a, const FrameInfo& to, const FrameBuffer& b, double tolerance) {
+Agreement reproject(const FrameInfo& from, const FrameBuffer& a, const FrameInfo& to, const FrameBuffer& b,
+                    double tolerance) {
   Agreement result;
   constexpr int kStep = 2;
   for (int row = 0; row < a.height_px; row += kStep) {
@@ -108,7 +118,8 @@ Agreement reproject(const FrameInfo& from, const FrameBuffer& a, const FrameInfo
       const double col_there = std::floor(u);
       const double row_there = std::floor(v);
       if (!(col_there >= 0 && col_there < b.width_px && row_there >= 0 && row_there < b.height_px)) continue;
-      const double stored = b.depth_m[static_cast<std::size_t>(row_there) * static_cast<std::size_t>(b.width_px) + static_cast<std::size_t>(col_there)];
+      const double stored = b.depth_m[static_cast<std::size_t>(row_there) * static_cast<std::size_t>(b.width_px) +
+                                      static_cast<std::size_t>(col_there)];
       if (!(stored > 0)) continue;
       ++result.seen;
       if (std::abs(stored - there.z) <= tolerance * there.z) ++result.agree;
@@ -117,12 +128,14 @@ Agreement reproject(const FrameInfo& from, const FrameBuffer& a, const FrameInfo
   return result;
 }
 
-void check_depth(const SceneInfo& scene, const std::vector<FrameBuffer>& pixels, const DatasetExpectation& expected, Failures& failures) {
+void check_depth(const SceneInfo& scene, const std::vector<FrameBuffer>& pixels, const DatasetExpectation& expected,
+                 Failures& failures) {
   constexpr std::int64_t kEnough = 50;
   std::int64_t pairs = 0;
   for (std::size_t i = 0; i + 1 < scene.frames.size(); ++i) {
     if (pixels[i].depth_m.empty() || pixels[i + 1].depth_m.empty()) continue;
-    const Agreement found = reproject(scene.frames[i], pixels[i], scene.frames[i + 1], pixels[i + 1], expected.depth_tolerance);
+    const Agreement found =
+        reproject(scene.frames[i], pixels[i], scene.frames[i + 1], pixels[i + 1], expected.depth_tolerance);
     if (found.seen < kEnough) continue;  // the two views hardly overlap
     ++pairs;
     if (2 * found.agree < found.seen) {  // occlusion explains some, never most
@@ -131,7 +144,8 @@ void check_depth(const SceneInfo& scene, const std::vector<FrameBuffer>& pixels,
                        " reprojected depths agree with the next frame; check the pose convention and the depth unit");
     }
   }
-  if (expected.depth && pairs == 0) failures.push_back("depth: no two neighbouring frames overlap, nothing was compared");
+  if (expected.depth && pairs == 0)
+    failures.push_back("depth: no two neighbouring frames overlap, nothing was compared");
 }
 
 }  // namespace
@@ -159,13 +173,14 @@ Failures dataset_laws(Dataset& dataset, const DatasetExpectation& expected) {
                [&](std::int64_t i) { dataset.read(static_cast<int>(i), parallel[static_cast<std::size_t>(i)]); });
   set_thread_count(kept);
   for (std::size_t i = 0; i < serial.size(); ++i) {
-    if (!same_pixels(serial[i], parallel[i])) note_failure(failures, frame_text(scene, static_cast<int>(i)), "parallel reading gives other pixels");
+    if (!same_pixels(serial[i], parallel[i]))
+      note_failure(failures, frame_text(scene, static_cast<int>(i)), "parallel reading gives other pixels");
   }
   return failures;
 }
 
-Failures dataset_laws(const Registry& registry, const std::string& name, const Settings& settings, const DatasetBuild& build,
-                      const DatasetExpectation& expected) {
+Failures dataset_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                      const DatasetBuild& build, const DatasetExpectation& expected) {
   const PluginEntry& entry = registry.get(PluginKind::dataset, name);
   const std::unique_ptr<PluginParams> params = make_params(entry, settings);
   const std::unique_ptr<Dataset> dataset = entry.dataset(*params, build);

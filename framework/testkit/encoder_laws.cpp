@@ -116,7 +116,8 @@ void check_rows_independent(const Encoder<Real>& encoder, const LawOptions& opti
   permuted.backward();
   for (std::int64_t r = 0; r < kFewRows; ++r) {
     const std::int64_t from = (r * 7 + 5) % kFewRows;
-    note_failure(failures, "permuted rows, y", compare_bits<Real>(permuted.y.view().row_range(r, 1), whole.y.view().row_range(from, 1)));
+    note_failure(failures, "permuted rows, y",
+                 compare_bits<Real>(permuted.y.view().row_range(r, 1), whole.y.view().row_range(from, 1)));
     note_failure(failures, "permuted rows, dx",
                  compare_bits<Real>(permuted.dx.view().row_range(r, 1), whole.dx.view().row_range(from, 1)));
   }
@@ -124,7 +125,8 @@ void check_rows_independent(const Encoder<Real>& encoder, const LawOptions& opti
   for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 13}, {13, kFewRows - 13}}) {
     const auto part = [begin = begin, count = count](auto view) { return view.row_range(begin, count); };
     encoder.forward(split.ctx, split.box.tensors(), part(split.x.view()), part(split.y.view()));
-    encoder.backward(split.ctx, split.box.tensors(), part(split.x.view()), part(split.dy.view()), part(split.dx.view()));
+    encoder.backward(split.ctx, split.box.tensors(), part(split.x.view()), part(split.dy.view()),
+                     part(split.dx.view()));
   }
   note_failure(failures, "split batch, y", compare_bits<Real>(split.y.view(), whole.y.view()));
   note_failure(failures, "split batch, dx", compare_bits<Real>(split.dx.view(), whole.dx.view()));
@@ -167,8 +169,10 @@ void check_accumulation(const Encoder<double>& encoder, const LawOptions& option
     const std::string& name = clean.box.specs()[i].name;
     View<double> grad = prefilled.box.grad(i);
     for (std::int64_t e = 0; e < grad.size(); ++e) grad.data[e] -= 3.0;
-    note_failure(failures, "gradients accumulate, " + name, compare<double, double>(grad, clean.box.grad(i), 1e-12, 3.0));
-    note_failure(failures, "gradients without dx, " + name, compare_bits<double>(without_dx.box.grad(i), clean.box.grad(i)));
+    note_failure(failures, "gradients accumulate, " + name,
+                 compare<double, double>(grad, clean.box.grad(i), 1e-12, 3.0));
+    note_failure(failures, "gradients without dx, " + name,
+                 compare_bits<double>(without_dx.box.grad(i), clean.box.grad(i)));
   }
 }
 
@@ -200,7 +204,8 @@ void check_precision(const Encoder<float>& encoder32, const Encoder<double>& enc
   twin.backward();
   const double tolerance = options.float_tolerance;
   note_failure(failures, "float against double, y", compare<float, double>(single.y.view(), twin.y.view(), tolerance));
-  note_failure(failures, "float against double, dx", compare<float, double>(single.dx.view(), twin.dx.view(), tolerance));
+  note_failure(failures, "float against double, dx",
+               compare<float, double>(single.dx.view(), twin.dx.view(), tolerance));
   for (std::size_t i = 0; i < twin.box.count(); ++i) {
     if (!twin.box.learned(i)) continue;
     note_failure(failures, "float against double, gradient of " + twin.box.specs()[i].name,
@@ -246,8 +251,8 @@ Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& en
   return failures;
 }
 
-Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings, const EncoderBuild& build,
-                      const LawOptions& options) {
+Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                      const EncoderBuild& build, const LawOptions& options) {
   const PluginEntry& entry = registry.get(PluginKind::encoder, name);
   const std::unique_ptr<PluginParams> params = make_params(entry, settings);
   const auto encoder32 = entry.encoder32(*params, build, registry.kernels());

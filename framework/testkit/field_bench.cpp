@@ -25,7 +25,8 @@ template <class Real>
 double weighted_sum(View<const Real> weight, View<const Real> value) {
   double sum = 0;
   for (std::int64_t r = 0; r < value.rows; ++r) {
-    for (std::int32_t c = 0; c < value.cols; ++c) sum += static_cast<double>(weight(r, c)) * static_cast<double>(value(r, c));
+    for (std::int32_t c = 0; c < value.cols; ++c)
+      sum += static_cast<double>(weight(r, c)) * static_cast<double>(value(r, c));
   }
   return sum;
 }
@@ -33,8 +34,8 @@ double weighted_sum(View<const Real> weight, View<const Real> value) {
 }  // namespace
 
 template <class Real>
-FieldBench<Real>::FieldBench(const Field<Real>& field_in, const FieldBuild& build, std::int64_t samples, std::int32_t padding,
-                             const LawOptions& options)
+FieldBench<Real>::FieldBench(const Field<Real>& field_in, const FieldBuild& build, std::int64_t samples,
+                             std::int32_t padding, const LawOptions& options)
     : field(field_in),
       shape(field_in.traits()),
       box(field_in, options.seed),

@@ -19,7 +19,8 @@ struct Setup {
 };
 
 template <class Real>
-void check_sizes(const Field<Real>& field, const Setup& setup, std::int64_t samples, std::int32_t padding, Failures& failures) {
+void check_sizes(const Field<Real>& field, const Setup& setup, std::int64_t samples, std::int32_t padding,
+                 Failures& failures) {
   const std::string law = std::to_string(samples) + " samples" + (padding > 0 ? ", stride above cols" : "");
   FieldBench<Real> bench(field, setup.build, samples, padding, setup.options);
   bench.forward();
@@ -30,7 +31,8 @@ void check_sizes(const Field<Real>& field, const Setup& setup, std::int64_t samp
     for (std::int32_t c = 0; c < 3; ++c) {
       const Real value = bench.rgb(m, c);
       if (!(value >= 0 && value <= 1)) {
-        note_failure(failures, law, "colour " + std::to_string(value) + " of sample " + std::to_string(m) + " is outside [0, 1]");
+        note_failure(failures, law,
+                     "colour " + std::to_string(value) + " of sample " + std::to_string(m) + " is outside [0, 1]");
       }
     }
   }
@@ -42,7 +44,8 @@ void check_sizes(const Field<Real>& field, const Setup& setup, std::int64_t samp
   }
 }
 
-// sigma and feature have the same bits whatever the direction; a field that says it uses the direction lets it change colour.
+// sigma and feature have the same bits whatever the direction; a field that says it uses the direction lets it change
+// colour.
 template <class Real>
 void check_direction(const Field<Real>& field, const Setup& setup, Failures& failures) {
   if (setup.build.direction_dims == 0) return;
@@ -50,14 +53,18 @@ void check_direction(const Field<Real>& field, const Setup& setup, Failures& fai
   plain.forward();
   FieldBench<Real> turned(field, setup.build, kFew, 0, setup.options);
   for (std::int64_t r = 0; r < turned.direction.rows(); ++r) {
-    for (std::int32_t c = 0; c < turned.direction.cols(); ++c) turned.direction(r, c) = Real(0.5) - turned.direction(r, c);
+    for (std::int32_t c = 0; c < turned.direction.cols(); ++c)
+      turned.direction(r, c) = Real(0.5) - turned.direction(r, c);
   }
   turned.forward();
-  note_failure(failures, "sigma does not see the direction", compare_bits<Real>(turned.sigma.view(), plain.sigma.view()));
-  note_failure(failures, "feature does not see the direction", compare_bits<Real>(turned.feature.view(), plain.feature.view()));
+  note_failure(failures, "sigma does not see the direction",
+               compare_bits<Real>(turned.sigma.view(), plain.sigma.view()));
+  note_failure(failures, "feature does not see the direction",
+               compare_bits<Real>(turned.feature.view(), plain.feature.view()));
   const bool changed = !compare_bits<Real>(turned.rgb.view(), plain.rgb.view()).empty();
   if (changed != plain.shape.uses_direction) {
-    failures.push_back(std::string("traits: uses_direction is ") + (changed ? "false but the colour changes" : "true but the colour does not change") +
+    failures.push_back(std::string("traits: uses_direction is ") +
+                       (changed ? "false but the colour changes" : "true but the colour does not change") +
                        " with the direction");
   }
 }
@@ -67,13 +74,17 @@ template <class Real>
 void check_wanted(const Field<Real>& field, const Setup& setup, Failures& failures) {
   FieldBench<Real> whole(field, setup.build, kFew, 0, setup.options);
   whole.forward();
-  for (const Wanted wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{true, false, true}, Wanted{true, true, false}}) {
+  for (const Wanted wanted :
+       {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{true, false, true}, Wanted{true, true, false}}) {
     FieldBench<Real> part(field, setup.build, kFew, 0, setup.options);
     field.forward(part.ctx, part.box.values_only(), part.in(), part.out(wanted), {});
-    if (wanted.sigma) note_failure(failures, "sigma with others unwanted", compare_bits<Real>(part.sigma.view(), whole.sigma.view()));
-    if (wanted.rgb) note_failure(failures, "colour with others unwanted", compare_bits<Real>(part.rgb.view(), whole.rgb.view()));
+    if (wanted.sigma)
+      note_failure(failures, "sigma with others unwanted", compare_bits<Real>(part.sigma.view(), whole.sigma.view()));
+    if (wanted.rgb)
+      note_failure(failures, "colour with others unwanted", compare_bits<Real>(part.rgb.view(), whole.rgb.view()));
     if (wanted.feature) {
-      note_failure(failures, "feature with others unwanted", compare_bits<Real>(part.feature.view(), whole.feature.view()));
+      note_failure(failures, "feature with others unwanted",
+                   compare_bits<Real>(part.feature.view(), whole.feature.view()));
     }
   }
 }
@@ -86,7 +97,9 @@ void check_split(const Field<Real>& field, const Setup& setup, Failures& failure
   whole.backward();
   FieldBench<Real> split(field, setup.build, kFew, 0, setup.options);
   for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 15}, {15, kFew - 15}}) {
-    const auto part = [begin = begin, count = count](auto view) { return view.empty() ? view : view.row_range(begin, count); };
+    const auto part = [begin = begin, count = count](auto view) {
+      return view.empty() ? view : view.row_range(begin, count);
+    };
     const FieldIn<Real> in = split.in();
     const FieldOut<Real> out = split.out();
     const FieldGrad<Real> weights = split.output_weights();
@@ -94,12 +107,14 @@ void check_split(const Field<Real>& field, const Setup& setup, Failures& failure
     const FieldOut<Real> part_out{part(out.sigma), part(out.rgb), part(out.feature)};
     const FieldGrad<Real> part_weights{part(weights.sigma), part(weights.rgb), part(weights.feature)};
     field.forward(split.ctx, split.box.tensors(), part_in, part_out, split.saved());
-    field.backward(split.ctx, split.box.tensors(), part_in, part_out, part_weights, split.saved(), part(split.d_position.view()));
+    field.backward(split.ctx, split.box.tensors(), part_in, part_out, part_weights, split.saved(),
+                   part(split.d_position.view()));
   }
   note_failure(failures, "split batch, sigma", compare_bits<Real>(split.sigma.view(), whole.sigma.view()));
   note_failure(failures, "split batch, colour", compare_bits<Real>(split.rgb.view(), whole.rgb.view()));
   note_failure(failures, "split batch, feature", compare_bits<Real>(split.feature.view(), whole.feature.view()));
-  note_failure(failures, "split batch, d_position", compare_bits<Real>(split.d_position.view(), whole.d_position.view()));
+  note_failure(failures, "split batch, d_position",
+               compare_bits<Real>(split.d_position.view(), whole.d_position.view()));
 }
 
 void check_gradients(const Field<double>& field, const Setup& setup, Failures& failures) {
@@ -111,7 +126,8 @@ void check_gradients(const Field<double>& field, const Setup& setup, Failures& f
   check.tolerance = setup.options.gradient_tolerance;
   check.seed = setup.options.seed;
   check.max_elements = setup.options.gradient_elements;
-  note_failure(failures, "gradient of position", check_gradient(loss, bench.position.view(), bench.d_position.view(), check));
+  note_failure(failures, "gradient of position",
+               check_gradient(loss, bench.position.view(), bench.d_position.view(), check));
   for (std::size_t i = 0; i < bench.box.count(); ++i) {
     if (!bench.box.learned(i)) continue;
     note_failure(failures, "gradient of " + bench.box.specs()[i].name,
@@ -132,7 +148,8 @@ void check_accumulation(const Field<double>& field, const Setup& setup, Failures
   prefilled.d_position.fill(7.0);
   prefilled.forward();
   prefilled.backward();
-  note_failure(failures, "d_position is overwritten", compare_bits<double>(prefilled.d_position.view(), clean.d_position.view()));
+  note_failure(failures, "d_position is overwritten",
+               compare_bits<double>(prefilled.d_position.view(), clean.d_position.view()));
   for (std::size_t i = 0; i < clean.box.count(); ++i) {
     if (!clean.box.learned(i)) continue;
     View<double> grad = prefilled.box.grad(i);
@@ -165,7 +182,8 @@ void check_absent_gradients(const Field<double>& field, const Setup& setup, Fail
   }
 }
 
-void check_precision(const Field<float>& field32, const Field<double>& field64, const Setup& setup, Failures& failures) {
+void check_precision(const Field<float>& field32, const Field<double>& field64, const Setup& setup,
+                     Failures& failures) {
   FieldBench<float> single(field32, setup.build, kFew, 0, setup.options);
   FieldBench<double> twin(field64, setup.build, kFew, 0, setup.options);
   single.forward();
@@ -173,8 +191,10 @@ void check_precision(const Field<float>& field32, const Field<double>& field64, 
   single.backward();
   twin.backward();
   const double tolerance = setup.options.float_tolerance;
-  note_failure(failures, "float against double, sigma", compare<float, double>(single.sigma.view(), twin.sigma.view(), tolerance));
-  note_failure(failures, "float against double, colour", compare<float, double>(single.rgb.view(), twin.rgb.view(), tolerance));
+  note_failure(failures, "float against double, sigma",
+               compare<float, double>(single.sigma.view(), twin.sigma.view(), tolerance));
+  note_failure(failures, "float against double, colour",
+               compare<float, double>(single.rgb.view(), twin.rgb.view(), tolerance));
   note_failure(failures, "float against double, feature",
                compare<float, double>(single.feature.view(), twin.feature.view(), tolerance));
   note_failure(failures, "float against double, d_position",
@@ -202,14 +222,16 @@ void check_steady_state(const Field<float>& field, const Setup& setup, Failures&
 
 }  // namespace
 
-Failures field_laws(const Field<float>& field32, const Field<double>& field64, const FieldBuild& build, const LawOptions& options) {
+Failures field_laws(const Field<float>& field32, const Field<double>& field64, const FieldBuild& build,
+                    const LawOptions& options) {
   Failures failures;
   const FieldTraits shape = field32.traits();
   const FieldTraits twin = field64.traits();
   if (shape.feature_dims != twin.feature_dims || shape.uses_direction != twin.uses_direction) {
     return {"traits: the float and the double field differ"};
   }
-  if (shape.uses_direction && build.direction_dims == 0) return {"traits: uses a direction that the build does not give"};
+  if (shape.uses_direction && build.direction_dims == 0)
+    return {"traits: uses a direction that the build does not give"};
   const Setup setup{build, options};
   for (const std::int64_t samples : kSampleCounts) check_sizes(field32, setup, samples, 0, failures);
   check_sizes(field32, setup, options.many_rows, 0, failures);
@@ -228,8 +250,8 @@ Failures field_laws(const Field<float>& field32, const Field<double>& field64, c
   return failures;
 }
 
-Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings, const FieldBuild& build,
-                    const LawOptions& options) {
+Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                    const FieldBuild& build, const LawOptions& options) {
   const PluginEntry& entry = registry.get(PluginKind::field, name);
   const std::unique_ptr<PluginParams> params = make_params(entry, settings);
   const auto field32 = entry.field32(*params, build, registry.kernels());

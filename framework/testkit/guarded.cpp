@@ -31,7 +31,10 @@ bool is_poison(const T& value) {
 
 template <class T>
 Guarded<T>::Guarded(std::int64_t rows, std::int32_t cols, std::int32_t padding)
-    : rows_(rows), cols_(cols), padding_(padding), data_(static_cast<std::size_t>(2 * kGuard + rows * (cols + padding)), poison<T>()) {}
+    : rows_(rows),
+      cols_(cols),
+      padding_(padding),
+      data_(static_cast<std::size_t>(2 * kGuard + rows * (cols + padding)), poison<T>()) {}
 
 template <class T>
 void Guarded<T>::fill(T value) {
@@ -54,7 +57,8 @@ std::string Guarded<T>::broken_guard() const {
     const std::int64_t offset = static_cast<std::int64_t>(i) - kGuard;
     if (offset < 0) return "wrote " + std::to_string(-offset) + " elements before the buffer";
     const std::int64_t stride = cols_ + padding_;
-    if (offset >= rows_ * stride) return "wrote " + std::to_string(offset - rows_ * stride) + " elements past the buffer";
+    if (offset >= rows_ * stride)
+      return "wrote " + std::to_string(offset - rows_ * stride) + " elements past the buffer";
     return "wrote into the padding of row " + std::to_string(offset / stride);
   }
   return {};

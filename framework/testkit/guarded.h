@@ -12,8 +12,8 @@
 
 namespace semfield::testkit {
 
-/// [rows, cols] matrix with `padding` columns between rows and guard elements before and after. Every element starts as poison:
-/// NaN for floating types, 0x5A bytes for integers.
+/// [rows, cols] matrix with `padding` columns between rows and guard elements before and after. Every element starts as
+/// poison: NaN for floating types, 0x5A bytes for integers.
 template <class T>
 class Guarded {
  public:

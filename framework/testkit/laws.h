@@ -1,4 +1,5 @@
-// The laws of each plugin kind, as plain functions that return every way they were broken: call them from any test framework.
+// The laws of each plugin kind, as plain functions that return every way they were broken: call them from any test
+// framework.
 #pragma once
 
 #include <cstdint>
@@ -19,42 +20,46 @@ struct LawOptions {
   int gradient_elements = 24;        ///< elements of each tensor that central differences check
 };
 
-/// Names, sentences, defaults in range and a lossless round trip of the parameters of one entry; a value outside its range and an
-/// unknown name are refused, by the config reader too, with the parameter named.
+/// Names, sentences, defaults in range and a lossless round trip of the parameters of one entry; a value outside its
+/// range and an unknown name are refused, by the config reader too, with the parameter named.
 Failures declaration_laws(const PluginEntry& entry);
 
-/// Every element written; guards and padding intact; 0, 1, 31, 33 and many rows; stride above cols; rows independent under permutation and
-/// split (same bits); gradients against central differences; gradients accumulate; any thread count gives the same bits; float
-/// agrees with double; a steady state allocates nothing.
-Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& encoder64, const LawOptions& options = {});
-Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings, const EncoderBuild& build,
+/// Every element written; guards and padding intact; 0, 1, 31, 33 and many rows; stride above cols; rows independent
+/// under permutation and split (same bits); gradients against central differences; gradients accumulate; any thread
+/// count gives the same bits; float agrees with double; a steady state allocates nothing.
+Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& encoder64,
                       const LawOptions& options = {});
+Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                      const EncoderBuild& build, const LawOptions& options = {});
 
-/// The encoder laws as they apply, and: sigma and feature have the same bits whatever the direction; an output that is not wanted changes
-/// no other; an absent gradient counts as zero; colour lies in (0, 1). `build` gives the widths of the inputs.
+/// The encoder laws as they apply, and: sigma and feature have the same bits whatever the direction; an output that is
+/// not wanted changes no other; an absent gradient counts as zero; colour lies in (0, 1). `build` gives the widths of
+/// the inputs.
 Failures field_laws(const Field<float>& field32, const Field<double>& field64, const FieldBuild& build,
                     const LawOptions& options = {});
-Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings, const FieldBuild& build,
-                    const LawOptions& options = {});
+Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                    const FieldBuild& build, const LawOptions& options = {});
 
-/// Sorted; inside [near, far]; delta > 0; counts add up; an empty ray has no samples; zero rays; independent of split and order through
-/// first_ray; same (seed, step) same samples; without training no randomness; float agrees with double.
+/// Sorted; inside [near, far]; delta > 0; counts add up; an empty ray has no samples; zero rays; independent of split
+/// and order through first_ray; same (seed, step) same samples; without training no randomness; float agrees with
+/// double.
 Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sampler64, const SamplerBuild& build,
                       const LawOptions& options = {});
-Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings, const SamplerBuild& build,
-                      const LawOptions& options = {});
+Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                      const SamplerBuild& build, const LawOptions& options = {});
 
 struct DatasetExpectation {
-  int frames = -1;              ///< exact number of frames, -1 = at least one
-  bool depth = false;           ///< at least one frame has depth
-  bool labels = false;          ///< at least one frame has labels
+  int frames = -1;                ///< exact number of frames, -1 = at least one
+  bool depth = false;             ///< at least one frame has depth
+  bool labels = false;            ///< at least one frame has labels
   double depth_tolerance = 0.05;  ///< of the depth: neighbouring frames agree for most pixels that both see
 };
 
-/// open() without errors; unique names; rotations orthonormal and right-handed; intrinsics positive; pixels of the stated size; depth finite and
-/// not negative; labels in [0, classes) or void; reprojected depth agrees between neighbours; parallel read = serial read.
+/// open() without errors; unique names; rotations orthonormal and right-handed; intrinsics positive; pixels of the
+/// stated size; depth finite and not negative; labels in [0, classes) or void; reprojected depth agrees between
+/// neighbours; parallel read = serial read.
 Failures dataset_laws(Dataset& dataset, const DatasetExpectation& expected = {});
-Failures dataset_laws(const Registry& registry, const std::string& name, const Settings& settings, const DatasetBuild& build,
-                      const DatasetExpectation& expected = {});
+Failures dataset_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                      const DatasetBuild& build, const DatasetExpectation& expected = {});
 
 }  // namespace semfield::testkit

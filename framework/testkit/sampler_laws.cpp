@@ -20,10 +20,13 @@ bool is_empty_ray(std::int64_t ray) { return ray % 8 == 5; }
 
 // Rays from inside the bounds in addressed directions; every eighth has near == far.
 struct RayBatch {
-  RayBatch(std::int64_t rays, const SamplerBuild& build, std::uint64_t seed) : origin(rays, 3), direction(rays, 3), near_far(rays, 2) {
+  RayBatch(std::int64_t rays, const SamplerBuild& build, std::uint64_t seed)
+      : origin(rays, 3), direction(rays, 3), near_far(rays, 2) {
     const RandomAddress address{seed, 0, stream_id("testkit/rays")};
     for (std::int64_t r = 0; r < rays; ++r) {
-      const auto random = [&](int i) { return static_cast<double>(uniform01(address, static_cast<std::uint64_t>(8 * r + i))); };
+      const auto random = [&](int i) {
+        return static_cast<double>(uniform01(address, static_cast<std::uint64_t>(8 * r + i)));
+      };
       const Vec3d unit = normalized(Vec3d{random(0) - 0.5, random(1) - 0.5, random(2) - 0.45});
       for (int i = 0; i < 3; ++i) {
         const double share = 0.1 + 0.8 * random(3 + i);
@@ -31,19 +34,22 @@ struct RayBatch {
         direction(r, i) = unit[i];
       }
       near_far(r, 0) = build.near_m;
-      near_far(r, 1) = is_empty_ray(r) ? build.near_m : build.near_m + (build.far_m - build.near_m) * (0.3 + 0.7 * random(6));
+      near_far(r, 1) =
+          is_empty_ray(r) ? build.near_m : build.near_m + (build.far_m - build.near_m) * (0.3 + 0.7 * random(6));
     }
   }
   template <class Real>
   Rays<Real> view(std::int64_t begin, std::int64_t count) const {
-    return {origin.view().row_range(begin, count), direction.view().row_range(begin, count), near_far.view().row_range(begin, count)};
+    return {origin.view().row_range(begin, count), direction.view().row_range(begin, count),
+            near_far.view().row_range(begin, count)};
   }
   Guarded<double> origin, direction, near_far;
 };
 
 template <class Real>
 struct SampleBuffer {
-  SampleBuffer(std::int64_t capacity, std::int64_t rays) : t(capacity, 1, 1), delta(capacity, 1, 1), ray(capacity, 1, 1), first(rays + 1, 1, 1) {
+  SampleBuffer(std::int64_t capacity, std::int64_t rays)
+      : t(capacity, 1, 1), delta(capacity, 1, 1), ray(capacity, 1, 1), first(rays + 1, 1, 1) {
     samples = {t.view(), delta.view(), ray.view(), first.view(), 0};
   }
   Guarded<Real> t, delta;
@@ -82,7 +88,8 @@ struct EarlierPass {
 // One sampler with tensors; run() samples rays [begin, begin + rays) of a batch as they stand in the whole.
 template <class Real>
 struct Bench {
-  Bench(const Sampler<Real>& sampler_in, const LawOptions& options) : sampler(sampler_in), box(sampler_in, options.seed, 0.0), seed(options.seed) {
+  Bench(const Sampler<Real>& sampler_in, const LawOptions& options)
+      : sampler(sampler_in), box(sampler_in, options.seed, 0.0), seed(options.seed) {
     ctx.seed = options.seed;
     ctx.training = true;
     ctx.workspace = &workspace;
@@ -94,7 +101,8 @@ struct Bench {
     const std::int64_t room = sampler.capacity(rays, needs_previous ? kProposalSamples : 0);
     SampleBuffer<Real> out(room, rays);
     ctx.first_ray = begin;
-    sampler.sample(ctx, box.values_only(), batch.view<Real>(begin, rays), needs_previous ? &earlier.proposal : nullptr, out.samples);
+    sampler.sample(ctx, box.values_only(), batch.view<Real>(begin, rays), needs_previous ? &earlier.proposal : nullptr,
+                   out.samples);
     return out;
   }
   const Sampler<Real>& sampler;
@@ -108,10 +116,12 @@ std::string at(const char* what, std::int64_t ray) { return std::string(what) + 
 
 // Sorted, inside [near, far], delta > 0 and together no longer than the ray, numbering consistent.
 template <class Real>
-void check_samples(const std::string& law, const SampleBuffer<Real>& out, const RayBatch& batch, std::int64_t rays, Failures& failures) {
+void check_samples(const std::string& law, const SampleBuffer<Real>& out, const RayBatch& batch, std::int64_t rays,
+                   Failures& failures) {
   const std::int64_t count = out.samples.count;
-  for (const std::string& guard : {out.t.broken_guard(), out.delta.broken_guard(), out.ray.broken_guard(), out.first.broken_guard(),
-                                   out.first.unwritten(), out.t.unwritten(count), out.delta.unwritten(count), out.ray.unwritten(count)}) {
+  for (const std::string& guard :
+       {out.t.broken_guard(), out.delta.broken_guard(), out.ray.broken_guard(), out.first.broken_guard(),
+        out.first.unwritten(), out.t.unwritten(count), out.delta.unwritten(count), out.ray.unwritten(count)}) {
     note_failure(failures, law, guard);
   }
   if (!failures.empty()) return;
@@ -130,34 +140,42 @@ void check_samples(const std::string& law, const SampleBuffer<Real>& out, const 
       const auto t = static_cast<double>(out.t(i, 0));
       if (out.ray(i, 0) != r) return note_failure(failures, law, at("ray_of_sample is another ray", r));
       if (!(out.delta(i, 0) > 0)) return note_failure(failures, law, at("delta is not positive", r));
-      if (t < near_m - slack || t > far_m + slack) return note_failure(failures, law, at("a sample lies outside [near, far]", r));
-      if (i > begin && out.t(i, 0) < out.t(i - 1, 0)) return note_failure(failures, law, at("distances are not ascending", r));
+      if (t < near_m - slack || t > far_m + slack)
+        return note_failure(failures, law, at("a sample lies outside [near, far]", r));
+      if (i > begin && out.t(i, 0) < out.t(i - 1, 0))
+        return note_failure(failures, law, at("distances are not ascending", r));
       covered += static_cast<double>(out.delta(i, 0));
     }
-    if (covered > (far_m - near_m) * (1 + 1e-4) + slack) return note_failure(failures, law, at("intervals are together longer than the ray", r));
+    if (covered > (far_m - near_m) * (1 + 1e-4) + slack)
+      return note_failure(failures, law, at("intervals are together longer than the ray", r));
   }
 }
 
 // Samples of `part` have the bits of the samples of rays [begin, begin + rays) in `whole`.
 template <class Real>
-void check_same(const std::string& law, const SampleBuffer<Real>& part, const SampleBuffer<Real>& whole, std::int64_t begin, std::int64_t rays,
-                Failures& failures) {
+void check_same(const std::string& law, const SampleBuffer<Real>& part, const SampleBuffer<Real>& whole,
+                std::int64_t begin, std::int64_t rays, Failures& failures) {
   const std::int64_t offset = whole.first(begin, 0);
-  if (part.samples.count != whole.first(begin + rays, 0) - offset) return note_failure(failures, law, "another number of samples");
+  if (part.samples.count != whole.first(begin + rays, 0) - offset)
+    return note_failure(failures, law, "another number of samples");
   const std::int64_t count = part.samples.count;
-  note_failure(failures, law + ", t", compare_bits<Real>(part.t.view().row_range(0, count), whole.t.view().row_range(offset, count)));
-  note_failure(failures, law + ", delta", compare_bits<Real>(part.delta.view().row_range(0, count), whole.delta.view().row_range(offset, count)));
+  note_failure(failures, law + ", t",
+               compare_bits<Real>(part.t.view().row_range(0, count), whole.t.view().row_range(offset, count)));
+  note_failure(failures, law + ", delta",
+               compare_bits<Real>(part.delta.view().row_range(0, count), whole.delta.view().row_range(offset, count)));
 }
 
 template <class Real>
-void check_addressing(const Sampler<Real>& sampler, const SamplerBuild& build, const LawOptions& options, Failures& failures) {
+void check_addressing(const Sampler<Real>& sampler, const SamplerBuild& build, const LawOptions& options,
+                      Failures& failures) {
   const RayBatch batch(kFewRays, build, options.seed);
   Bench<Real> bench(sampler, options);
   const SampleBuffer<Real> whole = bench.run(batch, 0, kFewRays);
   check_same("same seed and step again", bench.run(batch, 0, kFewRays), whole, 0, kFewRays, failures);
   check_same("second part of a split", bench.run(batch, 13, kFewRays - 13), whole, 13, kFewRays - 13, failures);
   check_same("first part of a split", bench.run(batch, 0, 13), whole, 0, 13, failures);
-  for (std::int64_t r = kFewRays - 1; r >= 0; r -= 5) check_same("a ray alone", bench.run(batch, r, 1), whole, r, 1, failures);
+  for (std::int64_t r = kFewRays - 1; r >= 0; r -= 5)
+    check_same("a ray alone", bench.run(batch, r, 1), whole, r, 1, failures);
   bench.ctx.training = false;
   const SampleBuffer<Real> still = bench.run(batch, 0, kFewRays);
   check_samples("without training", still, batch, kFewRays, failures);
@@ -166,22 +184,25 @@ void check_addressing(const Sampler<Real>& sampler, const SamplerBuild& build, c
   check_same("without training, another seed and step", bench.run(batch, 0, kFewRays), still, 0, kFewRays, failures);
 }
 
-void check_precision(const Sampler<float>& sampler32, const Sampler<double>& sampler64, const SamplerBuild& build, const LawOptions& options,
-                     Failures& failures) {
+void check_precision(const Sampler<float>& sampler32, const Sampler<double>& sampler64, const SamplerBuild& build,
+                     const LawOptions& options, Failures& failures) {
   const RayBatch batch(kFewRays, build, options.seed);
   Bench<float> single(sampler32, options);
   Bench<double> twin(sampler64, options);
   const SampleBuffer<float> a = single.run(batch, 0, kFewRays);
   const SampleBuffer<double> b = twin.run(batch, 0, kFewRays);
-  if (a.samples.count != b.samples.count) return note_failure(failures, "float against double", "another number of samples");
+  if (a.samples.count != b.samples.count)
+    return note_failure(failures, "float against double", "another number of samples");
   const std::int64_t count = b.samples.count;
-  note_failure(failures, "float against double, t",
-               compare<float, double>(a.t.view().row_range(0, count), b.t.view().row_range(0, count), options.float_tolerance));
+  note_failure(
+      failures, "float against double, t",
+      compare<float, double>(a.t.view().row_range(0, count), b.t.view().row_range(0, count), options.float_tolerance));
 }
 
 }  // namespace
 
-Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sampler64, const SamplerBuild& build, const LawOptions& options) {
+Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sampler64, const SamplerBuild& build,
+                      const LawOptions& options) {
   Failures failures;
   std::int64_t total = 0;
   for (const std::int64_t rays : kRayCounts) {
@@ -200,8 +221,8 @@ Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sa
   return failures;
 }
 
-Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings, const SamplerBuild& build,
-                      const LawOptions& options) {
+Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                      const SamplerBuild& build, const LawOptions& options) {
   const PluginEntry& entry = registry.get(PluginKind::sampler, name);
   const std::unique_ptr<PluginParams> params = make_params(entry, settings);
   const auto sampler32 = entry.sampler32(*params, build, registry.kernels());

@@ -65,9 +65,7 @@ class SettingsReader final : public ParamVisitor {
     }
     refuse(info, "expected one of its choices", *text);
   }
-  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
-    read_list(info, "int", value);
-  }
+  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override { read_list(info, "int", value); }
   void reals(const ParamInfo& info, std::vector<double>& value) override { read_list(info, "real", value); }
   void texts(const ParamInfo& info, std::vector<std::string>& value) override {
     if (const std::string* text = given(info)) value = split(*text);
@@ -95,7 +93,9 @@ class SettingsReader final : public ParamVisitor {
     const bool ok = parse_number(text, parsed);
     const auto as_real = static_cast<double>(parsed);
     if (!ok || !std::isfinite(as_real) || as_real < info.range.min || as_real > info.range.max) {
-      refuse(info, std::string("expected ") + type + " in [" + real_text(info.range.min) + ", " + real_text(info.range.max) + "]",
+      refuse(info,
+             std::string("expected ") + type + " in [" + real_text(info.range.min) + ", " + real_text(info.range.max) +
+                 "]",
              text);
       return false;
     }

@@ -45,7 +45,8 @@ TensorBox<Real>::TensorBox(const Parametric<Real>& component, std::uint64_t seed
   }
   for (std::size_t i = 0; i < specs_.size(); ++i) {
     value_views_.emplace_back(values_[i].data(), specs_[i].rows, specs_[i].cols);
-    grad_views_.push_back(grads_[i].empty() ? View<Real>() : View<Real>(grads_[i].data(), specs_[i].rows, specs_[i].cols));
+    grad_views_.push_back(grads_[i].empty() ? View<Real>()
+                                            : View<Real>(grads_[i].data(), specs_[i].rows, specs_[i].cols));
   }
   tensors_ = {value_views_, grad_views_};
 }

@@ -8,12 +8,13 @@
 
 namespace semfield::testkit {
 
-/// Allocates what `component` declares. Values are drawn in fp32 from (seed, tensor name, element), so that a float box and a
-/// double box of one component hold the same numbers.
+/// Allocates what `component` declares. Values are drawn in fp32 from (seed, tensor name, element), so that a float box
+/// and a double box of one component hold the same numbers.
 template <class Real>
 class TensorBox {
  public:
-  /// Learned tensors start as declared plus uniform noise of +-`noise`, so that zero-initialised layers are exercised too.
+  /// Learned tensors start as declared plus uniform noise of +-`noise`, so that zero-initialised layers are exercised
+  /// too.
   TensorBox(const Parametric<Real>& component, std::uint64_t seed, double noise = 0.1);
   TensorBox(const TensorBox&) = delete;
   TensorBox& operator=(const TensorBox&) = delete;

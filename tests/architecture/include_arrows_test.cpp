@@ -61,24 +61,31 @@ TEST(IncludeRules, KnownViolationsAreForbidden) {
       {"app/main.cpp", "encoders/hash_grid/hash_grid.h"},
       {"app/verbs.h", "CLI/CLI.hpp"},
   };
-  for (const Arrow& arrow : violations) EXPECT_NE(why_forbidden(arrow.path, arrow.target), "") << arrow.path << " -> " << arrow.target;
+  for (const Arrow& arrow : violations)
+    EXPECT_NE(why_forbidden(arrow.path, arrow.target), "") << arrow.path << " -> " << arrow.target;
 }
 
 TEST(IncludeRules, KnownArrowsAreAllowed) {
   const Arrow allowed[] = {
-      {"framework/config/config_tree.cpp", "yaml-cpp/yaml.h"}, {"framework/core/gemm.cpp", "Eigen/Core"},
-      {"framework/model/pipeline.cpp", "plugin/encoder.h"},    {"framework/train/trainer.cpp", "model/pipeline.h"},
-      {"framework/testkit/laws.cpp", "train/trainer.h"},       {"plugins/encoders/hash_grid/hash_grid.cpp", "plugin/encoder.h"},
+      {"framework/config/config_tree.cpp", "yaml-cpp/yaml.h"},
+      {"framework/core/gemm.cpp", "Eigen/Core"},
+      {"framework/model/pipeline.cpp", "plugin/encoder.h"},
+      {"framework/train/trainer.cpp", "model/pipeline.h"},
+      {"framework/testkit/laws.cpp", "train/trainer.h"},
+      {"plugins/encoders/hash_grid/hash_grid.cpp", "plugin/encoder.h"},
       {"plugins/encoders/hash_grid/hash_grid.cpp", "encoders/hash_grid/hash_grid_math.h"},
       {"plugins/datasets/replica/replica.cpp", "scene/frame_files.h"},
       {"plugins/fused/hash_mlp/hash_mlp.cpp", "encoders/hash_grid/hash_grid_math.h"},
-      {"plugins/encoders/hash_grid/hash_grid_test.cpp", "testkit/laws.h"}, {"app/main.cpp", "train/trainer.h"},
+      {"plugins/encoders/hash_grid/hash_grid_test.cpp", "testkit/laws.h"},
+      {"app/main.cpp", "train/trainer.h"},
   };
-  for (const Arrow& arrow : allowed) EXPECT_EQ(why_forbidden(arrow.path, arrow.target), "") << arrow.path << " -> " << arrow.target;
+  for (const Arrow& arrow : allowed)
+    EXPECT_EQ(why_forbidden(arrow.path, arrow.target), "") << arrow.path << " -> " << arrow.target;
 }
 
 TEST(IncludeRules, IncludesAreReadFromText) {
-  const std::vector<Include> found = includes_of("// #include \"no.h\"\n#include <a/b.h>\n  #  include \"c.h\"\nint x;\n#define X \"y\"\n");
+  const std::vector<Include> found =
+      includes_of("// #include \"no.h\"\n#include <a/b.h>\n  #  include \"c.h\"\nint x;\n#define X \"y\"\n");
   ASSERT_EQ(found.size(), 2u);
   EXPECT_EQ(found[0].target, "a/b.h");
   EXPECT_EQ(found[0].line, 2);

@@ -19,10 +19,12 @@ bool ends_with(const std::string& text, const std::string& end) {
   return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
-const Folders kFrameworkFolders{"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "fuse", "mesh", "testkit"};
+const Folders kFrameworkFolders{"core",  "config", "scene", "plugin", "labels", "losses",
+                                "model", "optim",  "train", "fuse",   "mesh",   "testkit"};
 
-// app -> train, fuse, mesh -> model, losses, optim, labels -> plugin -> config, scene -> core. Folders of one floor may use each other where the
-// table says so: scene reads class tables through config's tree; model and labels are told apart from the rest of their floor.
+// app -> train, fuse, mesh -> model, losses, optim, labels -> plugin -> config, scene -> core. Folders of one floor may
+// use each other where the table says so: scene reads class tables through config's tree; model and labels are told
+// apart from the rest of their floor.
 const std::map<std::string, Folders>& floors() {
   static const Folders below_plugin{"core", "config", "scene"};
   static const Folders middle{"core", "config", "scene", "plugin", "labels", "losses", "model", "optim"};
@@ -54,10 +56,12 @@ std::string forbidden_library(const std::string& path, const std::string& target
     if (starts_with(target, library) && path != user) return "only " + user + " may include " + library;
   }
   for (const char* library : {"Eigen/", "nlohmann/", "CLI/", "fmt/", "embree", "dnnl", "oneapi/"}) {
-    if (starts_with(target, library) && ends_with(path, ".h")) return std::string(library) + " may be included by .cpp files only";
+    if (starts_with(target, library) && ends_with(path, ".h"))
+      return std::string(library) + " may be included by .cpp files only";
   }
   const bool gpu = starts_with(target, "cuda") || starts_with(target, "cublas");
-  if (gpu && !ends_with(path, ".cu") && path.find("cuda") == std::string::npos) return "CUDA headers belong to CUDA files";
+  if (gpu && !ends_with(path, ".cu") && path.find("cuda") == std::string::npos)
+    return "CUDA headers belong to CUDA files";
   return {};
 }
 
@@ -72,7 +76,8 @@ bool names_plugin(const std::string& target) {
 
 std::string forbidden_in_framework(const std::string& folder, const std::string& target) {
   if (names_plugin(target)) return "the framework includes no plugin";
-  if (starts_with(target, "app/") || starts_with(target, "tests/")) return "the framework includes neither the application nor tests";
+  if (starts_with(target, "app/") || starts_with(target, "tests/"))
+    return "the framework includes neither the application nor tests";
   const std::string other = first_folder(target);
   const auto floor = floors().find(folder);
   if (floor == floors().end()) return "framework/" + folder + " stands on no floor of the table";
@@ -104,7 +109,8 @@ std::vector<SourceFile> files_under(const std::string& folder, const std::vector
   if (!std::filesystem::exists(root / folder)) return files;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(root / folder)) {
     const std::string path = std::filesystem::relative(entry.path(), root).generic_string();
-    const bool wanted = std::any_of(endings.begin(), endings.end(), [&](const std::string& ending) { return ends_with(path, ending); });
+    const bool wanted =
+        std::any_of(endings.begin(), endings.end(), [&](const std::string& ending) { return ends_with(path, ending); });
     if (!entry.is_regular_file() || !wanted) continue;
     std::ifstream file(entry.path());
     std::ostringstream text;
@@ -142,7 +148,8 @@ std::string why_forbidden(const std::string& path, const std::string& target) {
   if (starts_with(path, "plugins/") && !ends_with(path, "_test.cpp") && !ends_with(path, "_sample.cpp")) {
     return forbidden_in_plugin(path.substr(std::string("plugins/").size()), target);
   }
-  if (starts_with(path, "app/") && names_plugin(target)) return "the application knows plugins by their names in the registry alone";
+  if (starts_with(path, "app/") && names_plugin(target))
+    return "the application knows plugins by their names in the registry alone";
   if (starts_with(path, "app/") && starts_with(target, "testkit/")) return "the application does not use the testkit";
   return {};
 }

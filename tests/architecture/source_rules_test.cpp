@@ -22,7 +22,8 @@ TEST(SourceRules, NoFileIsTooLong) {
   const std::vector<SourceFile> files = all_sources();
   EXPECT_GT(files.size(), 50u);
   for (const SourceFile& file : files) {
-    EXPECT_LE(std::count(file.text.begin(), file.text.end(), '\n'), kMostLines) << file.path << " wants to be two files";
+    EXPECT_LE(std::count(file.text.begin(), file.text.end(), '\n'), kMostLines)
+        << file.path << " wants to be two files";
   }
 }
 
@@ -59,7 +60,8 @@ TEST(SourceRules, NoBuildFileAsksForFastMath) {
   }
   EXPECT_GT(files.size(), 10u);
   for (const SourceFile& file : files) {
-    for (const char* flag : {"-ffast-math", "-Ofast", "-funsafe-math", "-fassociative-math", "-ffinite-math-only", "--use_fast_math"}) {
+    for (const char* flag :
+         {"-ffast-math", "-Ofast", "-funsafe-math", "-fassociative-math", "-ffinite-math-only", "--use_fast_math"}) {
       EXPECT_EQ(file.text.find(flag), std::string::npos) << file.path << " has " << flag;
     }
   }

@@ -42,7 +42,9 @@ TEST_P(EncoderConformance, Laws) {
   }
   LawOptions options;
   options.gradient_elements = 12;
-  hold_for_any_accepted(builds, [&](const EncoderBuild& build) { return encoder_laws(linked_registry(), row.name, row.settings, build, options); });
+  hold_for_any_accepted(builds, [&](const EncoderBuild& build) {
+    return encoder_laws(linked_registry(), row.name, row.settings, build, options);
+  });
 }
 
 class FieldConformance : public testing::TestWithParam<Row> {};
@@ -60,9 +62,9 @@ TEST_P(FieldConformance, Laws) {
   no_savings.savings = {false, false, false};
   LawOptions options;
   options.gradient_elements = 6;
-  hold_for_any_accepted(std::vector<FieldBuild>{all, no_direction, no_feature, no_savings}, [&](const FieldBuild& build) {
-    return field_laws(linked_registry(), row.name, row.settings, build, options);
-  });
+  hold_for_any_accepted(
+      std::vector<FieldBuild>{all, no_direction, no_feature, no_savings},
+      [&](const FieldBuild& build) { return field_laws(linked_registry(), row.name, row.settings, build, options); });
 }
 
 class SamplerConformance : public testing::TestWithParam<Row> {};

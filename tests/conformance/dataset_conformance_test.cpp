@@ -17,15 +17,18 @@ class DatasetConformance : public testing::TestWithParam<Row> {};
 TEST_P(DatasetConformance, Laws) {
   const Row& row = GetParam();
   const auto found = dataset_samples().find(row.name);
-  ASSERT_NE(found, dataset_samples().end()) << "dataset '" << row.name << "' has no " << row.name << "_sample.cpp that writes a tiny scene";
+  ASSERT_NE(found, dataset_samples().end())
+      << "dataset '" << row.name << "' has no " << row.name << "_sample.cpp that writes a tiny scene";
   const std::filesystem::path folder = std::filesystem::path(testing::TempDir()) / ("semfield_sample_" + row.text());
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
   const DatasetSample sample = found->second(folder.string());
-  if (sample.needs_images && !images_available()) GTEST_SKIP() << "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
+  if (sample.needs_images && !images_available())
+    GTEST_SKIP() << "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
   Settings settings = sample.settings;
   for (const auto& [name, value] : row.settings) settings[name] = value;
-  const Failures failures = dataset_laws(linked_registry(), row.name, settings, DatasetBuild{folder.string()}, sample.expected);
+  const Failures failures =
+      dataset_laws(linked_registry(), row.name, settings, DatasetBuild{folder.string()}, sample.expected);
   EXPECT_TRUE(failures.empty()) << to_text(failures);
   std::filesystem::remove_all(folder);
 }

@@ -13,7 +13,8 @@ DatasetSample semfield_sample_packed(const std::string& folder) {
   const std::unique_ptr<Dataset> room = make_analytic_scene();
   Diagnostics diagnostics;
   const SceneInfo scene = room->open(diagnostics);
-  write_packed_scene((std::filesystem::path(folder) / "room.semfield").string(), scene, [&](int frame, FrameBuffer& out) { room->read(frame, out); });
+  write_packed_scene((std::filesystem::path(folder) / "room.semfield").string(), scene,
+                     [&](int frame, FrameBuffer& out) { room->read(frame, out); });
   DatasetSample sample;
   sample.settings = {{"file", "room.semfield"}};
   sample.expected.frames = 12;

@@ -27,7 +27,8 @@ DatasetSample semfield_sample_replica(const std::string& folder) {
   std::ostringstream hfov;
   hfov.precision(17);
   hfov << kSampleHfovDeg;
-  sample.settings = {{"root", "."}, {"hfov_deg", hfov.str()}, {"train_step", "2"}, {"train_offset", "0"}, {"test_step", "2"}, {"test_offset", "1"}};
+  sample.settings = {{"root", "."},         {"hfov_deg", hfov.str()}, {"train_step", "2"},
+                     {"train_offset", "0"}, {"test_step", "2"},       {"test_offset", "1"}};
   sample.expected.frames = 12;
   sample.expected.depth = sample.expected.labels = true;
   sample.needs_images = true;

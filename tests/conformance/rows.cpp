@@ -46,7 +46,8 @@ const Registry& linked_registry() {
 }
 
 std::string Row::text() const {
-  return std::string(kind_name(kind)) + "_" + name + "_" + std::string(device_name(device)) + "_" + std::to_string(number);
+  return std::string(kind_name(kind)) + "_" + name + "_" + std::string(device_name(device)) + "_" +
+         std::to_string(number);
 }
 
 std::ostream& operator<<(std::ostream& out, const Row& row) { return out << row.text(); }
@@ -55,7 +56,8 @@ std::vector<Row> rows_of(PluginKind kind) {
   std::vector<Row> rows;
   for (const std::string& name : linked_registry().names(kind)) {
     int number = 0;
-    for (const Settings& settings : settings_for(kind, name)) rows.push_back({kind, name, Device::cpu, number++, settings});
+    for (const Settings& settings : settings_for(kind, name))
+      rows.push_back({kind, name, Device::cpu, number++, settings});
   }
   return rows;
 }

@@ -17,15 +17,16 @@ struct Row {
   PluginKind kind = PluginKind::encoder;
   std::string name;
   Device device = Device::cpu;
-  int number = 0;     ///< which of the plugin's settings
+  int number = 0;  ///< which of the plugin's settings
   Settings settings;
   std::string text() const;  ///< "encoder_hash_grid_cpu_0"
 };
 
 std::ostream& operator<<(std::ostream& out, const Row& row);
 
-/// Rows of one kind: entry x device x settings. Settings are the lines "name=value name=value" of `conformance.txt` in the plugin's folder or
-/// of tests/conformance/rows/<name>.txt (for plugins whose defaults are too large for a test); without either, the defaults.
+/// Rows of one kind: entry x device x settings. Settings are the lines "name=value name=value" of `conformance.txt` in
+/// the plugin's folder or of tests/conformance/rows/<name>.txt (for plugins whose defaults are too large for a test);
+/// without either, the defaults.
 std::vector<Row> rows_of(PluginKind kind);
 
 }  // namespace semfield::testkit

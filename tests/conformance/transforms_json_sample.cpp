@@ -13,7 +13,8 @@ DatasetSample semfield_sample_transforms_json(const std::string& folder);
 DatasetSample semfield_sample_transforms_json(const std::string& folder) {
   const SceneInfo scene = write_sample_images(folder, {"images/view_", "depth/view_", "labels/view_"});
   const Camera& camera = scene.frames[0].camera;
-  nlohmann::json index{{"w", camera.width_px}, {"h", camera.height_px}, {"fl_x", camera.fx}, {"fl_y", camera.fy}, {"cx", camera.cx}, {"cy", camera.cy}};
+  nlohmann::json index{{"w", camera.width_px}, {"h", camera.height_px}, {"fl_x", camera.fx},
+                       {"fl_y", camera.fy},    {"cx", camera.cx},       {"cy", camera.cy}};
   index["frames"] = nlohmann::json::array();
   for (std::size_t i = 0; i < scene.frames.size(); ++i) {
     const Pose& pose = scene.frames[i].world_from_camera;
@@ -23,7 +24,10 @@ DatasetSample semfield_sample_transforms_json(const std::string& folder) {
     }
     matrix.push_back({0.0, 0.0, 0.0, 1.0});
     const std::string file = "view_" + std::to_string(i) + ".png";
-    index["frames"].push_back({{"file_path", "images/" + file}, {"depth_path", "depth/" + file}, {"label_path", "labels/" + file}, {"transform_matrix", matrix}});
+    index["frames"].push_back({{"file_path", "images/" + file},
+                               {"depth_path", "depth/" + file},
+                               {"label_path", "labels/" + file},
+                               {"transform_matrix", matrix}});
   }
   write_file_atomic((std::filesystem::path(folder) / "transforms.json").string(), index.dump(1));
   DatasetSample sample;

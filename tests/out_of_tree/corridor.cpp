@@ -6,7 +6,9 @@ namespace outside {
 struct CorridorParams {
   int frames = 4;
 };
-void describe(semfield::ParamVisitor& visit, CorridorParams& p) { SEMFIELD_PARAM(visit, p, frames, "number of frames", {1, 100}); }
+void describe(semfield::ParamVisitor& visit, CorridorParams& p) {
+  SEMFIELD_PARAM(visit, p, frames, "number of frames", {1, 100});
+}
 void validate(const CorridorParams&, semfield::Diagnostics&) {}
 
 class Corridor final : public semfield::Dataset {
@@ -38,7 +40,8 @@ class Corridor final : public semfield::Dataset {
       for (int col = 0; col < kWidth; ++col) {
         const double x = kStep * frame + (col + 0.5 - kWidth / 2.0) / 20 * kWall;
         const bool right = x > 0;
-        out.rgb.insert(out.rgb.end(), {static_cast<std::uint8_t>(right ? 0 : 255), 0, static_cast<std::uint8_t>(right ? 255 : 0)});
+        out.rgb.insert(out.rgb.end(),
+                       {static_cast<std::uint8_t>(right ? 0 : 255), 0, static_cast<std::uint8_t>(right ? 255 : 0)});
         out.depth_m.push_back(static_cast<float>(kWall));
         out.label.push_back(right ? 1 : 0);
       }
@@ -51,7 +54,9 @@ class Corridor final : public semfield::Dataset {
   int frames_;
 };
 
-void register_into(semfield::Registry& registry) { registry.add_dataset<Corridor, CorridorParams>("corridor", "A slide along a wall."); }
+void register_into(semfield::Registry& registry) {
+  registry.add_dataset<Corridor, CorridorParams>("corridor", "A slide along a wall.");
+}
 
 }  // namespace outside
 

@@ -42,7 +42,8 @@ void check_refusals(semfield::Registry& registry, const std::string& folder) {
   expect_refusal(registry, folder + "no_symbol.so", {"does not export 'semfield_plugin_module'"});
   expect_refusal(registry, folder + "other_api.so", {"plugin API 999", "speaks " + ours});
   expect_refusal(registry, folder + "other_abi.so", {"'cxx0-another-library'", semfield::abi_tag_of_framework()});
-  expect_refusal(registry, folder + "throwing_registration.so", {"while registering module 'refused 0.1'", "half way through"});
+  expect_refusal(registry, folder + "throwing_registration.so",
+                 {"while registering module 'refused 0.1'", "half way through"});
   expect_refusal(registry, folder + "duplicate_name.so", {"dataset name 'corridor'", "taken by module 'corridor 0.1'"});
   expect_refusal(registry, folder + "waves.so", {"encoder name 'waves'", "taken by module 'waves 0.1'"});
 }
@@ -70,8 +71,10 @@ int main(int argc, char** argv) {
     semfield::load_module(registry, folder + "waves.so");
     semfield::load_module(registry, folder + "corridor.so");
     expect_none(semfield::testkit::encoder_laws(registry, "waves", {}, {}), "laws of the encoder");
-    expect_none(semfield::testkit::encoder_laws(registry, "waves", {{"bands", "7"}}, {}), "laws of the encoder, 7 bands");
-    expect_none(semfield::testkit::declaration_laws(registry.get(semfield::PluginKind::encoder, "waves")), "declaration of the encoder");
+    expect_none(semfield::testkit::encoder_laws(registry, "waves", {{"bands", "7"}}, {}),
+                "laws of the encoder, 7 bands");
+    expect_none(semfield::testkit::declaration_laws(registry.get(semfield::PluginKind::encoder, "waves")),
+                "declaration of the encoder");
     semfield::testkit::DatasetExpectation expected;
     expected.frames = 4;
     expected.depth = expected.labels = true;

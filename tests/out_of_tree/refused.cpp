@@ -43,7 +43,8 @@ void register_into(semfield::Registry& registry) {
 #endif
 extern "C" {
 extern const semfield::PluginModule semfield_plugin_module;
-const semfield::PluginModule semfield_plugin_module = {REFUSED_API, REFUSED_ABI, "refused", "0.1", outside::register_into};
+const semfield::PluginModule semfield_plugin_module = {REFUSED_API, REFUSED_ABI, "refused", "0.1",
+                                                       outside::register_into};
 }
 #else
 SEMFIELD_PLUGIN_MODULE(refused, "0.1", outside::register_into)

@@ -11,7 +11,9 @@ using semfield::View;
 struct WavesParams {
   int bands = 3;
 };
-void describe(semfield::ParamVisitor& visit, WavesParams& p) { SEMFIELD_PARAM(visit, p, bands, "number of cosine bands", {1, 12}); }
+void describe(semfield::ParamVisitor& visit, WavesParams& p) {
+  SEMFIELD_PARAM(visit, p, bands, "number of cosine bands", {1, 12});
+}
 void validate(const WavesParams&, semfield::Diagnostics&) {}
 
 /// y[b] = gain[b] * sum_d cos((b + 1) x[d])
@@ -21,22 +23,28 @@ class Waves final : public semfield::Encoder<Real> {
   Waves(const WavesParams& params, const semfield::EncoderBuild& build, const semfield::KernelTables&)
       : bands_(params.bands), in_dims_(build.in_dims) {}
   semfield::EncoderTraits traits() const noexcept override { return {in_dims_, bands_, semfield::Domain::metric}; }
-  void declare(semfield::ParamDeclarer& declarer) const override { declarer.tensor({"gain", bands_, 1, semfield::Init::constant(1.0)}); }
+  void declare(semfield::ParamDeclarer& declarer) const override {
+    declarer.tensor({"gain", bands_, 1, semfield::Init::constant(1.0)});
+  }
 
  protected:
-  void do_forward(const semfield::StepContext&, const semfield::Tensors<Real>& tensors, View<const double> x, View<Real> y) const override {
+  void do_forward(const semfield::StepContext&, const semfield::Tensors<Real>& tensors, View<const double> x,
+                  View<Real> y) const override {
     for (std::int64_t r = 0; r < x.rows; ++r) {
-      for (std::int32_t b = 0; b < bands_; ++b) y(r, b) = static_cast<Real>(static_cast<double>(tensors.value[0](b, 0)) * sum(x, r, b));
+      for (std::int32_t b = 0; b < bands_; ++b)
+        y(r, b) = static_cast<Real>(static_cast<double>(tensors.value[0](b, 0)) * sum(x, r, b));
     }
   }
-  void do_backward(const semfield::StepContext&, const semfield::Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
-                   View<Real> dx) const override {
+  void do_backward(const semfield::StepContext&, const semfield::Tensors<Real>& tensors, View<const double> x,
+                   View<const Real> dy, View<Real> dx) const override {
     for (std::int64_t r = 0; r < x.rows; ++r) {
-      for (std::int32_t b = 0; b < bands_; ++b) tensors.grad[0](b, 0) += static_cast<Real>(static_cast<double>(dy(r, b)) * sum(x, r, b));
+      for (std::int32_t b = 0; b < bands_; ++b)
+        tensors.grad[0](b, 0) += static_cast<Real>(static_cast<double>(dy(r, b)) * sum(x, r, b));
       for (std::int32_t d = 0; d < in_dims_ && !dx.empty(); ++d) {
         double slope = 0;
         for (std::int32_t b = 0; b < bands_; ++b) {
-          slope -= static_cast<double>(dy(r, b)) * static_cast<double>(tensors.value[0](b, 0)) * (b + 1) * std::sin((b + 1) * x(r, d));
+          slope -= static_cast<double>(dy(r, b)) * static_cast<double>(tensors.value[0](b, 0)) * (b + 1) *
+                   std::sin((b + 1) * x(r, d));
         }
         dx(r, d) = static_cast<Real>(slope);
       }
@@ -52,7 +60,9 @@ class Waves final : public semfield::Encoder<Real> {
   std::int32_t bands_, in_dims_;
 };
 
-void register_into(semfield::Registry& registry) { registry.add_encoder<Waves, WavesParams>("waves", "Cosines with a learned gain."); }
+void register_into(semfield::Registry& registry) {
+  registry.add_encoder<Waves, WavesParams>("waves", "Cosines with a learned gain.");
+}
 
 }  // namespace outside
 

@@ -44,7 +44,9 @@ TEST_F(CheckedEncoder, RefusesEmptyOverlappingAndForeignViews) {
             "encoder.forward: y is empty and must not be");
   EXPECT_EQ(message_of([&] { encoder.forward(ctx, box.tensors(), x.view(), View<float>(y.view().data, 4, 2, 1)); }),
             "encoder.forward: y has a row stride below its columns");
-  EXPECT_EQ(message_of([&] { encoder.forward(ctx, box.tensors(), x.view(), View<float>(y.view().data, 4, 2, 2, Device::cuda)); }),
+  EXPECT_EQ(message_of([&] {
+              encoder.forward(ctx, box.tensors(), x.view(), View<float>(y.view().data, 4, 2, 2, Device::cuda));
+            }),
             "encoder.forward: y lives on another device than the first argument");
 }
 

@@ -71,8 +71,10 @@ TEST_P(BrokenDataset, IsCaught) {
 
 INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenDataset,
                          testing::Values(Case{Break::mirrored, "left-handed"}, Case{Break::opengl_axes, "depth"},
-                                         Case{Break::depth_unit, "reprojected depths agree"}, Case{Break::label_range, "label 5 is outside"},
-                                         Case{Break::short_depth, "depth has 1727 values"}, Case{Break::unsafe_read, "parallel reading"},
+                                         Case{Break::depth_unit, "reprojected depths agree"},
+                                         Case{Break::label_range, "label 5 is outside"},
+                                         Case{Break::short_depth, "depth has 1727 values"},
+                                         Case{Break::unsafe_read, "parallel reading"},
                                          Case{Break::reports_error, "open: view_03: is truncated"}));
 
 TEST(AnalyticScene, ShowsEveryClassInBothSplits) {

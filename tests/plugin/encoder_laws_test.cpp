@@ -37,12 +37,14 @@ TEST_P(BrokenEncoder, IsCaught) {
   EXPECT_TRUE(mentions(failures, GetParam().law)) << "failures were:\n" << testkit::to_text(failures);
 }
 
-INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenEncoder,
-                         testing::Values(Case{Break::skip_last_row, "every output written"}, Case{Break::write_past_cols, "outputs stay inside"},
-                                         Case{Break::wrong_dx, "gradient of x"}, Case{Break::wrong_table_gradient, "gradient of table"},
-                                         Case{Break::assign_gradient, "gradients accumulate"}, Case{Break::accumulate_dx, "every dx written"},
-                                         Case{Break::skip_dx, "every dx written"}, Case{Break::depend_on_row, "permuted rows"},
-                                         Case{Break::float_off, "float against double, y"}));
+INSTANTIATE_TEST_SUITE_P(
+    EachPromise, BrokenEncoder,
+    testing::Values(Case{Break::skip_last_row, "every output written"},
+                    Case{Break::write_past_cols, "outputs stay inside"}, Case{Break::wrong_dx, "gradient of x"},
+                    Case{Break::wrong_table_gradient, "gradient of table"},
+                    Case{Break::assign_gradient, "gradients accumulate"},
+                    Case{Break::accumulate_dx, "every dx written"}, Case{Break::skip_dx, "every dx written"},
+                    Case{Break::depend_on_row, "permuted rows"}, Case{Break::float_off, "float against double, y"}));
 
 TEST(DeclarationLaws, HoldForTheToy) {
   Registry registry;
@@ -63,7 +65,8 @@ TEST(Settings, RefuseUnknownNamesWrongTypesAndRanges) {
   toy::register_into(registry);
   const PluginEntry& entry = registry.get(PluginKind::encoder, "toy");
   const std::unique_ptr<PluginParams> params = entry.new_params();
-  const Failures failures = testkit::apply_settings(*params, {{"bands", "9"}, {"gain", "much"}, {"flip", "yes"}, {"glow", "1"}});
+  const Failures failures =
+      testkit::apply_settings(*params, {{"bands", "9"}, {"gain", "much"}, {"flip", "yes"}, {"glow", "1"}});
   EXPECT_EQ(failures.size(), 4u) << testkit::to_text(failures);
   EXPECT_TRUE(mentions(failures, "bands: expected int in [1, 8], got '9'"));
   EXPECT_TRUE(mentions(failures, "unknown parameter 'glow'"));

@@ -8,8 +8,18 @@
 namespace semfield {
 namespace {
 
-enum class Break { none, sigma_sees_direction, feature_sees_direction, wrong_gradient, assign_gradient, ignore_feature_gradient, lies_about_direction,
-                   colour_out_of_range, sigma_needs_colour, forget_d_position };
+enum class Break {
+  none,
+  sigma_sees_direction,
+  feature_sees_direction,
+  wrong_gradient,
+  assign_gradient,
+  ignore_feature_gradient,
+  lies_about_direction,
+  colour_out_of_range,
+  sigma_needs_colour,
+  forget_d_position
+};
 
 constexpr std::int32_t kFeature = 2;
 
@@ -21,16 +31,23 @@ class ToyField final : public Field<Real> {
   FieldTraits traits() const noexcept override {
     return {kFeature, build_.direction_dims > 0 && broken_ != Break::lies_about_direction};
   }
-  std::size_t saved_bytes(std::int64_t samples, std::int64_t) const noexcept override { return sizeof(Real) * static_cast<std::size_t>(samples); }
-  void declare(ParamDeclarer& declarer) const override { declarer.tensor({"w", 3, 1, Init::uniform(1.0), TensorRole::dense}); }
+  std::size_t saved_bytes(std::int64_t samples, std::int64_t) const noexcept override {
+    return sizeof(Real) * static_cast<std::size_t>(samples);
+  }
+  void declare(ParamDeclarer& declarer) const override {
+    declarer.tensor({"w", 3, 1, Init::uniform(1.0), TensorRole::dense});
+  }
 
  protected:
-  void do_forward(const StepContext&, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out, Saved saved) const override {
+  void do_forward(const StepContext&, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out,
+                  Saved saved) const override {
     for (std::int64_t m = 0; m < in.position.rows; ++m) {
       const double p = mean(in.position, m);
       const double d = in.direction.empty() ? 0 : mean(in.direction, in.ray_of_sample(m, 0));
       if (!saved.empty()) reinterpret_cast<Real*>(saved.data())[m] = static_cast<Real>(p);
-      const double leak = broken_ == Break::sigma_sees_direction ? 1e-3 * d : broken_ == Break::sigma_needs_colour && out.rgb.empty() ? 0.1 : 0;
+      const double leak = broken_ == Break::sigma_sees_direction                    ? 1e-3 * d
+                          : broken_ == Break::sigma_needs_colour && out.rgb.empty() ? 0.1
+                                                                                    : 0;
       if (!out.sigma.empty()) out.sigma(m, 0) = static_cast<Real>(w(tensors, 0) * p + leak);
       for (std::int32_t c = 0; c < 3 && !out.rgb.empty(); ++c) {
         const double scale = broken_ == Break::colour_out_of_range ? 3 : 1;
@@ -42,8 +59,8 @@ class ToyField final : public Field<Real> {
       }
     }
   }
-  void do_backward(const StepContext&, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out, const FieldGrad<Real>& grad,
-                   Saved saved, View<Real> d_position) const override {
+  void do_backward(const StepContext&, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out,
+                   const FieldGrad<Real>& grad, Saved saved, View<Real> d_position) const override {
     double dw[3] = {0, 0, 0};
     for (std::int64_t m = 0; m < in.position.rows; ++m) {
       const double p = mean(in.position, m);
@@ -60,12 +77,14 @@ class ToyField final : public Field<Real> {
         dw[c] += g * p;
         dp += g * w(tensors, c);
       }
-      for (std::int32_t f = 0; f < kFeature && !grad.feature.empty() && broken_ != Break::ignore_feature_gradient; ++f) {
+      for (std::int32_t f = 0; f < kFeature && !grad.feature.empty() && broken_ != Break::ignore_feature_gradient;
+           ++f) {
         const auto g = static_cast<double>(grad.feature(m, f));
         dw[f] += g * std::sin(p);
         dp += g * w(tensors, f) * std::cos(p);
       }
-      for (std::int32_t k = 0; k < in.position.cols && !d_position.empty() && broken_ != Break::forget_d_position; ++k) {
+      for (std::int32_t k = 0; k < in.position.cols && !d_position.empty() && broken_ != Break::forget_d_position;
+           ++k) {
         d_position(m, k) = static_cast<Real>(dp / in.position.cols);
       }
     }
@@ -112,7 +131,8 @@ TEST_P(BrokenField, IsCaught) {
 INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenField,
                          testing::Values(Case{Break::sigma_sees_direction, "sigma does not see the direction"},
                                          Case{Break::feature_sees_direction, "feature does not see the direction"},
-                                         Case{Break::wrong_gradient, "gradient of w"}, Case{Break::assign_gradient, "gradients accumulate, w"},
+                                         Case{Break::wrong_gradient, "gradient of w"},
+                                         Case{Break::assign_gradient, "gradients accumulate, w"},
                                          Case{Break::ignore_feature_gradient, "gradient of position"},
                                          Case{Break::lies_about_direction, "uses_direction is false"},
                                          Case{Break::colour_out_of_range, "outside [0, 1]"},

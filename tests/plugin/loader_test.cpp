@@ -40,7 +40,8 @@ TEST(Loader, AnotherApiIsRefusedWithBothNumbers) {
   Registry registry;
   PluginModule module = sound_module();
   module.api = 99;
-  EXPECT_EQ(refusal_of(registry, module), "the module speaks plugin API 99, this framework speaks " + std::to_string(kPluginApi) +
+  EXPECT_EQ(refusal_of(registry, module), "the module speaks plugin API 99, this framework speaks " +
+                                              std::to_string(kPluginApi) +
                                               "; rebuild the plugin against the installed headers");
 }
 
@@ -79,7 +80,8 @@ TEST(Loader, ADuplicateNameLeavesTheRegistryUnchanged) {
   PluginModule module = sound_module();
   module.name = "copies";
   const std::string refusal = refusal_of(registry, module);
-  EXPECT_NE(refusal.find("while registering module 'copies 1.0': the encoder name 'toy' of module 'copies 1.0' is taken by module 'toys 1.0'"),
+  EXPECT_NE(refusal.find("while registering module 'copies 1.0': the encoder name 'toy' of module 'copies 1.0' is "
+                         "taken by module 'toys 1.0'"),
             std::string::npos)
       << refusal;
   EXPECT_EQ(registry.entries().size(), 1u);

@@ -39,7 +39,8 @@ TEST(Reference, TheTableHasEveryParameterOnce) {
 TEST(Reference, ListShowAndMatrixNameThePlugin) {
   const Registry registry = toy_registry();
   EXPECT_EQ(plugins_list_text(registry), "encoders\n  toy  Sines with a learned amplitude. [toys 1.0]\n");
-  EXPECT_NE(plugin_details_text(registry, "toy").find("gain: number = 1.5   ([0, 4])\n      factor of every output"), std::string::npos);
+  EXPECT_NE(plugin_details_text(registry, "toy").find("gain: number = 1.5   ([0, 4])\n      factor of every output"),
+            std::string::npos);
   EXPECT_NE(support_matrix_text(registry).find("| encoder | toy | cpu | toys 1.0 |"), std::string::npos);
   try {
     plugin_details_text(registry, "toi");
@@ -63,7 +64,8 @@ TEST(CommittedPages, TheReferenceIsFresh) {
   Registry registry;
   register_linked_plugins(registry);
   const std::filesystem::path page = std::filesystem::path(SEMFIELD_SOURCE_DIR) / "docs/plugins.md";
-  EXPECT_TRUE(text_of(page) == plugins_markdown(registry)) << "docs/plugins.md is stale; run: semfield plugins docs --out PROJECT_FOLDER";
+  EXPECT_TRUE(text_of(page) == plugins_markdown(registry))
+      << "docs/plugins.md is stale; run: semfield plugins docs --out PROJECT_FOLDER";
 }
 
 TEST(CommittedPages, TheTablesOfPluginFoldersAreFresh) {
@@ -84,7 +86,8 @@ TEST(CommittedPages, TheTablesOfPluginFoldersAreFresh) {
         << folder << "/README.md has a stale parameter table; run: semfield plugins docs --out PROJECT_FOLDER";
   }
   if (!never_generated.empty()) {
-    GTEST_SKIP() << checked << " tables checked; without a README, its markers or a generated table: " << join(never_generated)
+    GTEST_SKIP() << checked
+                 << " tables checked; without a README, its markers or a generated table: " << join(never_generated)
                  << "; run: semfield plugins docs --out PROJECT_FOLDER";
   }
 }

@@ -6,7 +6,16 @@
 namespace semfield {
 namespace {
 
-enum class Break { none, descending, consumed_order, outside, zero_delta, wrong_first, jitter_without_training, fill_empty_rays };
+enum class Break {
+  none,
+  descending,
+  consumed_order,
+  outside,
+  zero_delta,
+  wrong_first,
+  jitter_without_training,
+  fill_empty_rays
+};
 
 /// `kCount` jittered samples a ray in equal intervals; an empty ray has none.
 template <class Real>
@@ -17,7 +26,8 @@ class ToySampler final : public Sampler<Real> {
   std::int64_t capacity(std::int64_t rays, std::int64_t) const noexcept override { return rays * kCount; }
 
  protected:
-  void do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays, const Proposal<Real>*, Samples<Real>& out) const override {
+  void do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays, const Proposal<Real>*,
+                 Samples<Real>& out) const override {
     const RandomAddress address = ctx.random("sampler/toy");
     const bool jitter = ctx.training || broken_ == Break::jitter_without_training;
     const std::int64_t first_ray = broken_ == Break::consumed_order ? 0 : ctx.first_ray;
@@ -27,7 +37,9 @@ class ToySampler final : public Sampler<Real> {
       const double width = (rays.near_far(r, 1) - rays.near_far(r, 0)) / kCount;
       if (width <= 0 && broken_ != Break::fill_empty_rays) continue;
       for (std::int64_t k = 0; k < kCount; ++k, ++n) {
-        const double u = jitter ? static_cast<double>(uniform01(address, static_cast<std::uint64_t>((first_ray + r) * kCount + k))) : 0.5;
+        const double u =
+            jitter ? static_cast<double>(uniform01(address, static_cast<std::uint64_t>((first_ray + r) * kCount + k)))
+                   : 0.5;
         const std::int64_t slot = broken_ == Break::descending ? kCount - 1 - k : k;
         const double far_off = broken_ == Break::outside && k == kCount - 1 ? 1.0 : 0.0;
         out.t(n, 0) = static_cast<Real>(rays.near_far(r, 0) + (static_cast<double>(slot) + u) * width + far_off);
@@ -66,8 +78,10 @@ TEST_P(BrokenSampler, IsCaught) {
 }
 
 INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenSampler,
-                         testing::Values(Case{Break::descending, "not ascending"}, Case{Break::consumed_order, "a ray alone"},
-                                         Case{Break::outside, "outside [near, far]"}, Case{Break::zero_delta, "delta is not positive"},
+                         testing::Values(Case{Break::descending, "not ascending"},
+                                         Case{Break::consumed_order, "a ray alone"},
+                                         Case{Break::outside, "outside [near, far]"},
+                                         Case{Break::zero_delta, "delta is not positive"},
                                          Case{Break::wrong_first, "first[rays] is not the count"},
                                          Case{Break::jitter_without_training, "without training, another seed"},
                                          Case{Break::fill_empty_rays, "near == far"}));

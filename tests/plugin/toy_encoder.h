@@ -8,7 +8,16 @@
 namespace semfield::toy {
 
 enum class Break {
-  none, skip_last_row, write_past_cols, wrong_dx, wrong_table_gradient, assign_gradient, accumulate_dx, depend_on_row, float_off, skip_dx,
+  none,
+  skip_last_row,
+  write_past_cols,
+  wrong_dx,
+  wrong_table_gradient,
+  assign_gradient,
+  accumulate_dx,
+  depend_on_row,
+  float_off,
+  skip_dx,
 };
 
 struct ToyParams {
@@ -29,12 +38,17 @@ inline void validate(const ToyParams& p, Diagnostics& diagnostics) {
 template <class Real>
 class ToyEncoder final : public Encoder<Real> {
  public:
-  ToyEncoder(const ToyParams& params, const EncoderBuild& build, const KernelTables& kernels, Break broken = Break::none)
+  ToyEncoder(const ToyParams& params, const EncoderBuild& build, const KernelTables& kernels,
+             Break broken = Break::none)
       : params_(params), in_dims_(build.in_dims), broken_(broken) {
     (void)kernels;
   }
-  EncoderTraits traits() const noexcept override { return {in_dims_, static_cast<std::int32_t>(params_.bands), Domain::metric}; }
-  void declare(ParamDeclarer& declarer) const override { declarer.tensor({"table", params_.bands, 1, Init::uniform(1.0), TensorRole::dense}); }
+  EncoderTraits traits() const noexcept override {
+    return {in_dims_, static_cast<std::int32_t>(params_.bands), Domain::metric};
+  }
+  void declare(ParamDeclarer& declarer) const override {
+    declarer.tensor({"table", params_.bands, 1, Init::uniform(1.0), TensorRole::dense});
+  }
 
  protected:
   void do_forward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const override {
@@ -49,16 +63,21 @@ class ToyEncoder final : public Encoder<Real> {
       if (broken_ == Break::write_past_cols) y.data[r * y.row_stride + y.cols] = Real(0);
     }
   }
-  void do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy, View<Real> dx) const override {
+  void do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
+                   View<Real> dx) const override {
     for (std::int64_t r = 0; r < x.rows; ++r) {
-      for (std::int32_t d = 0; d < x.cols && !dx.empty() && broken_ != Break::accumulate_dx && broken_ != Break::skip_dx; ++d) dx(r, d) = 0;
+      for (std::int32_t d = 0;
+           d < x.cols && !dx.empty() && broken_ != Break::accumulate_dx && broken_ != Break::skip_dx; ++d)
+        dx(r, d) = 0;
       for (std::int32_t b = 0; b < dy.cols; ++b) {
         double sum = 0;
         for (std::int32_t d = 0; d < x.cols; ++d) {
           sum += std::sin((b + 1) * x(r, d));
           const double slope = broken_ == Break::wrong_dx ? 1 : b + 1;
-          const double gradient = params_.gain * slope * static_cast<double>(tensors.value[0](b, 0)) * std::cos((b + 1) * x(r, d));
-          if (!dx.empty() && broken_ != Break::skip_dx) dx(r, d) += static_cast<Real>(gradient * static_cast<double>(dy(r, b)));
+          const double gradient =
+              params_.gain * slope * static_cast<double>(tensors.value[0](b, 0)) * std::cos((b + 1) * x(r, d));
+          if (!dx.empty() && broken_ != Break::skip_dx)
+            dx(r, d) += static_cast<Real>(gradient * static_cast<double>(dy(r, b)));
         }
         const double gain = broken_ == Break::wrong_table_gradient ? 1.001 * params_.gain : params_.gain;
         const auto add = static_cast<Real>(gain * sum * static_cast<double>(dy(r, b)));
@@ -74,6 +93,8 @@ class ToyEncoder final : public Encoder<Real> {
   Break broken_;
 };
 
-inline void register_into(Registry& registry) { registry.add_encoder<ToyEncoder, ToyParams>("toy", "Sines with a learned amplitude."); }
+inline void register_into(Registry& registry) {
+  registry.add_encoder<ToyEncoder, ToyParams>("toy", "Sines with a learned amplitude.");
+}
 
 }  // namespace semfield::toy
