@@ -25,7 +25,8 @@ std::string size_list(const LoadedScene& scene) {
   std::map<std::pair<int, int>, int> sizes;
   for (const FrameInfo& f : scene.info.frames) ++sizes[{f.camera.width_px, f.camera.height_px}];
   std::vector<std::string> parts;
-  for (const auto& [size, count] : sizes) parts.push_back(fmt::format("{} x {} ({} frames)", size.first, size.second, count));
+  for (const auto& [size, count] : sizes)
+    parts.push_back(fmt::format("{} x {} ({} frames)", size.first, size.second, count));
   return parts.size() > 4 ? fmt::format("{} different sizes", parts.size()) : join(parts);
 }
 
@@ -60,8 +61,9 @@ std::string class_table(const LoadedScene& scene) {
   const ClassTable& classes = scene.info.classes;
   const SplitCounts train = counts_of(scene, Split::train), test = counts_of(scene, Split::test);
   if (train.labelled + test.labelled == 0) return "classes     no labels\n";
-  std::string out = fmt::format("classes     {} in the table; labelled frames: {} train, {} test; shares are of all pixels of labelled frames\n",
-                                classes.valid_count(), train.labelled, test.labelled);
+  std::string out = fmt::format(
+      "classes     {} in the table; labelled frames: {} train, {} test; shares are of all pixels of labelled frames\n",
+      classes.valid_count(), train.labelled, test.labelled);
   out += fmt::format("  {:>5}  {:<28} {:>10} {:>10}  {}\n", "id", "class", "train", "test", "train frames that see it");
   int unseen = 0;
   for (int c = 0; c <= classes.valid_count(); ++c) {
@@ -73,8 +75,10 @@ std::string class_table(const LoadedScene& scene) {
     }
     const std::string id = is_void ? "-" : std::to_string(classes.valid(c).id);
     const std::string name = is_void ? "(void)" : classes.valid(c).name;
-    out += fmt::format("  {:>5}  {:<28} {:>10} {:>10}  {} of {}{}\n", id, name, share_text(train.pixels[i], train.total), share_text(test.pixels[i], test.total),
-                       train.frames[i], train.labelled, !is_void && train.pixels[i] == 0 ? "  <- in no training label: it cannot be learned" : "");
+    out +=
+        fmt::format("  {:>5}  {:<28} {:>10} {:>10}  {} of {}{}\n", id, name, share_text(train.pixels[i], train.total),
+                    share_text(test.pixels[i], test.total), train.frames[i], train.labelled,
+                    !is_void && train.pixels[i] == 0 ? "  <- in no training label: it cannot be learned" : "");
   }
   if (unseen > 0) out += fmt::format("  {} classes of the table occur in no label\n", unseen);
   return out;
@@ -91,7 +95,9 @@ std::string problems(const Diagnostics& diagnostics) {
       if (severity == Severity::error || ++shown[d.remedy] <= 5) out += fmt::format("{:<11} {}\n", word, d.text());
     }
     for (const auto& [remedy, count] : shown) {
-      if (count > 5) out += fmt::format("{:<11} and {} more of this kind{}\n", word, count - 5, remedy.empty() ? "" : " (" + remedy + ")");
+      if (count > 5)
+        out += fmt::format("{:<11} and {} more of this kind{}\n", word, count - 5,
+                           remedy.empty() ? "" : " (" + remedy + ")");
     }
   }
   return out.empty() ? "problems    none\n" : out;
@@ -114,12 +120,15 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
     cameras.include(scene.info.frames[i].world_from_camera.t);
   }
   std::string out = fmt::format("scene       {}\n", scene.info.name);
-  out += fmt::format("frames      {} ({} train, {} test), {} read, {} with depth\n", scene.info.frames.size(), train.size(), test.size(), read, depth);
+  out += fmt::format("frames      {} ({} train, {} test), {} read, {} with depth\n", scene.info.frames.size(),
+                     train.size(), test.size(), read, depth);
   out += fmt::format("size        {}\n", size_list(scene));
   out += fmt::format("unit        {}\n", scene.info.metric ? "metres" : "unknown (poses without a scale)");
   out += fmt::format("cameras     {}\n", extent_text(cameras));
-  out += fmt::format("bounds      {}{}\n", extent_text(scene.bounds), scene.bounds_from.empty() ? "" : " from " + scene.bounds_from);
-  out += fmt::format("near, far   {:.4g}, {:.4g}{}\n", scene.near_m, scene.far_m, scene.near_far_from.empty() ? "" : " from " + scene.near_far_from);
+  out += fmt::format("bounds      {}{}\n", extent_text(scene.bounds),
+                     scene.bounds_from.empty() ? "" : " from " + scene.bounds_from);
+  out += fmt::format("near, far   {:.4g}, {:.4g}{}\n", scene.near_m, scene.far_m,
+                     scene.near_far_from.empty() ? "" : " from " + scene.near_far_from);
   out += fmt::format("pixel       {:.4g} at the middle depth\n", scene.pixel_footprint_m);
   return out + class_table(scene) + problems(diagnostics);
 }
@@ -128,8 +137,10 @@ void write_frusta_ply(const std::string& path, const LoadedScene& scene, double 
   const std::size_t frames = scene.info.frames.size();
   if (depth_m <= 0) depth_m = scene.bounds.empty() ? 0.1 : 0.02 * length(scene.bounds.size());
   std::string out = fmt::format(
-      "ply\nformat binary_little_endian 1.0\ncomment camera frusta in world coordinates\nelement vertex {}\nproperty float x\nproperty float y\n"
-      "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n",
+      "ply\nformat binary_little_endian 1.0\ncomment camera frusta in world coordinates\nelement vertex {}\nproperty "
+      "float x\nproperty float y\n"
+      "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face {}\nproperty list "
+      "uchar int vertex_indices\nend_header\n",
       frames * 5, frames * 5);
   for (const FrameInfo& f : scene.info.frames) {
     const std::uint8_t train[3] = {40, 90, 220}, test[3] = {240, 140, 20};
@@ -138,7 +149,8 @@ void write_frusta_ply(const std::string& path, const LoadedScene& scene, double 
       if (corner > 0) {
         // Corners in order around the image, by the straight (undistorted) pinhole.
         const double u = corner == 2 || corner == 3 ? f.camera.width_px : 0, v = corner >= 3 ? f.camera.height_px : 0;
-        p = f.world_from_camera.apply(Vec3d{(u - f.camera.cx) / f.camera.fx, (v - f.camera.cy) / f.camera.fy, 1} * depth_m);
+        p = f.world_from_camera.apply(Vec3d{(u - f.camera.cx) / f.camera.fx, (v - f.camera.cy) / f.camera.fy, 1} *
+                                      depth_m);
       }
       for (int a = 0; a < 3; ++a) put(out, static_cast<float>(p[a]));
       for (const std::uint8_t c : f.split == Split::test ? test : train) put(out, c);

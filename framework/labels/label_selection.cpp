@@ -11,7 +11,9 @@ namespace semfield {
 
 namespace {
 
-[[noreturn]] void refuse(const std::string& message, const std::string& remedy) { throw Error(ErrorKind::config, "labels." + message, remedy); }
+[[noreturn]] void refuse(const std::string& message, const std::string& remedy) {
+  throw Error(ErrorKind::config, "labels." + message, remedy);
+}
 
 template <class T>
 bool parse_number(std::string_view text, T& out) {
@@ -27,11 +29,14 @@ std::vector<int> named_frames(const SceneInfo& info, const std::vector<std::stri
     const auto found = std::find(known.begin(), known.end(), name);
     if (found == known.end()) {
       const std::string near = did_you_mean(name, known);
-      refuse("names: no frame '" + name + "'", near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
+      refuse("names: no frame '" + name + "'",
+             near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
     }
     const auto index = static_cast<std::size_t>(found - known.begin());
-    if (info.frames[index].split != Split::train) refuse("names: frame '" + name + "' is not a training frame", "name training frames only");
-    if (!info.frames[index].has_labels) refuse("names: frame '" + name + "' has no labels", "name frames that have a label image");
+    if (info.frames[index].split != Split::train)
+      refuse("names: frame '" + name + "' is not a training frame", "name training frames only");
+    if (!info.frames[index].has_labels)
+      refuse("names: frame '" + name + "' has no labels", "name frames that have a label image");
     out.push_back(static_cast<int>(index));
   }
   std::sort(out.begin(), out.end());
@@ -42,16 +47,20 @@ std::vector<int> named_frames(const SceneInfo& info, const std::vector<std::stri
 }  // namespace
 
 void describe(ParamVisitor& visit, LabelParams& p) {
-  SEMFIELD_PARAM(visit, p, frames, "training frames that keep their labels: all, none, a share such as 10%, or a number of frames");
+  SEMFIELD_PARAM(visit, p, frames,
+                 "training frames that keep their labels: all, none, a share such as 10%, or a number of frames");
   SEMFIELD_PARAM(visit, p, mode, "how they are chosen: evenly spaced key-frames, at random, or by name");
   SEMFIELD_PARAM(visit, p, seed, "seed of the random choice", {0, 9e15});
   SEMFIELD_PARAM(visit, p, names, "names of the frames, for mode named");
 }
 
 void validate(const LabelParams& p, Diagnostics& diagnostics) {
-  if (p.mode == LabelMode::named && p.names.empty()) diagnostics.error("labels.names", "mode named needs names", "list the names of frames");
-  if (p.mode != LabelMode::named && !p.names.empty()) diagnostics.error("labels.names", "names are given but mode is not named", "set labels.mode: named");
-  if (p.mode == LabelMode::named && p.frames != "all") diagnostics.error("labels.frames", "a number of frames and names exclude each other", "drop labels.frames");
+  if (p.mode == LabelMode::named && p.names.empty())
+    diagnostics.error("labels.names", "mode named needs names", "list the names of frames");
+  if (p.mode != LabelMode::named && !p.names.empty())
+    diagnostics.error("labels.names", "names are given but mode is not named", "set labels.mode: named");
+  if (p.mode == LabelMode::named && p.frames != "all")
+    diagnostics.error("labels.frames", "a number of frames and names exclude each other", "drop labels.frames");
   if (p.mode == LabelMode::named) return;
   try {
     (void)label_frame_count(p.frames, 1 << 30);
@@ -71,7 +80,8 @@ int label_frame_count(const std::string& frames, int available) {
     }
   } else if (int count = 0; parse_number(frames, count) && count >= 0) {
     if (count <= available) return count;
-    refuse("frames: " + frames + " asked for, " + std::to_string(available) + " labelled training frames are there", "ask for fewer, or write all");
+    refuse("frames: " + frames + " asked for, " + std::to_string(available) + " labelled training frames are there",
+           "ask for fewer, or write all");
   }
   refuse("frames: expected all, none, a share such as 10%, or a number, got '" + frames + "'", "write for example 10%");
 }
@@ -89,10 +99,12 @@ std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& p
     for (std::int64_t k = 0; k < count; ++k) out.push_back(labelled[static_cast<std::size_t>(k * available / count)]);
     return out;
   }
-  // Fisher-Yates, the first `count` places: without replacement, and a larger choice of the same seed contains the smaller one.
+  // Fisher-Yates, the first `count` places: without replacement, and a larger choice of the same seed contains the
+  // smaller one.
   const RandomAddress address{static_cast<std::uint64_t>(params.seed), 0, stream_id("labels/selection")};
   for (std::int64_t k = 0; k < count; ++k) {
-    const auto other = k + static_cast<std::int64_t>(uniform_below(address, static_cast<std::uint64_t>(k), static_cast<std::uint64_t>(available - k)));
+    const auto other = k + static_cast<std::int64_t>(uniform_below(address, static_cast<std::uint64_t>(k),
+                                                                   static_cast<std::uint64_t>(available - k)));
     std::swap(labelled[static_cast<std::size_t>(k)], labelled[static_cast<std::size_t>(other)]);
     out.push_back(labelled[static_cast<std::size_t>(k)]);
   }

@@ -27,13 +27,15 @@ struct LabelParams {
 void describe(ParamVisitor& visit, LabelParams& params);
 void validate(const LabelParams& params, Diagnostics& diagnostics);
 
-/// How many of `available` labelled frames "all", "none", "10%" or "12" keeps: a share is rounded to the nearest whole number, at least 1 where the
-/// share is above 0. Throws Error(config) for any other text, a share above 100 % and a number above `available`.
+/// How many of `available` labelled frames "all", "none", "10%" or "12" keeps: a share is rounded to the nearest whole
+/// number, at least 1 where the share is above 0. Throws Error(config) for any other text, a share above 100 % and a
+/// number above `available`.
 int label_frame_count(const std::string& frames, int available);
 
-/// Indices into info.frames, ascending, of the training frames whose labels train: N key-frames at ranks floor(k * n / N) (`even`), N drawn without
-/// replacement from the address (seed, "labels/selection") (`random`), or the frames of the given names (`named`). Only
-/// frames with labels count. Throws Error(config) naming a frame that is missing, is no training frame or has no labels.
+/// Indices into info.frames, ascending, of the training frames whose labels train: N key-frames at ranks floor(k * n /
+/// N) (`even`), N drawn without replacement from the address (seed, "labels/selection") (`random`), or the frames of
+/// the given names (`named`). Only frames with labels count. Throws Error(config) naming a frame that is missing, is no
+/// training frame or has no labels.
 std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& params);
 
 /// Drops the labels of every training frame outside `keep`; test frames keep theirs. class_pixels follow.

@@ -56,8 +56,9 @@ bool newton(const Camera& c, Plane target, Plane& q) {
   return residual <= 16 * goal && j[0] * j[3] - j[1] * j[2] > 1e-9;
 }
 
-// True while the radial part grows all the way from the axis to q: beyond its first fold a point is the image of two rays, and
-// only the inner one is the lens. d(r g)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 + 9 k4 s^4, looked at in 32 steps.
+// True while the radial part grows all the way from the axis to q: beyond its first fold a point is the image of two
+// rays, and only the inner one is the lens. d(r g)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 + 9 k4 s^4, looked at in 32
+// steps.
 bool inside_first_fold(const Camera& c, Plane q) {
   const double end = q.x * q.x + q.y * q.y;
   for (int i = 1; i <= 32; ++i) {

@@ -7,8 +7,8 @@
 
 namespace semfield {
 
-/// OpenCV axes (x right, y down, z forward). The centre of pixel (column i, row j) is (i + 0.5, j + 0.5): a dataset with
-/// integer pixel centres adds 0.5 to cx and cy.
+/// OpenCV axes (x right, y down, z forward). The centre of pixel (column i, row j) is (i + 0.5, j + 0.5): a dataset
+/// with integer pixel centres adds 0.5 to cx and cy.
 struct Camera {
   std::int32_t width_px = 0;
   std::int32_t height_px = 0;

@@ -15,7 +15,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::int32_t kMaxId = 65535;      // what a 16-bit label image can hold
+constexpr std::int32_t kMaxId = 65535;  // what a 16-bit label image can hold
 constexpr std::size_t kMaxClasses = 1024;
 
 bool is_void_name(std::string name) {
@@ -77,18 +77,22 @@ ClassTable load_json(const std::string& path) {
   } catch (const nlohmann::json::exception& e) {
     refuse(path, std::string("not valid JSON: ") + e.what());
   }
-  const nlohmann::json* list = root.is_array() ? &root : root.is_object() && root.contains("classes") ? &root["classes"] : nullptr;
+  const nlohmann::json* list = root.is_array()                                ? &root
+                               : root.is_object() && root.contains("classes") ? &root["classes"]
+                                                                              : nullptr;
   if (list == nullptr || !list->is_array()) refuse(path, "no list 'classes' in it");
   std::vector<ClassEntry> entries;
   bool has_zero = false;
   for (const nlohmann::json& item : *list) {
-    if (!item.is_object() || !item.contains("id") || !item["id"].is_number_integer() || !item.contains("name") || !item["name"].is_string()) {
+    if (!item.is_object() || !item.contains("id") || !item["id"].is_number_integer() || !item.contains("name") ||
+        !item["name"].is_string()) {
       refuse(path, "class " + std::to_string(entries.size()) + " of the list needs an integer 'id' and a text 'name'");
     }
     const auto id = item["id"].get<std::int64_t>();
     if (id < 0) continue;  // Replica writes -1 for "no class"
     if (id > kMaxId) refuse(path, "class id " + std::to_string(id) + " is above " + std::to_string(kMaxId));
-    ClassEntry entry{static_cast<std::int32_t>(id), item["name"].get<std::string>(), ClassTable::default_color(static_cast<std::int32_t>(id)), false};
+    ClassEntry entry{static_cast<std::int32_t>(id), item["name"].get<std::string>(),
+                     ClassTable::default_color(static_cast<std::int32_t>(id)), false};
     entry.ignore = id == 0 && is_void_name(entry.name);
     has_zero = has_zero || id == 0;
     entries.push_back(std::move(entry));
@@ -100,7 +104,8 @@ ClassTable load_json(const std::string& path) {
 std::int32_t scalar_int(const ConfigNode& node, const std::string& what, std::int32_t low, std::int32_t high) {
   std::int32_t value = 0;
   if (!node.is_scalar() || node.quoted() || !parse_int(node.text(), value) || value < low || value > high) {
-    refuse(node.location().text(), what + ": expected an integer from " + std::to_string(low) + " to " + std::to_string(high) + ", got '" + node.text() + "'");
+    refuse(node.location().text(), what + ": expected an integer from " + std::to_string(low) + " to " +
+                                       std::to_string(high) + ", got '" + node.text() + "'");
   }
   return value;
 }
@@ -114,23 +119,27 @@ ClassEntry yaml_entry(const ConfigNode& item) {
   for (const auto& [key, value] : item.entries()) {
     if (std::find(keys.begin(), keys.end(), key) == keys.end()) {
       const std::string near = did_you_mean(key, keys);
-      refuse(value.location().text(), "unknown key '" + key + "' of a class", near.empty() ? "known: " + join(keys) : "did you mean '" + near + "'?");
+      refuse(value.location().text(), "unknown key '" + key + "' of a class",
+             near.empty() ? "known: " + join(keys) : "did you mean '" + near + "'?");
     }
   }
   const ConfigNode* id = item.find("id");
   const ConfigNode* name = item.find("name");
   if (id == nullptr) refuse(place, "a class needs an 'id'");
   entry.id = scalar_int(*id, "id", 0, kMaxId);
-  if (name == nullptr || !name->is_scalar() || name->text().empty()) refuse(place, "class " + std::to_string(entry.id) + " needs a 'name'");
+  if (name == nullptr || !name->is_scalar() || name->text().empty())
+    refuse(place, "class " + std::to_string(entry.id) + " needs a 'name'");
   entry.name = name->text();
   if (const ConfigNode* color = item.find("color"); color != nullptr && !color->is_null()) {
     if (!color->is_list() || color->items().size() != 3) refuse(color->location().text(), "color: expected [r, g, b]");
-    for (std::size_t i = 0; i < 3; ++i) entry.color[i] = static_cast<std::uint8_t>(scalar_int(color->items()[i], "color", 0, 255));
+    for (std::size_t i = 0; i < 3; ++i)
+      entry.color[i] = static_cast<std::uint8_t>(scalar_int(color->items()[i], "color", 0, 255));
     has_color = true;
   }
   if (!has_color) entry.color = ClassTable::default_color(entry.id);
   if (const ConfigNode* ignore = item.find("ignore"); ignore != nullptr) {
-    if (ignore->text() != "true" && ignore->text() != "false") refuse(ignore->location().text(), "ignore: expected true or false, got '" + ignore->text() + "'");
+    if (ignore->text() != "true" && ignore->text() != "false")
+      refuse(ignore->location().text(), "ignore: expected true or false, got '" + ignore->text() + "'");
     entry.ignore = ignore->text() == "true";
   }
   return entry;
@@ -163,26 +172,32 @@ std::string quoted(const std::string& text) {
 }  // namespace
 
 ClassTable::ClassTable(std::vector<ClassEntry> entries) : entries_(std::move(entries)) {
-  std::stable_sort(entries_.begin(), entries_.end(), [](const ClassEntry& a, const ClassEntry& b) { return a.id < b.id; });
+  std::stable_sort(entries_.begin(), entries_.end(),
+                   [](const ClassEntry& a, const ClassEntry& b) { return a.id < b.id; });
   for (std::size_t i = 0; i < entries_.size(); ++i) {
     const ClassEntry& e = entries_[i];
     if (e.id < 0 || e.id > kMaxId) {
-      throw Error(ErrorKind::data, "class '" + e.name + "' has id " + std::to_string(e.id), "ids run from 0 to " + std::to_string(kMaxId));
+      throw Error(ErrorKind::data, "class '" + e.name + "' has id " + std::to_string(e.id),
+                  "ids run from 0 to " + std::to_string(kMaxId));
     }
     if (i > 0 && entries_[i - 1].id == e.id) {
-      throw Error(ErrorKind::data, "class id " + std::to_string(e.id) + " is given twice ('" + entries_[i - 1].name + "' and '" + e.name + "')",
-                  "keep one of them");
+      throw Error(
+          ErrorKind::data,
+          "class id " + std::to_string(e.id) + " is given twice ('" + entries_[i - 1].name + "' and '" + e.name + "')",
+          "keep one of them");
     }
     if (!e.ignore) valid_.push_back(static_cast<int>(i));
   }
   if (valid_.size() > kMaxClasses) {
-    throw Error(ErrorKind::data, std::to_string(valid_.size()) + " classes; at most " + std::to_string(kMaxClasses) + " are possible",
+    throw Error(ErrorKind::data,
+                std::to_string(valid_.size()) + " classes; at most " + std::to_string(kMaxClasses) + " are possible",
                 "mark the unused ones 'ignore: true'");
   }
   if (!entries_.empty()) index_of_.assign(static_cast<std::size_t>(entries_.back().id) + 1, -2);
   for (const ClassEntry& e : entries_) index_of_[static_cast<std::size_t>(e.id)] = kVoid;
   for (std::size_t c = 0; c < valid_.size(); ++c) {
-    index_of_[static_cast<std::size_t>(entries_[static_cast<std::size_t>(valid_[c])].id)] = static_cast<std::int32_t>(c);
+    index_of_[static_cast<std::size_t>(entries_[static_cast<std::size_t>(valid_[c])].id)] =
+        static_cast<std::int32_t>(c);
   }
 }
 
@@ -214,15 +229,17 @@ ClassTable ClassTable::load(const std::string& path) {
 std::string ClassTable::to_yaml() const {
   std::string out;
   for (const ClassEntry& e : entries_) {
-    out += "- {id: " + std::to_string(e.id) + ", name: " + quoted(e.name) + ", color: [" + std::to_string(e.color[0]) + ", " +
-           std::to_string(e.color[1]) + ", " + std::to_string(e.color[2]) + "], ignore: " + (e.ignore ? "true" : "false") + "}\n";
+    out += "- {id: " + std::to_string(e.id) + ", name: " + quoted(e.name) + ", color: [" + std::to_string(e.color[0]) +
+           ", " + std::to_string(e.color[1]) + ", " + std::to_string(e.color[2]) +
+           "], ignore: " + (e.ignore ? "true" : "false") + "}\n";
   }
   return out.empty() ? "[]\n" : out;
 }
 
 std::array<std::uint8_t, 3> ClassTable::default_color(std::int32_t id) {
   if (id == 0) return {0, 0, 0};
-  // Hue by the golden ratio keeps any run of ids apart; three levels of saturation and value tell the near hues from each other.
+  // Hue by the golden ratio keeps any run of ids apart; three levels of saturation and value tell the near hues from
+  // each other.
   const double hue = std::fmod(static_cast<double>(id) * 0.61803398874989485, 1.0) * 6.0;
   const double saturation = (id % 3 == 0) ? 0.55 : (id % 3 == 1) ? 0.85 : 0.7;
   const double value = (id / 3 % 3 == 0) ? 0.95 : (id / 3 % 3 == 1) ? 0.7 : 0.82;

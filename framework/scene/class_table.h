@@ -14,7 +14,7 @@ namespace semfield {
 inline constexpr std::int16_t kVoid = -1;
 
 struct ClassEntry {
-  std::int32_t id = 0;                  ///< as stored in label images
+  std::int32_t id = 0;  ///< as stored in label images
   std::string name;
   std::array<std::uint8_t, 3> color{};  ///< sRGB
   bool ignore = false;                  ///< true: void (no logit, no score)
@@ -29,15 +29,17 @@ class ClassTable {
 
   const std::vector<ClassEntry>& entries() const { return entries_; }
   int valid_count() const { return static_cast<int>(valid_.size()); }
-  const ClassEntry& valid(int index) const { return entries_[static_cast<std::size_t>(valid_[static_cast<std::size_t>(index)])]; }
+  const ClassEntry& valid(int index) const {
+    return entries_[static_cast<std::size_t>(valid_[static_cast<std::size_t>(index)])];
+  }
   /// Internal index, kVoid for ignored ids, or -2 for an id that is not in the table.
   int index_of(std::int32_t id) const;
   /// Id to write for an internal index; void writes the first ignored id, or 0 without one.
   std::int32_t id_of(int index) const;
   bool empty() const { return entries_.empty(); }
 
-  /// classes.yaml: a list of {id, name, color: [r, g, b], ignore}. Also reads classes.csv ("id,name" header class_id,class; id 0 named void/undefined/
-  /// unlabelled/other is ignored). Errors name file and line.
+  /// classes.yaml: a list of {id, name, color: [r, g, b], ignore}. Also reads classes.csv ("id,name" header
+  /// class_id,class; id 0 named void/undefined/ unlabelled/other is ignored). Errors name file and line.
   static ClassTable load(const std::string& path);
   std::string to_yaml() const;
   /// A fixed, well separated palette for tables without colours.
@@ -45,8 +47,8 @@ class ClassTable {
 
  private:
   std::vector<ClassEntry> entries_;
-  std::vector<int> valid_;                // internal index -> entry
-  std::vector<std::int32_t> index_of_;    // id -> internal index / kVoid / -2
+  std::vector<int> valid_;              // internal index -> entry
+  std::vector<std::int32_t> index_of_;  // id -> internal index / kVoid / -2
 };
 
 }  // namespace semfield

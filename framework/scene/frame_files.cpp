@@ -11,21 +11,24 @@ namespace semfield {
 
 namespace {
 
-std::string size_text(std::int32_t width, std::int32_t height) { return std::to_string(width) + " x " + std::to_string(height); }
+std::string size_text(std::int32_t width, std::int32_t height) {
+  return std::to_string(width) + " x " + std::to_string(height);
+}
 
 void check_file(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics) {
   if (path.empty()) return;
   std::error_code ignored;
   if (!std::filesystem::exists(path, ignored)) {
-    diagnostics.error(frame_place(frame), std::string(what) + " '" + path + "' is missing", "restore the file, or drop the frame from the index");
+    diagnostics.error(frame_place(frame), std::string(what) + " '" + path + "' is missing",
+                      "restore the file, or drop the frame from the index");
     return;
   }
   try {
     const ImageSize size = image_size(path);
     if (size.width_px != frame.camera.width_px || size.height_px != frame.camera.height_px) {
       diagnostics.error(frame_place(frame),
-                        std::string(what) + " '" + path + "' is " + size_text(size.width_px, size.height_px) + " pixels, the camera " +
-                            size_text(frame.camera.width_px, frame.camera.height_px),
+                        std::string(what) + " '" + path + "' is " + size_text(size.width_px, size.height_px) +
+                            " pixels, the camera " + size_text(frame.camera.width_px, frame.camera.height_px),
                         "colour, depth and labels of a frame need the size that its camera states");
     }
   } catch (const Error& e) {
@@ -36,8 +39,9 @@ void check_file(const FrameInfo& frame, const char* what, const std::string& pat
 template <class T>
 void check_size(const Image<T>& image, const FrameInfo& frame, const std::string& path) {
   if (image.width_px == frame.camera.width_px && image.height_px == frame.camera.height_px) return;
-  throw Error(ErrorKind::data, "'" + path + "' is " + size_text(image.width_px, image.height_px) + " pixels, the camera " +
-                                   size_text(frame.camera.width_px, frame.camera.height_px),
+  throw Error(ErrorKind::data,
+              "'" + path + "' is " + size_text(image.width_px, image.height_px) + " pixels, the camera " +
+                  size_text(frame.camera.width_px, frame.camera.height_px),
               "colour, depth and labels of a frame need the size that its camera states");
 }
 
@@ -60,7 +64,8 @@ void read_depth(const FrameInfo& frame, const std::string& path, double unit_m, 
   }
 }
 
-void read_labels(const FrameInfo& frame, const std::string& path, bool unknown_void, const ClassTable& classes, std::vector<std::int16_t>& out) {
+void read_labels(const FrameInfo& frame, const std::string& path, bool unknown_void, const ClassTable& classes,
+                 std::vector<std::int16_t>& out) {
   const Image<std::uint16_t> image = read_ids(path);
   check_size(image, frame, path);
   out.resize(image.pixels.size());
@@ -69,8 +74,8 @@ void read_labels(const FrameInfo& frame, const std::string& path, bool unknown_v
     if (index == -2 && !unknown_void) {
       const std::size_t width = static_cast<std::size_t>(image.width_px);
       throw Error(ErrorKind::data,
-                  "'" + path + "': label id " + std::to_string(image.pixels[i]) + " at x " + std::to_string(i % width) + ", y " +
-                      std::to_string(i / width) + " is not in the class table",
+                  "'" + path + "': label id " + std::to_string(image.pixels[i]) + " at x " + std::to_string(i % width) +
+                      ", y " + std::to_string(i / width) + " is not in the class table",
                   "add the id to the class table, or set unknown_labels: void");
     }
     out[i] = index < 0 ? kVoid : static_cast<std::int16_t>(index);
@@ -86,7 +91,8 @@ void check_frame_files(const FrameInfo& frame, const FrameFiles& files, Diagnost
   check_file(frame, "instance image", files.instance, diagnostics);
 }
 
-void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const FrameReadRules& rules, const ClassTable& classes, FrameBuffer& out) {
+void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const FrameReadRules& rules,
+                      const ClassTable& classes, FrameBuffer& out) {
   try {
     out = {};
     out.width_px = frame.camera.width_px;

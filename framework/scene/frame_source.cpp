@@ -25,7 +25,8 @@ std::vector<std::size_t> nearest(std::int32_t source, std::int32_t target) {
 }
 
 template <class T>
-std::vector<T> pick(const std::vector<T>& in, std::int32_t width, const std::vector<std::size_t>& cols, const std::vector<std::size_t>& rows) {
+std::vector<T> pick(const std::vector<T>& in, std::int32_t width, const std::vector<std::size_t>& cols,
+                    const std::vector<std::size_t>& rows) {
   if (in.empty()) return {};
   std::vector<T> out;
   out.reserve(cols.size() * rows.size());
@@ -36,38 +37,50 @@ std::vector<T> pick(const std::vector<T>& in, std::int32_t width, const std::vec
   return out;
 }
 
-std::string size_text(std::int32_t width, std::int32_t height) { return std::to_string(width) + " x " + std::to_string(height); }
+std::string size_text(std::int32_t width, std::int32_t height) {
+  return std::to_string(width) + " x " + std::to_string(height);
+}
 
 void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
   const std::size_t pixels = static_cast<std::size_t>(f.camera.width_px) * static_cast<std::size_t>(f.camera.height_px);
   const auto fits = [pixels](std::size_t size, bool wanted) { return size == (wanted ? pixels : 0); };
-  if (b.width_px != f.camera.width_px || b.height_px != f.camera.height_px || b.rgb.size() != pixels * 3 || !fits(b.depth_m.size(), f.has_depth) ||
-      !fits(b.label.size(), f.has_labels) || !fits(b.instance.size(), f.has_instances)) {
-    throw Error(ErrorKind::internal, "dataset delivered other channels or sizes than open() told", "this is a defect of the dataset plugin");
+  if (b.width_px != f.camera.width_px || b.height_px != f.camera.height_px || b.rgb.size() != pixels * 3 ||
+      !fits(b.depth_m.size(), f.has_depth) || !fits(b.label.size(), f.has_labels) ||
+      !fits(b.instance.size(), f.has_instances)) {
+    throw Error(ErrorKind::internal, "dataset delivered other channels or sizes than open() told",
+                "this is a defect of the dataset plugin");
   }
 }
 
 }  // namespace
 
 void describe(ParamVisitor& visit, SceneLoadOptions& p) {
-  SEMFIELD_PARAM(visit, p, width_px, "width to load frames at, pixels; 0 = as stored, or in proportion to height_px", {0, 16384});
-  SEMFIELD_PARAM(visit, p, height_px, "height to load frames at, pixels; 0 = as stored, or in proportion to width_px", {0, 16384});
+  SEMFIELD_PARAM(visit, p, width_px, "width to load frames at, pixels; 0 = as stored, or in proportion to height_px",
+                 {0, 16384});
+  SEMFIELD_PARAM(visit, p, height_px, "height to load frames at, pixels; 0 = as stored, or in proportion to width_px",
+                 {0, 16384});
   SEMFIELD_PARAM(visit, p, downscale, "divides width and height of every frame", {1, 64});
-  SEMFIELD_PARAM(visit, p, near_m, "nearest distance along a ray that is sampled, metres; 0 = from the dataset or derived", {0, 1e6});
-  SEMFIELD_PARAM(visit, p, far_m, "farthest distance along a ray that is sampled, metres; 0 = from the dataset or derived", {0, 1e6});
-  SEMFIELD_PARAM(visit, p, bounds, "world box of the content, metres: [x0, y0, z0, x1, y1, z1]; empty = derived", {-1e7, 1e7});
+  SEMFIELD_PARAM(visit, p, near_m,
+                 "nearest distance along a ray that is sampled, metres; 0 = from the dataset or derived", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, far_m,
+                 "farthest distance along a ray that is sampled, metres; 0 = from the dataset or derived", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, bounds, "world box of the content, metres: [x0, y0, z0, x1, y1, z1]; empty = derived",
+                 {-1e7, 1e7});
 }
 
 void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {
   if (p.downscale != 1 && (p.width_px > 0 || p.height_px > 0)) {
     diagnostics.error("scene.downscale", "downscale and width_px or height_px exclude each other", "keep one of them");
   }
-  if (p.near_m > 0 && p.far_m > 0 && p.near_m >= p.far_m) diagnostics.error("scene.near_m", "near_m must be below far_m", "swap them");
+  if (p.near_m > 0 && p.far_m > 0 && p.near_m >= p.far_m)
+    diagnostics.error("scene.near_m", "near_m must be below far_m", "swap them");
   if (!p.bounds.empty() && p.bounds.size() != 6) {
-    diagnostics.error("scene.bounds", "expected 6 numbers, got " + std::to_string(p.bounds.size()), "write [x0, y0, z0, x1, y1, z1]");
+    diagnostics.error("scene.bounds", "expected 6 numbers, got " + std::to_string(p.bounds.size()),
+                      "write [x0, y0, z0, x1, y1, z1]");
   }
   for (std::size_t i = 0; i < 3 && p.bounds.size() == 6; ++i) {
-    if (!(p.bounds[i] < p.bounds[i + 3])) diagnostics.error("scene.bounds", "the first corner must be below the second on every axis", "swap them");
+    if (!(p.bounds[i] < p.bounds[i + 3]))
+      diagnostics.error("scene.bounds", "the first corner must be below the second on every axis", "swap them");
   }
 }
 
@@ -121,7 +134,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   validate(options, diagnostics);
   scene.info = reader.open(diagnostics);
   std::vector<FrameInfo>& frames = scene.info.frames;
-  if (frames.empty() && !diagnostics.has_errors()) diagnostics.error(scene.info.name, "the scene has no frames", "check the path");
+  if (frames.empty() && !diagnostics.has_errors())
+    diagnostics.error(scene.info.name, "the scene has no frames", "check the path");
   scene.frames.resize(frames.size());
 
   // A frame whose files already failed a check would only fail again.
@@ -136,14 +150,18 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     const std::string place = frame_place(frames[i]);
     if (failed.count(place) > 0) continue;
     if (!scaled_camera(frames[i].camera, options, cameras[i])) {
-      diagnostics.error(place, "frame is " + size_text(frames[i].camera.width_px, frames[i].camera.height_px) + " pixels, smaller than the size asked for",
+      diagnostics.error(place,
+                        "frame is " + size_text(frames[i].camera.width_px, frames[i].camera.height_px) +
+                            " pixels, smaller than the size asked for",
                         "ask for at most the stored size");
       continue;
     }
     const double stretch = cameras[i].fx / frames[i].camera.fx * frames[i].camera.fy / cameras[i].fy;
     stretched = stretched || std::abs(stretch - 1) > 0.01;
   }
-  if (stretched) diagnostics.warning("scene.width_px", "the size asked for changes the aspect ratio; cameras follow it", "give width_px or height_px alone");
+  if (stretched)
+    diagnostics.warning("scene.width_px", "the size asked for changes the aspect ratio; cameras follow it",
+                        "give width_px or height_px alone");
 
   parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t index) {
     const auto i = static_cast<std::size_t>(index);

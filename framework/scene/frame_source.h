@@ -45,15 +45,20 @@ struct SceneReader {
   std::function<void(int, FrameBuffer&)> read;  ///< thread-safe
 };
 
-/// Opens the dataset, reads all frames in parallel (one decoded frame a thread in memory beside the result), scales them: colour
-/// by area, labels, depth and instances by the nearest pixel, camera by Camera::resized. Every problem of every frame goes into
-/// `diagnostics`; the caller decides with throw_if_errors. Throws what open() throws. The result is the same for any number of threads.
+/// Opens the dataset, reads all frames in parallel (one decoded frame a thread in memory beside the result), scales
+/// them: colour by area, labels, depth and instances by the nearest pixel, camera by Camera::resized. Every problem of
+/// every frame goes into `diagnostics`; the caller decides with throw_if_errors. Throws what open() throws. The result
+/// is the same for any number of threads.
 LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& options, Diagnostics& diagnostics);
 /// The same for any class with open() and read(): semfield::Dataset, or a test's own.
 template <class AnyDataset>
-  requires requires(AnyDataset& d, Diagnostics& g, FrameBuffer& b) { d.open(g); d.read(0, b); }
+requires requires(AnyDataset& d, Diagnostics& g, FrameBuffer& b) {
+  d.open(g);
+  d.read(0, b);
+}
 LoadedScene load_scene(AnyDataset& dataset, const SceneLoadOptions& options, Diagnostics& diagnostics) {
-  return load_scene(SceneReader{[&](Diagnostics& found) { return dataset.open(found); }, [&](int frame, FrameBuffer& out) { dataset.read(frame, out); }},
+  return load_scene(SceneReader{[&](Diagnostics& found) { return dataset.open(found); },
+                                [&](int frame, FrameBuffer& out) { dataset.read(frame, out); }},
                     options, diagnostics);
 }
 

@@ -20,7 +20,9 @@ namespace {
 
 constexpr std::size_t kMaxFileBytes = std::size_t{1} << 30;
 
-std::span<const std::byte> bytes_of(const std::string& text) { return std::as_bytes(std::span<const char>(text.data(), text.size())); }
+std::span<const std::byte> bytes_of(const std::string& text) {
+  return std::as_bytes(std::span<const char>(text.data(), text.size()));
+}
 
 // Runs `body`; an error on the way names the file.
 template <class Body>
@@ -50,7 +52,8 @@ Image<std::uint8_t> rgb_of_png(const PngImage& png, int alpha_background) {
     unsigned rgb[3], alpha = 255;
     if (png.palette) {
       if (std::size_t{s[0]} * 3 + 2 >= png.palette_rgb.size()) {
-        throw Error(ErrorKind::data, "PNG is damaged: palette index " + std::to_string(s[0]) + " has no colour", "export the file again");
+        throw Error(ErrorKind::data, "PNG is damaged: palette index " + std::to_string(s[0]) + " has no colour",
+                    "export the file again");
       }
       for (std::size_t c = 0; c < 3; ++c) rgb[c] = png.palette_rgb[std::size_t{s[0]} * 3 + c];
       if (s[0] < png.palette_alpha.size()) alpha = png.palette_alpha[s[0]];
@@ -59,7 +62,8 @@ Image<std::uint8_t> rgb_of_png(const PngImage& png, int alpha_background) {
       if (channels == 2 || channels == 4) alpha = to8(s[channels - 1]);
     }
     for (std::size_t c = 0; c < 3; ++c) {
-      out.pixels[i * 3 + c] = alpha_background < 0 ? static_cast<std::uint8_t>(rgb[c]) : blend(rgb[c], alpha, alpha_background);
+      out.pixels[i * 3 + c] =
+          alpha_background < 0 ? static_cast<std::uint8_t>(rgb[c]) : blend(rgb[c], alpha, alpha_background);
     }
   }
   return out;
@@ -88,7 +92,8 @@ void check_jpeg_end(const std::string& file) {
       at += 2 + static_cast<std::size_t>(byte(at + 2) << 8 | byte(at + 3));
     }
   }
-  throw Error(ErrorKind::data, "JPEG is truncated: it ends after " + std::to_string(file.size()) + " bytes, before its end marker",
+  throw Error(ErrorKind::data,
+              "JPEG is truncated: it ends after " + std::to_string(file.size()) + " bytes, before its end marker",
               "copy or export the file again");
 }
 
@@ -108,9 +113,11 @@ template <class T>
 Image<T> read_input(const std::string& path, OIIO::TypeDesc type) {
   auto input = open_input(path);
   const OIIO::ImageSpec spec = input->spec();
-  if (spec.nchannels < 1 || spec.nchannels > 64) throw Error(ErrorKind::data, "image has " + std::to_string(spec.nchannels) + " channels");
+  if (spec.nchannels < 1 || spec.nchannels > 64)
+    throw Error(ErrorKind::data, "image has " + std::to_string(spec.nchannels) + " channels");
   Image<T> out{spec.width, spec.height, spec.nchannels, {}};
-  out.pixels.resize(static_cast<std::size_t>(spec.width) * static_cast<std::size_t>(spec.height) * static_cast<std::size_t>(spec.nchannels));
+  out.pixels.resize(static_cast<std::size_t>(spec.width) * static_cast<std::size_t>(spec.height) *
+                    static_cast<std::size_t>(spec.nchannels));
   if (!input->read_image(0, 0, 0, spec.nchannels, type, out.pixels.data())) {
     throw Error(ErrorKind::data, "cannot be decoded: " + input->geterror(), "copy or export the file again");
   }
@@ -120,7 +127,8 @@ Image<T> read_input(const std::string& path, OIIO::TypeDesc type) {
 #endif
 
 [[noreturn, maybe_unused]] void no_images() {
-  throw Error(ErrorKind::unavailable, "this build reads PNG images only", "build with -DSEMFIELD_WITH_IMAGES=ON, or pack the scene elsewhere");
+  throw Error(ErrorKind::unavailable, "this build reads PNG images only",
+              "build with -DSEMFIELD_WITH_IMAGES=ON, or pack the scene elsewhere");
 }
 
 void write_bytes(const std::string& path, const std::vector<std::uint8_t>& bytes) {
@@ -214,7 +222,8 @@ Image<float> read_float(const std::string& path) {
     Image<float> in = read_input<float>(path, OIIO::TypeDesc::FLOAT);
     if (in.channels == 1) return in;
     Image<float> out{in.width_px, in.height_px, 1, {}};
-    for (std::size_t i = 0; i < in.pixels.size(); i += static_cast<std::size_t>(in.channels)) out.pixels.push_back(in.pixels[i]);
+    for (std::size_t i = 0; i < in.pixels.size(); i += static_cast<std::size_t>(in.channels))
+      out.pixels.push_back(in.pixels[i]);
     return out;
 #else
     no_images();
@@ -226,23 +235,27 @@ std::vector<std::uint8_t> encode_png_rgb(std::int32_t width, std::int32_t height
   return encode_png(width, height, 2, 8, rgb);
 }
 
-void write_png_rgb(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint8_t> rgb) {
+void write_png_rgb(const std::string& path, std::int32_t width, std::int32_t height,
+                   std::span<const std::uint8_t> rgb) {
   write_bytes(path, encode_png(width, height, 2, 8, rgb));
 }
 
-void write_png_gray16(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint16_t> values) {
+void write_png_gray16(const std::string& path, std::int32_t width, std::int32_t height,
+                      std::span<const std::uint16_t> values) {
   std::vector<std::uint8_t> rows;
   rows.reserve(values.size() * 2);
-  for (const std::uint16_t v : values) rows.insert(rows.end(), {static_cast<std::uint8_t>(v >> 8), static_cast<std::uint8_t>(v)});
+  for (const std::uint16_t v : values)
+    rows.insert(rows.end(), {static_cast<std::uint8_t>(v >> 8), static_cast<std::uint8_t>(v)});
   write_bytes(path, encode_png(width, height, 0, 16, rows));
 }
 
-void write_png_gray8(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint8_t> values) {
+void write_png_gray8(const std::string& path, std::int32_t width, std::int32_t height,
+                     std::span<const std::uint8_t> values) {
   write_bytes(path, encode_png(width, height, 0, 8, values));
 }
 
-void write_png_palette(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint8_t> index,
-                       std::span<const std::uint8_t> palette_rgb) {
+void write_png_palette(const std::string& path, std::int32_t width, std::int32_t height,
+                       std::span<const std::uint8_t> index, std::span<const std::uint8_t> palette_rgb) {
   write_bytes(path, encode_png(width, height, 3, 8, index, palette_rgb));
 }
 
@@ -271,13 +284,14 @@ void write_npy(const std::string& path, std::span<const std::int64_t> shape, std
 }
 
 Image<std::uint8_t> resize_area(const Image<std::uint8_t>& image, std::int32_t width, std::int32_t height) {
-  SEMFIELD_CHECK(width > 0 && height > 0 && width <= image.width_px && height <= image.height_px, "resize_area only shrinks");
+  SEMFIELD_CHECK(width > 0 && height > 0 && width <= image.width_px && height <= image.height_px,
+                 "resize_area only shrinks");
   if (width == image.width_px && height == image.height_px) return image;
   const auto channels = static_cast<std::size_t>(image.channels);
   Image<std::uint8_t> out{width, height, image.channels, {}};
   out.pixels.resize(static_cast<std::size_t>(width) * static_cast<std::size_t>(height) * channels);
-  // In units of 1 / target size the overlaps of source and target intervals are whole numbers, so the averages are exact
-  // before their one rounding.
+  // In units of 1 / target size the overlaps of source and target intervals are whole numbers, so the averages are
+  // exact before their one rounding.
   const std::int64_t sw = image.width_px, sh = image.height_px;
   std::vector<std::int64_t> sums(static_cast<std::size_t>(width) * channels);
   for (std::int64_t y = 0; y < height; ++y) {
@@ -291,7 +305,8 @@ Image<std::uint8_t> resize_area(const Image<std::uint8_t>& image, std::int32_t w
         for (std::int64_t sx = x0 / width; sx * width < x1; ++sx) {
           const std::int64_t weight = wy * (std::min(x1, (sx + 1) * width) - std::max(x0, sx * width));
           for (std::size_t c = 0; c < channels; ++c) {
-            sums[static_cast<std::size_t>(x) * channels + c] += weight * row[static_cast<std::size_t>(sx) * channels + c];
+            sums[static_cast<std::size_t>(x) * channels + c] +=
+                weight * row[static_cast<std::size_t>(sx) * channels + c];
           }
         }
       }

@@ -1,6 +1,6 @@
-// Images in and out; image_io.cpp is the only user of OpenImageIO. PNG goes through our own codec, so that palette indices
-// and damage are seen as they are; a build without OpenImageIO (SEMFIELD_WITH_IMAGES=OFF) still reads and writes PNG, and throws
-// Error(unavailable) for every other format.
+// Images in and out; image_io.cpp is the only user of OpenImageIO. PNG goes through our own codec, so that palette
+// indices and damage are seen as they are; a build without OpenImageIO (SEMFIELD_WITH_IMAGES=OFF) still reads and
+// writes PNG, and throws Error(unavailable) for every other format.
 #pragma once
 
 #include <cstdint>
@@ -25,19 +25,23 @@ struct ImageSize {
 bool images_available();
 /// Header only. Refuses axes over 16,384 and over 2^28 pixels before allocating. Errors name the path and the cause.
 ImageSize image_size(const std::string& path);
-/// 8-bit colour, always 3 channels (grey replicated, alpha over `white`/dropped as `alpha_background` says: -1 drop, else 0..255).
+/// 8-bit colour, always 3 channels (grey replicated, alpha over `white`/dropped as `alpha_background` says: -1 drop,
+/// else 0..255).
 Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background = -1);
-/// Single-channel integer image (labels, depth in mm, instances), 8 or 16 bit, values unchanged; palette PNGs give indices.
+/// Single-channel integer image (labels, depth in mm, instances), 8 or 16 bit, values unchanged; palette PNGs give
+/// indices.
 Image<std::uint16_t> read_ids(const std::string& path);
 /// Single-channel float image (EXR depth).
 Image<float> read_float(const std::string& path);
 
 /// Written to a temporary name and renamed. 8-bit RGB, 8-bit or 16-bit grey PNG; palette PNG (index + colours).
 void write_png_rgb(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint8_t> rgb);
-void write_png_gray16(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint16_t> values);
-void write_png_gray8(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint8_t> values);
-void write_png_palette(const std::string& path, std::int32_t width, std::int32_t height, std::span<const std::uint8_t> index,
-                       std::span<const std::uint8_t> palette_rgb);
+void write_png_gray16(const std::string& path, std::int32_t width, std::int32_t height,
+                      std::span<const std::uint16_t> values);
+void write_png_gray8(const std::string& path, std::int32_t width, std::int32_t height,
+                     std::span<const std::uint8_t> values);
+void write_png_palette(const std::string& path, std::int32_t width, std::int32_t height,
+                       std::span<const std::uint8_t> index, std::span<const std::uint8_t> palette_rgb);
 /// PNG bytes in memory (for the report).
 std::vector<std::uint8_t> encode_png_rgb(std::int32_t width, std::int32_t height, std::span<const std::uint8_t> rgb);
 /// NumPy .npy, float32, C order.

@@ -20,7 +20,8 @@
 
 namespace semfield {
 
-static_assert(std::endian::native == std::endian::little, "packed scenes are written in the machine's order, which must be little-endian");
+static_assert(std::endian::native == std::endian::little,
+              "packed scenes are written in the machine's order, which must be little-endian");
 
 namespace {
 
@@ -117,7 +118,8 @@ void walk_frame(Stream& s, FrameInfo& f, Chunks& chunks) {
   vector3(s, f.world_from_camera.t);
   auto split = static_cast<std::uint8_t>(f.split);
   s.number(split);
-  if (split > static_cast<std::uint8_t>(Split::unused)) throw Error(ErrorKind::data, "manifest has an unknown split", "pack the scene again");
+  if (split > static_cast<std::uint8_t>(Split::unused))
+    throw Error(ErrorKind::data, "manifest has an unknown split", "pack the scene again");
   f.split = static_cast<Split>(split);
   for (PackedScene::Chunk& k : chunks) {
     s.number(k.offset);
@@ -158,8 +160,8 @@ PackedScene::Chunk put_chunk(AtomicFile& file, std::span<const std::byte> raw, s
   if (raw.empty()) return chunk;
   uLongf packed_bytes = ::compressBound(static_cast<uLong>(raw.size()));
   std::vector<std::byte> packed(packed_bytes);
-  const int status = ::compress2(reinterpret_cast<Bytef*>(packed.data()), &packed_bytes, reinterpret_cast<const Bytef*>(raw.data()),
-                                 static_cast<uLong>(raw.size()), 3);
+  const int status = ::compress2(reinterpret_cast<Bytef*>(packed.data()), &packed_bytes,
+                                 reinterpret_cast<const Bytef*>(raw.data()), static_cast<uLong>(raw.size()), 3);
   const bool smaller = status == Z_OK && packed_bytes < raw.size();
   const std::span<const std::byte> stored = smaller ? std::span<const std::byte>(packed.data(), packed_bytes) : raw;
   chunk = {file.size(), stored.size(), raw.size(), crc32c(stored), format | (smaller ? kDeflated : 0u)};
@@ -184,14 +186,18 @@ struct Header {
 };
 static_assert(sizeof(Header) == kHeaderBytes);
 
-std::uint32_t crc_of(const Header& h) { return crc32c(std::as_bytes(std::span<const Header, 1>(&h, 1)).first(kHeaderBytes - 4)); }
+std::uint32_t crc_of(const Header& h) {
+  return crc32c(std::as_bytes(std::span<const Header, 1>(&h, 1)).first(kHeaderBytes - 4));
+}
 
 // Reads exactly out.size() bytes or tells why not.
 void read_at(int file, std::uint64_t offset, std::span<std::byte> out) {
   while (!out.empty()) {
     const ssize_t got = ::pread(file, out.data(), out.size(), static_cast<off_t>(offset));
     if (got < 0 && errno == EINTR) continue;
-    if (got <= 0) throw Error(ErrorKind::io, got < 0 ? std::string("cannot read: ") + std::strerror(errno) : "file became shorter while it was read");
+    if (got <= 0)
+      throw Error(ErrorKind::io, got < 0 ? std::string("cannot read: ") + std::strerror(errno)
+                                         : "file became shorter while it was read");
     out = out.subspan(static_cast<std::size_t>(got));
     offset += static_cast<std::uint64_t>(got);
   }
@@ -206,8 +212,8 @@ std::vector<T> typed(const std::vector<std::byte>& bytes) {
 
 }  // namespace
 
-void write_packed_scene(const std::string& path, const SceneInfo& info, const std::function<void(int, FrameBuffer&)>& read,
-                        const PackOptions& options) {
+void write_packed_scene(const std::string& path, const SceneInfo& info,
+                        const std::function<void(int, FrameBuffer&)>& read, const PackOptions& options) {
   AtomicFile file(path);
   Header header{};
   file.append(std::as_bytes(std::span<const Header, 1>(&header, 1)));
@@ -256,15 +262,20 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
   std::memcpy(&header, head.data(), kHeaderBytes);
   if (crc_of(header) != header.header_crc) throw refuse("header is damaged (wrong checksum)", "copy the file again");
   if (header.version != kPackedVersion) {
-    throw refuse("format version " + std::to_string(header.version) + "; this build reads version " + std::to_string(kPackedVersion), again);
+    throw refuse("format version " + std::to_string(header.version) + "; this build reads version " +
+                     std::to_string(kPackedVersion),
+                 again);
   }
   file_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC);
   struct stat about {};
   try {
-    if (file_ < 0 || ::fstat(file_, &about) != 0) throw refuse(std::string("cannot open: ") + std::strerror(errno), "check the permissions");
+    if (file_ < 0 || ::fstat(file_, &about) != 0)
+      throw refuse(std::string("cannot open: ") + std::strerror(errno), "check the permissions");
     file_bytes_ = static_cast<std::uint64_t>(about.st_size);
     if (file_bytes_ != header.file_bytes) {
-      throw refuse("holds " + std::to_string(file_bytes_) + " bytes, its header says " + std::to_string(header.file_bytes), "copy the file again");
+      throw refuse(
+          "holds " + std::to_string(file_bytes_) + " bytes, its header says " + std::to_string(header.file_bytes),
+          "copy the file again");
     }
     if (header.manifest_bytes > kMaxManifestBytes || header.manifest_offset > file_bytes_ ||
         header.manifest_bytes > file_bytes_ - header.manifest_offset) {
@@ -272,22 +283,28 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
     }
     std::vector<std::byte> manifest(header.manifest_bytes);
     read_at(file_, header.manifest_offset, manifest);
-    if (crc32c(manifest) != header.manifest_crc) throw refuse("manifest is damaged (wrong checksum)", "copy the file again");
+    if (crc32c(manifest) != header.manifest_crc)
+      throw refuse("manifest is damaged (wrong checksum)", "copy the file again");
     Reader reader(manifest);
     std::vector<ClassEntry> classes;
     walk(reader, info_, classes, chunks_);
-    if (!reader.finished() || info_.frames.size() != header.frames) throw refuse("manifest does not match its header", again);
+    if (!reader.finished() || info_.frames.size() != header.frames)
+      throw refuse("manifest does not match its header", again);
     info_.classes = ClassTable(std::move(classes));
     static constexpr std::uint64_t kPixelBytes[kChannels] = {3, 4, 2, 4};
     for (std::size_t i = 0; i < info_.frames.size(); ++i) {
       FrameInfo& f = info_.frames[i];
       check_image_limits(f.camera.width_px, f.camera.height_px);
-      const std::uint64_t pixels = static_cast<std::uint64_t>(f.camera.width_px) * static_cast<std::uint64_t>(f.camera.height_px);
+      const std::uint64_t pixels =
+          static_cast<std::uint64_t>(f.camera.width_px) * static_cast<std::uint64_t>(f.camera.height_px);
       for (std::size_t c = 0; c < kChannels; ++c) {
         const Chunk& k = chunks_[i][c];
-        const std::uint64_t expected = c == kDepth && (k.format & kMillimetres) != 0 ? pixels * 2 : pixels * kPixelBytes[c];
+        const std::uint64_t expected =
+            c == kDepth && (k.format & kMillimetres) != 0 ? pixels * 2 : pixels * kPixelBytes[c];
         const bool fits = k.offset <= file_bytes_ && k.stored_bytes <= file_bytes_ - k.offset;
-        const bool sized = k.raw_bytes == expected && ((k.format & kDeflated) != 0 ? k.raw_bytes / 1032 <= k.stored_bytes : k.stored_bytes == k.raw_bytes);
+        const bool sized =
+            k.raw_bytes == expected &&
+            ((k.format & kDeflated) != 0 ? k.raw_bytes / 1032 <= k.stored_bytes : k.stored_bytes == k.raw_bytes);
         if (k.raw_bytes == 0 ? c == kColor : !fits || !sized) {
           throw refuse("frame '" + f.name + "': " + kChannelNames[c] + " has an impossible size", again);
         }
@@ -307,7 +324,10 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
 }
 
 PackedScene::PackedScene(PackedScene&& other) noexcept
-    : path_(std::move(other.path_)), file_(std::exchange(other.file_, -1)), file_bytes_(other.file_bytes_), info_(std::move(other.info_)),
+    : path_(std::move(other.path_)),
+      file_(std::exchange(other.file_, -1)),
+      file_bytes_(other.file_bytes_),
+      info_(std::move(other.info_)),
       chunks_(std::move(other.chunks_)) {}
 
 PackedScene::~PackedScene() {
@@ -317,7 +337,9 @@ PackedScene::~PackedScene() {
 std::vector<std::byte> PackedScene::chunk_bytes(int frame, Channel channel) const {
   const Chunk& chunk = chunks_[static_cast<std::size_t>(frame)][channel];
   const auto fail = [&](const char* what) {
-    return Error(ErrorKind::data, "'" + path_ + "': frame '" + info_.frames[static_cast<std::size_t>(frame)].name + "': " + kChannelNames[channel] + what,
+    return Error(ErrorKind::data,
+                 "'" + path_ + "': frame '" + info_.frames[static_cast<std::size_t>(frame)].name +
+                     "': " + kChannelNames[channel] + what,
                  "copy the file again, or pack the scene again");
   };
   if (chunk.raw_bytes == 0) return {};
@@ -327,7 +349,8 @@ std::vector<std::byte> PackedScene::chunk_bytes(int frame, Channel channel) cons
   if ((chunk.format & kDeflated) == 0) return stored;
   std::vector<std::byte> raw(chunk.raw_bytes);
   uLongf made = static_cast<uLongf>(raw.size());
-  const int status = ::uncompress(reinterpret_cast<Bytef*>(raw.data()), &made, reinterpret_cast<const Bytef*>(stored.data()), static_cast<uLong>(stored.size()));
+  const int status = ::uncompress(reinterpret_cast<Bytef*>(raw.data()), &made,
+                                  reinterpret_cast<const Bytef*>(stored.data()), static_cast<uLong>(stored.size()));
   if (status != Z_OK || made != raw.size()) throw fail(" cannot be inflated");
   return raw;
 }
@@ -349,7 +372,9 @@ void PackedScene::read(int frame, FrameBuffer& out) const {
   const int classes = info_.classes.valid_count();
   for (const std::int16_t c : out.label) {
     if (c < kVoid || c >= classes) {
-      throw Error(ErrorKind::data, "'" + path_ + "': frame '" + info.name + "': label index " + std::to_string(c) + " is outside the class table",
+      throw Error(ErrorKind::data,
+                  "'" + path_ + "': frame '" + info.name + "': label index " + std::to_string(c) +
+                      " is outside the class table",
                   "pack the scene again");
     }
   }

@@ -1,4 +1,5 @@
-// A scene in one file that needs no image library: manifest, class table, and each frame's channels, every part with its checksum.
+// A scene in one file that needs no image library: manifest, class table, and each frame's channels, every part with
+// its checksum.
 #pragma once
 
 #include <array>
@@ -11,26 +12,29 @@
 
 namespace semfield {
 
-/// Layout, little-endian: 64-byte header {magic "SEMFPACK", u32 version, u32 frames, u64 file bytes, u64 manifest offset, u64 manifest
-/// bytes, u32 CRC-32C of the manifest, 16 zero bytes, u32 CRC-32C of the 60 bytes before}, then the chunks, then the manifest. Labels are internal
-/// indices (the class table with the original ids is in the manifest), colour 8 bit, depth float metres or whole millimetres,
-/// instances 32 bit. A chunk is deflated where that makes it smaller.
+/// Layout, little-endian: 64-byte header {magic "SEMFPACK", u32 version, u32 frames, u64 file bytes, u64 manifest
+/// offset, u64 manifest bytes, u32 CRC-32C of the manifest, 16 zero bytes, u32 CRC-32C of the 60 bytes before}, then
+/// the chunks, then the manifest. Labels are internal indices (the class table with the original ids is in the
+/// manifest), colour 8 bit, depth float metres or whole millimetres, instances 32 bit. A chunk is deflated where that
+/// makes it smaller.
 inline constexpr std::uint32_t kPackedVersion = 1;
 
 struct PackOptions {
-  bool depth_as_mm = true;    ///< true: uint16 millimetres (rounded, up to 65.534 m); false: float, unchanged
+  bool depth_as_mm = true;  ///< true: uint16 millimetres (rounded, up to 65.534 m); false: float, unchanged
   bool with_depth = true;
   bool with_instances = true;
 };
 
-/// Writes `path` atomically, frame by frame: `read(frame, buffer)` is called once a frame in order, so one frame is in memory at a
-/// time. Frames that the callback leaves without a channel are stored without it. Throws Error(io), or what `read` throws.
-void write_packed_scene(const std::string& path, const SceneInfo& info, const std::function<void(int, FrameBuffer&)>& read,
-                        const PackOptions& options = {});
+/// Writes `path` atomically, frame by frame: `read(frame, buffer)` is called once a frame in order, so one frame is in
+/// memory at a time. Frames that the callback leaves without a channel are stored without it. Throws Error(io), or what
+/// `read` throws.
+void write_packed_scene(const std::string& path, const SceneInfo& info,
+                        const std::function<void(int, FrameBuffer&)>& read, const PackOptions& options = {});
 
 class PackedScene {
  public:
-  /// Checks header and manifest, all sizes against the file before any allocation. Throws Error(no_input) or Error(data) naming the file.
+  /// Checks header and manifest, all sizes against the file before any allocation. Throws Error(no_input) or
+  /// Error(data) naming the file.
   explicit PackedScene(std::string path);
   ~PackedScene();
   PackedScene(PackedScene&& other) noexcept;

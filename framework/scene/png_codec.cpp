@@ -32,11 +32,13 @@ struct Chunk {
 
 // The chunk at `at`, which moves behind it; its checksum is verified.
 Chunk next_chunk(std::span<const std::uint8_t> file, std::size_t& at) {
-  if (file.size() - at < 12) damaged("is truncated: it ends after " + std::to_string(file.size()) + " bytes, before its end chunk");
+  if (file.size() - at < 12)
+    damaged("is truncated: it ends after " + std::to_string(file.size()) + " bytes, before its end chunk");
   const std::uint32_t length = big32(file.data() + at);
   const std::string type(reinterpret_cast<const char*>(file.data()) + at + 4, 4);
   if (length > file.size() - at - 12) {
-    damaged("is truncated: chunk " + type + " needs " + std::to_string(length) + " bytes, " + std::to_string(file.size() - at - 12) + " are there");
+    damaged("is truncated: chunk " + type + " needs " + std::to_string(length) + " bytes, " +
+            std::to_string(file.size() - at - 12) + " are there");
   }
   const std::uint8_t* body = file.data() + at + 8;
   const auto sum = static_cast<std::uint32_t>(::crc32(::crc32(0, nullptr, 0), file.data() + at + 4, length + 4));
@@ -64,7 +66,8 @@ Header read_header(std::span<const std::uint8_t> file, std::size_t& at) {
                      : h.color_type == 3 ? small || h.bits == 8
                      : h.color_type == 2 || h.color_type == 4 || h.color_type == 6 ? h.bits == 8 || h.bits == 16
                                                                                    : false;
-  if (!valid || p[10] != 0 || p[11] != 0 || h.interlace > 1) damaged("is damaged: its header has no valid pixel format");
+  if (!valid || p[10] != 0 || p[11] != 0 || h.interlace > 1)
+    damaged("is damaged: its header has no valid pixel format");
   return h;
 }
 
@@ -72,7 +75,8 @@ Header read_header(std::span<const std::uint8_t> file, std::size_t& at) {
 struct Pass {
   std::uint32_t x0, y0, dx, dy;
 };
-constexpr std::array<Pass, 7> kAdam7{{{0, 0, 8, 8}, {4, 0, 8, 8}, {0, 4, 4, 8}, {2, 0, 4, 4}, {0, 2, 2, 4}, {1, 0, 2, 2}, {0, 1, 1, 2}}};
+constexpr std::array<Pass, 7> kAdam7{
+    {{0, 0, 8, 8}, {4, 0, 8, 8}, {0, 4, 4, 8}, {2, 0, 4, 4}, {0, 2, 2, 4}, {1, 0, 2, 2}, {0, 1, 1, 2}}};
 constexpr std::array<Pass, 1> kPlain{{{0, 0, 1, 1}}};
 
 std::uint32_t steps(std::uint32_t size, std::uint32_t start, std::uint32_t step) {
@@ -114,7 +118,8 @@ std::vector<std::uint8_t> inflate_data(const std::vector<std::span<const std::ui
   for (const auto& part : parts) packed += part.size();
   // Deflate expands at most 1,032-fold: a header that promises more lies, and nothing is allocated for it.
   if (packed < size / 1032) {
-    damaged("is truncated: " + std::to_string(packed) + " bytes of data cannot hold " + std::to_string(size) + " bytes of pixels");
+    damaged("is truncated: " + std::to_string(packed) + " bytes of data cannot hold " + std::to_string(size) +
+            " bytes of pixels");
   }
   std::vector<std::uint8_t> out(size);
   z_stream z{};
@@ -130,8 +135,10 @@ std::vector<std::uint8_t> inflate_data(const std::vector<std::span<const std::ui
   }
   const std::size_t made = size - z.avail_out;
   ::inflateEnd(&z);
-  if (status != Z_OK && status != Z_STREAM_END && status != Z_BUF_ERROR) damaged("is damaged: its compressed data has an error");
-  if (made < size) damaged("is truncated: " + std::to_string(made) + " of " + std::to_string(size) + " bytes of pixels are there");
+  if (status != Z_OK && status != Z_STREAM_END && status != Z_BUF_ERROR)
+    damaged("is damaged: its compressed data has an error");
+  if (made < size)
+    damaged("is truncated: " + std::to_string(made) + " of " + std::to_string(size) + " bytes of pixels are there");
   return out;
 }
 
@@ -169,7 +176,8 @@ void put_chunk(std::vector<std::uint8_t>& out, const char* type, std::span<const
   const std::size_t start = out.size();
   out.insert(out.end(), type, type + 4);
   out.insert(out.end(), data.begin(), data.end());
-  put32(out, static_cast<std::uint32_t>(::crc32(::crc32(0, nullptr, 0), out.data() + start, static_cast<uInt>(out.size() - start))));
+  put32(out, static_cast<std::uint32_t>(
+                 ::crc32(::crc32(0, nullptr, 0), out.data() + start, static_cast<uInt>(out.size() - start))));
 }
 
 std::span<const std::uint8_t> as_uint8(std::span<const std::byte> bytes) {
@@ -180,7 +188,8 @@ std::span<const std::uint8_t> as_uint8(std::span<const std::byte> bytes) {
 
 void check_image_limits(std::int64_t width, std::int64_t height) {
   const std::string size = std::to_string(width) + " x " + std::to_string(height);
-  if (width <= 0 || height <= 0) throw Error(ErrorKind::data, "image has no pixels (" + size + ")", "export the file again");
+  if (width <= 0 || height <= 0)
+    throw Error(ErrorKind::data, "image has no pixels (" + size + ")", "export the file again");
   if (width > 16384 || height > 16384 || width * height > (std::int64_t{1} << 28)) {
     throw Error(ErrorKind::data, "image states a size of " + size + " pixels; at most 16384 an axis are read",
                 "scale it down, or export it again if the size is wrong");
@@ -215,7 +224,8 @@ PngImage decode_png(std::span<const std::byte> bytes) {
     if (chunk.type == "PLTE") image.palette_rgb.assign(chunk.data.begin(), chunk.data.end());
     if (chunk.type == "tRNS" && image.palette) image.palette_alpha.assign(chunk.data.begin(), chunk.data.end());
   }
-  if (image.palette && (image.palette_rgb.empty() || image.palette_rgb.size() % 3 != 0)) damaged("is damaged: its palette is missing");
+  if (image.palette && (image.palette_rgb.empty() || image.palette_rgb.size() % 3 != 0))
+    damaged("is damaged: its palette is missing");
   std::size_t size = 0;
   if (h.interlace != 0) {
     for (const Pass& p : kAdam7) {
@@ -231,13 +241,14 @@ PngImage decode_png(std::span<const std::byte> bytes) {
   return image;
 }
 
-std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, int color_type, int bits, std::span<const std::uint8_t> rows,
-                                     std::span<const std::uint8_t> palette_rgb) {
+std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, int color_type, int bits,
+                                     std::span<const std::uint8_t> rows, std::span<const std::uint8_t> palette_rgb) {
   check_image_limits(width, height);
   const Header h{static_cast<std::uint32_t>(width), static_cast<std::uint32_t>(height), bits, color_type, 0};
   const std::size_t bytes = row_bytes(h, h.width);
   SEMFIELD_CHECK(rows.size() == bytes * h.height, "PNG rows do not match the size");
-  SEMFIELD_CHECK(color_type != 3 || (!palette_rgb.empty() && palette_rgb.size() % 3 == 0 && palette_rgb.size() <= 768), "a palette has 1 to 256 colours");
+  SEMFIELD_CHECK(color_type != 3 || (!palette_rgb.empty() && palette_rgb.size() % 3 == 0 && palette_rgb.size() <= 768),
+                 "a palette has 1 to 256 colours");
   // Photographs pack best after a prediction, maps of ids without one.
   const int filter = color_type == 2 ? 4 : 0;
   const std::size_t pixel_bytes = std::max<std::size_t>(1, static_cast<std::size_t>(h.channels() * bits) / 8);

@@ -23,12 +23,14 @@ struct PngImage {
 bool looks_like_png(std::span<const std::byte> bytes);
 /// Dimensions from the first chunk. Throws Error(data) as decode_png does.
 ImageSize png_size(std::span<const std::byte> bytes);
-/// Whole image [PNG3]. Throws Error(data) with the cause (no path: the caller adds it) for a wrong checksum, a missing end, sizes over
-/// the limits of image_size(), and data too short for the stated size - the last before the pixels are allocated.
+/// Whole image [PNG3]. Throws Error(data) with the cause (no path: the caller adds it) for a wrong checksum, a missing
+/// end, sizes over the limits of image_size(), and data too short for the stated size - the last before the pixels are
+/// allocated.
 PngImage decode_png(std::span<const std::byte> bytes);
 
 /// color_type 0 grey, 2 RGB, 3 palette; rows are packed big-endian bytes of width * channels * bits / 8.
-std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, int color_type, int bits, std::span<const std::uint8_t> rows,
+std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, int color_type, int bits,
+                                     std::span<const std::uint8_t> rows,
                                      std::span<const std::uint8_t> palette_rgb = {});
 
 /// Refuses empty images, axes over 16,384 and over 2^28 pixels.

@@ -14,10 +14,10 @@ namespace semfield {
 enum class Split : std::uint8_t { train, test, unused };
 
 struct FrameInfo {
-  std::string name;            ///< stem used in messages and output files ("rgb_12", "0017")
-  std::string source;          ///< path of the colour image, or what stands for it
+  std::string name;    ///< stem used in messages and output files ("rgb_12", "0017")
+  std::string source;  ///< path of the colour image, or what stands for it
   Camera camera;
-  Pose world_from_camera;      ///< OpenCV camera axes, metres (or the scene's unit)
+  Pose world_from_camera;  ///< OpenCV camera axes, metres (or the scene's unit)
   Split split = Split::train;
   bool has_depth = false;
   bool has_labels = false;
@@ -28,20 +28,20 @@ struct FrameInfo {
 struct SceneInfo {
   std::string name;
   std::vector<FrameInfo> frames;
-  ClassTable classes;          ///< empty when the scene has no labels
-  Box bounds;                  ///< world box of the content; empty = derive from cameras and depth
-  bool metric = true;          ///< false: the unit is unknown (structure from motion)
-  double near_hint_m = 0;      ///< 0 = none
+  ClassTable classes;      ///< empty when the scene has no labels
+  Box bounds;              ///< world box of the content; empty = derive from cameras and depth
+  bool metric = true;      ///< false: the unit is unknown (structure from motion)
+  double near_hint_m = 0;  ///< 0 = none
   double far_hint_m = 0;
 };
 
 /// Pixels of one frame, row-major, top-left first. Vectors are empty where the frame has no such channel.
 struct FrameBuffer {
   std::int32_t width_px = 0, height_px = 0;
-  std::vector<std::uint8_t> rgb;        ///< [H * W * 3] as stored in the file (display-referred, 0..255)
-  std::vector<float> depth_m;           ///< [H * W] z-depth, 0 = invalid
-  std::vector<std::int16_t> label;      ///< [H * W] internal class index, kVoid = void
-  std::vector<std::int32_t> instance;   ///< [H * W] instance id, 0 = none
+  std::vector<std::uint8_t> rgb;       ///< [H * W * 3] as stored in the file (display-referred, 0..255)
+  std::vector<float> depth_m;          ///< [H * W] z-depth, 0 = invalid
+  std::vector<std::int16_t> label;     ///< [H * W] internal class index, kVoid = void
+  std::vector<std::int32_t> instance;  ///< [H * W] instance id, 0 = none
 };
 
 }  // namespace semfield

@@ -11,12 +11,13 @@ namespace semfield {
 namespace {
 
 struct DepthSurvey {
-  Box box;                        ///< of the back-projected points, metres
-  std::vector<float> distances;   ///< along the ray
+  Box box;                       ///< of the back-projected points, metres
+  std::vector<float> distances;  ///< along the ray
   std::int64_t looked_at = 0, valid = 0;
 };
 
-// Every fourth pixel each way of one frame. The outermost 0.1 % of a coordinate over all frames are dropped later, so points are kept.
+// Every fourth pixel each way of one frame. The outermost 0.1 % of a coordinate over all frames are dropped later, so
+// points are kept.
 struct FramePoints {
   std::vector<float> x, y, z, distance;
   std::int64_t looked_at = 0;
@@ -28,7 +29,8 @@ FramePoints back_project(const FrameInfo& frame, const FrameBuffer& buffer) {
   for (int y = step / 2; y < buffer.height_px; y += step) {
     for (int x = step / 2; x < buffer.width_px; x += step) {
       ++out.looked_at;
-      const float depth = buffer.depth_m[static_cast<std::size_t>(y) * static_cast<std::size_t>(buffer.width_px) + static_cast<std::size_t>(x)];
+      const float depth = buffer.depth_m[static_cast<std::size_t>(y) * static_cast<std::size_t>(buffer.width_px) +
+                                         static_cast<std::size_t>(x)];
       if (!(depth > 0)) continue;
       const Vec3d d = frame.camera.direction(x + 0.5, y + 0.5);
       if (!(d.z > 0)) continue;
@@ -53,7 +55,8 @@ DepthSurvey survey_depth(const LoadedScene& scene, const std::vector<int>& frame
   std::vector<FramePoints> parts(frames.size());
   parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t i) {
     const auto f = static_cast<std::size_t>(frames[static_cast<std::size_t>(i)]);
-    if (!scene.frames[f].depth_m.empty()) parts[static_cast<std::size_t>(i)] = back_project(scene.info.frames[f], scene.frames[f]);
+    if (!scene.frames[f].depth_m.empty())
+      parts[static_cast<std::size_t>(i)] = back_project(scene.info.frames[f], scene.frames[f]);
   });
   DepthSurvey out;
   std::vector<float> axes[3];
@@ -106,7 +109,8 @@ void derive_extent(LoadedScene& scene, const SceneLoadOptions& options, Diagnost
     if (scene.frames[static_cast<std::size_t>(i)].width_px > 0) usable.push_back(i);
   }
   if (usable.empty()) {
-    if (!diagnostics.has_errors()) diagnostics.error(scene.info.name, "no training frame", "check the split parameters of the dataset");
+    if (!diagnostics.has_errors())
+      diagnostics.error(scene.info.name, "no training frame", "check the split parameters of the dataset");
     return;
   }
   DepthSurvey survey = survey_depth(scene, usable);
@@ -118,18 +122,25 @@ void derive_extent(LoadedScene& scene, const SceneLoadOptions& options, Diagnost
   // Far: asked for, told by the dataset, seen in depth, or twice the walk of the camera.
   scene.near_m = options.near_m > 0 ? options.near_m : scene.info.near_hint_m;
   scene.far_m = options.far_m > 0 ? options.far_m : scene.info.far_hint_m;
-  scene.near_far_from = options.near_m > 0 && options.far_m > 0 ? "the configuration" : scene.near_m > 0 && scene.far_m > 0 ? "the dataset" : "";
+  scene.near_far_from = options.near_m > 0 && options.far_m > 0 ? "the configuration"
+                        : scene.near_m > 0 && scene.far_m > 0   ? "the dataset"
+                                                                : "";
   if (scene.far_m <= 0) {
     const double walk = length(cameras.size());
     scene.far_m = has_depth ? 1.05 * quantile(survey.distances, 0.999) : walk > 0 ? 2 * walk : 10.0;
-    scene.near_far_from = has_depth ? "depth of the training frames" : walk > 0 ? "twice the extent of the cameras" : "a guess (one camera place, no depth)";
+    scene.near_far_from = has_depth  ? "depth of the training frames"
+                          : walk > 0 ? "twice the extent of the cameras"
+                                     : "a guess (one camera place, no depth)";
     if (!has_depth) {
-      diagnostics.warning("scene.far_m", "no depth and no far distance given; far is " + short_number(scene.far_m) + " (" + scene.near_far_from + ")",
-                          "set far_m if parts of the scene are missing");
+      diagnostics.warning(
+          "scene.far_m",
+          "no depth and no far distance given; far is " + short_number(scene.far_m) + " (" + scene.near_far_from + ")",
+          "set far_m if parts of the scene are missing");
     }
   }
   if (scene.near_m <= 0) {
-    scene.near_m = has_depth ? std::min(0.5 * quantile(survey.distances, 0.001), 0.5 * scene.far_m) : 0.01 * scene.far_m;
+    scene.near_m =
+        has_depth ? std::min(0.5 * quantile(survey.distances, 0.001), 0.5 * scene.far_m) : 0.01 * scene.far_m;
     if (scene.near_far_from.empty()) scene.near_far_from = has_depth ? "depth of the training frames" : "1 % of far";
   }
 
@@ -144,28 +155,34 @@ void derive_extent(LoadedScene& scene, const SceneLoadOptions& options, Diagnost
     scene.bounds = survey.box;
     scene.bounds_from = "depth of " + std::to_string(usable.size()) + " training frames";
     if (covered < 0.5) {
-      // Too much of the picture has no depth for the points to stand for the scene: what the cameras see counts as well.
+      // Too much of the picture has no depth for the points to stand for the scene: what the cameras see counts as
+      // well.
       const double reach = quantile(survey.distances, 0.98);
       for (const int i : usable) include_frustum(scene.bounds, scene.info.frames[static_cast<std::size_t>(i)], reach);
-      scene.bounds_from += " (valid on " + std::to_string(std::lround(covered * 100)) + " % of pixels) and the view cones";
+      scene.bounds_from +=
+          " (valid on " + std::to_string(std::lround(covered * 100)) + " % of pixels) and the view cones";
     }
     grow(scene.bounds, 0.02);
   } else {
-    for (const int i : usable) include_frustum(scene.bounds, scene.info.frames[static_cast<std::size_t>(i)], scene.far_m);
+    for (const int i : usable)
+      include_frustum(scene.bounds, scene.info.frames[static_cast<std::size_t>(i)], scene.far_m);
     scene.bounds_from = "the view cones of " + std::to_string(usable.size()) + " training cameras up to far";
     grow(scene.bounds, 0.02);
   }
 
   std::vector<float> focal;
-  for (const int i : usable) focal.push_back(static_cast<float>(scene.info.frames[static_cast<std::size_t>(i)].camera.fx));
+  for (const int i : usable)
+    focal.push_back(static_cast<float>(scene.info.frames[static_cast<std::size_t>(i)].camera.fx));
   const double middle = has_depth ? quantile(survey.distances, 0.5) : 0.5 * (scene.near_m + scene.far_m);
   scene.pixel_footprint_m = middle / quantile(focal, 0.5);
   // Float positions have a step of 2^-24 of their size: far from the origin that step eats into a pixel.
   double largest = 0;
   for (int a = 0; a < 3; ++a) largest = std::max({largest, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
   if (largest * 0x1p-24 > 1e-3 * scene.pixel_footprint_m) {
-    diagnostics.warning("scene", "coordinates reach " + short_number(largest) + ", where single precision steps by " + short_number(largest * 0x1p-23) +
-                                     " against a pixel of " + short_number(scene.pixel_footprint_m),
+    diagnostics.warning("scene",
+                        "coordinates reach " + short_number(largest) + ", where single precision steps by " +
+                            short_number(largest * 0x1p-23) + " against a pixel of " +
+                            short_number(scene.pixel_footprint_m),
                         "move the origin of the poses near the scene");
   }
 }

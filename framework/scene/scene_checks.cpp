@@ -30,7 +30,8 @@ bool finite(const Pose& pose) {
 double orthonormal_error(const Pose& pose) {
   double worst = 0;
   for (int a = 0; a < 3; ++a) {
-    for (int b = 0; b < 3; ++b) worst = std::max(worst, std::abs(dot(pose.axis(a), pose.axis(b)) - (a == b ? 1.0 : 0.0)));
+    for (int b = 0; b < 3; ++b)
+      worst = std::max(worst, std::abs(dot(pose.axis(a), pose.axis(b)) - (a == b ? 1.0 : 0.0)));
   }
   return worst;
 }
@@ -72,7 +73,8 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
   const double error = orthonormal_error(pose);
   const double determinant = dot(cross(pose.axis(0), pose.axis(1)), pose.axis(2));
   if (error > 1e-3) {
-    diagnostics.error(place, "pose is no rotation: its axes are " + number(error) + " off orthonormal (1e-3 is allowed)",
+    diagnostics.error(place,
+                      "pose is no rotation: its axes are " + number(error) + " off orthonormal (1e-3 is allowed)",
                       "check that the matrix is camera-to-world, row by row, without a scale");
     return PoseState::refused;
   }
@@ -81,7 +83,8 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
     return PoseState::refused;
   }
   if (error > 1e-5) {
-    diagnostics.warning(place, "pose is " + number(error) + " off orthonormal and was made orthonormal", "export poses with more digits");
+    diagnostics.warning(place, "pose is " + number(error) + " off orthonormal and was made orthonormal",
+                        "export poses with more digits");
   }
   if (error > 1e-9) {
     const Vec3d z = normalized(pose.axis(2));
@@ -93,13 +96,16 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
   return PoseState::good;
 }
 
-void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source, Diagnostics& diagnostics) {
+void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source,
+                    Diagnostics& diagnostics) {
   if (kept == 0) {
-    diagnostics.error(source, skipped.empty() ? "no frames in it" : "all " + std::to_string(skipped.size()) + " poses are not finite",
-                      skipped.empty() ? "check the path" : "track the cameras again");
+    diagnostics.error(
+        source, skipped.empty() ? "no frames in it" : "all " + std::to_string(skipped.size()) + " poses are not finite",
+        skipped.empty() ? "check the path" : "track the cameras again");
   }
   if (skipped.empty() || kept == 0) return;
-  std::vector<std::string> shown(skipped.begin(), skipped.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(8, skipped.size())));
+  std::vector<std::string> shown(
+      skipped.begin(), skipped.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(8, skipped.size())));
   if (shown.size() < skipped.size()) shown.push_back("...");
   diagnostics.warning(source, std::to_string(skipped.size()) + " of " + std::to_string(skipped.size() + kept) +
                                   " frames skipped: their poses are not finite (" + join(shown) + ")");
@@ -108,34 +114,42 @@ void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, c
 bool check_camera(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
   const int before = diagnostics.error_count();
   if (camera.width_px <= 0 || camera.height_px <= 0) {
-    diagnostics.error(place, "image size is " + std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px), "state the size in pixels");
+    diagnostics.error(place,
+                      "image size is " + std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px),
+                      "state the size in pixels");
     return false;
   }
-  const double all[] = {camera.fx, camera.fy, camera.cx, camera.cy, camera.k1, camera.k2, camera.k3, camera.k4, camera.p1, camera.p2};
+  const double all[] = {camera.fx, camera.fy, camera.cx, camera.cy, camera.k1,
+                        camera.k2, camera.k3, camera.k4, camera.p1, camera.p2};
   if (!std::all_of(std::begin(all), std::end(all), [](double v) { return std::isfinite(v); })) {
     diagnostics.error(place, "camera has an intrinsic that is not finite", "calibrate again");
     return false;
   }
   if (!(camera.fx > 0) || !(camera.fy > 0)) {
-    diagnostics.error(place, "focal length is " + number(camera.fx) + " x " + number(camera.fy) + " pixels; it must be positive",
-                      "check the intrinsics and the axes convention");
+    diagnostics.error(
+        place, "focal length is " + number(camera.fx) + " x " + number(camera.fy) + " pixels; it must be positive",
+        "check the intrinsics and the axes convention");
   }
   const auto outside = [](double c, int size) { return c < -size || c > 2.0 * size; };
   if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
     diagnostics.error(place,
-                      "principal point (" + number(camera.cx) + ", " + number(camera.cy) + ") lies far outside the image of " +
-                          std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) + " pixels",
+                      "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
+                          ") lies far outside the image of " + std::to_string(camera.width_px) + " x " +
+                          std::to_string(camera.height_px) + " pixels",
                       "check that the intrinsics belong to images of this size");
   }
   if (diagnostics.error_count() == before && camera.has_distortion()) {
     int lost = 0;
     for (int i = 0; i <= 2; ++i) {
-      for (int j = 0; j <= 2; ++j) lost += camera.direction(camera.width_px * i / 2.0, camera.height_px * j / 2.0) == Vec3d{0, 0, 0} ? 1 : 0;
+      for (int j = 0; j <= 2; ++j)
+        lost += camera.direction(camera.width_px * i / 2.0, camera.height_px * j / 2.0) == Vec3d{0, 0, 0} ? 1 : 0;
     }
     if (lost == 9) {
       diagnostics.error(place, "lens distortion has no inverse anywhere in the image", "calibrate again");
     } else if (lost > 0) {
-      diagnostics.warning(place, "lens distortion has no inverse at " + std::to_string(lost) + " of 9 points of the image; such pixels are masked",
+      diagnostics.warning(place,
+                          "lens distortion has no inverse at " + std::to_string(lost) +
+                              " of 9 points of the image; such pixels are masked",
                           "calibrate with points up to the image corners");
     }
   }

@@ -13,20 +13,24 @@ std::string frame_place(const FrameInfo& frame);
 
 /// From row-major numbers: 16 (4 x 4) or 12 (3 x 4), world from camera.
 Pose pose_from_rows(std::span<const double> numbers);
-/// The same pose with OpenGL camera axes (x right, y up, z backward) turned into OpenCV ones (x right, y down, z forward).
+/// The same pose with OpenGL camera axes (x right, y up, z backward) turned into OpenCV ones (x right, y down, z
+/// forward).
 Pose opencv_from_opengl(Pose pose);
 
 enum class PoseState { good, not_finite, refused };
 
-/// Rotation part: an error above 1e-3 off orthonormal or with determinant -1 is reported as an error; above 1e-5 as a warning;
-/// rounded digits (above 1e-9) are made orthonormal. A pose with NaN or infinity is only told, never reported: the dataset skips and counts it.
+/// Rotation part: an error above 1e-3 off orthonormal or with determinant -1 is reported as an error; above 1e-5 as a
+/// warning; rounded digits (above 1e-9) are made orthonormal. A pose with NaN or infinity is only told, never reported:
+/// the dataset skips and counts it.
 PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnostics);
 
-/// Counts what check_pose called not_finite; one warning that names up to eight of them, and an error when no frame is left.
-void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source, Diagnostics& diagnostics);
+/// Counts what check_pose called not_finite; one warning that names up to eight of them, and an error when no frame is
+/// left.
+void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source,
+                    Diagnostics& diagnostics);
 
-/// Focal lengths positive, principal point at most one image size outside, lens invertible over the image (else a warning:
-/// the pixels beyond are masked). False when an error was reported.
+/// Focal lengths positive, principal point at most one image size outside, lens invertible over the image (else a
+/// warning: the pixels beyond are masked). False when an error was reported.
 bool check_camera(const Camera& camera, const std::string& place, Diagnostics& diagnostics);
 
 }  // namespace semfield

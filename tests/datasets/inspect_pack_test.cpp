@@ -60,13 +60,16 @@ TEST(Inspect, ReportTellsFramesClassesAndProblems) {
   const std::string report = inspect_report(scene, d);
   EXPECT_NE(report.find("frames      6 (3 train, 3 test), 5 read, 6 with depth\n"), std::string::npos) << report;
   EXPECT_NE(report.find("size        40 x 30 (6 frames)\n"), std::string::npos) << report;
-  EXPECT_NE(report.find("bounds      (") , std::string::npos);
+  EXPECT_NE(report.find("bounds      ("), std::string::npos);
   EXPECT_NE(report.find(" from depth of 3 training frames\n"), std::string::npos) << report;
   EXPECT_NE(report.find("near, far   0.1, 10 from the dataset\n"), std::string::npos) << report;
   EXPECT_NE(report.find("labelled frames: 3 train, 2 test"), std::string::npos) << report;
   EXPECT_NE(report.find("north"), std::string::npos);
   EXPECT_NE(report.find("3 of 3"), std::string::npos);
-  EXPECT_NE(report.find("error       frame 'rgb_3' (" + folder + "/rgb/rgb_3.png): '" + folder + "/rgb/rgb_3.png': PNG is truncated"), std::string::npos) << report;
+  EXPECT_NE(report.find("error       frame 'rgb_3' (" + folder + "/rgb/rgb_3.png): '" + folder +
+                        "/rgb/rgb_3.png': PNG is truncated"),
+            std::string::npos)
+      << report;
 }
 
 TEST(Inspect, FrustaFileHasTheStatedSize) {

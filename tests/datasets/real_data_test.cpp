@@ -12,7 +12,8 @@ namespace {
 std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/" + name; }
 
 TEST(RealData, ReplicaApartment) {
-  if (!std::filesystem::exists(data("replica_apartment0"))) GTEST_SKIP() << "the optional Replica frames are not at hand";
+  if (!std::filesystem::exists(data("replica_apartment0")))
+    GTEST_SKIP() << "the optional Replica frames are not at hand";
   ReplicaParams p;
   p.root = data("replica_apartment0");
   p.train_step = 2;

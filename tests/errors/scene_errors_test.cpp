@@ -55,13 +55,20 @@ TEST(SceneErrors, AllTroubleOfAllFramesInOnePass) {
   const std::string f = folder + "/";
   const std::vector<std::string> found = findings(even_odd(folder));
   ASSERT_EQ(found.size(), 5u);
-  EXPECT_EQ(found[0], frame_text(folder, 0) + "colour image '" + f + "rgb/rgb_0.png' is missing; restore the file, or drop the frame from the index");
-  EXPECT_EQ(found[1], frame_text(folder, 1) + "depth image '" + f + "depth/depth_1.png' is missing; restore the file, or drop the frame from the index");
-  EXPECT_EQ(found[2], frame_text(folder, 2) + "label image '" + f + "semantic_class/semantic_class_2.png' is 20 x 15 pixels, the camera 40 x 30; colour, depth and "
-                                                                "labels of a frame need the size that its camera states");
+  EXPECT_EQ(found[0], frame_text(folder, 0) + "colour image '" + f +
+                          "rgb/rgb_0.png' is missing; restore the file, or drop the frame from the index");
+  EXPECT_EQ(found[1], frame_text(folder, 1) + "depth image '" + f +
+                          "depth/depth_1.png' is missing; restore the file, or drop the frame from the index");
+  EXPECT_EQ(found[2],
+            frame_text(folder, 2) + "label image '" + f +
+                "semantic_class/semantic_class_2.png' is 20 x 15 pixels, the camera 40 x 30; colour, depth and "
+                "labels of a frame need the size that its camera states");
   EXPECT_EQ(found[3].find(frame_text(folder, 3) + "'" + f + "depth/depth_3.png': PNG is truncated: "), 0u) << found[3];
-  EXPECT_EQ(found[4], frame_text(folder, 4) + "'" + f + "semantic_class/semantic_class_4.png': label id 200 at x 3, y 1 is not in the class table; add the id to "
-                                                                "the class table, or set unknown_labels: void");
+  EXPECT_EQ(
+      found[4],
+      frame_text(folder, 4) + "'" + f +
+          "semantic_class/semantic_class_4.png': label id 200 at x 3, y 1 is not in the class table; add the id to "
+          "the class table, or set unknown_labels: void");
 }
 
 TEST(SceneErrors, UnknownLabelsCanBeVoid) {
@@ -87,7 +94,8 @@ TEST(SceneErrors, PosesOfATrajectory) {
   const std::string t = folder + "/traj_w_c.txt";
   ASSERT_EQ(found.size(), 3u);
   EXPECT_EQ(found[0], t + ":3: expected 16 numbers, got 3; write one camera-to-world matrix a line, row by row");
-  EXPECT_EQ(found[1], t + ":4: pose is no rotation: its axes are 3 off orthonormal (1e-3 is allowed); check that the matrix is camera-to-world, row by "
+  EXPECT_EQ(found[1], t + ":4: pose is no rotation: its axes are 3 off orthonormal (1e-3 is allowed); check that the "
+                          "matrix is camera-to-world, row by "
                           "row, without a scale");
   EXPECT_EQ(found[2], t + ": 1 of 2 frames skipped: their poses are not finite (1)");
 }
@@ -103,13 +111,16 @@ TEST(SceneErrors, FoldersAndTables) {
     });
   };
   EXPECT_EQ(open(even_odd(folder + "/none")), "folder '" + folder + "/none' is missing; check scene.root");
-  EXPECT_EQ(open(even_odd(folder)), "no traj_w_c.txt in '" + folder + "' or its Sequence_1; check scene.root; it names the folder of one scene");
+  EXPECT_EQ(open(even_odd(folder)), "no traj_w_c.txt in '" + folder +
+                                        "' or its Sequence_1; check scene.root; it names the folder of one scene");
   write_file_atomic(folder + "/traj_w_c.txt", std::string_view(""));
   EXPECT_EQ(open(even_odd(folder)), folder + "/traj_w_c.txt: no frames in it; check the path");
   write_replica(folder, 2);
   std::filesystem::remove(folder + "/classes.yaml");
-  EXPECT_EQ(open(even_odd(folder)), folder + ": labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder; write "
-                                             "classes.yaml with one {id, name} a class, or set scene.classes");
+  EXPECT_EQ(open(even_odd(folder)), folder +
+                                        ": labels without a class table: no classes.yaml, classes.csv or "
+                                        "info_semantic.json in the scene's folder; write "
+                                        "classes.yaml with one {id, name} a class, or set scene.classes");
   ReplicaParams p = even_odd(folder);
   p.label_dir = "cnn";
   EXPECT_EQ(open(p), folder + "/cnn: label folder is missing; check scene.label_dir and scene.test_label_dir");
@@ -117,7 +128,9 @@ TEST(SceneErrors, FoldersAndTables) {
   p.test_offset = 4;
   validate(p, d);
   ASSERT_EQ(d.error_count(), 1);
-  EXPECT_EQ(d.all()[0].text(), "test_offset: test frames 4 + n * 2 meet training frames 0 + n * 2; choose offsets that never meet, or test_step: 0");
+  EXPECT_EQ(d.all()[0].text(),
+            "test_offset: test frames 4 + n * 2 meet training frames 0 + n * 2; choose offsets that never meet, or "
+            "test_step: 0");
 }
 
 std::string transforms_error(const std::string& json) {
@@ -133,7 +146,8 @@ std::string transforms_error(const std::string& json) {
     d.throw_if_errors(ErrorKind::data, "");
   });
   std::string out = message;
-  for (std::size_t at = out.find(folder); at != std::string::npos; at = out.find(folder)) out.replace(at, folder.size(), "ROOT");
+  for (std::size_t at = out.find(folder); at != std::string::npos; at = out.find(folder))
+    out.replace(at, folder.size(), "ROOT");
   return out;
 }
 
@@ -141,19 +155,27 @@ TEST(SceneErrors, TransformsJson) {
   const std::string eye = "\"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
   const std::string frame = "{\"file_path\": \"a\", " + eye + "}";
   EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"frames\": [" + frame + "]}"), "");
-  EXPECT_EQ(transforms_error("{\"frames\": 3}"), "'ROOT/transforms.json' has no list 'frames'; give a transforms.json of nerfstudio, instant-ngp or Blender");
+  EXPECT_EQ(
+      transforms_error("{\"frames\": 3}"),
+      "'ROOT/transforms.json' has no list 'frames'; give a transforms.json of nerfstudio, instant-ngp or Blender");
   EXPECT_EQ(transforms_error("{\"frames\": ").find("'ROOT/transforms.json' is not valid JSON: "), 0u);
-  EXPECT_EQ(transforms_error("{\"camera_model\": \"OPENCV_FISHEYE\", \"frames\": [" + frame + "]}").find(
-                "ROOT/transforms.json: camera model 'OPENCV_FISHEYE' is not supported (only perspective lenses: OPENCV, PINHOLE, SIMPLE_PINHOLE, "
-                "SIMPLE_RADIAL, RADIAL); undistort the images to a pinhole camera, for example with colmap image_undistorter"), 0u);
+  EXPECT_EQ(transforms_error("{\"camera_model\": \"OPENCV_FISHEYE\", \"frames\": [" + frame + "]}")
+                .find("ROOT/transforms.json: camera model 'OPENCV_FISHEYE' is not supported (only perspective lenses: "
+                      "OPENCV, PINHOLE, SIMPLE_PINHOLE, "
+                      "SIMPLE_RADIAL, RADIAL); undistort the images to a pinhole camera, for example with colmap "
+                      "image_undistorter"),
+            0u);
   EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"frames\": [{\"file_path\": \"a\"}]}"),
-            "ROOT/transforms.json: frame 0 (a): 'transform_matrix' is not 4 rows of 4 numbers; write the camera-to-world matrix row by row");
+            "ROOT/transforms.json: frame 0 (a): 'transform_matrix' is not 4 rows of 4 numbers; write the "
+            "camera-to-world matrix row by row");
   EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"frames\": [" + frame + "," + frame + "]}"),
             "ROOT/transforms.json: frame 1 (a): image is listed twice; keep one of the two frames");
   EXPECT_EQ(transforms_error("{\"frames\": [" + frame + "]}"),
-            "frame 'a' (ROOT/a.png): focal length is 0 x 0 pixels; it must be positive; check the intrinsics and the axes convention");
+            "frame 'a' (ROOT/a.png): focal length is 0 x 0 pixels; it must be positive; check the intrinsics and the "
+            "axes convention");
   EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"w\": 8, \"h\": 8, \"frames\": [" + frame + "]}"),
-            "frame 'a' (ROOT/a.png): colour image 'ROOT/a.png' is 4 x 4 pixels, the camera 8 x 8; colour, depth and labels of a frame need the size that "
+            "frame 'a' (ROOT/a.png): colour image 'ROOT/a.png' is 4 x 4 pixels, the camera 8 x 8; colour, depth and "
+            "labels of a frame need the size that "
             "its camera states");
 }
 

@@ -15,7 +15,8 @@ using testing_room::error_of;
 using testing_room::fresh_folder;
 
 TEST(ClassTable, NumbersValidClassesInOrderOfId) {
-  const ClassTable t({{7, "chair", {1, 2, 3}, false}, {0, "void", {}, true}, {3, "wall", {}, false}, {9, "hand", {}, true}});
+  const ClassTable t(
+      {{7, "chair", {1, 2, 3}, false}, {0, "void", {}, true}, {3, "wall", {}, false}, {9, "hand", {}, true}});
   EXPECT_EQ(t.valid_count(), 2);
   EXPECT_EQ(t.index_of(3), 0);
   EXPECT_EQ(t.index_of(7), 1);
@@ -31,7 +32,8 @@ TEST(ClassTable, NumbersValidClassesInOrderOfId) {
 
 TEST(ClassTable, YamlRoundTripKeepsEverything) {
   const std::string path = fresh_folder("t") + "/classes.yaml";
-  const ClassTable t({{0, "void", {0, 0, 0}, true}, {3, "wall \"a\" \\ b", {10, 20, 255}, false}, {4, "yes", {1, 1, 1}, false}});
+  const ClassTable t(
+      {{0, "void", {0, 0, 0}, true}, {3, "wall \"a\" \\ b", {10, 20, 255}, false}, {4, "yes", {1, 1, 1}, false}});
   write_file_atomic(path, t.to_yaml());
   const ClassTable back = ClassTable::load(path);
   ASSERT_EQ(back.entries().size(), 3u);
@@ -55,7 +57,9 @@ TEST(ClassTable, CsvSkipsTheHeaderAndIgnoresVoid) {
 
 TEST(ClassTable, ReplicaJsonGetsAVoidClass) {
   const std::string path = fresh_folder("t") + "/info_semantic.json";
-  write_file_atomic(path, std::string_view(R"({"classes": [{"id": 2, "name": "b"}, {"id": 1, "name": "a"}, {"id": -1, "name": "x"}]})"));
+  write_file_atomic(
+      path,
+      std::string_view(R"({"classes": [{"id": 2, "name": "b"}, {"id": 1, "name": "a"}, {"id": -1, "name": "x"}]})"));
   const ClassTable t = ClassTable::load(path);
   EXPECT_EQ(t.valid_count(), 2);
   EXPECT_EQ(t.index_of(0), kVoid);
@@ -68,11 +72,19 @@ TEST(ClassTable, RefusalsNamePlaceAndRemedy) {
     write_file_atomic(folder + "/" + name, text);
     return error_of([&] { (void)ClassTable::load(folder + "/" + name); });
   };
-  EXPECT_EQ(load("a.csv", "id,name\n1,wall\nx2,floor\n"), "class table '" + folder + "/a.csv': " + folder + "/a.csv:3: expected a class id, got 'x2'");
-  EXPECT_EQ(load("b.csv", "1,wall\n1,floor\n"), "class table '" + folder + "/b.csv': class id 1 is given twice ('wall' and 'floor'); keep one of them");
-  EXPECT_EQ(load("c.yaml", "- {id: 1, name: wall, colour: [1, 2, 3]}\n").find("class table '" + folder + "/c.yaml': " + folder + "/c.yaml:1:"), 0u);
-  EXPECT_NE(load("c.yaml", "- {id: 1, name: wall, colour: [1, 2, 3]}\n").find("unknown key 'colour' of a class; did you mean 'color'?"), std::string::npos);
-  EXPECT_NE(load("d.yaml", "- {id: 1, name: wall, color: [1, 2, 300]}\n").find("color: expected an integer from 0 to 255, got '300'"), std::string::npos);
+  EXPECT_EQ(load("a.csv", "id,name\n1,wall\nx2,floor\n"),
+            "class table '" + folder + "/a.csv': " + folder + "/a.csv:3: expected a class id, got 'x2'");
+  EXPECT_EQ(load("b.csv", "1,wall\n1,floor\n"),
+            "class table '" + folder + "/b.csv': class id 1 is given twice ('wall' and 'floor'); keep one of them");
+  EXPECT_EQ(load("c.yaml", "- {id: 1, name: wall, colour: [1, 2, 3]}\n")
+                .find("class table '" + folder + "/c.yaml': " + folder + "/c.yaml:1:"),
+            0u);
+  EXPECT_NE(load("c.yaml", "- {id: 1, name: wall, colour: [1, 2, 3]}\n")
+                .find("unknown key 'colour' of a class; did you mean 'color'?"),
+            std::string::npos);
+  EXPECT_NE(load("d.yaml", "- {id: 1, name: wall, color: [1, 2, 300]}\n")
+                .find("color: expected an integer from 0 to 255, got '300'"),
+            std::string::npos);
   EXPECT_NE(load("e.json", "{\"classes\": 3}").find("no list 'classes' in it"), std::string::npos);
   EXPECT_NE(load("f.txt", "1,wall\n").find("is no class table; give a .yaml, .csv or .json file"), std::string::npos);
   EXPECT_NE(error_of([] { ClassTable({{-4, "x", {}, false}}); }).find("has id -4"), std::string::npos);

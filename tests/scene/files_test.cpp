@@ -58,14 +58,18 @@ TEST(Files, OverwriteChangesBytesInPlace) {
 
 TEST(Files, ErrorsNamePathCauseAndRemedy) {
   const std::string folder = fresh_folder("f");
-  EXPECT_EQ(error_of([&] { (void)read_text_file(folder + "/none"); }), "cannot open '" + folder + "/none': No such file or directory; check the path");
-  EXPECT_EQ(error_of([&] { (void)read_text_file(folder); }), "cannot read '" + folder + "': Is a directory; check the path");
+  EXPECT_EQ(error_of([&] { (void)read_text_file(folder + "/none"); }),
+            "cannot open '" + folder + "/none': No such file or directory; check the path");
+  EXPECT_EQ(error_of([&] { (void)read_text_file(folder); }),
+            "cannot read '" + folder + "': Is a directory; check the path");
   EXPECT_EQ(error_of([&] { write_file_atomic(folder + "/no/a.txt", std::string_view("x")); }),
             "cannot create '" + folder + "/no/a.txt': No such file or directory; create the folder first");
   write_file_atomic(folder + "/big", std::string(101, 'x'));
-  EXPECT_EQ(error_of([&] { (void)read_text_file(folder + "/big", 100); }), "'" + folder + "/big' is larger than 100 bytes; check that it is the right file");
+  EXPECT_EQ(error_of([&] { (void)read_text_file(folder + "/big", 100); }),
+            "'" + folder + "/big' is larger than 100 bytes; check that it is the right file");
   fs::create_directories(folder + "/taken/inside");
-  EXPECT_EQ(error_of([&] { write_file_atomic(folder + "/taken", std::string_view("x")); }), "cannot replace '" + folder + "/taken': Is a directory");
+  EXPECT_EQ(error_of([&] { write_file_atomic(folder + "/taken", std::string_view("x")); }),
+            "cannot replace '" + folder + "/taken': Is a directory");
   EXPECT_EQ(entries(folder), 2u);
 }
 

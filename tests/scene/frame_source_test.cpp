@@ -23,7 +23,12 @@ struct RoomDataset {
     SceneInfo info;
     info.name = "room";
     info.far_hint_m = far_hint;
-    info.classes = ClassTable({{1, "a", {}, false}, {2, "b", {}, false}, {3, "c", {}, false}, {4, "d", {}, false}, {5, "e", {}, false}, {6, "f", {}, false}});
+    info.classes = ClassTable({{1, "a", {}, false},
+                               {2, "b", {}, false},
+                               {3, "c", {}, false},
+                               {4, "d", {}, false},
+                               {5, "e", {}, false},
+                               {6, "f", {}, false}});
     for (int i = 0; i < 6; ++i) {
       FrameInfo f;
       f.name = std::to_string(i);
@@ -119,10 +124,12 @@ TEST(LoadScene, ResizesColourByAreaAndTheRestByNearest) {
   room.read(0, whole);
   for (int y = 0; y < 15; ++y) {
     for (int x = 0; x < 20; ++x) {
-      const auto to = static_cast<std::size_t>(y * 20 + x), from = static_cast<std::size_t>((2 * y + 1) * 40 + 2 * x + 1);
+      const auto to = static_cast<std::size_t>(y * 20 + x),
+                 from = static_cast<std::size_t>((2 * y + 1) * 40 + 2 * x + 1);
       EXPECT_EQ(s.frames[0].label[to], whole.label[from]);
       EXPECT_EQ(s.frames[0].depth_m[to], whole.depth_m[from]);
-      const int sum = whole.rgb[from * 3] + whole.rgb[(from - 1) * 3] + whole.rgb[(from - 40) * 3] + whole.rgb[(from - 41) * 3];
+      const int sum =
+          whole.rgb[from * 3] + whole.rgb[(from - 1) * 3] + whole.rgb[(from - 40) * 3] + whole.rgb[(from - 41) * 3];
       EXPECT_EQ(s.frames[0].rgb[to * 3], (sum + 2) / 4);
     }
   }
@@ -130,7 +137,8 @@ TEST(LoadScene, ResizesColourByAreaAndTheRestByNearest) {
   Diagnostics grow;
   (void)load_scene(room, o, grow);
   EXPECT_EQ(grow.error_count(), 6);
-  EXPECT_EQ(grow.all()[0].text(), "frame '0': frame is 40 x 30 pixels, smaller than the size asked for; ask for at most the stored size");
+  EXPECT_EQ(grow.all()[0].text(),
+            "frame '0': frame is 40 x 30 pixels, smaller than the size asked for; ask for at most the stored size");
 }
 
 TEST(LoadScene, HistogramCountsEveryPixel) {
@@ -191,7 +199,8 @@ TEST(LoadScene, ContradictingOptionsAreRefused) {
   o.bounds = {0, 0, 0, 1, 0, 1};
   validate(o, d);
   ASSERT_EQ(d.error_count(), 3);
-  EXPECT_EQ(d.all()[0].text(), "scene.downscale: downscale and width_px or height_px exclude each other; keep one of them");
+  EXPECT_EQ(d.all()[0].text(),
+            "scene.downscale: downscale and width_px or height_px exclude each other; keep one of them");
 }
 
 }  // namespace

@@ -2,7 +2,6 @@
 #include "scene/image_io.h"
 
 #include <gtest/gtest.h>
-
 #include <zlib.h>
 
 #include <cstring>
@@ -30,7 +29,9 @@ std::vector<std::uint8_t> bytes_of(const std::string& path) {
   return {text.begin(), text.end()};
 }
 
-void put_bytes(const std::string& path, const std::vector<std::uint8_t>& bytes) { testing_room::plain_write(path, {bytes.begin(), bytes.end()}); }
+void put_bytes(const std::string& path, const std::vector<std::uint8_t>& bytes) {
+  testing_room::plain_write(path, {bytes.begin(), bytes.end()});
+}
 
 void put32(std::vector<std::uint8_t>& out, std::uint32_t v) {
   for (int s = 24; s >= 0; s -= 8) out.push_back(static_cast<std::uint8_t>(v >> s));
@@ -45,7 +46,8 @@ void put_chunk(std::vector<std::uint8_t>& out, const std::string& type, const st
 }
 
 // A PNG from raw (already filtered) rows.
-std::vector<std::uint8_t> png_of(std::uint32_t w, std::uint32_t h, std::uint8_t bits, std::uint8_t type, std::uint8_t interlace, const std::vector<std::uint8_t>& raw) {
+std::vector<std::uint8_t> png_of(std::uint32_t w, std::uint32_t h, std::uint8_t bits, std::uint8_t type,
+                                 std::uint8_t interlace, const std::vector<std::uint8_t>& raw) {
   std::vector<std::uint8_t> out{0x89, 'P', 'N', 'G', 13, 10, 26, 10}, header;
   put32(header, w);
   put32(header, h);
@@ -96,11 +98,13 @@ TEST(Png, IdsAreUnchangedIn8And16BitAndPalette) {
 
 TEST(Png, AllFiltersAndInterlaceDecode) {
   // 3 x 5 grey rows, one a filter, against values worked out by hand.
-  const std::vector<std::uint8_t> raw{0, 10, 20, 30,   1, 1, 2, 3,   2, 5, 5, 5,   3, 1, 1, 1,   4, 1, 1, 1};
+  const std::vector<std::uint8_t> raw{0, 10, 20, 30, 1, 1, 2, 3, 2, 5, 5, 5, 3, 1, 1, 1, 4, 1, 1, 1};
   const std::string folder = fresh_folder("i");
   put_bytes(folder + "/f.png", png_of(3, 5, 8, 0, 0, raw));
-  EXPECT_EQ(read_ids(folder + "/f.png").pixels, (std::vector<std::uint16_t>{10, 20, 30, 1, 3, 6, 6, 8, 11, 4, 7, 10, 5, 8, 11}));
-  // Adam7 of a 4 x 4 image with value 4 y + x: passes 1 (0,0), 2 none, 3 none, 4 (2,0), 5 rows y=2, 6 odd columns of even rows, 7 odd rows.
+  EXPECT_EQ(read_ids(folder + "/f.png").pixels,
+            (std::vector<std::uint16_t>{10, 20, 30, 1, 3, 6, 6, 8, 11, 4, 7, 10, 5, 8, 11}));
+  // Adam7 of a 4 x 4 image with value 4 y + x: passes 1 (0,0), 2 none, 3 none, 4 (2,0), 5 rows y=2, 6 odd columns of
+  // even rows, 7 odd rows.
   const std::vector<std::uint8_t> adam{0, 0, 0, 2, 0, 8, 10, 0, 1, 3, 0, 9, 11, 0, 4, 5, 6, 7, 0, 12, 13, 14, 15};
   put_bytes(folder + "/a.png", png_of(4, 4, 8, 0, 1, adam));
   std::vector<std::uint16_t> counting(16);
@@ -143,8 +147,10 @@ TEST(Png, EveryFlippedByteIsSeenOrHarmless) {
 TEST(Png, LyingHeaderIsRefusedBeforeAllocation) {
   const std::string path = fresh_folder("i") + "/a.png";
   put_bytes(path, png_of(65535, 65535, 8, 2, 0, {1, 2, 3}));
-  EXPECT_EQ(error_of([&] { (void)read_rgb(path); }), "'" + path + "': image states a size of 65535 x 65535 pixels; at most 16384 an axis are read; "
-                                                      "scale it down, or export it again if the size is wrong");
+  EXPECT_EQ(error_of([&] { (void)read_rgb(path); }),
+            "'" + path +
+                "': image states a size of 65535 x 65535 pixels; at most 16384 an axis are read; "
+                "scale it down, or export it again if the size is wrong");
   put_bytes(path, png_of(16000, 16000, 8, 2, 0, {1, 2, 3}));
   EXPECT_NE(error_of([&] { (void)read_rgb(path); }).find("cannot hold 768016000 bytes of pixels"), std::string::npos);
   put_bytes(path, png_of(0, 7, 8, 2, 0, {1}));
@@ -154,25 +160,30 @@ TEST(Png, LyingHeaderIsRefusedBeforeAllocation) {
 TEST(Images, ColouredPictureOfIdsIsRefused) {
   const std::string path = fresh_folder("i") + "/a.png";
   write_png_rgb(path, 2, 2, noise(12));
-  EXPECT_EQ(error_of([&] { (void)read_ids(path); }), "'" + path + "': expected one channel of ids, the image has 3; export ids or millimetres as a grey or "
-                                                      "palette PNG, not a coloured picture of them");
+  EXPECT_EQ(error_of([&] { (void)read_ids(path); }),
+            "'" + path +
+                "': expected one channel of ids, the image has 3; export ids or millimetres as a grey or "
+                "palette PNG, not a coloured picture of them");
 }
 
 TEST(Images, MissingFileAndNoImage) {
   const std::string folder = fresh_folder("i");
-  EXPECT_EQ(error_of([&] { (void)read_rgb(folder + "/none.png"); }), "cannot open '" + folder + "/none.png': No such file or directory; check the path");
+  EXPECT_EQ(error_of([&] { (void)read_rgb(folder + "/none.png"); }),
+            "cannot open '" + folder + "/none.png': No such file or directory; check the path");
   write_file_atomic(folder + "/text.png", std::string_view("this is no image"));
   EXPECT_NE(error_of([&] { (void)read_rgb(folder + "/text.png"); }).find(folder + "/text.png"), std::string::npos);
 }
 
 TEST(Images, TruncatedJpegIsAnErrorNamingTheFile) {
   const std::string source = std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/studio_room/images/0001.jpg";
-  if (!images_available() || !std::filesystem::exists(source)) GTEST_SKIP() << "needs OpenImageIO and a JPEG of the optional studio room";
+  if (!images_available() || !std::filesystem::exists(source))
+    GTEST_SKIP() << "needs OpenImageIO and a JPEG of the optional studio room";
   const std::string path = fresh_folder("i") + "/a.jpg";
   std::filesystem::copy_file(source, path);
   EXPECT_EQ(read_rgb(path).width_px, 960);
   testing_room::cut(path, 5000);
-  EXPECT_NE(error_of([&] { (void)read_rgb(path); }).find("'" + path + "': JPEG is truncated: it ends after "), std::string::npos);
+  EXPECT_NE(error_of([&] { (void)read_rgb(path); }).find("'" + path + "': JPEG is truncated: it ends after "),
+            std::string::npos);
 }
 
 TEST(Images, AreaResizeAveragesExactly) {

@@ -19,8 +19,13 @@ SceneInfo room_info(int frames) {
   info.far_hint_m = 7;
   info.bounds.include({-2, -1.5, -2.5});
   info.bounds.include({2, 1.5, 2.5});
-  info.classes = ClassTable({{0, "void", {}, true}, {1, "west", {1, 2, 3}, false}, {2, "east", {}, false}, {3, "up", {}, false},
-                             {40, "down", {}, false}, {50, "south", {}, false}, {600, "north", {}, false}});
+  info.classes = ClassTable({{0, "void", {}, true},
+                             {1, "west", {1, 2, 3}, false},
+                             {2, "east", {}, false},
+                             {3, "up", {}, false},
+                             {40, "down", {}, false},
+                             {50, "south", {}, false},
+                             {600, "north", {}, false}});
   for (int i = 0; i < frames; ++i) {
     FrameInfo f;
     f.name = "rgb_" + std::to_string(i);
@@ -35,7 +40,8 @@ SceneInfo room_info(int frames) {
 }
 
 void render(const SceneInfo& info, int i, FrameBuffer& out) {
-  out = render_room(info.frames[static_cast<std::size_t>(i)].camera, info.frames[static_cast<std::size_t>(i)].world_from_camera);
+  out = render_room(info.frames[static_cast<std::size_t>(i)].camera,
+                    info.frames[static_cast<std::size_t>(i)].world_from_camera);
   if (i == 1) out.depth_m.clear();
   if (i == 2) out.label.clear();
   if (i == 0) out.label[5] = kVoid;
@@ -44,7 +50,8 @@ void render(const SceneInfo& info, int i, FrameBuffer& out) {
 std::string packed_room(const std::string& folder, const PackOptions& options, int frames = 3) {
   const std::string path = folder + "/room.semfield";
   const SceneInfo info = room_info(frames);
-  write_packed_scene(path, info, [&](int i, FrameBuffer& out) { render(info, i, out); }, options);
+  write_packed_scene(
+      path, info, [&](int i, FrameBuffer& out) { render(info, i, out); }, options);
   return path;
 }
 
@@ -117,18 +124,23 @@ TEST(PackedScene, MessagesAreExact) {
   const std::string folder = fresh_folder("p");
   const std::string path = packed_room(folder, {}, 2);
   std::string bytes = read_text_file(path);
-  EXPECT_EQ(error_of([&] { PackedScene("nowhere.semfield"); }), "cannot open 'nowhere.semfield': No such file or directory; check the path");
+  EXPECT_EQ(error_of([&] { PackedScene("nowhere.semfield"); }),
+            "cannot open 'nowhere.semfield': No such file or directory; check the path");
   write_file_atomic(folder + "/text", std::string_view("no scene"));
-  EXPECT_EQ(error_of([&] { PackedScene(folder + "/text"); }), "'" + folder + "/text': not a packed scene; give a file that 'semfield pack' wrote");
+  EXPECT_EQ(error_of([&] { PackedScene(folder + "/text"); }),
+            "'" + folder + "/text': not a packed scene; give a file that 'semfield pack' wrote");
   const std::size_t size = bytes.size();
   bytes[70] = static_cast<char>(bytes[70] ^ 1);  // the first chunk, right behind the header
   write_file_atomic(path, bytes);
   const PackedScene scene(path);  // the manifest is whole; the chunk tells when it is read
   FrameBuffer out;
-  EXPECT_EQ(error_of([&] { scene.read(0, out); }), "'" + path + "': frame 'rgb_0': colour is damaged (wrong checksum); copy the file again, or pack the scene again");
+  EXPECT_EQ(error_of([&] { scene.read(0, out); }),
+            "'" + path +
+                "': frame 'rgb_0': colour is damaged (wrong checksum); copy the file again, or pack the scene again");
   cut(path, 10);
-  EXPECT_EQ(error_of([&] { PackedScene{path}; }),
-            "'" + path + "': holds " + std::to_string(size - 10) + " bytes, its header says " + std::to_string(size) + "; copy the file again");
+  EXPECT_EQ(error_of([&] { PackedScene{path}; }), "'" + path + "': holds " + std::to_string(size - 10) +
+                                                      " bytes, its header says " + std::to_string(size) +
+                                                      "; copy the file again");
 }
 
 TEST(PackedScene, ParallelReadsAgree) {
@@ -145,7 +157,9 @@ TEST(PackedScene, ParallelReadsAgree) {
 TEST(PackedScene, FailingSourceLeavesNoFile) {
   const std::string folder = fresh_folder("p");
   const SceneInfo info = room_info(2);
-  EXPECT_THROW(write_packed_scene(folder + "/a", info, [](int, FrameBuffer&) { throw Error(ErrorKind::data, "broken frame"); }), Error);
+  EXPECT_THROW(
+      write_packed_scene(folder + "/a", info, [](int, FrameBuffer&) { throw Error(ErrorKind::data, "broken frame"); }),
+      Error);
   EXPECT_TRUE(std::filesystem::is_empty(folder));
 }
 

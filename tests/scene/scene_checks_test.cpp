@@ -32,17 +32,21 @@ TEST(SceneChecks, ScaledMirroredAndNearlyOrthonormal) {
   Pose scaled = rotated(1.001);
   EXPECT_EQ(check_pose(scaled, "frame 'a' (a.png)", d), PoseState::refused);
   EXPECT_EQ(d.all().back().text(),
-            "frame 'a' (a.png): pose is no rotation: its axes are 0.002 off orthonormal (1e-3 is allowed); check that the matrix is camera-to-world, "
+            "frame 'a' (a.png): pose is no rotation: its axes are 0.002 off orthonormal (1e-3 is allowed); check that "
+            "the matrix is camera-to-world, "
             "row by row, without a scale");
   Pose mirrored = testing_room::room_pose(1);
   for (auto& row : mirrored.r) row[0] = -row[0];
   EXPECT_EQ(check_pose(mirrored, "frame 'b' (b.png)", d), PoseState::refused);
-  EXPECT_EQ(d.all().back().text(), "frame 'b' (b.png): pose mirrors the scene (determinant -1); flip one camera axis in the export");
+  EXPECT_EQ(d.all().back().text(),
+            "frame 'b' (b.png): pose mirrors the scene (determinant -1); flip one camera axis in the export");
   EXPECT_EQ(d.error_count(), 2);
   Pose near = rotated(1.0001);
   EXPECT_EQ(check_pose(near, "frame 'c' (c.png)", d), PoseState::good);
   EXPECT_EQ(d.all().back().severity, Severity::warning);
-  EXPECT_EQ(d.all().back().text(), "frame 'c' (c.png): pose is 0.0002 off orthonormal and was made orthonormal; export poses with more digits");
+  EXPECT_EQ(
+      d.all().back().text(),
+      "frame 'c' (c.png): pose is 0.0002 off orthonormal and was made orthonormal; export poses with more digits");
   const Pose exact = testing_room::room_pose(3);
   for (std::size_t i = 0; i < 3; ++i) {
     for (std::size_t j = 0; j < 3; ++j) EXPECT_NEAR(near.r[i][j], exact.r[i][j], 1e-12);
@@ -62,7 +66,8 @@ TEST(SceneChecks, NonFinitePosesAreToldAndCounted) {
 }
 
 TEST(SceneChecks, OpenGlAxesTurn) {
-  const Pose p = opencv_from_opengl(pose_from_rows(std::vector<double>{1, 0, 0, 5, 0, 1, 0, 6, 0, 0, 1, 7, 0, 0, 0, 1}));
+  const Pose p =
+      opencv_from_opengl(pose_from_rows(std::vector<double>{1, 0, 0, 5, 0, 1, 0, 6, 0, 0, 1, 7, 0, 0, 0, 1}));
   EXPECT_EQ(p.axis(0), (Vec3d{1, 0, 0}));
   EXPECT_EQ(p.axis(1), (Vec3d{0, -1, 0}));
   EXPECT_EQ(p.axis(2), (Vec3d{0, 0, -1}));
@@ -79,17 +84,23 @@ TEST(SceneChecks, Intrinsics) {
     return d.all().empty() ? std::string() : d.all().back().text();
   };
   EXPECT_EQ(message([](Camera&) {}), "");
-  EXPECT_EQ(message([](Camera& c) { c.fx = 0; }),
-            "frame 'a': focal length is 0 x 20 pixels; it must be positive; check the intrinsics and the axes convention");
-  EXPECT_EQ(message([](Camera& c) { c.fy = -3; }),
-            "frame 'a': focal length is 20 x -3 pixels; it must be positive; check the intrinsics and the axes convention");
+  EXPECT_EQ(
+      message([](Camera& c) { c.fx = 0; }),
+      "frame 'a': focal length is 0 x 20 pixels; it must be positive; check the intrinsics and the axes convention");
+  EXPECT_EQ(
+      message([](Camera& c) { c.fy = -3; }),
+      "frame 'a': focal length is 20 x -3 pixels; it must be positive; check the intrinsics and the axes convention");
   EXPECT_EQ(message([](Camera& c) { c.cx = 100; }),
-            "frame 'a': principal point (100, 15) lies far outside the image of 40 x 30 pixels; check that the intrinsics belong to images of this size");
-  EXPECT_EQ(message([](Camera& c) { c.k2 = std::numeric_limits<double>::quiet_NaN(); }), "frame 'a': camera has an intrinsic that is not finite; calibrate again");
+            "frame 'a': principal point (100, 15) lies far outside the image of 40 x 30 pixels; check that the "
+            "intrinsics belong to images of this size");
+  EXPECT_EQ(message([](Camera& c) { c.k2 = std::numeric_limits<double>::quiet_NaN(); }),
+            "frame 'a': camera has an intrinsic that is not finite; calibrate again");
   EXPECT_EQ(message([](Camera& c) { c.width_px = 0; }), "frame 'a': image size is 0 x 30; state the size in pixels");
-  // r (1 - 0.2 r^2) reaches 0.86 at most: the left and right borders at 1 are lost, top and bottom middles at 0.75 are not.
+  // r (1 - 0.2 r^2) reaches 0.86 at most: the left and right borders at 1 are lost, top and bottom middles at 0.75 are
+  // not.
   EXPECT_EQ(message([](Camera& c) { c.k1 = -0.2; }),
-            "frame 'a': lens distortion has no inverse at 6 of 9 points of the image; such pixels are masked; calibrate with points up to the image corners");
+            "frame 'a': lens distortion has no inverse at 6 of 9 points of the image; such pixels are masked; "
+            "calibrate with points up to the image corners");
 }
 
 }  // namespace

@@ -21,8 +21,9 @@ namespace semfield::testing_room {
 /// A fresh folder of the running test.
 inline std::string fresh_folder(const std::string& name) {
   const auto* info = ::testing::UnitTest::GetInstance()->current_test_info();
-  const std::filesystem::path folder = std::filesystem::path(::testing::TempDir()) / (std::string("semfield_") + info->test_suite_name() + "_" +
-                                                                                     info->name() + "_" + std::to_string(::getpid()) + "_" + name);
+  const std::filesystem::path folder =
+      std::filesystem::path(::testing::TempDir()) / (std::string("semfield_") + info->test_suite_name() + "_" +
+                                                     info->name() + "_" + std::to_string(::getpid()) + "_" + name);
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
   return folder.string();
@@ -98,7 +99,9 @@ inline std::string pose_line(const Pose& p) {
   char text[64];
   for (int row = 0; row < 4; ++row) {
     for (int col = 0; col < 4; ++col) {
-      const double v = row == 3 ? (col == 3 ? 1.0 : 0.0) : col == 3 ? p.t[row] : p.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(col)];
+      const double v = row == 3   ? (col == 3 ? 1.0 : 0.0)
+                       : col == 3 ? p.t[row]
+                                  : p.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(col)];
       std::snprintf(text, sizeof text, "%.12g", v);
       line += text;
       line += row == 3 && col == 3 ? "\n" : " ";
@@ -114,7 +117,8 @@ inline constexpr const char* kClassesYaml =
 /// Writes `frames` frames in Replica layout into `folder`.
 inline void write_replica(const std::string& folder, int frames, int width = 40, int height = 30) {
   namespace fs = std::filesystem;
-  for (const char* name : {"rgb", "depth", "semantic_class", "semantic_instance"}) fs::create_directories(fs::path(folder) / name);
+  for (const char* name : {"rgb", "depth", "semantic_class", "semantic_instance"})
+    fs::create_directories(fs::path(folder) / name);
   std::string trajectory;
   for (int i = 0; i < frames; ++i) {
     const Camera c = room_camera(width, height);
@@ -142,7 +146,9 @@ std::string error_of(Body&& body) {
 }
 
 /// Without the fsync of write_file_atomic: for tests that write one file thousands of times.
-inline void plain_write(const std::string& path, const std::string& bytes) { std::ofstream(path, std::ios::binary) << bytes; }
+inline void plain_write(const std::string& path, const std::string& bytes) {
+  std::ofstream(path, std::ios::binary) << bytes;
+}
 
 /// Cuts the last `bytes` bytes off a file.
 inline void cut(const std::string& path, std::size_t bytes) {

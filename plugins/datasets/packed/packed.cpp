@@ -9,13 +9,16 @@
 
 namespace semfield {
 
-void describe(ParamVisitor& visit, PackedParams& p) { SEMFIELD_PARAM(visit, p, file, "the packed scene, as `semfield pack` wrote it"); }
+void describe(ParamVisitor& visit, PackedParams& p) {
+  SEMFIELD_PARAM(visit, p, file, "the packed scene, as `semfield pack` wrote it");
+}
 
 void validate(const PackedParams& p, Diagnostics& diagnostics) {
   if (p.file.empty()) diagnostics.error("file", "the packed scene is not given", "set scene.file");
 }
 
-Packed::Packed(const PackedParams& params, const DatasetBuild& build) : path_((std::filesystem::path(build.config_dir) / params.file).string()) {}
+Packed::Packed(const PackedParams& params, const DatasetBuild& build)
+    : path_((std::filesystem::path(build.config_dir) / params.file).string()) {}
 
 SceneInfo Packed::open(Diagnostics& diagnostics) {
   scene_.reset();
@@ -38,7 +41,8 @@ void Packed::read(int frame, FrameBuffer& out) const {
 
 namespace {
 void register_into(Registry& registry) {
-  registry.add_dataset<Packed, PackedParams>("packed", "One-file scenes written by `semfield pack`; need no image library.");
+  registry.add_dataset<Packed, PackedParams>("packed",
+                                             "One-file scenes written by `semfield pack`; need no image library.");
 }
 }  // namespace
 

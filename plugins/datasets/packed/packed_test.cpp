@@ -20,7 +20,10 @@ TEST(Packed, PosesAreCheckedAndPathsStartAtTheConfig) {
   info.frames = {f, f};
   info.frames[1].name = "b";
   info.frames[1].world_from_camera.r[0][0] = 2;
-  write_packed_scene(folder + "/s", info, [&](int, FrameBuffer& out) { out = render_room(room_camera(), Pose{}); out.label.clear(); });
+  write_packed_scene(folder + "/s", info, [&](int, FrameBuffer& out) {
+    out = render_room(room_camera(), Pose{});
+    out.label.clear();
+  });
   Packed packed(PackedParams{"s"}, DatasetBuild{folder});
   Diagnostics d;
   EXPECT_EQ(packed.open(d).frames.size(), 2u);

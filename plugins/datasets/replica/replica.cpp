@@ -34,30 +34,36 @@ void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
   // Two arithmetic sequences meet when their offsets agree modulo the greatest common divisor of their steps.
   if (p.test_step > 0 && (p.train_offset - p.test_offset) % std::gcd(p.train_step, p.test_step) == 0) {
     diagnostics.error("test_offset",
-                      "test frames " + std::to_string(p.test_offset) + " + n * " + std::to_string(p.test_step) + " meet training frames " +
-                          std::to_string(p.train_offset) + " + n * " + std::to_string(p.train_step),
+                      "test frames " + std::to_string(p.test_offset) + " + n * " + std::to_string(p.test_step) +
+                          " meet training frames " + std::to_string(p.train_offset) + " + n * " +
+                          std::to_string(p.train_step),
                       "choose offsets that never meet, or test_step: 0");
   }
 }
 
-Replica::Replica(const ReplicaParams& params, const DatasetBuild& build) : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
+Replica::Replica(const ReplicaParams& params, const DatasetBuild& build)
+    : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
   if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
 }
 
 std::string Replica::sequence_folder() const {
-  if (!fs::is_directory(root_)) throw Error(ErrorKind::no_input, "folder '" + root_ + "' is missing", "check scene.root");
+  if (!fs::is_directory(root_))
+    throw Error(ErrorKind::no_input, "folder '" + root_ + "' is missing", "check scene.root");
   if (!params_.sequence.empty()) {
     const fs::path folder = fs::path(root_) / params_.sequence;
-    if (!fs::is_directory(folder)) throw Error(ErrorKind::no_input, "folder '" + folder.string() + "' is missing", "check scene.sequence");
+    if (!fs::is_directory(folder))
+      throw Error(ErrorKind::no_input, "folder '" + folder.string() + "' is missing", "check scene.sequence");
     return folder.string();
   }
   if (fs::exists(fs::path(root_) / "traj_w_c.txt")) return root_;
   const fs::path first = fs::path(root_) / "Sequence_1";
   if (fs::exists(first / "traj_w_c.txt")) return first.string();
-  throw Error(ErrorKind::no_input, "no traj_w_c.txt in '" + root_ + "' or its Sequence_1", "check scene.root; it names the folder of one scene");
+  throw Error(ErrorKind::no_input, "no traj_w_c.txt in '" + root_ + "' or its Sequence_1",
+              "check scene.root; it names the folder of one scene");
 }
 
-std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diagnostics& diagnostics, std::size_t& rows) const {
+std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diagnostics& diagnostics,
+                                                   std::size_t& rows) const {
   const std::string text = read_text_file(path);
   std::vector<Row> out;
   std::vector<std::string> skipped;
@@ -81,7 +87,9 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
     const std::string place = path + ":" + std::to_string(line);
     Row found{static_cast<int>(rows++), {}};
     if (numbers.size() != 16 || *p != '\0') {
-      diagnostics.error(place, "expected 16 numbers, got " + std::to_string(numbers.size()) + (*p != '\0' ? " and the text '" + std::string(p) + "'" : ""),
+      diagnostics.error(place,
+                        "expected 16 numbers, got " + std::to_string(numbers.size()) +
+                            (*p != '\0' ? " and the text '" + std::string(p) + "'" : ""),
                         "write one camera-to-world matrix a line, row by row");
       continue;
     }
@@ -97,7 +105,8 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
 
 Split Replica::split_of(int number) const {
   if (number >= params_.train_offset && (number - params_.train_offset) % params_.train_step == 0) return Split::train;
-  if (params_.test_step > 0 && number >= params_.test_offset && (number - params_.test_offset) % params_.test_step == 0) return Split::test;
+  if (params_.test_step > 0 && number >= params_.test_offset && (number - params_.test_offset) % params_.test_step == 0)
+    return Split::test;
   return Split::unused;
 }
 
@@ -107,7 +116,8 @@ FrameFiles Replica::files_of(const std::string& folder, int number, Split split)
     const fs::path where = fs::path(folder) / directory;
     return directory.empty() || !fs::is_directory(where) ? std::string() : (where / (prefix + n)).string();
   };
-  const std::string& labels = split == Split::test && !params_.test_label_dir.empty() ? params_.test_label_dir : params_.label_dir;
+  const std::string& labels =
+      split == Split::test && !params_.test_label_dir.empty() ? params_.test_label_dir : params_.label_dir;
   FrameFiles files;
   files.color = (fs::path(folder) / "rgb" / ("rgb_" + n)).string();
   files.depth = in_folder("depth", "depth_");
@@ -121,8 +131,10 @@ void Replica::load_classes(const std::string& folder, bool has_labels, Diagnosti
   if (path.empty()) path = find_class_file({folder, root_, (fs::path(root_) / "habitat").string()});
   if (path.empty()) {
     if (has_labels) {
-      diagnostics.error(root_, "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
-                        "write classes.yaml with one {id, name} a class, or set scene.classes");
+      diagnostics.error(
+          root_,
+          "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
+          "write classes.yaml with one {id, name} a class, or set scene.classes");
     }
     return;
   }
@@ -144,7 +156,8 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
     // The default folder may be absent (a scene without labels); one that was asked for may not.
     const bool asked = !labels.empty() && labels != ReplicaParams{}.label_dir;
     if (asked && !fs::is_directory(fs::path(folder) / labels)) {
-      diagnostics.error((fs::path(folder) / labels).string(), "label folder is missing", "check scene.label_dir and scene.test_label_dir");
+      diagnostics.error((fs::path(folder) / labels).string(), "label folder is missing",
+                        "check scene.label_dir and scene.test_label_dir");
     }
   }
   std::size_t rows = 0;
@@ -185,7 +198,8 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
     files_.push_back(files);
   }
   if (rows > trajectory.size() && !trajectory.empty()) {
-    diagnostics.note(root_, std::to_string(rows - trajectory.size()) + " of " + std::to_string(rows) + " frames are in neither split");
+    diagnostics.note(root_, std::to_string(rows - trajectory.size()) + " of " + std::to_string(rows) +
+                                " frames are in neither split");
   }
   load_classes(folder, has_labels, diagnostics);
   return info_;
@@ -200,7 +214,8 @@ void Replica::read(int frame, FrameBuffer& out) const {
 
 namespace {
 void register_into(Registry& registry) {
-  registry.add_dataset<Replica, ReplicaParams>("replica", "Pre-rendered Replica sequences: poses, colour, depth, class and instance images.");
+  registry.add_dataset<Replica, ReplicaParams>(
+      "replica", "Pre-rendered Replica sequences: poses, colour, depth, class and instance images.");
 }
 }  // namespace
 

@@ -40,7 +40,8 @@ TEST(Replica, TestLabelsMayComeFromAnotherFolder) {
   write_replica(folder, 4);
   std::filesystem::create_directories(folder + "/cnn");
   for (int i = 0; i < 4; i += 2) {
-    write_png_gray8(folder + "/cnn/semantic_class_" + std::to_string(i) + ".png", 40, 30, std::vector<std::uint8_t>(1200, 3));
+    write_png_gray8(folder + "/cnn/semantic_class_" + std::to_string(i) + ".png", 40, 30,
+                    std::vector<std::uint8_t>(1200, 3));
   }
   ReplicaParams p;
   p.root = folder;

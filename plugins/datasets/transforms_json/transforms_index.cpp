@@ -29,7 +29,11 @@ std::string with_extension(const fs::path& path) {
 class FileReader {
  public:
   FileReader(std::string path, std::optional<Split> split, TransformsIndex& out, Diagnostics& diagnostics)
-      : path_(std::move(path)), folder_(fs::path(path_).parent_path()), split_(split), out_(out), diagnostics_(diagnostics) {}
+      : path_(std::move(path)),
+        folder_(fs::path(path_).parent_path()),
+        split_(split),
+        out_(out),
+        diagnostics_(diagnostics) {}
 
   void read() {
     json root;
@@ -39,12 +43,14 @@ class FileReader {
       throw Error(ErrorKind::data, "'" + path_ + "' is not valid JSON: " + e.what(), "export the poses again");
     }
     if (!root.is_object() || !root.contains("frames") || !root["frames"].is_array()) {
-      throw Error(ErrorKind::data, "'" + path_ + "' has no list 'frames'", "give a transforms.json of nerfstudio, instant-ngp or Blender");
+      throw Error(ErrorKind::data, "'" + path_ + "' has no list 'frames'",
+                  "give a transforms.json of nerfstudio, instant-ngp or Blender");
     }
     if (!check_model(root, path_)) return;
     const TransformsLens lens = read_lens(root, {}, path_);
     if (const auto unit = number(root, "depth_unit_m", path_)) out_.depth_unit_m = *unit;
-    if (!(out_.depth_unit_m >= 0)) diagnostics_.error(path_, "depth_unit_m must be positive", "write the metres of one step, such as 0.001");
+    if (!(out_.depth_unit_m >= 0))
+      diagnostics_.error(path_, "depth_unit_m must be positive", "write the metres of one step, such as 0.001");
     read_classes(root);
     const auto listed = [&](const char* key) {
       std::vector<std::string> names;
@@ -55,13 +61,17 @@ class FileReader {
       }
       return names;
     };
-    const std::vector<std::string> train = listed("train_filenames"), test = listed("test_filenames"), val = listed("val_filenames");
+    const std::vector<std::string> train = listed("train_filenames"), test = listed("test_filenames"),
+                                   val = listed("val_filenames");
     std::size_t number_of_frame = 0;
     for (const json& item : root["frames"]) {
       TransformsFrame frame = read_frame(item, number_of_frame++, lens);
-      const auto in = [&](const std::vector<std::string>& names) { return std::find(names.begin(), names.end(), frame.file_path) != names.end(); };
+      const auto in = [&](const std::vector<std::string>& names) {
+        return std::find(names.begin(), names.end(), frame.file_path) != names.end();
+      };
       frame.split = split_;
-      if (!train.empty()) frame.split = in(train) ? Split::train : in(test) || (test.empty() && in(val)) ? Split::test : Split::unused;
+      if (!train.empty())
+        frame.split = in(train) ? Split::train : in(test) || (test.empty() && in(val)) ? Split::test : Split::unused;
       out_.frames.push_back(std::move(frame));
     }
   }
@@ -78,20 +88,35 @@ class FileReader {
 
   bool check_model(const json& node, const std::string& place) {
     std::string model;
-    if (node.contains("camera_model") && node["camera_model"].is_string()) model = node["camera_model"].get<std::string>();
-    if (node.contains("is_fisheye") && node["is_fisheye"].is_boolean() && node["is_fisheye"].get<bool>()) model = "OPENCV_FISHEYE";
-    static const std::vector<std::string> known{"", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"};
+    if (node.contains("camera_model") && node["camera_model"].is_string())
+      model = node["camera_model"].get<std::string>();
+    if (node.contains("is_fisheye") && node["is_fisheye"].is_boolean() && node["is_fisheye"].get<bool>())
+      model = "OPENCV_FISHEYE";
+    static const std::vector<std::string> known{"",       "OPENCV",     "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL",
+                                                "RADIAL", "PERSPECTIVE"};
     if (std::find(known.begin(), known.end(), model) != known.end()) return true;
-    diagnostics_.error(place, "camera model '" + model + "' is not supported (only perspective lenses: OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL)",
-                       "undistort the images to a pinhole camera, for example with colmap image_undistorter");
+    diagnostics_.error(
+        place,
+        "camera model '" + model +
+            "' is not supported (only perspective lenses: OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL)",
+        "undistort the images to a pinhole camera, for example with colmap image_undistorter");
     return false;
   }
 
   TransformsLens read_lens(const json& node, const TransformsLens& base, const std::string& place) {
     TransformsLens lens = base;
-    const std::pair<const char*, double*> fields[] = {
-        {"w", &lens.w},   {"h", &lens.h},   {"fl_x", &lens.fl_x}, {"fl_y", &lens.fl_y}, {"camera_angle_x", &lens.camera_angle_x}, {"camera_angle_y", &lens.camera_angle_y},
-        {"k1", &lens.k1}, {"k2", &lens.k2}, {"k3", &lens.k3},     {"k4", &lens.k4},     {"p1", &lens.p1},                         {"p2", &lens.p2}};
+    const std::pair<const char*, double*> fields[] = {{"w", &lens.w},
+                                                      {"h", &lens.h},
+                                                      {"fl_x", &lens.fl_x},
+                                                      {"fl_y", &lens.fl_y},
+                                                      {"camera_angle_x", &lens.camera_angle_x},
+                                                      {"camera_angle_y", &lens.camera_angle_y},
+                                                      {"k1", &lens.k1},
+                                                      {"k2", &lens.k2},
+                                                      {"k3", &lens.k3},
+                                                      {"k4", &lens.k4},
+                                                      {"p1", &lens.p1},
+                                                      {"p2", &lens.p2}};
     for (const auto& [key, field] : fields) {
       if (const auto value = number(node, key, place)) *field = *value;
     }
@@ -108,17 +133,21 @@ class FileReader {
       return;
     }
     const bool valid = classes.is_array() && std::all_of(classes.begin(), classes.end(), [](const json& c) {
-                         return c.is_object() && c.contains("id") && c["id"].is_number_integer() && c.contains("name") && c["name"].is_string() &&
+                         return c.is_object() && c.contains("id") && c["id"].is_number_integer() &&
+                                c.contains("name") && c["name"].is_string() &&
                                 (!c.contains("ignore") || c["ignore"].is_boolean());
                        });
     if (!valid) {
-      diagnostics_.error(path_, "'classes' is neither a path nor a list of {id, name, ignore}", "write \"classes\": \"classes.yaml\"");
+      diagnostics_.error(path_, "'classes' is neither a path nor a list of {id, name, ignore}",
+                         "write \"classes\": \"classes.yaml\"");
       return;
     }
     for (const json& c : classes) {
       const auto id = c["id"].get<std::int64_t>();
       ClassEntry entry;
-      entry.id = id < -1 || id > 70000 ? -1 : static_cast<std::int32_t>(id);  // out of range stays out of range: the table refuses it
+      entry.id = id < -1 || id > 70000
+                     ? -1
+                     : static_cast<std::int32_t>(id);  // out of range stays out of range: the table refuses it
       entry.name = c["name"].get<std::string>();
       entry.ignore = c.value("ignore", false);
       entry.color = ClassTable::default_color(std::max(entry.id, 0));
@@ -133,7 +162,9 @@ class FileReader {
       diagnostics_.error(frame.place, "is not a map", "write {\"file_path\": ..., \"transform_matrix\": ...}");
       return frame;
     }
-    const auto path_of = [&](const char* key) { return item.contains(key) && item[key].is_string() ? item[key].get<std::string>() : std::string(); };
+    const auto path_of = [&](const char* key) {
+      return item.contains(key) && item[key].is_string() ? item[key].get<std::string>() : std::string();
+    };
     frame.file_path = path_of("file_path");
     if (frame.file_path.empty()) {
       diagnostics_.error(frame.place, "has no 'file_path'", "name the image of the frame");
@@ -146,8 +177,10 @@ class FileReader {
     std::string depth = path_of("depth_path");
     if (depth.empty()) depth = path_of("depth_file_path");  // nerfstudio's name for it
     if (!depth.empty()) frame.files.depth = with_extension(folder_ / depth);
-    if (const std::string label = path_of("label_path"); !label.empty()) frame.files.label = with_extension(folder_ / label);
-    if (const std::string instance = path_of("instance_path"); !instance.empty()) frame.files.instance = with_extension(folder_ / instance);
+    if (const std::string label = path_of("label_path"); !label.empty())
+      frame.files.label = with_extension(folder_ / label);
+    if (const std::string instance = path_of("instance_path"); !instance.empty())
+      frame.files.instance = with_extension(folder_ / instance);
     read_matrix(item, frame);
     return frame;
   }
@@ -160,14 +193,18 @@ class FileReader {
       for (std::size_t c = 0; valid && c < 4; ++c) {
         const json& v = (*rows)[r][c];
         // Exporters write a lost pose as null; it is skipped and counted like NaN.
-        if (v.is_null()) frame.matrix.push_back(std::nan(""));
-        else if (v.is_number()) frame.matrix.push_back(v.get<double>());
-        else valid = false;
+        if (v.is_null())
+          frame.matrix.push_back(std::nan(""));
+        else if (v.is_number())
+          frame.matrix.push_back(v.get<double>());
+        else
+          valid = false;
       }
     }
     if (valid) return;
     frame.matrix.clear();
-    diagnostics_.error(frame.place, "'transform_matrix' is not 4 rows of 4 numbers", "write the camera-to-world matrix row by row");
+    diagnostics_.error(frame.place, "'transform_matrix' is not 4 rows of 4 numbers",
+                       "write the camera-to-world matrix row by row");
   }
 
   std::string path_;
@@ -186,13 +223,16 @@ TransformsIndex read_transforms(const std::string& root, Diagnostics& diagnostic
     FileReader(root, std::nullopt, out, diagnostics).read();
     return out;
   }
-  if (!fs::is_directory(root, ignored)) throw Error(ErrorKind::no_input, "folder '" + root + "' is missing", "check scene.root");
+  if (!fs::is_directory(root, ignored))
+    throw Error(ErrorKind::no_input, "folder '" + root + "' is missing", "check scene.root");
   const fs::path folder(root);
   if (fs::exists(folder / "transforms.json", ignored)) {
     FileReader((folder / "transforms.json").string(), std::nullopt, out, diagnostics).read();
     return out;
   }
-  const std::pair<const char*, Split> parts[] = {{"transforms_train.json", Split::train}, {"transforms_test.json", Split::test}, {"transforms_val.json", Split::unused}};
+  const std::pair<const char*, Split> parts[] = {{"transforms_train.json", Split::train},
+                                                 {"transforms_test.json", Split::test},
+                                                 {"transforms_val.json", Split::unused}};
   bool any = false;
   for (const auto& [name, split] : parts) {
     if (!fs::exists(folder / name, ignored)) continue;
@@ -200,7 +240,8 @@ TransformsIndex read_transforms(const std::string& root, Diagnostics& diagnostic
     FileReader((folder / name).string(), split, out, diagnostics).read();
   }
   if (!any) {
-    throw Error(ErrorKind::no_input, "no transforms.json or transforms_train.json in '" + root + "'", "check scene.root; it names the folder of one scene");
+    throw Error(ErrorKind::no_input, "no transforms.json or transforms_train.json in '" + root + "'",
+                "check scene.root; it names the folder of one scene");
   }
   return out;
 }

@@ -19,23 +19,23 @@ struct TransformsLens {
 };
 
 struct TransformsFrame {
-  std::string place;                 ///< "transforms.json: frame 3 (images/0003.jpg)"
-  std::string file_path;             ///< as written
-  FrameFiles files;                  ///< resolved; colour with its extension found
+  std::string place;      ///< "transforms.json: frame 3 (images/0003.jpg)"
+  std::string file_path;  ///< as written
+  FrameFiles files;       ///< resolved; colour with its extension found
   TransformsLens lens;
-  std::vector<double> matrix;        ///< 16 numbers, row-major; empty when the file's was unusable (already reported)
-  std::optional<Split> split;        ///< told by the file (Blender's file names, nerfstudio's *_filenames)
+  std::vector<double> matrix;  ///< 16 numbers, row-major; empty when the file's was unusable (already reported)
+  std::optional<Split> split;  ///< told by the file (Blender's file names, nerfstudio's *_filenames)
 };
 
 struct TransformsIndex {
   std::vector<TransformsFrame> frames;
-  double depth_unit_m = 0;           ///< 0 = not told
-  std::string classes;               ///< path of a class table; "" = not told
+  double depth_unit_m = 0;             ///< 0 = not told
+  std::string classes;                 ///< path of a class table; "" = not told
   std::vector<ClassEntry> class_list;  ///< classes written in the file itself
 };
 
-/// Reads `root`/transforms.json, or transforms_train/val/test.json, or `root` itself when it is a file. Problems of single frames go into
-/// `diagnostics`; throws Error when no index is there or it is not JSON.
+/// Reads `root`/transforms.json, or transforms_train/val/test.json, or `root` itself when it is a file. Problems of
+/// single frames go into `diagnostics`; throws Error when no index is there or it is not JSON.
 TransformsIndex read_transforms(const std::string& root, Diagnostics& diagnostics);
 
 }  // namespace semfield

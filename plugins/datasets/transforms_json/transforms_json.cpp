@@ -14,18 +14,25 @@ namespace semfield {
 namespace fs = std::filesystem;
 
 void describe(ParamVisitor& visit, TransformsJsonParams& p) {
-  SEMFIELD_PARAM(visit, p, root, "folder with transforms.json (or Blender's transforms_train.json and transforms_test.json), or the file itself");
-  SEMFIELD_PARAM(visit, p, test_every, "every how many-th frame, by name, is held out for tests where the file names no split; 0 = none", {0, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, root,
+      "folder with transforms.json (or Blender's transforms_train.json and transforms_test.json), or the file itself");
+  SEMFIELD_PARAM(visit, p, test_every,
+                 "every how many-th frame, by name, is held out for tests where the file names no split; 0 = none",
+                 {0, 1e6});
   SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the file's own, or the one beside it");
   SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
-  SEMFIELD_PARAM(visit, p, depth_unit_m, "metres of one step of a depth image; 0 = as the file tells, else 0.001", {0, 1000});
-  SEMFIELD_PARAM(visit, p, alpha_background, "grey that shows through transparent pixels, 0 to 255; -1 = drop alpha", {-1, 255});
+  SEMFIELD_PARAM(visit, p, depth_unit_m, "metres of one step of a depth image; 0 = as the file tells, else 0.001",
+                 {0, 1000});
+  SEMFIELD_PARAM(visit, p, alpha_background, "grey that shows through transparent pixels, 0 to 255; -1 = drop alpha",
+                 {-1, 255});
   SEMFIELD_PARAM(visit, p, metric, "poses are in metres (they are taken to be when the scene has depth)");
 }
 
 void validate(const TransformsJsonParams& p, Diagnostics& diagnostics) {
   if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
-  if (p.test_every == 1) diagnostics.error("test_every", "1 leaves no frame to train on", "take 2 or more, or 0 for no test frames");
+  if (p.test_every == 1)
+    diagnostics.error("test_every", "1 leaves no frame to train on", "take 2 or more, or 0 for no test frames");
 }
 
 TransformsJson::TransformsJson(const TransformsJsonParams& params, const DatasetBuild& build)
@@ -37,12 +44,16 @@ namespace {
 
 // Pixel centres at +0.5 already; fx from fl_x or fx = (w / 2) / tan(angle / 2).
 Camera camera_of(const TransformsLens& lens, std::int32_t width, std::int32_t height) {
-  const auto from_angle = [](double size, double angle) { return angle > 0 && angle < M_PI ? 0.5 * size / std::tan(0.5 * angle) : 0.0; };
+  const auto from_angle = [](double size, double angle) {
+    return angle > 0 && angle < M_PI ? 0.5 * size / std::tan(0.5 * angle) : 0.0;
+  };
   Camera c;
   c.width_px = width;
   c.height_px = height;
   c.fx = lens.fl_x != 0 ? lens.fl_x : from_angle(width, lens.camera_angle_x);
-  c.fy = lens.fl_y != 0 ? lens.fl_y : lens.camera_angle_y != 0 && lens.fl_x == 0 ? from_angle(height, lens.camera_angle_y) : c.fx;
+  c.fy = lens.fl_y != 0                               ? lens.fl_y
+         : lens.camera_angle_y != 0 && lens.fl_x == 0 ? from_angle(height, lens.camera_angle_y)
+                                                      : c.fx;
   c.cx = lens.cx.value_or(0.5 * width);
   c.cy = lens.cy.value_or(0.5 * height);
   c.k1 = lens.k1;
@@ -61,7 +72,8 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, Camera& o
   ImageSize size;
   if (in.lens.w != 0 || in.lens.h != 0) {
     if (!whole_size(in.lens.w) || !whole_size(in.lens.h)) {
-      diagnostics.error(place, "image size 'w' x 'h' is not a pair of whole numbers of pixels", "write the size of the image, or leave both out");
+      diagnostics.error(place, "image size 'w' x 'h' is not a pair of whole numbers of pixels",
+                        "write the size of the image, or leave both out");
       return false;
     }
     size = {static_cast<std::int32_t>(in.lens.w), static_cast<std::int32_t>(in.lens.h), 3, 8};
@@ -145,15 +157,19 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
 
 void TransformsJson::load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics) {
   const std::string folder = fs::is_regular_file(root_) ? fs::path(root_).parent_path().string() : root_;
-  const std::string path = !class_file_.empty() ? class_file_ : !index.classes.empty() ? index.classes : index.class_list.empty() ? find_class_file({folder}) : "";
+  const std::string path = !class_file_.empty()       ? class_file_
+                           : !index.classes.empty()   ? index.classes
+                           : index.class_list.empty() ? find_class_file({folder})
+                                                      : "";
   try {
     if (!path.empty()) {
       info_.classes = ClassTable::load(path);
     } else if (!index.class_list.empty()) {
       info_.classes = ClassTable(index.class_list);
     } else if (has_labels) {
-      diagnostics.error(root_, "labels without a class table: no 'classes' in the file, no classes.yaml or classes.csv beside it",
-                        "write classes.yaml with one {id, name} a class, or set scene.classes");
+      diagnostics.error(
+          root_, "labels without a class table: no 'classes' in the file, no classes.yaml or classes.csv beside it",
+          "write classes.yaml with one {id, name} a class, or set scene.classes");
     }
   } catch (const Error& e) {
     diagnostics.error("", e.message(), e.remedy());
@@ -171,7 +187,8 @@ void TransformsJson::read(int frame, FrameBuffer& out) const {
 
 namespace {
 void register_into(Registry& registry) {
-  registry.add_dataset<TransformsJson, TransformsJsonParams>("transforms_json", "Posed images with a transforms.json of nerfstudio, instant-ngp or Blender.");
+  registry.add_dataset<TransformsJson, TransformsJsonParams>(
+      "transforms_json", "Posed images with a transforms.json of nerfstudio, instant-ngp or Blender.");
 }
 }  // namespace
 

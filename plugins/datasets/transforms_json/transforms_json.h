@@ -8,9 +8,9 @@
 #include <vector>
 
 #include "config/params.h"
+#include "datasets/transforms_json/transforms_index.h"
 #include "plugin/dataset.h"
 #include "scene/frame_files.h"
-#include "datasets/transforms_json/transforms_index.h"
 
 namespace semfield {
 

@@ -46,10 +46,13 @@ TEST(TransformsJson, OwnLensDepthAndLabels) {
   write_image(folder + "/b.png");
   write_png_gray16(folder + "/d.png", 4, 2, std::vector<std::uint16_t>{0, 1, 65535, 4000, 1, 1, 1, 1});
   write_png_gray8(folder + "/l.png", 4, 2, std::vector<std::uint8_t>{0, 7, 7, 7, 0, 0, 0, 7});
-  write_file_atomic(folder + "/transforms.json",
-                    std::string("{\"fl_x\": 3, \"fl_y\": 4, \"cx\": 1.5, \"k1\": 0.1, \"depth_unit_m\": 0.0005, \"classes\": [{\"id\": 0, \"name\": \"void\", \"ignore\": "
-                                "true}, {\"id\": 7, \"name\": \"cup\"}], \"frames\": [{\"file_path\": \"a.png\", ") + kEye +
-                        "}, {\"file_path\": \"b.png\", \"fl_x\": 5, \"depth_path\": \"d.png\", \"label_path\": \"l.png\", " + kEye + "}]}");
+  write_file_atomic(
+      folder + "/transforms.json",
+      std::string("{\"fl_x\": 3, \"fl_y\": 4, \"cx\": 1.5, \"k1\": 0.1, \"depth_unit_m\": 0.0005, \"classes\": "
+                  "[{\"id\": 0, \"name\": \"void\", \"ignore\": "
+                  "true}, {\"id\": 7, \"name\": \"cup\"}], \"frames\": [{\"file_path\": \"a.png\", ") +
+          kEye + "}, {\"file_path\": \"b.png\", \"fl_x\": 5, \"depth_path\": \"d.png\", \"label_path\": \"l.png\", " +
+          kEye + "}]}");
   TransformsJsonParams p;
   p.root = folder;
   p.test_every = 0;
