@@ -16,9 +16,8 @@ namespace semfield {
 /// Where a sample stands in the interval it speaks for. Every rule is exact for the frozen field on its intervals; the
 /// error after N samples of a smooth field is of the order given.
 ///   paper           jittered points, each at the near end of its interval: delta_k = t_{k+1} - t_k, the last one ends
-///   at
-///                   far; [near, t_1] is skipped. Order 1 [Mildenhall20]. Without training the jitter is its mean, 1/2:
-///                   the midpoint rule but for the last interval, which is half as long.
+///                   at far; [near, t_1] is skipped. Order 1 [Mildenhall20]. Without training the jitter is its mean,
+///                   1/2: the midpoint rule but for the last interval, which is half as long.
 ///   midpoint        fixed points amid their intervals, never jittered. Order 2.
 ///   stratified_bin  jittered points, each speaking for the whole of its bin. Order 1.5, unbiased in optical depth;
 ///                   without training the same as midpoint.
