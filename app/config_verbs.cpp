@@ -57,7 +57,7 @@ int run_config_schema(AppContext& context) {
                       "",
                       "where relative paths of the scene start; default: the folder of the file that names it",
                       {}};
-  const ParamDoc plugins{"plugins", "texts", "[]", "", "plugin modules to load, by path", {}};
+  const ParamDoc plugins{"plugins", "list of text", "[]", "", "plugin modules to load, by path", {}};
   sections.push_back({"", "", {name, base, plugins}});
   const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
   const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};

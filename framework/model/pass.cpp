@@ -140,6 +140,9 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
   const View<const std::int32_t> ray_of_sample = trace.samples.ray_of_sample.row_range(0, count);
   parts_.field->forward(ctx, store_->tensors(field_, lane), {trace.encoded, trace.direction, ray_of_sample}, trace.out,
                         trace.saved);
+  if (rules_.density_bias != 0) {
+    for (std::int64_t m = 0; m < count; ++m) trace.out.sigma(m, 0) += static_cast<Real>(rules_.density_bias);
+  }
   if (training && rules_.density_noise > 0) {
     add_density_noise<Real>(ctx.random("density_noise"), ctx.first_ray, trace.samples.first, rules_.density_noise,
                             trace.out.sigma);
@@ -357,6 +360,7 @@ void Pass<Real>::density(const StepContext& ctx, View<const double> positions, V
     FieldOut<Real> out;
     out.sigma = raw;
     parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
+    for (std::int64_t m = 0; m < count; ++m) raw(m, 0) += static_cast<Real>(rules_.density_bias);
     density_forward<Real>(rules_.activation, raw, sigma.row_range(begin, count));
   }
 }

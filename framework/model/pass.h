@@ -20,6 +20,7 @@ namespace semfield {
 /// Fixed rules of rendering, the same for every pass.
 struct RenderRules {
   DensityActivation activation = DensityActivation::relu;
+  double density_bias = 0;                   ///< added to raw density: how thin the fog is that training starts from
   FarMode far = FarMode::open;
   double density_noise = 0;                   ///< standard deviation added to raw density in training [Mildenhall20]
   std::array<double, 3> background{0, 0, 0};  ///< added to colour only

@@ -121,6 +121,7 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
   }
   PipelineOptions options;
   options.rules.activation = config.rendering.density_activation;
+  options.rules.density_bias = config.rendering.density_bias;
   options.rules.far = config.rendering.far;
   options.rules.density_noise = config.rendering.density_noise;
   for (std::size_t i = 0; i < 3; ++i) options.rules.background[i] = config.rendering.background[i];

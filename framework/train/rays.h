@@ -12,7 +12,7 @@ namespace semfield {
 struct RayLimits {
   double near_m = 0.05;
   double far_m = 10;
-  bool z_depth = true;  ///< near and far are z-depths (as in [Zhi21]); false: distances along the ray
+  bool z_depth = false;  ///< near and far are z-depths; false: distances along the ray
   bool clip = false;    ///< clip to `bounds` (encoders whose domain is a cube)
   Box bounds;
 };

@@ -19,6 +19,7 @@ void describe(ParamVisitor& visit, SemanticsParams& p) {
 
 void describe(ParamVisitor& visit, RenderingParams& p) {
   SEMFIELD_PARAM(visit, p, density_activation, "raw density to attenuation in 1/m");
+  SEMFIELD_PARAM(visit, p, density_bias, "added to raw density; negative: training starts from thin fog", {-20, 20});
   SEMFIELD_PARAM(visit, p, far, "what a ray meets behind its last sample");
   SEMFIELD_PARAM(visit, p, density_noise, "standard deviation of the noise on raw density in training [Mildenhall20]",
                  {0, 1e3});
@@ -166,7 +167,7 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
     for (const auto& [key, value] : item.entries()) {
       if (std::find(kKeys.begin(), kKeys.end(), key) != kKeys.end()) continue;
       const std::string near = did_you_mean(key, kKeys);
-      diagnostics.error(value.location().text(), path + ": unknown key '" + key + "'",
+      diagnostics.error(value.key_location().text(), path + ": unknown key '" + key + "'",
                         near.empty() ? "known: " + join(kKeys) : "did you mean '" + near + "'?");
     }
     pass.name = read_text(item, path, "name", index == 0 ? "main" : "pass" + std::to_string(index), diagnostics);
@@ -200,11 +201,14 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
   }
   config.dataset = read_slot(PluginKind::dataset, *scene, "scene", registry, diagnostics, {"labels", "load"});
   if (config.base_dir.empty()) {
-    const ConfigNode* type = scene->is_map() ? scene->find("type") : nullptr;
-    const std::filesystem::path file = (type == nullptr ? scene->location() : type->location()).file;
+    // The folder of the file that names the data; without one, of the file that chose the dataset.
+    const ConfigNode* anchor = nullptr;
+    for (const char* key : {"root", "file", "obj", "type"}) {
+      if (anchor == nullptr && scene->is_map()) anchor = scene->find(key);
+    }
+    const std::filesystem::path file = (anchor == nullptr ? scene->location() : anchor->location()).file;
     std::error_code ignored;
-    config.base_dir =
-        std::filesystem::weakly_canonical(std::filesystem::absolute(file).parent_path(), ignored).string();
+    config.base_dir = std::filesystem::weakly_canonical(std::filesystem::absolute(file).parent_path(), ignored).string();
   }
 }
 
@@ -236,7 +240,7 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   for (const auto& [key, value] : tree.entries()) {
     if (std::find(known.begin(), known.end(), key) != known.end()) continue;
     const std::string near = did_you_mean(key, known);
-    diagnostics.error(value.location().text(), "unknown section '" + key + "'",
+    diagnostics.error(value.key_location().text(), "unknown section '" + key + "'",
                       near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
   }
   config.name = read_text(tree, "", "name", "run", diagnostics);

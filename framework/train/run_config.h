@@ -32,6 +32,7 @@ void describe(ParamVisitor& visit, SemanticsParams& params);
 
 struct RenderingParams {
   DensityActivation density_activation = DensityActivation::relu;
+  double density_bias = 0;
   FarMode far = FarMode::open;
   double density_noise = 0;
   std::vector<double> background{0, 0, 0};

@@ -37,28 +37,36 @@ constexpr double kProgressEvery_s = 0.2;
 // The run's moving parts while it trains.
 class Run {
  public:
-  Run(RunConfig config, Registry& registry, const TrainRequest& request, const TrainHooks& hooks)
+  Run(RunFolder folder, Session session, const Registry& registry, const TrainHooks& hooks)
       : hooks_(hooks),
-        folder_(request.resume ? RunFolder::resume(request.out_dir) : RunFolder::create(request.out_dir)),
-        checkpoints_(folder_.checkpoints_path(), config.report.keep_checkpoints) {
-    if (!request.resume) write_file_atomic(folder_.config_path(), write_config(resolved_config(config)));
-    Diagnostics diagnostics;
-    SessionOptions options;
-    options.keep = request.keep;
-    session_ = open_session(std::move(config), registry, options, diagnostics);
-    for (const Diagnostic& finding : diagnostics.all()) note(finding.text());
-    if (!request.resume) write_file_atomic(folder_.config_path(), write_config(resolved_config(session_.config)));
+        folder_(std::move(folder)),
+        session_(std::move(session)),
+        checkpoints_(folder_.checkpoints_path(), session_.config.report.keep_checkpoints) {
     if (!session_.scene.info.classes.empty())
       write_file_atomic(folder_.classes_path(), session_.scene.info.classes.to_yaml());
     write_left_out();
+    write_environment(registry);
     rays_ = session_.make_ray_source();
     trainer_ = std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule);
-    if (request.resume) load_checkpoint();
-    write_environment(registry);
+  }
+
+  /// Takes up the newest checkpoint that verifies; without one the run starts at step 0.
+  void load_checkpoint() {
+    Diagnostics diagnostics;
+    std::optional<CheckpointStore::Found> found = checkpoints_.find_latest(diagnostics);
+    for (const Diagnostic& finding : diagnostics.all()) note(finding.text());
+    if (!found) {
+      note("no checkpoint yet: starting from step 0");
+      return;
+    }
+    trainer_->load(found->file, found->step);
+    train_s_ = std::stod(found->file.metadata().at("train_s"));
+    note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", found->step, train_s_, found->path));
   }
 
   TrainOutcome train() {
-    MetricsLog log = trainer_->step() > 0 ? MetricsLog::resume(folder_.metrics_path(), trainer_->step()) : start_log();
+    // Rows past the step taken up (all of them, for a run killed before its first checkpoint) are dropped.
+    MetricsLog log = MetricsLog::resume(folder_.metrics_path(), trainer_->step());
     EventWriter events(folder_.path(), unix_seconds());
     log_ = &log;
     events_ = &events;
@@ -98,24 +106,6 @@ class Run {
  private:
   void note(const std::string& text) const {
     if (hooks_.note) hooks_.note(text);
-  }
-
-  MetricsLog start_log() {
-    // A run that was killed before its first checkpoint starts over: its rows are dropped.
-    return MetricsLog::resume(folder_.metrics_path(), 0);
-  }
-
-  void load_checkpoint() {
-    Diagnostics diagnostics;
-    std::optional<CheckpointStore::Found> found = checkpoints_.find_latest(diagnostics);
-    for (const Diagnostic& finding : diagnostics.all()) note(finding.text());
-    if (!found) {
-      note("no checkpoint yet: starting from step 0");
-      return;
-    }
-    trainer_->load(found->file, found->step);
-    train_s_ = std::stod(found->file.metadata().at("train_s"));
-    note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", found->step, train_s_, found->path));
   }
 
   void save() {
@@ -237,8 +227,8 @@ class Run {
 
   TrainHooks hooks_;
   RunFolder folder_;
-  CheckpointStore checkpoints_;
   Session session_;
+  CheckpointStore checkpoints_;
   std::unique_ptr<RaySource> rays_;
   std::unique_ptr<Trainer> trainer_;
   MetricsLog* log_ = nullptr;
@@ -254,7 +244,22 @@ class Run {
 }  // namespace
 
 TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, const TrainHooks& hooks) {
-  Run run(std::move(config), registry, request, hooks);
+  Diagnostics diagnostics;
+  SessionOptions options;
+  options.keep = request.keep;
+  // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
+  std::optional<RunFolder> folder;
+  if (request.resume) folder.emplace(RunFolder::resume(request.out_dir));
+  Session session = open_session(std::move(config), registry, options, diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) {
+    if (hooks.note) hooks.note(finding.text());
+  }
+  if (!folder) {
+    folder.emplace(RunFolder::create(request.out_dir));
+    write_file_atomic(folder->config_path(), write_config(resolved_config(session.config)));
+  }
+  Run run(std::move(*folder), std::move(session), registry, hooks);
+  if (request.resume) run.load_checkpoint();
   return run.train();
 }
 

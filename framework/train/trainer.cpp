@@ -8,13 +8,11 @@
 #include <set>
 
 #include "core/error.h"
-#include "core/parallel.h"
 
 namespace semfield {
 
 namespace {
 
-constexpr std::int64_t kClearChunk = 1 << 16;
 const char* const kMoment1 = "adam/m/";
 const char* const kMoment2 = "adam/v/";
 
@@ -95,11 +93,6 @@ void Trainer::update() {
       continue;
     }
     adam_touched_parallel<float>(rule, t.view(t.value), t.view(t.grad), t.view(t.moment1), t.view(t.moment2));
-    const std::int64_t size = t.size();
-    parallel_for((size + kClearChunk - 1) / kClearChunk, [&](std::int64_t chunk) {
-      const std::int64_t begin = chunk * kClearChunk;
-      std::fill_n(t.grad.data() + begin, std::min(kClearChunk, size - begin), 0.0F);
-    });
   }
 }
 

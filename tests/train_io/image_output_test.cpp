@@ -57,7 +57,7 @@ TEST(PerceptualMap, LightnessRisesEvenlyAndStepsLookEqual) {
     smallest = std::min(smallest, step);
     largest = std::max(largest, step);
   }
-  EXPECT_LT(largest / smallest, 1.7);
+  EXPECT_LT(largest / smallest, 1.35);
   EXPECT_EQ(perceptual_color(-1), perceptual_color(0));
   EXPECT_EQ(perceptual_color(kInf), perceptual_color(1));
   EXPECT_EQ(perceptual_color(kNan), (std::array<std::uint8_t, 3>{0, 0, 0}));

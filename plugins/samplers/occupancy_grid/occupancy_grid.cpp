@@ -59,6 +59,8 @@ void describe(ParamVisitor& visit, OccupancyGridParams& params) {
   SEMFIELD_PARAM(visit, params, skip_budget, "Optical depth a ray may lose to skipping when rendering (certified)",
                  {0, 1});
   SEMFIELD_PARAM(visit, params, training_skip_budget, "The same when training", {0, 1});
+  SEMFIELD_PARAM(visit, params, keep_last,
+                 "Always keep the last step of a ray: what takes the rest under rendering.far: background");
   SEMFIELD_PARAM(
       visit, params, threshold,
       "Optical depth of a step above which a cell is occupied; half the grid's mean density when that is less",
@@ -111,6 +113,7 @@ void OccupancyGrid<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&
   OccupancySampleArgs args;
   args.geometry = geometry_;
   args.max_samples = params_.max_samples;
+  args.keep_last = params_.keep_last;
   args.skip_budget = params_.skip == SkipRule::threshold ? std::numeric_limits<double>::infinity()
                      : ctx.training                      ? params_.training_skip_budget
                                                          : params_.skip_budget;

@@ -34,6 +34,7 @@ struct OccupancyGridParams {
   SkipRule skip = SkipRule::certified;
   double skip_budget = 1e-3;
   double training_skip_budget = 0.02;
+  bool keep_last = false;
   double threshold = 0.01;
   double decay = 0.95;
   std::int64_t update_every = 16;

@@ -28,6 +28,7 @@ struct GridReader {
   const OccupancyState<Real>& state;
   const unsigned char* bits;
   bool is_plain_threshold;
+  bool keep_last;
 
   // Lattice index after the empty space at sample i, or i when it must be evaluated.
   std::int64_t skip_from(const CellRay& ray, const StepLattice& lattice, SkipBudget& budget, std::int64_t i) const {
@@ -52,7 +53,8 @@ std::int64_t march(const GridReader<Real>& grid, const CellRay& ray, const StepL
   const double far_m = lattice.near_m + lattice.step_m * static_cast<double>(lattice.count);
   std::int64_t written = 0;
   for (std::int64_t i = 0; i < lattice.count;) {
-    const std::int64_t to = grid.skip_from(ray, lattice, budget, i);
+    std::int64_t to = grid.skip_from(ray, lattice, budget, i);
+    if (grid.keep_last) to = std::min(to, lattice.count - 1);
     if (to > i) {
       i = to;
       continue;
@@ -73,7 +75,7 @@ void sample(const OccupancySampleArgs& args, const OccupancyState<Real>& state, 
   const OccupancyGeometry& geometry = args.geometry;
   const Box box = geometry.outer();
   const GridReader<Real> grid{geometry, state, reinterpret_cast<const unsigned char*>(state.empty_bits),
-                              std::isinf(args.skip_budget)};
+                              std::isinf(args.skip_budget), args.keep_last};
   std::int64_t count = 0;
   for (std::int64_t r = 0; r < rays.near_far.rows; ++r) {
     *out.first.row(r) = static_cast<std::int32_t>(count);

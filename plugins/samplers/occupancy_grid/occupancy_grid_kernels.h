@@ -22,6 +22,7 @@ struct OccupancyState {
 struct OccupancySampleArgs {
   OccupancyGeometry geometry;
   std::int64_t max_samples = 0;
+  bool keep_last = false;  ///< the last step of a ray is never skipped
   double skip_budget = 0;  ///< infinite: plain threshold
   bool jitter = false;
   RandomAddress random;

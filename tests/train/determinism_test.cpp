@@ -1,0 +1,91 @@
+// The same bits for any number of threads and any grouping of rays, on real training runs.
+#include <gtest/gtest.h>
+
+#include "core/parallel.h"
+#include "tests/train/train_testing.h"
+#include "train/trainer.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+
+std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64_t steps) {
+  Registry registry = make_registry();
+  Session s = open_text(yaml, registry);
+  set_thread_count(threads);
+  const auto rays = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+  while (trainer.step() < steps) trainer.advance();
+  set_thread_count(0);
+  return fingerprint(s.pipeline->store());
+}
+
+TEST(Determinism, HashRunOf200StepsIsTheSameFor1And2And4Threads) {
+  const std::uint32_t one = train_fingerprint(hash_config(), 1, 200);
+  EXPECT_EQ(one, train_fingerprint(hash_config(), 2, 200));
+  EXPECT_EQ(one, train_fingerprint(hash_config(), 4, 200));
+}
+
+TEST(Determinism, TwoPassRunIsTheSameFor1And3Threads) {
+  const std::uint32_t one = train_fingerprint(two_pass_config(), 1, 25);
+  EXPECT_EQ(one, train_fingerprint(two_pass_config(), 3, 25));
+}
+
+TEST(Determinism, AnotherSeedGivesAnotherRun) {
+  EXPECT_NE(train_fingerprint(two_pass_config(), 2, 3),
+            train_fingerprint(two_pass_config("runtime: {seed: 2}\n"), 2, 3));
+}
+
+TEST(Determinism, RenderingIsTheSameForAnyGroupingOfRays) {
+  Registry registry = make_registry();
+  Session s = open_text(hash_config(), registry);
+  const auto source = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
+  while (trainer.step() < 60) trainer.advance();
+  const FrameInfo& info = s.scene.info.frames.front();
+  const std::int64_t rays = 500;
+  std::vector<double> origin(3 * rays), direction(3 * rays), near_far(2 * rays);
+  for (std::int64_t i = 0; i < rays; ++i) {
+    const auto k = static_cast<std::size_t>(i);
+    cast_ray({info.camera, info.world_from_camera, true}, s.limits, static_cast<std::int32_t>(i % 48),
+             static_cast<std::int32_t>(i / 48), &origin[3 * k], &direction[3 * k], &near_far[2 * k]);
+  }
+  const auto render = [&](std::int64_t chunk) {
+    std::vector<float> out(3 * rays + 3 * rays, 0.0F);
+    for (std::int64_t begin = 0; begin < rays; begin += chunk) {
+      const std::int64_t count = std::min(chunk, rays - begin);
+      RenderJob<float> job;
+      job.origin = {origin.data() + 3 * begin, count, 3};
+      job.direction = {direction.data() + 3 * begin, count, 3};
+      job.near_far = {near_far.data() + 2 * begin, count, 2};
+      job.color = {out.data() + 3 * begin, count, 3};
+      job.depth = {out.data() + 3 * rays + begin, count, 1};
+      job.entropy = {out.data() + 4 * rays + begin, count, 1};
+      job.confidence = {out.data() + 5 * rays + begin, count, 1};
+      s.pipeline->render(job);
+    }
+    return out;
+  };
+  const std::vector<float> whole = render(rays);
+  EXPECT_EQ(whole, render(7));
+  EXPECT_EQ(whole, render(129));
+  set_thread_count(1);
+  EXPECT_EQ(whole, render(64));
+  set_thread_count(0);
+}
+
+TEST(Determinism, NoMemoryIsRequestedInSteadyState) {
+  Registry registry = make_registry();
+  Session s = open_text(two_pass_config(), registry);
+  const auto source = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
+  for (int i = 0; i < 3; ++i) trainer.advance();
+  const std::int64_t growths = s.pipeline->workspace_growths();
+  for (int i = 0; i < 10; ++i) trainer.advance();
+  EXPECT_EQ(growths, s.pipeline->workspace_growths());
+  EXPECT_LE(s.pipeline->workspace_bytes(), s.pipeline->predicted_workspace_bytes(s.config.train.rays));
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,155 @@
+// Which pixels a step takes: shares, order within tiles, independence of threads.
+#include "train/ray_source.h"
+
+#include <gtest/gtest.h>
+
+#include <set>
+
+#include "core/parallel.h"
+
+namespace semfield {
+namespace {
+
+struct Fixture {
+  FrameBuffer a, b;
+  RayLimits limits;
+
+  Fixture() {
+    a.width_px = b.width_px = 8;
+    a.height_px = b.height_px = 4;
+    a.rgb.assign(96, 0);
+    b.rgb.assign(96, 255);
+    a.label.assign(32, kVoid);
+    b.label.assign(32, kVoid);
+    a.label[5] = 1;
+    b.label[9] = 0;  // frame b's labels are not selected
+  }
+  RaySource make(RaySourceOptions options) {
+    RayCamera camera;
+    camera.camera.width_px = 8;
+    camera.camera.height_px = 4;
+    camera.camera.fx = camera.camera.fy = 4;
+    camera.camera.cx = 4;
+    camera.camera.cy = 2;
+    return RaySource({{camera, &a, true}, {camera, &b, false}}, {0, 1}, limits, options);
+  }
+};
+
+TEST(RaySource, AllImagesTakesEveryPixelOfEveryFrameUniformly) {
+  Fixture f;
+  RaySourceOptions options;
+  options.rays = 6400;
+  const RaySource source = f.make(options);
+  std::vector<int> hits(64);
+  for (std::int64_t ray = 0; ray < options.rays; ++ray) {
+    const RaySource::Pixel p = source.choose(0, ray);
+    ++hits[static_cast<std::size_t>(p.frame * 32 + p.index)];
+  }
+  double chi2 = 0;
+  for (const int h : hits) chi2 += (h - 100.0) * (h - 100.0) / 100.0;
+  EXPECT_LT(chi2, 110) << "63 degrees of freedom, p = 2e-4";
+}
+
+TEST(RaySource, OneImageTakesOneFrameAStep) {
+  Fixture f;
+  RaySourceOptions options;
+  options.kind = RaySourceKind::one_image;
+  const RaySource source = f.make(options);
+  std::set<int> frames;
+  for (std::int64_t step = 0; step < 20; ++step) {
+    const std::int32_t frame = source.choose(step, 0).frame;
+    for (std::int64_t ray = 1; ray < 50; ++ray) EXPECT_EQ(source.choose(step, ray).frame, frame);
+    frames.insert(frame);
+  }
+  EXPECT_EQ(frames.size(), 2U);
+}
+
+TEST(RaySource, LabelBalancedGivesExactlyItsShareInEveryTileLabelledFirst) {
+  Fixture f;
+  RaySourceOptions options;
+  options.kind = RaySourceKind::label_balanced;
+  options.labelled_share = 0.25;
+  options.rays = 128;
+  options.tile_rays = 32;
+  const RaySource source = f.make(options);
+  BatchBuffers batch;
+  source.fill(7, batch);
+  for (int tile = 0; tile < 4; ++tile) {
+    int labelled = 0;
+    bool ended = false;
+    for (int r = 0; r < 32; ++r) {
+      const bool has = batch.label[static_cast<std::size_t>(32 * tile + r)] != kVoid;
+      EXPECT_FALSE(has && ended) << "a labelled ray behind an unlabelled one";
+      ended = ended || !has;
+      labelled += has ? 1 : 0;
+    }
+    EXPECT_GE(labelled, 8);  // the share; uniform rays add a labelled one now and then
+    EXPECT_LE(labelled, 12);
+  }
+}
+
+TEST(RaySource, LabelsOfUnselectedFramesAreVoid) {
+  Fixture f;
+  RaySourceOptions options;
+  options.rays = 2000;
+  const RaySource source = f.make(options);
+  BatchBuffers batch;
+  source.fill(0, batch);
+  int ones = 0;
+  for (std::size_t r = 0; r < 2000; ++r) {
+    EXPECT_NE(batch.label[r], 0);
+    ones += batch.label[r] == 1 ? 1 : 0;
+    if (batch.label[r] == 1) EXPECT_EQ(batch.target[3 * r], 0.0F);
+  }
+  EXPECT_GT(ones, 5);
+}
+
+TEST(RaySource, TheBatchDoesNotDependOnThreads) {
+  Fixture f;
+  RaySourceOptions options;
+  options.rays = 500;
+  const RaySource source = f.make(options);
+  BatchBuffers one, two;
+  set_thread_count(1);
+  source.fill(3, one);
+  set_thread_count(3);
+  source.fill(3, two);
+  set_thread_count(0);
+  EXPECT_EQ(one.direction, two.direction);
+  EXPECT_EQ(one.target, two.target);
+}
+
+TEST(RaySource, NoLabelledPixelIsAnErrorForLabelBalanced) {
+  Fixture f;
+  f.a.label.assign(32, kVoid);
+  RaySourceOptions options;
+  options.kind = RaySourceKind::label_balanced;
+  EXPECT_THROW(f.make(options), Error);
+}
+
+TEST(Rays, PixelCentresLieAtHalves) {
+  RayCamera camera;
+  camera.camera.width_px = 8;
+  camera.camera.height_px = 4;
+  camera.camera.fx = camera.camera.fy = 4;
+  camera.camera.cx = 4.5;
+  camera.camera.cy = 2.5;
+  RayLimits limits;
+  limits.near_m = 1;
+  limits.far_m = 2;
+  double o[3], d[3], nf[2];
+  EXPECT_EQ(cast_ray(camera, limits, 4, 2, o, d, nf), 1.0);
+  EXPECT_EQ(d[2], 1.0);
+  EXPECT_EQ(nf[0], 1.0);
+  limits.clip = true;
+  limits.bounds = {{-1, -1, 1.25}, {1, 1, 1.5}};
+  cast_ray(camera, limits, 4, 2, o, d, nf);
+  EXPECT_EQ(nf[0], 1.25);
+  EXPECT_EQ(nf[1], 1.5);
+  limits.bounds = {{5, 5, 1}, {6, 6, 2}};
+  cast_ray(camera, limits, 4, 2, o, d, nf);
+  EXPECT_EQ(nf[0], nf[1]) << "a ray that misses the bounds is empty";
+}
+
+}  // namespace
+}  // namespace semfield

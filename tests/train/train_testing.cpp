@@ -1,0 +1,114 @@
+#include "tests/train/train_testing.h"
+
+#include <cstdlib>
+#include <filesystem>
+
+#include "core/checksum.h"
+#include "plugin/linked_plugins.h"
+#include "testkit/analytic_scene.h"
+
+namespace semfield {
+
+struct AnalyticRoomParams {
+  int frames = 12;
+  int width_px = 48;
+  int height_px = 36;
+  bool with_labels = true;
+};
+void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
+  SEMFIELD_PARAM(visit, p, frames, "frames", {1, 1000});
+  SEMFIELD_PARAM(visit, p, width_px, "width", {1, 1000});
+  SEMFIELD_PARAM(visit, p, height_px, "height", {1, 1000});
+  SEMFIELD_PARAM(visit, p, with_labels, "with labels");
+}
+void validate(const AnalyticRoomParams&, Diagnostics&) {}
+
+class AnalyticRoom final : public Dataset {
+ public:
+  AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&) {
+    testkit::AnalyticSceneOptions options;
+    options.frames = p.frames;
+    options.width_px = p.width_px;
+    options.height_px = p.height_px;
+    options.with_labels = p.with_labels;
+    inner_ = testkit::make_analytic_scene(options);
+  }
+  SceneInfo open(Diagnostics& diagnostics) override { return inner_->open(diagnostics); }
+  void read(int frame, FrameBuffer& out) const override { inner_->read(frame, out); }
+
+ private:
+  std::unique_ptr<Dataset> inner_;
+};
+
+namespace testing_train {
+
+Registry make_registry() {
+  Registry registry;
+  register_linked_plugins(registry);
+  registry.add_dataset<AnalyticRoom, AnalyticRoomParams>("analytic_room", "a room of formulas");
+  return registry;
+}
+
+std::string hash_config(const std::string& more) {
+  return "scene: {type: analytic_room}\n"
+         "rendering: {density_activation: softplus, far: background}\n"
+         "semantics: {hidden_width: 32}\n"
+         "passes:\n"
+         "  - name: main\n"
+         "    sampler: {type: occupancy_grid, resolution: 32, warmup_steps: 32, max_samples: 96, keep_last: true}\n"
+         "    position: {type: hash_grid, levels: 6, log2_entries: 11, finest_resolution: 64}\n"
+         "    direction: {type: spherical_harmonics, degree: 2}\n"
+         "    field: {type: tiny_mlp, hidden_width: 32, color_width: 32}\n"
+         "train: {steps: 200, rays: 192, adam: {learning_rate: 0.01}}\n" +
+         more;
+}
+
+std::string two_pass_config(const std::string& more) {
+  return "scene: {type: analytic_room}\n"
+         "semantics: {hidden_width: 16, weight: 0.3}\n"
+         "passes:\n"
+         "  - name: coarse\n"
+         "    sampler: {type: stratified, samples: 8}\n"
+         "    position: {type: frequency, frequencies: 3}\n"
+         "    direction: {type: frequency, frequencies: 2}\n"
+         "    field: {type: nerf_mlp, depth: 4, width: 24, skip_at: 2, view_width: 12}\n"
+         "  - name: fine\n"
+         "    sampler: {type: importance, samples: 8}\n"
+         "    position: {type: frequency, frequencies: 3}\n"
+         "    direction: {type: frequency, frequencies: 2}\n"
+         "    field: {type: nerf_mlp, depth: 4, width: 24, skip_at: 2, view_width: 12}\n"
+         "train: {steps: 50, rays: 64}\n" +
+         more;
+}
+
+Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep) {
+  Diagnostics diagnostics;
+  RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "");
+  SessionOptions options;
+  options.keep = keep;
+  return open_session(std::move(config), registry, options, diagnostics);
+}
+
+std::uint32_t fingerprint(const ParamStore<float>& store) {
+  std::uint32_t crc = 0;
+  for (const Tensor<float>& t : store.all()) {
+    crc = crc32c(std::as_bytes(std::span(t.name)), crc);
+    for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2}) {
+      if (buffer->size() > 0) crc = crc32c(std::as_bytes(std::span(buffer->data(), buffer->size())), crc);
+    }
+  }
+  return crc;
+}
+
+TempDir::TempDir() {
+  std::string pattern = (std::filesystem::temp_directory_path() / "semfield_test_XXXXXX").string();
+  path_ = mkdtemp(pattern.data());
+}
+TempDir::~TempDir() {
+  std::error_code ignored;
+  std::filesystem::remove_all(path_, ignored);
+}
+
+}  // namespace testing_train
+}  // namespace semfield
