@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <type_traits>
 
 #include "core/check.h"
 #include "core/parallel.h"
@@ -26,14 +27,40 @@ struct Constants {
         epsilon(static_cast<Real>(s.epsilon)) {}
 };
 
+// a b + c, fused wherever the machine can. Spelled out: left to contraction, which of two products is fused may differ
+// from loop to loop, and then an element's bits would depend on the range that it fell into.
+template <class Real>
+inline Real multiply_add(Real a, Real b, Real c) {
+#if defined(__FMA__)
+  return std::fma(a, b, c);
+#else
+  return a * b + c;
+#endif
+}
+
+template <class Real>
+struct Moments {
+  Real mean, square;
+};
+
 // [Kingma15, Alg. 1].
+template <class Real>
+inline Moments<Real> next_moments(const Constants<Real>& k, Real g, Real m, Real v) {
+  return {multiply_add(k.beta1, m, k.one_minus_beta1 * g), multiply_add(k.beta2, v, k.one_minus_beta2 * (g * g))};
+}
+template <class Real>
+inline Real next_value(const Constants<Real>& k, Real x, const Moments<Real>& at) {
+  return x - k.step_size * at.mean / multiply_add(std::sqrt(at.square), k.root_scale, k.epsilon);
+}
+
 template <class Real>
 inline void update(const Constants<Real>& k, Real* __restrict x, const Real* __restrict g, Real* __restrict m,
                    Real* __restrict v, std::int64_t n) {
   for (std::int64_t i = 0; i < n; ++i) {
-    m[i] = k.beta1 * m[i] + k.one_minus_beta1 * g[i];
-    v[i] = k.beta2 * v[i] + k.one_minus_beta2 * (g[i] * g[i]);
-    x[i] -= k.step_size * m[i] / (std::sqrt(v[i]) * k.root_scale + k.epsilon);
+    const Moments<Real> next = next_moments(k, g[i], m[i], v[i]);
+    m[i] = next.mean;
+    v[i] = next.square;
+    x[i] = next_value(k, x[i], next);
   }
 }
 
@@ -42,6 +69,41 @@ bool any_non_zero(const Real* g, std::int64_t n) {
   int any = 0;
   for (std::int64_t i = 0; i < n; ++i) any |= g[i] != Real(0);
   return any != 0;
+}
+
+// A block is 16 elements: whole rows of 1, 2, 4 or 8 columns.
+constexpr std::int64_t kBlockElements = 16;
+
+// Lane i is all ones where the row of element i has a non-zero gradient.
+template <class Int, int kCols>
+inline void spread_to_rows(Int* __restrict hit) {
+  for (int width = 1; width < kCols; width *= 2) {
+    Int partner[kBlockElements];
+    for (std::int64_t i = 0; i < kBlockElements; ++i) partner[i] = hit[i ^ width];
+    for (std::int64_t i = 0; i < kBlockElements; ++i) hit[i] |= partner[i];
+  }
+}
+
+// The rule for the touched rows of a block without a branch a row: untouched ones get their old bits back. Returns the
+// touched elements.
+template <class Real, int kCols>
+inline std::int64_t update_block(const Constants<Real>& k, Real* __restrict x, Real* __restrict g, Real* __restrict m,
+                                 Real* __restrict v) {
+  using Int = std::conditional_t<sizeof(Real) == 4, std::int32_t, std::int64_t>;
+  alignas(64) Int hit[kBlockElements];
+  for (std::int64_t i = 0; i < kBlockElements; ++i) hit[i] = g[i] != Real(0) ? Int(-1) : Int(0);
+  spread_to_rows<Int, kCols>(hit);
+  Int elements = 0;
+  for (std::int64_t i = 0; i < kBlockElements; ++i) elements -= hit[i];
+  for (std::int64_t i = 0; i < kBlockElements; ++i) {
+    const Moments<Real> next = next_moments(k, g[i], m[i], v[i]);
+    const Real moved = next_value(k, x[i], next);
+    m[i] = hit[i] != 0 ? next.mean : m[i];
+    v[i] = hit[i] != 0 ? next.square : v[i];
+    x[i] = hit[i] != 0 ? moved : x[i];
+    g[i] = 0;
+  }
+  return elements;
 }
 
 template <class Real, class Grad>
@@ -83,29 +145,52 @@ void adam_dense(const AdamStep& step, View<Real> value, View<const Real> grad, V
   update(constants, value.row(begin), grad.row(begin), m.row(begin), v.row(begin), count * value.cols);
 }
 
+namespace {
+
+// Rows of any width, one after another.
+template <class Real>
+std::int64_t touched_rows(const Constants<Real>& constants, View<Real> value, View<Real> grad, View<Real> m,
+                          View<Real> v, std::int64_t begin, std::int64_t end) {
+  std::int64_t touched = 0;
+  for (std::int64_t r = begin; r < end; ++r) {
+    Real* g = grad.row(r);
+    if (!any_non_zero(g, value.cols)) continue;
+    update(constants, value.row(r), g, m.row(r), v.row(r), value.cols);
+    std::fill_n(g, value.cols, Real(0));
+    ++touched;
+  }
+  return touched;
+}
+
+// Whole blocks of rows of kCols columns; returns the first row that is left over.
+template <class Real, int kCols>
+std::int64_t touched_blocks(const Constants<Real>& constants, View<Real> value, View<Real> grad, View<Real> m,
+                            View<Real> v, std::int64_t begin, std::int64_t end, std::int64_t& touched) {
+  constexpr std::int64_t kRows = kBlockElements / kCols;
+  Real *x = value.row(begin), *g = grad.row(begin), *mean = m.row(begin), *square = v.row(begin);
+  const std::int64_t blocks = (end - begin) / kRows;
+  std::int64_t elements = 0;
+  for (std::int64_t at = 0; at < blocks * kBlockElements; at += kBlockElements) {
+    if (!any_non_zero(g + at, kBlockElements)) continue;
+    elements += update_block<Real, kCols>(constants, x + at, g + at, mean + at, square + at);
+  }
+  touched += elements / kCols;
+  return begin + blocks * kRows;
+}
+
+}  // namespace
+
 template <class Real>
 std::int64_t adam_touched(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m, View<Real> v,
                           std::int64_t begin, std::int64_t count) {
-  constexpr std::int64_t kBlockRows = 32;  // most blocks of a table are untouched: one vector test passes over them
   const Constants<Real> constants(step);
-  const std::int64_t cols = value.cols;
-  std::int64_t touched = 0;
-  for (std::int64_t block = begin; block < begin + count; block += kBlockRows) {
-    const std::int64_t rows = std::min(kBlockRows, begin + count - block);
-    if (!any_non_zero(grad.row(block), rows * cols)) continue;
-    for (std::int64_t r = block; r < block + rows; ++r) {
-      Real* g = grad.row(r);
-      if (!any_non_zero(g, cols)) continue;
-      if (cols == 2) {  // the usual hash-table row: a loop of known length has no prologue
-        update(constants, value.row(r), g, m.row(r), v.row(r), 2);
-      } else {
-        update(constants, value.row(r), g, m.row(r), v.row(r), cols);
-      }
-      for (std::int64_t c = 0; c < cols; ++c) g[c] = 0;
-      ++touched;
-    }
-  }
-  return touched;
+  const std::int64_t end = begin + count;
+  std::int64_t touched = 0, rest = begin;
+  if (value.cols == 1) rest = touched_blocks<Real, 1>(constants, value, grad, m, v, begin, end, touched);
+  if (value.cols == 2) rest = touched_blocks<Real, 2>(constants, value, grad, m, v, begin, end, touched);
+  if (value.cols == 4) rest = touched_blocks<Real, 4>(constants, value, grad, m, v, begin, end, touched);
+  if (value.cols == 8) rest = touched_blocks<Real, 8>(constants, value, grad, m, v, begin, end, touched);
+  return touched + touched_rows(constants, value, grad, m, v, rest, end);
 }
 
 template <class Real>

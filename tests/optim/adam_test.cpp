@@ -97,6 +97,55 @@ TEST(Adam, TouchedEqualsDenseWhenEveryRowIsTouched) {
   EXPECT_EQ(a.v, b.v);
 }
 
+TEST(Adam, TouchedGivesTheSameBitsForAnyRangesAndWidths) {
+  for (const std::int32_t cols : {1, 2, 3, 4, 8}) {
+    constexpr std::int64_t kRows = 1003;
+    State<float> whole(kRows, cols), ranges(kRows, cols), dense(kRows, cols);
+    std::int64_t want_touched = 0;
+    for (std::int64_t r = 0; r < kRows; ++r) {
+      const bool hit = r % 5 == 1 || (r > 500 && r < 600);
+      want_touched += hit ? 1 : 0;
+      for (std::int32_t c = 0; c < cols; ++c) {
+        const auto i = static_cast<std::size_t>(r * cols + c);
+        // One element of the row suffices: the others are updated with a zero gradient.
+        const float g = hit && c == r % cols ? uniform01({9, 0, 1}, i) + 0.1f : 0.f;
+        for (auto* s : {&whole, &ranges, &dense}) {
+          s->grad[i] = g;
+          s->value[i] = hit ? uniform01({9, 0, 2}, i) : -0.f;
+          s->m[i] = hit ? uniform01({9, 0, 3}, i) : 1e-41f;
+          s->v[i] = hit ? uniform01({9, 0, 4}, i) : 3e-39f;
+        }
+      }
+    }
+    const State<float> before = whole;
+    const AdamStep step = adam_step({}, 1e-2, 7);
+    EXPECT_EQ(whole.touched(step), want_touched);
+    dense.dense(step);
+    std::int64_t touched = 0;
+    const std::vector<std::int64_t> cuts{0, 1, 4, 333, 340, 1001, kRows};
+    for (std::size_t k = 0; k + 1 < cuts.size(); ++k) {
+      touched += adam_touched<float>(step, ranges.view(ranges.value), ranges.view(ranges.grad), ranges.view(ranges.m),
+                                     ranges.view(ranges.v), cuts[k], cuts[k + 1] - cuts[k]);
+    }
+    EXPECT_EQ(touched, want_touched);
+    EXPECT_EQ(whole.value, ranges.value) << cols;
+    EXPECT_EQ(whole.m, ranges.m);
+    EXPECT_EQ(whole.v, ranges.v);
+    EXPECT_EQ(whole.grad, std::vector<float>(whole.grad.size(), 0.f));
+    for (std::int64_t r = 0; r < kRows; ++r) {
+      const bool hit = r % 5 == 1 || (r > 500 && r < 600);
+      for (std::int32_t c = 0; c < cols; ++c) {
+        const auto i = static_cast<std::size_t>(r * cols + c);
+        const State<float>& source = hit ? dense : before;
+        ASSERT_EQ(whole.value[i], source.value[i]) << cols << " columns, row " << r;
+        ASSERT_EQ(std::signbit(whole.value[i]), std::signbit(source.value[i]));
+        ASSERT_EQ(whole.m[i], source.m[i]);
+        ASSERT_EQ(whole.v[i], source.v[i]);
+      }
+    }
+  }
+}
+
 TEST(Adam, ZeroGradientLeavesParametersBitwiseAlone) {  // E04
   State<float> state(5);
   state.value = {1.5f, -0.f, 1e-40f, 1e30f, -3.25f};
