@@ -211,7 +211,18 @@ std::string time_to_level(const ReportInput& input, const std::string& split) {
 
 }  // namespace
 
-std::string curves_section(const ReportInput& input, const std::string& split) {
+// Evaluations while training may score a sample of the split ("test_sample"): a curve holds those alone, because its last point
+// would otherwise be of other frames than the rest.
+std::string curve_split(const ReportInput& input, const std::string& split) {
+  const std::string sample = split + kSampleSuffix;
+  for (const ReportRun& run : input.runs) {
+    if (eval_rows(run, sample).size() < 2) return split;
+  }
+  return sample;
+}
+
+std::string curves_section(const ReportInput& input, const std::string& whole_split) {
+  const std::string split = curve_split(input, whole_split);
   double longest = 0;
   for (const ReportRun& run : input.runs) longest = std::max(longest, trained_s(run));
   const double unit_s = longest <= 600 ? 1 : longest <= 3 * 3600 ? 60 : 3600;
@@ -244,7 +255,8 @@ std::string curves_section(const ReportInput& input, const std::string& split) {
     figures += fmt::format("<figure class=\"panel\"><figcaption>{}<span>{}</span></figcaption>\n{}</figure>\n", curve.title, curve.note, line_plot(spec));
   }
   if (figures.empty()) return {};
-  return open_section("curves", "Error against run time", "Time is training alone; evaluation and output are not counted. The number at a line’s end is its last value.") +
+  return open_section("curves", "Error against run time", fmt::format("Time is training alone; evaluation and output are not counted. The number at a line’s end is its last value{}.",
+                                  split == whole_split ? "" : ", on the sample of frames that was scored while training")) +
          legend(input) + "<div class=\"plots\">\n" + figures + "</div>\n" + time_to_level(input, split) + "</section>\n";
 }
 

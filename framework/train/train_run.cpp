@@ -93,7 +93,10 @@ class Run {
     }
     if (trainer_->step() != saved_step_ || trainer_->step() == 0) save();
     TrainOutcome outcome;
-    if (signal == 0) outcome.values = evaluate_now(1 << 30, true);
+    if (signal == 0) {
+      if (config.report.eval_every_s > 0) evaluate_now(config.report.eval_frames, false);  // the curve's last point
+      outcome.values = evaluate_now(1 << 30, true);
+    }
     outcome.signal = signal;
     outcome.step = trainer_->step();
     outcome.train_s = train_s_;
@@ -186,7 +189,7 @@ class Run {
     row.kind = "eval";
     row.step = trainer_->step();
     row.train_s = train_s_;
-    row.split = "test";
+    row.split = job.frames.size() < test.size() ? std::string("test") + kSampleSuffix : "test";
     row.values = score.values();
     row.set("frames", static_cast<double>(score.frames.size()));
     const std::vector<ClassScore> per_class = score.confusion.per_class();
