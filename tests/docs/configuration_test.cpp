@@ -1,0 +1,78 @@
+// Configurations in the documents are read by the program; the tables of sections are those of the declarations.
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <filesystem>
+
+#include "core/files.h"
+#include "plugin/linked_plugins.h"
+#include "tests/docs/pages.h"
+#include "train/run_config.h"
+
+namespace semfield::docs {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string code(const std::string& text) { return text.empty() ? "" : "`" + text + "`"; }
+
+std::string cell(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    if (c == '|') out += '\\';
+    out += c;
+  }
+  return out;
+}
+
+std::string section_tables() {
+  std::string text = "\n";
+  for (const SectionDoc& section : describe_sections()) {
+    text += "\n### `" + section.path + "`: " + section.sentence + "\n\n";
+    text += "| key | type | default | allowed | meaning |\n|---|---|---|---|---|\n";
+    for (const ParamDoc& doc : section.params) {
+      text += "| `" + doc.name + "` | " + doc.type + " | " + code(doc.default_value) + " | " +
+              cell(doc.choices.empty() ? doc.range : join(doc.choices)) + " | " + cell(doc.help) + " |\n";
+    }
+  }
+  return text + "\n";
+}
+
+TEST(ConfigurationPage, SectionTablesAreFresh) {
+  const char* const path = "docs/configuration.md";
+  const std::string old = page(path);
+  const std::string fresh = with_part(old, "<!-- sections -->", "<!-- /sections -->", section_tables());
+  if (std::getenv("SEMFIELD_WRITE_DOCS") != nullptr) {
+    write_file_atomic((fs::path(SEMFIELD_SOURCE_DIR) / path).string(), fresh);
+    return;
+  }
+  EXPECT_TRUE(old == fresh) << path << " is stale; run docs_test with SEMFIELD_WRITE_DOCS=1 in its environment";
+}
+
+// A block marked `yaml` is a whole configuration, saved in configs/ as the text around it says.
+TEST(ConfigurationPage, EveryYamlBlockIsRead) {
+  const fs::path folder = fs::path(testing::TempDir()) / "semfield_docs_configs";
+  fs::remove_all(folder);
+  fs::copy(fs::path(SEMFIELD_SOURCE_DIR) / "configs", folder, fs::copy_options::recursive);
+  int read = 0;
+  for (const std::string& path : all_pages()) {
+    for (const Block& block : blocks_of(page(path))) {
+      if (block.info != "yaml") continue;
+      const std::string file = (folder / "block.yaml").string();
+      write_file_atomic(file, block.text);
+      Registry registry;
+      register_linked_plugins(registry);
+      try {
+        load_run_config(file, {}, registry);
+        ++read;
+      } catch (const Error& error) {
+        ADD_FAILURE() << path << ":\n" << block.text << error.what();
+      }
+    }
+  }
+  EXPECT_GE(read, 4);
+  fs::remove_all(folder);
+}
+
+}  // namespace
+}  // namespace semfield::docs
