@@ -274,7 +274,7 @@ void ObjRoom::read(int frame, FrameBuffer& out) const {
 
 namespace {
 void register_into(Registry& registry) {
-  registry.add_dataset<ObjRoom, ObjRoomParams>("obj_room", "an OBJ room, ray-cast along a generated or given camera path");
+  registry.add_dataset<ObjRoom, ObjRoomParams>("obj_room", "An OBJ + MTL room, ray-cast along a generated or given camera path.");
 }
 }  // namespace
 
