@@ -1,4 +1,6 @@
-// What pages point at exists: citations, links, verbs, exit codes.
+// What pages point at exists: citations, links, folders, verbs and their options, exit codes.
+#include "tests/docs/pages.h"
+
 #include <gtest/gtest.h>
 
 #include <array>
@@ -8,8 +10,6 @@
 #include <memory>
 #include <regex>
 #include <set>
-
-#include "tests/docs/pages.h"
 
 namespace semfield::docs {
 namespace {
@@ -72,6 +72,19 @@ TEST(Pages, PicturesAreThere) {
     EXPECT_TRUE(fs::exists(fs::path(SEMFIELD_SOURCE_DIR) / target)) << "README.md shows " << target;
 }
 
+TEST(Architecture, EveryFolderOfTheFrameworkHasItsPlace) {
+  const std::string text = page("ARCHITECTURE.md");
+  int folders = 0;
+  for (const auto& entry : fs::directory_iterator(fs::path(SEMFIELD_SOURCE_DIR) / "framework")) {
+    if (!entry.is_directory()) continue;
+    ++folders;
+    const std::string name = entry.path().filename().string();
+    EXPECT_NE(text.find("\n  " + name + "/ "), std::string::npos) << "the tree lacks framework/" << name;
+    EXPECT_NE(text.find("\n| `" + name + "` |"), std::string::npos) << "the table of floors lacks " << name;
+  }
+  EXPECT_GE(folders, 8);
+}
+
 std::string output_of(const std::string& command) {
   const std::unique_ptr<FILE, int (*)(FILE*)> pipe(popen(command.c_str(), "r"), pclose);
   std::string text;
@@ -97,6 +110,14 @@ TEST(Readme, TableOfVerbsIsThatOfTheProgram) {
     for (const std::string& option : matches(*rows.begin(), R"((--[a-z][a-z-]*))"))
       EXPECT_NE(options.find(option), std::string::npos) << "`semfield " << verb << "` has no " << option;
   }
+}
+
+TEST(Readme, ExitCodesAreThoseOfTheProgram) {
+  const std::string readme = page("README.md");
+  std::set<std::string> listed = matches(readme, R"(\n\| ([0-9]+)[, |])");
+  std::set<std::string> have = matches(page("framework/core/error.h"), R"(\n  [a-z_]+ = ([0-9]+),)");
+  have.insert({"0", "130"});
+  EXPECT_EQ(listed, have);
 }
 
 // Every command line in a shell block of a page names a verb and options that exist.

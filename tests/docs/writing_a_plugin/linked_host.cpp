@@ -1,5 +1,5 @@
-// Runs the laws of the page's plugins from the generated table of linked plugins, on the page's own sample, and prints what a module's
-// test needs to read that sample. Usage: linked_host EMPTY_FOLDER.
+// Runs the laws of the page's plugins from the generated table of linked plugins, on the page's own sample, and prints
+// what a module's test needs to read that sample. Usage: linked_host EMPTY_FOLDER.
 #include <cstdio>
 #include <string>
 
@@ -24,8 +24,7 @@ int main(int argc, char** argv) {
     const testkit::DatasetSample sample = testkit::semfield_sample_pose_list(argv[1]);
     DatasetBuild build;
     build.config_dir = argv[1];
-    testkit::append(failures,
-                    testkit::dataset_laws(registry, "pose_list", sample.settings, build, sample.expected));
+    testkit::append(failures, testkit::dataset_laws(registry, "pose_list", sample.settings, build, sample.expected));
     std::fputs(testkit::to_text(failures).c_str(), stderr);
     std::fputs(sample.settings.at("focal_px").c_str(), stdout);
     return failures.empty() ? 0 : 1;
