@@ -69,15 +69,26 @@ void Pass<Real>::derive_backward(const StepContext& ctx) const {
 }
 
 template <class Real>
-void Pass<Real>::encode_positions(const Rays<Real>& rays, PassTrace<Real>& trace) const {
+void Pass<Real>::sample(const StepContext& ctx, const Rays<Real>& rays, const Proposal<Real>* previous,
+                        Samples<Real>& out) const {
+  parts_.sampler->sample(ctx, store_->tensors(sampler_), rays, previous, out);
+}
+
+template <class Real>
+void Pass<Real>::locate(const Rays<Real>& rays, const Samples<Real>& samples, View<double> x) const {
   const DomainMap& map = parts_.domain;
-  for (std::int64_t m = 0; m < trace.samples.count; ++m) {
-    const std::int64_t r = trace.samples.ray_of_sample(m, 0);
-    const double t = static_cast<double>(trace.samples.t(m, 0));
+  for (std::int64_t m = 0; m < samples.count; ++m) {
+    const std::int64_t r = samples.ray_of_sample(m, 0);
+    const double t = static_cast<double>(samples.t(m, 0));
     for (int i = 0; i < 3; ++i) {
-      trace.x(m, i) = (rays.origin(r, i) + t * rays.direction(r, i) - map.center[i]) * map.scale + map.offset;
+      x(m, i) = (rays.origin(r, i) + t * rays.direction(r, i) - map.center[i]) * map.scale + map.offset;
     }
   }
+}
+
+template <class Real>
+void Pass<Real>::encode(const StepContext& ctx, int lane, View<const double> x, View<Real> encoded) const {
+  parts_.position->forward(ctx, store_->tensors(position_, lane), x, encoded);
 }
 
 template <class Real>
@@ -87,18 +98,29 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
   Workspace& arena = *ctx.workspace;
   const std::int64_t ray_count = rays.origin.rows;
   const std::int64_t capacity = parts_.sampler->capacity(ray_count, previous_per_ray);
-  PassTrace<Real> trace;
-  trace.samples.t = arena.take<Real>(capacity, 1);
-  trace.samples.delta = arena.take<Real>(capacity, 1);
-  trace.samples.ray_of_sample = arena.take<std::int32_t>(capacity, 1);
-  trace.samples.first = arena.take<std::int32_t>(ray_count + 1, 1);
-  parts_.sampler->sample(ctx, store_->tensors(sampler_), rays, previous, trace.samples);
+  SampledTile<Real> tile;
+  tile.samples.t = arena.take<Real>(capacity, 1);
+  tile.samples.delta = arena.take<Real>(capacity, 1);
+  tile.samples.ray_of_sample = arena.take<std::int32_t>(capacity, 1);
+  tile.samples.first = arena.take<std::int32_t>(ray_count + 1, 1);
+  sample(ctx, rays, previous, tile.samples);
+  tile.x = arena.take<double>(tile.samples.count, 3);
+  locate(rays, tile.samples, tile.x);
+  return forward(ctx, lane, rays, tile, semantic_rays);
+}
 
+template <class Real>
+PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
+                                    const SampledTile<Real>& tile, std::int64_t semantic_rays) const {
+  Workspace& arena = *ctx.workspace;
+  const std::int64_t ray_count = rays.origin.rows;
+  PassTrace<Real> trace;
+  trace.samples = tile.samples;
+  trace.x = tile.x;
+  trace.encoded = tile.encoded;
   const std::int64_t count = trace.samples.count;
   trace.semantic_rays = parts_.head ? semantic_rays : 0;
   trace.semantic_samples = trace.samples.first(trace.semantic_rays, 0);
-  trace.x = arena.take<double>(count, 3);
-  encode_positions(rays, trace);
   if (parts_.direction) {
     trace.direction = arena.take<Real>(ray_count, parts_.direction->traits().out_dims);
     parts_.direction->forward(ctx, store_->tensors(direction_), rays.direction, trace.direction);
@@ -130,8 +152,10 @@ template <class Real>
 void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool training) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t count = trace.samples.count;
-  trace.encoded = arena.take<Real>(count, parts_.position->traits().out_dims);
-  parts_.position->forward(ctx, store_->tensors(position_, lane), trace.x, trace.encoded);
+  if (trace.encoded.empty()) {
+    trace.encoded = arena.take<Real>(count, encoded_dims());
+    encode(ctx, lane, trace.x, trace.encoded);
+  }
   if (parts_.head) trace.out.feature = arena.take<Real>(count, parts_.field->traits().feature_dims);
   if (training) {
     const std::size_t bytes = parts_.field->saved_bytes(count, trace.samples.first.rows - 1);
@@ -247,7 +271,7 @@ void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& tr
 
 template <class Real>
 void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_color,
-                          View<const Real> d_logits, EncoderInbox<Real>& inbox) const {
+                          View<const Real> d_logits, View<Real> d_encoded) const {
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
   const std::int64_t count = trace.samples.count;
@@ -313,17 +337,6 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   }
   View<Real> d_raw = d_sigma;
   density_backward<Real>(rules_.activation, trace.out.sigma, d_sigma, d_raw);
-  View<Real> d_encoded;
-  if (encoder_learns_) {
-    // Appended behind the lane's earlier tiles; vectors keep their capacity, so a steady state allocates nothing.
-    const auto dims = static_cast<std::size_t>(parts_.position->traits().out_dims);
-    const auto begin = static_cast<std::size_t>(inbox.rows);
-    inbox.x.resize((begin + static_cast<std::size_t>(count)) * 3);
-    inbox.dy.resize((begin + static_cast<std::size_t>(count)) * dims);
-    std::memcpy(inbox.x.data() + begin * 3, trace.x.data, static_cast<std::size_t>(count) * 3 * sizeof(double));
-    d_encoded = View<Real>(inbox.dy.data() + begin * dims, count, static_cast<std::int32_t>(dims));
-    inbox.rows += count;
-  }
   FieldGrad<Real> grad;
   grad.sigma = d_raw;
   grad.rgb = d_rgb;
@@ -334,10 +347,9 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
 }
 
 template <class Real>
-void Pass<Real>::scatter(const StepContext& ctx, const EncoderInbox<Real>& inbox) const {
-  if (inbox.rows == 0) return;
-  parts_.position->backward(ctx, store_->tensors(position_), View<const double>(inbox.x.data(), inbox.rows, 3),
-                            View<const Real>(inbox.dy.data(), inbox.rows, parts_.position->traits().out_dims), {});
+void Pass<Real>::scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const {
+  if (x.rows == 0) return;
+  parts_.position->backward(ctx, store_->tensors(position_), x, dy, {});
 }
 
 template <class Real>

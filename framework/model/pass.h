@@ -20,7 +20,7 @@ namespace semfield {
 /// Fixed rules of rendering, the same for every pass.
 struct RenderRules {
   DensityActivation activation = DensityActivation::relu;
-  double density_bias = 0;                   ///< added to raw density: how thin the fog is that training starts from
+  double density_bias = 0;  ///< added to raw density: how thin the fog is that training starts from
   FarMode far = FarMode::open;
   double density_noise = 0;                   ///< standard deviation added to raw density in training [Mildenhall20]
   std::array<double, 3> background{0, 0, 0};  ///< added to colour only
@@ -69,6 +69,18 @@ struct EncoderInbox {
   std::vector<double> x;
   std::vector<Real> dy;
   std::int64_t rows = 0;
+
+  /// Rows for a tile's gradients [x.rows, dims] behind the lane's earlier tiles; vectors keep their capacity, so a
+  /// steady state allocates nothing. Valid until the next append.
+  View<Real> append(View<const double> tile_x, std::int32_t dims);
+};
+
+/// Samples of a tile, with the encoder's output for them where that was made ahead (empty views: made by forward).
+template <class Real>
+struct SampledTile {
+  Samples<Real> samples;
+  View<double> x;      ///< [M, 3] encoder coordinates
+  View<Real> encoded;  ///< [M, Dp]
 };
 
 template <class Real>
@@ -89,13 +101,24 @@ class Pass {
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const Proposal<Real>* previous,
                           std::int64_t previous_per_ray, std::int64_t semantic_rays) const;
 
-  /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero) into the lane's gradients; what the
-  /// position encoder must scatter is appended to `inbox`.
-  void backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_color,
-                View<const Real> d_logits, EncoderInbox<Real>& inbox) const;
+  /// The two steps that forward begins with, for callers that take them ahead: samples of `rays` into `out`, and
+  /// encoder coordinates x [samples.count, 3].
+  void sample(const StepContext& ctx, const Rays<Real>& rays, const Proposal<Real>* previous, Samples<Real>& out) const;
+  void locate(const Rays<Real>& rays, const Samples<Real>& samples, View<double> x) const;
+  /// encoded [N, Dp] from x [N, 3].
+  void encode(const StepContext& ctx, int lane, View<const double> x, View<Real> encoded) const;
+  std::int32_t encoded_dims() const { return parts_.position->traits().out_dims; }
+  /// The rest of forward.
+  PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const SampledTile<Real>& tile,
+                          std::int64_t semantic_rays) const;
 
-  /// Encoder scatter of one lane's inbox; outside parallel regions.
-  void scatter(const StepContext& ctx, const EncoderInbox<Real>& inbox) const;
+  /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero) into the lane's gradients, and into
+  /// d_encoded [M, Dp] (empty: not wanted), which the position encoder must scatter.
+  void backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_color,
+                View<const Real> d_logits, View<Real> d_encoded) const;
+
+  /// Encoder scatter of gradients dy [N, Dp] at coordinates x [N, 3]; outside parallel regions.
+  void scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const;
 
   void derive(const StepContext& ctx) const;
   void derive_backward(const StepContext& ctx) const;
@@ -109,7 +132,6 @@ class Pass {
   void evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool training) const;
   void evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace) const;
   void composite(const StepContext& ctx, int lane, PassTrace<Real>& trace) const;
-  void encode_positions(const Rays<Real>& rays, PassTrace<Real>& trace) const;
 
   PassParts<Real> parts_;
   RenderRules rules_;

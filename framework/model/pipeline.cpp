@@ -17,6 +17,7 @@ template <class T>
 View<const T> rows_of(View<const T> view, std::int64_t begin, std::int64_t count) {
   return view.empty() ? view : view.row_range(begin, count);
 }
+
 }  // namespace
 
 template <class Real>
@@ -91,22 +92,15 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
   for (auto& lane : lanes_) {
     for (EncoderInbox<Real>& inbox : lane->inbox) inbox.rows = 0;
   }
+  if (draws_ahead()) draw_ahead(step, batch, tiles);
   parallel_for(options_.lanes, [&](std::int64_t lane) {
     for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
-      const std::int64_t begin = tile * tile_rays_;
-      tile_losses_[static_cast<std::size_t>(tile)] =
-          train_tile(step, static_cast<int>(lane), batch, begin, std::min(tile_rays_, rays - begin), normaliser);
+      tile_losses_[static_cast<std::size_t>(tile)] = train_tile(step, static_cast<int>(lane), batch, tile, normaliser);
     }
   });
-  StepContext ctx = context(step, true, 0, 0);
-  for (std::size_t p = 0; p < passes_.size(); ++p) {
-    ctx.pass = static_cast<std::uint32_t>(p);
-    if (passes_[p].scatters()) {
-      for (const auto& lane : lanes_) passes_[p].scatter(ctx, lane->inbox[p]);
-    }
-  }
+  scatter(step);
   store_.reduce_lanes();
-  ctx.pass = 0;
+  StepContext ctx = context(step, true, 0, 0);
   for (const Pass<Real>& pass : passes_) {
     pass.derive_backward(ctx);
     ++ctx.pass;
@@ -128,8 +122,9 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
 }
 
 template <class Real>
-StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t begin,
-                                      std::int64_t count, double semantic_normaliser) {
+StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t tile,
+                                      double semantic_normaliser) {
+  const std::int64_t begin = tile * tile_rays_, count = std::min(tile_rays_, batch.origin.rows - begin);
   StepContext ctx = context(step, true, lane, begin);
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope tile_scope(arena);
@@ -158,7 +153,9 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
     ctx.pass = static_cast<std::uint32_t>(p);
     const Pass<Real>& pass = passes_[p];
     PassTrace<Real> trace =
-        pass.forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
+        draws_ahead()
+            ? pass.forward(ctx, lane, rays, ahead_.tiles[static_cast<std::size_t>(tile)], semantic_rays)
+            : pass.forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
     View<Real> d_color = arena.take<Real>(count, 3);
     const double squares = photometric_loss<Real>(trace.color, target, static_cast<double>(3 * all_rays), 1.0, d_color);
     losses.color += squares;
@@ -175,7 +172,14 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
       losses.labelled = semantic.labelled;
       losses.correct = semantic.correct;
     }
-    pass.backward(ctx, lane, trace, d_color, d_logits, lanes_[static_cast<std::size_t>(lane)]->inbox[p]);
+    View<Real> d_encoded;
+    if (draws_ahead()) {
+      const std::int64_t row = ahead_.row[static_cast<std::size_t>(tile)];
+      d_encoded = {ahead_.d_encoded.data() + trace.encoded.cols * row, trace.samples.count, trace.encoded.cols};
+    } else if (pass.scatters()) {
+      d_encoded = lanes_[static_cast<std::size_t>(lane)]->inbox[p].append(trace.x, trace.encoded.cols);
+    }
+    pass.backward(ctx, lane, trace, d_color, d_logits, d_encoded);
     previous = trace;
     proposal.samples = &previous.samples;
     proposal.weight = previous.weight.row_range(0, previous.samples.count);
@@ -255,8 +259,10 @@ std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
     arena += samples * (reals * sizeof(Real) + 3 * sizeof(double)) +
              2 * parts.field->saved_bytes(static_cast<std::int64_t>(samples), tile_rays_);
     if (passes_[p].scatters()) {
+      // Twice: a growing array takes up to twice what it needs.
       const auto all = static_cast<std::size_t>(parts.sampler->capacity(rays, previous));
-      inbox += all * (3 * sizeof(double) + encoded * sizeof(Real));
+      inbox +=
+          2 * all * (3 * sizeof(double) + 2 * encoded * sizeof(Real) + 2 * sizeof(Real) + 2 * sizeof(std::int32_t));
     }
   }
   return arena * lanes + inbox;
@@ -264,7 +270,7 @@ std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
 
 template <class Real>
 std::size_t Pipeline<Real>::workspace_bytes() const {
-  std::size_t sum = 0;
+  std::size_t sum = ahead_.bytes();
   for (const auto& lane : lanes_) {
     sum += lane->arena.high_water_bytes();
     for (const EncoderInbox<Real>& inbox : lane->inbox)

@@ -91,8 +91,24 @@ class Pipeline {
     Workspace arena;
     std::vector<EncoderInbox<Real>> inbox;  // one a pass
   };
+  // A step's samples drawn before the first is evaluated, all rows of a lane's tiles side by side: tables of an encoder
+  // are then read, and written, for thousands of rows at a time, level by level, and not for one small tile after the
+  // other. Vectors only grow.
+  struct Ahead {
+    std::vector<Real> t, delta;                      // [tiles * capacity of a tile]
+    std::vector<std::int32_t> ray_of_sample, first;  // [tiles * capacity], [tiles * (tile_rays + 1)]
+    std::vector<SampledTile<Real>> tiles;            // [tiles]
+    std::vector<std::int64_t> row;                   // [tiles] of its first sample in what follows
+    std::vector<double> x;                           // [M, 3]
+    std::vector<Real> encoded, d_encoded;            // [M, Dp]
+    std::int64_t rows = 0;
+    std::size_t bytes() const;
+  };
+  bool draws_ahead() const { return passes_.size() == 1 && passes_[0].scatters(); }
+  void draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles);
+  void scatter(std::int64_t step);
   StepContext context(std::int64_t step, bool training, int lane, std::int64_t first_ray);
-  StepLosses train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t begin, std::int64_t count,
+  StepLosses train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t tile,
                         double semantic_normaliser);
   void render_tile(int lane, const RenderJob<Real>& job, std::int64_t begin, std::int64_t count);
 
@@ -103,6 +119,7 @@ class Pipeline {
   std::int64_t tile_rays_ = 0;
   std::vector<std::unique_ptr<Lane>> lanes_;
   std::vector<StepLosses> tile_losses_;
+  Ahead ahead_;
 };
 
 extern template class Pipeline<float>;

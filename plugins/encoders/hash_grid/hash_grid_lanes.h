@@ -1,9 +1,14 @@
 // Groups of 16 samples of one level: their vertices and weights, the gather and the scatter.
 #pragma once
 
+#if defined(__FMA__)
+#include <immintrin.h>
+#endif
+
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <type_traits>
 
 #include "core/view.h"
 #include "encoders/hash_grid/hash_grid_kernels.h"
@@ -87,10 +92,35 @@ inline void prefetch(const Corners<Real>& corners, const Real* table) {
   }
 }
 
+/// Two floats, the usual entry, travel as one 64-bit word. The same fused multiply-adds as the plain loops, so the same
+/// bits.
+#if defined(__FMA__)
+template <class Real, std::int32_t kFeatures>
+inline constexpr bool kPairs = std::is_same_v<Real, float>&& kFeatures == 2;
+inline __m128 load_pair(const float* p) {
+  return _mm_castsi128_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(p)));
+}
+inline void store_pair(float* p, __m128 v) { _mm_storel_epi64(reinterpret_cast<__m128i*>(p), _mm_castps_si128(v)); }
+#endif
+
 /// out[i] = sum_c weight_c[i] table[entry_c[i]] for the first n samples, corners in order.
 template <class Real, std::int32_t kFeatures>
 inline void interpolate(const Corners<Real>& corners, const Real* table, std::int64_t n, Real* out,
                         std::int64_t stride) {
+#if defined(__FMA__)
+  if constexpr (kPairs<Real, kFeatures>) {
+    for (std::int64_t i = 0; i < n; ++i) {
+      __m128 sum = _mm_setzero_ps();
+#pragma GCC unroll 8
+      for (int c = 0; c < 8; ++c) {
+        const __m128 entry = load_pair(table + static_cast<std::int64_t>(corners.entry[c][i]) * kFeatures);
+        sum = _mm_fmadd_ps(_mm_set1_ps(corners.weight[c][i]), entry, sum);
+      }
+      store_pair(out + i * stride, sum);
+    }
+    return;
+  }
+#endif
   for (std::int64_t i = 0; i < n; ++i) {
     Real sum[kFeatures] = {};
     for (int c = 0; c < 8; ++c) {
@@ -105,6 +135,19 @@ inline void interpolate(const Corners<Real>& corners, const Real* table, std::in
 /// grad[entry_c[i]] += weight_c[i] dy[i] for the first n samples, in order.
 template <class Real, std::int32_t kFeatures>
 inline void scatter(const Corners<Real>& corners, Real* grad, std::int64_t n, const Real* dy, std::int64_t stride) {
+#if defined(__FMA__)
+  if constexpr (kPairs<Real, kFeatures>) {
+    for (std::int64_t i = 0; i < n; ++i) {
+      const __m128 d = load_pair(dy + i * stride);
+#pragma GCC unroll 8
+      for (int c = 0; c < 8; ++c) {
+        float* entry = grad + static_cast<std::int64_t>(corners.entry[c][i]) * kFeatures;
+        store_pair(entry, _mm_fmadd_ps(_mm_set1_ps(corners.weight[c][i]), d, load_pair(entry)));
+      }
+    }
+    return;
+  }
+#endif
   for (std::int64_t i = 0; i < n; ++i) {
     Real d[kFeatures];
     for (std::int32_t f = 0; f < kFeatures; ++f) d[f] = dy[i * stride + f];
