@@ -14,7 +14,7 @@
 namespace semfield {
 
 ConfusionMatrix::ConfusionMatrix(int classes) : classes_(classes) {
-  SEMFIELD_CHECK(classes >= 1, "a confusion matrix needs a class");
+  SEMFIELD_CHECK(classes >= 0, "a confusion matrix cannot have fewer classes than none");
   counts_.assign(static_cast<std::size_t>(classes) * static_cast<std::size_t>(classes), 0);
 }
 

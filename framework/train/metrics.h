@@ -25,6 +25,7 @@ struct ClassScore {
 /// truth are dropped from scoring and counted. Labels are internal class indices in [0, classes) or kVoid (-1).
 class ConfusionMatrix {
  public:
+  /// classes >= 0; without classes nothing can be scored and every figure is "no data".
   explicit ConfusionMatrix(int classes);
 
   /// Adds pixels; both spans have one length. Throws Error(data) naming pixel and value for a label out of range; the

@@ -52,14 +52,14 @@ Registry make_registry() {
 std::string hash_config(const std::string& more) {
   return "scene: {type: analytic_room}\n"
          "rendering: {density_activation: softplus, far: background}\n"
-         "semantics: {hidden_width: 32}\n"
+         "semantics: {hidden_width: 32, weight: 0.002}\n"
          "passes:\n"
          "  - name: main\n"
          "    sampler: {type: occupancy_grid, resolution: 32, warmup_steps: 32, max_samples: 96, keep_last: true}\n"
          "    position: {type: hash_grid, levels: 6, log2_entries: 11, finest_resolution: 64}\n"
          "    direction: {type: spherical_harmonics, degree: 2}\n"
          "    field: {type: tiny_mlp, hidden_width: 32, color_width: 32}\n"
-         "train: {steps: 200, rays: 192, adam: {learning_rate: 0.01}}\n" +
+         "train: {steps: 200, rays: 192, adam: {learning_rate: 0.02}}\n" +
          more;
 }
 
