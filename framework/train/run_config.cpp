@@ -206,7 +206,9 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
     for (const char* key : {"root", "file", "obj", "type"}) {
       if (anchor == nullptr && scene->is_map()) anchor = scene->find(key);
     }
-    const std::filesystem::path file = (anchor == nullptr ? scene->location() : anchor->location()).file;
+    const Location& where = anchor == nullptr ? scene->location() : anchor->location();
+    // Line 0 is the command line, whose paths start at the working folder.
+    const std::filesystem::path file = where.line > 0 ? where.file : "x";
     std::error_code ignored;
     config.base_dir = std::filesystem::weakly_canonical(std::filesystem::absolute(file).parent_path(), ignored).string();
   }
