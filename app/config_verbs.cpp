@@ -51,12 +51,9 @@ int run_config_schema(AppContext& context) {
   for (const SectionDoc& section : describe_sections())
     sections.push_back({section.path, section.sentence, section.params});
   const ParamDoc name{"name", "text", "", "", "name of the run and its default folder", {}};
-  const ParamDoc base{"base_dir",
-                      "text",
-                      "",
-                      "",
-                      "where relative paths of the scene start; default: the folder of the file that names it",
-                      {}};
+  const ParamDoc base{
+      "base_dir", "text", "", "", "folder where relative paths start that no file anchors; default: the working folder",
+      {}};
   const ParamDoc plugins{"plugins", "list of text", "[]", "", "plugin modules to load, by path", {}};
   sections.push_back({"", "", {name, base, plugins}});
   const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};

@@ -199,19 +199,16 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
                       "name a dataset: scene: {type: replica, root: ...}");
     return;
   }
-  config.dataset = read_slot(PluginKind::dataset, *scene, "scene", registry, diagnostics, {"labels", "load"});
-  if (config.base_dir.empty()) {
-    // The folder of the file that names the data; without one, of the file that chose the dataset.
-    const ConfigNode* anchor = nullptr;
-    for (const char* key : {"root", "file", "obj", "type"}) {
-      if (anchor == nullptr && scene->is_map()) anchor = scene->find(key);
-    }
-    const Location& where = anchor == nullptr ? scene->location() : anchor->location();
-    // Line 0 is the command line, whose paths start at the working folder.
-    const std::filesystem::path file = where.line > 0 ? where.file : "x";
-    std::error_code ignored;
-    config.base_dir = std::filesystem::weakly_canonical(std::filesystem::absolute(file).parent_path(), ignored).string();
+  // By convention these keys of a scene are paths: relative to the file that wrote them, or to the working folder for
+  // --set.
+  ConfigNode anchored = *scene;
+  for (const char* key : {"root", "file", "classes"}) {
+    const ConfigNode* value = scene->is_map() ? scene->find(key) : nullptr;
+    if (value == nullptr || !value->is_scalar() || value->text().empty() || !config.base_dir.empty()) continue;
+    anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
   }
+  config.dataset = read_slot(PluginKind::dataset, anchored, "scene", registry, diagnostics, {"labels", "load"});
+  if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
 }
 
 ConfigNode slot_config(const PluginSlot& slot) {

@@ -98,7 +98,7 @@ struct PassConfig {
 
 struct RunConfig {
   std::string name;
-  std::string base_dir;  ///< relative paths of the scene start here
+  std::string base_dir;  ///< where relative paths of plugins start that no file anchors; absolute
   PluginSlot dataset;
   LabelParams labels;
   SceneLoadOptions load;
