@@ -2,6 +2,7 @@
 #include "scene/camera_path.h"
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <sstream>
 
@@ -240,6 +241,9 @@ Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes 
   if (!(off < 1e-3) || dot(cross(column[0], column[1]), column[2]) < 0) {
     throw Error(ErrorKind::data, where + ": the 3x3 part is no rotation", "give camera-to-world matrices");
   }
+  if (m.size() == 16 && (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1)) {
+    throw Error(ErrorKind::data, where + ": the last row is not 0 0 0 1", "give camera-to-world matrices, row by row");
+  }
   if (axes != CameraAxes::right_down_forward) column[1] = column[1] * -1.0;
   if (axes == CameraAxes::right_up_backward) column[2] = column[2] * -1.0;
   if (axes == CameraAxes::left_up_forward) column[0] = column[0] * -1.0;
@@ -267,8 +271,16 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
     if (first == std::string::npos || line[first] == '#') continue;
     std::istringstream words(line);
     std::vector<double> row;
-    for (double value = 0; words >> value;) row.push_back(value);
-    if (!words.eof() || (row.size() != 16 && row.size() != 12 && row.size() != 4)) {
+    bool good = true;
+    for (std::string word; words >> word;) {
+      double value = 0;
+      const char* begin = word.data() + (word.size() > 1 && word[0] == '+' ? 1 : 0);
+      const auto [end, code] = std::from_chars(begin, word.data() + word.size(), value);
+      const bool tiny = code == std::errc::result_out_of_range && word.find("e-") != std::string::npos;
+      good = good && end == word.data() + word.size() && (code == std::errc{} || tiny) && std::isfinite(value);
+      row.push_back(tiny ? 0 : value);
+    }
+    if (!good || (row.size() != 16 && row.size() != 12 && row.size() != 4)) {
       throw Error(ErrorKind::data, path + ":" + std::to_string(number) + ": expected 4, 12 or 16 numbers, got '" + line + "'",
                   "write one camera-to-world matrix a line, or one matrix row a line");
     }

@@ -110,7 +110,12 @@ ClassRules load_class_rules(const std::string& path) {
       diagnostics.error(value.location().text(), "unknown key '" + key + "'", "known: classes, rules");
     }
   }
-  if (!diagnostics.has_errors()) out.table = ClassTable::load(path);  // reads the list 'classes' of such a map
+  try {
+    out.table = ClassTable::load(path);  // reads the list 'classes' of such a map
+  } catch (const Error& e) {
+    if (!diagnostics.has_errors()) throw;
+    diagnostics.error("", e.what());
+  }
   if (const ConfigNode* rules = root.find("rules"); rules != nullptr && !out.table.empty()) {
     if (!rules->is_list()) diagnostics.error(rules->location().text(), "'rules' is a list of rules");
     for (const ConfigNode& rule : rules->items()) read_rule(rule, out, diagnostics);

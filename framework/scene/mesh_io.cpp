@@ -62,21 +62,47 @@ void check_numbers(std::string_view rest, int least, const std::string& path, st
   }
 }
 
+// The loader reads "abc" as 0 and wraps what does not fit 32 bits.
+void check_indices(std::string_view rest, const std::string& path, std::size_t line) {
+  while (!(rest = trimmed(rest)).empty()) {
+    const std::string_view word = rest.substr(0, rest.find_first_of(" \t"));
+    std::string_view left = word;
+    bool good = true;
+    for (int part = 0; good; ++part) {
+      std::string_view number = left.substr(0, left.find('/'));
+      left.remove_prefix(number.size());
+      if (number.size() > 1 && number.front() == '+') number.remove_prefix(1);
+      int value = 0;
+      const auto [end, code] = std::from_chars(number.data(), number.data() + number.size(), value);
+      good = part < 3 && (number.empty() ? part > 0 : code == std::errc{} && end == number.data() + number.size());
+      if (left.empty()) break;
+      left.remove_prefix(1);
+    }
+    if (!good) {
+      throw Error(ErrorKind::data, place(path, line) + "'" + std::string(word) + "' is not an index",
+                  "export the mesh again");
+    }
+    rest.remove_prefix(word.size());
+  }
+}
+
 Outline outline_of(const std::string& text, const std::string& path) {
   Outline outline;
   std::size_t line = 0;
   for (std::size_t begin = 0; begin < text.size();) {
-    std::size_t end = text.find('\n', begin);
-    if (end == std::string::npos) end = text.size();
+    const std::size_t end = std::min(text.find_first_of("\r\n", begin), text.size());
     ++line;
     const std::string_view row = trimmed(std::string_view(text).substr(begin, end - begin));
-    begin = end + 1;
+    begin = end + (text.compare(end, 2, "\r\n") == 0 ? 2 : 1);
     if (row.size() < 2) continue;
     const std::string_view word = row.substr(0, row.find_first_of(" \t"));
     if (word == "v") check_numbers(row.substr(1), 3, path, line);
     if (word == "vn") check_numbers(row.substr(2), 3, path, line);
     if (word == "vt") check_numbers(row.substr(2), 1, path, line);
-    if (word == "f") outline.face_lines.push_back(static_cast<std::uint32_t>(line));
+    if (word == "f") {
+      check_indices(row.substr(1), path, line);
+      outline.face_lines.push_back(static_cast<std::uint32_t>(line));
+    }
     if (word == "o") outline.has_objects = true;
     if (word == "mtllib") outline.material_files.emplace_back(trimmed(row.substr(6)));
   }
@@ -94,11 +120,21 @@ std::string resolved_map(const fs::path& folder, std::string name, const std::st
   return {};
 }
 
+// A line may name several files, or one whose name has spaces.
+std::vector<std::string> material_names(const fs::path& folder, const std::string& line) {
+  if (fs::is_regular_file(folder / line)) return {line};
+  std::istringstream stream(line);
+  std::vector<std::string> words;
+  for (std::string word; stream >> word;) words.push_back(word);
+  const bool any = std::any_of(words.begin(), words.end(), [&](const std::string& w) { return fs::is_regular_file(folder / w); });
+  return any ? words : std::vector<std::string>{line};
+}
+
 void load_materials(const fs::path& folder, const std::string& name, TriangleMesh& mesh, std::map<std::string, int>& index,
                     Diagnostics& diagnostics) {
   const fs::path file = folder / name;
   if (!fs::is_regular_file(file)) {
-    diagnostics.warning(file.string(), "material file is missing", "surfaces are grey; put it beside the OBJ file");
+    diagnostics.warning(file.string(), "material file is missing", "surfaces get a colour by object; put it beside the OBJ file");
     return;
   }
   std::istringstream stream(read_text_file(file.string()));
@@ -300,14 +336,18 @@ TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics) {
   const fs::path folder = fs::path(path).parent_path();
   TriangleMesh mesh;
   std::map<std::string, int> material_index;
-  for (const std::string& name : outline.material_files) load_materials(folder, name, mesh, material_index, diagnostics);
+  for (const std::string& line : outline.material_files) {
+    for (const std::string& name : material_names(folder, line)) {
+      load_materials(folder, name, mesh, material_index, diagnostics);
+    }
+  }
   Builder builder{path, outline, mesh, material_index, {}, {}, {}, {}, {}};
   std::istringstream stream(text);
   std::string warning, error;
   tinyobj::LoadObjWithCallback(stream, callbacks(), &builder, nullptr, &warning, &error);
   if (!error.empty()) throw Error(ErrorKind::data, path + ": " + error, "export the mesh again");
   for (const std::string& name : builder.missing_materials) {
-    diagnostics.warning(path, "material '" + name + "' is not defined", "its surfaces are grey; add it to the MTL file");
+    diagnostics.warning(path, "material '" + name + "' is not defined", "its surfaces get a colour by object; add it to the MTL file");
   }
   if (mesh.triangles.empty()) {
     throw Error(ErrorKind::data, path + ": holds no triangle", "check that the file was exported completely");

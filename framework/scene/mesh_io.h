@@ -43,7 +43,7 @@ struct TriangleMesh {
 
 /// Reads an OBJ file with its MTL files. Polygons are cut into triangles, negative indices count back from the last vertex,
 /// faces without area are skipped and counted. Missing MTL files, materials and texture files become warnings that name
-/// them (default: grey). Throws Error(no_input) for a missing file and Error(data) with file and line for vertices that are not
+/// them (surfaces without a material get a colour by object). Throws Error(no_input) for a missing file and Error(data) with file and line for vertices that are not
 /// finite numbers, faces with fewer than three corners, indices out of range and files without any triangle.
 TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics);
 

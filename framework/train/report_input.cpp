@@ -41,13 +41,15 @@ std::string unique_name(const fs::path& folder, std::set<std::string>& taken) {
 }
 
 std::vector<ReportStrip> read_strips(const fs::path& folder, int most_frames) {
-  std::set<std::string> frames;
+  std::set<std::string> frames, with_truth;  // frames shown beside their truth come first
   if (fs::is_directory(folder)) {
     for (const fs::directory_entry& entry : fs::directory_iterator(folder)) {
       const std::string name = entry.path().filename().string();
       if (name.ends_with("_rgb.png")) frames.insert(name.substr(0, name.size() - 8));
+      if (name.ends_with("_rgb_truth.png")) with_truth.insert(name.substr(0, name.size() - 14));
     }
   }
+  if (!with_truth.empty()) frames = with_truth;
   const std::vector<std::string> all(frames.begin(), frames.end());
   const std::size_t count = std::min(all.size(), static_cast<std::size_t>(std::max(0, most_frames)));
   std::vector<ReportStrip> strips;
