@@ -62,7 +62,8 @@ void Pipeline<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, std::i
   grow(a.row, tiles);
   parallel_for(options_.lanes, [&](std::int64_t lane) {
     for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
-      const StepContext ctx = context(step, true, static_cast<int>(lane), tile * tile_rays_);
+      StepContext ctx = context(step, true, static_cast<int>(lane), tile * tile_rays_);
+      ctx.pass = passes_[0].parts().number;
       const Rays<Real> rays = rays_of_tile<Real>(batch, tile, tile_rays_);
       Samples<Real>& samples = a.tiles[static_cast<std::size_t>(tile)].samples;
       samples.t = {a.t.data() + tile * capacity, capacity, 1};
@@ -114,7 +115,7 @@ void Pipeline<Real>::scatter(std::int64_t step) {
     return;
   }
   for (std::size_t p = 0; p < passes_.size(); ++p) {
-    ctx.pass = static_cast<std::uint32_t>(p);
+    ctx.pass = passes_[p].parts().number;
     if (!passes_[p].scatters()) continue;
     for (const auto& lane : lanes_) {
       const EncoderInbox<Real>& inbox = lane->inbox[p];

@@ -32,6 +32,7 @@ struct RenderRules {
 template <class Real>
 struct PassParts {
   std::string name;
+  std::uint32_t number = 0;  ///< in the configuration: addresses its random values, whichever passes are left out
   std::unique_ptr<Sampler<Real>> sampler;
   std::unique_ptr<Encoder<Real>> position;
   std::unique_ptr<Encoder<Real>> direction;  ///< null: the view branch is left out

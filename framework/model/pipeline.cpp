@@ -60,8 +60,8 @@ template <class Real>
 void Pipeline<Real>::derive(std::int64_t step) {
   StepContext ctx = context(step, false, 0, 0);
   for (const Pass<Real>& pass : passes_) {
+    ctx.pass = pass.parts().number;
     pass.derive(ctx);
-    ++ctx.pass;
   }
 }
 
@@ -69,8 +69,8 @@ template <class Real>
 void Pipeline<Real>::observe(std::int64_t step) {
   StepContext ctx = context(step, true, 0, 0);
   for (const Pass<Real>& pass : passes_) {
+    ctx.pass = pass.parts().number;
     pass.observe(ctx);
-    ++ctx.pass;
   }
 }
 
@@ -102,8 +102,8 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
   store_.reduce_lanes();
   StepContext ctx = context(step, true, 0, 0);
   for (const Pass<Real>& pass : passes_) {
+    ctx.pass = pass.parts().number;
     pass.derive_backward(ctx);
-    ++ctx.pass;
   }
   StepLosses sum;
   for (const StepLosses& tile : tile_losses_) {  // tile order: the same sum for any thread count
@@ -150,7 +150,7 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
   Proposal<Real> proposal;
   PassTrace<Real> previous;
   for (std::size_t p = 0; p < passes_.size(); ++p) {
-    ctx.pass = static_cast<std::uint32_t>(p);
+    ctx.pass = passes_[p].parts().number;
     const Pass<Real>& pass = passes_[p];
     PassTrace<Real> trace =
         draws_ahead()
@@ -212,7 +212,7 @@ void Pipeline<Real>::render_tile(int lane, const RenderJob<Real>& job, std::int6
   Proposal<Real> proposal;
   PassTrace<Real> trace;
   for (std::size_t p = 0; p < passes_.size(); ++p) {
-    ctx.pass = static_cast<std::uint32_t>(p);
+    ctx.pass = passes_[p].parts().number;
     const bool last = p + 1 == passes_.size();
     PassTrace<Real> next = passes_[p].forward(ctx, lane, rays, p == 0 ? nullptr : &proposal,
                                               p == 0 ? 0 : per_ray_[p - 1], last && semantics ? count : 0);

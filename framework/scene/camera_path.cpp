@@ -74,7 +74,8 @@ std::vector<Vec3d> free_positions(const Raycaster& rays, const PathSettings& s) 
   for (std::uint64_t i = 0; i < 4000 && out.size() < kCandidates; ++i) {
     Vec3d p;
     for (int k = 0; k < 3; ++k) {
-      p[k] = box.lo[k] + (box.hi[k] - box.lo[k]) * static_cast<double>(uniform01(address, 3 * i + static_cast<std::uint64_t>(k)));
+      p[k] = box.lo[k] +
+             (box.hi[k] - box.lo[k]) * static_cast<double>(uniform01(address, 3 * i + static_cast<std::uint64_t>(k)));
     }
     if (rays.clearance(p, s.clearance_m) >= s.clearance_m && enclosed(rays, p)) out.push_back(p);
   }
@@ -118,7 +119,8 @@ double view_distance(const Raycaster& rays, Vec3d p, Vec3d direction) {
   return hit.hit() ? hit.distance_m : 100;
 }
 
-std::vector<Key> make_keys(const Raycaster& rays, const PathSettings& s, const std::vector<Vec3d>& points, const Axes& axes) {
+std::vector<Key> make_keys(const Raycaster& rays, const PathSettings& s, const std::vector<Vec3d>& points,
+                           const Axes& axes) {
   const RandomAddress order{s.seed, 1, stream_id("camera_path/order")};
   const RandomAddress gaze{s.seed, 2, stream_id("camera_path/gaze")};
   const int count = (s.poses + kPosesPerKey - 1) / kPosesPerKey + 1;
@@ -131,7 +133,8 @@ std::vector<Key> make_keys(const Raycaster& rays, const PathSettings& s, const s
       std::size_t best = visited.back();
       double best_score = -1;
       for (std::uint64_t n = 0, found = 0; n < 40 && found < 4; ++n) {
-        const auto j = static_cast<std::size_t>(uniform_below(order, static_cast<std::uint64_t>(k) * 64 + n, points.size()));
+        const auto j =
+            static_cast<std::size_t>(uniform_below(order, static_cast<std::uint64_t>(k) * 64 + n, points.size()));
         if (j == visited.back() || !segment_free(rays, points[visited.back()], points[j], s.clearance_m)) continue;
         ++found;
         double score = 1e9;
@@ -171,7 +174,9 @@ std::vector<Key> make_keys(const Raycaster& rays, const PathSettings& s, const s
 // Uniform Catmull-Rom between b (t = 0) and c (t = 1).
 template <class T>
 T spline(T a, T b, T c, T d, double t) {
-  return (b * 2.0 + (c - a) * t + (a * 2.0 - b * 5.0 + c * 4.0 - d) * (t * t) + (b * 3.0 - c * 3.0 + d - a) * (t * t * t)) * 0.5;
+  return (b * 2.0 + (c - a) * t + (a * 2.0 - b * 5.0 + c * 4.0 - d) * (t * t) +
+          (b * 3.0 - c * 3.0 + d - a) * (t * t * t)) *
+         0.5;
 }
 
 }  // namespace
@@ -195,7 +200,8 @@ std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& s)
   const std::vector<Vec3d> all = free_positions(rays, s);
   const std::vector<Vec3d> points = all.empty() ? all : largest_room(rays, all);
   if (points.size() < 4) {
-    throw Error(ErrorKind::data, "no free space for cameras: " + std::to_string(points.size()) + " of 4000 positions are free",
+    throw Error(ErrorKind::data,
+                "no free space for cameras: " + std::to_string(points.size()) + " of 4000 positions are free",
                 "lower clearance_m or set bounds to the inside of the room");
   }
   const Axes axes = axes_of(s.up);
@@ -210,7 +216,8 @@ std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& s)
     Vec3d p = spline(a.position, b.position, c.position, d.position, t);
     const Vec3d way = p - b.position;
     const double far = length(way);
-    if (rays.clearance(p, s.clearance_m) < s.clearance_m || (far > 0 && rays.blocked(b.position, way * (1 / far), far))) {
+    if (rays.clearance(p, s.clearance_m) < s.clearance_m ||
+        (far > 0 && rays.blocked(b.position, way * (1 / far), far))) {
       p = b.position + (c.position - b.position) * t;
     }
     const double pitch = std::clamp(spline(a.pitch, b.pitch, c.pitch, d.pitch, t), -0.8, 0.3);
@@ -233,7 +240,8 @@ namespace {
 Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes axes) {
   Vec3d column[3];
   for (int c = 0; c < 3; ++c) {
-    column[c] = {m[static_cast<std::size_t>(c)], m[static_cast<std::size_t>(4 + c)], m[static_cast<std::size_t>(8 + c)]};
+    column[c] = {m[static_cast<std::size_t>(c)], m[static_cast<std::size_t>(4 + c)],
+                 m[static_cast<std::size_t>(8 + c)]};
   }
   const double off = std::max({std::abs(dot(column[0], column[1])), std::abs(dot(column[1], column[2])),
                                std::abs(dot(column[0], column[2])), std::abs(length(column[0]) - 1),
@@ -281,7 +289,8 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
       row.push_back(tiny ? 0 : value);
     }
     if (!good || (row.size() != 16 && row.size() != 12 && row.size() != 4)) {
-      throw Error(ErrorKind::data, path + ":" + std::to_string(number) + ": expected 4, 12 or 16 numbers, got '" + line + "'",
+      throw Error(ErrorKind::data,
+                  path + ":" + std::to_string(number) + ": expected 4, 12 or 16 numbers, got '" + line + "'",
                   "write one camera-to-world matrix a line, or one matrix row a line");
     }
     rows.push_back(std::move(row));
@@ -291,7 +300,8 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
   std::size_t per_pose = 1;
   if (rows[0].size() == 4) per_pose = rows.size() >= 4 && rows[3] == std::vector<double>{0, 0, 0, 1} ? 4 : 3;
   if (rows.size() % per_pose != 0) {
-    throw Error(ErrorKind::data, path + ": " + std::to_string(rows.size()) + " lines are no multiple of " + std::to_string(per_pose),
+    throw Error(ErrorKind::data,
+                path + ": " + std::to_string(rows.size()) + " lines are no multiple of " + std::to_string(per_pose),
                 "the file was cut short");
   }
   std::vector<Pose> poses;

@@ -27,8 +27,8 @@ struct ClassRules {
 ClassRules load_class_rules(const std::string& path);
 
 /// Internal class index of each triangle. Without a matching rule the object's name decides: the part before "__", or
-/// the name without trailing "_12", ".003" and the like, has to be a class name. Every object that has no class gets its
-/// own error in one pass (its triangles become void).
+/// the name without trailing "_12", ".003" and the like, has to be a class name. Every object that has no class gets
+/// its own error in one pass (its triangles become void).
 std::vector<std::int16_t> classes_of_mesh(const TriangleMesh& mesh, const ClassRules& rules, Diagnostics& diagnostics);
 
 bool matches_glob(const std::string& text, const std::string& pattern);

@@ -27,6 +27,7 @@ namespace fs = std::filesystem;
 struct Outline {
   std::vector<std::uint32_t> face_lines;
   std::vector<std::string> material_files;
+  std::vector<std::size_t> bare_groups;  // where a 'g' without a name ends
   bool has_objects = false;
 };
 
@@ -94,6 +95,7 @@ Outline outline_of(const std::string& text, const std::string& path) {
     ++line;
     const std::string_view row = trimmed(std::string_view(text).substr(begin, end - begin));
     begin = end + (text.compare(end, 2, "\r\n") == 0 ? 2 : 1);
+    if (row == "g") outline.bare_groups.push_back(static_cast<std::size_t>(row.data() - text.data()) + 1);
     if (row.size() < 2) continue;
     const std::string_view word = row.substr(0, row.find_first_of(" \t"));
     if (word == "v") check_numbers(row.substr(1), 3, path, line);
@@ -109,6 +111,18 @@ Outline outline_of(const std::string& text, const std::string& path) {
   return outline;
 }
 
+// The loader overlooks a group without a name unless a blank follows.
+std::string with_blank_groups(const std::string& text, const std::vector<std::size_t>& ends) {
+  std::string out;
+  std::size_t begin = 0;
+  for (const std::size_t end : ends) {
+    out.append(text, begin, end - begin);
+    out.push_back(' ');
+    begin = end;
+  }
+  return out.append(text, begin, std::string::npos);
+}
+
 std::string resolved_map(const fs::path& folder, std::string name, const std::string& owner, Diagnostics& diagnostics) {
   if (name.empty()) return {};
   for (char& c : name) {
@@ -116,7 +130,8 @@ std::string resolved_map(const fs::path& folder, std::string name, const std::st
   }
   const fs::path file = folder / name;
   if (fs::is_regular_file(file)) return file.string();
-  diagnostics.warning(owner, "texture '" + file.string() + "' is missing", "the plain colour is used; add the file to see it");
+  diagnostics.warning(owner, "texture '" + file.string() + "' is missing",
+                      "the plain colour is used; add the file to see it");
   return {};
 }
 
@@ -126,15 +141,17 @@ std::vector<std::string> material_names(const fs::path& folder, const std::strin
   std::istringstream stream(line);
   std::vector<std::string> words;
   for (std::string word; stream >> word;) words.push_back(word);
-  const bool any = std::any_of(words.begin(), words.end(), [&](const std::string& w) { return fs::is_regular_file(folder / w); });
+  const bool any =
+      std::any_of(words.begin(), words.end(), [&](const std::string& w) { return fs::is_regular_file(folder / w); });
   return any ? words : std::vector<std::string>{line};
 }
 
-void load_materials(const fs::path& folder, const std::string& name, TriangleMesh& mesh, std::map<std::string, int>& index,
-                    Diagnostics& diagnostics) {
+void load_materials(const fs::path& folder, const std::string& name, TriangleMesh& mesh,
+                    std::map<std::string, int>& index, Diagnostics& diagnostics) {
   const fs::path file = folder / name;
   if (!fs::is_regular_file(file)) {
-    diagnostics.warning(file.string(), "material file is missing", "surfaces get a colour by object; put it beside the OBJ file");
+    diagnostics.warning(file.string(), "material file is missing",
+                        "surfaces get a colour by object; put it beside the OBJ file");
     return;
   }
   std::istringstream stream(read_text_file(file.string()));
@@ -151,8 +168,10 @@ void load_materials(const fs::path& folder, const std::string& name, TriangleMes
       material.emission[c] = static_cast<float>(m.emission[c]);
     }
     material.opacity = static_cast<float>(m.dissolve);
-    material.diffuse_map = resolved_map(file.parent_path(), m.diffuse_texname, file.string() + ": " + m.name, diagnostics);
-    material.opacity_map = resolved_map(file.parent_path(), m.alpha_texname, file.string() + ": " + m.name, diagnostics);
+    material.diffuse_map =
+        resolved_map(file.parent_path(), m.diffuse_texname, file.string() + ": " + m.name, diagnostics);
+    material.opacity_map =
+        resolved_map(file.parent_path(), m.alpha_texname, file.string() + ": " + m.name, diagnostics);
     index[m.name] = static_cast<int>(mesh.materials.size());
     mesh.materials.push_back(std::move(material));
   }
@@ -170,7 +189,8 @@ struct Builder {
   std::int32_t object = -1, group = -1, material = -1;
   std::size_t face = 0;
 
-  static std::int32_t named(std::map<std::string, int>& index, std::vector<std::string>& names, const std::string& name) {
+  static std::int32_t named(std::map<std::string, int>& index, std::vector<std::string>& names,
+                            const std::string& name) {
     const auto [it, fresh] = index.emplace(name, static_cast<int>(names.size()));
     if (fresh) names.push_back(name);
     return it->second;
@@ -266,7 +286,7 @@ tinyobj::callback_t callbacks() {
   c.group_cb = [](void* user, const char** names, int count) {
     Builder& b = self(user);
     std::string name;
-    for (int i = 0; i < count; ++i) name += (i == 0 ? "" : " ") + std::string(names[i]);
+    for (int i = 0; i < count; ++i) name.append(i == 0 ? "" : " ").append(names[i]);
     b.group = Builder::named(b.group_index, b.mesh.groups, name);
     if (!b.outline.has_objects) {
       b.object = Builder::named(b.object_index, b.mesh.objects, name.empty() ? "unnamed" : name);
@@ -342,12 +362,13 @@ TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics) {
     }
   }
   Builder builder{path, outline, mesh, material_index, {}, {}, {}, {}, {}};
-  std::istringstream stream(text);
+  std::istringstream stream(outline.bare_groups.empty() ? text : with_blank_groups(text, outline.bare_groups));
   std::string warning, error;
   tinyobj::LoadObjWithCallback(stream, callbacks(), &builder, nullptr, &warning, &error);
   if (!error.empty()) throw Error(ErrorKind::data, path + ": " + error, "export the mesh again");
   for (const std::string& name : builder.missing_materials) {
-    diagnostics.warning(path, "material '" + name + "' is not defined", "its surfaces get a colour by object; add it to the MTL file");
+    diagnostics.warning(path, "material '" + name + "' is not defined",
+                        "its surfaces get a colour by object; add it to the MTL file");
   }
   if (mesh.triangles.empty()) {
     throw Error(ErrorKind::data, path + ": holds no triangle", "check that the file was exported completely");
@@ -359,7 +380,8 @@ TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics) {
 }
 #else
 TriangleMesh load_obj(const std::string& path, Diagnostics&) {
-  throw Error(ErrorKind::unavailable, path + ": this build cannot read OBJ files", "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs tinyobjloader)");
+  throw Error(ErrorKind::unavailable, path + ": this build cannot read OBJ files",
+              "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs tinyobjloader)");
 }
 #endif
 

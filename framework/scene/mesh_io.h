@@ -25,30 +25,31 @@ struct Material {
 
 /// A triangle soup with names. Per-triangle vectors have one element a triangle.
 struct TriangleMesh {
-  std::vector<Vec3f> positions;                          ///< file units (metres)
-  std::vector<std::array<std::uint32_t, 3>> triangles;   ///< indices into positions
-  std::vector<std::array<std::array<float, 2>, 3>> uv;   ///< per corner, v up; zeros where the file has none
-  std::vector<std::array<Vec3f, 3>> normals;             ///< per corner, unit; zero vectors where the file has none
-  std::vector<std::int32_t> material_of;                 ///< index into materials, -1 = none named or not found
-  std::vector<std::int32_t> object_of;                   ///< index into objects
-  std::vector<std::int32_t> group_of;                    ///< index into groups
+  std::vector<Vec3f> positions;                         ///< file units (metres)
+  std::vector<std::array<std::uint32_t, 3>> triangles;  ///< indices into positions
+  std::vector<std::array<std::array<float, 2>, 3>> uv;  ///< per corner, v up; zeros where the file has none
+  std::vector<std::array<Vec3f, 3>> normals;            ///< per corner, unit; zero vectors where the file has none
+  std::vector<std::int32_t> material_of;                ///< index into materials, -1 = none named or not found
+  std::vector<std::int32_t> object_of;                  ///< index into objects
+  std::vector<std::int32_t> group_of;                   ///< index into groups
   std::vector<Material> materials;
-  std::vector<std::string> objects;                      ///< `o` names (the `g` names of a file without `o`), file order
-  std::vector<std::string> groups;                       ///< `g` names, "" = none
+  std::vector<std::string> objects;  ///< `o` names (the `g` names of a file without `o`), file order
+  std::vector<std::string> groups;   ///< `g` names, "" = none
   Box bounds;
   std::int64_t zero_area_skipped = 0;
 
   std::size_t size() const { return triangles.size(); }
 };
 
-/// Reads an OBJ file with its MTL files. Polygons are cut into triangles, negative indices count back from the last vertex,
-/// faces without area are skipped and counted. Missing MTL files, materials and texture files become warnings that name
-/// them (surfaces without a material get a colour by object). Throws Error(no_input) for a missing file and Error(data) with file and line for vertices that are not
-/// finite numbers, faces with fewer than three corners, indices out of range and files without any triangle.
+/// Reads an OBJ file with its MTL files. Polygons are cut into triangles, negative indices count back from the last
+/// vertex, faces without area are skipped and counted. Missing MTL files, materials and texture files become warnings
+/// that name them (surfaces without a material get a colour by object). Throws Error(no_input) for a missing file and
+/// Error(data) with file and line for vertices that are not finite numbers, faces with fewer than three corners,
+/// indices out of range and files without any triangle.
 TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics);
 
-/// Cuts a planar polygon with n >= 3 corners into n - 2 triangles of corner numbers, keeping its orientation; ear clipping,
-/// so that concave polygons come out right. Falls back to a fan for polygons that cross themselves.
+/// Cuts a planar polygon with n >= 3 corners into n - 2 triangles of corner numbers, keeping its orientation; ear
+/// clipping, so that concave polygons come out right. Falls back to a fan for polygons that cross themselves.
 std::vector<std::array<int, 3>> triangulate_polygon(const std::vector<Vec3f>& corners);
 
 }  // namespace semfield

@@ -97,7 +97,8 @@ void MeshRenderer::prepare_materials(Diagnostics& diagnostics) {
     if (m < 0 || texture_of_[static_cast<std::size_t>(m)] < 0) continue;
     const Texture& texture = textures_[static_cast<std::size_t>(texture_of_[static_cast<std::size_t>(m)])];
     const auto& uv = mesh_.uv[i];
-    const double area_uv = std::abs((uv[1][0] - uv[0][0]) * (uv[2][1] - uv[0][1]) - (uv[1][1] - uv[0][1]) * (uv[2][0] - uv[0][0]));
+    const double area_uv =
+        std::abs((uv[1][0] - uv[0][0]) * (uv[2][1] - uv[0][1]) - (uv[1][1] - uv[0][1]) * (uv[2][0] - uv[0][0]));
     const auto corner = [&](std::size_t k) { return to_double(mesh_.positions[mesh_.triangles[i][k]]); };
     const double area_m = length(cross(corner(1) - corner(0), corner(2) - corner(0)));
     texels_per_m_[i] = static_cast<float>(std::sqrt(area_uv * texture.width() * texture.height() / area_m));
@@ -119,7 +120,7 @@ bool MeshRenderer::opaque(std::int64_t triangle, float b1, float b2) const {
   const auto& uv = mesh_.uv[i];
   const float b0 = 1 - b1 - b2;
   return masks_[static_cast<std::size_t>(mask_of_[index])].opaque(b0 * uv[0][0] + b1 * uv[1][0] + b2 * uv[2][0],
-                                                                 b0 * uv[0][1] + b1 * uv[1][1] + b2 * uv[2][1]);
+                                                                  b0 * uv[0][1] + b1 * uv[1][1] + b2 * uv[2][1]);
 }
 
 MeshRenderer::Surface MeshRenderer::surface(Vec3d origin, Vec3d direction) const {
@@ -195,7 +196,8 @@ MeshRenderer::Color MeshRenderer::emission(const Surface& s, const Color& color)
   return {material.emission[0] * color[0], material.emission[1] * color[1], material.emission[2] * color[2]};
 }
 
-MeshRenderer::Color MeshRenderer::irradiance(const Surface& s, int pattern, std::uint64_t frame, std::uint64_t pixel) const {
+MeshRenderer::Color MeshRenderer::irradiance(const Surface& s, int pattern, std::uint64_t frame,
+                                             std::uint64_t pixel) const {
   const Vec3d normal = to_double(s.normal);
   const Vec3d start = s.point + to_double(s.facet) * (2e-4 * (1 + s.distance_m * 0.1));
   const RandomAddress address{settings_.seed, frame, stream_id("mesh/irradiance")};
@@ -203,7 +205,8 @@ MeshRenderer::Color MeshRenderer::irradiance(const Surface& s, int pattern, std:
   frame_of(normal, tangent, bitangent);
   const int ao = settings_.occlusion_rays;
   int open = 0;
-  std::uint64_t draw = pixel * static_cast<std::uint64_t>(ao + settings_.shadow_rays * static_cast<int>(settings_.lights.size()));
+  std::uint64_t draw =
+      pixel * static_cast<std::uint64_t>(ao + settings_.shadow_rays * static_cast<int>(settings_.lights.size()));
   for (int i = 0; i < ao; ++i) {
     double a = 0, b = 0;
     spread_sample(i * 16 + pattern, ao * 16, random_block(address, draw++), a, b);
@@ -281,9 +284,11 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
         const double slack = 0.004 + 0.01 * s.distance_m;
         for (int dy = -2; dy < 2; ++dy) {
           for (int dx = -2; dx < 2; ++dx) {
-            const std::int32_t px = x + dx + (k % n >= (n + 1) / 2 ? 1 : 0), py = y + dy + (k / n >= (n + 1) / 2 ? 1 : 0);
+            const std::int32_t px = x + dx + (k % n >= (n + 1) / 2 ? 1 : 0),
+                               py = y + dy + (k / n >= (n + 1) / 2 ? 1 : 0);
             if (px < 0 || py < 0 || px >= w || py >= h) continue;
-            const std::size_t q = static_cast<std::size_t>(py) * static_cast<std::size_t>(w) + static_cast<std::size_t>(px);
+            const std::size_t q =
+                static_cast<std::size_t>(py) * static_cast<std::size_t>(w) + static_cast<std::size_t>(px);
             const Surface& o = center[q];
             if (o.object != s.object || dot(o.normal, s.normal) < 0.94f) continue;
             if (std::abs(dot(o.point - s.point, to_double(s.facet))) > slack) continue;

@@ -26,10 +26,10 @@ struct RenderSettings {
   std::array<float, 3> ambient_above{0.42f, 0.43f, 0.45f};  ///< irradiance of a surface facing up, unoccluded
   std::array<float, 3> ambient_below{0.34f, 0.32f, 0.30f};  ///< ... facing down
   Vec3d up{0, 0, 1};
-  double occlusion_m = 1.0;      ///< hemisphere rays end here
-  int occlusion_rays = 8;        ///< a pixel
-  int shadow_rays = 2;           ///< a pixel and light
-  int supersample = 2;           ///< colour samples a pixel = its square
+  double occlusion_m = 1.0;  ///< hemisphere rays end here
+  int occlusion_rays = 8;    ///< a pixel
+  int shadow_rays = 2;       ///< a pixel and light
+  int supersample = 2;       ///< colour samples a pixel = its square
   float exposure = 1.0f;
   std::array<float, 3> background{0.75f, 0.85f, 0.95f};  ///< linear colour where no surface is hit
   std::uint64_t seed = 0;
@@ -38,8 +38,10 @@ struct RenderSettings {
 /// Renders a mesh. Colours do not depend on the view direction; results do not depend on threads.
 class MeshRenderer {
  public:
-  /// Loads textures (problems become warnings) and builds the ray-casting scene. `class_of` has one class index a triangle.
-  MeshRenderer(TriangleMesh mesh, std::vector<std::int16_t> class_of, RenderSettings settings, Diagnostics& diagnostics);
+  /// Loads textures (problems become warnings) and builds the ray-casting scene. `class_of` has one class index a
+  /// triangle.
+  MeshRenderer(TriangleMesh mesh, std::vector<std::int16_t> class_of, RenderSettings settings,
+               Diagnostics& diagnostics);
 
   MeshRenderer(const MeshRenderer&) = delete;  // the ray-casting scene points into this object
   MeshRenderer& operator=(const MeshRenderer&) = delete;
@@ -57,8 +59,8 @@ class MeshRenderer {
     std::int32_t object = -1;
     double distance_m = 0;
     Vec3d point;
-    Vec3f normal;   // shading normal towards the viewer
-    Vec3f facet;    // geometric normal towards the viewer
+    Vec3f normal;  // shading normal towards the viewer
+    Vec3f facet;   // geometric normal towards the viewer
     float u = 0, v = 0;
   };
   using Color = std::array<float, 3>;
@@ -77,10 +79,10 @@ class MeshRenderer {
   RenderSettings settings_;
   std::vector<Texture> textures_;
   std::vector<Mask> masks_;
-  std::vector<int> texture_of_, mask_of_;       // by material, -1 = none
-  std::vector<float> texels_per_m_;             // by triangle, 0 = no texture
-  std::vector<Color> object_color_;             // for surfaces without material
-  std::vector<float> lattice_;                  // 32^3 random values
+  std::vector<int> texture_of_, mask_of_;  // by material, -1 = none
+  std::vector<float> texels_per_m_;        // by triangle, 0 = no texture
+  std::vector<Color> object_color_;        // for surfaces without material
+  std::vector<float> lattice_;             // 32^3 random values
   std::unique_ptr<Raycaster> rays_;
 };
 

@@ -72,7 +72,8 @@ Raycaster::Raycaster(const TriangleMesh& mesh, std::vector<bool> cut_out, Opaque
   // One build thread: the tree, and with it the choice between coincident surfaces, is the same on every machine size.
   impl_->device = rtcNewDevice("threads=1");
   if (impl_->device == nullptr) {
-    throw Error(ErrorKind::unavailable, "Embree cannot start (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
+    throw Error(ErrorKind::unavailable,
+                "Embree cannot start (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
   }
   impl_->opaque = std::move(opaque);
   impl_->scene = rtcNewScene(impl_->device);
@@ -208,7 +209,8 @@ bool raycast_available() { return false; }
 struct Raycaster::Impl {};
 
 Raycaster::Raycaster(const TriangleMesh&, std::vector<bool>, OpaqueTest) {
-  throw Error(ErrorKind::unavailable, "this build cannot cast rays", "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs Embree 3)");
+  throw Error(ErrorKind::unavailable, "this build cannot cast rays",
+              "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs Embree 3)");
 }
 RayHit Raycaster::trace(Vec3d, Vec3d, double) const { return {}; }
 bool Raycaster::blocked(Vec3d, Vec3d, double) const { return false; }

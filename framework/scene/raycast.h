@@ -27,8 +27,8 @@ bool raycast_available();
 /// Ray queries, const and callable from any thread. Keeps its own copy of nothing: the mesh must outlive it.
 class Raycaster {
  public:
-  /// `cut_out` has one element a triangle (true: ask `opaque` at every hit) or is empty. Throws Error(unavailable) in a build
-  /// without Embree.
+  /// `cut_out` has one element a triangle (true: ask `opaque` at every hit) or is empty. Throws Error(unavailable) in a
+  /// build without Embree.
   explicit Raycaster(const TriangleMesh& mesh, std::vector<bool> cut_out = {}, OpaqueTest opaque = {});
   ~Raycaster();
   Raycaster(const Raycaster&) = delete;
@@ -38,7 +38,8 @@ class Raycaster {
   RayHit trace(Vec3d origin, Vec3d direction, double max_m = 1e6) const;
   /// Whether anything opaque lies on origin + t * direction, t in [0, max_m].
   bool blocked(Vec3d origin, Vec3d direction, double max_m) const;
-  /// Distance from a point to the nearest triangle, at most `limit_m` (returned when nothing is nearer). Exact, any direction.
+  /// Distance from a point to the nearest triangle, at most `limit_m` (returned when nothing is nearer). Exact, any
+  /// direction.
   double clearance(Vec3d point, double limit_m) const;
 
  private:

@@ -97,11 +97,13 @@ Mask Mask::load(const std::string& path) {
     // Over white minus over black is 255 (1 - alpha).
     const Image<std::uint8_t> white = read_rgb(path, 255);
     for (std::size_t i = 0; i < mask.values_.size(); ++i) {
-      mask.values_[i] = static_cast<std::uint8_t>(std::clamp(255 - (white.pixels[3 * i] - black.pixels[3 * i]), 0, 255));
+      mask.values_[i] =
+          static_cast<std::uint8_t>(std::clamp(255 - (white.pixels[3 * i] - black.pixels[3 * i]), 0, 255));
     }
   } else {
     for (std::size_t i = 0; i < mask.values_.size(); ++i) {
-      mask.values_[i] = static_cast<std::uint8_t>((black.pixels[3 * i] + black.pixels[3 * i + 1] + black.pixels[3 * i + 2]) / 3);
+      mask.values_[i] =
+          static_cast<std::uint8_t>((black.pixels[3 * i] + black.pixels[3 * i + 1] + black.pixels[3 * i + 2]) / 3);
     }
   }
   return mask;
@@ -110,7 +112,8 @@ Mask Mask::load(const std::string& path) {
 bool Mask::opaque(float u, float v) const {
   if (!std::isfinite(u) || !std::isfinite(v)) return true;
   const auto x = std::min(static_cast<std::int32_t>((u - std::floor(u)) * static_cast<float>(width_)), width_ - 1);
-  const auto y = std::min(static_cast<std::int32_t>((1 - (v - std::floor(v))) * static_cast<float>(height_)), height_ - 1);
+  const auto y =
+      std::min(static_cast<std::int32_t>((1 - (v - std::floor(v))) * static_cast<float>(height_)), height_ - 1);
   return values_[static_cast<std::size_t>(y * width_ + x)] >= 128;
 }
 

@@ -112,6 +112,7 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
   for (std::size_t p = static_cast<std::size_t>(plan.first_pass); p < config.passes.size(); ++p) {
     const PassConfig& pass = config.passes[p];
     passes.push_back(make_pass<Real>(pass, config, registry, plan, extent));
+    passes.back().number = static_cast<std::uint32_t>(p);
     if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
       throw Error(ErrorKind::config,
                   "passes." + pass.name + ".sampler: '" + pass.sampler.entry->name +

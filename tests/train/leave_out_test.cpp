@@ -86,6 +86,7 @@ TEST(LeaveOut, CoarsePassBeforeASinglePassSamplerIsBitwise) {
   EXPECT_EQ(kept.session.pipeline->passes().size(), 2U);
   // The tile of rays must be the same for the pair, or the sums have another order.
   ASSERT_EQ(out.session.pipeline->tile_rays(), kept.session.pipeline->tile_rays());
+  expect_shared_tensors_equal(out.session, kept.session);
 }
 
 TEST(LeaveOut, ASceneWithoutLabelsBuildsNoHead) {

@@ -103,11 +103,10 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
   for (const auto& [name, value] : outcome.values) {
     if (name == "psnr") psnr = *value;
   }
-{
+  {
     Session untrained = open_text(hash_config(), registry);
-    const SplitScore start =
-        evaluate(*untrained.pipeline, untrained.eval_job(untrained.scene.frames_of(Split::test)), untrained.limits,
-                 untrained.plan.class_of_logit);
+    const SplitScore start = evaluate(*untrained.pipeline, untrained.eval_job(untrained.scene.frames_of(Split::test)),
+                                      untrained.limits, untrained.plan.class_of_logit);
     EXPECT_GT(psnr, *start.color.psnr_db() + 4) << "200 steps teach the field the room's colours";
   }
 
