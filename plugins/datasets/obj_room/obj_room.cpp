@@ -28,7 +28,8 @@ Vec3d up_of(UpAxis up) { return up == UpAxis::y ? Vec3d{0, 1, 0} : Vec3d{0, 0, 1
 void describe(ParamVisitor& visit, ObjRoomParams& p) {
   SEMFIELD_PARAM(visit, p, root, "folder of the room; relative to the config");
   SEMFIELD_PARAM(visit, p, obj, "OBJ file, relative to root; empty: the only one there");
-  SEMFIELD_PARAM(visit, p, classes, "class table and rules, relative to the config; empty: classes.yaml or classes.csv in root");
+  SEMFIELD_PARAM(visit, p, classes,
+                 "class table and rules, relative to the config; empty: classes.yaml or classes.csv in root");
   SEMFIELD_PARAM(visit, p, cameras, "camera-to-world matrices (3x4 or 4x4), relative to root; empty: a generated path");
   SEMFIELD_PARAM(visit, p, camera_axes, "where x, y, z of a camera of that file point");
   SEMFIELD_PARAM(visit, p, up, "axis of the mesh that points up");
@@ -42,11 +43,13 @@ void describe(ParamVisitor& visit, ObjRoomParams& p) {
   SEMFIELD_PARAM(visit, p, occlusion_rays, "ambient occlusion rays a pixel, shared with its neighbours", {0, 1024});
   SEMFIELD_PARAM(visit, p, shadow_rays, "shadow rays a pixel and light, shared with its neighbours", {1, 1024});
   SEMFIELD_PARAM(visit, p, exposure, "brightness before the film curve", {0.01, 100});
-  SEMFIELD_PARAM(visit, p, daylight, "strength of the light at the largest object of class 'window'; 0 = none", {0, 100});
+  SEMFIELD_PARAM(visit, p, daylight, "strength of the light at the largest object of class 'window'; 0 = none",
+                 {0, 100});
   SEMFIELD_PARAM(visit, p, clearance_m, "least distance of generated cameras to any surface in metres", {0.01, 10});
   SEMFIELD_PARAM(visit, p, lowest_m, "least height of generated cameras above the floor in metres", {0, 100});
   SEMFIELD_PARAM(visit, p, highest_m, "greatest height of generated cameras above the floor in metres", {0, 100});
-  SEMFIELD_PARAM(visit, p, bounds, "inside of the room in metres: [xmin, ymin, zmin, xmax, ymax, zmax]; empty: see room_classes");
+  SEMFIELD_PARAM(visit, p, bounds,
+                 "inside of the room in metres: [xmin, ymin, zmin, xmax, ymax, zmax]; empty: see room_classes");
   SEMFIELD_PARAM(visit, p, room_classes, "classes whose common box is the room when bounds is empty");
   SEMFIELD_PARAM(visit, p, near_m, "nearest distance along rays in metres; 0 = measured", {0, 1000});
   SEMFIELD_PARAM(visit, p, far_m, "farthest distance along rays in metres; 0 = measured", {0, 10000});
@@ -57,9 +60,11 @@ void validate(const ObjRoomParams& p, Diagnostics& diagnostics) {
   if (p.far_m > 0 && p.far_m <= p.near_m) diagnostics.error("far_m", "is not beyond near_m", "raise it");
   if (!p.bounds.empty()) {
     if (p.bounds.size() != 6) {
-      diagnostics.error("bounds", "has " + std::to_string(p.bounds.size()) + " numbers", "give [xmin, ymin, zmin, xmax, ymax, zmax]");
+      diagnostics.error("bounds", "has " + std::to_string(p.bounds.size()) + " numbers",
+                        "give [xmin, ymin, zmin, xmax, ymax, zmax]");
     } else if (p.bounds[0] >= p.bounds[3] || p.bounds[1] >= p.bounds[4] || p.bounds[2] >= p.bounds[5]) {
-      diagnostics.error("bounds", "has a least corner that is not below the greatest", "give [xmin, ymin, zmin, xmax, ymax, zmax]");
+      diagnostics.error("bounds", "has a least corner that is not below the greatest",
+                        "give [xmin, ymin, zmin, xmax, ymax, zmax]");
     }
   }
 }
@@ -68,16 +73,19 @@ ObjRoom::ObjRoom(const ObjRoomParams& params, const DatasetBuild& build)
     : params_(params), root_(resolved(build.config_dir, params.root)), config_dir_(build.config_dir) {}
 
 std::string ObjRoom::obj_path() const {
-  if (!fs::is_directory(root_)) throw Error(ErrorKind::no_input, "no folder '" + root_ + "'", "set scene.root to the room's folder");
+  if (!fs::is_directory(root_))
+    throw Error(ErrorKind::no_input, "no folder '" + root_ + "'", "set scene.root to the room's folder");
   if (!params_.obj.empty()) return resolved(root_, params_.obj);
   std::vector<std::string> found;
   for (const auto& entry : fs::directory_iterator(root_)) {
     if (entry.path().extension() == ".obj") found.push_back(entry.path().filename().string());
   }
   std::sort(found.begin(), found.end());
-  if (found.empty()) throw Error(ErrorKind::no_input, "no OBJ file in '" + root_ + "'", "put one there or set scene.obj");
+  if (found.empty())
+    throw Error(ErrorKind::no_input, "no OBJ file in '" + root_ + "'", "put one there or set scene.obj");
   if (found.size() > 1) {
-    throw Error(ErrorKind::no_input, "several OBJ files in '" + root_ + "': " + join(found), "set scene.obj to one of them");
+    throw Error(ErrorKind::no_input, "several OBJ files in '" + root_ + "': " + join(found),
+                "set scene.obj to one of them");
   }
   return resolved(root_, found[0]);
 }
@@ -103,7 +111,8 @@ Box ObjRoom::room_box(const ClassTable& classes, const std::vector<std::int16_t>
   for (std::size_t i = 0; i < mesh.size(); ++i) {
     if (class_of[i] < 0) continue;
     const std::string& name = classes.valid(class_of[i]).name;
-    if (std::find(params_.room_classes.begin(), params_.room_classes.end(), name) == params_.room_classes.end()) continue;
+    if (std::find(params_.room_classes.begin(), params_.room_classes.end(), name) == params_.room_classes.end())
+      continue;
     for (const std::uint32_t corner : mesh.triangles[i]) {
       const Vec3f p = mesh.positions[corner];
       box.include({p.x, p.y, p.z});
@@ -112,7 +121,8 @@ Box ObjRoom::room_box(const ClassTable& classes, const std::vector<std::int16_t>
   return box.empty() ? mesh.bounds : box;
 }
 
-std::vector<Light> ObjRoom::lights(const Box& room, const ClassTable& classes, const std::vector<std::int16_t>& class_of) const {
+std::vector<Light> ObjRoom::lights(const Box& room, const ClassTable& classes,
+                                   const std::vector<std::int16_t>& class_of) const {
   const Vec3d up = up_of(params_.up), size = room.size(), center = room.center();
   const double height = std::abs(dot(size, up));
   const Vec3d level[2] = {params_.up == UpAxis::y ? Vec3d{1, 0, 0} : Vec3d{1, 0, 0},
@@ -124,8 +134,8 @@ std::vector<Light> ObjRoom::lights(const Box& room, const ClassTable& classes, c
   std::vector<Light> out;
   for (const double side : {-1.0, 1.0}) {
     Light light;
-    light.position = center + up * (0.5 * height - std::min(0.45, 0.2 * height)) + level[along] * (side * 0.26 * longer) +
-                     level[1 - along] * (-side * 0.08 * shorter);
+    light.position = center + up * (0.5 * height - std::min(0.45, 0.2 * height)) +
+                     level[along] * (side * 0.26 * longer) + level[1 - along] * (-side * 0.08 * shorter);
     light.radius_m = 0.16;
     light.intensity = {strength, 0.9f * strength, 0.76f * strength};
     out.push_back(light);
@@ -228,11 +238,14 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
     const std::string file = resolved(root_, params_.cameras);
     const std::vector<Pose> all = read_camera_file(file, params_.camera_axes);
     if (static_cast<int>(all.size()) < total) {
-      throw Error(ErrorKind::data, file + ": holds " + std::to_string(all.size()) + " poses, frames + test_frames asks for " +
-                                       std::to_string(total), "lower scene.frames or scene.test_frames");
+      throw Error(ErrorKind::data,
+                  file + ": holds " + std::to_string(all.size()) + " poses, frames + test_frames asks for " +
+                      std::to_string(total),
+                  "lower scene.frames or scene.test_frames");
     }
     for (int i = 0; i < total; ++i) {
-      poses.push_back(all[static_cast<std::size_t>(static_cast<std::int64_t>(i) * static_cast<std::int64_t>(all.size()) / total)]);
+      poses.push_back(
+          all[static_cast<std::size_t>(static_cast<std::int64_t>(i) * static_cast<std::int64_t>(all.size()) / total)]);
     }
   }
   Camera camera;
@@ -266,7 +279,8 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
 
 void ObjRoom::read(int frame, FrameBuffer& out) const {
   if (frame < 0 || frame >= static_cast<int>(frames_.size())) {
-    throw Error(ErrorKind::internal, "frame " + std::to_string(frame) + " of " + std::to_string(frames_.size()) + " was asked for");
+    throw Error(ErrorKind::internal,
+                "frame " + std::to_string(frame) + " of " + std::to_string(frames_.size()) + " was asked for");
   }
   const FrameInfo& f = frames_[static_cast<std::size_t>(frame)];
   renderer_->render(f.camera, f.world_from_camera, static_cast<std::uint64_t>(frame), out);
@@ -274,7 +288,8 @@ void ObjRoom::read(int frame, FrameBuffer& out) const {
 
 namespace {
 void register_into(Registry& registry) {
-  registry.add_dataset<ObjRoom, ObjRoomParams>("obj_room", "An OBJ + MTL room, ray-cast along a generated or given camera path.");
+  registry.add_dataset<ObjRoom, ObjRoomParams>("obj_room",
+                                               "An OBJ + MTL room, ray-cast along a generated or given camera path.");
 }
 }  // namespace
 

@@ -65,7 +65,8 @@ class ObjRoom final : public Dataset {
   std::string obj_path() const;
   std::string class_path() const;
   Box room_box(const ClassTable& classes, const std::vector<std::int16_t>& class_of) const;
-  std::vector<Light> lights(const Box& room, const ClassTable& classes, const std::vector<std::int16_t>& class_of) const;
+  std::vector<Light> lights(const Box& room, const ClassTable& classes,
+                            const std::vector<std::int16_t>& class_of) const;
   void measure(SceneInfo& info, const Box& room) const;
 
   ObjRoomParams params_;

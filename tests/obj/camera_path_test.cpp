@@ -1,0 +1,206 @@
+// Camera paths: what a generated one promises, and pose files good and bad.
+#include "scene/camera_path.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/obj/obj_testing.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_obj;
+
+// A 6 x 5 x 2.75 m room with pillars: free space has corners to cut.
+TriangleMesh pillars() {
+  std::ostringstream obj;
+  int vertices = 0;
+  const std::array<const char*, 6> wall{"wall_1", "wall_2", "wall_3", "wall_4", "floor_1", "ceiling_1"};
+  const std::array<const char*, 6> pillar{"pillar_1", "pillar_2", "pillar_3", "pillar_4", "pillar_5", "pillar_6"};
+  add_box(obj, {{-3, -2.5, 0}, {3, 2.5, 2.75}}, wall, vertices);
+  for (const double x : {-1.5, 0.0, 1.5}) {
+    for (const double y : {-0.75, 0.75})
+      add_box(obj, {{x - 0.125, y - 0.125, 0}, {x + 0.125, y + 0.125, 2.75}}, pillar, vertices);
+  }
+  Diagnostics d;
+  return load_text(obj.str(), d);
+}
+
+PathSettings settings_of(const TriangleMesh& mesh, int poses, std::uint64_t seed) {
+  PathSettings s;
+  s.poses = poses;
+  s.seed = seed;
+  s.region = mesh.bounds;
+  return s;
+}
+
+bool same(const Pose& a, const Pose& b) { return a.r == b.r && a.t == b.t; }
+
+TEST(CameraPath, EveryPoseIsFreeLevelAndARotation) {
+  const TriangleMesh mesh = pillars();
+  const Raycaster rays(mesh);
+  for (std::uint64_t seed = 0; seed < 6; ++seed) {
+    const PathSettings s = settings_of(mesh, 120, seed);
+    const std::vector<Pose> path = make_camera_path(rays, s);
+    ASSERT_EQ(path.size(), 120u);
+    for (std::size_t i = 0; i < path.size(); ++i) {
+      const Pose& p = path[i];
+      EXPECT_GE(rays.clearance(p.t, 10), s.clearance_m) << "seed " << seed << " pose " << i;
+      EXPECT_GE(p.t.z, s.lowest_m - 0.2);
+      EXPECT_LE(p.t.z, s.highest_m + 0.2);
+      EXPECT_NEAR(p.r[2][0], 0, 1e-12) << "the camera's x axis is not level";
+      EXPECT_LT(p.r[2][1], 0) << "the camera's y axis points up";
+      for (int a = 0; a < 3; ++a) {
+        for (int b = 0; b < 3; ++b) EXPECT_NEAR(dot(p.axis(a), p.axis(b)), a == b ? 1 : 0, 1e-12);
+      }
+      EXPECT_NEAR(dot(cross(p.axis(0), p.axis(1)), p.axis(2)), 1, 1e-12);
+      EXPECT_FALSE(i > 0 && same(p, path[i - 1])) << "seed " << seed << " pose " << i << " repeats the one before";
+    }
+  }
+}
+
+TEST(CameraPath, TheWayBetweenPosesDoesNotPassThroughSurfaces) {
+  const TriangleMesh mesh = pillars();
+  const Raycaster rays(mesh);
+  const std::vector<Pose> path = make_camera_path(rays, settings_of(mesh, 200, 11));
+  int through = 0;
+  for (std::size_t i = 1; i < path.size(); ++i) {
+    const Vec3d way = path[i].t - path[i - 1].t;
+    const double far = length(way);
+    if (far > 0 && rays.blocked(path[i - 1].t, way * (1 / far), far)) ++through;
+  }
+  EXPECT_EQ(through, 0);
+}
+
+TEST(CameraPath, SeedDecides) {
+  const TriangleMesh mesh = pillars();
+  const Raycaster rays(mesh);
+  const std::vector<Pose> a = make_camera_path(rays, settings_of(mesh, 24, 5)),
+                          b = make_camera_path(rays, settings_of(mesh, 24, 5)),
+                          c = make_camera_path(rays, settings_of(mesh, 24, 6));
+  int equal = 0, other = 0;
+  for (std::size_t i = 0; i < 24; ++i) {
+    equal += same(a[i], b[i]) ? 1 : 0;
+    other += same(a[i], c[i]) ? 1 : 0;
+  }
+  EXPECT_EQ(equal, 24);
+  EXPECT_EQ(other, 0);
+}
+
+TEST(CameraPath, UpMayBeY) {
+  Diagnostics d;
+  std::ostringstream obj;
+  int vertices = 0;
+  add_box(obj, {{-2, 0, -1.5}, {2, 2.5, 1.5}}, {"a", "b", "c", "d", "e", "f"}, vertices);
+  const TriangleMesh mesh = load_text(obj.str(), d);
+  const Raycaster rays(mesh);
+  PathSettings s = settings_of(mesh, 16, 1);
+  s.up = {0, 1, 0};
+  for (const Pose& p : make_camera_path(rays, s)) {
+    EXPECT_NEAR(p.r[1][0], 0, 1e-12);
+    EXPECT_LT(p.r[1][1], 0);
+    EXPECT_GE(p.t.y, 0.7);
+    EXPECT_GE(rays.clearance(p.t, 10), s.clearance_m);
+  }
+}
+
+TEST(CameraPath, NoFreeSpaceIsAnError) {
+  const TriangleMesh mesh = pillars();
+  const Raycaster rays(mesh);
+  PathSettings s = settings_of(mesh, 4, 1);
+  s.clearance_m = 2;
+  const std::string remedy = "; lower clearance_m or set bounds to the inside of the room";
+  EXPECT_EQ(error_of([&] { make_camera_path(rays, s); }),
+            "no free space for cameras: 0 of 4000 positions are free" + remedy);
+  // Outside there is space, but no room around it.
+  s = settings_of(mesh, 4, 1);
+  s.region = {{10, 10, 0}, {14, 14, 3}};
+  EXPECT_EQ(error_of([&] { make_camera_path(rays, s); }),
+            "no free space for cameras: 0 of 4000 positions are free" + remedy);
+}
+
+TEST(CameraPath, LookAlongIsLevelAndLooksThere) {
+  const Pose p = look_along({1, 2, 3}, {0, 2, 0}, {0, 0, 1});
+  EXPECT_EQ(p.axis(2), (Vec3d{0, 1, 0}));
+  EXPECT_EQ(p.axis(0), (Vec3d{1, 0, 0}));
+  EXPECT_EQ(p.axis(1), (Vec3d{0, 0, -1}));
+  const Pose down = look_along({0, 0, 0}, {0, 0, -1}, {0, 0, 1});
+  EXPECT_NEAR(length(down.axis(0)), 1, 1e-12);
+  EXPECT_NEAR(dot(down.axis(0), down.axis(2)), 0, 1e-12);
+}
+
+constexpr double kC = 0.8, kS = 0.6;
+
+std::vector<Pose> read_text(const std::string& text, CameraAxes axes = CameraAxes::right_down_forward) {
+  const std::string path = fresh_folder("poses") + "/poses.txt";
+  plain_write(path, text);
+  return read_camera_file(path, axes);
+}
+
+TEST(CameraFile, FourLayoutsGiveTheSamePoses) {
+  const std::string a0 = "0.8 -0.6 0 1", a1 = "0.6 0.8 0 2", a2 = "0 0 1 3", last = "0 0 0 1";
+  const std::string b0 = "1 0 0 -4", b1 = "0 1 0 5e-1", b2 = "0 0 1 +6";
+  for (const std::string& text :
+       {a0 + " " + a1 + " " + a2 + " " + last + "\n" + b0 + " " + b1 + " " + b2 + " " + last + "\n",
+        a0 + " " + a1 + " " + a2 + "\r\n\r\n# second\r\n" + b0 + "\t" + b1 + " " + b2,
+        a0 + "\n" + a1 + "\n" + a2 + "\n" + last + "\n\n" + b0 + "\n" + b1 + "\n" + b2 + "\n" + last + "\n",
+        "# 3x4\n" + a0 + "\n" + a1 + "\n" + a2 + "\n\n" + b0 + "\n" + b1 + "\n" + b2 + "\n"}) {
+    const std::vector<Pose> poses = read_text(text);
+    ASSERT_EQ(poses.size(), 2u) << text;
+    EXPECT_NEAR(length(poses[0].axis(0) - Vec3d{kC, kS, 0}), 0, 1e-12);
+    EXPECT_NEAR(length(poses[0].axis(1) - Vec3d{-kS, kC, 0}), 0, 1e-12);
+    EXPECT_EQ(poses[0].t, (Vec3d{1, 2, 3}));
+    EXPECT_EQ(poses[1].t, (Vec3d{-4, 0.5, 6}));
+  }
+}
+
+TEST(CameraFile, AxesTurnIntoRightDownForward) {
+  const std::string text = "1 0 0 0 0 1 0 0 0 0 1 0\n";
+  const auto axes = [&](CameraAxes a) {
+    const Pose p = read_text(text, a)[0];
+    return std::array<Vec3d, 3>{p.axis(0), p.axis(1), p.axis(2)};
+  };
+  EXPECT_EQ(axes(CameraAxes::right_down_forward), (std::array<Vec3d, 3>{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}));
+  EXPECT_EQ(axes(CameraAxes::right_up_backward), (std::array<Vec3d, 3>{{{1, 0, 0}, {0, -1, 0}, {0, 0, -1}}}));
+  EXPECT_EQ(axes(CameraAxes::left_up_forward), (std::array<Vec3d, 3>{{{-1, 0, 0}, {0, -1, 0}, {0, 0, 1}}}));
+}
+
+TEST(CameraFile, RotationsAreMadeOrthonormal) {
+  const Pose p = read_text("0.80003 -0.6 0 0 0.6 0.8 0.0002 0 0 0 1.0004 0\n")[0];
+  for (int a = 0; a < 3; ++a) {
+    for (int b = 0; b < 3; ++b) EXPECT_NEAR(dot(p.axis(a), p.axis(b)), a == b ? 1 : 0, 1e-14);
+  }
+}
+
+TEST(CameraFile, BadNumbersNameFileAndLine) {
+  const std::string good = "1 0 0 0 0 1 0 0 0 0 1 0\n";
+  const std::string layout = "; write one camera-to-world matrix a line, or one matrix row a line";
+  const auto numbers = [&](const std::string& line, const std::string& got) {
+    return ":" + line + ": expected 4, 12 or 16 numbers, got '" + got + "'" + layout;
+  };
+  const std::vector<std::pair<std::string, std::string>> cases{
+      {good + "\n1 0 0 0 0 1 0 0 0 0 1\n", numbers("3", "1 0 0 0 0 1 0 0 0 0 1")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 x\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 x")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 nan\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 nan")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 inf\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 inf")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 1e999\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 1e999")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 0 -\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 0 -")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 0 5e\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 0 5e")},
+      {"90\n" + good, numbers("1", "90")},
+      {good + "2 0 0 0 0 2 0 0 0 0 2 0\n", ":2: the 3x3 part is no rotation; give camera-to-world matrices"},
+      {good + "-1 0 0 0 0 1 0 0 0 0 1 0\n", ":2: the 3x3 part is no rotation; give camera-to-world matrices"},
+      {"1 0 0 0 0 1 0 0 0 0 1 0 3 2 1 1\n",
+       ":1: the last row is not 0 0 0 1; give camera-to-world matrices, row by row"},
+      {good + "1 0 0 0\n", ":2: expected 12 or 16 numbers a pose"},
+      {"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n1 0 0 0\n", ": 5 lines are no multiple of 4; the file was cut short"},
+      {"", ": holds no pose"},
+      {"# nothing\n\n", ": holds no pose"},
+  };
+  const std::string path = fresh_folder("bad") + "/poses.txt";
+  for (const auto& [text, message] : cases) {
+    plain_write(path, text);
+    EXPECT_EQ(error_of([&] { read_camera_file(path, CameraAxes::right_down_forward); }), path + message) << text;
+  }
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,187 @@
+// From names to classes: rules, prefixes, and what is said when a name or a table does not fit.
+#include "scene/class_rules.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+#include "tests/obj/obj_testing.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_obj;
+
+const std::string kClasses =
+    "classes:\n"
+    "  - {id: 0, name: void, ignore: true}\n"
+    "  - {id: 3, name: chair}\n"
+    "  - {id: 5, name: window}\n"
+    "  - {id: 9, name: dining_table}\n";
+
+ClassRules rules_of(const std::string& text, const std::string& name = "classes.yaml") {
+  const std::string path = fresh_folder("rules") + "/" + name;
+  plain_write(path, text);
+  return load_class_rules(path);
+}
+
+struct Part {
+  std::string object, group, material;
+};
+
+// One triangle a part.
+TriangleMesh mesh_of(const std::vector<Part>& parts) {
+  TriangleMesh mesh;
+  const auto index = [](std::vector<std::string>& names, const std::string& name) {
+    const auto it = std::find(names.begin(), names.end(), name);
+    if (it != names.end()) return static_cast<std::int32_t>(it - names.begin());
+    names.push_back(name);
+    return static_cast<std::int32_t>(names.size() - 1);
+  };
+  std::vector<std::string> materials;
+  for (const Part& part : parts) {
+    mesh.triangles.push_back({0, 1, 2});
+    mesh.object_of.push_back(index(mesh.objects, part.object));
+    mesh.group_of.push_back(index(mesh.groups, part.group));
+    mesh.material_of.push_back(part.material.empty() ? -1 : index(materials, part.material));
+  }
+  for (const std::string& name : materials) {
+    mesh.materials.emplace_back();
+    mesh.materials.back().name = name;
+  }
+  return mesh;
+}
+
+std::vector<std::int16_t> classes(const std::vector<Part>& parts, const ClassRules& rules) {
+  Diagnostics d;
+  const std::vector<std::int16_t> out = classes_of_mesh(mesh_of(parts), rules, d);
+  EXPECT_EQ(texts(d), std::vector<std::string>{});
+  return out;
+}
+
+TEST(ClassRules, GlobsMatchWholeNames) {
+  EXPECT_TRUE(matches_glob("chair_12", "chair_*"));
+  EXPECT_TRUE(matches_glob("chair_", "chair_*"));
+  EXPECT_FALSE(matches_glob("armchair_1", "chair_*"));
+  EXPECT_TRUE(matches_glob("armchair_1", "*chair*"));
+  EXPECT_TRUE(matches_glob("a_b_c_b", "a*b"));
+  EXPECT_FALSE(matches_glob("a_b_c", "a*b"));
+  EXPECT_TRUE(matches_glob("leg3", "leg?"));
+  EXPECT_FALSE(matches_glob("leg", "leg?"));
+  EXPECT_FALSE(matches_glob("leg33", "leg?"));
+  EXPECT_TRUE(matches_glob("", "*"));
+  EXPECT_FALSE(matches_glob("Chair", "chair"));
+  EXPECT_TRUE(matches_glob("a*b", "a*b"));
+  EXPECT_TRUE(matches_glob(std::string(60, 'a'), "*a*a*a*a*a*a*a*a"));
+  EXPECT_FALSE(matches_glob(std::string(60, 'a'), "*a*a*a*a*a*a*a*a*b"));
+}
+
+TEST(ClassRules, RulesByObjectGroupAndMaterialTheEarlierWins) {
+  const ClassRules rules = rules_of(kClasses +
+                                    "rules:\n"
+                                    "  - {object: \"thing_*\", material: Glass, class: window}\n"
+                                    "  - {object: \"thing_?\", class: chair}\n"
+                                    "  - {group: \"legs*\", class: dining_table}\n"
+                                    "  - {material: \"Dust*\", class: void}\n"
+                                    "  - {object: \"*\", material: Glass, class: chair}\n");
+  EXPECT_EQ(rules.rules.size(), 5u);
+  EXPECT_EQ(classes({{"thing_1", "", "Glass"},
+                     {"thing_1", "", "Wood"},
+                     {"Mesh7", "legs_2", "Wood"},
+                     {"Mesh7", "", "Dusty"},
+                     {"Mesh7", "", "Glass"}},
+                    rules),
+            (std::vector<std::int16_t>{1, 0, 2, kVoid, 0}));
+}
+
+TEST(ClassRules, ObjectNamesDecideWithoutARule) {
+  const ClassRules rules = rules_of(kClasses);
+  EXPECT_EQ(classes({{"chair", "", ""},
+                     {"chair__Mesh037_Wood", "", ""},
+                     {"chair_12", "", ""},
+                     {"window.003", "", ""},
+                     {"dining_table_2", "", ""},
+                     {"void_1", "", ""}},
+                    rules),
+            (std::vector<std::int16_t>{0, 0, 0, 1, 2, kVoid}));
+}
+
+TEST(ClassRules, EveryObjectWithoutAClassIsReportedInOnePass) {
+  const ClassRules rules = rules_of(kClasses);
+  const TriangleMesh mesh = mesh_of({{"chair_1", "", ""},
+                                     {"stool_1", "", ""},
+                                     {"stool_1", "seat", "Wood"},
+                                     {"Chair_1", "", "Oak"},
+                                     {"chairs_1", "row", ""},
+                                     {"chair12", "", ""}});
+  Diagnostics d;
+  const std::vector<std::int16_t> out = classes_of_mesh(mesh, rules, d);
+  EXPECT_EQ(out, (std::vector<std::int16_t>{0, kVoid, kVoid, kVoid, kVoid, kVoid}));
+  const auto remedy = [](const std::string& name) {
+    return "; add a rule such as {object: \"" + name + "\", class: NAME} to the class table";
+  };
+  EXPECT_EQ(texts(d),
+            (std::vector<std::string>{"error|object 'stool_1': has no class" + remedy("stool_1"),
+                                      "error|object 'Chair_1': has no class (material 'Oak')" + remedy("Chair_1"),
+                                      "error|object 'chairs_1': has no class (group 'row')" + remedy("chairs_1"),
+                                      "error|object 'chair12': has no class" + remedy("chair12")}));
+}
+
+TEST(ClassRules, TablesWithoutRulesReadToo) {
+  EXPECT_EQ(rules_of("class_id,class\n0,void\n1,chair\n", "classes.csv").table.valid_count(), 1);
+  const ClassRules list = rules_of("- {id: 1, name: chair}\n- {id: 2, name: table}\n");
+  EXPECT_EQ(list.table.valid_count(), 2);
+  EXPECT_TRUE(list.rules.empty());
+}
+
+TEST(ClassRules, EveryFaultOfATableIsNamedWithItsPlace) {
+  const std::string path = fresh_folder("bad") + "/classes.yaml";
+  const auto message = [&](const std::string& text) {
+    plain_write(path, text);
+    return error_of([&] { load_class_rules(path); });
+  };
+  const std::string head = "the class table '" + path + "' has errors\n";
+  EXPECT_EQ(message(kClasses + "rules:\n"
+                               "  - {object: \"a*\", class: chiar}\n"
+                               "  - {objekt: \"a*\", class: chair}\n"
+                               "  - {object: b}\n"
+                               "  - {class: window}\n"
+                               "  - lamp\n"),
+            head + path + ":7:27: no class named 'chiar'; did you mean 'chair'?\n" + path +
+                ":8:14: unknown key 'objekt' in a rule; did you mean 'object'?\n" + path +
+                ":8:5: the rule asks for no object, group or material; add object: \"PATTERN\"\n" + path +
+                ":9:5: the rule names no class; add class: NAME\n" + path +
+                ":10:5: the rule asks for no object, group or material; add object: \"PATTERN\"\n" + path +
+                ":11:5: a rule is a map such as {object: \"chair_*\", class: chair}");
+  EXPECT_EQ(message(kClasses + "rules: {object: a, class: chair}\n"), head + path + ":6:8: 'rules' is a list of rules");
+  // An unknown key hides neither the table's faults nor those of the rules.
+  EXPECT_EQ(message(kClasses + "extra: 1\nrules:\n  - {object: b}\n"),
+            head + path + ":6:8: unknown key 'extra'; known: classes, rules\n" + path +
+                ":8:5: the rule names no class; add class: NAME");
+  EXPECT_EQ(message("extra: 1\nclasses:\n  - {id: one, name: chair}\n"),
+            head + path + ":1:8: unknown key 'extra'; known: classes, rules\nclass table '" + path + "': " + path +
+                ":3:10: id: expected an integer from 0 to 65535, got 'one'");
+  const std::string table = "class table '" + path + "': ";
+  EXPECT_EQ(message("classes:\n  - {id: 1, name: a}\n  - {id: 1, name: b}\n"),
+            table + "class id 1 is given twice ('a' and 'b'); keep one of them");
+  EXPECT_EQ(message("rules:\n  - {object: a, class: b}\n"),
+            table + path + ": expected a list of classes {id, name, color, ignore}");
+  EXPECT_EQ(message("classes:\n  - {id: 1}\n"), table + path + ":2:5: class 1 needs a 'name'");
+  EXPECT_NE(message("classes: [\n").find(path), std::string::npos);
+}
+
+TEST(ClassRules, MissingTableIsNoInput) {
+  for (const char* name : {"/none.yaml", "/none.csv"}) {
+    const std::string path = fresh_folder("none") + name;
+    try {
+      load_class_rules(path);
+      ADD_FAILURE() << path;
+    } catch (const Error& e) {
+      EXPECT_EQ(e.kind(), ErrorKind::no_input) << e.what();
+      EXPECT_NE(std::string(e.what()).find(path), std::string::npos) << e.what();
+    }
+  }
+}
+
+}  // namespace
+}  // namespace semfield
