@@ -25,6 +25,32 @@ Samples<Real> rays_of(const Samples<Real>& samples, std::int64_t begin, std::int
   part.first = samples.first.row_range(begin, count + 1);
   return part;
 }
+// Rays [begin, begin + count) of a trace as the compositor reads and writes them.
+template <class Real>
+struct RayGroup {
+  RayGroup(const PassTrace<Real>& trace, const RenderRules& rules, std::int64_t begin, std::int64_t count,
+           bool with_semantics)
+      : samples(rays_of(trace.samples, begin, count)) {
+    in.samples = &samples;
+    in.sigma = trace.sigma;
+    in.rgb = trace.out.rgb;
+    in.far = rules.far;
+    in.background = rules.background;
+    out.color = trace.color.row_range(begin, count);
+    out.depth = trace.depth.row_range(begin, count);
+    out.opacity = trace.opacity.row_range(begin, count);
+    out.weight = trace.weight;
+    if (!with_semantics) return;
+    in.hidden = rules.deferred_class_layer ? trace.hidden : trace.sample_logits;
+    out.hidden = rules.deferred_class_layer ? trace.ray_hidden : trace.logits;
+  }
+  RayGroup(const RayGroup&) = delete;
+  RayGroup& operator=(const RayGroup&) = delete;
+
+  Samples<Real> samples;
+  CompositeIn<Real> in;
+  CompositeOut<Real> out;
+};
 }  // namespace
 
 template <class Real>
@@ -243,23 +269,8 @@ void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& tr
   }
   const auto run = [&](std::int64_t begin, std::int64_t count, bool with_semantics) {
     if (count == 0) return;
-    const Samples<Real> samples = rays_of(trace.samples, begin, count);
-    CompositeIn<Real> in;
-    in.samples = &samples;
-    in.sigma = trace.sigma;
-    in.rgb = trace.out.rgb;
-    in.far = rules_.far;
-    in.background = rules_.background;
-    CompositeOut<Real> out;
-    out.color = trace.color.row_range(begin, count);
-    out.depth = trace.depth.row_range(begin, count);
-    out.opacity = trace.opacity.row_range(begin, count);
-    out.weight = trace.weight;
-    if (with_semantics) {
-      in.hidden = deferred ? trace.hidden : trace.sample_logits;
-      out.hidden = deferred ? trace.ray_hidden : trace.logits;
-    }
-    composite_forward<Real>(in, out);
+    const RayGroup<Real> group(trace, rules_, begin, count, with_semantics);
+    composite_forward<Real>(group.in, group.out);
   };
   run(0, labelled, true);
   run(labelled, ray_count - labelled, false);
@@ -295,30 +306,17 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   }
   const auto run = [&](std::int64_t begin, std::int64_t rays, bool with_semantics) {
     if (rays == 0) return;
-    const Samples<Real> samples = rays_of(trace.samples, begin, rays);
-    CompositeIn<Real> in;
-    in.samples = &samples;
-    in.sigma = trace.sigma;
-    in.rgb = trace.out.rgb;
-    in.far = rules_.far;
-    in.background = rules_.background;
-    CompositeOut<Real> out;
-    out.color = trace.color.row_range(begin, rays);
-    out.depth = trace.depth.row_range(begin, rays);
-    out.opacity = trace.opacity.row_range(begin, rays);
-    out.weight = trace.weight;
+    const RayGroup<Real> group(trace, rules_, begin, rays, with_semantics);
     CompositeGrad<Real> grad;
     grad.color = d_color.row_range(begin, rays);
     View<Real> d_hidden;
     if (with_semantics) {
-      in.hidden = deferred ? trace.hidden : trace.sample_logits;
-      out.hidden = deferred ? trace.ray_hidden : trace.logits;
       grad.hidden = deferred ? View<const Real>(d_ray_hidden) : d_logits;
       grad.hidden_moves_density = !rules_.stop_gradient_to_density;
       if (deferred && grad.hidden_moves_density) grad.opacity = d_opacity;
       d_hidden = d_per_sample;
     }
-    composite_backward<Real>(in, out, grad, d_sigma, d_rgb, d_hidden);
+    composite_backward<Real>(group.in, group.out, grad, d_sigma, d_rgb, d_hidden);
   };
   run(0, labelled, true);
   run(labelled, ray_count - labelled, false);
