@@ -220,6 +220,12 @@ std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& s)
         (far > 0 && rays.blocked(b.position, way * (1 / far), far))) {
       p = b.position + (c.position - b.position) * t;
     }
+    // The segment was tried in steps: where it grazes something thin, halfway towards the nearer key, at last the key.
+    const double key = t < 0.5 ? 0 : 1;
+    for (double step = t, n = 0; rays.clearance(p, s.clearance_m) < s.clearance_m && n < 8; ++n) {
+      step = n < 7 ? 0.5 * (step + key) : key;
+      p = b.position + (c.position - b.position) * step;
+    }
     const double pitch = std::clamp(spline(a.pitch, b.pitch, c.pitch, d.pitch, t), -0.8, 0.3);
     const double yaw = spline(a.yaw, b.yaw, c.yaw, d.yaw, t);
     // The nearest turn that does not stare at something close by.

@@ -58,6 +58,27 @@ TEST(CameraPath, EveryPoseIsFreeLevelAndARotation) {
   }
 }
 
+TEST(CameraPath, ClearanceHoldsBesideThinPoles) {
+  // Poles thinner than the steps in which a way is tried.
+  std::ostringstream obj;
+  int vertices = 0;
+  const std::array<const char*, 6> names{"a", "b", "c", "d", "e", "f"};
+  add_box(obj, {{-1.5, -1.5, 0}, {1.5, 1.5, 2.5}}, names, vertices);
+  for (int i = 0; i < 49; ++i) {
+    const double x = 0.375 * (i % 7 - 3), y = 0.375 * (i / 7 - 3);
+    add_box(obj, {{x, y, 0}, {x + 0.0078125, y + 0.0078125, 2.5}}, names, vertices);
+  }
+  Diagnostics d;
+  const TriangleMesh mesh = load_text(obj.str(), d);
+  const Raycaster rays(mesh);
+  for (std::uint64_t seed = 80; seed < 112; ++seed) {
+    PathSettings s = settings_of(mesh, 120, seed);
+    s.clearance_m = 0.03;
+    for (const Pose& p : make_camera_path(rays, s))
+      EXPECT_GE(rays.clearance(p.t, 10), s.clearance_m) << "seed " << seed;
+  }
+}
+
 TEST(CameraPath, TheWayBetweenPosesDoesNotPassThroughSurfaces) {
   const TriangleMesh mesh = pillars();
   const Raycaster rays(mesh);
