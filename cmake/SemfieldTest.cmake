@@ -1,4 +1,5 @@
-# semfield_add_test(NAME name SOURCES a.cpp ...): one GoogleTest program linked with the framework, the linked plugins and the testkit.
+# semfield_add_test(NAME name SOURCES a.cpp ... [LIBRARIES ...] [LABELS ...]): one GoogleTest program linked with the framework,
+# the linked plugins and the testkit.
 include(GoogleTest)
 function(semfield_add_test)
   cmake_parse_arguments(ARG "" "NAME" "SOURCES;LIBRARIES;LABELS" ${ARGN})
@@ -6,7 +7,10 @@ function(semfield_add_test)
   target_link_libraries(${ARG_NAME} PRIVATE semfield semfield_plugins semfield_testkit semfield_warnings GTest::gtest_main ${ARG_LIBRARIES})
   target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_SOURCE_DIR="${PROJECT_SOURCE_DIR}" SEMFIELD_BINARY_DIR="${PROJECT_BINARY_DIR}")
   target_include_directories(${ARG_NAME} PRIVATE ${PROJECT_SOURCE_DIR})
-  gtest_discover_tests(${ARG_NAME} DISCOVERY_TIMEOUT 60 PROPERTIES TIMEOUT 600 LABELS "${ARG_LABELS}"
-                       # Tests run beside each other: threads that wait must not spin.
-                       ENVIRONMENT "OMP_WAIT_POLICY=passive")
+  # Tests run beside each other: threads that wait must not spin.
+  set(properties TIMEOUT 600 ENVIRONMENT OMP_WAIT_POLICY=passive)
+  if(ARG_LABELS)
+    list(APPEND properties LABELS ${ARG_LABELS})
+  endif()
+  gtest_discover_tests(${ARG_NAME} DISCOVERY_TIMEOUT 60 PROPERTIES ${properties})
 endfunction()
