@@ -206,7 +206,8 @@ void read_at(int file, std::uint64_t offset, std::span<std::byte> out) {
 template <class T>
 std::vector<T> typed(const std::vector<std::byte>& bytes) {
   std::vector<T> out(bytes.size() / sizeof(T));
-  std::memcpy(out.data(), bytes.data(), out.size() * sizeof(T));
+  if (!out.empty())
+    std::memcpy(out.data(), bytes.data(), out.size() * sizeof(T));  // memcpy wants no null, even for nothing
   return out;
 }
 
