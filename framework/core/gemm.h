@@ -7,14 +7,18 @@
 
 namespace semfield {
 
+/// Arithmetic of matrix products. fp32: in the type of the operands (float64 in the oracle). bf16: operands rounded to
+/// bf16 (8 significant bits), products and sums in fp32; memory, weights and gradients stay fp32.
+enum class Precision : std::uint8_t { fp32, bf16 };
+
 /// C = start + A B, then the epilogue. Shapes: A [m, k] with any strides, so that the same kernel serves forward (X W),
 /// input gradient (dY W^T, B a stored transpose) and weight gradient (X^T dY: a_row = 1, a_col = row stride of X); B
 /// [k, n] and C [m, n] with contiguous columns. Strides in elements.
 ///
 /// start, at most one of: accumulate (C's old value), bias (one row for all), row_term (row row_of[i], or row i when
 /// row_of is null); none: zero. Each element of C is one chain of fused multiply-adds over k ascending from its start,
-/// whatever m is and wherever its row stands: splitting the rows into calls, or k into accumulating calls, gives the
-/// same bits.
+/// whatever m is and wherever its row stands: splitting the rows into calls, or k into accumulating calls (with bf16: at
+/// even k), gives the same bits.
 template <class Real>
 struct Gemm {
   std::int64_t m = 0, n = 0, k = 0;
@@ -31,25 +35,27 @@ struct Gemm {
   const std::int32_t* row_of = nullptr;  ///< [m]
   std::int64_t row_of_stride = 1;
   bool relu = false;  ///< C = max(C, 0) at the end; NaN stays NaN
+  Precision precision = Precision::fp32;
 };
 
-/// Runs in the calling thread; allocates nothing (64 KiB of stack).
+/// Runs in the calling thread; allocates nothing (160 KiB of stack).
 template <class Real>
 void gemm(const Gemm<Real>& g);
 
 /// The usual starts, from views: start + A B with `accumulate` into C.
 template <class Real>
-void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate = false);
+void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate = false,
+          Precision precision = Precision::fp32);
 
 /// C += A^T B: weight gradients. A [rows, m], B [rows, n], C [m, n].
 template <class Real>
-void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c);
+void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c, Precision precision = Precision::fp32);
 
 extern template void gemm<float>(const Gemm<float>&);
 extern template void gemm<double>(const Gemm<double>&);
-extern template void gemm<float>(View<const float>, View<const float>, View<float>, bool);
-extern template void gemm<double>(View<const double>, View<const double>, View<double>, bool);
-extern template void gemm_at_b_add<float>(View<const float>, View<const float>, View<float>);
-extern template void gemm_at_b_add<double>(View<const double>, View<const double>, View<double>);
+extern template void gemm<float>(View<const float>, View<const float>, View<float>, bool, Precision);
+extern template void gemm<double>(View<const double>, View<const double>, View<double>, bool, Precision);
+extern template void gemm_at_b_add<float>(View<const float>, View<const float>, View<float>, Precision);
+extern template void gemm_at_b_add<double>(View<const double>, View<const double>, View<double>, Precision);
 
 }  // namespace semfield

@@ -2,17 +2,17 @@
 #include "core/linear.h"
 
 #include <algorithm>
-#include <cstring>
 
 #include "core/check.h"
-#include "core/gemm.h"
+#include "core/cpu_kernels.h"
 
 namespace semfield {
 
 namespace {
 
 template <class Real>
-Gemm<Real> product(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y) {
+Gemm<Real> product(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y,
+                   Precision precision) {
   SEMFIELD_CHECK(x.cols == weight.rows && x.rows == y.rows && weight.cols == y.cols,
                  "shapes of a linear layer do not fit");
   return {.m = x.rows,
@@ -24,32 +24,33 @@ Gemm<Real> product(View<const Real> x, View<const Real> weight, Activation activ
           .b_row = weight.row_stride,
           .c = y.data,
           .c_row = y.row_stride,
-          .relu = activation == Activation::relu};
+          .relu = activation == Activation::relu,
+          .precision = precision};
 }
 
 }  // namespace
 
 template <class Real>
 void linear_forward(View<const Real> x, View<const Real> weight, View<const Real> bias, Activation activation,
-                    View<Real> y) {
+                    View<Real> y, Precision precision) {
   SEMFIELD_CHECK(bias.empty() || bias.cols == y.cols, "bias of a linear layer has another width");
-  Gemm<Real> g = product(x, weight, activation, y);
+  Gemm<Real> g = product(x, weight, activation, y, precision);
   g.bias = bias.data;
   gemm(g);
 }
 
 template <class Real>
-void linear_forward_add(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y) {
-  Gemm<Real> g = product(x, weight, activation, y);
+void linear_forward_add(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y, Precision precision) {
+  Gemm<Real> g = product(x, weight, activation, y, precision);
   g.accumulate = true;
   gemm(g);
 }
 
 template <class Real>
 void linear_forward_per_ray(View<const Real> x, View<const Real> weight, View<const Real> ray_term,
-                            View<const std::int32_t> ray_of_sample, Activation activation, View<Real> y) {
+                            View<const std::int32_t> ray_of_sample, Activation activation, View<Real> y, Precision precision) {
   SEMFIELD_CHECK(ray_term.cols == y.cols && ray_of_sample.rows == y.rows, "ray term of a linear layer does not fit");
-  Gemm<Real> g = product(x, weight, activation, y);
+  Gemm<Real> g = product(x, weight, activation, y, precision);
   g.row_term = ray_term.data;
   g.row_term_stride = ray_term.row_stride;
   g.row_of = ray_of_sample.data;
@@ -60,54 +61,26 @@ void linear_forward_per_ray(View<const Real> x, View<const Real> weight, View<co
 template <class Real>
 void relu_backward(View<const Real> y, View<Real> dy) {
   SEMFIELD_CHECK(y.rows == dy.rows && y.cols == dy.cols, "shapes of a ReLU do not fit");
-  for (std::int64_t m = 0; m < dy.rows; ++m) {
-    const Real* value = y.row(m);
-    Real* grad = dy.row(m);
-    for (std::int32_t n = 0; n < dy.cols; ++n) grad[n] = value[n] > Real(0) ? grad[n] : Real(0);
-  }
+  cpu_kernels<Real>().relu_backward(y, dy);
 }
 
 template <class Real>
 void bias_backward(View<const Real> dz, View<Real> d_bias) {
   SEMFIELD_CHECK(d_bias.cols == dz.cols, "bias gradient has another width");
-  // 64 columns at a time stay in registers while the rows pass by.
-  constexpr std::int32_t kWidth = 64;
-  for (std::int32_t first = 0; first < dz.cols; first += kWidth) {
-    const std::int32_t width = std::min(kWidth, dz.cols - first);
-    Real* target = d_bias.data + first;
-    Real sum[kWidth] = {};
-    std::memcpy(sum, target, sizeof(Real) * static_cast<std::size_t>(width));
-    if (width == kWidth) {
-      for (std::int64_t m = 0; m < dz.rows; ++m) {
-        const Real* row = dz.row(m) + first;
-        for (std::int32_t n = 0; n < kWidth; ++n) sum[n] += row[n];
-      }
-    } else {
-      for (std::int64_t m = 0; m < dz.rows; ++m) {
-        const Real* row = dz.row(m) + first;
-        for (std::int32_t n = 0; n < width; ++n) sum[n] += row[n];
-      }
-    }
-    std::memcpy(target, sum, sizeof(Real) * static_cast<std::size_t>(width));
-  }
+  cpu_kernels<Real>().bias_backward(dz, d_bias);
 }
 
 template <class Real>
 void per_ray_backward(View<const Real> dz, View<const std::int32_t> ray_of_sample, View<Real> d_ray_term) {
   SEMFIELD_CHECK(d_ray_term.cols == dz.cols && ray_of_sample.rows == dz.rows, "ray gradient does not fit");
-  fill(d_ray_term, Real(0));
-  for (std::int64_t m = 0; m < dz.rows; ++m) {
-    const Real* row = dz.row(m);
-    Real* sum = d_ray_term.row(ray_of_sample(m, 0));
-    for (std::int32_t n = 0; n < dz.cols; ++n) sum[n] += row[n];
-  }
+  cpu_kernels<Real>().per_ray_backward(dz, ray_of_sample, d_ray_term);
 }
 
 template <class Real>
 void linear_backward(View<const Real> x, View<const Real> dz, const LinearGrad<Real>& grad) {
-  if (!grad.d_weight.empty()) gemm_at_b_add(x, dz, grad.d_weight);
+  if (!grad.d_weight.empty()) gemm_at_b_add(x, dz, grad.d_weight, grad.precision);
   if (!grad.d_bias.empty()) bias_backward(dz, grad.d_bias);
-  if (!grad.dx.empty()) gemm(dz, grad.weight_t, grad.dx, grad.add_to_dx);
+  if (!grad.dx.empty()) gemm(dz, grad.weight_t, grad.dx, grad.add_to_dx, grad.precision);
 }
 
 template <class Real>

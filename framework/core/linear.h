@@ -3,6 +3,7 @@
 
 #include <cstdint>
 
+#include "core/gemm.h"
 #include "core/view.h"
 
 namespace semfield {
@@ -12,17 +13,19 @@ enum class Activation : std::uint8_t { none, relu };
 /// y = activation(x W + bias). x [M, in], weight [in, out], bias [1, out] (empty: none), y [M, out].
 template <class Real>
 void linear_forward(View<const Real> x, View<const Real> weight, View<const Real> bias, Activation activation,
-                    View<Real> y);
+                    View<Real> y, Precision precision = Precision::fp32);
 
 /// y = activation(y + x W): a further part of a concatenated input.
 template <class Real>
-void linear_forward_add(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y);
+void linear_forward_add(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y,
+                        Precision precision = Precision::fp32);
 
 /// y[m] = activation(x[m] W + ray_term[ray_of_sample[m]]): what is constant along a ray is added as one row a ray.
 /// ray_term [R, out] (with the bias in it), ray_of_sample [M, 1].
 template <class Real>
 void linear_forward_per_ray(View<const Real> x, View<const Real> weight, View<const Real> ray_term,
-                            View<const std::int32_t> ray_of_sample, Activation activation, View<Real> y);
+                            View<const std::int32_t> ray_of_sample, Activation activation, View<Real> y,
+                            Precision precision = Precision::fp32);
 
 /// dy = y > 0 ? dy : 0, in place: gradient after a ReLU to gradient before it.
 template <class Real>
@@ -43,6 +46,7 @@ struct LinearGrad {
   View<const Real> weight_t;
   View<Real> d_weight, d_bias, dx;
   bool add_to_dx = false;
+  Precision precision = Precision::fp32;
 };
 template <class Real>
 void linear_backward(View<const Real> x, View<const Real> dz, const LinearGrad<Real>& grad);
@@ -63,12 +67,13 @@ void copy_rows(View<const Real> in, View<Real> out);
 template <class Real>
 void fill(View<Real> out, Real value);
 
-#define SEMFIELD_LINEAR_OF(prefix, Real)                                                                      \
-  prefix template void linear_forward<Real>(View<const Real>, View<const Real>, View<const Real>, Activation, \
-                                            View<Real>);                                                      \
-  prefix template void linear_forward_add<Real>(View<const Real>, View<const Real>, Activation, View<Real>);  \
-  prefix template void linear_forward_per_ray<Real>(View<const Real>, View<const Real>, View<const Real>,     \
-                                                    View<const std::int32_t>, Activation, View<Real>);        \
+#define SEMFIELD_LINEAR_OF(prefix, Real)                                                                            \
+  prefix template void linear_forward<Real>(View<const Real>, View<const Real>, View<const Real>, Activation,       \
+                                            View<Real>, Precision);                                                 \
+  prefix template void linear_forward_add<Real>(View<const Real>, View<const Real>, Activation, View<Real>,         \
+                                                Precision);                                                         \
+  prefix template void linear_forward_per_ray<Real>(View<const Real>, View<const Real>, View<const Real>,           \
+                                                    View<const std::int32_t>, Activation, View<Real>, Precision);   \
   prefix template void relu_backward<Real>(View<const Real>, View<Real>);                                     \
   prefix template void bias_backward<Real>(View<const Real>, View<Real>);                                     \
   prefix template void per_ray_backward<Real>(View<const Real>, View<const std::int32_t>, View<Real>);        \

@@ -1,0 +1,158 @@
+// The bf16 matrix product: its error bound against float64, exactness where no rounding happens, bitwise promises, guards.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "core/gemm.h"
+#include "core/rng.h"
+
+namespace semfield {
+namespace {
+
+constexpr float kGuard = 12345;
+
+struct Shape {
+  std::int64_t m, n, k;
+};
+const Shape kShapes[] = {{1, 1, 1},    {2, 3, 5},    {5, 16, 7},    {6, 64, 64},   {13, 65, 31},  {31, 13, 63},
+                         {33, 80, 17}, {37, 48, 9},  {64, 33, 16},  {100, 1, 70},  {7, 130, 3},   {12, 128, 1},
+                         {25, 8, 600}, {9, 70, 513}, {3, 4, 0},     {0, 5, 5},     {5, 0, 5},     {48, 96, 256},
+                         {49, 257, 6}, {97, 300, 2}, {50, 64, 1025}};
+
+/// A product with its operands laid out as `layout` says: 0 rows of A contiguous, 1 its columns, 2 neither.
+struct Case {
+  Case(const Shape& s, int layout_in, bool integers) : shape(s), layout(layout_in) {
+    g.m = s.m;
+    g.n = s.n;
+    g.k = s.k;
+    g.a_row = layout == 0 ? s.k + 3 : layout == 1 ? 1 : 2 * s.k + 5;
+    g.a_col = layout == 0 ? 1 : layout == 1 ? s.m + 2 : 2;
+    g.b_row = s.n + 1;
+    g.c_row = s.n + 2;
+    g.precision = Precision::bf16;
+    const auto fill = [&](std::vector<float>& values, std::int64_t count, std::uint64_t seed) {
+      values.resize(static_cast<std::size_t>(count));
+      for (std::size_t i = 0; i < values.size(); ++i) {
+        const double u = 2 * uniform01({seed, 0, 1}, i) - 1;
+        values[i] = static_cast<float>(integers ? std::round(15 * u) : u);
+      }
+    };
+    fill(a, s.m * g.a_row + s.k * g.a_col + 1, 1);
+    fill(b, s.k * g.b_row + 1, 2);
+    fill(bias, s.n, 3);
+    c.assign(static_cast<std::size_t>(s.m * g.c_row + 1), kGuard);
+    g.a = a.data();
+    g.b = b.data();
+    g.c = c.data();
+    g.bias = bias.data();
+  }
+  double exact(std::int64_t i, std::int64_t j, double& magnitude) const {
+    double sum = bias[static_cast<std::size_t>(j)];
+    magnitude = 0;
+    for (std::int64_t k = 0; k < shape.k; ++k) {
+      const double product = static_cast<double>(g.a[i * g.a_row + k * g.a_col]) * g.b[k * g.b_row + j];
+      sum += product;
+      magnitude += std::fabs(product);
+    }
+    return sum;
+  }
+
+  Shape shape;
+  int layout;
+  std::vector<float> a, b, bias, c;
+  Gemm<float> g;
+};
+
+TEST(GemmBf16, StaysWithinItsErrorBoundForEveryStrideAndTail) {
+  for (const Shape& s : kShapes) {
+    for (int layout = 0; layout < 3; ++layout) {
+      Case test(s, layout, false);
+      gemm(test.g);
+      for (std::int64_t i = 0; i < s.m; ++i) {
+        for (std::int64_t j = 0; j < s.n; ++j) {
+          double magnitude = 0;
+          const double exact = test.exact(i, j, magnitude);
+          // 8 significant bits: each operand is off by at most 2^-8 of itself, a product so by 2^-7 + 2^-16; sums are fp32.
+          const double bound = (std::ldexp(1.0, -7) + std::ldexp(1.0, -16)) * magnitude +
+                               static_cast<double>(s.k + 1) * std::ldexp(1.0, -23) * (magnitude + 1);
+          ASSERT_NEAR(test.c[static_cast<std::size_t>(i * test.g.c_row + j)], exact, bound)
+              << "m " << s.m << " n " << s.n << " k " << s.k << " layout " << layout << " at " << i << ", " << j;
+        }
+        for (std::int64_t j = s.n; j < test.g.c_row; ++j)
+          ASSERT_EQ(test.c[static_cast<std::size_t>(i * test.g.c_row + j)], kGuard);
+      }
+      ASSERT_EQ(test.c.back(), kGuard);
+    }
+  }
+}
+
+TEST(GemmBf16, IsExactWhereNothingNeedsRounding) {
+  for (const Shape& s : kShapes) {
+    for (int layout = 0; layout < 3; ++layout) {
+      Case test(s, layout, true);  // integers up to 15 are bf16 numbers, their sums are fp32 numbers
+      gemm(test.g);
+      for (std::int64_t i = 0; i < s.m; ++i) {
+        for (std::int64_t j = 0; j < s.n; ++j) {
+          double magnitude = 0;
+          ASSERT_EQ(test.c[static_cast<std::size_t>(i * test.g.c_row + j)], test.exact(i, j, magnitude))
+              << "m " << s.m << " n " << s.n << " k " << s.k << " layout " << layout << " at " << i << ", " << j;
+        }
+      }
+    }
+  }
+}
+
+TEST(GemmBf16, RoundsToNearestEven) {
+  // 1 + 2^-8 lies between the bf16 numbers 1 and 1 + 2^-7, as far from both: to the even one, 1. A little above: 1 + 2^-7.
+  const float one = 1;
+  for (const auto& [value, expected] : {std::pair<float, float>{1.00390625f, 1.0f},
+                                        {1.0039064f, 1.0078125f},
+                                        {1.01171875f, 1.015625f},
+                                        {-1.00390625f, -1.0f}}) {
+    float c = 0;
+    gemm(Gemm<float>{.m = 1, .n = 1, .k = 1, .a = &value, .a_row = 1, .b = &one, .b_row = 1, .c = &c, .c_row = 1, .precision = Precision::bf16});
+    EXPECT_EQ(c, expected);
+    gemm(Gemm<float>{.m = 1, .n = 1, .k = 1, .a = &one, .a_row = 1, .b = &value, .b_row = 1, .c = &c, .c_row = 1, .precision = Precision::bf16});
+    EXPECT_EQ(c, expected);
+  }
+}
+
+TEST(GemmBf16, SplittingRowsOrEvenDepthGivesTheSameBits) {
+  for (const std::int64_t n : {1, 3, 13, 16, 64, 100}) {
+    Case whole({101, n, 300}, 0, false), split({101, n, 300}, 0, false), deep({101, n, 300}, 0, false);
+    gemm(whole.g);
+    for (std::int64_t row = 0, size = 1; row < 101; row += size++) {
+      Gemm<float> part = split.g;
+      part.m = std::min(size, 101 - row);
+      part.a += row * part.a_row;
+      part.c += row * part.c_row;
+      gemm(part);
+    }
+    for (std::int64_t first = 0; first < 300; first += 78) {
+      Gemm<float> part = deep.g;
+      part.k = std::min<std::int64_t>(78, 300 - first);
+      part.a += first;
+      part.b += first * part.b_row;
+      part.accumulate = first > 0;
+      if (first > 0) part.bias = nullptr;
+      gemm(part);
+    }
+    EXPECT_EQ(std::memcmp(whole.c.data(), split.c.data(), whole.c.size() * sizeof(float)), 0) << "n " << n;
+    EXPECT_EQ(std::memcmp(whole.c.data(), deep.c.data(), whole.c.size() * sizeof(float)), 0) << "n " << n;
+  }
+}
+
+TEST(GemmBf16, KeepsNotANumberAndInfinity) {
+  const float nan = std::numeric_limits<float>::quiet_NaN(), inf = std::numeric_limits<float>::infinity(), one = 1;
+  for (const float value : {nan, inf, -inf}) {
+    float c = 0;
+    gemm(Gemm<float>{.m = 1, .n = 1, .k = 1, .a = &value, .a_row = 1, .b = &one, .b_row = 1, .c = &c, .c_row = 1, .precision = Precision::bf16});
+    EXPECT_TRUE(std::isnan(value) ? std::isnan(c) : c == value) << value;
+  }
+}
+
+}  // namespace
+}  // namespace semfield
