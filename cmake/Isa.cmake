@@ -30,28 +30,33 @@ semfield_isa_macro(SEMFIELD_FOR_EACH_ISA "${SEMFIELD_KERNEL_ISAS}")
 semfield_isa_macro(SEMFIELD_FOR_EVERY_ISA "${SEMFIELD_ISAS}")
 file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/generated/isa_list.h CONTENT "${semfield_isa_macros}" @ONLY)
 
-# semfield_add_kernels(target [ALL_ISAS] files...): compiles the files once per variant, each in namespace semfield::isa_<variant>
-# (SEMFIELD_ISA), and links them into target. Such a file keeps everything of its own in an unnamed or in that namespace: an inline
-# function shared with other files could be linked from the variant that this processor lacks (tests/architecture checks).
-function(semfield_add_kernels target)
+# semfield_kernel_objects(out prefix [ALL_ISAS] files...): compiles the files once per variant, each in namespace semfield::isa_<variant>
+# (SEMFIELD_ISA), and gives the names of the object libraries. Such a file keeps everything of its own in an unnamed or in that namespace: an
+# inline function shared with other files could be linked from a variant that this processor lacks (tests/architecture looks at the objects).
+function(semfield_kernel_objects out prefix)
   cmake_parse_arguments(ARG "ALL_ISAS" "" "" ${ARGN})
   set(isas ${SEMFIELD_KERNEL_ISAS})
   if(ARG_ALL_ISAS)
     set(isas ${SEMFIELD_ISAS})
   endif()
   list(TRANSFORM ARG_UNPARSED_ARGUMENTS PREPEND "${CMAKE_CURRENT_SOURCE_DIR}/" OUTPUT_VARIABLE files)
-  get_filename_component(folder ${CMAKE_CURRENT_SOURCE_DIR} NAME)
+  set(variants "")
   foreach(isa ${isas})
-    set(variant ${target}_${folder}_${isa})
-    if(ARG_ALL_ISAS)
-      string(APPEND variant _all)
-    endif()
+    set(variant ${prefix}_${isa})
     add_library(${variant} OBJECT ${files})
     target_compile_options(${variant} PRIVATE ${SEMFIELD_ISA_FLAGS_${isa}})
-    target_compile_definitions(${variant} PRIVATE SEMFIELD_ISA=isa_${isa})
+    target_compile_definitions(${variant} PRIVATE SEMFIELD_ISA=isa_${isa} SEMFIELD_KERNEL_FILE)
     target_include_directories(${variant} PRIVATE ${PROJECT_SOURCE_DIR}/framework ${PROJECT_SOURCE_DIR}/plugins)
     target_link_libraries(${variant} PRIVATE semfield_warnings)
+    list(APPEND variants ${variant})
+  endforeach()
+  set_property(GLOBAL APPEND PROPERTY SEMFIELD_KERNEL_OBJECTS ${variants})
+  set(${out} ${variants} PARENT_SCOPE)
+endfunction()
+
+# semfield_link_kernels(target variants...): links such objects into a library.
+function(semfield_link_kernels target)
+  foreach(variant ${ARGN})
     target_sources(${target} PRIVATE $<TARGET_OBJECTS:${variant}>)
-    set_property(GLOBAL APPEND PROPERTY SEMFIELD_KERNEL_OBJECTS ${variant})
   endforeach()
 endfunction()

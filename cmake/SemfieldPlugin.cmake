@@ -1,26 +1,46 @@
-# semfield_add_plugin(KIND encoders NAME hash_grid SOURCES a.cpp b.cpp [CPU hash_grid_cpu.cpp] [CUDA hash_grid_cuda.cu] [LIBRARIES ...])
+# semfield_add_plugin(KIND encoders NAME hash_grid SOURCES a.cpp b.cpp [CPU hash_grid_cpu.cpp] [SAME_BITS] [CUDA hash_grid_cuda.cu]
+#                     [LIBRARIES ...])
 # One line a plugin. Adds its sources to semfield_plugins, its `*_test.cpp` to the test suite, and its module to the
-# generated table of linked plugins. With CPU: generates `void <name>_kernels(KernelTables&)`, which calls <name>_cpu_kernels and, in a
-# build with CUDA, <name>_cuda_kernels.
+# generated table of linked plugins. With CPU: compiles those files once per instruction set (cmake/Isa.cmake) and generates
+# `void <name>_kernels(KernelTables&)`, which calls <name>_cpu_kernels of the instruction set in use and, in a build with CUDA,
+# <name>_cuda_kernels. With SAME_BITS multiplications and additions are never fused, so that every instruction set gives the same values: for
+# kernels whose results decide where something lies.
 function(semfield_add_plugin)
-  cmake_parse_arguments(ARG "" "NAME" "SOURCES;CPU;CUDA;LIBRARIES" ${ARGN})
+  cmake_parse_arguments(ARG "SAME_BITS" "NAME" "SOURCES;CPU;CUDA;LIBRARIES" ${ARGN})
   if(NOT ARG_NAME)
     get_filename_component(ARG_NAME ${CMAKE_CURRENT_SOURCE_DIR} NAME)
   endif()
   set(target semfield_plugin_${ARG_NAME})
-  add_library(${target} OBJECT ${ARG_SOURCES} ${ARG_CPU})
+  add_library(${target} OBJECT ${ARG_SOURCES})
   if(ARG_CPU)
+    semfield_kernel_objects(kernels ${target} ${ARG_CPU})
+    if(ARG_SAME_BITS)
+      foreach(variant ${kernels})
+        target_compile_options(${variant} PRIVATE -ffp-contract=off)
+      endforeach()
+    endif()
+    set_property(GLOBAL APPEND PROPERTY SEMFIELD_PLUGIN_KERNELS ${kernels})
     set(generated ${CMAKE_CURRENT_BINARY_DIR}/${ARG_NAME}_devices.cpp)
     file(GENERATE OUTPUT ${generated} CONTENT
 "// Generated: the kernel tables that this build has for '${ARG_NAME}'.
+#include \"core/isa.h\"
+#include \"isa_list.h\"
 #include \"plugin/kernels.h\"
 namespace semfield {
-void ${ARG_NAME}_cpu_kernels(KernelTables& tables);
+#define SEMFIELD_DECLARE(name) namespace isa_##name { void ${ARG_NAME}_cpu_kernels(KernelTables& tables); }
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
+#undef SEMFIELD_DECLARE
 void ${ARG_NAME}_kernels(KernelTables& tables);
-void ${ARG_NAME}_kernels(KernelTables& tables) { ${ARG_NAME}_cpu_kernels(tables); }
+void ${ARG_NAME}_kernels(KernelTables& tables) {
+#define SEMFIELD_LIST(name) {Isa::name, isa_##name::${ARG_NAME}_cpu_kernels},
+  static constexpr IsaVariant<void (*)(KernelTables&)> kVariants[] = {SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)};
+#undef SEMFIELD_LIST
+  best_variant(kVariants)(tables);
+}
 }  // namespace semfield
 ")
     target_sources(${target} PRIVATE ${generated})
+    target_include_directories(${target} PRIVATE ${PROJECT_BINARY_DIR}/generated)
   endif()
   target_link_libraries(${target} PUBLIC semfield PRIVATE semfield_warnings ${ARG_LIBRARIES})
   target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR}/plugins)

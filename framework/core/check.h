@@ -6,6 +6,7 @@
 namespace semfield {
 
 /// Throws Error(ErrorKind::internal) with the failed expression, its place and `why`.
+[[noreturn]] void check_failed(const char* expression, const char* file, int line, const char* why);
 [[noreturn]] void check_failed(const char* expression, const char* file, int line, const std::string& why);
 
 }  // namespace semfield

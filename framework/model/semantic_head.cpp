@@ -11,8 +11,9 @@ enum Index : std::size_t { kHiddenWeight, kHiddenBias, kClassWeight, kClassBias,
 }  // namespace
 
 template <class Real>
-SemanticHead<Real>::SemanticHead(std::int32_t feature_dims, std::int32_t hidden_width, std::int32_t classes)
-    : feature_(feature_dims), hidden_(hidden_width), classes_(classes) {}
+SemanticHead<Real>::SemanticHead(std::int32_t feature_dims, std::int32_t hidden_width, std::int32_t classes,
+                                 Precision precision)
+    : feature_(feature_dims), hidden_(hidden_width), classes_(classes), precision_(precision) {}
 
 template <class Real>
 void SemanticHead<Real>::declare(ParamDeclarer& declarer) const {
@@ -35,7 +36,8 @@ void SemanticHead<Real>::derive(const StepContext&, const Tensors<Real>& tensors
 template <class Real>
 void SemanticHead<Real>::hidden_forward(const StepContext&, const Tensors<Real>& tensors, View<const Real> feature,
                                         View<Real> hidden) const {
-  linear_forward<Real>(feature, tensors.value[kHiddenWeight], tensors.value[kHiddenBias], Activation::relu, hidden);
+  linear_forward<Real>(feature, tensors.value[kHiddenWeight], tensors.value[kHiddenBias], Activation::relu, hidden,
+                       precision_);
 }
 
 template <class Real>
@@ -46,6 +48,7 @@ void SemanticHead<Real>::hidden_backward(const StepContext&, const Tensors<Real>
   grad.d_weight = tensors.grad[kHiddenWeight];
   grad.d_bias = tensors.grad[kHiddenBias];
   grad.dx = d_feature;
+  grad.precision = precision_;
   linear_backward<Real>(Activation::relu, feature, hidden, d_hidden, grad);
 }
 

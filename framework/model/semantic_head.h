@@ -2,6 +2,7 @@
 // once a ray.
 #pragma once
 
+#include "core/gemm.h"
 #include "plugin/parametric.h"
 
 namespace semfield {
@@ -12,7 +13,9 @@ namespace semfield {
 template <class Real>
 class SemanticHead final : public Parametric<Real> {
  public:
-  SemanticHead(std::int32_t feature_dims, std::int32_t hidden_width, std::int32_t classes);
+  /// precision: of the hidden layer, a product a sample; the class layer, once a ray, stays fp32.
+  SemanticHead(std::int32_t feature_dims, std::int32_t hidden_width, std::int32_t classes,
+               Precision precision = Precision::fp32);
 
   std::int32_t hidden_width() const { return hidden_; }
   std::int32_t classes() const { return classes_; }
@@ -37,6 +40,7 @@ class SemanticHead final : public Parametric<Real> {
 
  private:
   std::int32_t feature_, hidden_, classes_;
+  Precision precision_;
 };
 
 extern template class SemanticHead<float>;

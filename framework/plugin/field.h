@@ -1,6 +1,7 @@
 // Field: encoded position (and, for colour alone, encoded direction) to density, colour and a position-only feature.
 #pragma once
 
+#include "core/gemm.h"
 #include "plugin/parametric.h"
 
 namespace semfield {
@@ -67,6 +68,7 @@ struct FieldBuild {
   std::int32_t direction_dims = 0;  ///< 0: the view branch is left out
   bool wants_feature = true;        ///< false: no semantic head reads the feature
   ExactSavings savings{};
+  Precision precision = Precision::fp32;  ///< of the matrix products; a field without such kernels refuses
 };
 
 extern template class Field<float>;

@@ -1,42 +1,44 @@
-// Kernel tables by type and device.
+// Kernel tables by type, device and precision.
 #include "plugin/kernels.h"
+
+#include <algorithm>
 
 #include "core/error.h"
 
 namespace semfield {
 
+namespace {
+std::string variant_name(Device device, Precision precision) {
+  std::string name(device_name(device));
+  if (precision != Precision::fp32) name += " " + std::string(precision_name(precision));
+  return name;
+}
+}  // namespace
+
 std::string_view device_name(Device device) { return device == Device::cpu ? "cpu" : "cuda"; }
+std::string_view precision_name(Precision precision) { return precision == Precision::fp32 ? "fp32" : "bf16"; }
 
 std::string KernelTables::devices_of(std::string_view owner) const {
   const auto found = owners_.find(owner);
-  std::string text;
-  if (found == owners_.end()) return text;
-  for (const Device device : found->second) {
-    if (!text.empty()) text += ", ";
-    text += device_name(device);
-  }
-  return text;
+  return found == owners_.end() ? std::string() : join(found->second);
 }
 
-void KernelTables::add_erased(std::type_index type, Device device, std::string_view owner, const void* table) {
-  const auto [place, is_new] = tables_.try_emplace({type, device}, table);
+void KernelTables::add_erased(const Key& key, std::string_view owner, const void* table) {
+  const std::string variant = variant_name(key.device, key.precision);
+  const auto [place, is_new] = tables_.try_emplace(key, table);
   if (!is_new && place->second != table) {
-    throw Error(ErrorKind::unavailable,
-                std::string(owner) + " has two " + std::string(device_name(device)) + " kernel tables",
+    throw Error(ErrorKind::unavailable, std::string(owner) + " has two " + variant + " kernel tables",
                 "load only one module that brings these kernels");
   }
-  std::vector<Device>& devices = owners_[std::string(owner)];
-  for (const Device known : devices) {
-    if (known == device) return;
-  }
-  devices.push_back(device);
+  std::vector<std::string>& variants = owners_[std::string(owner)];
+  if (std::find(variants.begin(), variants.end(), variant) == variants.end()) variants.push_back(variant);
 }
 
-const void* KernelTables::get_erased(std::type_index type, Device device, std::string_view owner) const {
-  const auto found = tables_.find({type, device});
+const void* KernelTables::get_erased(const Key& key, std::string_view owner) const {
+  const auto found = tables_.find(key);
   if (found != tables_.end()) return found->second;
   const std::string have = devices_of(owner);
-  throw Error(ErrorKind::unavailable, std::string(owner) + " has no " + std::string(device_name(device)) +
+  throw Error(ErrorKind::unavailable, std::string(owner) + " has no " + variant_name(key.device, key.precision) +
                                           " kernels in this build (has: " + (have.empty() ? "none" : have) + ")");
 }
 

@@ -1,42 +1,49 @@
-// Per-device tables of function pointers: how a plugin swaps CPU and CUDA kernels without a conditional.
+// Tables of function pointers by device and precision: how a plugin swaps kernels without a conditional.
 #pragma once
 
+#include <compare>
 #include <map>
 #include <string>
 #include <string_view>
 #include <typeindex>
-#include <utility>
 #include <vector>
 
+#include "core/gemm.h"
 #include "core/view.h"
 
 namespace semfield {
 
 std::string_view device_name(Device device);
+std::string_view precision_name(Precision precision);
 
-/// Tables are keyed by their own type (e.g. HashGridKernels<float>) and device; a plugin's `*_cpu.cpp` adds the CPU
-/// one, its
-/// `*_cuda.cu`, when built, the CUDA one.
+/// Tables are keyed by their own type (e.g. HashGridKernels<float>), device and precision; a plugin's `*_cpu.cpp` adds
+/// the CPU ones, its `*_cuda.cu`, when built, the CUDA ones. Kernels without matrix products have fp32 tables alone.
 class KernelTables {
  public:
   /// `owner` as in messages: "encoder 'hash_grid'". `table` must live as long as the program.
   template <class Table>
-  void add(Device device, std::string_view owner, const Table* table) {
-    add_erased(typeid(Table), device, owner, table);
+  void add(Device device, std::string_view owner, const Table* table, Precision precision = Precision::fp32) {
+    add_erased({typeid(Table), device, precision}, owner, table);
   }
   /// Throws Error(unavailable): "encoder 'hash_grid' has no cuda kernels in this build (has: cpu)".
   template <class Table>
-  const Table& get(Device device, std::string_view owner) const {
-    return *static_cast<const Table*>(get_erased(typeid(Table), device, owner));
+  const Table& get(Device device, std::string_view owner, Precision precision = Precision::fp32) const {
+    return *static_cast<const Table*>(get_erased({typeid(Table), device, precision}, owner));
   }
-  /// Devices that `owner` has kernels for, e.g. "cpu, cuda".
+  /// What `owner` has kernels for, e.g. "cpu, cpu bf16, cuda"; fp32 goes without saying.
   std::string devices_of(std::string_view owner) const;
 
  private:
-  void add_erased(std::type_index type, Device device, std::string_view owner, const void* table);
-  const void* get_erased(std::type_index type, Device device, std::string_view owner) const;
-  std::map<std::pair<std::type_index, Device>, const void*> tables_;
-  std::map<std::string, std::vector<Device>, std::less<>> owners_;
+  struct Key {
+    std::type_index type;
+    Device device;
+    Precision precision;
+    auto operator<=>(const Key&) const = default;
+  };
+  void add_erased(const Key& key, std::string_view owner, const void* table);
+  const void* get_erased(const Key& key, std::string_view owner) const;
+  std::map<Key, const void*> tables_;
+  std::map<std::string, std::vector<std::string>, std::less<>> owners_;
 };
 
 }  // namespace semfield

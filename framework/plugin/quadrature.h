@@ -9,6 +9,7 @@
 
 #include "config/params.h"
 #include "core/error.h"
+#include "core/host_device.h"
 #include "core/view.h"
 
 namespace semfield {
@@ -28,22 +29,22 @@ struct ChoiceNames<Quadrature> {
   static constexpr std::array<std::string_view, 3> names{"paper", "midpoint", "stratified_bin"};
 };
 
+/// Throws Error(data): "ray 7 runs from 0.1 to inf m; samples need finite limits".
+[[noreturn]] void bad_ray_limits(std::int64_t ray, double near_m, double far_m);
+
 /// The part of a ray to be sampled: false for an empty ray (near >= far). Throws Error(data) for limits that are not
 /// finite.
-inline bool ray_span(View<const double> near_far, std::int64_t ray, std::int64_t first_ray, double& near_m,
-                     double& far_m) {
+SEMFIELD_HD inline bool ray_span(View<const double> near_far, std::int64_t ray, std::int64_t first_ray, double& near_m,
+                                 double& far_m) {
   near_m = near_far(ray, 0);
   far_m = near_far(ray, 1);
   if (std::isfinite(near_m) && std::isfinite(far_m)) return near_m < far_m;
-  throw Error(ErrorKind::data,
-              "ray " + std::to_string(first_ray + ray) + " runs from " + std::to_string(near_m) + " to " +
-                  std::to_string(far_m) + " m; samples need finite limits",
-              "set a finite far distance");
+  bad_ray_limits(first_ray + ray, near_m, far_m);
 }
 
 /// t as Real, not rounded out of [near, far].
 template <class Real>
-Real round_inside(double t, double near_m, double far_m) {
+SEMFIELD_HD inline Real round_inside(double t, double near_m, double far_m) {
   Real rounded = static_cast<Real>(t);
   if (static_cast<double>(rounded) > far_m) rounded = std::nextafter(rounded, -HUGE_VAL);
   if (static_cast<double>(rounded) < near_m) rounded = std::nextafter(rounded, HUGE_VAL);

@@ -3,9 +3,18 @@
 
 #include <algorithm>
 
+#include "core/error.h"
+#include "plugin/quadrature.h"
 #include "plugin/view_checks.h"
 
 namespace semfield {
+
+void bad_ray_limits(std::int64_t ray, double near_m, double far_m) {
+  throw Error(ErrorKind::data,
+              "ray " + std::to_string(ray) + " runs from " + std::to_string(near_m) + " to " + std::to_string(far_m) +
+                  " m; samples need finite limits",
+              "set a finite far distance");
+}
 
 namespace {
 

@@ -68,10 +68,12 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
   field_build.wants_feature = plan.semantics;
   field_build.savings = {config.runtime.fold_feature_layer, config.runtime.direction_once_per_ray,
                          config.runtime.deferred_class_layer};
+  field_build.precision = config.runtime.precision;
   parts.field = make<Real>(pass.field.entry->field32, pass.field.entry->field64, pass.field, field_build, registry);
   if (plan.semantics) {
     parts.head = std::make_unique<SemanticHead<Real>>(parts.field->traits().feature_dims, config.semantics.hidden_width,
-                                                      static_cast<std::int32_t>(plan.class_of_logit.size()));
+                                                      static_cast<std::int32_t>(plan.class_of_logit.size()),
+                                                      config.runtime.precision);
   }
   return parts;
 }

@@ -63,8 +63,14 @@ struct ChoiceNames<DeviceChoice> {
   static constexpr std::array<std::string_view, 3> names{"auto", "cpu", "cuda"};
 };
 
+template <>
+struct ChoiceNames<Precision> {
+  static constexpr std::array<std::string_view, 2> names{"fp32", "bf16"};
+};
+
 struct RuntimeParams {
   DeviceChoice device = DeviceChoice::automatic;
+  Precision precision = Precision::fp32;
   int threads = 0;
   std::uint32_t seed = 1;
   int lanes = 8;

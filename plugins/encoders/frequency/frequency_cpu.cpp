@@ -2,11 +2,15 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/isa.h"
 #include "core/parallel.h"
 #include "encoders/frequency/frequency_kernels.h"
 #include "plugin/kernels.h"
 
-namespace semfield {
+namespace semfield::SEMFIELD_ISA {
+
+void frequency_cpu_kernels(KernelTables& tables);
+
 namespace {
 
 constexpr std::int32_t kBlockValues = 192;  // 64 rows of 3 coordinates: phases, sines and cosines stay in the L1 cache
@@ -156,10 +160,9 @@ const FrequencyKernels<Real> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 
-void frequency_cpu_kernels(KernelTables& tables);
 void frequency_cpu_kernels(KernelTables& tables) {
   tables.add(Device::cpu, "encoder 'frequency'", &kTable<float>);
   tables.add(Device::cpu, "encoder 'frequency'", &kTable<double>);
 }
 
-}  // namespace semfield
+}  // namespace semfield::SEMFIELD_ISA

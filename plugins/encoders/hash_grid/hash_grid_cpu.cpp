@@ -3,12 +3,16 @@
 #include <cmath>
 #include <limits>
 
+#include "core/isa.h"
 #include "core/parallel.h"
 #include "encoders/hash_grid/hash_grid_kernels.h"
 #include "encoders/hash_grid/hash_grid_lanes.h"
 #include "plugin/kernels.h"
 
-namespace semfield {
+namespace semfield::SEMFIELD_ISA {
+
+void hash_grid_cpu_kernels(KernelTables& tables);
+
 namespace {
 
 constexpr std::int64_t kTileRows = 1024;  // 24 KB of clamped coordinates
@@ -195,10 +199,9 @@ const HashGridKernels<Real> kTable{forward<Real>, backward_tables<Real>, backwar
 
 }  // namespace
 
-void hash_grid_cpu_kernels(KernelTables& tables);
 void hash_grid_cpu_kernels(KernelTables& tables) {
   tables.add(Device::cpu, "encoder 'hash_grid'", &kTable<float>);
   tables.add(Device::cpu, "encoder 'hash_grid'", &kTable<double>);
 }
 
-}  // namespace semfield
+}  // namespace semfield::SEMFIELD_ISA

@@ -1,10 +1,14 @@
 // CPU kernels of the identity encoder: one row at a time, memory-bound.
 #include <cmath>
 
+#include "core/isa.h"
 #include "encoders/identity/identity_kernels.h"
 #include "plugin/kernels.h"
 
-namespace semfield {
+namespace semfield::SEMFIELD_ISA {
+
+void identity_cpu_kernels(KernelTables& tables);
+
 namespace {
 
 template <class Real>
@@ -32,10 +36,9 @@ const IdentityKernels<Real> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 
-void identity_cpu_kernels(KernelTables& tables);
 void identity_cpu_kernels(KernelTables& tables) {
   tables.add(Device::cpu, "encoder 'identity'", &kTable<float>);
   tables.add(Device::cpu, "encoder 'identity'", &kTable<double>);
 }
 
-}  // namespace semfield
+}  // namespace semfield::SEMFIELD_ISA

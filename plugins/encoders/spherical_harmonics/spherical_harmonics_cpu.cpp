@@ -2,11 +2,15 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/isa.h"
 #include "core/parallel.h"
 #include "encoders/spherical_harmonics/spherical_harmonics_kernels.h"
 #include "plugin/kernels.h"
 
-namespace semfield {
+namespace semfield::SEMFIELD_ISA {
+
+void spherical_harmonics_cpu_kernels(KernelTables& tables);
+
 namespace {
 
 constexpr std::int64_t kRowsPerTask = 256;
@@ -69,10 +73,9 @@ const SphericalHarmonicsKernels<Real> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 
-void spherical_harmonics_cpu_kernels(KernelTables& tables);
 void spherical_harmonics_cpu_kernels(KernelTables& tables) {
   tables.add(Device::cpu, "encoder 'spherical_harmonics'", &kTable<float>);
   tables.add(Device::cpu, "encoder 'spherical_harmonics'", &kTable<double>);
 }
 
-}  // namespace semfield
+}  // namespace semfield::SEMFIELD_ISA

@@ -61,7 +61,7 @@ class LayerList {
 
 template <class Real>
 NerfMlp<Real>::NerfMlp(const NerfMlpParams& params, const FieldBuild& build, const KernelTables& kernels)
-    : kernels_(&kernels.get<NerfMlpKernels<Real>>(build.device, "field 'nerf_mlp'")) {
+    : kernels_(&kernels.get<NerfMlpKernels<Real>>(build.device, "field 'nerf_mlp'", build.precision)) {
   Diagnostics diagnostics;
   validate(params, diagnostics);
   if (build.position_dims < 1)
@@ -76,6 +76,7 @@ NerfMlp<Real>::NerfMlp(const NerfMlpParams& params, const FieldBuild& build, con
   s.view_width = params.view_width;
   s.fold = build.savings.fold_feature_layer;
   s.direction_once = build.savings.direction_once_per_ray;
+  s.precision = build.precision;
 
   LayerList list(specs_);
   for (std::int32_t i = 0; i < s.depth; ++i) {

@@ -3,13 +3,17 @@
 #include <string>
 
 #include "core/check.h"
+#include "core/isa.h"
 #include "core/linear.h"
 #include "core/math_functions.h"
 #include "fields/nerf_mlp/nerf_mlp_kernels.h"
 #include "fields/nerf_mlp/nerf_mlp_math.h"
 #include "plugin/kernels.h"
 
-namespace semfield {
+namespace semfield::SEMFIELD_ISA {
+
+void nerf_mlp_cpu_kernels(KernelTables& tables);
+
 namespace {
 
 constexpr int kMaxDepth = 32;
@@ -70,8 +74,9 @@ View<Real> grad_of(const Tensors<Real>& t, int index) {
 }
 
 template <class Real>
-LinearGrad<Real> gradients(const Tensors<Real>& t, const NerfMlpLayer& layer, View<Real> dx, bool add_to_dx = false) {
-  return {value(t, layer.weight_t), grad_of(t, layer.weight), grad_of(t, layer.bias), dx, add_to_dx};
+LinearGrad<Real> gradients(const NerfMlpShape& s, const Tensors<Real>& t, const NerfMlpLayer& layer, View<Real> dx,
+                           bool add_to_dx = false) {
+  return {value(t, layer.weight_t), grad_of(t, layer.weight), grad_of(t, layer.bias), dx, add_to_dx, s.precision};
 }
 
 /// The linear map between trunk (or feature) and the view layer's ReLU, and the input it reads.
@@ -124,14 +129,14 @@ void trunk_forward(const NerfMlpShape& s, const Tensors<Real>& t, View<const Rea
     const auto n = static_cast<std::size_t>(i);
     const View<const Real> weight = value(t, s.trunk[n].weight), bias = value(t, s.trunk[n].bias);
     if (i == 0) {
-      linear_forward<Real>(x, weight, bias, Activation::relu, a.trunk[n]);
+      linear_forward<Real>(x, weight, bias, Activation::relu, a.trunk[n], s.precision);
     } else if (i == s.skip_at) {
       // [x, h] W = x W[0:Dp] + h W[Dp:]: two products instead of a copy.
-      linear_forward<Real>(x, weight.row_range(0, s.position_dims), bias, Activation::none, a.trunk[n]);
-      linear_forward_add<Real>(a.trunk[n - 1], weight.row_range(s.position_dims, s.width), Activation::relu,
-                               a.trunk[n]);
+      linear_forward<Real>(x, weight.row_range(0, s.position_dims), bias, Activation::none, a.trunk[n], s.precision);
+      linear_forward_add<Real>(a.trunk[n - 1], weight.row_range(s.position_dims, s.width), Activation::relu, a.trunk[n],
+                               s.precision);
     } else {
-      linear_forward<Real>(a.trunk[n - 1], weight, bias, Activation::relu, a.trunk[n]);
+      linear_forward<Real>(a.trunk[n - 1], weight, bias, Activation::relu, a.trunk[n], s.precision);
     }
   }
 }
@@ -142,20 +147,22 @@ void color_forward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<
   Workspace& arena = *ctx.workspace;
   if (s.has_feature_activation()) {
     linear_forward<Real>(a.trunk[static_cast<std::size_t>(s.depth - 1)], value(t, s.feature.weight),
-                         value(t, s.feature.bias), Activation::none, a.feature);
+                         value(t, s.feature.bias), Activation::none, a.feature, s.precision);
   }
   const ViewLayer<Real> v = view_layer(s, t, a, false);
   if (!s.has_direction()) {
-    linear_forward(v.input, v.weight, v.bias, Activation::relu, a.hidden);
+    linear_forward(v.input, v.weight, v.bias, Activation::relu, a.hidden, s.precision);
   } else if (s.direction_once) {
     const View<Real> ray_term = arena.take<Real>(in.direction.rows, s.view_width);
-    linear_forward(in.direction, v.direction_weight, v.bias, Activation::none, ray_term);
-    linear_forward_per_ray<Real>(v.input, v.weight, ray_term, in.ray_of_sample, Activation::relu, a.hidden);
+    linear_forward(in.direction, v.direction_weight, v.bias, Activation::none, ray_term, s.precision);
+    linear_forward_per_ray<Real>(v.input, v.weight, ray_term, in.ray_of_sample, Activation::relu, a.hidden,
+                                 s.precision);
   } else {
-    linear_forward<Real>(gather_directions(in, arena), v.direction_weight, v.bias, Activation::none, a.hidden);
-    linear_forward_add(v.input, v.weight, Activation::relu, a.hidden);
+    linear_forward<Real>(gather_directions(in, arena), v.direction_weight, v.bias, Activation::none, a.hidden,
+                         s.precision);
+    linear_forward_add(v.input, v.weight, Activation::relu, a.hidden, s.precision);
   }
-  linear_forward<Real>(a.hidden, value(t, s.color.weight), value(t, s.color.bias), Activation::none, rgb);
+  linear_forward<Real>(a.hidden, value(t, s.color.weight), value(t, s.color.bias), Activation::none, rgb, s.precision);
   if (rgb.contiguous()) {
     sigmoid_inplace(rgb.data, rgb.size());
   } else {
@@ -174,7 +181,7 @@ void forward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<Real>&
   trunk_forward(s, t, in.position, a);
   const View<const Real> h = a.trunk[static_cast<std::size_t>(s.depth - 1)];
   if (!out.sigma.empty()) {
-    linear_forward(h, value(t, s.density.weight), value(t, s.density.bias), Activation::none, out.sigma);
+    linear_forward(h, value(t, s.density.weight), value(t, s.density.bias), Activation::none, out.sigma, s.precision);
   }
   if (!out.feature.empty()) copy_rows(h, out.feature);
   if (!out.rgb.empty()) color_forward(s, ctx, t, in, a, out.rgb);
@@ -191,7 +198,7 @@ void color_backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors
     for (int c = 0; c < 3; ++c) d_logit(m, c) = d_rgb(m, c) * nerf_mlp_sigmoid_slope(rgb(m, c));
   }
   const View<Real> dv = arena.take<Real>(samples, s.view_width);
-  linear_backward<Real>(a.hidden, d_logit, gradients(t, s.color, dv));
+  linear_backward<Real>(a.hidden, d_logit, gradients(s, t, s.color, dv));
   relu_backward<Real>(a.hidden, dv);
 
   const ViewLayer<Real> v = view_layer(s, t, a, true);
@@ -199,17 +206,17 @@ void color_backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors
   if (s.has_direction() && s.direction_once) {
     const View<Real> d_term = arena.take<Real>(in.direction.rows, s.view_width);
     per_ray_backward<Real>(dv, in.ray_of_sample, d_term);
-    linear_backward<Real>(in.direction, d_term, {{}, v.d_direction_weight, v.d_bias, {}, false});
+    linear_backward<Real>(in.direction, d_term, {{}, v.d_direction_weight, v.d_bias, {}, false, s.precision});
     d_bias = {};
   } else if (s.has_direction()) {
-    linear_backward<Real>(gather_directions(in, arena), dv, {{}, v.d_direction_weight, {}, {}, false});
+    linear_backward<Real>(gather_directions(in, arena), dv, {{}, v.d_direction_weight, {}, {}, false, s.precision});
   }
   if (s.has_feature_activation()) {
     const View<Real> df = arena.take<Real>(samples, s.width);
-    linear_backward<Real>(v.input, dv, {v.weight_t, v.d_weight, d_bias, df, false});
-    linear_backward<Real>(a.trunk[static_cast<std::size_t>(s.depth - 1)], df, gradients(t, s.feature, dh, true));
+    linear_backward<Real>(v.input, dv, {v.weight_t, v.d_weight, d_bias, df, false, s.precision});
+    linear_backward<Real>(a.trunk[static_cast<std::size_t>(s.depth - 1)], df, gradients(s, t, s.feature, dh, true));
   } else {
-    linear_backward<Real>(v.input, dv, {v.weight_t, v.d_weight, d_bias, dh, true});
+    linear_backward<Real>(v.input, dv, {v.weight_t, v.d_weight, d_bias, dh, true, s.precision});
   }
 }
 
@@ -220,11 +227,15 @@ void trunk_backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors
   View<Real> spare = ctx.workspace->take<Real>(dh.rows, dh.cols);
   for (int i = s.depth - 1; i > 0; --i) {
     const auto n = static_cast<std::size_t>(i);
-    LinearGrad<Real> g = gradients(t, s.trunk[n], spare);
+    LinearGrad<Real> g = gradients(s, t, s.trunk[n], spare);
     relu_backward<Real>(a.trunk[n], dh);
     if (i == s.skip_at) {
-      LinearGrad<Real> of_x{
-          g.weight_t.col_range(0, s.position_dims), g.d_weight.row_range(0, s.position_dims), {}, d_position, false};
+      LinearGrad<Real> of_x{g.weight_t.col_range(0, s.position_dims),
+                            g.d_weight.row_range(0, s.position_dims),
+                            {},
+                            d_position,
+                            false,
+                            s.precision};
       linear_backward<Real>(x, dh, of_x);
       g.weight_t = g.weight_t.col_range(s.position_dims, s.width);
       g.d_weight = g.d_weight.row_range(s.position_dims, s.width);
@@ -233,7 +244,7 @@ void trunk_backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors
     std::swap(dh, spare);
   }
   relu_backward<Real>(a.trunk[0], dh);
-  linear_backward<Real>(x, dh, gradients(t, s.trunk[0], d_position, s.skip_at > 0));
+  linear_backward<Real>(x, dh, gradients(s, t, s.trunk[0], d_position, s.skip_at > 0));
 }
 
 template <class Real>
@@ -255,7 +266,7 @@ void backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<Real>
   }
   if (!grad.sigma.empty()) {
     linear_backward<Real>(a.trunk[static_cast<std::size_t>(s.depth - 1)], grad.sigma,
-                          gradients(t, s.density, dh, true));
+                          gradients(s, t, s.density, dh, true));
   }
   if (!grad.rgb.empty()) color_backward<Real>(s, ctx, t, in, out.rgb, grad.rgb, a, dh);
   trunk_backward(s, ctx, t, in.position, a, dh, d_position);
@@ -299,10 +310,10 @@ constexpr NerfMlpKernels<Real> kTable{forward<Real>, backward<Real>, derive<Real
 
 }  // namespace
 
-void nerf_mlp_cpu_kernels(KernelTables& tables);
 void nerf_mlp_cpu_kernels(KernelTables& tables) {
   tables.add(Device::cpu, "field 'nerf_mlp'", &kTable<float>);
+  tables.add(Device::cpu, "field 'nerf_mlp'", &kTable<float>, Precision::bf16);
   tables.add(Device::cpu, "field 'nerf_mlp'", &kTable<double>);
 }
 
-}  // namespace semfield
+}  // namespace semfield::SEMFIELD_ISA

@@ -26,6 +26,7 @@ struct NerfMlpShape {
   std::int32_t view_width = 128;
   bool fold = true;  ///< feature and view layer as their product
   bool direction_once = true;
+  Precision precision = Precision::fp32;  ///< of the matrix products
   std::vector<NerfMlpLayer> trunk;
   NerfMlpLayer density, feature, view, color;
   NerfMlpLayer folded;  ///< derived product of feature and view layer

@@ -44,7 +44,7 @@ void add_transpose(std::vector<TensorSpec>& specs, TinyMlpLayer& layer) {
 
 template <class Real>
 TinyMlp<Real>::TinyMlp(const TinyMlpParams& params, const FieldBuild& build, const KernelTables& kernels)
-    : kernels_(&kernels.get<TinyMlpKernels<Real>>(build.device, "field 'tiny_mlp'")) {
+    : kernels_(&kernels.get<TinyMlpKernels<Real>>(build.device, "field 'tiny_mlp'", build.precision)) {
   Diagnostics diagnostics;
   validate(params, diagnostics);
   if (build.position_dims < 1)
@@ -58,6 +58,7 @@ TinyMlp<Real>::TinyMlp(const TinyMlpParams& params, const FieldBuild& build, con
   s.color_width = params.color_width;
   s.feature = params.feature;
   s.direction_once = build.savings.direction_once_per_ray;
+  s.precision = build.precision;
 
   std::int32_t in = s.position_dims;
   for (int i = 0; i < params.hidden_layers; ++i) {

@@ -3,13 +3,17 @@
 #include <utility>
 
 #include "core/check.h"
+#include "core/isa.h"
 #include "core/linear.h"
 #include "core/math_functions.h"
 #include "fields/tiny_mlp/tiny_mlp_kernels.h"
 #include "fields/tiny_mlp/tiny_mlp_math.h"
 #include "plugin/kernels.h"
 
-namespace semfield {
+namespace semfield::SEMFIELD_ISA {
+
+void tiny_mlp_cpu_kernels(KernelTables& tables);
+
 namespace {
 
 constexpr std::size_t kMaxLayers = 8;
@@ -60,8 +64,9 @@ View<Real> grad_of(const Tensors<Real>& t, int index) {
   return t.grad[static_cast<std::size_t>(index)];
 }
 template <class Real>
-LinearGrad<Real> gradients(const Tensors<Real>& t, const TinyMlpLayer& layer, View<Real> dx, bool add_to_dx = false) {
-  return {value(t, layer.weight_t), grad_of(t, layer.weight), grad_of(t, layer.bias), dx, add_to_dx};
+LinearGrad<Real> gradients(const TinyMlpShape& s, const Tensors<Real>& t, const TinyMlpLayer& layer, View<Real> dx,
+                           bool add_to_dx = false) {
+  return {value(t, layer.weight_t), grad_of(t, layer.weight), grad_of(t, layer.bias), dx, add_to_dx, s.precision};
 }
 
 /// [M, direction_dims]: each sample's direction; only without the once-a-ray saving.
@@ -83,21 +88,23 @@ void color_forward(const TinyMlpShape& s, Workspace& arena, const Tensors<Real>&
   const View<const Real> direction_weight =
       value(t, s.color[0].weight).row_range(s.geometry_features, s.direction_dims);
   if (!s.has_direction()) {
-    linear_forward<Real>(a.features(s), weight, bias, Activation::relu, a.color[0]);
+    linear_forward<Real>(a.features(s), weight, bias, Activation::relu, a.color[0], s.precision);
   } else if (s.direction_once) {
     const View<Real> ray_term = arena.take<Real>(in.direction.rows, s.color_width);
-    linear_forward(in.direction, direction_weight, bias, Activation::none, ray_term);
-    linear_forward_per_ray<Real>(a.features(s), weight, ray_term, in.ray_of_sample, Activation::relu, a.color[0]);
+    linear_forward(in.direction, direction_weight, bias, Activation::none, ray_term, s.precision);
+    linear_forward_per_ray<Real>(a.features(s), weight, ray_term, in.ray_of_sample, Activation::relu, a.color[0],
+                                 s.precision);
   } else {
-    linear_forward<Real>(gather_directions(in, arena), direction_weight, bias, Activation::none, a.color[0]);
-    linear_forward_add<Real>(a.features(s), weight, Activation::relu, a.color[0]);
+    linear_forward<Real>(gather_directions(in, arena), direction_weight, bias, Activation::none, a.color[0],
+                         s.precision);
+    linear_forward_add<Real>(a.features(s), weight, Activation::relu, a.color[0], s.precision);
   }
   for (std::size_t i = 1; i < s.color.size(); ++i) {
     linear_forward<Real>(a.color[i - 1], value(t, s.color[i].weight), value(t, s.color[i].bias), Activation::relu,
-                         a.color[i]);
+                         a.color[i], s.precision);
   }
-  linear_forward<Real>(a.color[s.color.size() - 1], value(t, s.rgb.weight), value(t, s.rgb.bias), Activation::none,
-                       rgb);
+  linear_forward<Real>(a.color[s.color.size() - 1], value(t, s.rgb.weight), value(t, s.rgb.bias), Activation::none, rgb,
+                       s.precision);
   if (rgb.contiguous()) {
     sigmoid_inplace(rgb.data, rgb.size());
   } else {
@@ -114,16 +121,17 @@ void forward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<Real>&
   const std::size_t last = s.hidden.size() - 1;
   for (std::size_t i = 0; i <= last; ++i) {
     linear_forward<Real>(i == 0 ? in.position : View<const Real>(a.hidden[i - 1]), value(t, s.hidden[i].weight),
-                         value(t, s.hidden[i].bias), Activation::relu, a.hidden[i]);
+                         value(t, s.hidden[i].bias), Activation::relu, a.hidden[i], s.precision);
   }
   const View<const Real> weight = value(t, s.geometry.weight), bias = value(t, s.geometry.bias);
   const bool wants_features = !out.rgb.empty() || (!out.feature.empty() && s.feature == TinyFeature::geometry);
   if (wants_features) {
-    linear_forward<Real>(a.hidden[last], weight, bias, Activation::none, a.geometry);
+    linear_forward<Real>(a.hidden[last], weight, bias, Activation::none, a.geometry, s.precision);
     if (!out.sigma.empty()) copy_rows<Real>(a.geometry.col_range(0, 1), out.sigma);
   } else if (!out.sigma.empty()) {
     // A density query: one column of the product, the same chain of sums.
-    linear_forward<Real>(a.hidden[last], weight.col_range(0, 1), bias.col_range(0, 1), Activation::none, out.sigma);
+    linear_forward<Real>(a.hidden[last], weight.col_range(0, 1), bias.col_range(0, 1), Activation::none, out.sigma,
+                         s.precision);
   }
   if (!out.feature.empty()) {
     copy_rows<Real>(s.feature == TinyFeature::hidden ? a.hidden[last] : a.features(s), out.feature);
@@ -141,23 +149,23 @@ void color_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<Real>
     for (int c = 0; c < 3; ++c) d_logit(m, c) = d_rgb(m, c) * tiny_mlp_sigmoid_slope(rgb(m, c));
   }
   View<Real> dc = arena.take<Real>(samples, s.color_width), spare = arena.take<Real>(samples, s.color_width);
-  linear_backward<Real>(a.color[s.color.size() - 1], d_logit, gradients(t, s.rgb, dc));
+  linear_backward<Real>(a.color[s.color.size() - 1], d_logit, gradients(s, t, s.rgb, dc));
   for (std::size_t i = s.color.size() - 1; i > 0; --i) {
-    linear_backward<Real>(Activation::relu, a.color[i - 1], a.color[i], dc, gradients(t, s.color[i], spare));
+    linear_backward<Real>(Activation::relu, a.color[i - 1], a.color[i], dc, gradients(s, t, s.color[i], spare));
     std::swap(dc, spare);
   }
   relu_backward<Real>(a.color[0], dc);
-  LinearGrad<Real> g = gradients(t, s.color[0], d_features);
+  LinearGrad<Real> g = gradients(s, t, s.color[0], d_features);
   const View<Real> d_direction_weight = g.d_weight.row_range(s.geometry_features, s.direction_dims);
   g.weight_t = g.weight_t.col_range(0, s.geometry_features);
   g.d_weight = g.d_weight.row_range(0, s.geometry_features);
   if (s.has_direction() && s.direction_once) {
     const View<Real> d_term = arena.take<Real>(in.direction.rows, s.color_width);
     per_ray_backward<Real>(dc, in.ray_of_sample, d_term);
-    linear_backward<Real>(in.direction, d_term, {{}, d_direction_weight, g.d_bias, {}, false});
+    linear_backward<Real>(in.direction, d_term, {{}, d_direction_weight, g.d_bias, {}, false, s.precision});
     g.d_bias = {};
   } else if (s.has_direction()) {
-    linear_backward<Real>(gather_directions(in, arena), dc, {{}, d_direction_weight, {}, {}, false});
+    linear_backward<Real>(gather_directions(in, arena), dc, {{}, d_direction_weight, {}, {}, false, s.precision});
   }
   linear_backward<Real>(a.features(s), dc, g);
 }
@@ -205,12 +213,12 @@ void backward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<Real>
   View<Real> dh = arena.take<Real>(samples, s.hidden_width), spare = arena.take<Real>(samples, s.hidden_width);
   if (from_hidden) copy_rows(grad.feature, dh);
   const std::size_t last = s.hidden.size() - 1;
-  if (from_geometry) linear_backward<Real>(a.hidden[last], d_out, gradients(t, s.geometry, dh, from_hidden));
+  if (from_geometry) linear_backward<Real>(a.hidden[last], d_out, gradients(s, t, s.geometry, dh, from_hidden));
   for (std::size_t i = last; i > 0; --i) {
-    linear_backward<Real>(Activation::relu, a.hidden[i - 1], a.hidden[i], dh, gradients(t, s.hidden[i], spare));
+    linear_backward<Real>(Activation::relu, a.hidden[i - 1], a.hidden[i], dh, gradients(s, t, s.hidden[i], spare));
     std::swap(dh, spare);
   }
-  linear_backward<Real>(Activation::relu, in.position, a.hidden[0], dh, gradients(t, s.hidden[0], d_position));
+  linear_backward<Real>(Activation::relu, in.position, a.hidden[0], dh, gradients(s, t, s.hidden[0], d_position));
 }
 
 template <class Real>
@@ -229,10 +237,10 @@ constexpr TinyMlpKernels<Real> kTable{forward<Real>, backward<Real>, derive<Real
 
 }  // namespace
 
-void tiny_mlp_cpu_kernels(KernelTables& tables);
 void tiny_mlp_cpu_kernels(KernelTables& tables) {
   tables.add(Device::cpu, "field 'tiny_mlp'", &kTable<float>);
+  tables.add(Device::cpu, "field 'tiny_mlp'", &kTable<float>, Precision::bf16);
   tables.add(Device::cpu, "field 'tiny_mlp'", &kTable<double>);
 }
 
-}  // namespace semfield
+}  // namespace semfield::SEMFIELD_ISA

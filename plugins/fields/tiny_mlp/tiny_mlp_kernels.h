@@ -27,9 +27,10 @@ struct TinyMlpShape {
   std::int32_t color_width = 64;
   TinyFeature feature = TinyFeature::hidden;
   bool direction_once = true;
-  std::vector<TinyMlpLayer> hidden;  ///< position to last hidden activation
-  TinyMlpLayer geometry;             ///< to [sigma, geometry features]
-  std::vector<TinyMlpLayer> color;   ///< [geometry features, direction] to last colour activation
+  Precision precision = Precision::fp32;  ///< of the matrix products
+  std::vector<TinyMlpLayer> hidden;       ///< position to last hidden activation
+  TinyMlpLayer geometry;                  ///< to [sigma, geometry features]
+  std::vector<TinyMlpLayer> color;        ///< [geometry features, direction] to last colour activation
   TinyMlpLayer rgb;
 
   bool has_direction() const { return direction_dims > 0; }

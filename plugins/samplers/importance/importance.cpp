@@ -18,6 +18,13 @@ void describe(ParamVisitor& visit, ImportanceParams& params) {
 
 void validate(const ImportanceParams&, Diagnostics&) {}
 
+void bad_proposal_weight(std::int64_t ray, std::int64_t sample, double weight) {
+  throw Error(ErrorKind::failure,
+              "sampler 'importance': weight of ray " + std::to_string(ray) + ", sample " + std::to_string(sample) +
+                  " of the previous pass is " + std::to_string(weight) + "; it must be finite and not negative",
+              "lower the learning rate, or go back to the last checkpoint");
+}
+
 template <class Real>
 Importance<Real>::Importance(const ImportanceParams& params, const SamplerBuild& build, const KernelTables& kernels)
     : kernels_(&kernels.get<ImportanceKernels<Real>>(build.device, "sampler 'importance'")), params_(params) {}

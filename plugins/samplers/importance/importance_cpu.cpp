@@ -4,11 +4,15 @@
 #include <string>
 
 #include "core/check.h"
+#include "core/isa.h"
 #include "plugin/kernels.h"
 #include "samplers/importance/importance_kernels.h"
 #include "samplers/importance/importance_math.h"
 
-namespace semfield {
+namespace semfield::SEMFIELD_ISA {
+
+void importance_cpu_kernels(KernelTables& tables);
+
 namespace {
 
 // One ray of the previous pass: `count` samples from row `begin`.
@@ -33,13 +37,7 @@ double total_weight(const RayProposal<Real>& ray, std::int64_t ray_number) {
   double total = 0;
   for (std::int64_t k = 0; k < ray.count; ++k) {
     const double w = ray.weight(k);
-    if (!(w >= 0) || std::isinf(w)) {
-      throw Error(ErrorKind::failure,
-                  "sampler 'importance': weight of ray " + std::to_string(ray_number) + ", sample " +
-                      std::to_string(k) + " of the previous pass is " + std::to_string(w) +
-                      "; it must be finite and not negative",
-                  "lower the learning rate, or go back to the last checkpoint");
-    }
+    if (!(w >= 0) || std::isinf(w)) bad_proposal_weight(ray_number, k, w);
     total += w;
   }
   return total;
@@ -126,10 +124,9 @@ const ImportanceKernels<Real> kTable{sample<Real>};
 
 }  // namespace
 
-void importance_cpu_kernels(KernelTables& tables);
 void importance_cpu_kernels(KernelTables& tables) {
   tables.add(Device::cpu, "sampler 'importance'", &kTable<float>);
   tables.add(Device::cpu, "sampler 'importance'", &kTable<double>);
 }
 
-}  // namespace semfield
+}  // namespace semfield::SEMFIELD_ISA

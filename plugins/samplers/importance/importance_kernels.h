@@ -29,4 +29,7 @@ struct ImportanceKernels {
 
 void importance_kernels(KernelTables& tables);
 
+/// Throws Error(failure) that names the ray, the sample and the weight.
+[[noreturn]] void bad_proposal_weight(std::int64_t ray, std::int64_t sample, double weight);
+
 }  // namespace semfield

@@ -10,6 +10,14 @@
 #include "plugin/registry.h"
 
 namespace semfield {
+
+void bad_density(const double* position, double sigma) {
+  throw Error(ErrorKind::failure,
+              "sampler 'occupancy_grid': density at (" + std::to_string(position[0]) + ", " +
+                  std::to_string(position[1]) + ", " + std::to_string(position[2]) + ") is " + std::to_string(sigma) +
+                  "; it must be finite and not negative",
+              "lower the learning rate, or go back to the last checkpoint");
+}
 namespace {
 
 constexpr double kPadding = 0.01;  // of the longest side: walls lie on the bounds and must not lie on the grid's faces

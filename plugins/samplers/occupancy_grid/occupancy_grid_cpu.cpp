@@ -8,12 +8,16 @@
 
 #include "core/check.h"
 #include "core/error.h"
+#include "core/isa.h"
 #include "core/parallel.h"
 #include "plugin/kernels.h"
 #include "plugin/quadrature.h"
 #include "samplers/occupancy_grid/occupancy_grid_kernels.h"
 
-namespace semfield {
+namespace semfield::SEMFIELD_ISA {
+
+void occupancy_grid_cpu_kernels(KernelTables& tables);
+
 namespace {
 
 static_assert(std::endian::native == std::endian::little, "empty_bits keeps its bits in the low bytes");
@@ -151,13 +155,7 @@ struct UpdateJob {
 
   void absorb(const QueryChunk<Real>& chunk, std::int64_t k) const {
     const Real sigma = *chunk.sigma.row(k);
-    if (!(sigma >= 0) || std::isinf(sigma)) {
-      throw Error(ErrorKind::failure,
-                  "sampler 'occupancy_grid': density at (" + std::to_string(chunk.position(k, 0)) + ", " +
-                      std::to_string(chunk.position(k, 1)) + ", " + std::to_string(chunk.position(k, 2)) + ") is " +
-                      std::to_string(static_cast<double>(sigma)) + "; it must be finite and not negative",
-                  "lower the learning rate, or go back to the last checkpoint");
-    }
+    if (!(sigma >= 0) || std::isinf(sigma)) bad_density(chunk.position.row(k), static_cast<double>(sigma));
     Real& value = state.density[*chunk.cell.row(k)];
     value = std::max(value * static_cast<Real>(args.decay), sigma);  // an unseen cell holds -1
   }
@@ -286,10 +284,9 @@ const OccupancyGridKernels<Real> kTable{sample<Real>, update<Real>, publish<Real
 
 }  // namespace
 
-void occupancy_grid_cpu_kernels(KernelTables& tables);
 void occupancy_grid_cpu_kernels(KernelTables& tables) {
   tables.add(Device::cpu, "sampler 'occupancy_grid'", &kTable<float>);
   tables.add(Device::cpu, "sampler 'occupancy_grid'", &kTable<double>);
 }
 
-}  // namespace semfield
+}  // namespace semfield::SEMFIELD_ISA

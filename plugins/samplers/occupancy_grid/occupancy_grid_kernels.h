@@ -51,4 +51,7 @@ struct OccupancyGridKernels {
 
 void occupancy_grid_kernels(KernelTables& tables);
 
+/// Throws Error(failure) that names the place [3] and the density.
+[[noreturn]] void bad_density(const double* position, double sigma);
+
 }  // namespace semfield

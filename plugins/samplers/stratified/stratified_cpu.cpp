@@ -1,10 +1,14 @@
 // CPU kernels of the stratified sampler: a ray after the other; one Philox block a jittered sample is nearly all of the
 // time.
+#include "core/isa.h"
 #include "plugin/kernels.h"
 #include "samplers/stratified/stratified_kernels.h"
 #include "samplers/stratified/stratified_math.h"
 
-namespace semfield {
+namespace semfield::SEMFIELD_ISA {
+
+void stratified_cpu_kernels(KernelTables& tables);
+
 namespace {
 
 template <class Real>
@@ -39,10 +43,9 @@ const StratifiedKernels<Real> kTable{sample<Real>};
 
 }  // namespace
 
-void stratified_cpu_kernels(KernelTables& tables);
 void stratified_cpu_kernels(KernelTables& tables) {
   tables.add(Device::cpu, "sampler 'stratified'", &kTable<float>);
   tables.add(Device::cpu, "sampler 'stratified'", &kTable<double>);
 }
 
-}  // namespace semfield
+}  // namespace semfield::SEMFIELD_ISA
