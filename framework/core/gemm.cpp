@@ -22,8 +22,10 @@ void gemm(const Gemm<Real>& g) {
 }
 
 template <class Real>
-void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate, Precision precision) {
+void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate, Precision precision,
+          View<const Real> mask) {
   SEMFIELD_CHECK(a.cols == b.rows && a.rows == c.rows && b.cols == c.cols, "shapes of a matrix product do not fit");
+  SEMFIELD_CHECK(mask.empty() || (mask.rows == c.rows && mask.cols == c.cols), "mask of a matrix product does not fit");
   gemm(Gemm<Real>{.m = a.rows,
                   .n = b.cols,
                   .k = a.cols,
@@ -34,6 +36,8 @@ void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate,
                   .c = c.data,
                   .c_row = c.row_stride,
                   .accumulate = accumulate,
+                  .mask = mask.data,
+                  .mask_row = mask.row_stride,
                   .precision = precision});
 }
 
@@ -84,8 +88,8 @@ void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c, Precisi
 
 template void gemm<float>(const Gemm<float>&);
 template void gemm<double>(const Gemm<double>&);
-template void gemm<float>(View<const float>, View<const float>, View<float>, bool, Precision);
-template void gemm<double>(View<const double>, View<const double>, View<double>, bool, Precision);
+template void gemm<float>(View<const float>, View<const float>, View<float>, bool, Precision, View<const float>);
+template void gemm<double>(View<const double>, View<const double>, View<double>, bool, Precision, View<const double>);
 template void gemm_at_b_add<float>(View<const float>, View<const float>, View<float>, Precision);
 template void gemm_at_b_add<double>(View<const double>, View<const double>, View<double>, Precision);
 

@@ -17,8 +17,8 @@ enum class Precision : std::uint8_t { fp32, bf16 };
 ///
 /// start, at most one of: accumulate (C's old value), bias (one row for all), row_term (row row_of[i], or row i when
 /// row_of is null); none: zero. Each element of C is one chain of fused multiply-adds over k ascending from its start,
-/// whatever m is and wherever its row stands: splitting the rows into calls, or k into accumulating calls (with bf16: at
-/// even k), gives the same bits.
+/// whatever m is and wherever its row stands: splitting the rows into calls, or k into accumulating calls (with bf16:
+/// at even k), gives the same bits.
 template <class Real>
 struct Gemm {
   std::int64_t m = 0, n = 0, k = 0;
@@ -34,7 +34,9 @@ struct Gemm {
   std::int64_t row_term_stride = 0;
   const std::int32_t* row_of = nullptr;  ///< [m]
   std::int64_t row_of_stride = 1;
-  bool relu = false;  ///< C = max(C, 0) at the end; NaN stays NaN
+  bool relu = false;           ///< C = max(C, 0) at the end; NaN stays NaN
+  const Real* mask = nullptr;  ///< [m, n], row stride mask_row: C = mask > 0 ? C : 0 at the end, the gradient of a ReLU
+  std::int64_t mask_row = 0;
   Precision precision = Precision::fp32;
 };
 
@@ -42,10 +44,10 @@ struct Gemm {
 template <class Real>
 void gemm(const Gemm<Real>& g);
 
-/// The usual starts, from views: start + A B with `accumulate` into C.
+/// The usual starts, from views: A B, or C + A B with `accumulate`; mask [m, n] as in Gemm (empty: none).
 template <class Real>
 void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate = false,
-          Precision precision = Precision::fp32);
+          Precision precision = Precision::fp32, View<const Real> mask = {});
 
 /// C += A^T B: weight gradients. A [rows, m], B [rows, n], C [m, n].
 template <class Real>
@@ -53,8 +55,9 @@ void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c, Precisi
 
 extern template void gemm<float>(const Gemm<float>&);
 extern template void gemm<double>(const Gemm<double>&);
-extern template void gemm<float>(View<const float>, View<const float>, View<float>, bool, Precision);
-extern template void gemm<double>(View<const double>, View<const double>, View<double>, bool, Precision);
+extern template void gemm<float>(View<const float>, View<const float>, View<float>, bool, Precision, View<const float>);
+extern template void gemm<double>(View<const double>, View<const double>, View<double>, bool, Precision,
+                                  View<const double>);
 extern template void gemm_at_b_add<float>(View<const float>, View<const float>, View<float>, Precision);
 extern template void gemm_at_b_add<double>(View<const double>, View<const double>, View<double>, Precision);
 

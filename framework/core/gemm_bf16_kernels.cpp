@@ -23,8 +23,8 @@ inline __attribute__((always_inline)) __m512 load(const float* p, std::int64_t n
 void pack_row_pairs(const float* in, std::int64_t stride, std::int64_t rows, std::int64_t cols, std::int64_t width,
                     std::uint32_t* out) {
   // Element 2i of the result is word i (of the row in the low half), 2i+1 word 16+i.
-  alignas(64) static constexpr std::uint16_t kInterleave[32] = {0, 16, 1, 17, 2,  18, 3,  19, 4,  20, 5,
-                                                                21, 6, 22, 7, 23, 8,  24, 9,  25, 10, 26,
+  alignas(64) static constexpr std::uint16_t kInterleave[32] = {0,  16, 1,  17, 2,  18, 3,  19, 4,  20, 5,
+                                                                21, 6,  22, 7,  23, 8,  24, 9,  25, 10, 26,
                                                                 11, 27, 12, 28, 13, 29, 14, 30, 15, 31};
   const __m512i order = _mm512_load_si512(kInterleave);
   for (std::int64_t r = 0; r < rows; r += 2) {
@@ -81,16 +81,13 @@ void block(const Gemm<float>& g, std::int64_t col0, std::int64_t cols0, std::int
     }
     TileArgs<PairDot> t{};
     t.a_step = transposed ? kBlockM : kPairs;
-    t.c_row = g.c_row;
     t.k = pairs;
-    t.relu = g.relu && k0 + count == g.k;
     for (std::int64_t p = 0; p * kPanel < cols0; ++p) {
       t.b = packed_b + p * kPanel * kPairs;
       t.b_row = width_of(shapes[p]);
       t.cols = static_cast<int>(std::min(kPanel, cols0 - p * kPanel));
-      run_tiles(g, shapes[p], t, row0, end, col0 + p * kPanel, k0 == 0, [&](std::int64_t row, int) {
-        t.a = packed_a + (row - row0) * (transposed ? 1 : kPairs);
-      });
+      run_tiles(g, shapes[p], t, row0, end, col0 + p * kPanel, k0, count,
+                [&](std::int64_t row, int) { t.a = packed_a + (row - row0) * (transposed ? 1 : kPairs); });
     }
   }
 }
@@ -128,14 +125,11 @@ void block(const Gemm<float>& g, std::int64_t col0, std::int64_t cols0, std::int
     t.a_step = kBlockK;
     t.b = packed_b;
     t.b_row = shape.width;
-    t.c_row = g.c_row;
     t.k = count;
-    t.relu = g.relu && k0 + count == g.k;
-    run_tiles(g, shape, t, 0, g.m, col0 + first, k0 == 0, [&](std::int64_t row, int rows) {
+    run_tiles(g, shape, t, 0, g.m, col0 + first, k0, count, [&](std::int64_t row, int rows) {
       const float* a = g.a + row * g.a_row + k0 * g.a_col;
       for (int i = 0; i < rows; ++i) {
-        for (std::int64_t k = 0; k < count; ++k)
-          packed_a[i * kBlockK + k] = to_bf16(a[i * g.a_row + k * g.a_col]);
+        for (std::int64_t k = 0; k < count; ++k) packed_a[i * kBlockK + k] = to_bf16(a[i * g.a_row + k * g.a_col]);
       }
     });
   }

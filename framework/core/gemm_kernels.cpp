@@ -37,11 +37,9 @@ void panel(const Gemm<Real>& g, std::int64_t col, int cols, std::int64_t k0, std
   TileArgs<Op> t{};
   t.b = b;
   t.b_row = b_row;
-  t.c_row = g.c_row;
   t.k = count;
   t.cols = cols;
-  t.relu = g.relu && k0 + count == g.k;
-  run_tiles(g, shape, t, 0, g.m, col, k0 == 0, [&](std::int64_t row, int rows) {
+  run_tiles(g, shape, t, 0, g.m, col, k0, count, [&](std::int64_t row, int rows) {
     t.a = g.a + row * g.a_row + k0 * g.a_col;
     t.a_step = transposed ? g.a_col : g.a_row;
     if (transposed || g.a_col == 1) return;

@@ -106,6 +106,8 @@ struct TileArgs {
   Out* c;
   std::int64_t c_row;
   const Out* start[kMaxRows];  // first element of each row's start; null: zero
+  const Out* mask;             // of the tile's first element; null: none
+  std::int64_t mask_row;
   std::int64_t k;
   int cols;  // of the tile's kVecs * kLanes columns, those that exist
   bool relu;
@@ -194,6 +196,11 @@ __attribute__((noinline)) void tile(const TileArgs<Op>& t) {
     for (int j = 0; j < kVecs; ++j) {
       Vec v = acc[i][j];
       if (t.relu) v = v < Out(0) ? Vec{} : v;
+      if (t.mask != nullptr) {
+        const Out* m = t.mask + i * t.mask_row + j * kLanes;
+        const Vec keep = whole ? Vec(*reinterpret_cast<const Loose*>(m)) : load_part<S>(m, t.cols - j * kLanes);
+        v = keep > Out(0) ? v : Vec{};
+      }
       Out* c = t.c + i * t.c_row + j * kLanes;
       if (whole) {
         *reinterpret_cast<Loose*>(c) = v;
@@ -261,15 +268,20 @@ const Real* start_of_row(const Gemm<Real>& g, std::int64_t row, std::int64_t col
   return nullptr;
 }
 
-/// Runs the tiles of rows [row, end) of C over one panel: `t` holds the panel's B, k, columns and ReLU; place(row)
-/// gives A's first element for a tile that begins there.
+/// Runs the tiles of rows [row, end) of C over one panel, rows [k0, k0 + count) of B: `t` holds its B, k and columns;
+/// place(row, rows) sets A for a tile that begins there.
 template <class Op, class Place>
 inline void run_tiles(const Gemm<typename Op::Out>& g, const Cover<Op>& shape, TileArgs<Op>& t, std::int64_t row,
-                      std::int64_t end, std::int64_t col, bool first_k, const Place& place) {
+                      std::int64_t end, std::int64_t col, std::int64_t k0, std::int64_t count, const Place& place) {
+  const bool first_k = k0 == 0, last_k = k0 + count == g.k;
+  t.c_row = g.c_row;
+  t.mask_row = g.mask_row;
+  t.relu = g.relu && last_k;
   while (row < end) {
     const TileChoice choice = choose_rows(end - row, shape.rows);
     place(row, choice.rows);
     t.c = g.c + row * g.c_row + col;
+    t.mask = last_k && g.mask != nullptr ? g.mask + row * g.mask_row + col : nullptr;
     for (int i = 0; i < choice.rows; ++i) {
       t.start[i] = first_k ? start_of_row(g, row + i, col) : t.c + i * g.c_row;
     }

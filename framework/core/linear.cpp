@@ -40,7 +40,8 @@ void linear_forward(View<const Real> x, View<const Real> weight, View<const Real
 }
 
 template <class Real>
-void linear_forward_add(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y, Precision precision) {
+void linear_forward_add(View<const Real> x, View<const Real> weight, Activation activation, View<Real> y,
+                        Precision precision) {
   Gemm<Real> g = product(x, weight, activation, y, precision);
   g.accumulate = true;
   gemm(g);
@@ -48,7 +49,8 @@ void linear_forward_add(View<const Real> x, View<const Real> weight, Activation 
 
 template <class Real>
 void linear_forward_per_ray(View<const Real> x, View<const Real> weight, View<const Real> ray_term,
-                            View<const std::int32_t> ray_of_sample, Activation activation, View<Real> y, Precision precision) {
+                            View<const std::int32_t> ray_of_sample, Activation activation, View<Real> y,
+                            Precision precision) {
   SEMFIELD_CHECK(ray_term.cols == y.cols && ray_of_sample.rows == y.rows, "ray term of a linear layer does not fit");
   Gemm<Real> g = product(x, weight, activation, y, precision);
   g.row_term = ray_term.data;
@@ -80,7 +82,9 @@ template <class Real>
 void linear_backward(View<const Real> x, View<const Real> dz, const LinearGrad<Real>& grad) {
   if (!grad.d_weight.empty()) gemm_at_b_add(x, dz, grad.d_weight, grad.precision);
   if (!grad.d_bias.empty()) bias_backward(dz, grad.d_bias);
-  if (!grad.dx.empty()) gemm(dz, grad.weight_t, grad.dx, grad.add_to_dx, grad.precision);
+  if (!grad.dx.empty()) {
+    gemm(dz, grad.weight_t, grad.dx, grad.add_to_dx, grad.precision, grad.relu_input ? x : View<const Real>());
+  }
 }
 
 template <class Real>

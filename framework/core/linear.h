@@ -47,7 +47,13 @@ struct LinearGrad {
   View<Real> d_weight, d_bias, dx;
   bool add_to_dx = false;
   Precision precision = Precision::fp32;
+  bool relu_input = false;  ///< x is the result of a ReLU: dx becomes the gradient before it, dx = x > 0 ? dx : 0
 };
+template <class Real>
+LinearGrad<Real> after_relu(LinearGrad<Real> grad) {
+  grad.relu_input = true;
+  return grad;
+}
 template <class Real>
 void linear_backward(View<const Real> x, View<const Real> dz, const LinearGrad<Real>& grad);
 
@@ -67,21 +73,21 @@ void copy_rows(View<const Real> in, View<Real> out);
 template <class Real>
 void fill(View<Real> out, Real value);
 
-#define SEMFIELD_LINEAR_OF(prefix, Real)                                                                            \
-  prefix template void linear_forward<Real>(View<const Real>, View<const Real>, View<const Real>, Activation,       \
-                                            View<Real>, Precision);                                                 \
-  prefix template void linear_forward_add<Real>(View<const Real>, View<const Real>, Activation, View<Real>,         \
-                                                Precision);                                                         \
-  prefix template void linear_forward_per_ray<Real>(View<const Real>, View<const Real>, View<const Real>,           \
-                                                    View<const std::int32_t>, Activation, View<Real>, Precision);   \
-  prefix template void relu_backward<Real>(View<const Real>, View<Real>);                                     \
-  prefix template void bias_backward<Real>(View<const Real>, View<Real>);                                     \
-  prefix template void per_ray_backward<Real>(View<const Real>, View<const std::int32_t>, View<Real>);        \
-  prefix template void linear_backward<Real>(View<const Real>, View<const Real>, const LinearGrad<Real>&);    \
-  prefix template void linear_backward<Real>(Activation, View<const Real>, View<const Real>, View<Real>,      \
-                                             const LinearGrad<Real>&);                                        \
-  prefix template void transpose<Real>(View<const Real>, View<Real>);                                         \
-  prefix template void copy_rows<Real>(View<const Real>, View<Real>);                                         \
+#define SEMFIELD_LINEAR_OF(prefix, Real)                                                                          \
+  prefix template void linear_forward<Real>(View<const Real>, View<const Real>, View<const Real>, Activation,     \
+                                            View<Real>, Precision);                                               \
+  prefix template void linear_forward_add<Real>(View<const Real>, View<const Real>, Activation, View<Real>,       \
+                                                Precision);                                                       \
+  prefix template void linear_forward_per_ray<Real>(View<const Real>, View<const Real>, View<const Real>,         \
+                                                    View<const std::int32_t>, Activation, View<Real>, Precision); \
+  prefix template void relu_backward<Real>(View<const Real>, View<Real>);                                         \
+  prefix template void bias_backward<Real>(View<const Real>, View<Real>);                                         \
+  prefix template void per_ray_backward<Real>(View<const Real>, View<const std::int32_t>, View<Real>);            \
+  prefix template void linear_backward<Real>(View<const Real>, View<const Real>, const LinearGrad<Real>&);        \
+  prefix template void linear_backward<Real>(Activation, View<const Real>, View<const Real>, View<Real>,          \
+                                             const LinearGrad<Real>&);                                            \
+  prefix template void transpose<Real>(View<const Real>, View<Real>);                                             \
+  prefix template void copy_rows<Real>(View<const Real>, View<Real>);                                             \
   prefix template void fill<Real>(View<Real>, Real);
 
 SEMFIELD_LINEAR_OF(extern, float)

@@ -1,4 +1,5 @@
-// The bf16 matrix product: its error bound against float64, exactness where no rounding happens, bitwise promises, guards.
+// The bf16 matrix product: its error bound against float64, exactness where no rounding happens, bitwise promises,
+// guards.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -17,9 +18,9 @@ constexpr float kGuard = 12345;
 struct Shape {
   std::int64_t m, n, k;
 };
-const Shape kShapes[] = {{1, 1, 1},    {2, 3, 5},    {5, 16, 7},    {6, 64, 64},   {13, 65, 31},  {31, 13, 63},
-                         {33, 80, 17}, {37, 48, 9},  {64, 33, 16},  {100, 1, 70},  {7, 130, 3},   {12, 128, 1},
-                         {25, 8, 600}, {9, 70, 513}, {3, 4, 0},     {0, 5, 5},     {5, 0, 5},     {48, 96, 256},
+const Shape kShapes[] = {{1, 1, 1},    {2, 3, 5},    {5, 16, 7},    {6, 64, 64},  {13, 65, 31}, {31, 13, 63},
+                         {33, 80, 17}, {37, 48, 9},  {64, 33, 16},  {100, 1, 70}, {7, 130, 3},  {12, 128, 1},
+                         {25, 8, 600}, {9, 70, 513}, {3, 4, 0},     {0, 5, 5},    {5, 0, 5},    {48, 96, 256},
                          {49, 257, 6}, {97, 300, 2}, {50, 64, 1025}};
 
 /// A product with its operands laid out as `layout` says: 0 rows of A contiguous, 1 its columns, 2 neither.
@@ -75,7 +76,8 @@ TEST(GemmBf16, StaysWithinItsErrorBoundForEveryStrideAndTail) {
         for (std::int64_t j = 0; j < s.n; ++j) {
           double magnitude = 0;
           const double exact = test.exact(i, j, magnitude);
-          // 8 significant bits: each operand is off by at most 2^-8 of itself, a product so by 2^-7 + 2^-16; sums are fp32.
+          // 8 significant bits: each operand is off by at most 2^-8 of itself, a product so by 2^-7 + 2^-16; sums are
+          // fp32.
           const double bound = (std::ldexp(1.0, -7) + std::ldexp(1.0, -16)) * magnitude +
                                static_cast<double>(s.k + 1) * std::ldexp(1.0, -23) * (magnitude + 1);
           ASSERT_NEAR(test.c[static_cast<std::size_t>(i * test.g.c_row + j)], exact, bound)
@@ -105,17 +107,60 @@ TEST(GemmBf16, IsExactWhereNothingNeedsRounding) {
   }
 }
 
+TEST(GemmBf16, MaskZeroesWhereItIsNotPositive) {
+  for (const Shape& s : kShapes) {
+    for (const Precision precision : {Precision::fp32, Precision::bf16}) {
+      Case plain(s, 0, true), masked(s, 0, true);
+      std::vector<float> mask(static_cast<std::size_t>(s.m * (s.n + 5) + 1));
+      for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = static_cast<float>(i * 7 % 5) - 2;  // -2 .. 2
+      plain.g.precision = masked.g.precision = precision;
+      masked.g.mask = mask.data();
+      masked.g.mask_row = s.n + 5;
+      gemm(plain.g);
+      gemm(masked.g);
+      for (std::int64_t i = 0; i < s.m; ++i) {
+        for (std::int64_t j = 0; j < s.n; ++j) {
+          const auto at = static_cast<std::size_t>(i * plain.g.c_row + j);
+          const bool keep = mask[static_cast<std::size_t>(i * (s.n + 5) + j)] > 0;
+          ASSERT_EQ(masked.c[at], keep ? plain.c[at] : 0.0f) << "m " << s.m << " n " << s.n << " k " << s.k;
+        }
+        for (std::int64_t j = s.n; j < plain.g.c_row; ++j)
+          ASSERT_EQ(masked.c[static_cast<std::size_t>(i * plain.g.c_row + j)], kGuard);
+      }
+    }
+  }
+}
+
 TEST(GemmBf16, RoundsToNearestEven) {
-  // 1 + 2^-8 lies between the bf16 numbers 1 and 1 + 2^-7, as far from both: to the even one, 1. A little above: 1 + 2^-7.
+  // 1 + 2^-8 lies between the bf16 numbers 1 and 1 + 2^-7, as far from both: to the even one, 1. A little above: 1 +
+  // 2^-7.
   const float one = 1;
   for (const auto& [value, expected] : {std::pair<float, float>{1.00390625f, 1.0f},
                                         {1.0039064f, 1.0078125f},
                                         {1.01171875f, 1.015625f},
                                         {-1.00390625f, -1.0f}}) {
     float c = 0;
-    gemm(Gemm<float>{.m = 1, .n = 1, .k = 1, .a = &value, .a_row = 1, .b = &one, .b_row = 1, .c = &c, .c_row = 1, .precision = Precision::bf16});
+    gemm(Gemm<float>{.m = 1,
+                     .n = 1,
+                     .k = 1,
+                     .a = &value,
+                     .a_row = 1,
+                     .b = &one,
+                     .b_row = 1,
+                     .c = &c,
+                     .c_row = 1,
+                     .precision = Precision::bf16});
     EXPECT_EQ(c, expected);
-    gemm(Gemm<float>{.m = 1, .n = 1, .k = 1, .a = &one, .a_row = 1, .b = &value, .b_row = 1, .c = &c, .c_row = 1, .precision = Precision::bf16});
+    gemm(Gemm<float>{.m = 1,
+                     .n = 1,
+                     .k = 1,
+                     .a = &one,
+                     .a_row = 1,
+                     .b = &value,
+                     .b_row = 1,
+                     .c = &c,
+                     .c_row = 1,
+                     .precision = Precision::bf16});
     EXPECT_EQ(c, expected);
   }
 }
@@ -149,7 +194,16 @@ TEST(GemmBf16, KeepsNotANumberAndInfinity) {
   const float nan = std::numeric_limits<float>::quiet_NaN(), inf = std::numeric_limits<float>::infinity(), one = 1;
   for (const float value : {nan, inf, -inf}) {
     float c = 0;
-    gemm(Gemm<float>{.m = 1, .n = 1, .k = 1, .a = &value, .a_row = 1, .b = &one, .b_row = 1, .c = &c, .c_row = 1, .precision = Precision::bf16});
+    gemm(Gemm<float>{.m = 1,
+                     .n = 1,
+                     .k = 1,
+                     .a = &value,
+                     .a_row = 1,
+                     .b = &one,
+                     .b_row = 1,
+                     .c = &c,
+                     .c_row = 1,
+                     .precision = Precision::bf16});
     EXPECT_TRUE(std::isnan(value) ? std::isnan(c) : c == value) << value;
   }
 }

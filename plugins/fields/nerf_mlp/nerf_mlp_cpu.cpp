@@ -198,8 +198,7 @@ void color_backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors
     for (int c = 0; c < 3; ++c) d_logit(m, c) = d_rgb(m, c) * nerf_mlp_sigmoid_slope(rgb(m, c));
   }
   const View<Real> dv = arena.take<Real>(samples, s.view_width);
-  linear_backward<Real>(a.hidden, d_logit, gradients(s, t, s.color, dv));
-  relu_backward<Real>(a.hidden, dv);
+  linear_backward<Real>(a.hidden, d_logit, after_relu(gradients(s, t, s.color, dv)));
 
   const ViewLayer<Real> v = view_layer(s, t, a, true);
   View<Real> d_bias = v.d_bias;
@@ -225,10 +224,10 @@ template <class Real>
 void trunk_backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<Real>& t, View<const Real> x,
                     const Activations<Real>& a, View<Real> dh, View<Real> d_position) {
   View<Real> spare = ctx.workspace->take<Real>(dh.rows, dh.cols);
+  relu_backward<Real>(a.trunk[static_cast<std::size_t>(s.depth - 1)], dh);
   for (int i = s.depth - 1; i > 0; --i) {
     const auto n = static_cast<std::size_t>(i);
-    LinearGrad<Real> g = gradients(s, t, s.trunk[n], spare);
-    relu_backward<Real>(a.trunk[n], dh);
+    LinearGrad<Real> g = after_relu(gradients(s, t, s.trunk[n], spare));
     if (i == s.skip_at) {
       LinearGrad<Real> of_x{g.weight_t.col_range(0, s.position_dims),
                             g.d_weight.row_range(0, s.position_dims),
@@ -243,7 +242,6 @@ void trunk_backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors
     linear_backward<Real>(a.trunk[n - 1], dh, g);
     std::swap(dh, spare);
   }
-  relu_backward<Real>(a.trunk[0], dh);
   linear_backward<Real>(x, dh, gradients(s, t, s.trunk[0], d_position, s.skip_at > 0));
 }
 

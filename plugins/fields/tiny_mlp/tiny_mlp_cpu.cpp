@@ -149,12 +149,11 @@ void color_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<Real>
     for (int c = 0; c < 3; ++c) d_logit(m, c) = d_rgb(m, c) * tiny_mlp_sigmoid_slope(rgb(m, c));
   }
   View<Real> dc = arena.take<Real>(samples, s.color_width), spare = arena.take<Real>(samples, s.color_width);
-  linear_backward<Real>(a.color[s.color.size() - 1], d_logit, gradients(s, t, s.rgb, dc));
+  linear_backward<Real>(a.color[s.color.size() - 1], d_logit, after_relu(gradients(s, t, s.rgb, dc)));
   for (std::size_t i = s.color.size() - 1; i > 0; --i) {
-    linear_backward<Real>(Activation::relu, a.color[i - 1], a.color[i], dc, gradients(s, t, s.color[i], spare));
+    linear_backward<Real>(a.color[i - 1], dc, after_relu(gradients(s, t, s.color[i], spare)));
     std::swap(dc, spare);
   }
-  relu_backward<Real>(a.color[0], dc);
   LinearGrad<Real> g = gradients(s, t, s.color[0], d_features);
   const View<Real> d_direction_weight = g.d_weight.row_range(s.geometry_features, s.direction_dims);
   g.weight_t = g.weight_t.col_range(0, s.geometry_features);
@@ -213,12 +212,16 @@ void backward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<Real>
   View<Real> dh = arena.take<Real>(samples, s.hidden_width), spare = arena.take<Real>(samples, s.hidden_width);
   if (from_hidden) copy_rows(grad.feature, dh);
   const std::size_t last = s.hidden.size() - 1;
-  if (from_geometry) linear_backward<Real>(a.hidden[last], d_out, gradients(s, t, s.geometry, dh, from_hidden));
+  if (from_geometry) {
+    linear_backward<Real>(a.hidden[last], d_out, after_relu(gradients(s, t, s.geometry, dh, from_hidden)));
+  } else {
+    relu_backward<Real>(a.hidden[last], dh);
+  }
   for (std::size_t i = last; i > 0; --i) {
-    linear_backward<Real>(Activation::relu, a.hidden[i - 1], a.hidden[i], dh, gradients(s, t, s.hidden[i], spare));
+    linear_backward<Real>(a.hidden[i - 1], dh, after_relu(gradients(s, t, s.hidden[i], spare)));
     std::swap(dh, spare);
   }
-  linear_backward<Real>(Activation::relu, in.position, a.hidden[0], dh, gradients(s, t, s.hidden[0], d_position));
+  linear_backward<Real>(in.position, dh, gradients(s, t, s.hidden[0], d_position));
 }
 
 template <class Real>
