@@ -19,7 +19,6 @@ namespace {
 using namespace semfield;
 
 constexpr std::int64_t kRows = 30720;     // 1,024 rays of 30 samples
-constexpr std::int64_t kTileRows = 1024;  // rows of one forward call, as the framework's tiles
 constexpr int kRepeats = 9;
 
 struct Problem {
@@ -136,12 +135,11 @@ bool measure(int log2_entries) {
   const View<const double> x(p.x.data(), kRows, 3);
   const View<float> y(p.y.data(), kRows, width);
   const View<const float> dy(p.dy.data(), kRows, width);
-  const auto forward = [&] {
-    parallel_for(kRows / kTileRows, [&](std::int64_t tile) {
-      encoder.forward({}, tensors, x.row_range(tile * kTileRows, kTileRows), y.row_range(tile * kTileRows, kTileRows));
-    });
-  };
-  const auto backward = [&] { encoder.backward({}, tensors, x, dy, {}); };
+  Workspace workspace;
+  StepContext ctx;
+  ctx.workspace = &workspace;
+  const auto forward = [&] { encoder.forward(ctx, tensors, x, y); };  // a step's rows in one call, as in training
+  const auto backward = [&] { encoder.backward(ctx, tensors, x, dy, {}); };
 
   forward();
   backward();

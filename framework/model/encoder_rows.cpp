@@ -73,7 +73,7 @@ void Pipeline<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, std::i
       pass.sample(ctx, rays, nullptr, samples);
     }
   });
-  // Lane after lane, as the encoder's gradients are summed.
+  // Lane after lane, as the encoder's gradients are summed. Lane l has the tiles l, l + lanes, ...
   const std::int32_t dims = pass.encoded_dims();
   a.rows = 0;
   for (int lane = 0; lane < options_.lanes; ++lane) {
@@ -82,24 +82,23 @@ void Pipeline<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, std::i
       a.rows += a.tiles[static_cast<std::size_t>(tile)].samples.count;
     }
   }
+  const auto lane_begin = [&](std::int64_t lane) {
+    return lane < std::min<std::int64_t>(options_.lanes, tiles) ? a.row[static_cast<std::size_t>(lane)] : a.rows;
+  };
   grow(a.x, 3 * a.rows);
   grow(a.encoded, dims * a.rows);
   grow(a.d_encoded, dims * a.rows);
-  const std::int64_t groups = (options_.lanes + kLanesAhead - 1) / kLanesAhead;
-  parallel_for(groups, [&](std::int64_t group) {
-    const auto first_lane = static_cast<int>(group * kLanesAhead);
-    std::int64_t begin = a.rows, end = 0;
-    for (int lane = first_lane; lane < std::min(options_.lanes, first_lane + kLanesAhead); ++lane) {
-      for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
-        SampledTile<Real>& sampled = a.tiles[static_cast<std::size_t>(tile)];
-        const std::int64_t row = a.row[static_cast<std::size_t>(tile)], count = sampled.samples.count;
-        sampled.x = {a.x.data() + 3 * row, count, 3};
-        sampled.encoded = {a.encoded.data() + dims * row, count, dims};
-        pass.locate(rays_of_tile<Real>(batch, tile, tile_rays_), sampled.samples, sampled.x);
-        begin = std::min(begin, row);
-        end = std::max(end, row + count);
-      }
-    }
+  parallel_for(tiles, [&](std::int64_t tile) {
+    SampledTile<Real>& sampled = a.tiles[static_cast<std::size_t>(tile)];
+    const std::int64_t row = a.row[static_cast<std::size_t>(tile)], count = sampled.samples.count;
+    sampled.x = {a.x.data() + 3 * row, count, 3};
+    sampled.encoded = {a.encoded.data() + dims * row, count, dims};
+    pass.locate(rays_of_tile<Real>(batch, tile, tile_rays_), sampled.samples, sampled.x);
+  });
+  const int lanes_at_once = pass.parts().position->traits().whole_batch ? options_.lanes : kLanesAhead;
+  parallel_for((options_.lanes + lanes_at_once - 1) / lanes_at_once, [&](std::int64_t group) {
+    const auto first_lane = static_cast<int>(group) * lanes_at_once;
+    const std::int64_t begin = lane_begin(first_lane), end = lane_begin(first_lane + lanes_at_once);
     if (begin >= end) return;
     const View<const double> x(a.x.data() + 3 * begin, end - begin, 3);
     pass.encode(context(step, true, first_lane, 0), first_lane, x, {a.encoded.data() + dims * begin, x.rows, dims});

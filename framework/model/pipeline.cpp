@@ -243,7 +243,7 @@ void Pipeline<Real>::render_tile(int lane, const RenderJob<Real>& job, std::int6
 template <class Real>
 std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
   // A tile's arena holds every pass's trace and the gradients of one backward; the inboxes hold a step's encoder
-  // gradients.
+  // gradients, and one arena the scratch of an encoder that gets a step's rows at once.
   std::size_t arena = 0, inbox = 0;
   const auto lanes = static_cast<std::size_t>(options_.lanes);
   for (std::size_t p = 0; p < passes_.size(); ++p) {
@@ -251,7 +251,7 @@ std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
     const std::int64_t previous = p == 0 ? 0 : per_ray_[p - 1];
     const auto samples = static_cast<std::size_t>(parts.sampler->capacity(tile_rays_, previous));
     const auto encoded = static_cast<std::size_t>(parts.position->traits().out_dims);
-    std::size_t reals = 12 + encoded;
+    std::size_t reals = 12 + encoded * (passes_[p].scatters() ? 2 : 1);
     if (parts.head) {
       reals += 2 * static_cast<std::size_t>(parts.field->traits().feature_dims) +
                2 * static_cast<std::size_t>(parts.head->hidden_width());
@@ -262,7 +262,7 @@ std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
       // Twice: a growing array takes up to twice what it needs.
       const auto all = static_cast<std::size_t>(parts.sampler->capacity(rays, previous));
       inbox +=
-          2 * all * (3 * sizeof(double) + 2 * encoded * sizeof(Real) + 2 * sizeof(Real) + 2 * sizeof(std::int32_t));
+          2 * all * (3 * sizeof(double) + 3 * encoded * sizeof(Real) + 2 * sizeof(Real) + 2 * sizeof(std::int32_t));
     }
   }
   return arena * lanes + inbox;

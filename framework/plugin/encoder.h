@@ -15,6 +15,9 @@ struct EncoderTraits {
   std::int32_t in_dims = 3;
   std::int32_t out_dims = 0;
   Domain domain = Domain::metric;
+  /// forward of very many rows spreads over threads by itself, and is then faster by row than for one tile: training
+  /// calls it once a step with all rows where it can, outside parallel regions.
+  bool whole_batch = false;
 };
 
 /// Shapes: M samples. Coordinates are float64 whatever Real is, because fp32 positions carry only about 19 useful bands
@@ -24,7 +27,9 @@ class Encoder : public Parametric<Real> {
  public:
   virtual EncoderTraits traits() const noexcept = 0;
 
-  /// y = encode(x). x [M, in_dims] float64, y [M, out_dims], overwritten. Runs inside one thread of a tile.
+  /// y = encode(x). x [M, in_dims] float64, y [M, out_dims], overwritten. Runs inside one thread of a tile, or see
+  /// EncoderTraits::whole_batch. An encoder that learns may take M + 64 rows of y from ctx.workspace, here and in
+  /// backward.
   void forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const;
 
   /// tensors.grad += dL/dtheta and, when dx is not empty, dx = dL/dx. x as in forward, dy [M, out_dims], dx [M,

@@ -74,7 +74,7 @@ HashGrid<Real>::HashGrid(const HashGridParams& params, const EncoderBuild& build
 
 template <class Real>
 EncoderTraits HashGrid<Real>::traits() const noexcept {
-  return {3, shape_.levels * shape_.features, Domain::unit_cube};
+  return {3, shape_.levels * shape_.features, Domain::unit_cube, true};
 }
 
 template <class Real>
@@ -99,10 +99,10 @@ void check_tables(const HashGridShape& shape, std::span<const View<Real>> tables
 }  // namespace
 
 template <class Real>
-void HashGrid<Real>::do_forward(const StepContext&, const Tensors<Real>& tensors, View<const double> x,
+void HashGrid<Real>::do_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
                                 View<Real> y) const {
   check_tables(shape_, tensors.value);
-  const std::int64_t bad = kernels_->forward(shape_, tensors.value.data(), x, y);
+  const std::int64_t bad = kernels_->forward(shape_, tensors.value.data(), x, y, *ctx.workspace);
   if (bad >= 0) {
     throw Error(ErrorKind::data, "encoder 'hash_grid': coordinates of row " + std::to_string(bad) + " are not finite",
                 "check the camera poses and the ray limits");
@@ -110,10 +110,10 @@ void HashGrid<Real>::do_forward(const StepContext&, const Tensors<Real>& tensors
 }
 
 template <class Real>
-void HashGrid<Real>::do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x,
+void HashGrid<Real>::do_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
                                  View<const Real> dy, View<Real> dx) const {
   check_tables(shape_, tensors.grad);
-  kernels_->backward_tables(shape_, tensors.grad.data(), x, dy);
+  kernels_->backward_tables(shape_, tensors.grad.data(), x, dy, *ctx.workspace);
   if (dx.empty()) return;
   check_tables(shape_, tensors.value);
   kernels_->backward_input(shape_, tensors.value.data(), x, dy, dx);

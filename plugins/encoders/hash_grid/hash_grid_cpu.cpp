@@ -1,10 +1,12 @@
-// CPU kernels of the hash grid: 16 samples at a time, level by level, so that one level's table is in cache.
+// CPU kernels of the hash grid: 16 samples at a time, a level for all rows of a call, so that its table is in cache.
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
 
 #include "core/isa.h"
 #include "core/parallel.h"
+#include "core/workspace.h"
 #include "encoders/hash_grid/hash_grid_kernels.h"
 #include "encoders/hash_grid/hash_grid_lanes.h"
 #include "plugin/kernels.h"
@@ -15,11 +17,8 @@ void hash_grid_cpu_kernels(KernelTables& tables);
 
 namespace {
 
-constexpr std::int64_t kTileRows = 1024;  // 24 KB of clamped coordinates
-constexpr std::int64_t kBlockRows =
-    8192;  // forward finishes a level for so many rows before it turns to the next table
-constexpr std::int64_t kPrefetchBytes = std::int64_t{1}
-                                        << 18;  // larger tables do not fit beside the rest in the L2 cache
+constexpr std::int64_t kBlockRows = 32768;  // a level is finished for so many rows before its table is left
+constexpr std::int64_t kCopyRows = 1024;
 constexpr std::int64_t kInputTaskRows = 256;
 
 /// Calls f with the level's compile-time choices: (features, dense, interpolation).
@@ -40,21 +39,27 @@ void with_level_kind(const HashGridLevel& level, Interpolation interpolation, co
   }
 }
 template <class F>
-void with_kind(const HashGridLevel& level, std::int32_t features, Interpolation interpolation, const F& f) {
+void with_features(std::int32_t features, const F& f) {
   switch (features) {
     case 1:
-      with_level_kind<1>(level, interpolation, f);
-      break;
+      return f.template operator()<1>();
     case 2:
-      with_level_kind<2>(level, interpolation, f);
-      break;
+      return f.template operator()<2>();
     case 4:
-      with_level_kind<4>(level, interpolation, f);
-      break;
+      return f.template operator()<4>();
     default:
-      with_level_kind<8>(level, interpolation, f);
-      break;
+      return f.template operator()<8>();
   }
+}
+template <class F>
+void with_kind(const HashGridLevel& level, std::int32_t features, Interpolation interpolation, const F& f) {
+  with_features(features, [&]<std::int32_t kFeatures>() { with_level_kind<kFeatures>(level, interpolation, f); });
+}
+
+/// Entry of a vertex. A dense level has at most 2^log2_entries <= 2^24 vertices, so 32 bits are enough here.
+std::uint32_t vertex_entry(const HashGridLevel& level, std::uint32_t x, std::uint32_t y, std::uint32_t z) {
+  return level.dense ? dense_index<std::uint32_t>(x, y, z, static_cast<std::uint32_t>(level.resolution) + 1)
+                     : hash_index(x, y, z, static_cast<std::uint32_t>(level.entries) - 1);
 }
 
 std::int64_t first_bad_row(View<const double> x) {
@@ -64,82 +69,141 @@ std::int64_t first_bad_row(View<const double> x) {
   return -1;
 }
 
-/// Calls f(corners, first row) for each group of the tile. Vertices are found, and their cache lines asked for, one
-/// group ahead: a table that is not in the L2 cache answers while the group before is summed.
-template <class Real, std::int32_t kFeatures, bool kDense, Interpolation kI, class Tile, class F>
-void for_groups(const HashGridLevel& level, const Tile& tile, std::int64_t rows, const Real* table, const F& f) {
-  Corners<Real> corners[2];
-  find_corners<Real, kDense, kI>(level, tile.u[0], tile.u[1], tile.u[2], corners[0]);
-  const bool far = level.entries * kFeatures * static_cast<std::int64_t>(sizeof(Real)) > kPrefetchBytes;
-  int now = 0;
-  for (std::int64_t r = 0; r < rows; r += kLanes, now ^= 1) {
-    const std::int64_t next = r + kLanes;
-    if (next < rows) {
-      find_corners<Real, kDense, kI>(level, tile.u[0] + next, tile.u[1] + next, tile.u[2] + next, corners[now ^ 1]);
-      if (far) prefetch<Real, kFeatures>(corners[now ^ 1], table);
+/// kLanes rows of x from row r on, contiguous; rows behind the last one are 0.
+class RowReader {
+ public:
+  explicit RowReader(View<const double> x) : x_(x) {}
+  const double* at(std::int64_t r) {
+    if (x_.row_stride == 3 && r + kLanes <= x_.rows) return x_.row(r);
+    for (std::int64_t i = 0; i < kLanes; ++i) {
+      for (int d = 0; d < 3; ++d) copy_[3 * i + d] = r + i < x_.rows ? x_(r + i, d) : 0.0;
     }
-    f(corners[now], r);
+    return copy_;
+  }
+
+ private:
+  View<const double> x_;
+  alignas(64) double copy_[3 * kLanes];
+};
+
+/// Reads a table in order, a load a cache line, when so many rows are to come that most of its lines will be used: the
+/// hardware fetches a stream several times as fast as single lines.
+template <class Real>
+void warm(const Real* table, std::int64_t values, std::int64_t rows) {
+  constexpr std::int64_t kLine = 64 / static_cast<std::int64_t>(sizeof(Real));
+  if (4 * rows < values / kLine) return;
+  for (std::int64_t i = 0; i < values; i += kLine) {
+    asm volatile("" : : "r"(static_cast<const volatile Real*>(table)[i]));
   }
 }
 
+/// Calls f(edges, first row) for each group of rows of x. Edges are found one group ahead: by the time they are read
+/// they have left the store buffer.
+template <class Real, std::int32_t kFeatures, bool kDense, Interpolation kI, class F>
+void for_groups(const HashGridLevel& level, View<const double> x, const Real* table, const F& f) {
+  Edges<Real> edges[2];
+  RowReader rows(x);
+  warm(table, level.entries * kFeatures, x.rows);
+  find_edges<Real, kDense, kI>(level, rows.at(0), edges[0]);
+  int now = 0;
+  for (std::int64_t r = 0; r < x.rows; r += kLanes, now ^= 1) {
+    const std::int64_t next = r + kLanes;
+    if (next < x.rows) find_edges<Real, kDense, kI>(level, rows.at(next), edges[now ^ 1]);
+    f(edges[now], r);
+  }
+}
+
+/// Values of a block of rows, level by level: level l's are [rows, F] from value(l) on. Kernels read and write them as a
+/// stream, where a level's share of a row of y would cost a cache line a row.
 template <class Real>
-std::int64_t forward(const HashGridShape& shape, const View<Real>* tables, View<const double> x, View<Real> y) {
-  UnitTile<kTileRows> tile;
-  for (std::int64_t block = 0; block < x.rows; block += kBlockRows) {
-    const std::int64_t block_end = std::min(block + kBlockRows, x.rows);
-    for (std::int32_t l = 0; l < shape.levels; ++l) {
-      const HashGridLevel& level = shape.level[l];
-      const Real* table = tables[l].data;
-      for (std::int64_t begin = block; begin < block_end; begin += kTileRows) {
-        const std::int64_t rows = std::min(kTileRows, block_end - begin);
-        const bool loaded = l > 0 && block_end - block <= kTileRows;  // a single tile stays from level to level
-        if (!loaded && !tile.load(x, begin, rows)) return first_bad_row(x);
-        Real* out = y.row(begin) + l * shape.features;
-        with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
-          for_groups<Real, kF, kDense, kI>(level, tile, rows, table, [&](const Corners<Real>& corners, std::int64_t r) {
-            const std::int64_t n = std::min<std::int64_t>(kLanes, rows - r);
-            interpolate<Real, kF>(corners, table, n, out + r * y.row_stride, y.row_stride);
-          });
-        });
+struct Columns {
+  Real* data;
+  std::int64_t stride;  // elements between levels
+
+  /// Whole groups of rows, and a little more: columns a power of two apart would fall on the same sets of the cache.
+  Columns(Workspace& workspace, const HashGridShape& shape, std::int64_t all_rows)
+      : stride(((std::min(kBlockRows, all_rows) + kLanes - 1) / kLanes * kLanes + 40) * shape.features) {
+    data = workspace.take<Real>(shape.levels, static_cast<std::int32_t>(stride)).data;
+  }
+  Real* value(std::int32_t level) const { return data + level * stride; }
+};
+
+/// Between columns and rows of y, over every thread.
+template <class Real, bool kToRows, class Row>
+void transpose(const HashGridShape& shape, const Columns<Real>& columns, View<Row> y) {
+  struct Call {
+    const HashGridShape& shape;
+    const Columns<Real>& columns;
+    View<Row> y;
+  };
+  const Call call{shape, columns, y};
+  parallel_for((y.rows + kCopyRows - 1) / kCopyRows, [&call](std::int64_t task) {
+    with_features(call.shape.features, [&]<std::int32_t kF>() {
+      const std::int64_t end = std::min(call.y.rows, (task + 1) * kCopyRows);
+      for (std::int64_t r = task * kCopyRows; r < end; ++r) {
+        for (std::int32_t l = 0; l < call.shape.levels; ++l) {
+          Real* const column = call.columns.value(l) + r * kF;
+          if constexpr (kToRows) {
+            std::memcpy(call.y.row(r) + l * kF, column, sizeof(Real) * kF);
+          } else {
+            std::memcpy(column, call.y.row(r) + l * kF, sizeof(Real) * kF);
+          }
+        }
       }
-    }
+    });
+  });
+}
+
+/// One task a level. Finest first: the dear ones start early and the cheap coarse ones fill the gaps.
+template <class F>
+void for_levels(std::int32_t levels, const F& f) {
+  parallel_for(levels, [&f, levels](std::int64_t i) { f(static_cast<std::int32_t>(levels - 1 - i)); });
+}
+
+template <class Real>
+std::int64_t forward(const HashGridShape& shape, const View<Real>* tables, View<const double> x, View<Real> y,
+                     Workspace& workspace) {
+  const std::int64_t bad = first_bad_row(x);
+  if (bad >= 0) return bad;
+  const Workspace::Scope scope(workspace);
+  const Columns<Real> columns(workspace, shape, x.rows);
+  for (std::int64_t begin = 0; begin < x.rows; begin += kBlockRows) {
+    const std::int64_t rows = std::min(kBlockRows, x.rows - begin);
+    const View<const double> block = x.row_range(begin, rows);
+    for_levels(shape.levels, [&](std::int32_t l) {
+      const HashGridLevel& level = shape.level[l];
+      const Real* const table = tables[l].data;
+      with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
+        for_groups<Real, kF, kDense, kI>(level, block, table, [&](const Edges<Real>& edges, std::int64_t r) {
+          interpolate<Real, kF, kDense>(edges, table, columns.value(l) + r * kF);
+        });
+      });
+    });
+    transpose<Real, true>(shape, columns, y.row_range(begin, rows));
   }
   return -1;
 }
 
-/// One level of the scatter: d table[v] += w_v dy, rows in order.
+/// d table[v] += w_v dy, a level in one thread, rows in order.
 template <class Real>
-void scatter_level(const HashGridShape& shape, std::int32_t l, Real* grad, View<const double> x, View<const Real> dy) {
-  UnitTile<kTileRows> tile;
-  const HashGridLevel& level = shape.level[l];
-  with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
-    for (std::int64_t begin = 0; begin < x.rows; begin += kTileRows) {
-      const std::int64_t rows = std::min(kTileRows, x.rows - begin);
-      tile.load(x, begin, rows);
-      const Real* from = dy.row(begin) + l * kF;
-      for_groups<Real, kF, kDense, kI>(level, tile, rows, grad, [&](const Corners<Real>& corners, std::int64_t r) {
-        const std::int64_t n = std::min<std::int64_t>(kLanes, rows - r);
-        scatter<Real, kF>(corners, grad, n, from + r * dy.row_stride, dy.row_stride);
+void backward_tables(const HashGridShape& shape, const View<Real>* grads, View<const double> x, View<const Real> dy,
+                     Workspace& workspace) {
+  const Workspace::Scope scope(workspace);
+  const Columns<Real> columns(workspace, shape, x.rows);
+  for (std::int64_t begin = 0; begin < x.rows; begin += kBlockRows) {
+    const std::int64_t rows = std::min(kBlockRows, x.rows - begin);
+    const View<const double> block = x.row_range(begin, rows);
+    transpose<Real, false>(shape, columns, dy.row_range(begin, rows));
+    for_levels(shape.levels, [&](std::int32_t l) {
+      const HashGridLevel& level = shape.level[l];
+      Real* const grad = grads[l].data;
+      with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
+        for_groups<Real, kF, kDense, kI>(level, block, grad, [&](const Edges<Real>& edges, std::int64_t r) {
+          scatter<Real, kF, kDense>(edges, grad, std::min<std::int64_t>(kLanes, rows - r), columns.value(l) + r * kF);
+        });
       });
-    }
-  });
-}
-
-template <class Real>
-void backward_tables(const HashGridShape& shape, const View<Real>* grads, View<const double> x, View<const Real> dy) {
-  struct Call {
-    const HashGridShape& shape;
-    const View<Real>* grads;
-    View<const double> x;
-    View<const Real> dy;
-  };
-  const Call call{shape, grads, x, dy};
-  // Finest level first: the dear ones start early and the cheap coarse ones fill the gaps. One reference captured:
-  // small enough for std::function's own storage, so nothing is allocated.
-  parallel_for(shape.levels, [&call](std::int64_t i) {
-    const auto l = static_cast<std::int32_t>(call.shape.levels - 1 - i);
-    scatter_level<Real>(call.shape, l, call.grads[l].data, call.x, call.dy);
-  });
+    });
+  }
 }
 
 /// Gradient of one row: sum over levels of N w'_d(place) times the other axes' weights times <dy, entry>; 0 along an

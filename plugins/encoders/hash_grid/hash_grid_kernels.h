@@ -7,6 +7,7 @@
 namespace semfield {
 
 class KernelTables;
+class Workspace;
 
 inline constexpr std::int32_t kHashGridMaxLevels = 32;
 inline constexpr std::int32_t kHashGridMaxFeatures = 8;
@@ -27,12 +28,12 @@ struct HashGridShape {
 template <class Real>
 struct HashGridKernels {
   /// y [M, levels * features] from x [M, 3] and one table a level. Returns the first row that is not finite, or -1.
-  /// Runs in the calling thread.
+  /// Parallel over levels where the caller is not. Scratch: at most M + 64 rows of y.
   std::int64_t (*forward)(const HashGridShape& shape, const View<Real>* tables, View<const double> x,
-                          View<Real> y) = nullptr;
-  /// grads += dL/dtables; one thread a level, rows in order, so any thread count gives the same bits.
+                          View<Real> y, Workspace& workspace) = nullptr;
+  /// grads += dL/dtables; one thread a level, rows in order, so any thread count gives the same bits. Scratch as above.
   void (*backward_tables)(const HashGridShape& shape, const View<Real>* grads, View<const double> x,
-                          View<const Real> dy) = nullptr;
+                          View<const Real> dy, Workspace& workspace) = nullptr;
   /// dx = dL/dx [M, 3]; parallel over blocks of rows.
   void (*backward_input)(const HashGridShape& shape, const View<Real>* tables, View<const double> x,
                          View<const Real> dy, View<Real> dx) = nullptr;

@@ -5,158 +5,222 @@
 #include <immintrin.h>
 #endif
 
-#include <cmath>
 #include <cstdint>
-#include <limits>
 #include <type_traits>
 
-#include "core/view.h"
 #include "encoders/hash_grid/hash_grid_kernels.h"
 
 namespace semfield {
+namespace {
 
-/// Samples that are worked on together. The last group of a tile is filled up, never cut: every row goes through the
-/// same instructions, so its bits do not depend on its place.
-inline constexpr std::int32_t kLanes = 16;
+/// Samples that are worked on together. The last group is filled up, never cut: every row goes through the same
+/// instructions, so its bits do not depend on its place.
+constexpr std::int32_t kLanes = 16;
 
-/// Clamped coordinates of up to kRows rows, axis by axis.
-template <std::int64_t kRows>
-struct UnitTile {
-  alignas(64) double u[3][kRows + kLanes];
-
-  /// False when a coordinate is not finite.
-  bool load(View<const double> x, std::int64_t begin, std::int64_t rows) {
-    std::int32_t bad = 0;
-    for (std::int64_t r = 0; r < rows; ++r) {
-      const double* from = x.row(begin + r);
-      for (int d = 0; d < 3; ++d) {
-        bad |= std::fabs(from[d]) <= std::numeric_limits<double>::max() ? 0 : 1;
-        u[d][r] = clamp_unit(from[d]);
-      }
-    }
-    for (std::int64_t r = rows; r < (rows + kLanes - 1) / kLanes * kLanes; ++r) u[0][r] = u[1][r] = u[2][r] = 0;
-    return bad == 0;
-  }
-};
-
-/// Corner c has the far vertex along x, y, z where bit 0, 1, 2 of c is set.
+/// The four edges along x of the cells in which kLanes samples lie. Edge e is the far one along y, z where bit 0, 1 of
+/// e is set. Its far end needs no address arithmetic of its own: a dense level stores it behind the near end, and in a
+/// hashed one the two addresses differ by the bits in which x and x + 1 differ.
 template <class Real>
-struct Corners {
-  alignas(64) std::uint32_t entry[8][kLanes];
-  alignas(64) Real weight[8][kLanes];
+struct Edges {
+  alignas(64) std::uint32_t near_entry[4][kLanes];
+  alignas(64) std::uint32_t flip[kLanes];  // hashed levels: far entry = near entry ^ flip, never 0
+  alignas(64) Real weight[4][kLanes];      // along y times along z
+  alignas(64) Real far_weight[kLanes];     // along x
 };
 
-/// Entry of a vertex. A dense level has at most 2^log2_entries <= 2^24 vertices, so 32 bits are enough here.
-SEMFIELD_HD inline std::uint32_t vertex_entry(const HashGridLevel& level, std::uint32_t x, std::uint32_t y,
-                                              std::uint32_t z) {
-  return level.dense ? dense_index<std::uint32_t>(x, y, z, static_cast<std::uint32_t>(level.resolution) + 1)
-                     : hash_index(x, y, z, static_cast<std::uint32_t>(level.entries) - 1);
-}
-
-template <class Real, bool kDense, Interpolation kInterpolation>
-inline void find_corners(const HashGridLevel& level, const double* ux, const double* uy, const double* uz,
-                         Corners<Real>& out) {
-  const auto resolution = static_cast<double>(level.resolution);
-  const HashGridLevel kind{level.resolution, level.entries,
-                           kDense};  // lets the compiler fold the branch in vertex_entry
-  const double* u[3] = {ux, uy, uz};
+/// Cell and weight of the far vertex along each axis.
+template <class Real>
+struct AxisCells {
   alignas(64) std::uint32_t cell[3][kLanes];
   alignas(64) Real far[3][kLanes];
+};
+
+/// Of kLanes samples, x [kLanes, 3] contiguous.
+template <class Real, Interpolation kInterpolation>
+inline void find_cells(const HashGridLevel& level, const double* x, AxisCells<Real>& out) {
+  const auto resolution = static_cast<double>(level.resolution);
   for (int d = 0; d < 3; ++d) {
     for (std::int32_t i = 0; i < kLanes; ++i) {
-      const AxisCell<Real> at = axis_cell<Real>(u[d][i], resolution);
-      cell[d][i] = at.cell;
-      far[d][i] = far_weight(at.place, kInterpolation);
-    }
-  }
-  for (std::uint32_t c = 0; c < 8; ++c) {
-    const std::uint32_t bx = c & 1, by = (c >> 1) & 1, bz = c >> 2;
-    for (std::int32_t i = 0; i < kLanes; ++i) {
-      out.entry[c][i] = vertex_entry(kind, cell[0][i] + bx, cell[1][i] + by, cell[2][i] + bz);
-      const Real wx = bx != 0 ? far[0][i] : Real(1) - far[0][i];
-      const Real wy = by != 0 ? far[1][i] : Real(1) - far[1][i];
-      const Real wz = bz != 0 ? far[2][i] : Real(1) - far[2][i];
-      out.weight[c][i] = wx * wy * wz;
+      const AxisCell<Real> at = axis_cell<Real>(clamp_unit(x[3 * i + d]), resolution);
+      out.cell[d][i] = at.cell;
+      out.far[d][i] = far_weight(at.place, kInterpolation);
     }
   }
 }
 
-/// Asks for the entries' cache lines. The far vertex along x is almost always in its neighbour's line, so half the
-/// corners do.
-template <class Real, std::int32_t kFeatures>
-inline void prefetch(const Corners<Real>& corners, const Real* table) {
-  for (int c = 0; c < 8; c += 2) {
+#if defined(__AVX512F__)
+/// The same operations, so the same bits. All 48 coordinates are worked on as they lie; then 32-bit halves are sorted
+/// by axis.
+template <Interpolation kInterpolation>
+inline void find_cells_avx512(const HashGridLevel& level, const double* x, AxisCells<float>& out) {
+  const __m512d resolution = _mm512_set1_pd(static_cast<double>(level.resolution));
+  const __m512d last = _mm512_sub_pd(resolution, _mm512_set1_pd(1.0));
+  __m512i cell[3];
+  __m512 place[3];
+  for (int k = 0; k < 3; ++k) {
+    __m256i cells[2];
+    __m256 places[2];
+    for (int h = 0; h < 2; ++h) {
+      const __m512d above = _mm512_max_pd(_mm512_loadu_pd(x + 16 * k + 8 * h), _mm512_setzero_pd());  // NaN becomes 0
+      const __m512d p = _mm512_mul_pd(_mm512_min_pd(above, _mm512_set1_pd(1.0)), resolution);
+      const __m512d at = _mm512_min_pd(_mm512_roundscale_pd(p, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC), last);
+      cells[h] = _mm512_cvttpd_epi32(at);
+      places[h] = _mm512_cvtpd_ps(_mm512_sub_pd(p, at));
+    }
+    cell[k] = _mm512_inserti64x4(_mm512_castsi256_si512(cells[0]), cells[1], 1);
+    place[k] = _mm512_castpd_ps(_mm512_insertf64x4(_mm512_castps_pd(_mm512_castps256_ps512(places[0])),
+                                                   _mm256_castps_pd(places[1]), 1));
+  }
+  // Sample i's coordinate d is element 3 i + d of the 48. The first two registers hold samples up to 10 (d = 0, 1: 31 /
+  // 3) or 9 (d = 2), the third the rest.
+  for (int d = 0; d < 3; ++d) {
+    const __m512i place_of = _mm512_add_epi32(
+        _mm512_set1_epi32(d), _mm512_setr_epi32(0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 30, 33, 36, 39, 42, 45));
+    const __mmask16 in_third = _mm512_cmpge_epi32_mask(place_of, _mm512_set1_epi32(32));
+    const __m512i c = _mm512_permutex2var_epi32(cell[0], place_of, cell[1]);
+    const __m512 w = _mm512_permutex2var_ps(place[0], place_of, place[1]);
+    _mm512_store_si512(out.cell[d], _mm512_mask_permutexvar_epi32(c, in_third, place_of, cell[2]));
+    __m512 far = _mm512_mask_permutexvar_ps(w, in_third, place_of, place[2]);
+    if constexpr (kInterpolation == Interpolation::smoothstep) {
+      far = _mm512_mul_ps(_mm512_mul_ps(far, far),
+                          _mm512_fnmadd_ps(_mm512_set1_ps(2.f), far, _mm512_set1_ps(3.f)));
+    }
+    _mm512_store_ps(out.far[d], far);
+  }
+}
+#endif
+
+/// Edges of kLanes samples, x [kLanes, 3] contiguous.
+template <class Real, bool kDense, Interpolation kInterpolation>
+inline void find_edges(const HashGridLevel& level, const double* x, Edges<Real>& out) {
+  const auto vertices = static_cast<std::uint32_t>(level.resolution) + 1;
+  const auto mask = static_cast<std::uint32_t>(level.entries) - 1;
+  AxisCells<Real> at;
+#if defined(__AVX512F__)
+  if constexpr (std::is_same_v<Real, float>) {
+    find_cells_avx512<kInterpolation>(level, x, at);
+  } else {
+    find_cells<Real, kInterpolation>(level, x, at);
+  }
+#else
+  find_cells<Real, kInterpolation>(level, x, at);
+#endif
+  for (std::int32_t i = 0; i < kLanes; ++i) {
+    out.flip[i] = (at.cell[0][i] ^ (at.cell[0][i] + 1)) & mask;
+    out.far_weight[i] = at.far[0][i];
+  }
+#pragma GCC unroll 4
+  for (std::uint32_t e = 0; e < 4; ++e) {
+    const std::uint32_t by = e & 1, bz = e >> 1;
     for (std::int32_t i = 0; i < kLanes; ++i) {
-      __builtin_prefetch(table + static_cast<std::int64_t>(corners.entry[c][i]) * kFeatures);
+      const std::uint32_t cx = at.cell[0][i], cy = at.cell[1][i] + by, cz = at.cell[2][i] + bz;
+      out.near_entry[e][i] = kDense ? dense_index<std::uint32_t>(cx, cy, cz, vertices) : hash_index(cx, cy, cz, mask);
+      const Real wy = by != 0 ? at.far[1][i] : Real(1) - at.far[1][i];
+      const Real wz = bz != 0 ? at.far[2][i] : Real(1) - at.far[2][i];
+      out.weight[e][i] = wy * wz;
     }
   }
 }
 
-/// Two floats, the usual entry, travel as one 64-bit word. The same fused multiply-adds as the plain loops, so the same
-/// bits.
+template <class Real, bool kDense>
+inline std::int64_t far_entry(const Edges<Real>& edges, int e, std::int64_t i) {
+  return kDense ? edges.near_entry[e][i] + 1 : edges.near_entry[e][i] ^ edges.flip[i];
+}
+
+/// Two floats, the usual entry: both ends of an edge travel in one 128-bit register.
 #if defined(__FMA__)
 template <class Real, std::int32_t kFeatures>
 inline constexpr bool kPairs = std::is_same_v<Real, float>&& kFeatures == 2;
-inline __m128 load_pair(const float* p) {
-  return _mm_castsi128_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(p)));
+
+template <bool kDense>
+inline __m128 load_edge(const float* table, const Edges<float>& edges, int e, std::int64_t i) {
+  const float* near = table + static_cast<std::int64_t>(edges.near_entry[e][i]) * 2;
+  if constexpr (kDense) return _mm_loadu_ps(near);
+  const __m128d low = _mm_load_sd(reinterpret_cast<const double*>(near));
+  const float* far = table + far_entry<float, kDense>(edges, e, i) * 2;
+  return _mm_castpd_ps(_mm_loadh_pd(low, reinterpret_cast<const double*>(far)));
 }
-inline void store_pair(float* p, __m128 v) { _mm_storel_epi64(reinterpret_cast<__m128i*>(p), _mm_castps_si128(v)); }
+template <bool kDense>
+inline void store_edge(float* table, const Edges<float>& edges, int e, std::int64_t i, __m128 v) {
+  float* near = table + static_cast<std::int64_t>(edges.near_entry[e][i]) * 2;
+  if constexpr (kDense) {
+    _mm_storeu_ps(near, v);
+    return;
+  }
+  _mm_storel_pd(reinterpret_cast<double*>(near), _mm_castps_pd(v));
+  _mm_storeh_pd(reinterpret_cast<double*>(table + far_entry<float, kDense>(edges, e, i) * 2), _mm_castps_pd(v));
+}
 #endif
 
-/// out[i] = sum_c weight_c[i] table[entry_c[i]] for the first n samples, corners in order.
-template <class Real, std::int32_t kFeatures>
-inline void interpolate(const Corners<Real>& corners, const Real* table, std::int64_t n, Real* out,
-                        std::int64_t stride) {
+/// out [kLanes, F]: the entries of sample i's edges, summed in order with their weights, then interpolated along x.
+template <class Real, std::int32_t kFeatures, bool kDense>
+inline void interpolate(const Edges<Real>& edges, const Real* table, Real* out) {
+#if defined(__FMA__)
+  if constexpr (kPairs<Real, kFeatures>) {
+    for (std::int64_t i = 0; i < kLanes; ++i) {
+      __m128 sum = _mm_mul_ps(_mm_set1_ps(edges.weight[0][i]), load_edge<kDense>(table, edges, 0, i));
+#pragma GCC unroll 3
+      for (int e = 1; e < 4; ++e) {
+        sum = _mm_fmadd_ps(_mm_set1_ps(edges.weight[e][i]), load_edge<kDense>(table, edges, e, i), sum);
+      }
+      const __m128 step = _mm_sub_ps(_mm_movehl_ps(sum, sum), sum);
+      const __m128 y = _mm_fmadd_ps(_mm_set1_ps(edges.far_weight[i]), step, sum);
+      _mm_storel_pd(reinterpret_cast<double*>(out + i * kFeatures), _mm_castps_pd(y));
+    }
+    return;
+  }
+#endif
+  for (std::int64_t i = 0; i < kLanes; ++i) {
+    Real near[kFeatures] = {}, far[kFeatures] = {};
+    for (int e = 0; e < 4; ++e) {
+      const Real* a = table + static_cast<std::int64_t>(edges.near_entry[e][i]) * kFeatures;
+      const Real* b = table + far_entry<Real, kDense>(edges, e, i) * kFeatures;
+      const Real w = edges.weight[e][i];
+      for (std::int32_t f = 0; f < kFeatures; ++f) {
+        near[f] += w * a[f];
+        far[f] += w * b[f];
+      }
+    }
+    for (std::int32_t f = 0; f < kFeatures; ++f) out[i * kFeatures + f] = near[f] + edges.far_weight[i] * (far[f] - near[f]);
+  }
+}
+
+/// The entries of sample i's edges += their weights dy[i], dy [kLanes, F]; the first n samples, in order.
+template <class Real, std::int32_t kFeatures, bool kDense>
+inline void scatter(const Edges<Real>& edges, Real* grad, std::int64_t n, const Real* dy) {
 #if defined(__FMA__)
   if constexpr (kPairs<Real, kFeatures>) {
     for (std::int64_t i = 0; i < n; ++i) {
-      __m128 sum = _mm_setzero_ps();
-#pragma GCC unroll 8
-      for (int c = 0; c < 8; ++c) {
-        const __m128 entry = load_pair(table + static_cast<std::int64_t>(corners.entry[c][i]) * kFeatures);
-        sum = _mm_fmadd_ps(_mm_set1_ps(corners.weight[c][i]), entry, sum);
+      const __m128 d = _mm_castpd_ps(_mm_loaddup_pd(reinterpret_cast<const double*>(dy + i * kFeatures)));
+      const __m128 far = _mm_mul_ps(_mm_set1_ps(edges.far_weight[i]), d);
+      const __m128 both = _mm_shuffle_ps(_mm_sub_ps(d, far), far, _MM_SHUFFLE(1, 0, 1, 0));
+#pragma GCC unroll 4
+      for (int e = 0; e < 4; ++e) {
+        store_edge<kDense>(
+            grad, edges, e, i,
+            _mm_fmadd_ps(_mm_set1_ps(edges.weight[e][i]), both, load_edge<kDense>(grad, edges, e, i)));
       }
-      store_pair(out + i * stride, sum);
     }
     return;
   }
 #endif
   for (std::int64_t i = 0; i < n; ++i) {
-    Real sum[kFeatures] = {};
-    for (int c = 0; c < 8; ++c) {
-      const Real* entry = table + static_cast<std::int64_t>(corners.entry[c][i]) * kFeatures;
-      const Real w = corners.weight[c][i];
-      for (std::int32_t f = 0; f < kFeatures; ++f) sum[f] += w * entry[f];
+    Real near[kFeatures], far[kFeatures];
+    for (std::int32_t f = 0; f < kFeatures; ++f) {
+      far[f] = edges.far_weight[i] * dy[i * kFeatures + f];
+      near[f] = dy[i * kFeatures + f] - far[f];
     }
-    for (std::int32_t f = 0; f < kFeatures; ++f) out[i * stride + f] = sum[f];
-  }
-}
-
-/// grad[entry_c[i]] += weight_c[i] dy[i] for the first n samples, in order.
-template <class Real, std::int32_t kFeatures>
-inline void scatter(const Corners<Real>& corners, Real* grad, std::int64_t n, const Real* dy, std::int64_t stride) {
-#if defined(__FMA__)
-  if constexpr (kPairs<Real, kFeatures>) {
-    for (std::int64_t i = 0; i < n; ++i) {
-      const __m128 d = load_pair(dy + i * stride);
-#pragma GCC unroll 8
-      for (int c = 0; c < 8; ++c) {
-        float* entry = grad + static_cast<std::int64_t>(corners.entry[c][i]) * kFeatures;
-        store_pair(entry, _mm_fmadd_ps(_mm_set1_ps(corners.weight[c][i]), d, load_pair(entry)));
+    for (int e = 0; e < 4; ++e) {
+      Real* a = grad + static_cast<std::int64_t>(edges.near_entry[e][i]) * kFeatures;
+      Real* b = grad + far_entry<Real, kDense>(edges, e, i) * kFeatures;
+      const Real w = edges.weight[e][i];
+      for (std::int32_t f = 0; f < kFeatures; ++f) {
+        a[f] += w * near[f];
+        b[f] += w * far[f];
       }
     }
-    return;
-  }
-#endif
-  for (std::int64_t i = 0; i < n; ++i) {
-    Real d[kFeatures];
-    for (std::int32_t f = 0; f < kFeatures; ++f) d[f] = dy[i * stride + f];
-    for (int c = 0; c < 8; ++c) {
-      Real* entry = grad + static_cast<std::int64_t>(corners.entry[c][i]) * kFeatures;
-      const Real w = corners.weight[c][i];
-      for (std::int32_t f = 0; f < kFeatures; ++f) entry[f] += w * d[f];
-    }
   }
 }
 
+}  // namespace
 }  // namespace semfield

@@ -63,16 +63,21 @@ struct Grid {
     return tables;
   }
   Tensors<Real> tensors() const { return {value_views, grad_views}; }
+  StepContext context() const {
+    StepContext ctx;
+    ctx.workspace = &workspace;
+    return ctx;
+  }
   std::vector<Real> forward(const std::vector<double>& x) const {
     const auto rows = static_cast<std::int64_t>(x.size() / 3);
     std::vector<Real> y(static_cast<std::size_t>(rows * width), static_cast<Real>(NAN));
-    encoder.forward({}, tensors(), View<const double>(x.data(), rows, 3), View<Real>(y.data(), rows, width));
+    encoder.forward(context(), tensors(), View<const double>(x.data(), rows, 3), View<Real>(y.data(), rows, width));
     return y;
   }
   std::vector<Real> backward(const std::vector<double>& x, const std::vector<Real>& dy) {
     const auto rows = static_cast<std::int64_t>(x.size() / 3);
     std::vector<Real> dx(x.size(), static_cast<Real>(NAN));
-    encoder.backward({}, tensors(), View<const double>(x.data(), rows, 3), View<const Real>(dy.data(), rows, width),
+    encoder.backward(context(), tensors(), View<const double>(x.data(), rows, 3), View<const Real>(dy.data(), rows, width),
                      View<Real>(dx.data(), rows, 3));
     return dx;
   }
@@ -80,6 +85,7 @@ struct Grid {
   std::vector<std::vector<Real>> table, grad;
   std::vector<View<Real>> value_views, grad_views;
   std::int32_t width = 0;
+  mutable Workspace workspace;
 };
 
 std::vector<double> random_points(std::int64_t rows, std::uint64_t seed = 3) {
@@ -227,7 +233,7 @@ TEST(HashGrid, ManySamplesOnOneEntryRepeatTheirBits) {  // C13
   for (int repeat = 0; repeat < 100; ++repeat) {
     for (auto& g : grid.grad) std::fill(g.begin(), g.end(), 0.f);
     set_thread_count(1 + repeat % 2);
-    grid.encoder.backward({}, grid.tensors(), xv, dyv, {});
+    grid.encoder.backward(grid.context(), grid.tensors(), xv, dyv, {});
     if (first.empty()) first = grid.grad[0];
     ASSERT_EQ(grid.grad[0], first) << "repeat " << repeat;
     ASSERT_EQ(grid.grad[1], first) << "repeat " << repeat;
@@ -299,7 +305,7 @@ TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
   for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 8191, 8192, 8999}) {
     std::vector<float> part(33, -1.f);  // 3 rows of stride 11
     const std::int64_t count = std::min<std::int64_t>(3, rows - begin);
-    grid.encoder.forward({}, grid.tensors(), View<const double>(&x[static_cast<std::size_t>(3 * begin)], count, 3),
+    grid.encoder.forward(grid.context(), grid.tensors(), View<const double>(&x[static_cast<std::size_t>(3 * begin)], count, 3),
                          View<float>(part.data(), count, 10, 11));
     for (std::int64_t r = 0; r < count; ++r) {
       for (std::int64_t c = 0; c < 10; ++c) {
