@@ -26,6 +26,12 @@ constexpr std::int64_t kMostSteps = std::int64_t{1} << 20;  // a ray's lattice, 
 constexpr std::int64_t kChunkCells = 4096;                  // cells of one density query
 constexpr std::int64_t kRoundChunks = 64;                   // queries whose buffers are held at once
 
+// Lattice samples [i, to) that are all passed over, or all evaluated.
+struct Stretch {
+  std::int64_t to;
+  bool empty;
+};
+
 template <class Real>
 struct GridReader {
   const OccupancyGeometry& geometry;
@@ -34,19 +40,20 @@ struct GridReader {
   bool is_plain_threshold;
   bool keep_last;
 
-  // Lattice index after the empty space at sample i, or i when it must be evaluated.
-  std::int64_t skip_from(const CellRay& ray, const StepLattice& lattice, SkipBudget& budget, std::int64_t i) const {
+  Stretch stretch_from(const CellRay& ray, const StepLattice& lattice, SkipBudget& budget, std::int64_t i) const {
     const OccupancyCell cell = ray.cell_at(geometry, lattice.at(i));
     const double block_bound = static_cast<double>(state.block_bound[cell.block(geometry.blocks_per_side())]);
     if (block_bound < kUnbounded) {
       const std::int64_t to = lattice.next(i, ray.exit(geometry, cell, kBlockCells));
-      if (budget.affords(block_bound, static_cast<double>(to - i) * lattice.step_m)) return to;
+      if (budget.affords(block_bound, static_cast<double>(to - i) * lattice.step_m)) return {to, true};
     }
     const std::int64_t index = cell.index(geometry.n);
-    if (!is_empty_cell<Real>(bits, index)) return i;
-    const double bound = is_plain_threshold ? 0.0 : static_cast<double>(state.density[index]);
     const std::int64_t to = lattice.next(i, ray.exit(geometry, cell, 1));
-    return budget.affords(bound, static_cast<double>(to - i) * lattice.step_m) ? to : i;
+    // `next` is never too late, so all of them lie in this cell.
+    if (!is_empty_cell<Real>(bits, index)) return {to, false};
+    const double bound = is_plain_threshold ? 0.0 : static_cast<double>(state.density[index]);
+    if (budget.affords(bound, static_cast<double>(to - i) * lattice.step_m)) return {to, true};
+    return {i + 1, false};
   }
 };
 
@@ -57,18 +64,20 @@ std::int64_t march(const GridReader<Real>& grid, const CellRay& ray, const StepL
   const double far_m = lattice.near_m + lattice.step_m * static_cast<double>(lattice.count);
   std::int64_t written = 0;
   for (std::int64_t i = 0; i < lattice.count;) {
-    std::int64_t to = grid.skip_from(ray, lattice, budget, i);
-    if (grid.keep_last) to = std::min(to, lattice.count - 1);
-    if (to > i) {
-      i = to;
+    Stretch stretch = grid.stretch_from(ray, lattice, budget, i);
+    if (stretch.empty && grid.keep_last) stretch.to = std::min(stretch.to, lattice.count - 1);
+    if (stretch.empty && stretch.to > i) {
+      i = stretch.to;
       continue;
     }
-    if (written == most) return -1;
-    const std::int64_t row = begin + written++;
-    *out.t.row(row) = round_inside<Real>(lattice.at(i), lattice.near_m, far_m);
-    *out.delta.row(row) = static_cast<Real>(lattice.step_m);
-    *out.ray_of_sample.row(row) = ray_number;
-    ++i;
+    const std::int64_t end = std::max(stretch.to, i + 1);
+    if (written + end - i > most) return -1;
+    for (; i < end; ++i, ++written) {
+      const std::int64_t row = begin + written;
+      *out.t.row(row) = round_inside<Real>(lattice.at(i), lattice.near_m, far_m);
+      *out.delta.row(row) = static_cast<Real>(lattice.step_m);
+      *out.ray_of_sample.row(row) = ray_number;
+    }
   }
   return written;
 }
