@@ -34,6 +34,7 @@ OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context) {
 int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context) {
   OpenedDataset opened = dataset_of(options, context);
   Diagnostics diagnostics;
+  opened.config.load.depth = DepthKept::none;
   LoadedScene scene = load_scene(*opened.dataset, opened.config.load, diagnostics);
   keep_labels(scene, select_label_frames(scene.info, opened.config.labels));
   std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);

@@ -58,7 +58,7 @@ void write_frame(const std::string& base, const RenderedFrame& frame, const Sess
 
 int run_render(const RenderOptions& options, AppContext& context) {
   Diagnostics diagnostics;
-  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics);
+  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, DepthKept::none);
   for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
   Session& s = run.session;
   const std::vector<View3d> views =

@@ -118,8 +118,8 @@ void keep_labels(LoadedScene& scene, const std::vector<int>& keep) {
     if (frame.split == Split::test || std::find(keep.begin(), keep.end(), static_cast<int>(i)) != keep.end()) continue;
     frame.has_labels = false;
     scene.frames[i].label = {};
+    scene.class_pixels[i] = {};
   }
-  count_class_pixels(scene);
 }
 
 }  // namespace semfield

@@ -41,6 +41,15 @@ std::string size_text(std::int32_t width, std::int32_t height) {
   return std::to_string(width) + " x " + std::to_string(height);
 }
 
+// Pixels of each class, the last entry void; empty without labels.
+std::vector<std::int64_t> class_pixels_of(const std::vector<std::int16_t>& label, int classes) {
+  if (label.empty()) return {};
+  const auto valid = static_cast<std::size_t>(classes);
+  std::vector<std::int64_t> counts(valid + 1);
+  for (const std::int16_t c : label) ++counts[c < 0 ? valid : static_cast<std::size_t>(c)];
+  return counts;
+}
+
 void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
   const std::size_t pixels = static_cast<std::size_t>(f.camera.width_px) * static_cast<std::size_t>(f.camera.height_px);
   const auto fits = [pixels](std::size_t size, bool wanted) { return size == (wanted ? pixels : 0); };
@@ -118,17 +127,6 @@ std::vector<int> LoadedScene::frames_of(Split split) const {
   return out;
 }
 
-void count_class_pixels(LoadedScene& scene) {
-  const auto classes = static_cast<std::size_t>(scene.info.classes.valid_count());
-  scene.class_pixels.assign(scene.frames.size(), {});
-  for (std::size_t i = 0; i < scene.frames.size(); ++i) {
-    if (scene.frames[i].label.empty()) continue;
-    std::vector<std::int64_t>& counts = scene.class_pixels[i];
-    counts.assign(classes + 1, 0);
-    for (const std::int16_t c : scene.frames[i].label) ++counts[c < 0 ? classes : static_cast<std::size_t>(c)];
-  }
-}
-
 LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& options, Diagnostics& diagnostics) {
   LoadedScene scene;
   validate(options, diagnostics);
@@ -163,16 +161,32 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     diagnostics.warning("scene.width_px", "the size asked for changes the aspect ratio; cameras follow it",
                         "give width_px or height_px alone");
 
+  std::int64_t train_pixels = 0;
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    if (frames[i].split == Split::train) train_pixels += std::int64_t{cameras[i].width_px} * cameras[i].height_px;
+  }
+  const std::int32_t step = survey_step(train_pixels);
+  std::vector<SurveyPoints> surveyed(frames.size());
+  const int classes = scene.info.classes.valid_count();
+  scene.class_pixels.assign(frames.size(), {});
   parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t index) {
     const auto i = static_cast<std::size_t>(index);
     if (cameras[i].width_px == 0) return;
     try {
-      FrameBuffer whole;
-      reader.read(static_cast<int>(i), whole);
-      check_buffer(whole, frames[i]);
-      if (!options.with_instances) whole.instance = {};
-      const bool same = cameras[i].width_px == whole.width_px && cameras[i].height_px == whole.height_px;
-      scene.frames[i] = same ? std::move(whole) : resize_frame(whole, cameras[i].width_px, cameras[i].height_px);
+      FrameBuffer frame;
+      reader.read(static_cast<int>(i), frame);
+      check_buffer(frame, frames[i]);
+      // A vector assigned {} keeps its memory; one that is moved from another does not.
+      if (!options.with_instances) frame.instance = std::vector<std::int32_t>();
+      const bool same = cameras[i].width_px == frame.width_px && cameras[i].height_px == frame.height_px;
+      if (!same) frame = resize_frame(frame, cameras[i].width_px, cameras[i].height_px);
+      scene.class_pixels[i] = class_pixels_of(frame.label, classes);
+      if (frames[i].split == Split::train && !frame.depth_m.empty())
+        surveyed[i] = survey_frame(cameras[i], frames[i].world_from_camera, frame, step);
+      const bool keep_depth =
+          options.depth == DepthKept::all || (options.depth == DepthKept::test && frames[i].split == Split::test);
+      if (!keep_depth) frame.depth_m = std::vector<float>();
+      scene.frames[i] = StoredFrame(std::move(frame));
     } catch (const Error& e) {
       errors[i] = e;
     }
@@ -182,14 +196,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     if (cameras[i].width_px > 0) frames[i].camera = cameras[i];
     if (!options.with_instances) frames[i].has_instances = false;
   }
-  count_class_pixels(scene);
-  derive_extent(scene, options, diagnostics);
-  if (!options.with_depth) {
-    for (std::size_t i = 0; i < frames.size(); ++i) {
-      scene.frames[i].depth_m = {};
-      frames[i].has_depth = false;
-    }
-  }
+  derive_extent(scene, std::move(surveyed), options, diagnostics);
   return scene;
 }
 

@@ -7,9 +7,14 @@
 #include <vector>
 
 #include "config/params.h"
+#include "scene/depth_survey.h"
 #include "scene/scene.h"
+#include "scene/stored_frame.h"
 
 namespace semfield {
+
+/// Whose depth a loaded scene keeps; bounds and distances are derived from all of it in any case.
+enum class DepthKept : std::uint8_t { all, test, none };
 
 /// How frames come into memory; the keys stand in the `scene` section beside the dataset's own.
 struct SceneLoadOptions {
@@ -19,16 +24,16 @@ struct SceneLoadOptions {
   double near_m = 0;
   double far_m = 0;
   std::vector<double> bounds;
-  bool with_depth = true;       ///< not a key: false drops depth after bounds are known
-  bool with_instances = false;  ///< not a key
+  DepthKept depth = DepthKept::all;  ///< not a key
+  bool with_instances = false;       ///< not a key
 };
 void describe(ParamVisitor& visit, SceneLoadOptions& options);
 void validate(const SceneLoadOptions& options, Diagnostics& diagnostics);
 
 /// What training and rendering start from.
 struct LoadedScene {
-  SceneInfo info;                          ///< cameras at the loaded size; has_* as loaded
-  std::vector<FrameBuffer> frames;         ///< as info.frames; empty buffers where a frame could not be read
+  SceneInfo info;                          ///< cameras at the loaded size; has_depth as in the data, kept or not
+  std::vector<StoredFrame> frames;         ///< as info.frames; empty where a frame could not be read
   Box bounds;                              ///< never empty after a load without errors
   double near_m = 0, far_m = 0;            ///< along the ray
   double pixel_footprint_m = 0;            ///< world size of one pixel at the scene's middle depth (training frames)
@@ -46,7 +51,8 @@ struct SceneReader {
 };
 
 /// Opens the dataset, reads all frames in parallel (one decoded frame a thread in memory beside the result), scales
-/// them: colour by area, labels, depth and instances by the nearest pixel, camera by Camera::resized. Every problem of
+/// them - colour by area, labels, depth and instances by the nearest pixel, camera by Camera::resized - counts their
+/// classes, surveys their depth and packs them, all in the same turn. Every problem of
 /// every frame goes into `diagnostics`; the caller decides with throw_if_errors. Throws what open() throws. The result
 /// is the same for any number of threads.
 LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& options, Diagnostics& diagnostics);
@@ -68,10 +74,9 @@ FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int3
 /// The camera at the size that `options` ask for; false (out unchanged) when the frame would have to grow.
 bool scaled_camera(const Camera& camera, const SceneLoadOptions& options, Camera& out);
 
-/// Counts class_pixels again from the labels that the frames hold now.
-void count_class_pixels(LoadedScene& scene);
-
-/// Fills bounds, near, far and footprint (scene_bounds.cpp); load_scene calls it.
-void derive_extent(LoadedScene& scene, const SceneLoadOptions& options, Diagnostics& diagnostics);
+/// Fills bounds, near, far and footprint (scene_bounds.cpp); load_scene calls it with the points of the training
+/// frames.
+void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const SceneLoadOptions& options,
+                   Diagnostics& diagnostics);
 
 }  // namespace semfield

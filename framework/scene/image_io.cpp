@@ -1,4 +1,4 @@
-// Images in and out: PNG by our own codec, every other format by OpenImageIO.
+// Images in and out: PNG by our own codec, every other format through image_formats.h.
 #include "scene/image_io.h"
 
 #include <algorithm>
@@ -8,11 +8,8 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "core/files.h"
+#include "scene/image_formats.h"
 #include "scene/png_codec.h"
-
-#ifdef SEMFIELD_WITH_IMAGES
-#include <OpenImageIO/imageio.h>
-#endif
 
 namespace semfield {
 
@@ -40,26 +37,31 @@ std::uint8_t blend(unsigned value, unsigned alpha, int background) {
   return static_cast<std::uint8_t>((mixed + 127) / 255);
 }
 
-Image<std::uint8_t> rgb_of_png(const PngImage& png, int alpha_background) {
+Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background) {
   Image<std::uint8_t> out{png.width_px, png.height_px, 3, {}};
+  if (png.channels == 3 && png.bits == 8) {
+    out.pixels = std::move(png.bytes);
+    return out;
+  }
   const std::size_t pixels = static_cast<std::size_t>(png.width_px) * static_cast<std::size_t>(png.height_px);
   out.pixels.resize(pixels * 3);
   const unsigned top = (1u << png.bits) - 1;
   const auto channels = static_cast<std::size_t>(png.channels);
   const auto to8 = [top](unsigned v) { return top == 255 ? v : (v * 255 + top / 2) / top; };
   for (std::size_t i = 0; i < pixels; ++i) {
-    const std::uint16_t* s = png.samples.data() + i * channels;
+    const std::size_t first = i * channels;
     unsigned rgb[3], alpha = 255;
     if (png.palette) {
-      if (std::size_t{s[0]} * 3 + 2 >= png.palette_rgb.size()) {
-        throw Error(ErrorKind::data, "PNG is damaged: palette index " + std::to_string(s[0]) + " has no colour",
+      const std::size_t index = png.sample(first);
+      if (index * 3 + 2 >= png.palette_rgb.size()) {
+        throw Error(ErrorKind::data, "PNG is damaged: palette index " + std::to_string(index) + " has no colour",
                     "export the file again");
       }
-      for (std::size_t c = 0; c < 3; ++c) rgb[c] = png.palette_rgb[std::size_t{s[0]} * 3 + c];
-      if (s[0] < png.palette_alpha.size()) alpha = png.palette_alpha[s[0]];
+      for (std::size_t c = 0; c < 3; ++c) rgb[c] = png.palette_rgb[index * 3 + c];
+      if (index < png.palette_alpha.size()) alpha = png.palette_alpha[index];
     } else {
-      for (std::size_t c = 0; c < 3; ++c) rgb[c] = to8(s[channels >= 3 ? c : 0]);
-      if (channels == 2 || channels == 4) alpha = to8(s[channels - 1]);
+      for (std::size_t c = 0; c < 3; ++c) rgb[c] = to8(png.sample(first + (channels >= 3 ? c : 0)));
+      if (channels == 2 || channels == 4) alpha = to8(png.sample(first + channels - 1));
     }
     for (std::size_t c = 0; c < 3; ++c) {
       out.pixels[i * 3 + c] =
@@ -68,8 +70,6 @@ Image<std::uint8_t> rgb_of_png(const PngImage& png, int alpha_background) {
   }
   return out;
 }
-
-#ifdef SEMFIELD_WITH_IMAGES
 
 // A JPEG cut short decodes to grey without an error, so the end-of-image marker is looked for first.
 void check_jpeg_end(const std::string& file) {
@@ -97,65 +97,17 @@ void check_jpeg_end(const std::string& file) {
               "copy or export the file again");
 }
 
-std::unique_ptr<OIIO::ImageInput> open_input(const std::string& path) {
-  // Alpha stays apart from colour; the background is our caller's choice.
-  OIIO::ImageSpec config;
-  config["oiio:UnassociatedAlpha"] = 1;
-  auto input = OIIO::ImageInput::open(path, &config);
-  if (!input) {
-    throw Error(ErrorKind::data, "not readable as an image: " + OIIO::geterror(), "export it as PNG or JPEG");
-  }
-  check_image_limits(input->spec().width, input->spec().height);
-  return input;
-}
-
-template <class T>
-Image<T> read_input(const std::string& path, OIIO::TypeDesc type) {
-  auto input = open_input(path);
-  const OIIO::ImageSpec spec = input->spec();
-  if (spec.nchannels < 1 || spec.nchannels > 64)
-    throw Error(ErrorKind::data, "image has " + std::to_string(spec.nchannels) + " channels");
-  Image<T> out{spec.width, spec.height, spec.nchannels, {}};
-  out.pixels.resize(static_cast<std::size_t>(spec.width) * static_cast<std::size_t>(spec.height) *
-                    static_cast<std::size_t>(spec.nchannels));
-  if (!input->read_image(0, 0, 0, spec.nchannels, type, out.pixels.data())) {
-    throw Error(ErrorKind::data, "cannot be decoded: " + input->geterror(), "copy or export the file again");
-  }
-  return out;
-}
-
-#endif
-
-[[noreturn, maybe_unused]] void no_images() {
-  throw Error(ErrorKind::unavailable, "this build reads PNG images only",
-              "build with -DSEMFIELD_WITH_IMAGES=ON, or pack the scene elsewhere");
-}
-
 void write_bytes(const std::string& path, const std::vector<std::uint8_t>& bytes) {
   write_file_atomic(path, std::as_bytes(std::span<const std::uint8_t>(bytes)));
 }
 
 }  // namespace
 
-bool images_available() {
-#ifdef SEMFIELD_WITH_IMAGES
-  return true;
-#else
-  return false;
-#endif
-}
-
 ImageSize image_size(const std::string& path) {
   return naming(path, [&]() -> ImageSize {
     std::string head = read_file_start(path, 64);
     if (looks_like_png(bytes_of(head))) return png_size(bytes_of(head));
-#ifdef SEMFIELD_WITH_IMAGES
-    const auto input = open_input(path);
-    const OIIO::ImageSpec& spec = input->spec();
-    return {spec.width, spec.height, spec.nchannels, static_cast<int>(spec.format.basesize() * 8)};
-#else
-    no_images();
-#endif
+    return image_formats().size(path);
   });
 }
 
@@ -163,9 +115,8 @@ Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background) {
   return naming(path, [&]() -> Image<std::uint8_t> {
     const std::string file = read_text_file(path, kMaxFileBytes);
     if (looks_like_png(bytes_of(file))) return rgb_of_png(decode_png(bytes_of(file)), alpha_background);
-#ifdef SEMFIELD_WITH_IMAGES
     check_jpeg_end(file);
-    Image<std::uint8_t> in = read_input<std::uint8_t>(path, OIIO::TypeDesc::UINT8);
+    Image<std::uint8_t> in = image_formats().read8(path);
     if (in.channels == 3) return in;
     Image<std::uint8_t> out{in.width_px, in.height_px, 3, {}};
     const auto channels = static_cast<std::size_t>(in.channels);
@@ -180,9 +131,6 @@ Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background) {
       }
     }
     return out;
-#else
-    no_images();
-#endif
   });
 }
 
@@ -192,20 +140,16 @@ Image<std::uint16_t> read_ids(const std::string& path) {
     Image<std::uint16_t> out;
     if (looks_like_png(bytes_of(file))) {
       PngImage png = decode_png(bytes_of(file));
-      out = {png.width_px, png.height_px, png.channels, std::move(png.samples)};
+      out = {png.width_px, png.height_px, png.channels, std::move(png.words)};
+      if (png.bits < 16) out.pixels.assign(png.bytes.begin(), png.bytes.end());
     } else {
-#ifdef SEMFIELD_WITH_IMAGES
       check_jpeg_end(file);
-      const auto bits = open_input(path)->spec().format.basesize() * 8;
-      if (bits == 8) {
-        const Image<std::uint8_t> narrow = read_input<std::uint8_t>(path, OIIO::TypeDesc::UINT8);
+      if (image_formats().size(path).bits == 8) {
+        const Image<std::uint8_t> narrow = image_formats().read8(path);
         out = {narrow.width_px, narrow.height_px, narrow.channels, {narrow.pixels.begin(), narrow.pixels.end()}};
       } else {
-        out = read_input<std::uint16_t>(path, OIIO::TypeDesc::UINT16);
+        out = image_formats().read16(path);
       }
-#else
-      no_images();
-#endif
     }
     if (out.channels != 1) {
       throw Error(ErrorKind::data, "expected one channel of ids, the image has " + std::to_string(out.channels),
@@ -217,17 +161,13 @@ Image<std::uint16_t> read_ids(const std::string& path) {
 
 Image<float> read_float(const std::string& path) {
   return naming(path, [&]() -> Image<float> {
-#ifdef SEMFIELD_WITH_IMAGES
     (void)read_file_start(path, 1);  // a missing file is told apart from an unreadable one
-    Image<float> in = read_input<float>(path, OIIO::TypeDesc::FLOAT);
+    Image<float> in = image_formats().read_float(path);
     if (in.channels == 1) return in;
     Image<float> out{in.width_px, in.height_px, 1, {}};
     for (std::size_t i = 0; i < in.pixels.size(); i += static_cast<std::size_t>(in.channels))
       out.pixels.push_back(in.pixels[i]);
     return out;
-#else
-    no_images();
-#endif
   });
 }
 

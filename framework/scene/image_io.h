@@ -1,6 +1,6 @@
-// Images in and out; image_io.cpp is the only user of OpenImageIO. PNG goes through our own codec, so that palette
-// indices and damage are seen as they are; a build without OpenImageIO (SEMFIELD_WITH_IMAGES=OFF) still reads and
-// writes PNG, and throws Error(unavailable) for every other format.
+// Images in and out. PNG goes through our own codec, so that palette indices and damage are seen as they are; other
+// formats are read by OpenImageIO (image_formats.h). A build without OpenImageIO (SEMFIELD_WITH_IMAGES=OFF) still reads
+// and writes PNG, and throws Error(unavailable) for every other format.
 #pragma once
 
 #include <cstdint>

@@ -87,21 +87,60 @@ std::size_t row_bytes(const Header& h, std::uint32_t width) {
   return (std::size_t{width} * static_cast<std::size_t>(h.channels() * h.bits) + 7) / 8;
 }
 
-// Undoes the row filter in place; `up` is the decoded row above, all zero for the first.
-void unfilter(int filter, std::span<std::uint8_t> row, const std::uint8_t* up, std::size_t pixel_bytes) {
-  for (std::size_t i = 0; i < row.size(); ++i) {
-    const int a = i >= pixel_bytes ? row[i - pixel_bytes] : 0;
-    const int b = up[i];
-    int predicted = 0;
-    if (filter == 1) predicted = a;
-    if (filter == 2) predicted = b;
-    if (filter == 3) predicted = (a + b) / 2;
-    if (filter == 4) {
-      const int c = i >= pixel_bytes ? up[i - pixel_bytes] : 0;
-      const int pa = std::abs(b - c), pb = std::abs(a - c), pc = std::abs(a + b - 2 * c);
-      predicted = pa <= pb && pa <= pc ? a : pb <= pc ? b : c;
-    }
-    row[i] = static_cast<std::uint8_t>(row[i] + predicted);
+std::uint8_t paeth(int a, int b, int c) {
+  const int pa = std::abs(b - c), pb = std::abs(a - c), pc = std::abs(a + b - 2 * c);
+  return static_cast<std::uint8_t>(pa <= pb && pa <= pc ? a : pb <= pc ? b : c);
+}
+
+// Undoes the row filter in place, the bytes of a pixel known to the compiler; `up` is the decoded row above, all zero
+// for the first. The pixel to the left is kept in `left`, the one above it in `corner`.
+template <std::size_t kBytes>
+void unfilter_row(int filter, std::uint8_t* __restrict row, const std::uint8_t* __restrict up, std::size_t bytes) {
+  std::array<std::uint8_t, kBytes> left{}, corner{};
+  switch (filter) {
+    case 1:
+      for (std::size_t i = 0; i < bytes; i += kBytes) {
+        for (std::size_t c = 0; c < kBytes; ++c) row[i + c] = left[c] = static_cast<std::uint8_t>(row[i + c] + left[c]);
+      }
+      break;
+    case 2:
+      for (std::size_t i = 0; i < bytes; ++i) row[i] = static_cast<std::uint8_t>(row[i] + up[i]);
+      break;
+    case 3:
+      for (std::size_t i = 0; i < bytes; i += kBytes) {
+        for (std::size_t c = 0; c < kBytes; ++c)
+          row[i + c] = left[c] = static_cast<std::uint8_t>(row[i + c] + (left[c] + up[i + c]) / 2);
+      }
+      break;
+    case 4:
+      for (std::size_t i = 0; i < bytes; i += kBytes) {
+        for (std::size_t c = 0; c < kBytes; ++c) {
+          const std::uint8_t above = up[i + c];
+          row[i + c] = left[c] = static_cast<std::uint8_t>(row[i + c] + paeth(left[c], above, corner[c]));
+          corner[c] = above;
+        }
+      }
+      break;
+    default:
+      break;
+  }
+}
+
+// Rows are whole pixels except below 8 bits, where a pixel counts as one byte.
+void unfilter(int filter, std::uint8_t* row, const std::uint8_t* up, std::size_t bytes, std::size_t pixel_bytes) {
+  switch (pixel_bytes) {
+    case 1:
+      return unfilter_row<1>(filter, row, up, bytes);
+    case 2:
+      return unfilter_row<2>(filter, row, up, bytes);
+    case 3:
+      return unfilter_row<3>(filter, row, up, bytes);
+    case 4:
+      return unfilter_row<4>(filter, row, up, bytes);
+    case 6:
+      return unfilter_row<6>(filter, row, up, bytes);
+    default:
+      return unfilter_row<8>(filter, row, up, bytes);
   }
 }
 
@@ -142,28 +181,55 @@ std::vector<std::uint8_t> inflate_data(const std::vector<std::span<const std::ui
   return out;
 }
 
-void unpack(const Header& h, std::vector<std::uint8_t>& raw, std::vector<std::uint16_t>& samples) {
-  const std::span<const Pass> passes = h.interlace != 0 ? std::span<const Pass>(kAdam7) : std::span<const Pass>(kPlain);
+// Decodes the filtered rows of one pass that start at raw[at], front to back, and hands each to `row_done(y, row)`.
+// Rows are decoded where they lie; `at` moves behind the pass.
+template <class RowDone>
+void unfilter_pass(const Header& h, std::uint32_t width, std::uint32_t height, std::vector<std::uint8_t>& raw,
+                   std::size_t& at, RowDone&& row_done) {
+  const std::size_t bytes = row_bytes(h, width);
+  const std::size_t pixel_bytes = std::max<std::size_t>(1, static_cast<std::size_t>(h.channels() * h.bits) / 8);
+  const std::vector<std::uint8_t> zeros(bytes);
+  const std::uint8_t* up = zeros.data();
+  for (std::uint32_t y = 0; y < height; ++y, at += bytes + 1) {
+    if (raw[at] > 4) damaged("is damaged: unknown row filter " + std::to_string(raw[at]));
+    std::uint8_t* row = raw.data() + at + 1;
+    unfilter(raw[at], row, up, bytes, pixel_bytes);
+    up = row;
+    row_done(y, row);
+  }
+}
+
+// Whole rows of 8-bit samples: the inflated buffer itself becomes the pixels, each row moved over the filter bytes
+// before it as soon as the row below no longer needs it.
+void unpack_bytes(const Header& h, std::vector<std::uint8_t>& raw, PngImage& image) {
+  const std::size_t bytes = row_bytes(h, h.width);
+  std::size_t at = 0;
+  unfilter_pass(h, h.width, h.height, raw, at, [&](std::uint32_t y, const std::uint8_t*) {
+    if (y > 0) std::memmove(raw.data() + (y - 1) * bytes, raw.data() + (y - 1) * (bytes + 1) + 1, bytes);
+  });
+  const std::size_t last = h.height - 1;
+  std::memmove(raw.data() + last * bytes, raw.data() + last * (bytes + 1) + 1, bytes);
+  raw.resize(bytes * h.height);
+  image.bytes = std::move(raw);
+}
+
+// Every other format: sample by sample.
+template <class T>
+void unpack_samples(const Header& h, std::vector<std::uint8_t>& raw, std::vector<T>& samples) {
   const auto channels = static_cast<std::size_t>(h.channels());
-  const std::size_t pixel_bytes = std::max<std::size_t>(1, channels * static_cast<std::size_t>(h.bits) / 8);
+  samples.resize(std::size_t{h.width} * h.height * channels);
+  const std::span<const Pass> passes = h.interlace != 0 ? std::span<const Pass>(kAdam7) : std::span<const Pass>(kPlain);
   std::size_t at = 0;
   for (const Pass& pass : passes) {
     const std::uint32_t width = steps(h.width, pass.x0, pass.dx), height = steps(h.height, pass.y0, pass.dy);
     if (width == 0 || height == 0) continue;
-    const std::size_t bytes = row_bytes(h, width);
-    const std::vector<std::uint8_t> zeros(bytes);
-    const std::uint8_t* up = zeros.data();
-    for (std::uint32_t y = 0; y < height; ++y, at += bytes + 1) {
-      if (raw[at] > 4) damaged("is damaged: unknown row filter " + std::to_string(raw[at]));
-      std::uint8_t* row = raw.data() + at + 1;
-      if (raw[at] != 0) unfilter(raw[at], {row, bytes}, up, pixel_bytes);
-      up = row;
-      std::uint16_t* line = samples.data() + std::size_t{pass.y0 + y * pass.dy} * h.width * channels;
+    unfilter_pass(h, width, height, raw, at, [&](std::uint32_t y, const std::uint8_t* row) {
+      T* line = samples.data() + std::size_t{pass.y0 + y * pass.dy} * h.width * channels;
       for (std::uint32_t x = 0; x < width; ++x) {
-        std::uint16_t* pixel = line + std::size_t{pass.x0 + x * pass.dx} * channels;
-        for (std::size_t c = 0; c < channels; ++c) pixel[c] = sample_at(row, x * channels + c, h.bits);
+        T* pixel = line + std::size_t{pass.x0 + x * pass.dx} * channels;
+        for (std::size_t c = 0; c < channels; ++c) pixel[c] = static_cast<T>(sample_at(row, x * channels + c, h.bits));
       }
-    }
+    });
   }
 }
 
@@ -236,8 +302,13 @@ PngImage decode_png(std::span<const std::byte> bytes) {
     size = (row_bytes(h, h.width) + 1) * h.height;
   }
   std::vector<std::uint8_t> raw = inflate_data(parts, size);
-  image.samples.resize(std::size_t{h.width} * h.height * static_cast<std::size_t>(image.channels));
-  unpack(h, raw, image.samples);
+  if (h.bits == 16) {
+    unpack_samples(h, raw, image.words);
+  } else if (h.bits == 8 && h.interlace == 0) {
+    unpack_bytes(h, raw, image);
+  } else {
+    unpack_samples(h, raw, image.bytes);
+  }
   return image;
 }
 
@@ -266,8 +337,7 @@ std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, in
       const int a = i >= pixel_bytes ? row[i - pixel_bytes] : 0;
       const int b = up != nullptr ? up[i] : 0;
       const int c = up != nullptr && i >= pixel_bytes ? up[i - pixel_bytes] : 0;
-      const int pa = std::abs(b - c), pb = std::abs(a - c), pc = std::abs(a + b - 2 * c);
-      raw.push_back(static_cast<std::uint8_t>(row[i] - (pa <= pb && pa <= pc ? a : pb <= pc ? b : c)));
+      raw.push_back(static_cast<std::uint8_t>(row[i] - paeth(a, b, c)));
     }
   }
   uLongf packed_size = ::compressBound(static_cast<uLong>(raw.size()));

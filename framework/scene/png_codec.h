@@ -10,14 +10,17 @@
 
 namespace semfield {
 
-/// Samples as stored, one uint16 each whatever the depth: grey, grey + alpha, RGB, RGBA, or palette index.
+/// Samples as stored: grey, grey + alpha, RGB, RGBA, or palette index.
 struct PngImage {
   std::int32_t width_px = 0, height_px = 0, channels = 0;
   int bits = 8;  ///< 1, 2, 4, 8 or 16: the largest sample is 2^bits - 1
   bool palette = false;
   std::vector<std::uint8_t> palette_rgb;    ///< 3 bytes an entry
   std::vector<std::uint8_t> palette_alpha;  ///< may be shorter than the palette: the rest is opaque
-  std::vector<std::uint16_t> samples;
+  std::vector<std::uint8_t> bytes;          ///< one byte a sample, for images of up to 8 bits
+  std::vector<std::uint16_t> words;         ///< the samples of 16-bit images
+
+  unsigned sample(std::size_t i) const { return bits == 16 ? words[i] : bytes[i]; }
 };
 
 bool looks_like_png(std::span<const std::byte> bytes);

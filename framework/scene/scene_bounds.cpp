@@ -16,63 +16,33 @@ struct DepthSurvey {
   std::int64_t looked_at = 0, valid = 0;
 };
 
-// Every fourth pixel each way of one frame. The outermost 0.1 % of a coordinate over all frames are dropped later, so
-// points are kept.
-struct FramePoints {
-  std::vector<float> x, y, z, distance;
-  std::int64_t looked_at = 0;
-};
-
-FramePoints back_project(const FrameInfo& frame, const FrameBuffer& buffer) {
-  FramePoints out;
-  const int step = 4;
-  for (int y = step / 2; y < buffer.height_px; y += step) {
-    for (int x = step / 2; x < buffer.width_px; x += step) {
-      ++out.looked_at;
-      const float depth = buffer.depth_m[static_cast<std::size_t>(y) * static_cast<std::size_t>(buffer.width_px) +
-                                         static_cast<std::size_t>(x)];
-      if (!(depth > 0)) continue;
-      const Vec3d d = frame.camera.direction(x + 0.5, y + 0.5);
-      if (!(d.z > 0)) continue;
-      const double t = depth / d.z;
-      const Vec3d p = frame.world_from_camera.apply(d * t);
-      out.x.push_back(static_cast<float>(p.x));
-      out.y.push_back(static_cast<float>(p.y));
-      out.z.push_back(static_cast<float>(p.z));
-      out.distance.push_back(static_cast<float>(t));
-    }
-  }
-  return out;
-}
-
 float quantile(std::vector<float>& values, double q) {
   const auto at = static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), values.begin() + at, values.end());
   return values[static_cast<std::size_t>(at)];
 }
 
-DepthSurvey survey_depth(const LoadedScene& scene, const std::vector<int>& frames) {
-  std::vector<FramePoints> parts(frames.size());
-  parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t i) {
-    const auto f = static_cast<std::size_t>(frames[static_cast<std::size_t>(i)]);
-    if (!scene.frames[f].depth_m.empty())
-      parts[static_cast<std::size_t>(i)] = back_project(scene.info.frames[f], scene.frames[f]);
-  });
+// The outermost 0.1 % of a coordinate over all frames are dropped. `parts` is emptied.
+DepthSurvey survey_depth(std::vector<SurveyPoints>& parts) {
   DepthSurvey out;
-  std::vector<float> axes[3];
-  for (const FramePoints& p : parts) {
-    out.looked_at += p.looked_at;
-    axes[0].insert(axes[0].end(), p.x.begin(), p.x.end());
-    axes[1].insert(axes[1].end(), p.y.begin(), p.y.end());
-    axes[2].insert(axes[2].end(), p.z.begin(), p.z.end());
-    out.distances.insert(out.distances.end(), p.distance.begin(), p.distance.end());
-  }
+  for (const SurveyPoints& p : parts) out.looked_at += p.looked_at;
+  std::vector<float> SurveyPoints::*const columns[4] = {&SurveyPoints::x, &SurveyPoints::y, &SurveyPoints::z,
+                                                        &SurveyPoints::distance};
+  parallel_for(4, [&](std::int64_t column) {
+    std::vector<float> all;
+    for (SurveyPoints& p : parts) {
+      std::vector<float>& part = p.*columns[column];
+      all.insert(all.end(), part.begin(), part.end());
+      part = std::vector<float>();
+    }
+    if (column == 3) {
+      out.distances = std::move(all);
+    } else if (!all.empty()) {
+      out.box.lo[static_cast<int>(column)] = quantile(all, 0.001);
+      out.box.hi[static_cast<int>(column)] = quantile(all, 0.999);
+    }
+  });
   out.valid = static_cast<std::int64_t>(out.distances.size());
-  if (out.valid == 0) return out;
-  for (int a = 0; a < 3; ++a) {
-    out.box.lo[a] = quantile(axes[a], 0.001);
-    out.box.hi[a] = quantile(axes[a], 0.999);
-  }
   return out;
 }
 
@@ -103,7 +73,37 @@ std::string short_number(double value) {
 
 }  // namespace
 
-void derive_extent(LoadedScene& scene, const SceneLoadOptions& options, Diagnostics& diagnostics) {
+std::int32_t survey_step(std::int64_t pixels) {
+  constexpr std::int64_t kMostPoints = std::int64_t{1} << 20;
+  std::int32_t step = 4;
+  while (pixels / (std::int64_t{step} * step) > kMostPoints) step *= 2;
+  return step;
+}
+
+SurveyPoints survey_frame(const Camera& camera, const Pose& world_from_camera, const FrameBuffer& frame,
+                          std::int32_t step) {
+  SurveyPoints out;
+  for (std::int32_t y = step / 2; y < frame.height_px; y += step) {
+    for (std::int32_t x = step / 2; x < frame.width_px; x += step) {
+      ++out.looked_at;
+      const float depth = frame.depth_m[static_cast<std::size_t>(y) * static_cast<std::size_t>(frame.width_px) +
+                                        static_cast<std::size_t>(x)];
+      if (!(depth > 0)) continue;
+      const Vec3d d = camera.direction(x + 0.5, y + 0.5);
+      if (!(d.z > 0)) continue;
+      const double t = depth / d.z;
+      const Vec3d p = world_from_camera.apply(d * t);
+      out.x.push_back(static_cast<float>(p.x));
+      out.y.push_back(static_cast<float>(p.y));
+      out.z.push_back(static_cast<float>(p.z));
+      out.distance.push_back(static_cast<float>(t));
+    }
+  }
+  return out;
+}
+
+void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const SceneLoadOptions& options,
+                   Diagnostics& diagnostics) {
   std::vector<int> usable;
   for (const int i : scene.frames_of(Split::train)) {
     if (scene.frames[static_cast<std::size_t>(i)].width_px > 0) usable.push_back(i);
@@ -113,7 +113,7 @@ void derive_extent(LoadedScene& scene, const SceneLoadOptions& options, Diagnost
       diagnostics.error(scene.info.name, "no training frame", "check the split parameters of the dataset");
     return;
   }
-  DepthSurvey survey = survey_depth(scene, usable);
+  DepthSurvey survey = survey_depth(surveyed);
   const bool has_depth = survey.valid > 0;
   const double covered = has_depth ? static_cast<double>(survey.valid) / static_cast<double>(survey.looked_at) : 0;
   Box cameras;

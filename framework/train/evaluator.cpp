@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/parallel.h"
+
 namespace semfield {
 
 namespace {
@@ -108,34 +110,47 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
   for (const int index : job.frames) {
     if (job.stop && job.stop()) break;
     const FrameInfo& info = (*job.infos)[static_cast<std::size_t>(index)];
-    const FrameBuffer& truth = (*job.buffers)[static_cast<std::size_t>(index)];
+    const StoredFrame& stored = (*job.buffers)[static_cast<std::size_t>(index)];
     const RayCamera camera{info.camera, info.world_from_camera, job.undistort};
-    const RenderedFrame frame = render_frame(pipeline, camera, limits, class_of_logit, truth.label);
+    const std::vector<std::int16_t> truth = stored.label.expand();
+    const RenderedFrame frame = render_frame(pipeline, camera, limits, class_of_logit, truth);
+    std::vector<float> truth_rgb(stored.rgb.size());
+    for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(stored.rgb[i]) / 255.0F;
+    ColorError color;
+    const std::optional<double> similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3);
+    ConfusionMatrix confusion(semantics ? job.classes : 0);
+    Calibration calibration;
+    DepthError depth(limits.far_m);
+    const bool labels = semantics && !truth.empty();
+    const std::function<void()> measures[] = {[&] { color.add(truth_rgb, frame.rgb); },
+                                              [&] {
+                                                if (labels) confusion.add(truth, frame.label);
+                                              },
+                                              [&] {
+                                                if (labels)
+                                                  calibration.add(frame.confidence, frame.truth_probability,
+                                                                  frame.label, truth);
+                                              },
+                                              [&] {
+                                                if (!stored.depth_m.empty())
+                                                  depth.add(stored.depth_m.expand(), frame.depth_m);
+                                              }};
+    parallel_for(std::ssize(measures), [&](std::int64_t i) { measures[i](); });
     FrameScore row;
     row.frame = index;
     row.name = info.name;
-    std::vector<float> truth_rgb(truth.rgb.size());
-    for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(truth.rgb[i]) / 255.0F;
-    ColorError color;
-    color.add(truth_rgb, frame.rgb);
     row.psnr_db = color.psnr_db();
     score.color.merge(color);
-    if (const std::optional<double> value = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3)) {
-      score.ssim_sum += *value;
+    if (similarity) {
+      score.ssim_sum += *similarity;
       ++score.ssim_frames;
     }
-    if (semantics && !truth.label.empty()) {
-      ConfusionMatrix confusion(job.classes);
-      confusion.add(truth.label, frame.label);
+    if (labels) {
       row.miou_present = confusion.miou_present();
       score.confusion.merge(confusion);
-      Calibration calibration;
-      calibration.add(frame.confidence, frame.truth_probability, frame.label, truth.label);
       score.calibration.merge(calibration);
     }
-    if (!truth.depth_m.empty()) {
-      DepthError depth(limits.far_m);
-      depth.add(truth.depth_m, frame.depth_m);
+    if (!stored.depth_m.empty()) {
       row.absrel = depth.abs_rel();
       score.depth.merge(depth);
     }

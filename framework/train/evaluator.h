@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "model/pipeline.h"
-#include "scene/scene.h"
+#include "scene/stored_frame.h"
 #include "train/metrics.h"
 #include "train/rays.h"
 
@@ -56,7 +56,7 @@ struct SplitScore {
 
 struct EvalJob {
   const std::vector<FrameInfo>* infos = nullptr;
-  const std::vector<FrameBuffer>* buffers = nullptr;
+  const std::vector<StoredFrame>* buffers = nullptr;
   std::vector<int> frames;
   int classes = 0;
   bool undistort = true;

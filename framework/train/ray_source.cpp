@@ -43,15 +43,42 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
     throw Error(ErrorKind::data, "the training split has more than 2^32 pixels", "reduce it with scene.load.downscale");
   }
   if (options_.kind != RaySourceKind::label_balanced) return;
-  for (std::size_t f = 0; f < frames_.size(); ++f) {
-    for (std::int64_t p = offsets_[f]; frames_[f].labelled && p < offsets_[f + 1]; ++p) {
-      const Pixel pixel{static_cast<std::int32_t>(f), static_cast<std::int32_t>(p - offsets_[f])};
-      if (label_of(pixel) != kVoid) labelled_pixels_.push_back(static_cast<std::uint32_t>(p));
-    }
-  }
-  if (labelled_pixels_.empty()) {
+  index_labels();
+  if (ranks_before_.back() == 0) {
     throw Error(ErrorKind::data, "train.ray_source is label_balanced, but no training pixel carries a label",
                 "choose all_images, or give the scene labels");
+  }
+}
+
+void RaySource::index_labels() {
+  block_offsets_.push_back(0);
+  for (std::size_t f = 0; f < frames_.size(); ++f) {
+    const std::int64_t pixels = frames_[f].labelled ? offsets_[f + 1] - offsets_[f] : 0;
+    block_offsets_.push_back(block_offsets_.back() + static_cast<std::size_t>((pixels + kBlock - 1) / kBlock));
+  }
+  ranks_before_.assign(block_offsets_.back() + 1, 0);
+  parallel_for(static_cast<std::int64_t>(frames_.size()), [&](std::int64_t frame) {
+    const auto f = static_cast<std::size_t>(frame);
+    const std::int64_t pixels = offsets_[f + 1] - offsets_[f];
+    for (std::size_t b = block_offsets_[f]; b < block_offsets_[f + 1]; ++b) {
+      const std::int64_t begin = static_cast<std::int64_t>(b - block_offsets_[f]) * kBlock;
+      for (std::int64_t p = begin; p < std::min(begin + kBlock, pixels); ++p)
+        ranks_before_[b + 1] += label_of({static_cast<std::int32_t>(f), static_cast<std::int32_t>(p)}) != kVoid ? 1 : 0;
+    }
+  });
+  for (std::size_t b = 1; b < ranks_before_.size(); ++b) ranks_before_[b] += ranks_before_[b - 1];
+}
+
+RaySource::Pixel RaySource::labelled_pixel(std::uint32_t rank) const {
+  const auto after = std::upper_bound(ranks_before_.begin(), ranks_before_.end(), rank);
+  const auto block = static_cast<std::size_t>(after - ranks_before_.begin()) - 1;
+  const auto next_frame = std::upper_bound(block_offsets_.begin(), block_offsets_.end(), block);
+  const auto frame = static_cast<std::size_t>(next_frame - block_offsets_.begin()) - 1;
+  Pixel pixel{static_cast<std::int32_t>(frame),
+              static_cast<std::int32_t>(static_cast<std::int64_t>(block - block_offsets_[frame]) * kBlock)};
+  for (std::uint32_t left = rank - ranks_before_[block];; ++pixel.index) {
+    if (label_of(pixel) == kVoid) continue;
+    if (left-- == 0) return pixel;
   }
 }
 
@@ -76,7 +103,7 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
       // Every ray whose running share crosses an integer is a labelled one: spread evenly over the tiles.
       const double share = options_.labelled_share;
       if (std::floor(static_cast<double>(ray + 1) * share) > std::floor(static_cast<double>(ray) * share)) {
-        return locate(labelled_pixels_[uniform_below(address, index, labelled_pixels_.size())]);
+        return labelled_pixel(static_cast<std::uint32_t>(uniform_below(address, index, ranks_before_.back())));
       }
       break;
     }

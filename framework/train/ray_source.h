@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "model/pipeline.h"
-#include "scene/scene.h"
+#include "scene/stored_frame.h"
 #include "train/rays.h"
 #include "train/run_config.h"
 
@@ -14,7 +14,7 @@ namespace semfield {
 /// One training frame as the source needs it; pixels are borrowed.
 struct TrainFrame {
   RayCamera camera;
-  const FrameBuffer* pixels = nullptr;
+  const StoredFrame* pixels = nullptr;
   bool labelled = false;  ///< its labels were selected
 };
 
@@ -62,8 +62,15 @@ class RaySource {
   std::vector<std::int16_t> logit_of_class_;
   RayLimits limits_;
   RaySourceOptions options_;
-  std::vector<std::int64_t> offsets_;           // first global pixel of each frame, and the total
-  std::vector<std::uint32_t> labelled_pixels_;  // global pixel numbers; label_balanced only
+  // Labelled pixels by rank, for label_balanced alone: pixels of the labelled frames in blocks of kBlock, and how many
+  // labelled ones lie before each block. A list of the pixels themselves would outweigh the labels.
+  static constexpr std::int64_t kBlock = 64;
+  void index_labels();
+  Pixel labelled_pixel(std::uint32_t rank) const;
+
+  std::vector<std::int64_t> offsets_;        // first global pixel of each frame, and the total
+  std::vector<std::size_t> block_offsets_;   // first block of each frame, and the total
+  std::vector<std::uint32_t> ranks_before_;  // [blocks + 1]; the last entry counts all
 };
 
 }  // namespace semfield

@@ -14,7 +14,7 @@ namespace {
 // The six pictures of a strip, under the names that a report looks for.
 void write_strip(const RunFolder& folder, const Session& s, int frame, const RenderedFrame& maps) {
   const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frame)];
-  const FrameBuffer& truth = s.scene.frames[static_cast<std::size_t>(frame)];
+  const StoredFrame& truth = s.scene.frames[static_cast<std::size_t>(frame)];
   const MapSize size{maps.width_px, maps.height_px};
   const auto path = [&](const char* kind) { return folder.render_path("test", info.name, kind); };
   const auto rgb = [&](const char* kind, const std::vector<std::uint8_t>& pixels) {
@@ -22,10 +22,10 @@ void write_strip(const RunFolder& folder, const Session& s, int frame, const Ren
   };
   rgb("rgb_truth", truth.rgb);
   write_color(path("rgb"), size, maps.rgb);
-  const DepthRange range = robust_depth_range(truth.depth_m.empty() ? maps.depth_m : truth.depth_m);
+  const DepthRange range = robust_depth_range(truth.depth_m.empty() ? maps.depth_m : truth.depth_m.expand());
   rgb("depth_vis", depth_colors(maps.depth_m, range.near_m, range.far_m));
   if (maps.label.empty()) return;
-  if (!truth.label.empty()) rgb("label_truth_vis", label_colors(truth.label, s.scene.info.classes));
+  if (!truth.label.empty()) rgb("label_truth_vis", label_colors(truth.label.expand(), s.scene.info.classes));
   write_label_ids(path("label"), size, maps.label, s.scene.info.classes);
   rgb("label_vis", label_colors(maps.label, s.scene.info.classes));
   rgb("entropy_vis", entropy_colors(maps.entropy, static_cast<int>(s.plan.class_of_logit.size())));

@@ -17,7 +17,7 @@ SceneManifest manifest_of(const LoadedScene& scene, const std::vector<char>& lab
   manifest.train_class_pixels.resize(static_cast<std::size_t>(manifest.classes));
   for (std::size_t f = 0; f < scene.frames.size(); ++f) {
     const FrameInfo& info = scene.info.frames[f];
-    manifest.any_depth = manifest.any_depth || !scene.frames[f].depth_m.empty();
+    manifest.any_depth = manifest.any_depth || info.has_depth;
     manifest.any_distortion = manifest.any_distortion || info.camera.has_distortion();
     if (info.split != Split::train) continue;
     ++manifest.train_frames;
@@ -44,7 +44,9 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   DatasetBuild dataset_build;
   dataset_build.config_dir = s.config.base_dir;
   const std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
-  s.scene = load_scene(*dataset, s.config.load, diagnostics);
+  SceneLoadOptions load = s.config.load;
+  load.depth = options.depth;
+  s.scene = load_scene(*dataset, load, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
   s.labelled.assign(s.scene.frames.size(), 0);
   for (const int f : select_label_frames(s.scene.info, s.config.labels)) s.labelled[static_cast<std::size_t>(f)] = 1;
@@ -111,10 +113,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
 
 MemoryPlan plan_memory(const Session& s) {
   MemoryPlan plan;
-  for (const FrameBuffer& frame : s.scene.frames) {
-    plan.scene += frame.rgb.capacity() + frame.depth_m.capacity() * 4 + frame.label.capacity() * 2 +
-                  frame.instance.capacity() * 4;
-  }
+  for (const StoredFrame& frame : s.scene.frames) plan.scene += frame.bytes();
   if (s.pipeline) {
     plan.parameters = s.pipeline->store().bytes();
     plan.activations = s.pipeline->predicted_workspace_bytes(s.config.train.rays);

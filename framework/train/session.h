@@ -33,7 +33,8 @@ struct Session {
 struct SessionOptions {
   std::vector<std::string> keep;  ///< components forced back in
   bool trainable = true;
-  bool build = true;  ///< false: stop after the plan
+  bool build = true;                  ///< false: stop after the plan
+  DepthKept depth = DepthKept::test;  ///< what a later evaluation compares with
 };
 
 /// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, assembles.

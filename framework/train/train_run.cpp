@@ -220,8 +220,13 @@ class Run {
     std::string manifest;
     for (const FrameInfo& frame : session_.scene.info.frames)
       manifest += frame.name + fmt::format(" {} {}\n", frame.camera.width_px, frame.camera.fx);
-    for (const FrameBuffer& frame : session_.scene.frames)
-      manifest += hex64(crc32c(std::as_bytes(std::span(frame.rgb))));
+    const std::vector<StoredFrame>& frames = session_.scene.frames;
+    std::vector<std::uint32_t> checksums(frames.size());
+    parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t i) {
+      const auto f = static_cast<std::size_t>(i);
+      checksums[f] = crc32c(std::as_bytes(std::span(frames[f].rgb)));
+    });
+    for (const std::uint32_t checksum : checksums) manifest += hex64(checksum);
     environment.input_hash = hex64(fnv1a64(manifest));
     for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
     environment.more.emplace_back("gemm", "own register-blocked kernels");
@@ -267,7 +272,7 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
 }
 
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
-                   Diagnostics& diagnostics) {
+                   Diagnostics& diagnostics, DepthKept depth) {
   OpenedRun run;
   const RunFolder folder = RunFolder::read(run_dir);
   run.run_dir = folder.path();
@@ -280,6 +285,7 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   RunConfig config = load_run_config(folder.config_path(), overrides, registry);
   SessionOptions options;
   options.trainable = false;
+  options.depth = depth;
   run.session = open_session(std::move(config), registry, options, diagnostics);
   load_pipeline(*run.session.pipeline, found->file);
   run.step = found->step;

@@ -53,7 +53,7 @@ struct OpenedRun {
   std::string run_dir;
 };
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
-                   Diagnostics& diagnostics);
+                   Diagnostics& diagnostics, DepthKept depth = DepthKept::test);
 
 /// Peak resident memory of this process in bytes; 0 where the system does not tell.
 std::size_t peak_resident_bytes();

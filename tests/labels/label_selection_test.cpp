@@ -107,7 +107,8 @@ TEST(LabelSelection, KeepDropsOnlyTrainingLabels) {
     scene.info.frames.push_back(f);
     FrameBuffer b;
     b.label = {0, kVoid};
-    scene.frames.push_back(b);
+    scene.frames.emplace_back(b);
+    scene.class_pixels.push_back({1, 1});
   }
   keep_labels(scene, {1});
   EXPECT_FALSE(scene.info.frames[0].has_labels);

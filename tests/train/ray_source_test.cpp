@@ -6,12 +6,14 @@
 #include <set>
 
 #include "core/parallel.h"
+#include "core/rng.h"
 
 namespace semfield {
 namespace {
 
 struct Fixture {
   FrameBuffer a, b;
+  StoredFrame stored_a, stored_b;
   RayLimits limits;
 
   Fixture() {
@@ -31,7 +33,9 @@ struct Fixture {
     camera.camera.fx = camera.camera.fy = 4;
     camera.camera.cx = 4;
     camera.camera.cy = 2;
-    return RaySource({{camera, &a, true}, {camera, &b, false}}, {0, 1}, limits, options);
+    stored_a = StoredFrame(a);
+    stored_b = StoredFrame(b);
+    return RaySource({{camera, &stored_a, true}, {camera, &stored_b, false}}, {0, 1}, limits, options);
   }
 };
 
@@ -149,6 +153,42 @@ TEST(Rays, PixelCentresLieAtHalves) {
   limits.bounds = {{5, 5, 1}, {6, 6, 2}};
   cast_ray(camera, limits, 4, 2, o, d, nf);
   EXPECT_EQ(nf[0], nf[1]) << "a ray that misses the bounds is empty";
+}
+
+// The index of labelled pixels against the list that it stands for.
+TEST(RaySource, LabelBalancedDrawsFromTheLabelledPixelsInOrder) {
+  FrameBuffer frames[3];
+  StoredFrame stored[3];
+  std::vector<RaySource::Pixel> labelled;
+  std::uint64_t next = 0;
+  for (std::int32_t f = 0; f < 3; ++f) {
+    FrameBuffer& frame = frames[f];
+    frame.width_px = 37;
+    frame.height_px = 19;
+    frame.rgb.assign(37 * 19 * 3, 0);
+    for (std::int32_t i = 0; i < 37 * 19; ++i) {
+      const float u = uniform01(RandomAddress{3, 0, 4}, next++);
+      frame.label.push_back(u < 0.3f && (i < 100 || i > 300) ? 0 : u < 0.5f ? 2 : kVoid);  // class 2 has no logit
+      if (frame.label.back() == 0 && f != 1) labelled.push_back({f, i});
+    }
+    stored[f] = StoredFrame(frame);
+  }
+  RaySourceOptions options;
+  options.kind = RaySourceKind::label_balanced;
+  options.labelled_share = 1;
+  options.seed = 9;
+  RayCamera camera;
+  camera.camera.width_px = 37;
+  camera.camera.height_px = 19;
+  const RaySource source({{camera, &stored[0], true}, {camera, &stored[1], false}, {camera, &stored[2], true}},
+                         {0, 1, kVoid}, RayLimits{}, options);
+  const RandomAddress address{9, 5, stream_id("ray_source/pixel")};
+  for (std::int64_t ray = 0; ray < 2000; ++ray) {
+    const RaySource::Pixel got = source.choose(5, ray);
+    const RaySource::Pixel want = labelled[uniform_below(address, static_cast<std::uint64_t>(ray), labelled.size())];
+    ASSERT_EQ(got.frame, want.frame);
+    ASSERT_EQ(got.index, want.index);
+  }
 }
 
 }  // namespace
