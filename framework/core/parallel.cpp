@@ -2,38 +2,65 @@
 
 #include <omp.h>
 
+#include <algorithm>
 #include <atomic>
-#include <exception>
+#include <memory>
 #include <mutex>
+
+#include "core/cpu_quota.h"
+#include "core/thread_team.h"
 
 namespace semfield {
 
 namespace {
+
 std::atomic<int> g_threads{0};
+
+// OpenMP gives the threads; they are handed out by ThreadTeam and not by regions of OpenMP. At the end of a region the
+// GNU runtime has every thread wait for every other in a busy loop of milliseconds, before which no call can come:
+// beside another program on the same cores, threads then take the core from the one that they wait for, and a step
+// takes many times longer.
+void start_workers(int workers, const std::function<void()>& serve) {
+#pragma omp parallel num_threads(workers)
+  serve();
 }
 
-int hardware_threads() { return omp_get_num_procs(); }
+struct Teams {
+  std::mutex one_job;  // held while a job runs
+  std::unique_ptr<ThreadTeam> team;
+};
+
+// Never destroyed: workers may sleep in it until the process ends.
+Teams& teams() {
+  static Teams& all = *new Teams;
+  return all;
+}
+
+void run_serially(std::int64_t count, const std::function<void(std::int64_t)>& body) {
+  for (std::int64_t i = 0; i < count; ++i) body(i);
+}
+
+}  // namespace
+
+int hardware_threads() {
+  static const int quota = cpu_quota();
+  const int cores = omp_get_num_procs();
+  return quota > 0 ? std::min(quota, cores) : cores;
+}
 void set_thread_count(int threads) { g_threads = threads; }
 int thread_count() { return g_threads > 0 ? g_threads.load() : hardware_threads(); }
 
 void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) {
-  const int threads = thread_count();
-  if (count <= 1 || threads == 1 || omp_in_parallel()) {
-    for (std::int64_t i = 0; i < count; ++i) body(i);
-    return;
+  const int workers = thread_count() - 1;
+  if (count <= 1 || workers <= 0 || ThreadTeam::inside_job()) return run_serially(count, body);
+  const std::unique_lock<std::mutex> job(teams().one_job, std::try_to_lock);
+  if (!job.owns_lock()) return run_serially(count, body);  // another thread of the caller's has the workers
+  std::unique_ptr<ThreadTeam>& team = teams().team;
+  if (!team || team->workers() != workers) {
+    team.reset();
+    team = std::make_unique<ThreadTeam>(workers, start_workers);
   }
-  std::exception_ptr failure;
-  std::mutex failure_mutex;
-#pragma omp parallel for schedule(dynamic, 1) num_threads(threads)
-  for (std::int64_t i = 0; i < count; ++i) {
-    try {
-      body(i);
-    } catch (...) {
-      const std::lock_guard<std::mutex> lock(failure_mutex);
-      if (!failure) failure = std::current_exception();
-    }
-  }
-  if (failure) std::rethrow_exception(failure);
+  team->run(count, body);
 }
 
 }  // namespace semfield

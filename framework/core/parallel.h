@@ -9,11 +9,12 @@ namespace semfield {
 /// Threads that parallel_for uses; 0 means every core. Results never depend on it.
 void set_thread_count(int threads);
 int thread_count();
-/// Cores this process may run on.
+/// Cores this process may run on: its affinity, and the quota of its control groups.
 int hardware_threads();
 
 /// Calls body(i) for every i in [0, count), each exactly once, in any order, on thread_count() threads. The first
-/// exception thrown by a body is rethrown here after all bodies have ended. Nested calls run serially.
+/// exception thrown by a body is rethrown here after all bodies have ended. Nested calls run serially, and so does a call
+/// while another thread's call has the workers.
 void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body);
 
 }  // namespace semfield
