@@ -2,6 +2,8 @@
 
 #include <CLI/CLI.hpp>
 
+#include "bench_step.h"
+
 namespace semfield::app {
 
 namespace {
@@ -137,6 +139,21 @@ void add_plugins_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   bind(group->add_subcommand("matrix", "plugins by device"), [&context] { return run_plugins_matrix(context); });
 }
 
+void add_bench_verbs(CLI::App& root, AppContext& context, Choice& choice) {
+  CLI::App* group = root.add_subcommand("bench", "how fast training steps are on this machine");
+  group->require_subcommand(1);
+  auto options = std::make_shared<BenchStepOptions>();
+  CLI::App* step = group->add_subcommand("step", "whole training steps beside the machine's limits");
+  step->add_flag("--peers", options->peers, "alternate with the same steps in PyTorch and print ratios");
+  step->add_option("--threads", options->threads, "CPU threads (default: every core)")->check(CLI::Range(1, 4096));
+  step->add_option("--repeats", options->repeats, "rounds; medians are of so many")->check(CLI::Range(1, 1000));
+  step->add_option("--size", options->size, "full, or tiny: narrow networks and few rays, for tests");
+  step->add_option("--peer-script", options->peer_script, "the peer's script (default: the one that is shipped)");
+  step->add_option("--python", options->python, "interpreter with torch (default: python3)");
+  step->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_bench_step(*options, context); }; });
+}
+
 }  // namespace
 
 int run_command_line(int argc, char** argv, AppContext& context) {
@@ -151,6 +168,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   add_scene_verbs(root, context, choice);
   add_config_verbs(root, context, choice);
   add_plugins_verbs(root, context, choice);
+  add_bench_verbs(root, context, choice);
   CLI::App* version = root.add_subcommand("version", "version, build and plugins");
   version->callback([&context, &choice] { choice = [&context] { return run_version(context); }; });
   try {

@@ -70,6 +70,9 @@ int run_plugins_show(const std::string& name, AppContext& context);
 int run_plugins_docs(const std::string& out, AppContext& context);
 int run_plugins_matrix(AppContext& context);
 
+struct BenchStepOptions;
+int run_bench_step(const BenchStepOptions& options, AppContext& context);
+
 int run_version(AppContext& context);
 
 /// Loads the modules of `--plugin`.

@@ -36,7 +36,7 @@ Teams& teams() {
   return all;
 }
 
-void run_serially(std::int64_t count, const std::function<void(std::int64_t)>& body) {
+void run_serially(std::int64_t count, IndexBody body) {
   for (std::int64_t i = 0; i < count; ++i) body(i);
 }
 
@@ -50,7 +50,7 @@ int hardware_threads() {
 void set_thread_count(int threads) { g_threads = threads; }
 int thread_count() { return g_threads > 0 ? g_threads.load() : hardware_threads(); }
 
-void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) {
+void parallel_for(std::int64_t count, IndexBody body) {
   const int workers = thread_count() - 1;
   if (count <= 1 || workers <= 0 || ThreadTeam::inside_job()) return run_serially(count, body);
   const std::unique_lock<std::mutex> job(teams().one_job, std::try_to_lock);

@@ -2,7 +2,8 @@
 #pragma once
 
 #include <cstdint>
-#include <functional>
+
+#include "core/index_body.h"
 
 namespace semfield {
 
@@ -15,6 +16,6 @@ int hardware_threads();
 /// Calls body(i) for every i in [0, count), each exactly once, in any order, on thread_count() threads. The first
 /// exception thrown by a body is rethrown here after all bodies have ended. Nested calls run serially, and so does a call
 /// while another thread's call has the workers.
-void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body);
+void parallel_for(std::int64_t count, IndexBody body);
 
 }  // namespace semfield

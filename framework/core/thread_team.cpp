@@ -72,7 +72,7 @@ void ThreadTeam::serve() {
   }
 }
 
-void ThreadTeam::run(std::int64_t count, const std::function<void(std::int64_t)>& body) {
+void ThreadTeam::run(std::int64_t count, IndexBody body) {
   body_ = &body;
   count_ = count;
   next_.store(0, std::memory_order_relaxed);

@@ -8,6 +8,8 @@
 #include <mutex>
 #include <thread>
 
+#include "core/index_body.h"
+
 namespace semfield {
 
 /// Workers beside the thread that asks. A job is over when its indices are used up and every worker that took part has
@@ -26,7 +28,7 @@ class ThreadTeam {
 
   int workers() const { return workers_; }
   /// body(i) for every i in [0, count), each once; one job at a time. The first exception is rethrown at the end.
-  void run(std::int64_t count, const std::function<void(std::int64_t)>& body);
+  void run(std::int64_t count, IndexBody body);
 
   /// Inside a body, on any thread of any team.
   static bool inside_job();
@@ -37,7 +39,7 @@ class ThreadTeam {
 
   const int workers_;
   // The job; written while the gate is closed and nobody is inside.
-  const std::function<void(std::int64_t)>* body_ = nullptr;
+  const IndexBody* body_ = nullptr;
   std::int64_t count_ = 0;
   std::exception_ptr failure_;
   std::mutex failure_mutex_;

@@ -93,6 +93,16 @@ std::string output_of(const std::string& command) {
   return text;
 }
 
+// Help of a verb and of the words below it.
+std::string help_of(const std::string& verb) {
+  std::string help = output_of(std::string(SEMFIELD_PROGRAM) + " " + verb + " --help");
+  const std::size_t list = help.find("Subcommands:");
+  if (list == std::string::npos) return help;
+  for (const std::string& word : matches(help.substr(list), R"(\n  ([a-z]+) )"))
+    help += output_of(std::string(SEMFIELD_PROGRAM) + " " + verb + " " + word + " --help");
+  return help;
+}
+
 TEST(Readme, TableOfVerbsIsThatOfTheProgram) {
   const std::string help = output_of(SEMFIELD_PROGRAM " --help");
   const std::size_t list = help.find("Subcommands:");
@@ -104,7 +114,7 @@ TEST(Readme, TableOfVerbsIsThatOfTheProgram) {
   const std::string section = readme.substr(begin, readme.find("\n## ", begin + 1) - begin);
   EXPECT_EQ(matches(section, R"(\n\| `([a-z]+)[ `])"), have);
   for (const std::string& verb : have) {
-    const std::string options = output_of(std::string(SEMFIELD_PROGRAM) + " " + verb + " --help") + help;
+    const std::string options = help_of(verb) + help;
     const std::set<std::string> rows = matches(section, "(\n\\| `" + verb + "[ `][^\n]*)");
     ASSERT_EQ(rows.size(), 1u) << verb;
     for (const std::string& option : matches(*rows.begin(), R"((--[a-z][a-z-]*))"))
@@ -123,13 +133,14 @@ TEST(Readme, ExitCodesAreThoseOfTheProgram) {
 // Every command line in a shell block of a page names a verb and options that exist.
 TEST(Pages, ShellBlocksUseRealOptions) {
   std::map<std::string, std::string> help;
+  const std::string root_help = output_of(SEMFIELD_PROGRAM " --help");
   int checked = 0;
   for (const std::string& path : all_pages()) {
     for (const Block& block : blocks_of(page(path))) {
       if (block.info != "sh") continue;
       for (const std::string& line : matches("\n" + block.text, "\n(semfield [^\n#]*)")) {
         const std::string verb = *matches(line, "^semfield ([a-z]+)").begin();
-        if (!help.contains(verb)) help[verb] = output_of(std::string(SEMFIELD_PROGRAM) + " " + verb + " --help");
+        if (!help.contains(verb)) help[verb] = help_of(verb) + root_help;
         EXPECT_NE(help[verb].find("Usage: semfield " + verb), std::string::npos) << path << ": " << line;
         for (const std::string& option : matches(line, R"((--[a-z][a-z-]*))")) {
           ++checked;

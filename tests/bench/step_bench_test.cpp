@@ -1,0 +1,132 @@
+// Counting the work of a step against sums done by hand, and the step on made-up rays.
+#include "train/step_bench.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "core/peak_probe.h"
+#include "plugin/linked_plugins.h"
+#include "train/step_work.h"
+
+namespace semfield {
+namespace {
+
+double layer_flop(const std::vector<LayerWork>& layers, const std::string& name) {
+  for (const LayerWork& layer : layers) {
+    if (layer.layer == name) return layer.flop();
+  }
+  ADD_FAILURE() << "no layer " << name;
+  return 0;
+}
+
+double two_passes(const WorkRules& rules) {
+  double sum = 0;
+  for (const double per_ray : {64.0, 192.0}) sum += total_flop(deep_network_work({}, 1024, 1024 * per_ray, rules));
+  return sum;
+}
+
+TEST(StepWork, PaperStepIsWhatOneCountsByHand) {
+  // Multiply-adds of a sample, forward: x into layers 0 and 5, seven 256 x 256 layers, density, folded view layer,
+  // colour, semantic hidden layer.
+  const double x = 2 * 63 * 256;
+  const double rest = 7 * 256 * 256 + 256 + 256 * 128 + 128 * 3 + 256 * 128;
+  EXPECT_EQ(x + rest, 557184);
+  // Twice for two operations, times three for both gradients; positions take none.
+  const double samples = 1024 * (64 + 192);
+  double flop = 2 * samples * (2 * x + 3 * rest);
+  // Two networks: class layer and direction term once a ray, and the product of the folded weights once a step.
+  flop += 2 * 2 * 1024 * (3.0 * 128 * 29 + 2.0 * 27 * 128) + 2 * 2 * 3 * (256.0 * 256 * 128);
+  EXPECT_EQ(two_passes({29, true}), flop);
+  EXPECT_NEAR(flop * 1e-12, 0.860, 5e-4);
+}
+
+TEST(StepWork, AsWrittenStepIsWhatOneCountsByHand) {
+  const double samples = 1024 * (64 + 192);
+  const double no_gradient = 2 * 63 * 256 + 27 * 128;
+  const double rest = 7 * 256 * 256 + 256 + 256 * 256 + 256 * 128 + 128 * 3 + 256 * 128 + 128 * 29;
+  EXPECT_EQ(two_passes({29, false}), 2 * samples * (2 * no_gradient + 3 * rest));
+  EXPECT_NEAR(two_passes({29, false}) * 1e-12, 0.972, 5e-4);
+}
+
+TEST(StepWork, ClassesCostARayNotASample) {
+  const double more = two_passes({512, true}) - two_passes({13, true});
+  EXPECT_EQ(more, 2 * 2.0 * 1024 * 3 * 128 * (512 - 13));
+  EXPECT_LT(more / two_passes({13, true}), 0.001);
+  EXPECT_LT(two_passes({0, true}), two_passes({1, true}) * 0.95);  // the hidden layer goes as well
+}
+
+TEST(StepWork, SmallNetworkIsWhatOneCountsByHand) {
+  const std::vector<LayerWork> layers = small_network_work({}, 10, 300, {5, true});
+  const double a_sample = 32 * 64 + 64 * 16 + 15 * 64 + 64 * 64 + 64 * 3 + 64 * 64;
+  EXPECT_EQ(total_flop(layers), 2 * 3 * 300 * a_sample + 2 * 2 * 10 * (16 * 64) + 2 * 3 * 10 * (64 * 5));
+  EXPECT_EQ(layer_flop(layers, "rgb"), 2 * 3 * 300.0 * 64 * 3);
+}
+
+class StepCases : public testing::Test {
+ protected:
+  StepCases() { register_linked_plugins(registry_); }
+  StepCase make(const std::string& config, int classes, std::vector<std::string> set = {}) {
+    StepCaseOptions options;
+    options.config = std::string(SEMFIELD_SOURCE_DIR "/configs/") + config;
+    options.set = std::move(set);
+    options.classes = classes;
+    options.rays = 16;
+    return StepCase(options, registry_);
+  }
+  Registry registry_;
+};
+
+// The shapes that are counted are those that are built: the same number of weights, and biases beside them.
+TEST_F(StepCases, CountedShapesAreThoseOfTheNetworks) {
+  const int classes = 29;
+  double deep = 8 * 256 + 1 + 256 + 128 + 3 + 128 + classes;
+  for (const LayerWork& layer : deep_network_work({}, 1, 1, {classes, false})) deep += layer.in * layer.out;
+  EXPECT_EQ(deep, 628740 + 129 * classes);
+  EXPECT_EQ(make("paper.yaml", classes).learned_count(), 2 * static_cast<std::int64_t>(deep));
+
+  double small = 64 + 16 + 64 + 64 + 3 + 64 + classes;
+  for (const LayerWork& layer : small_network_work({}, 1, 1, {classes, false})) small += layer.in * layer.out;
+  double table = 0;  // vertices of 16 grids between 16 and 512 cells, at most 2^15 each, of 2 numbers
+  for (int level = 0; level < 16; ++level) {
+    const double cells = std::floor(16 * std::pow(32.0, level / 15.0) + 1e-9);
+    table += 2 * std::min(std::pow(cells + 1, 3), 32768.0);
+  }
+  EXPECT_EQ(static_cast<double>(make("bench/hash_step.yaml", classes).learned_count()), small + table);
+}
+
+TEST_F(StepCases, AStepTrainsOnEveryRaysSamples) {
+  StepCase step = make("bench/hash_step.yaml", 5, {"passes.0.position.log2_entries=10"});
+  EXPECT_EQ(step.samples_per_step(), 16 * 30);
+  step.seconds(1, 1);
+  const double first = step.loss();
+  EXPECT_GT(first, 0.04 * 0.5 * std::log(5.0));  // colours of noise and labels of chance
+  EXPECT_GT(step.seconds(2, 3), 0);
+  EXPECT_NE(step.loss(), first);
+}
+
+TEST(Spreads, MedianAndEnds) {
+  const Spread odd = spread_of({3, 1, 2});
+  EXPECT_EQ(odd.median, 2);
+  EXPECT_EQ(odd.min, 1);
+  EXPECT_EQ(odd.max, 3);
+  EXPECT_EQ(spread_of({4, 1, 2, 3}).median, 2.5);
+}
+
+TEST(Spreads, MeasurementsAlternate) {
+  std::string order;
+  alternate({[&] { return order += 'a', 0.0; }, [&] { return order += 'b', 0.0; }}, 3);
+  EXPECT_EQ(order, "ababab");
+}
+
+TEST(PeakProbe, LimitsAreThoseOfAComputer) {
+  const double fp32 = peak_fp32_flops(1, 0.002);
+  EXPECT_GT(fp32, 1e8);
+  EXPECT_LT(fp32, 1e12);
+  const double reads = random_reads(1, 1 << 15, 0.002);
+  EXPECT_GT(reads, 1e6);
+  EXPECT_LT(reads, 2e10);
+}
+
+}  // namespace
+}  // namespace semfield
