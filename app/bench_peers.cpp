@@ -33,7 +33,11 @@ json parsed(const std::string& line) {
 
 Peer::Peer(const std::string& script, const std::string& python, int threads, bool tuned) {
   std::vector<std::string> words{python_with_torch(python), script, "--serve"};
-  if (tuned) words.insert(words.end(), {"--tuned", "--threads", std::to_string(threads)});
+  if (tuned) {
+    words.insert(words.end(), {"--tuned", "--threads", std::to_string(threads)});
+  } else {
+    words.push_back("--plain");
+  }
   process_ = std::make_unique<PeerProcess>(words);
   const json about = parsed(process_->read_line());
   description_ = fmt::format("PyTorch {}, {} threads, BLAS {}, allocator {}, ATen {}", about.value("torch", "?"),
@@ -43,7 +47,7 @@ Peer::Peer(const std::string& script, const std::string& python, int threads, bo
   if (about.value("blas", "") == "reference") {
     throw Error(ErrorKind::unavailable,
                 "PyTorch here multiplies matrices with the reference BLAS, 50 times too slow to compare",
-                "install libopenblas0-pthread");
+                "install libopenblas0-openmp");
   }
 }
 

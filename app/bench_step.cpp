@@ -246,8 +246,10 @@ class Bench {
       const std::string script =
           options_.peer_script.empty() ? shared_file("bench/peers/semfield_peer.py") : options_.peer_script;
       Peer peer(script, options_.python, results_.threads, false);
-      for (const std::string& mode : precisions_) {
-        const PeerRequest request{"paper", mode, sizes_.rays, kPaperClasses, 0, 1};
+      std::vector<PeerRequest> requests;
+      for (const std::string& mode : precisions_) requests.push_back({"paper", mode, sizes_.rays, kPaperClasses, 0, 1});
+      requests.push_back({"hash", "fp32", sizes_.rays, kPaperClasses, 15, 1});
+      for (const PeerRequest& request : requests) {
         add_peer_row(request, false, spread_of({peer.seconds(request)}));
       }
     } catch (const Error& error) {
