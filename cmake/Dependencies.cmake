@@ -7,6 +7,9 @@ find_package(fmt REQUIRED)
 find_package(nlohmann_json REQUIRED)
 find_package(CLI11 REQUIRED)
 find_package(ZLIB REQUIRED)
+if(SEMFIELD_WITH_ONEDNN)
+  find_package(dnnl QUIET)
+endif()
 if(SEMFIELD_WITH_IMAGES)
   # Debian's package configuration of OpenImageIO names command line tools of another package and stops without them, so
   # header and library are looked for directly.

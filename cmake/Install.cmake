@@ -15,10 +15,12 @@ target_compile_features(semfield INTERFACE cxx_std_20)
 install(TARGETS semfield semfield_testkit semfield_plugins EXPORT semfieldTargets
         LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk NAMELINK_COMPONENT sdk
         ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
-if(TARGET semfield_images)  # beside the framework's library, which looks for it there
-  set_target_properties(semfield_images PROPERTIES INSTALL_RPATH "$ORIGIN")
-  install(TARGETS semfield_images LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
-endif()
+foreach(companion semfield_images semfield_onednn)  # beside the framework's library, which looks for them there
+  if(TARGET ${companion})
+    set_target_properties(${companion} PROPERTIES INSTALL_RPATH "$ORIGIN")
+    install(TARGETS ${companion} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
+  endif()
+endforeach()
 install(EXPORT semfieldTargets NAMESPACE semfield:: DESTINATION ${semfield_package_dir} COMPONENT sdk)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/framework/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/semfield COMPONENT sdk
         FILES_MATCHING PATTERN "*.h")

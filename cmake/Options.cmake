@@ -11,6 +11,7 @@ endif()
 
 option(SEMFIELD_WITH_IMAGES "Read images through OpenImageIO; off: packed scenes only" ON)
 option(SEMFIELD_WITH_RAYCAST "Ray-cast OBJ rooms with Embree and tinyobjloader" ON)
+option(SEMFIELD_WITH_ONEDNN "Offer oneDNN for matrix products (runtime.gemm: onednn) where it is installed" ON)
 option(SEMFIELD_BUILD_BENCH "Build the measurement programs in bench/" OFF)
 set(SEMFIELD_MARCH "" CACHE STRING "-march of the whole build, for one machine, e.g. native; empty: any machine, kernels by SEMFIELD_ISAS")
 set(SEMFIELD_SANITIZE "" CACHE STRING "Sanitizers, e.g. address,undefined or thread; empty: none")

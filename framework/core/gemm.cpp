@@ -5,6 +5,7 @@
 
 #include "core/check.h"
 #include "core/cpu_kernels.h"
+#include "core/gemm_engine.h"
 
 namespace semfield {
 
@@ -13,6 +14,7 @@ void gemm(const Gemm<Real>& g) {
   SEMFIELD_CHECK(int{g.accumulate} + int{g.bias != nullptr} + int{g.row_term != nullptr} <= 1,
                  "a matrix product starts from one of: its old value, a bias, a row term");
   if constexpr (std::is_same_v<Real, float>) {
+    if (const OnednnGemm* foreign = foreign_gemm(); foreign != nullptr && foreign->run(g)) return;
     if (g.precision == Precision::bf16) {
       bf16_gemm()(g);
       return;

@@ -47,6 +47,7 @@ int hardware_threads() {
   const int cores = omp_get_num_procs();
   return quota > 0 ? std::min(quota, cores) : cores;
 }
+void keep_libraries_serial() { omp_set_num_threads(1); }
 void set_thread_count(int threads) { g_threads = threads; }
 int thread_count() { return g_threads > 0 ? g_threads.load() : hardware_threads(); }
 

@@ -10,6 +10,8 @@ namespace semfield {
 /// Threads that parallel_for uses; 0 means every core. Results never depend on it.
 void set_thread_count(int threads);
 int thread_count();
+/// Libraries that use OpenMP themselves run in this thread alone when it calls them.
+void keep_libraries_serial();
 /// Cores this process may run on: its affinity, and the quota of its control groups.
 int hardware_threads();
 

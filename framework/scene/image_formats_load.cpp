@@ -1,8 +1,5 @@
-// Finds and loads the library of image_formats.h beside the one that this file is part of.
-#include <dlfcn.h>
-
-#include <filesystem>
-
+// Loads the library of image_formats.h when it is first needed.
+#include "core/companion.h"
 #include "core/error.h"
 #include "scene/image_formats.h"
 
@@ -13,17 +10,8 @@ namespace semfield {
 namespace {
 
 const ImageFormats& load() {
-  Dl_info self{};
-  ::dladdr(reinterpret_cast<const void*>(&image_formats), &self);
-  const std::filesystem::path folder =
-      self.dli_fname != nullptr ? std::filesystem::path(self.dli_fname).parent_path() : std::filesystem::path();
-  const std::string path = (folder / SEMFIELD_IMAGES_LIBRARY).string();
-  void* library = ::dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
-  void* symbol = library != nullptr ? ::dlsym(library, kImageFormatsSymbol) : nullptr;
-  if (symbol == nullptr) {
-    throw Error(ErrorKind::unavailable, std::string("images other than PNG cannot be read: ") + ::dlerror(),
-                "install Semfield again, or convert the images to PNG");
-  }
+  void* symbol = companion_symbol(SEMFIELD_IMAGES_LIBRARY, kImageFormatsSymbol, "images other than PNG cannot be read",
+                                  "install Semfield again, or convert the images to PNG");
   return *reinterpret_cast<const ImageFormats* (*)()>(symbol)();
 }
 

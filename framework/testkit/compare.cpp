@@ -64,6 +64,20 @@ std::string compare(View<const A> got, View<const B> want, double tolerance, dou
          number(worst.max_abs) + ", allowed " + number(allowed) + ")";
 }
 
+template <class A, class B>
+std::string compare_norms(View<const A> got, View<const B> want, double tolerance) {
+  double off = 0, all = 0;
+  for (std::int64_t r = 0; r < want.rows; ++r) {
+    for (std::int32_t c = 0; c < want.cols; ++c) {
+      const double b = static_cast<double>(want(r, c)), d = static_cast<double>(got(r, c)) - b;
+      off += d * d;
+      all += b * b;
+    }
+  }
+  if (std::sqrt(off) <= tolerance * std::sqrt(all)) return {};
+  return "differs by " + number(std::sqrt(off)) + " in norm, allowed " + number(tolerance * std::sqrt(all));
+}
+
 template <class A>
 std::string compare_bits(View<const A> got, View<const A> want) {
   for (std::int64_t r = 0; r < want.rows; ++r) {
@@ -85,6 +99,7 @@ template Difference difference(View<const double>, View<const double>);
 template std::string compare(View<const float>, View<const float>, double, double);
 template std::string compare(View<const float>, View<const double>, double, double);
 template std::string compare(View<const double>, View<const double>, double, double);
+template std::string compare_norms(View<const float>, View<const double>, double);
 template std::string compare_bits(View<const float>, View<const float>);
 template std::string compare_bits(View<const double>, View<const double>);
 template std::string compare_bits(View<const std::int32_t>, View<const std::int32_t>);

@@ -23,6 +23,11 @@ Difference difference(View<const A> got, View<const B> want);
 template <class A, class B>
 std::string compare(View<const A> got, View<const B> want, double tolerance, double floor = 1e-30);
 
+/// "" when the norm of got - want is at most tolerance times the norm of want (roots of sums of squares): for
+/// quantities with jumps, where single elements may differ by all they have.
+template <class A, class B>
+std::string compare_norms(View<const A> got, View<const B> want, double tolerance);
+
 /// "" when every element has the same bits, else a sentence with the first element that has not.
 template <class A>
 std::string compare_bits(View<const A> got, View<const A> want);

@@ -190,19 +190,23 @@ void check_precision(const Field<float>& field32, const Field<double>& field64, 
   twin.forward();
   single.backward();
   twin.backward();
-  const double tolerance = setup.options.float_tolerance;
-  note_failure(failures, "float against double, sigma",
-               compare<float, double>(single.sigma.view(), twin.sigma.view(), tolerance));
-  note_failure(failures, "float against double, colour",
-               compare<float, double>(single.rgb.view(), twin.rgb.view(), tolerance));
-  note_failure(failures, "float against double, feature",
-               compare<float, double>(single.feature.view(), twin.feature.view(), tolerance));
-  note_failure(failures, "float against double, d_position",
-               compare<float, double>(single.d_position.view(), twin.d_position.view(), tolerance));
+  const bool bf16 = setup.build.precision == Precision::bf16;
+  const LawOptions& options = setup.options;
+  const auto output = [&](const char* name, View<const float> got, View<const double> want) {
+    note_failure(failures, std::string("float against double, ") + name,
+                 compare<float, double>(got, want, bf16 ? options.bf16_tolerance : options.float_tolerance));
+  };
+  const auto gradient = [&](const std::string& name, View<const float> got, View<const double> want) {
+    note_failure(failures, "float against double, " + name,
+                 bf16 ? compare_norms<float, double>(got, want, options.bf16_gradient_tolerance)
+                      : compare<float, double>(got, want, options.float_tolerance));
+  };
+  output("sigma", single.sigma.view(), twin.sigma.view());
+  output("colour", single.rgb.view(), twin.rgb.view());
+  output("feature", single.feature.view(), twin.feature.view());
+  gradient("d_position", single.d_position.view(), twin.d_position.view());
   for (std::size_t i = 0; i < twin.box.count(); ++i) {
-    if (!twin.box.learned(i)) continue;
-    note_failure(failures, "float against double, gradient of " + twin.box.specs()[i].name,
-                 compare<float, double>(single.box.grad(i), twin.box.grad(i), tolerance));
+    if (twin.box.learned(i)) gradient("gradient of " + twin.box.specs()[i].name, single.box.grad(i), twin.box.grad(i));
   }
 }
 
@@ -255,7 +259,9 @@ Failures field_laws(const Registry& registry, const std::string& name, const Set
   const PluginEntry& entry = registry.get(PluginKind::field, name);
   const std::unique_ptr<PluginParams> params = make_params(entry, settings);
   const auto field32 = entry.field32(*params, build, registry.kernels());
-  const auto field64 = entry.field64(*params, build, registry.kernels());
+  FieldBuild oracle = build;
+  oracle.precision = Precision::fp32;
+  const auto field64 = entry.field64(*params, oracle, registry.kernels());
   return field_laws(*field32, *field64, build, options);
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "core/error.h"
+#include "core/gemm_engine.h"
 
 namespace semfield {
 
@@ -110,6 +111,7 @@ bool needs_bounds(const RunConfig& config, const Registry& registry) {
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable) {
+  choose_gemm_engine(config.runtime.gemm, config.runtime.precision);
   std::vector<PassParts<Real>> passes;
   for (std::size_t p = static_cast<std::size_t>(plan.first_pass); p < config.passes.size(); ++p) {
     const PassConfig& pass = config.passes[p];

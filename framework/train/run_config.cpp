@@ -51,6 +51,8 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
   SEMFIELD_PARAM(visit, p, device, "where kernels run; auto takes the fastest that this build and machine have");
   SEMFIELD_PARAM(visit, p, precision,
                  "of the networks' matrix products: fp32, or bf16 operands with fp32 sums, weights and gradients");
+  SEMFIELD_PARAM(visit, p, gemm,
+                 "who computes matrix products on the CPU; auto: oneDNN for bf16 on processors with matrix tiles");
   SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
   SEMFIELD_PARAM(visit, p, seed, "seed of every random value");
   SEMFIELD_PARAM(visit, p, lanes,

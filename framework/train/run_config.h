@@ -10,6 +10,7 @@
 
 #include "config/config_tree.h"
 #include "config/params_read.h"
+#include "core/gemm_engine.h"
 #include "labels/label_selection.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
@@ -68,9 +69,15 @@ struct ChoiceNames<Precision> {
   static constexpr std::array<std::string_view, 2> names{"fp32", "bf16"};
 };
 
+template <>
+struct ChoiceNames<GemmEngine> {
+  static constexpr std::array<std::string_view, 3> names{"auto", "builtin", "onednn"};
+};
+
 struct RuntimeParams {
   DeviceChoice device = DeviceChoice::automatic;
   Precision precision = Precision::fp32;
+  GemmEngine gemm = GemmEngine::automatic;
   int threads = 0;
   std::uint32_t seed = 1;
   int lanes = 8;

@@ -62,7 +62,7 @@ SceneManifest manifest_of(int classes) {
 }  // namespace
 
 struct StepCase::Impl {
-  std::vector<FrameBuffer> pixels;
+  std::vector<StoredFrame> pixels;
   std::unique_ptr<Pipeline<float>> pipeline;
   std::unique_ptr<RaySource> rays;
   std::unique_ptr<Trainer> trainer;
@@ -103,7 +103,7 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   camera.cy = 0.5 * kHeight;
   const RandomAddress where{1, 0, stream_id("step_bench/pose")};
   std::vector<TrainFrame> frames;
-  for (std::uint64_t f = 0; f < kFrames; ++f) impl_->pixels.push_back(random_frame(f, options.classes));
+  for (std::uint64_t f = 0; f < kFrames; ++f) impl_->pixels.emplace_back(random_frame(f, options.classes));
   for (std::uint64_t f = 0; f < kFrames; ++f) {
     frames.push_back({{camera, random_pose(where, f), false}, &impl_->pixels[f], options.classes > 0});
   }

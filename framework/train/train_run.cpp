@@ -10,6 +10,7 @@
 #include "config/compose.h"
 #include "core/checksum.h"
 #include "core/files.h"
+#include "core/gemm_engine.h"
 #include "core/parallel.h"
 #include "train/checkpoint_store.h"
 #include "train/metrics_log.h"
@@ -229,7 +230,8 @@ class Run {
     for (const std::uint32_t checksum : checksums) manifest += hex64(checksum);
     environment.input_hash = hex64(fnv1a64(manifest));
     for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
-    environment.more.emplace_back("gemm", "own register-blocked kernels");
+    environment.more.emplace_back("matrix products", gemm_engine_text());
+    environment.more.emplace_back("precision", std::string(precision_name(session_.config.runtime.precision)));
     write_file_atomic(folder_.environment_path(), environment_json(environment));
   }
 

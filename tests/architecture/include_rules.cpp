@@ -53,6 +53,7 @@ std::string forbidden_library(const std::string& path, const std::string& target
       {"OpenImageIO/", "framework/scene/image_formats.cpp"},
       {"tiny_obj_loader.h", "framework/scene/mesh_io.cpp"},
       {"omp.h", "framework/core/parallel.cpp"},
+      {"dnnl.hpp", "framework/core/gemm_onednn.cpp"},
   };
   for (const auto& [library, user] : only) {
     if (starts_with(target, library) && path != user) return "only " + user + " may include " + library;

@@ -60,11 +60,19 @@ TEST_P(FieldConformance, Laws) {
   no_feature.wants_feature = false;
   FieldBuild no_savings = all;
   no_savings.savings = {false, false, false};
+  std::vector<FieldBuild> builds{all, no_direction, no_feature, no_savings};
+  const std::string tables = linked_registry().kernels().devices_of("field '" + row.name + "'");
+  if (tables.find(std::string(device_name(row.device)) + " bf16") != std::string::npos) {
+    for (FieldBuild build : {all, no_direction, no_savings}) {
+      build.precision = Precision::bf16;
+      builds.push_back(build);
+    }
+  }
   LawOptions options;
   options.gradient_elements = 6;
-  hold_for_any_accepted(
-      std::vector<FieldBuild>{all, no_direction, no_feature, no_savings},
-      [&](const FieldBuild& build) { return field_laws(linked_registry(), row.name, row.settings, build, options); });
+  hold_for_any_accepted(builds, [&](const FieldBuild& build) {
+    return field_laws(linked_registry(), row.name, row.settings, build, options);
+  });
 }
 
 class SamplerConformance : public testing::TestWithParam<Row> {};

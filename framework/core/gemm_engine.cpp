@@ -1,0 +1,54 @@
+#include "core/gemm_engine.h"
+
+#include <atomic>
+
+#include "core/companion.h"
+#include "core/error.h"
+#include "core/isa.h"
+
+namespace semfield {
+
+namespace {
+
+std::atomic<const OnednnGemm*> g_foreign{nullptr};
+
+#ifdef SEMFIELD_ONEDNN_LIBRARY
+const OnednnGemm& onednn() {
+  static const OnednnGemm loaded = reinterpret_cast<OnednnGemm (*)()>(
+      companion_symbol(SEMFIELD_ONEDNN_LIBRARY, kOnednnGemmSymbol, "oneDNN cannot be loaded",
+                       "install Semfield again, or set runtime.gemm to builtin"))();
+  return loaded;
+}
+constexpr bool kBuilt = true;
+#else
+const OnednnGemm& onednn() {
+  throw Error(ErrorKind::unavailable, "runtime.gemm: this build has no oneDNN",
+              "set it to builtin or auto, or build where oneDNN is installed (package libdnnl-dev)");
+}
+constexpr bool kBuilt = false;
+#endif
+
+bool has_matrix_tiles() {
+#if defined(__x86_64__)
+  return __builtin_cpu_supports("amx-bf16");
+#else
+  return false;
+#endif
+}
+
+}  // namespace
+
+void choose_gemm_engine(GemmEngine wanted, Precision precision) {
+  const bool pays = kBuilt && precision == Precision::bf16 && has_matrix_tiles();
+  const bool foreign = wanted == GemmEngine::onednn || (wanted == GemmEngine::automatic && pays);
+  g_foreign = foreign ? &onednn() : nullptr;
+}
+
+std::string gemm_engine_text() {
+  const OnednnGemm* foreign = g_foreign;
+  return foreign != nullptr ? foreign->version() : "built-in, " + std::string(isa_name(isa()));
+}
+
+const OnednnGemm* foreign_gemm() { return g_foreign.load(std::memory_order_relaxed); }
+
+}  // namespace semfield
