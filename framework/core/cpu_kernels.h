@@ -13,6 +13,7 @@ struct CpuKernels {
   void (*exp_inplace)(Real*, std::int64_t);
   void (*expm1_inplace)(Real*, std::int64_t);
   void (*sigmoid_inplace)(Real*, std::int64_t);
+  void (*softplus_inplace)(Real*, std::int64_t);
   void (*relu_backward)(View<const Real> y, View<Real> dy);
   void (*bias_backward)(View<const Real> dz, View<Real> d_bias);
   void (*per_ray_backward)(View<const Real> dz, View<const std::int32_t> ray_of_sample, View<Real> d_ray_term);

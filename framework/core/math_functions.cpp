@@ -19,11 +19,18 @@ void sigmoid_inplace(Real* x, std::int64_t n) {
   cpu_kernels<Real>().sigmoid_inplace(x, n);
 }
 
+template <class Real>
+void softplus_inplace(Real* x, std::int64_t n) {
+  cpu_kernels<Real>().softplus_inplace(x, n);
+}
+
 template void exp_inplace<float>(float*, std::int64_t);
 template void exp_inplace<double>(double*, std::int64_t);
 template void expm1_inplace<float>(float*, std::int64_t);
 template void expm1_inplace<double>(double*, std::int64_t);
 template void sigmoid_inplace<float>(float*, std::int64_t);
 template void sigmoid_inplace<double>(double*, std::int64_t);
+template void softplus_inplace<float>(float*, std::int64_t);
+template void softplus_inplace<double>(double*, std::int64_t);
 
 }  // namespace semfield

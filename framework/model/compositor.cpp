@@ -1,12 +1,14 @@
 // Emission and absorption along rays: scalars of a ray in double, channels of a sample as vectors of Real.
 #include "model/compositor.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <string>
 
 #include "core/check.h"
 #include "core/error.h"
+#include "core/math_functions.h"
 
 namespace semfield {
 namespace {
@@ -17,15 +19,30 @@ double optical_depth(Real sigma, Real delta) {
   return sigma == Real(0) ? 0.0 : static_cast<double>(sigma) * static_cast<double>(delta);
 }
 
-// Accurate for tiny tau, where 1 - exp(-tau) has no digits left.
+constexpr std::int32_t kBlock = 64;  // samples whose exponentials are taken together
+
+// alpha = 1 - e^-tau of samples [begin, end), at most kBlock of them; accurate for tiny tau, where 1 - exp(-tau) has no
+// digits left. `rest` is the sample that takes all that is left, or none.
 template <class Real>
-Real alpha_of(double tau) {
-  return -std::expm1(static_cast<Real>(-tau));
+void block_alphas(const CompositeIn<Real>& in, std::int32_t begin, std::int32_t end, std::int32_t rest, Real* alpha) {
+  for (std::int32_t k = begin; k < end; ++k) {
+    alpha[k - begin] = static_cast<Real>(-optical_depth(*in.sigma.row(k), *in.samples->delta.row(k)));
+    if (k == rest) alpha[k - begin] = -std::numeric_limits<Real>::infinity();
+  }
+  expm1_inplace(alpha, end - begin);
+  for (std::int32_t j = 0; j < end - begin; ++j) alpha[j] = Real(0) - alpha[j];
 }
 
+// Transmittance behind each of the samples; tau_sum goes on from block to block.
 template <class Real>
-Real transmittance_of(double tau_sum) {
-  return std::exp(static_cast<Real>(-tau_sum));
+void block_transmittances(const CompositeIn<Real>& in, std::int32_t begin, std::int32_t end, std::int32_t rest,
+                          double& tau_sum, Real* after) {
+  for (std::int32_t k = begin; k < end; ++k) {
+    tau_sum += k == rest ? std::numeric_limits<double>::infinity()
+                         : optical_depth(*in.sigma.row(k), *in.samples->delta.row(k));
+    after[k - begin] = static_cast<Real>(-tau_sum);
+  }
+  exp_inplace(after, end - begin);
 }
 
 // y += a x over n channels.
@@ -85,24 +102,26 @@ void composite_forward(const CompositeIn<Real>& in, const CompositeOut<Real>& ou
     }
     RaySums sums;
     Real transmittance = 1;
-    for (std::int32_t k = begin; k < end; ++k) {
-      const bool takes_rest = in.far == FarMode::background && k + 1 == end;
-      const double tau =
-          takes_rest ? std::numeric_limits<double>::infinity() : optical_depth(*in.sigma.row(k), *samples.delta.row(k));
-      const Real weight = tau == 0 ? Real(0) : transmittance * alpha_of<Real>(tau);
-      *out.weight.row(k) = weight;
-      if (tau == 0) continue;
-      sums.tau += tau;
-      transmittance = transmittance_of<Real>(sums.tau);
-      if (weight == Real(0)) continue;
-      const double w = static_cast<double>(weight);
-      sums.opacity += w;
-      sums.depth += w * static_cast<double>(*samples.t.row(k));
-      if (wants_color) {
-        const Real* rgb = in.rgb.row(k);
-        for (int c = 0; c < 3; ++c) sums.color[c] += w * static_cast<double>(rgb[c]);
+    const std::int32_t rest = in.far == FarMode::background ? end - 1 : -1;
+    for (std::int32_t first = begin; first < end; first += kBlock) {
+      const std::int32_t stop = std::min(end, first + kBlock);
+      Real alpha[kBlock], after[kBlock];
+      block_alphas(in, first, stop, rest, alpha);
+      block_transmittances(in, first, stop, rest, sums.tau, after);
+      for (std::int32_t k = first; k < stop; ++k) {
+        const Real weight = transmittance * alpha[k - first];
+        *out.weight.row(k) = weight;
+        transmittance = after[k - first];
+        if (weight == Real(0)) continue;
+        const double w = static_cast<double>(weight);
+        sums.opacity += w;
+        sums.depth += w * static_cast<double>(*samples.t.row(k));
+        if (wants_color) {
+          const Real* rgb = in.rgb.row(k);
+          for (int c = 0; c < 3; ++c) sums.color[c] += w * static_cast<double>(rgb[c]);
+        }
+        if (hidden != nullptr) add_scaled(weight, in.hidden.row(k), hidden, in.hidden.cols);
       }
-      if (hidden != nullptr) add_scaled(weight, in.hidden.row(k), hidden, in.hidden.cols);
     }
     if (!out.color.empty()) {
       const double behind = in.far == FarMode::closed ? 0.0 : static_cast<double>(transmittance);
@@ -144,31 +163,38 @@ template <class Real>
 void ray_density_gradient(const CompositeIn<Real>& in, const RayGrad<Real>& grad, bool hidden_counts,
                           std::int32_t begin, std::int32_t end, View<Real> d_sigma) {
   const Samples<Real>& samples = *in.samples;
+  Real block[kBlock];
   double tau_sum = 0;
-  for (std::int32_t k = begin; k < end; ++k) {
-    tau_sum += optical_depth(*in.sigma.row(k), *samples.delta.row(k));
-    *d_sigma.row(k) = transmittance_of<Real>(tau_sum);
+  for (std::int32_t first = begin; first < end; first += kBlock) {
+    const std::int32_t stop = std::min(end, first + kBlock);
+    block_transmittances(in, first, stop, -1, tau_sum, block);
+    for (std::int32_t k = first; k < stop; ++k) *d_sigma.row(k) = block[k - first];
   }
   double behind = grad.behind;  // R_{k+1}
-  for (std::int32_t k = end; k-- > begin;) {
-    double value = grad.depth * static_cast<double>(*samples.t.row(k)) + grad.opacity;  // v_k = dL/dw_k
-    if (!in.rgb.empty()) {
-      const Real* rgb = in.rgb.row(k);
-      for (int c = 0; c < 3; ++c) value += grad.color[c] * static_cast<double>(rgb[c]);
+  for (std::int32_t stop = end; stop > begin;) {
+    const std::int32_t first = std::max(begin, stop - kBlock);
+    block_alphas(in, first, stop, -1, block);
+    for (std::int32_t k = stop; k-- > first;) {
+      double value = grad.depth * static_cast<double>(*samples.t.row(k)) + grad.opacity;  // v_k = dL/dw_k
+      if (!in.rgb.empty()) {
+        const Real* rgb = in.rgb.row(k);
+        for (int c = 0; c < 3; ++c) value += grad.color[c] * static_cast<double>(rgb[c]);
+      }
+      if (hidden_counts && grad.hidden != nullptr) value += dot_channels(grad.hidden, in.hidden.row(k), in.hidden.cols);
+      if (in.far == FarMode::background && k + 1 == end) {
+        *d_sigma.row(k) = 0;
+        behind = value;
+        continue;
+      }
+      const Real delta = *samples.delta.row(k);
+      const double after = static_cast<double>(*d_sigma.row(k));
+      const double gap = value - behind;
+      // Behind an opaque sample nothing is seen; an infinite interval is a switch without a slope.
+      const bool has_slope = after != 0 && !std::isinf(delta);
+      *d_sigma.row(k) = has_slope ? static_cast<Real>(static_cast<double>(delta) * after * gap) : Real(0);
+      behind += static_cast<double>(block[k - first]) * gap;
     }
-    if (hidden_counts && grad.hidden != nullptr) value += dot_channels(grad.hidden, in.hidden.row(k), in.hidden.cols);
-    if (in.far == FarMode::background && k + 1 == end) {
-      *d_sigma.row(k) = 0;
-      behind = value;
-      continue;
-    }
-    const Real delta = *samples.delta.row(k);
-    const double after = static_cast<double>(*d_sigma.row(k));
-    const double gap = value - behind;
-    // Behind an opaque sample nothing is seen; an infinite interval is a switch without a slope.
-    const bool has_slope = after != 0 && !std::isinf(delta);
-    *d_sigma.row(k) = has_slope ? static_cast<Real>(static_cast<double>(delta) * after * gap) : Real(0);
-    behind += static_cast<double>(alpha_of<Real>(optical_depth(*in.sigma.row(k), delta))) * gap;
+    stop = first;
   }
 }
 

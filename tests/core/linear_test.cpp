@@ -202,7 +202,7 @@ TEST(MathFunctions, OneMinusExpKeepsItsRelativeError) {
 TEST(MathFunctions, AnElementDoesNotDependOnItsPlace) {
   std::vector<float> x(67);
   for (std::size_t i = 0; i < x.size(); ++i) x[i] = 0.37f * static_cast<float>(i) - 9.0f;
-  for (auto* function : {&exp_inplace<float>, &expm1_inplace<float>, &sigmoid_inplace<float>}) {
+  for (auto* function : {&exp_inplace<float>, &expm1_inplace<float>, &sigmoid_inplace<float>, &softplus_inplace<float>}) {
     auto whole = x;
     function(whole.data(), static_cast<std::int64_t>(whole.size()));
     for (std::size_t i = 0; i < x.size(); ++i) {
@@ -229,6 +229,20 @@ TEST(MathFunctions, SigmoidAndSoftplusAtTheEnds) {
     const double truth = 1 / (1 + std::exp(-static_cast<double>(x[i])));
     EXPECT_NEAR(y[i], truth, 3e-7 * truth + 1e-45);
   }
+  y = x;
+  softplus_inplace(y.data(), static_cast<std::int64_t>(y.size()));
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    const double truth = softplus(static_cast<double>(x[i]));
+    EXPECT_NEAR(y[i], truth, 4e-7 * truth + 3e-45) << x[i];
+  }
+  float ends[] = {INFINITY, -INFINITY, NAN, 1e30f, -1e30f, 0.0f};
+  softplus_inplace(ends, 6);
+  EXPECT_EQ(ends[0], INFINITY);
+  EXPECT_EQ(ends[1], 0.0f);
+  EXPECT_TRUE(std::isnan(ends[2]));
+  EXPECT_EQ(ends[3], 1e30f);
+  EXPECT_EQ(ends[4], 0.0f);
+  EXPECT_FLOAT_EQ(ends[5], 0.693147181f);
 }
 
 }  // namespace
