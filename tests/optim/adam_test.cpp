@@ -174,6 +174,16 @@ TEST(Adam, FirstNonFiniteIsFoundAnywhere) {  // E05
   }
 }
 
+TEST(Adam, TheFirstNonFiniteIsTheSameForAnyThreads) {
+  std::vector<float> g(700000, 1.f);  // eleven parallel ranges
+  g[699999] = g[300001] = g[200003] = std::nanf("");
+  for (int threads : {1, 2, 3}) {
+    set_thread_count(threads);
+    EXPECT_EQ(first_non_finite<float>(View<const float>(g.data(), 350000, 2)), 200003);
+  }
+  set_thread_count(0);
+}
+
 TEST(Adam, CountersFarOut) {  // E07
   const AdamParams params;
   const AdamStep first = adam_step(params, 1, 0);
