@@ -28,6 +28,9 @@ class PluginParams {
   virtual void describe(ParamVisitor& visit) = 0;
   /// Only relations between parameters; ranges are checked while reading.
   virtual void validate(Diagnostics& diagnostics) const = 0;
+  /// Replaces values that stand for "chosen from the scene" by numbers and adds a sentence for each; called once, before
+  /// anything is built, so that the resolved configuration holds what was chosen.
+  virtual void choose(const EncoderBuild&, std::vector<std::string>&) {}
 };
 
 namespace plugin_detail {
@@ -40,15 +43,22 @@ template <class Params>
 void call_validate(const Params& params, Diagnostics& diagnostics) {
   validate(params, diagnostics);
 }
+template <class Params>
+void call_choose(Params& params, const EncoderBuild& build, std::vector<std::string>& chosen) {
+  if constexpr (requires { choose(params, build, chosen); }) choose(params, build, chosen);
+}
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its
-/// namespace.
+/// namespace; an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
   void describe(ParamVisitor& visit) override { plugin_detail::call_describe(visit, value); }
   void validate(Diagnostics& diagnostics) const override { plugin_detail::call_validate(value, diagnostics); }
+  void choose(const EncoderBuild& build, std::vector<std::string>& chosen) override {
+    plugin_detail::call_choose(value, build, chosen);
+  }
   Params value;
 };
 

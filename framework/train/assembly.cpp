@@ -20,16 +20,20 @@ auto make(const Kind32& maker32, const Kind64& maker64, const PluginSlot& slot, 
   }
 }
 
-template <class Real>
-std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Registry& registry, const SceneExtent& extent,
-                                            bool is_direction, const std::string& path) {
+EncoderBuild encoder_build(const SceneExtent& extent, bool is_direction) {
   EncoderBuild build;
   build.is_direction = is_direction;
   const Vec3d size = extent.bounds.empty() ? Vec3d{} : extent.bounds.size();
   build.extent_m = std::max({size.x, size.y, size.z});
   build.pixel_footprint_m = extent.pixel_footprint_m;
-  std::unique_ptr<Encoder<Real>> encoder =
-      make<Real>(slot.entry->encoder32, slot.entry->encoder64, slot, build, registry);
+  return build;
+}
+
+template <class Real>
+std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Registry& registry, const SceneExtent& extent,
+                                            bool is_direction, const std::string& path) {
+  std::unique_ptr<Encoder<Real>> encoder = make<Real>(slot.entry->encoder32, slot.entry->encoder64, slot,
+                                                      encoder_build(extent, is_direction), registry);
   const EncoderTraits traits = encoder->traits();
   if (traits.in_dims != 3) {
     throw Error(ErrorKind::config, path + ": encoder '" + slot.entry->name + "' reads " +
@@ -96,6 +100,16 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry) {
   request.early_stop = config.rendering.early_stop;
   request.periodic_evaluation = config.report.eval_every_s > 0;
   return request;
+}
+
+std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent) {
+  std::vector<std::string> lines;
+  for (PassConfig& pass : config.passes) {
+    std::vector<std::string> chosen;
+    pass.position.params->choose(encoder_build(extent, false), chosen);
+    for (const std::string& sentence : chosen) lines.push_back("passes." + pass.name + ".position: " + sentence);
+  }
+  return lines;
 }
 
 bool needs_bounds(const RunConfig& config, const Registry& registry) {

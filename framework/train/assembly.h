@@ -19,6 +19,9 @@ struct SceneExtent {
   double pixel_footprint_m = 0;
 };
 
+/// Lets position encoders replace what they choose from the scene by numbers; "passes.NAME.position: sentence" each.
+std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent);
+
 /// True when a position encoder of the plan's passes lives in the unit cube: rays must then be clipped to the bounds.
 bool needs_bounds(const RunConfig& config, const Registry& registry);
 

@@ -63,6 +63,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   s.config.load.near_m = s.scene.near_m;
   s.config.load.far_m = s.scene.far_m;
   s.config.load.bounds = {b.lo.x, b.lo.y, b.lo.z, b.hi.x, b.hi.y, b.hi.z};
+  s.chosen = choose_from_scene(s.config, s.extent);
   if (!options.build) return s;
 
   std::vector<float> class_weight;
@@ -157,6 +158,7 @@ std::string describe_session(const Session& s) {
         static_cast<double>(memory.total()) * mb, static_cast<double>(memory.scene) * mb,
         static_cast<double>(memory.parameters) * mb, static_cast<double>(memory.activations) * mb));
   }
+  for (const std::string& line : s.chosen) add("chosen    " + line);
   for (const LeftOut& row : s.plan.left_out) {
     add(fmt::format("left out  {} [{}]: {} (saves {})", row.component, static_cast<char>(row.proof), row.reason,
                     row.saving));

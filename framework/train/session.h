@@ -20,6 +20,7 @@ struct Session {
   SceneManifest manifest;
   BuildPlan plan;
   SceneExtent extent;
+  std::vector<std::string> chosen;  ///< a line for each parameter that was chosen from the scene
   RayLimits limits;
   std::unique_ptr<Pipeline<float>> pipeline;
 

@@ -264,6 +264,9 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   for (const Diagnostic& finding : diagnostics.all()) {
     if (hooks.note) hooks.note(finding.text());
   }
+  for (const std::string& line : session.chosen) {
+    if (hooks.note) hooks.note("chosen from the scene: " + line);
+  }
   if (!folder) {
     folder.emplace(RunFolder::create(request.out_dir));
     write_file_atomic(folder->config_path(), write_config(resolved_config(session.config)));

@@ -54,6 +54,24 @@ TEST(RunConfig, ResolvedFormReadsBackTheSame) {
   }
 }
 
+TEST(RunConfig, WhatIsChosenFromTheSceneStandsInTheResolvedForm) {
+  std::string yaml = hash_config();
+  const std::string written = "log2_entries: 11, finest_resolution: 64";
+  ASSERT_NE(yaml.find(written), std::string::npos);
+  yaml.replace(yaml.find(written), written.size(), "log2_entries: 0, finest_resolution: 0");
+  Registry registry = make_registry();
+  const Session first = open_text(yaml, registry);
+  ASSERT_EQ(first.chosen.size(), 2u);
+  EXPECT_EQ(first.chosen[0].rfind("passes.main.position: finest_resolution ", 0), 0u) << first.chosen[0];
+  EXPECT_EQ(first.chosen[1].rfind("passes.main.position: log2_entries ", 0), 0u) << first.chosen[1];
+  EXPECT_NE(describe_session(first).find("chosen    " + first.chosen[0]), std::string::npos);
+  const std::string resolved = write_config(resolved_config(first.config));
+  EXPECT_EQ(resolved.find("finest_resolution: 0"), std::string::npos) << resolved;
+  const Session second = open_text(resolved, registry);
+  EXPECT_TRUE(second.chosen.empty());
+  EXPECT_EQ(fingerprint(first.pipeline->store()), fingerprint(second.pipeline->store()));
+}
+
 TEST(RunConfig, EveryShippedConfigReadsWithoutError) {
   int read = 0;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(SEMFIELD_SOURCE_DIR "/configs")) {

@@ -1,6 +1,9 @@
 // Parameters, traits, tensors and registration of the hash grid.
 #include "encoders/hash_grid/hash_grid.h"
 
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
 #include <string>
 
 #include "core/check.h"
@@ -13,12 +16,13 @@ void describe(ParamVisitor& visit, HashGridParams& p) {
   SEMFIELD_PARAM(visit, p, levels, "L, number of resolutions [Mueller22 Tab. 1]", {1, kHashGridMaxLevels});
   SEMFIELD_PARAM(visit, p, features, "F, features of an entry: 1, 2, 4 or 8 [Mueller22 Tab. 1]",
                  {1, kHashGridMaxFeatures});
-  SEMFIELD_PARAM(visit, p, log2_entries, "log2 of T, the most entries of a level [Mueller22 Tab. 1]", {1, 24});
+  SEMFIELD_PARAM(visit, p, log2_entries, "log2 of T, the most entries of a level [Mueller22 Tab. 1]; 0 = from the scene", {0, 24});
   SEMFIELD_PARAM(visit, p, base_resolution, "cells along an axis of the coarsest level [Mueller22 Tab. 1]",
                  {1, 1048576});
   SEMFIELD_PARAM(visit, p, finest_resolution,
-                 "cells along an axis of the finest level; growth between levels follows from it [Mueller22 Eq. 3]",
-                 {1, 1048576});
+                 "cells along an axis of the finest level; growth between levels follows from it [Mueller22 Eq. 3]; 0 = from "
+                 "the scene",
+                 {0, 1048576});
   SEMFIELD_PARAM(visit, p, interpolation, "weights between vertices: linear, or smoothstep with continuous slopes");
   SEMFIELD_PARAM(visit, p, init, "entries start uniform in [-init, init) [Mueller22 Sec. 4]", {0, 1});
 }
@@ -27,7 +31,7 @@ void validate(const HashGridParams& p, Diagnostics& diagnostics) {
   if (p.features != 1 && p.features != 2 && p.features != 4 && p.features != 8) {
     diagnostics.error("features", "must be 1, 2, 4 or 8, got " + std::to_string(p.features), "2 suits most scenes");
   }
-  if (p.finest_resolution < p.base_resolution) {
+  if (p.finest_resolution != 0 && p.finest_resolution < p.base_resolution) {
     diagnostics.error(
         "finest_resolution",
         std::to_string(p.finest_resolution) + " is coarser than base_resolution " + std::to_string(p.base_resolution),
@@ -38,6 +42,51 @@ void validate(const HashGridParams& p, Diagnostics& diagnostics) {
                       "1 level has one resolution, but base_resolution " + std::to_string(p.base_resolution) +
                           " and finest_resolution " + std::to_string(p.finest_resolution) + " differ",
                       "make them equal or use more levels");
+  }
+}
+
+namespace {
+
+constexpr int kUnknownResolution = 2048;                    // of the paper [Mueller22 Tab. 1]
+constexpr std::int64_t kLevelBytes = std::int64_t{1} << 20;  // a core's L2 cache
+constexpr int kLeastLog2Entries = 14, kMostLog2Entries = 19;
+
+int chosen_resolution(const HashGridParams& p, const EncoderBuild& build) {
+  const double cells = build.extent_m > 0 && build.pixel_footprint_m > 0
+                           ? std::round(build.extent_m / build.pixel_footprint_m)
+                           : kUnknownResolution;
+  return static_cast<int>(std::clamp(cells, static_cast<double>(p.base_resolution), 1048576.0));
+}
+
+int chosen_log2_entries(const HashGridParams& p, const EncoderBuild& build) {
+  const double side = p.finest_resolution + 1.0;
+  int bits = kLeastLog2Entries;
+  while (bits < kMostLog2Entries && std::ldexp(1.0, bits) < 12 * side * side) ++bits;
+  const auto entry_bytes = static_cast<std::int64_t>(sizeof(float)) * p.features;
+  while (build.device == Device::cpu && (entry_bytes << bits) > kLevelBytes) --bits;
+  return bits;
+}
+
+}  // namespace
+
+void choose(HashGridParams& p, const EncoderBuild& build, std::vector<std::string>& chosen) {
+  char text[160];
+  if (p.finest_resolution == 0) {
+    p.finest_resolution = p.levels == 1 ? p.base_resolution : chosen_resolution(p, build);
+    const double cell_m = build.extent_m / p.finest_resolution;
+    if (build.pixel_footprint_m > 0 && cell_m > 0) {
+      std::snprintf(text, sizeof text, "finest_resolution %d: cells of %.3g against pixels of %.3g at the scene's middle depth",
+                    p.finest_resolution, cell_m, build.pixel_footprint_m);
+    } else {
+      std::snprintf(text, sizeof text, "finest_resolution %d: the scene's extent is unknown", p.finest_resolution);
+    }
+    chosen.emplace_back(text);
+  }
+  if (p.log2_entries == 0) {
+    p.log2_entries = chosen_log2_entries(p, build);
+    std::snprintf(text, sizeof text, "log2_entries %d: a level takes at most %lld KiB", p.log2_entries,
+                  static_cast<long long>((std::int64_t{4} * p.features << p.log2_entries) / 1024));
+    chosen.emplace_back(text);
   }
 }
 
@@ -58,8 +107,11 @@ HashGridShape hash_grid_shape(const HashGridParams& p) {
 }
 
 template <class Real>
-HashGrid<Real>::HashGrid(const HashGridParams& params, const EncoderBuild& build, const KernelTables& kernels)
-    : kernels_(&kernels.get<HashGridKernels<Real>>(build.device, "encoder 'hash_grid'")), init_(params.init) {
+HashGrid<Real>::HashGrid(const HashGridParams& written, const EncoderBuild& build, const KernelTables& kernels)
+    : kernels_(&kernels.get<HashGridKernels<Real>>(build.device, "encoder 'hash_grid'")), init_(written.init) {
+  HashGridParams params = written;
+  std::vector<std::string> chosen;  // said by whoever asked for the choice before
+  choose(params, build, chosen);
   if (build.in_dims != 3) {
     throw Error(ErrorKind::config, "encoder 'hash_grid' takes 3 coordinates, got " + std::to_string(build.in_dims));
   }

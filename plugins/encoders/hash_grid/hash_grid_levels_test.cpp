@@ -119,9 +119,51 @@ TEST(HashGridLevels, RefuseImpossibleParameters) {
   EXPECT_EQ(errors(params_of(4, 2, 10, 9, 8)), 1);
   EXPECT_EQ(errors(params_of(1, 2, 10, 4, 8)), 1);
   EXPECT_EQ(errors(params_of(1, 2, 10, 8, 8)), 0);
+  EXPECT_EQ(errors(params_of(4, 2, 0, 9, 0)), 0);  // to be chosen
   EncoderBuild flat;
   flat.in_dims = 2;
   EXPECT_THROW(HashGrid<float>(HashGridParams{}, flat, kernels()), Error);
+}
+
+struct Chosen {
+  int finest, log2_entries;
+  std::vector<std::string> sentences;
+};
+Chosen chosen_for(HashGridParams p, double extent_m, double pixel_m, Device device = Device::cpu) {
+  EncoderBuild build;
+  build.device = device;
+  build.extent_m = extent_m;
+  build.pixel_footprint_m = pixel_m;
+  Chosen out{};
+  choose(p, build, out.sentences);
+  out.finest = p.finest_resolution;
+  out.log2_entries = p.log2_entries;
+  return out;
+}
+
+TEST(HashGridLevels, SizesAreChosenFromTheScene) {
+  // 6.4 m at pixels of 25 mm: 256 cells a side; 12 * 257^2 = 792,588 vertices, more than 2^19, but 1 MiB is
+  // 2^17 entries of 8 bytes.
+  const Chosen room = chosen_for(params_of(8, 2, 0, 16, 0), 6.4, 0.025);
+  EXPECT_EQ(room.finest, 256);
+  EXPECT_EQ(room.log2_entries, 17);
+  ASSERT_EQ(room.sentences.size(), 2u);
+  EXPECT_EQ(room.sentences[0], "finest_resolution 256: cells of 0.025 against pixels of 0.025 at the scene's middle depth");
+  EXPECT_EQ(room.sentences[1], "log2_entries 17: a level takes at most 1024 KiB");
+  EXPECT_EQ(chosen_for(params_of(8, 8, 0, 16, 0), 6.4, 0.025).log2_entries, 15);  // 32 bytes an entry
+  // 2 m at 50 mm: 40 cells; 12 * 41^2 = 20,172 <= 2^15.
+  const Chosen small = chosen_for(params_of(8, 2, 0, 16, 0), 2.0, 0.05);
+  EXPECT_EQ(small.finest, 40);
+  EXPECT_EQ(small.log2_entries, 15);
+  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).finest, 16);  // never below the coarsest level
+  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).log2_entries, 14);
+  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0, 0).finest, 2048);  // nothing known
+  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 6.4, 0.025, Device::cuda).log2_entries, 19);
+  // What is written stays, without a word.
+  const Chosen fixed = chosen_for(params_of(8, 2, 12, 16, 99), 6.4, 0.025);
+  EXPECT_EQ(fixed.finest, 99);
+  EXPECT_EQ(fixed.log2_entries, 12);
+  EXPECT_TRUE(fixed.sentences.empty());
 }
 
 }  // namespace
