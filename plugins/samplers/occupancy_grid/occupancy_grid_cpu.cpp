@@ -40,8 +40,9 @@ struct GridReader {
   bool is_plain_threshold;
   bool keep_last;
 
+  // `ray` counts in steps of the lattice, from its sample 0.
   Stretch stretch_from(const CellRay& ray, const StepLattice& lattice, SkipBudget& budget, std::int64_t i) const {
-    const OccupancyCell cell = ray.cell_at(geometry, lattice.at(i));
+    const OccupancyCell cell = ray.cell_at(geometry, static_cast<double>(i));
     const double block_bound = static_cast<double>(state.block_bound[cell.block(geometry.blocks_per_side())]);
     if (block_bound < kUnbounded) {
       const std::int64_t to = lattice.next(i, ray.exit(geometry, cell, kBlockCells));
@@ -62,9 +63,10 @@ template <class Real>
 std::int64_t march(const GridReader<Real>& grid, const CellRay& ray, const StepLattice& lattice, SkipBudget budget,
                    std::int64_t most, std::int32_t ray_number, std::int64_t begin, Samples<Real>& out) {
   const double far_m = lattice.near_m + lattice.step_m * static_cast<double>(lattice.count);
+  const CellRay steps = ray.in_units(lattice.at(0), lattice.step_m);
   std::int64_t written = 0;
   for (std::int64_t i = 0; i < lattice.count;) {
-    Stretch stretch = grid.stretch_from(ray, lattice, budget, i);
+    Stretch stretch = grid.stretch_from(steps, lattice, budget, i);
     if (stretch.empty && grid.keep_last) stretch.to = std::min(stretch.to, lattice.count - 1);
     if (stretch.empty && stretch.to > i) {
       i = stretch.to;

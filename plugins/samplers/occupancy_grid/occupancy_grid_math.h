@@ -79,12 +79,24 @@ SEMFIELD_HD inline Vec3d point_in_cell(const OccupancyGeometry& g, const Occupan
 struct CellRay {
   double q0[3], qd[3], inverse[3];
 
+  SEMFIELD_HD CellRay() = default;
   SEMFIELD_HD CellRay(const OccupancyGeometry& g, const double* origin, const double* direction) {
     for (int i = 0; i < 3; ++i) {
       q0[i] = (origin[i] - g.lo[i]) / g.cell_m[i];
       qd[i] = direction[i] / g.cell_m[i];
       inverse[i] = qd[i] == 0 ? 1e30 : 1.0 / qd[i];  // finite: no 0 * inf where the ray lies in a face
     }
+  }
+
+  /// The same ray with t counted from `begin` in units of `unit`.
+  SEMFIELD_HD CellRay in_units(double begin, double unit) const {
+    CellRay out;
+    for (int i = 0; i < 3; ++i) {
+      out.q0[i] = q0[i] + begin * qd[i];
+      out.qd[i] = qd[i] * unit;
+      out.inverse[i] = qd[i] == 0 ? 1e30 : 1.0 / out.qd[i];
+    }
+    return out;
   }
 
   SEMFIELD_HD OccupancyCell cell_at(const OccupancyGeometry& g, double t) const {
@@ -129,10 +141,10 @@ struct StepLattice {
   std::int64_t count = 0;
 
   SEMFIELD_HD double at(std::int64_t i) const { return near_m + (static_cast<double>(i) + u) * step_m; }
-  /// First sample after i that does not lie before `t`, up to rounding on the near side: it may be one too early, never
-  /// too late.
-  SEMFIELD_HD std::int64_t next(std::int64_t i, double t) const {
-    const double steps = (t - near_m) / step_m - u - 1e-9;
+  /// First sample after i whose index is not below `place`, up to rounding on the near side: it may be one too early,
+  /// never too late.
+  SEMFIELD_HD std::int64_t next(std::int64_t i, double place) const {
+    const double steps = place - 1e-9;
     if (steps >= static_cast<double>(count)) return count;
     const auto to = static_cast<std::int64_t>(std::floor(steps)) + 1;
     return to > i ? to : i + 1;
