@@ -58,68 +58,104 @@ struct GridReader {
   }
 };
 
-// Writes one ray's samples from row `begin`; returns their number, or -1 when there would be more than `most`.
+// A ray on its way. A step of the way waits for the one before it, from cell to exit to next index; kTogether rays that
+// take turns keep the processor busy.
+constexpr std::int64_t kTogether = 4;
+
+struct March {
+  CellRay ray, steps;  // in metres from the origin; in steps from the lattice's sample 0
+  StepLattice lattice;
+  double span_m = 0, far_m = 0;
+  SkipBudget budget{0, 1};
+  std::int64_t row = 0;  // of its first sample
+  std::int64_t i = 0, written = 0;
+  bool active = false;
+
+  void restart(double skip_budget) {
+    lattice.step_m = span_m / static_cast<double>(lattice.count);
+    far_m = lattice.near_m + lattice.step_m * static_cast<double>(lattice.count);
+    steps = ray.in_units(lattice.at(0), lattice.step_m);
+    budget = SkipBudget(skip_budget, span_m);
+    i = written = 0;
+  }
+};
+
 template <class Real>
-std::int64_t march(const GridReader<Real>& grid, const CellRay& ray, const StepLattice& lattice, SkipBudget budget,
-                   std::int64_t most, std::int32_t ray_number, std::int64_t begin, Samples<Real>& out) {
-  const double far_m = lattice.near_m + lattice.step_m * static_cast<double>(lattice.count);
-  const CellRay steps = ray.in_units(lattice.at(0), lattice.step_m);
-  std::int64_t written = 0;
-  for (std::int64_t i = 0; i < lattice.count;) {
-    Stretch stretch = grid.stretch_from(steps, lattice, budget, i);
-    if (stretch.empty && grid.keep_last) stretch.to = std::min(stretch.to, lattice.count - 1);
-    if (stretch.empty && stretch.to > i) {
-      i = stretch.to;
-      continue;
+March begin_march(const OccupancySampleArgs& args, const Box& box, const Rays<Real>& rays, std::int64_t r) {
+  const OccupancyGeometry& geometry = args.geometry;
+  March march;
+  double near_m = 0, far_m = 0, enter = 0, leave = 0;
+  if (!ray_span(rays.near_far, r, args.first_ray, near_m, far_m)) return march;
+  const double* o = rays.origin.row(r);
+  const double* d = rays.direction.row(r);
+  if (!intersect(box, {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave)) return march;
+  near_m = std::max(near_m, enter);
+  march.span_m = std::min(far_m, leave) - near_m;
+  if (!(march.span_m > 0)) return march;
+  march.ray = CellRay(geometry, o, d);
+  march.lattice.near_m = near_m;
+  march.lattice.u =
+      args.jitter ? static_cast<double>(uniform01(args.random, static_cast<std::uint64_t>(args.first_ray + r))) : 0.5;
+  const double steps = std::ceil(march.span_m / geometry.step_m);
+  march.lattice.count = steps < static_cast<double>(kMostSteps)
+                            ? std::max<std::int64_t>(1, static_cast<std::int64_t>(steps))
+                            : kMostSteps;
+  march.restart(args.skip_budget);
+  march.active = true;
+  return march;
+}
+
+// The next stretch of a ray. When it has more samples than there may be, the ray begins anew with half the steps; a
+// lattice of at most max_samples steps fits.
+template <class Real>
+void advance(const GridReader<Real>& grid, const OccupancySampleArgs& args, March& march, Samples<Real>& out) {
+  const StepLattice& lattice = march.lattice;
+  Stretch stretch = grid.stretch_from(march.steps, lattice, march.budget, march.i);
+  if (stretch.empty && grid.keep_last) stretch.to = std::min(stretch.to, lattice.count - 1);
+  if (stretch.empty && stretch.to > march.i) {
+    march.i = stretch.to;
+  } else {
+    const std::int64_t end = std::max(stretch.to, march.i + 1);
+    if (march.written + end - march.i > args.max_samples) {
+      march.lattice.count = (lattice.count + 1) / 2;
+      return march.restart(args.skip_budget);
     }
-    const std::int64_t end = std::max(stretch.to, i + 1);
-    if (written + end - i > most) return -1;
-    for (; i < end; ++i, ++written) {
-      const std::int64_t row = begin + written;
-      *out.t.row(row) = round_inside<Real>(lattice.at(i), lattice.near_m, far_m);
-      *out.delta.row(row) = static_cast<Real>(lattice.step_m);
-      *out.ray_of_sample.row(row) = ray_number;
+    for (; march.i < end; ++march.i, ++march.written) {
+      *out.t.row(march.row + march.written) = round_inside<Real>(lattice.at(march.i), lattice.near_m, march.far_m);
     }
   }
-  return written;
+  march.active = march.i < lattice.count;
 }
 
 template <class Real>
 void sample(const OccupancySampleArgs& args, const OccupancyState<Real>& state, const Rays<Real>& rays,
             Samples<Real>& out) {
-  const OccupancyGeometry& geometry = args.geometry;
-  const Box box = geometry.outer();
-  const GridReader<Real> grid{geometry, state, reinterpret_cast<const unsigned char*>(state.empty_bits),
+  const Box box = args.geometry.outer();
+  const GridReader<Real> grid{args.geometry, state, reinterpret_cast<const unsigned char*>(state.empty_bits),
                               std::isinf(args.skip_budget), args.keep_last};
   std::int64_t count = 0;
-  for (std::int64_t r = 0; r < rays.near_far.rows; ++r) {
-    *out.first.row(r) = static_cast<std::int32_t>(count);
-    double near_m = 0, far_m = 0, enter = 0, leave = 0;
-    if (!ray_span(rays.near_far, r, args.first_ray, near_m, far_m)) continue;
-    const double* o = rays.origin.row(r);
-    const double* d = rays.direction.row(r);
-    if (!intersect(box, {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave)) continue;
-    near_m = std::max(near_m, enter);
-    far_m = std::min(far_m, leave);
-    if (!(near_m < far_m)) continue;
-    const CellRay ray(geometry, o, d);
-    StepLattice lattice;
-    lattice.near_m = near_m;
-    lattice.u =
-        args.jitter ? static_cast<double>(uniform01(args.random, static_cast<std::uint64_t>(args.first_ray + r))) : 0.5;
-    const double steps = std::ceil((far_m - near_m) / geometry.step_m);
-    lattice.count = steps < static_cast<double>(kMostSteps)
-                        ? std::max<std::int64_t>(1, static_cast<std::int64_t>(steps))
-                        : kMostSteps;
-    std::int64_t written = -1;
-    while (true) {  // ends: a lattice of at most max_samples steps fits
-      lattice.step_m = (far_m - near_m) / static_cast<double>(lattice.count);
-      written = march(grid, ray, lattice, SkipBudget(args.skip_budget, far_m - near_m), args.max_samples,
-                      static_cast<std::int32_t>(r), count, out);
-      if (written >= 0) break;
-      lattice.count = (lattice.count + 1) / 2;
+  for (std::int64_t first = 0; first < rays.near_far.rows; first += kTogether) {
+    const std::int64_t together = std::min(kTogether, rays.near_far.rows - first);
+    March march[kTogether];
+    for (std::int64_t k = 0; k < together; ++k) {
+      march[k] = begin_march(args, box, rays, first + k);
+      march[k].row = count + k * args.max_samples;  // room for all of them; closed up below
     }
-    count += written;
+    for (bool any = true; any;) {
+      any = false;
+      for (std::int64_t k = 0; k < together; ++k) {
+        if (march[k].active) advance(grid, args, march[k], out);
+        any = any || march[k].active;
+      }
+    }
+    for (std::int64_t k = 0; k < together; ++k) {
+      *out.first.row(first + k) = static_cast<std::int32_t>(count);
+      for (std::int64_t j = 0; j < march[k].written; ++j, ++count) {
+        *out.t.row(count) = *out.t.row(march[k].row + j);
+        *out.delta.row(count) = static_cast<Real>(march[k].lattice.step_m);
+        *out.ray_of_sample.row(count) = static_cast<std::int32_t>(first + k);
+      }
+    }
   }
   *out.first.row(rays.near_far.rows) = static_cast<std::int32_t>(count);
   out.count = count;
