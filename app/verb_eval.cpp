@@ -49,7 +49,7 @@ int run_eval(const EvalOptions& options, AppContext& context) {
   const Split split = split_of(options.split);
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
-                           split == Split::test ? DepthKept::test : DepthKept::all);
+                           split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames);
   for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
   Session& s = run.session;
   const std::vector<int> frames = s.scene.frames_of(split);

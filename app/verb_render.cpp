@@ -1,8 +1,10 @@
 // render: images of a run's field for a split or a trajectory.
 #include <fmt/format.h>
 
+#include <chrono>
 #include <cstdio>
 #include <filesystem>
+#include <future>
 
 #include "core/parallel.h"
 #include "scene/camera_path.h"
@@ -58,7 +60,7 @@ void write_frame(const std::string& base, const RenderedFrame& frame, const Sess
 
 int run_render(const RenderOptions& options, AppContext& context) {
   Diagnostics diagnostics;
-  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, DepthKept::none);
+  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
   for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
   Session& s = run.session;
   const std::vector<View3d> views =
@@ -75,16 +77,23 @@ int run_render(const RenderOptions& options, AppContext& context) {
     throw Error(ErrorKind::cannot_create, folder.string() + ": cannot create the folder: " + failed.message(),
                 "choose another --out");
   int done = 0;
+  const auto begin = std::chrono::steady_clock::now();
+  std::future<void> written;  // one frame's files are compressed and synced while the next is rendered
   for (const View3d& view : views) {
-    const RenderedFrame frame = render_frame(*s.pipeline, view.camera, s.limits, s.plan.class_of_logit);
+    RenderedFrame frame = render_frame(*s.pipeline, view.camera, s.limits, s.plan.class_of_logit);
     std::string stem = view.name;
     for (char& c : stem) c = c == '/' ? '_' : c;
-    write_frame((folder / stem).string(), frame, s, options.npy);
+    if (written.valid()) written.get();
+    written = std::async(std::launch::async, [base = (folder / stem).string(), frame = std::move(frame), &s, &options] {
+      write_frame(base, frame, s, options.npy);
+    });
     ++done;
     if (context.terminal && !context.quiet) std::fprintf(stderr, "\r\033[Krendered %d/%zu", done, views.size());
   }
+  written.get();
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   if (context.terminal && !context.quiet) std::fputs("\n", stderr);
-  std::printf("render: frames=%d folder=%s\n", done, folder.string().c_str());
+  std::printf("render: frames=%d s_per_frame=%.3f folder=%s\n", done, seconds / done, folder.string().c_str());
   return 0;
 }
 

@@ -130,6 +130,8 @@ std::vector<int> LoadedScene::frames_of(Split split) const {
 LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& options, Diagnostics& diagnostics) {
   LoadedScene scene;
   validate(options, diagnostics);
+  SEMFIELD_CHECK(options.pixels || (options.bounds.size() == 6 && options.near_m > 0 && options.far_m > 0),
+                 "without pixels, bounds and distances must be given");
   scene.info = reader.open(diagnostics);
   std::vector<FrameInfo>& frames = scene.info.frames;
   if (frames.empty() && !diagnostics.has_errors())
@@ -161,6 +163,17 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     diagnostics.warning("scene.width_px", "the size asked for changes the aspect ratio; cameras follow it",
                         "give width_px or height_px alone");
 
+  if (!options.pixels) {
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      if (cameras[i].width_px > 0) frames[i].camera = cameras[i];
+    }
+    scene.class_pixels.resize(frames.size());
+    scene.near_m = options.near_m;
+    scene.far_m = options.far_m;
+    scene.bounds = box_of(options.bounds);
+    scene.bounds_from = scene.near_far_from = "the configuration";
+    return scene;
+  }
   std::int64_t train_pixels = 0;
   for (std::size_t i = 0; i < frames.size(); ++i) {
     if (frames[i].split == Split::train) train_pixels += std::int64_t{cameras[i].width_px} * cameras[i].height_px;

@@ -26,6 +26,7 @@ struct SceneLoadOptions {
   std::vector<double> bounds;
   DepthKept depth = DepthKept::all;  ///< not a key
   bool with_instances = false;       ///< not a key
+  bool pixels = true;                ///< not a key; false: cameras and classes only, bounds and distances as given here
 };
 void describe(ParamVisitor& visit, SceneLoadOptions& options);
 void validate(const SceneLoadOptions& options, Diagnostics& diagnostics);
@@ -73,6 +74,9 @@ FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int3
 
 /// The camera at the size that `options` ask for; false (out unchanged) when the frame would have to grow.
 bool scaled_camera(const Camera& camera, const SceneLoadOptions& options, Camera& out);
+
+/// [x0, y0, z0, x1, y1, z1] as a box.
+Box box_of(const std::vector<double>& corners);
 
 /// Fills bounds, near, far and footprint (scene_bounds.cpp); load_scene calls it with the points of the training
 /// frames.

@@ -73,6 +73,13 @@ std::string short_number(double value) {
 
 }  // namespace
 
+Box box_of(const std::vector<double>& corners) {
+  Box box;
+  box.lo = {corners[0], corners[1], corners[2]};
+  box.hi = {corners[3], corners[4], corners[5]};
+  return box;
+}
+
 std::int32_t survey_step(std::int64_t pixels) {
   constexpr std::int64_t kMostPoints = std::int64_t{1} << 20;
   std::int32_t step = 4;
@@ -145,8 +152,7 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   }
 
   if (options.bounds.size() == 6) {
-    scene.bounds.lo = {options.bounds[0], options.bounds[1], options.bounds[2]};
-    scene.bounds.hi = {options.bounds[3], options.bounds[4], options.bounds[5]};
+    scene.bounds = box_of(options.bounds);
     scene.bounds_from = "the configuration";
   } else if (!scene.info.bounds.empty()) {
     scene.bounds = scene.info.bounds;

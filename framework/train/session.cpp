@@ -46,11 +46,19 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   const std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
   SceneLoadOptions load = s.config.load;
   load.depth = options.depth;
+  load.pixels = !options.known;
   s.scene = load_scene(*dataset, load, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
   s.labelled.assign(s.scene.frames.size(), 0);
   for (const int f : select_label_frames(s.scene.info, s.config.labels)) s.labelled[static_cast<std::size_t>(f)] = 1;
-  s.manifest = manifest_of(s.scene, s.labelled);
+  if (options.known && options.known->manifest.classes != s.classes()) {
+    throw Error(ErrorKind::config,
+                fmt::format("the scene has {} classes, the run was trained with {}", s.classes(),
+                            options.known->manifest.classes),
+                "render with the class table of the run");
+  }
+  s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labelled);
+  if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
   s.plan = plan_build(s.manifest, build_request(s.config, registry), options.keep);
 
   s.extent = {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m};

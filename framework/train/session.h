@@ -2,12 +2,14 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "model/leave_out.h"
 #include "train/assembly.h"
 #include "train/evaluator.h"
+#include "train/manifest_text.h"
 #include "train/ray_source.h"
 #include "train/run_config.h"
 
@@ -36,6 +38,8 @@ struct SessionOptions {
   bool trainable = true;
   bool build = true;                  ///< false: stop after the plan
   DepthKept depth = DepthKept::test;  ///< what a later evaluation compares with
+  /// What training knew of the scene (manifest_text.h). Then no pixel is read: enough to render, not to evaluate.
+  std::optional<KnownScene> known;
 };
 
 /// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, assembles.

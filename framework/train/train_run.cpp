@@ -121,6 +121,7 @@ class Run {
     metadata["config"] = write_config(resolved_config(session_.config));
     metadata["config_hash"] = hex64(fnv1a64(metadata["config"]));
     metadata["classes"] = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
+    metadata["scene"] = manifest_text({session_.manifest, session_.scene.pixel_footprint_m});
     checkpoints_.save(trainer_->step(), trainer_->state(), metadata);
     saved_step_ = trainer_->step();
     last_checkpoint_ = Clock::now();
@@ -277,7 +278,7 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
 }
 
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
-                   Diagnostics& diagnostics, DepthKept depth) {
+                   Diagnostics& diagnostics, OpenFor purpose) {
   OpenedRun run;
   const RunFolder folder = RunFolder::read(run_dir);
   run.run_dir = folder.path();
@@ -290,7 +291,10 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   RunConfig config = load_run_config(folder.config_path(), overrides, registry);
   SessionOptions options;
   options.trainable = false;
-  options.depth = depth;
+  options.depth = purpose == OpenFor::evaluation  ? DepthKept::test
+                  : purpose == OpenFor::rendering ? DepthKept::none
+                                                  : DepthKept::all;
+  if (purpose == OpenFor::rendering) options.known = read_manifest_text(found->file.metadata());
   run.session = open_session(std::move(config), registry, options, diagnostics);
   load_pipeline(*run.session.pipeline, found->file);
   run.step = found->step;

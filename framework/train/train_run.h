@@ -52,8 +52,10 @@ struct OpenedRun {
   double train_s = 0;
   std::string run_dir;
 };
+enum class OpenFor { evaluation, evaluation_of_training_frames, rendering };
+/// For rendering alone no pixel is read, unless the checkpoint does not tell what training knew of the scene.
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
-                   Diagnostics& diagnostics, DepthKept depth = DepthKept::test);
+                   Diagnostics& diagnostics, OpenFor purpose = OpenFor::evaluation);
 
 /// Peak resident memory of this process in bytes; 0 where the system does not tell.
 std::size_t peak_resident_bytes();

@@ -117,6 +117,20 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
       evaluate(*opened.session.pipeline, opened.session.eval_job(opened.session.scene.frames_of(Split::test)),
                opened.session.limits, opened.session.plan.class_of_logit);
   EXPECT_EQ(*score.color.psnr_db(), psnr);
+  // Rendering reads no pixel: what training knew of the scene stands in the checkpoint.
+  OpenedRun blind = open_run(request.out_dir, {}, registry, diagnostics, OpenFor::rendering);
+  const int frame = opened.session.scene.frames_of(Split::test).front();
+  EXPECT_TRUE(blind.session.scene.frames[static_cast<std::size_t>(frame)].rgb.empty());
+  const auto render = [frame](Session& s) {
+    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frame)];
+    return render_frame(*s.pipeline, {info.camera, info.world_from_camera, s.plan.undistortion}, s.limits,
+                        s.plan.class_of_logit);
+  };
+  const RenderedFrame seen = render(opened.session), unseen = render(blind.session);
+  EXPECT_EQ(seen.rgb, unseen.rgb);
+  EXPECT_EQ(seen.label, unseen.label);
+  EXPECT_EQ(seen.depth_m, unseen.depth_m);
+  EXPECT_EQ(seen.entropy, unseen.entropy);
   request.out_dir = dir / "again";
   run_training(load_run_config(dir / "run/run.yaml", {}, registry), registry, request, {});
   CheckpointStore first(dir / "run/checkpoints"), second(dir / "again/checkpoints");

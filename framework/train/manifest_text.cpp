@@ -1,0 +1,48 @@
+#include "train/manifest_text.h"
+
+#include <nlohmann/json.hpp>
+
+#include "core/error.h"
+
+namespace semfield {
+
+namespace {
+
+// One walk for both directions, so writer and reader cannot disagree.
+template <class Field>
+void walk(KnownScene& scene, Field&& field) {
+  SceneManifest& m = scene.manifest;
+  field("classes", m.classes);
+  field("train_class_pixels", m.train_class_pixels);
+  field("train_pixels", m.train_pixels);
+  field("train_frames", m.train_frames);
+  field("labelled_frames", m.labelled_frames);
+  field("any_depth", m.any_depth);
+  field("any_distortion", m.any_distortion);
+  field("pixel_footprint_m", scene.pixel_footprint_m);
+}
+
+}  // namespace
+
+std::string manifest_text(const KnownScene& scene) {
+  nlohmann::ordered_json json;
+  KnownScene copy = scene;
+  walk(copy, [&](const char* name, auto& value) { json[name] = value; });
+  return json.dump();
+}
+
+std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
+  const auto text = metadata.find("scene");
+  if (text == metadata.end()) return std::nullopt;
+  KnownScene scene;
+  try {
+    const nlohmann::json json = nlohmann::json::parse(text->second);
+    walk(scene, [&](const char* name, auto& value) { json.at(name).get_to(value); });
+  } catch (const nlohmann::json::exception& e) {
+    throw Error(ErrorKind::data, std::string("checkpoint metadata 'scene' cannot be read: ") + e.what(),
+                "go on from another checkpoint of the run");
+  }
+  return scene;
+}
+
+}  // namespace semfield
