@@ -1,0 +1,382 @@
+// Kernels one by one, on one thread, over tiles of the size that training uses (Google Benchmark). Rates are of
+// processor time: `items_per_second` are rows or samples, `FLOP/s` the multiply-adds of matrix products, 2 each.
+//
+//   kernel_bench --benchmark_filter=gemm       # beside Eigen's product of the same shapes
+//   kernel_bench --benchmark_repetitions=5 --benchmark_report_aggregates_only=true
+#include <benchmark/benchmark.h>
+
+#include <Eigen/Core>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/gemm.h"
+#include "core/parallel.h"
+#include "core/rng.h"
+#include "model/compositor.h"
+#include "model/param_store.h"
+#include "optim/adam.h"
+#include "plugin/linked_plugins.h"
+#include "testkit/settings.h"
+#include "train/step_work.h"
+
+namespace {
+
+using namespace semfield;
+using benchmark::Counter;
+using benchmark::State;
+
+/// Uniform values in [low, high), 64-byte aligned.
+template <class T>
+class Block {
+ public:
+  Block(std::int64_t rows, std::int32_t cols, double low = -1, double high = 1)
+      : memory_(static_cast<std::size_t>(rows * cols) + 64 / sizeof(T)) {
+    T* data = memory_.data();
+    while (reinterpret_cast<std::uintptr_t>(data) % 64 != 0) ++data;
+    view = View<T>(data, rows, cols);
+    const RandomAddress where{static_cast<std::uint64_t>(rows), static_cast<std::uint64_t>(cols), stream_id("bench")};
+    for (std::int64_t i = 0; i < rows * cols; ++i) {
+      data[i] = static_cast<T>(low + (high - low) * uniform01(where, static_cast<std::uint64_t>(i)));
+    }
+  }
+  View<T> view;
+
+ private:
+  std::vector<T> memory_;
+};
+
+Registry& registry() {
+  static Registry all = [] {
+    Registry r;
+    register_linked_plugins(r);
+    return r;
+  }();
+  return all;
+}
+
+/// The part that `make` builds of a plugin's entry, with its tensors as training holds them.
+template <class Part>
+struct Component {
+  std::unique_ptr<Part> part;
+  ParamStore<float> store{1, 1, true};
+  Workspace workspace;
+  StepContext ctx;
+
+  explicit Component(std::unique_ptr<Part> made) : part(std::move(made)) {
+    store.add("bench", *part);
+    ctx.training = true;
+    ctx.workspace = &workspace;
+    part->derive(ctx, tensors());
+  }
+  Tensors<float> tensors() const { return store.tensors(0); }
+};
+
+std::unique_ptr<PluginParams> params_of(PluginKind kind, const std::string& name, const testkit::Settings& settings) {
+  return testkit::make_params(registry().get(kind, name), settings);
+}
+
+std::unique_ptr<Encoder<float>> encoder(const std::string& name, const testkit::Settings& settings) {
+  return registry()
+      .get(PluginKind::encoder, name)
+      .encoder32(*params_of(PluginKind::encoder, name, settings), {}, registry().kernels());
+}
+
+void encode(State& state, const std::string& name, const testkit::Settings& settings, std::int64_t rows,
+            bool backward) {
+  Component<Encoder<float>> c(encoder(name, settings));
+  const std::int32_t dims = c.part->traits().out_dims;
+  Block<double> x(rows, 3, 0, 1);
+  if (c.part->traits().domain == Domain::direction) {
+    for (std::int64_t r = 0; r < rows; ++r) {
+      double* d = x.view.row(r);
+      const double length = std::sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+      for (int i = 0; i < 3; ++i) d[i] /= length;
+    }
+  }
+  Block<float> y(rows, dims), dx(rows, 3);
+  const bool learns = c.store.learned_count() > 0;
+  for (auto _ : state) {
+    if (backward) {
+      c.part->backward(c.ctx, c.tensors(), x.view, y.view, learns ? View<float>() : dx.view);
+    } else {
+      c.part->forward(c.ctx, c.tensors(), x.view, y.view);
+    }
+    benchmark::ClobberMemory();
+  }
+  state.SetItemsProcessed(state.iterations() * rows);
+}
+
+/// `layers` products of one width behind each other, forward, with bias and ReLU.
+void gemm_chain(State& state, int width, int layers, Precision precision) {
+  constexpr std::int64_t kRows = 1024;
+  const float bound = std::sqrt(6.F / static_cast<float>(width));  // activations keep their size
+  Block<float> weight(static_cast<std::int64_t>(layers) * width, width, -bound, bound), bias(1, width);
+  Block<float> a(kRows, width), b(kRows, width);
+  for (auto _ : state) {
+    for (int i = 0; i < layers; ++i) {
+      Gemm<float> g;
+      g.m = kRows;
+      g.n = g.k = width;
+      g.a = (i % 2 == 0 ? a : b).view.data;
+      g.a_row = g.b_row = g.c_row = width;
+      g.b = weight.view.row(static_cast<std::int64_t>(i) * width);
+      g.c = (i % 2 == 0 ? b : a).view.data;
+      g.bias = bias.view.data;
+      g.relu = true;
+      g.precision = precision;
+      gemm(g);
+    }
+    benchmark::ClobberMemory();
+  }
+  state.counters["FLOP/s"] = Counter(2.0 * kRows * width * width * layers, Counter::kIsIterationInvariantRate);
+}
+
+void gemm_weight_gradient(State& state, int in, int out, Precision precision) {
+  constexpr std::int64_t kRows = 1024;
+  Block<float> x(kRows, in), dy(kRows, out), dw(in, out);
+  for (auto _ : state) {
+    gemm_at_b_add<float>(x.view, dy.view, dw.view, precision);
+    benchmark::ClobberMemory();
+  }
+  state.counters["FLOP/s"] = Counter(2.0 * kRows * in * out, Counter::kIsIterationInvariantRate);
+}
+
+void gemm_shape(State& state, int in, int out) {
+  constexpr std::int64_t kRows = 1024;
+  Block<float> x(kRows, in), w(in, out), y(kRows, out);
+  for (auto _ : state) {
+    gemm<float>(x.view, w.view, y.view);
+    benchmark::ClobberMemory();
+  }
+  state.counters["FLOP/s"] = Counter(2.0 * kRows * in * out, Counter::kIsIterationInvariantRate);
+}
+
+void gemm_eigen(State& state, int in, int out) {
+  using Matrix = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  constexpr std::int64_t kRows = 1024;
+  const Matrix x = Matrix::Random(kRows, in), w = Matrix::Random(in, out);
+  Matrix y = Matrix::Zero(kRows, out);
+  for (auto _ : state) {
+    y.noalias() = x * w;
+    benchmark::ClobberMemory();
+  }
+  state.counters["FLOP/s"] = Counter(2.0 * kRows * in * out, Counter::kIsIterationInvariantRate);
+}
+
+/// One tile of `rays` rays with `per_ray` samples through a field; `backward` adds the gradients.
+void field(State& state, const std::string& name, const FieldBuild& build, std::int64_t rays, std::int64_t per_ray,
+           bool backward) {
+  const std::int64_t samples = rays * per_ray;
+  Component<Field<float>> c(registry()
+                                .get(PluginKind::field, name)
+                                .field32(*params_of(PluginKind::field, name, {}), build, registry().kernels()));
+  const std::int32_t feature = c.part->traits().feature_dims;
+  Block<float> position(samples, build.position_dims), direction(rays, build.direction_dims);
+  Block<std::int32_t> ray(samples, 1);
+  for (std::int64_t m = 0; m < samples; ++m) ray.view(m, 0) = static_cast<std::int32_t>(m / per_ray);
+  Block<float> sigma(samples, 1), rgb(samples, 3), features(samples, feature);
+  Block<float> d_sigma(samples, 1), d_rgb(samples, 3), d_feature(samples, feature), dx(samples, build.position_dims);
+  const std::size_t saved_bytes = c.part->saved_bytes(samples, rays);
+  Block<std::uint8_t> saved(static_cast<std::int64_t>(saved_bytes), 1, 0, 1);
+  const Saved memory(reinterpret_cast<std::byte*>(saved.view.data), saved_bytes);
+  const FieldIn<float> in{position.view, direction.view, ray.view};
+  const FieldOut<float> out{sigma.view, rgb.view, features.view};
+  const bool deep = name == "nerf_mlp";  // its positions are not learned
+  for (auto _ : state) {
+    c.part->forward(c.ctx, c.tensors(), in, out, memory);
+    if (backward) {
+      c.part->backward(c.ctx, c.tensors(), in, out, {d_sigma.view, d_rgb.view, d_feature.view}, memory,
+                       deep ? View<float>() : dx.view);
+    }
+    benchmark::ClobberMemory();
+  }
+  const auto r = static_cast<double>(rays), m = static_cast<double>(samples);
+  double flop = 0;
+  for (const LayerWork& layer : deep ? deep_network_work({}, r, m, {}) : small_network_work({}, r, m, {})) {
+    if (layer.layer == "feature x view") continue;  // once a step, not in these calls
+    flop += backward ? layer.flop() : 2 * layer.rows * layer.in * layer.out;
+  }
+  state.SetItemsProcessed(state.iterations() * samples);
+  state.counters["FLOP/s"] = Counter(flop, Counter::kIsIterationInvariantRate);
+}
+
+/// Samples of `rays` rays, `per_ray` each, evenly over 1 m.
+struct EvenSamples {
+  EvenSamples(std::int64_t rays, std::int64_t per_ray)
+      : t(rays * per_ray, 1), delta(rays * per_ray, 1), ray(rays * per_ray, 1), first(rays + 1, 1) {
+    for (std::int64_t m = 0; m < rays * per_ray; ++m) {
+      t.view(m, 0) = (static_cast<float>(m % per_ray) + 0.5F) / static_cast<float>(per_ray);
+      delta.view(m, 0) = 1.F / static_cast<float>(per_ray);
+      ray.view(m, 0) = static_cast<std::int32_t>(m / per_ray);
+    }
+    for (std::int64_t r = 0; r <= rays; ++r) first.view(r, 0) = static_cast<std::int32_t>(r * per_ray);
+    samples = {t.view, delta.view, ray.view, first.view, rays * per_ray};
+  }
+  Block<float> t, delta;
+  Block<std::int32_t> ray, first;
+  Samples<float> samples;
+};
+
+void compositor(State& state, std::int64_t rays, std::int64_t per_ray, std::int32_t hidden, bool backward) {
+  const std::int64_t count = rays * per_ray;
+  EvenSamples even(rays, per_ray);
+  Block<float> sigma(count, 1, 0, 4), rgb(count, 3, 0, 1), h(count, hidden, 0, 1), weight(count, 1);
+  Block<float> color(rays, 3), depth(rays, 1), opacity(rays, 1), ray_hidden(rays, hidden);
+  Block<float> d_sigma(count, 1), d_rgb(count, 3), d_hidden(count, hidden);
+  CompositeIn<float> in;
+  in.samples = &even.samples;
+  in.sigma = sigma.view;
+  in.rgb = rgb.view;
+  in.hidden = h.view;
+  const CompositeOut<float> out{color.view, depth.view, opacity.view, ray_hidden.view, weight.view};
+  CompositeGrad<float> grad;
+  grad.color = color.view;
+  grad.hidden = ray_hidden.view;
+  composite_forward<float>(in, out);
+  for (auto _ : state) {
+    if (backward) {
+      composite_backward<float>(in, out, grad, d_sigma.view, d_rgb.view, d_hidden.view);
+    } else {
+      composite_forward<float>(in, out);
+    }
+    benchmark::ClobberMemory();
+  }
+  state.SetItemsProcessed(state.iterations() * count);
+}
+
+void sampler(State& state, const std::string& name, const testkit::Settings& settings, std::int64_t previous_per_ray) {
+  constexpr std::int64_t kRays = 64;
+  SamplerBuild build;
+  build.bounds = {{-1, -1, -1}, {1, 1, 1}};
+  build.near_m = 0;
+  build.far_m = 1;
+  Component<Sampler<float>> c(
+      registry()
+          .get(PluginKind::sampler, name)
+          .sampler32(*params_of(PluginKind::sampler, name, settings), build, registry().kernels()));
+  Block<double> origin(kRays, 3, -0.1, 0.1), direction(kRays, 3, 0, 0), near_far(kRays, 2, 0, 0);
+  for (std::int64_t r = 0; r < kRays; ++r) {
+    direction.view(r, 2) = 1;
+    near_far.view(r, 1) = 1;
+  }
+  const Rays<float> rays{origin.view, direction.view, near_far.view};
+  EvenSamples before(kRays, std::max<std::int64_t>(previous_per_ray, 1));
+  Block<float> weight(before.samples.count, 1, 0, 1);
+  const Proposal<float> proposal{&before.samples, weight.view};
+  const std::int64_t capacity = c.part->capacity(kRays, previous_per_ray);
+  Block<float> t(capacity, 1), delta(capacity, 1);
+  Block<std::int32_t> ray(capacity, 1), first(kRays + 1, 1);
+  Samples<float> out{t.view, delta.view, ray.view, first.view, 0};
+  for (auto _ : state) {
+    c.part->sample(c.ctx, c.tensors(), rays, previous_per_ray > 0 ? &proposal : nullptr, out);
+    benchmark::ClobberMemory();
+  }
+  state.SetItemsProcessed(state.iterations() * out.count);
+}
+
+/// Rows of `cols` numbers; `touched` of 100 rows get a gradient (100: the dense rule).
+void adam(State& state, std::int64_t rows, std::int32_t cols, int touched) {
+  Block<float> value(rows, cols), grad(rows, cols), source(rows, cols), m(rows, cols, 0, 1e-3), v(rows, cols, 0, 1e-3);
+  for (std::int64_t r = 0; r < rows; ++r) {
+    const bool hit = uniform_below({1, 0, stream_id("touched")}, static_cast<std::uint64_t>(r), 100) <
+                     static_cast<std::uint64_t>(touched);
+    for (std::int32_t c = 0; c < cols && !hit; ++c) source.view(r, c) = 0;
+  }
+  const AdamStep step = adam_step({}, 1e-3, 100);
+  for (auto _ : state) {
+    if (touched == 100) {
+      adam_dense<float>(step, value.view, source.view, m.view, v.view, 0, rows);
+    } else {
+      state.PauseTiming();  // the rule clears the gradients it has used
+      std::copy_n(source.view.data, rows * cols, grad.view.data);
+      state.ResumeTiming();
+      adam_touched<float>(step, value.view, grad.view, m.view, v.view, 0, rows);
+    }
+    benchmark::ClobberMemory();
+  }
+  state.SetItemsProcessed(state.iterations() * rows);
+}
+
+template <class Body>
+void add(const std::string& name, Body body) {
+  benchmark::RegisterBenchmark(name.c_str(), body);
+}
+
+void add_encoders() {
+  for (const bool backward : {false, true}) {
+    const std::string way = backward ? "/backward" : "/forward";
+    add("encode/frequency_10" + way, [=](State& s) {
+      encode(s, "frequency", {{"frequencies", "10"}}, 1024, backward);
+    });
+    add("encode/spherical_harmonics_4" + way, [=](State& s) {
+      encode(s, "spherical_harmonics", {{"degree", "4"}}, 1024, backward);
+    });
+    for (const char* log2 : {"15", "17", "19"}) {
+      add(std::string("encode/hash_grid_2^") + log2 + way, [=](State& s) {
+        encode(s, "hash_grid", {{"log2_entries", log2}}, 30720, backward);
+      });
+    }
+  }
+}
+
+void add_products() {
+  for (const int width : {64, 256}) {
+    const std::string size = std::to_string(width);
+    add("gemm/chain_of_8/" + size + "/fp32", [=](State& s) { gemm_chain(s, width, 8, Precision::fp32); });
+    add("gemm/chain_of_8/" + size + "/bf16", [=](State& s) { gemm_chain(s, width, 8, Precision::bf16); });
+    add("gemm/weight_gradient/" + size + "/fp32",
+        [=](State& s) { gemm_weight_gradient(s, width, width, Precision::fp32); });
+    add("gemm/weight_gradient/" + size + "/bf16",
+        [=](State& s) { gemm_weight_gradient(s, width, width, Precision::bf16); });
+  }
+  for (const auto& [in, out] : {std::pair<int, int>{32, 64},
+                                {64, 64},
+                                {64, 16},
+                                {64, 3},
+                                {63, 256},
+                                {256, 256},
+                                {256, 128},
+                                {256, 1},
+                                {128, 13}}) {
+    const std::string shape = std::to_string(in) + "x" + std::to_string(out);
+    add("gemm/" + shape + "/ours", [in = in, out = out](State& s) { gemm_shape(s, in, out); });
+    add("gemm/" + shape + "/eigen", [in = in, out = out](State& s) { gemm_eigen(s, in, out); });
+  }
+}
+
+void add_model() {
+  FieldBuild small, deep;
+  small.position_dims = 32;
+  small.direction_dims = 16;
+  deep.position_dims = 63;
+  deep.direction_dims = 27;
+  for (const bool backward : {false, true}) {
+    const std::string way = backward ? "/forward_backward" : "/forward";
+    add("field/tiny_mlp" + way, [=](State& s) { field(s, "tiny_mlp", small, 34, 30, backward); });
+    add("field/nerf_mlp" + way, [=](State& s) { field(s, "nerf_mlp", deep, 4, 192, backward); });
+    const std::string pass = backward ? "/backward" : "/forward";
+    add("compositor/4x192/hidden_128" + pass, [=](State& s) { compositor(s, 4, 192, 128, backward); });
+    add("compositor/34x30/hidden_64" + pass, [=](State& s) { compositor(s, 34, 30, 64, backward); });
+  }
+  add("sampler/stratified_64", [](State& s) { sampler(s, "stratified", {{"samples", "64"}}, 0); });
+  add("sampler/importance_128", [](State& s) { sampler(s, "importance", {{"samples", "128"}}, 64); });
+  add("adam/dense/630k", [](State& s) { adam(s, 2461, 256, 100); });
+  for (const int percent : {5, 50}) {
+    add("adam/touched/2^17_rows_of_2/" + std::to_string(percent) + "%",
+        [=](State& s) { adam(s, 1 << 17, 2, percent); });
+  }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  set_thread_count(1);
+  add_encoders();
+  add_products();
+  add_model();
+  benchmark::Initialize(&argc, argv);
+  if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 1;
+  benchmark::RunSpecifiedBenchmarks();
+  return 0;
+}
