@@ -1,4 +1,4 @@
-// Cross-entropy by log-sum-exp from the row maximum; every row is worked in double.
+// Cross-entropy by log-sum-exp from the row maximum; sums of a row are in double.
 #include "losses/semantic_cross_entropy.h"
 
 #include <cmath>
@@ -6,6 +6,7 @@
 
 #include "core/check.h"
 #include "core/error.h"
+#include "core/math_functions.h"
 
 namespace semfield {
 namespace {
@@ -18,8 +19,9 @@ struct RowSum {
   std::int32_t argmax = 0;
 };
 
+/// The largest logit and its class; every logit is finite.
 template <class Real>
-RowSum sum_row(const Real* logits, std::int32_t classes, std::int64_t ray) {
+RowSum top_of_row(const Real* logits, std::int32_t classes, std::int64_t ray) {
   RowSum row;
   for (std::int32_t c = 0; c < classes; ++c) {
     if (!std::isfinite(logits[c])) {
@@ -31,9 +33,30 @@ RowSum sum_row(const Real* logits, std::int32_t classes, std::int64_t ray) {
     if (logits[c] > logits[row.argmax]) row.argmax = c;
   }
   row.largest = static_cast<double>(logits[row.argmax]);
+  return row;
+}
+
+template <class Real>
+RowSum sum_row(const Real* logits, std::int32_t classes, std::int64_t ray) {
+  RowSum row = top_of_row(logits, classes, ray);
   for (std::int32_t c = 0; c < classes; ++c) {
     if (c != row.argmax) row.rest += std::exp(static_cast<double>(logits[c]) - row.largest);
   }
+  return row;
+}
+
+/// The same with e^(s_c - largest) left in `e` [classes]: one vectorised exponential a class, for training, where the
+/// gradient needs each of them again.
+template <class Real>
+RowSum sum_row(const Real* logits, std::int32_t classes, std::int64_t ray, Real* e) {
+  RowSum row = top_of_row(logits, classes, ray);
+  const Real largest = logits[row.argmax];
+  for (std::int32_t c = 0; c < classes; ++c) e[c] = logits[c] - largest;
+  exp_inplace(e, classes);
+  for (std::int32_t c = 0; c < row.argmax; ++c) row.rest += static_cast<double>(e[c]);
+  for (std::int32_t c = row.argmax + 1; c < classes; ++c) row.rest += static_cast<double>(e[c]);
+  // Exponentials below the normal range of float lose digits, and so would the loss of a row that is almost certain.
+  if (row.rest < 1e-30) return sum_row(logits, classes, ray);
   return row;
 }
 
@@ -82,15 +105,18 @@ struct RayTerm {
   double slope;
   Real* d_logits;  // null: not wanted
 
+  /// d_logits holds the exponentials of sum_row on entry.
   double hard(const RowSum& row, std::int32_t label) const {
     const double weight = weight_of(class_weight, label);
     if (d_logits != nullptr) {
-      for (std::int32_t c = 0; c < classes; ++c) {
-        const double p = probability_of(row, logits, c);
-        // p_y - 1 loses its digits when p_y is almost 1; for the row's largest it is -rest / (1 + rest).
-        const double gap = c != label ? p : (c == row.argmax ? 0.0 - row.rest / (1.0 + row.rest) : p - 1.0);
-        d_logits[c] = static_cast<Real>(slope * weight * gap);
-      }
+      const double share = 1.0 / (1.0 + row.rest);
+      const double of_label = static_cast<double>(d_logits[label]) * share;
+      const double factor = slope * weight * share;
+      for (std::int32_t c = 0; c < classes; ++c)
+        d_logits[c] = static_cast<Real>(factor * static_cast<double>(d_logits[c]));
+      // p_y - 1 loses its digits when p_y is almost 1; for the row's largest it is -rest / (1 + rest).
+      const double gap = label == row.argmax ? 0.0 - row.rest * share : of_label - 1.0;
+      d_logits[label] = static_cast<Real>(slope * weight * gap);
     }
     return weight * surprise_of(row, logits, label);
   }
@@ -169,7 +195,8 @@ SemanticLoss semantic_cross_entropy(View<const Real> logits, const SemanticTarge
       for (std::int32_t c = 0; c < logits.cols && term.d_logits != nullptr; ++c) term.d_logits[c] = 0;
       continue;
     }
-    const RowSum row = sum_row(term.logits, logits.cols, ray);
+    const RowSum row = is_hard && term.d_logits != nullptr ? sum_row(term.logits, logits.cols, ray, term.d_logits)
+                                                           : sum_row(term.logits, logits.cols, ray);
     result.labelled += 1;
     std::int32_t truth = label;
     if (is_hard) {
