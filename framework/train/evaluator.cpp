@@ -73,6 +73,11 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
   return frame;
 }
 
+bool FrameScore::worse_than(const FrameScore& other) const {
+  if (miou_present && other.miou_present) return *miou_present < *other.miou_present;
+  return psnr_db && other.psnr_db && *psnr_db < *other.psnr_db;
+}
+
 std::optional<double> SplitScore::ssim() const {
   if (ssim_frames == 0) return std::nullopt;
   return ssim_sum / static_cast<double>(ssim_frames);
@@ -155,7 +160,7 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
       score.depth.merge(depth);
     }
     score.frames.push_back(std::move(row));
-    if (job.on_frame) job.on_frame(index, frame);
+    if (job.on_frame) job.on_frame(score.frames.back(), frame);
   }
   return score;
 }

@@ -35,6 +35,8 @@ struct FrameScore {
   int frame = 0;
   std::string name;
   std::optional<double> psnr_db, miou_present, absrel;
+  /// By mIoU where both have one, else by PSNR; a frame without either is not worse than any.
+  bool worse_than(const FrameScore& other) const;
 };
 
 /// Scores of a set of frames: every metric pooled over all pixels.
@@ -60,8 +62,8 @@ struct EvalJob {
   std::vector<int> frames;
   int classes = 0;
   bool undistort = true;
-  /// Called after each frame with its maps; may be null.
-  std::function<void(int frame, const RenderedFrame&)> on_frame;
+  /// Called after each frame with its scores and maps; may be null.
+  std::function<void(const FrameScore&, const RenderedFrame&)> on_frame;
   /// Asked between frames; true ends the evaluation early.
   std::function<bool()> stop;
 };

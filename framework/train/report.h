@@ -55,9 +55,16 @@ struct ReportInput {
 /// The page: no scripts, no network, images inside. Throws Error(internal) without runs.
 std::string make_report(const ReportInput& input);
 
+/// A frame with a low score: its name and the score in words. One object a frame in worst_frames.json, worst first.
+struct WorstFrame {
+  std::string name, note;
+};
+std::string worst_frames_json(const std::vector<WorstFrame>& frames);
+std::vector<WorstFrame> parse_worst_frames(std::string_view json, const std::string& name);
+
 /// What a report needs, read from run folders: metrics.jsonl, run.yaml, environment.json, left_out.json, classes.yaml
 /// and the images render/<split>/<frame>_{rgb_truth,rgb,label_truth_vis,label_vis,entropy_vis,depth_vis}.png of the
-/// first run (at most `most_frames` frames, evenly chosen). Only metrics.jsonl must be there. Names are the folders',
+/// first run: those that its worst_frames.json names, and at most `most_frames` others, evenly chosen. Only metrics.jsonl must be there. Names are the folders',
 /// made unique.
 ReportInput read_report_input(const std::vector<std::string>& run_folders, int most_frames = 4);
 

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <array>
 #include <filesystem>
+#include <iterator>
+#include <nlohmann/json.hpp>
 #include <set>
 
 #include "core/error.h"
@@ -40,7 +42,17 @@ std::string unique_name(const fs::path& folder, std::set<std::string>& taken) {
   return name;
 }
 
-std::vector<ReportStrip> read_strips(const fs::path& folder, int most_frames) {
+ReportStrip read_strip(const fs::path& folder, const std::string& name, const std::string& note) {
+  ReportStrip strip{name, note, {}};
+  for (const ImageKind& kind : kKinds) {
+    const std::string bytes = text_or_empty((folder / (name + kind.suffix)).string());
+    if (!bytes.empty()) strip.images.push_back({kind.caption, std::vector<std::uint8_t>(bytes.begin(), bytes.end())});
+  }
+  return strip;
+}
+
+// `apart`: frames that are shown elsewhere.
+std::vector<ReportStrip> read_strips(const fs::path& folder, int most_frames, const std::set<std::string>& apart) {
   std::set<std::string> frames, with_truth;  // frames shown beside their truth come first
   if (fs::is_directory(folder)) {
     for (const fs::directory_entry& entry : fs::directory_iterator(folder)) {
@@ -50,21 +62,31 @@ std::vector<ReportStrip> read_strips(const fs::path& folder, int most_frames) {
     }
   }
   if (!with_truth.empty()) frames = with_truth;
-  const std::vector<std::string> all(frames.begin(), frames.end());
+  std::vector<std::string> all;
+  std::set_difference(frames.begin(), frames.end(), apart.begin(), apart.end(), std::back_inserter(all));
   const std::size_t count = std::min(all.size(), static_cast<std::size_t>(std::max(0, most_frames)));
   std::vector<ReportStrip> strips;
-  for (std::size_t i = 0; i < count; ++i) {
-    ReportStrip strip{all[i * all.size() / count], {}, {}};
-    for (const ImageKind& kind : kKinds) {
-      const std::string bytes = text_or_empty((folder / (strip.name + kind.suffix)).string());
-      if (!bytes.empty()) strip.images.push_back({kind.caption, std::vector<std::uint8_t>(bytes.begin(), bytes.end())});
-    }
-    strips.push_back(std::move(strip));
-  }
+  for (std::size_t i = 0; i < count; ++i) strips.push_back(read_strip(folder, all[i * all.size() / count], {}));
   return strips;
 }
 
 }  // namespace
+
+std::string worst_frames_json(const std::vector<WorstFrame>& frames) {
+  nlohmann::ordered_json json = nlohmann::ordered_json::array();
+  for (const WorstFrame& frame : frames) json.push_back({{"frame", frame.name}, {"score", frame.note}});
+  return json.dump(2) + "\n";
+}
+
+std::vector<WorstFrame> parse_worst_frames(std::string_view json, const std::string& name) {
+  std::vector<WorstFrame> frames;
+  try {
+    for (const nlohmann::json& row : nlohmann::json::parse(json)) frames.push_back({row.at("frame"), row.at("score")});
+  } catch (const nlohmann::json::exception& e) {
+    throw Error(ErrorKind::data, fmt::format("'{}' cannot be read: {}", name, e.what()), "delete it; a report does without");
+  }
+  return frames;
+}
 
 ReportInput read_report_input(const std::vector<std::string>& run_folders, int most_frames) {
   if (run_folders.empty()) throw Error(ErrorKind::usage, "a report needs a run folder", "give one or more folders that `train` printed");
@@ -93,7 +115,19 @@ ReportInput read_report_input(const std::vector<std::string>& run_folders, int m
     if (row.kind == "eval") input.split = row.split;
   }
   const fs::path render = fs::path(first.path()) / "render" / (input.split.empty() ? "test" : input.split);
-  input.strips = read_strips(render, most_frames);
+  std::set<std::string> apart;
+  const std::string worst = text_or_empty(first.worst_frames_path());
+  if (!worst.empty()) {
+    for (const WorstFrame& frame : parse_worst_frames(worst, first.worst_frames_path())) {
+      std::string file = frame.name;
+      std::replace(file.begin(), file.end(), '/', '_');
+      ReportStrip strip = read_strip(render, file, frame.note);
+      if (strip.images.empty()) continue;
+      apart.insert(file);
+      input.worst.push_back(std::move(strip));
+    }
+  }
+  input.strips = read_strips(render, most_frames, apart);
   input.title = join(names, " · ");
   return input;
 }

@@ -1,5 +1,7 @@
 #include "train/run_report.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 
 #include "core/files.h"
@@ -31,13 +33,35 @@ void write_strip(const RunFolder& folder, const Session& s, int frame, const Ren
   rgb("entropy_vis", entropy_colors(maps.entropy, static_cast<int>(s.plan.class_of_logit.size())));
 }
 
+std::string score_text(const FrameScore& score) {
+  std::string out = score.miou_present ? fmt::format("mIoU {:.2f}", *score.miou_present) : std::string();
+  if (score.psnr_db) out += fmt::format("{}PSNR {:.1f} dB", out.empty() ? "" : ", ", *score.psnr_db);
+  return out;
+}
+
 }  // namespace
 
-std::string write_run_report(const RunFolder& folder, const Session& session,
-                             const std::vector<std::pair<int, RenderedFrame>>& strips) {
-  for (const auto& [frame, maps] : strips) write_strip(folder, session, frame, maps);
+void ReportFrames::add(const FrameScore& score, const RenderedFrame& maps) {
+  if (std::find(shown_.begin(), shown_.end(), score.frame) != shown_.end()) strips_.emplace_back(score, maps);
+  const auto place =
+      std::find_if(worst_.begin(), worst_.end(), [&](const auto& kept) { return score.worse_than(kept.first); });
+  if (place == worst_.end() && worst_.size() == kWorst) return;
+  worst_.emplace(place, score, maps);
+  if (worst_.size() > kWorst) worst_.pop_back();
+}
+
+std::string write_run_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) {
+  std::vector<WorstFrame> worst;
+  for (const auto& [score, maps] : frames.strips()) write_strip(folder, session, score.frame, maps);
+  if (!frames.strips().empty()) {  // a report without pictures shows none of these either
+    for (const auto& [score, maps] : frames.worst()) {
+      write_strip(folder, session, score.frame, maps);
+      worst.push_back({score.name, score_text(score)});
+    }
+  }
+  write_file_atomic(folder.worst_frames_path(), worst_frames_json(worst));
   write_file_atomic(folder.report_path(),
-                    make_report(read_report_input({folder.path()}, static_cast<int>(strips.size()))));
+                    make_report(read_report_input({folder.path()}, static_cast<int>(frames.strips().size()))));
   return folder.report_path();
 }
 

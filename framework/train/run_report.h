@@ -10,8 +10,25 @@
 
 namespace semfield {
 
-/// Writes report.html into the folder; returns its path. `strips`: frames with their maps, in the order shown.
-std::string write_run_report(const RunFolder& folder, const Session& session,
-                             const std::vector<std::pair<int, RenderedFrame>>& strips);
+/// Frames of an evaluation that a report shows, with their maps.
+class ReportFrames {
+ public:
+  static constexpr std::size_t kWorst = 2;
+  /// `shown`: frames to keep in any case.
+  explicit ReportFrames(std::vector<int> shown = {}) : shown_(std::move(shown)) {}
+  void add(const FrameScore& score, const RenderedFrame& maps);
+
+  using Kept = std::vector<std::pair<FrameScore, RenderedFrame>>;
+  const Kept& strips() const { return strips_; }
+  /// Worst first, at most kWorst.
+  const Kept& worst() const { return worst_; }
+
+ private:
+  std::vector<int> shown_;
+  Kept strips_, worst_;
+};
+
+/// Writes report.html with its pictures and worst_frames.json into the folder; returns its path.
+std::string write_run_report(const RunFolder& folder, const Session& session, const ReportFrames& frames);
 
 }  // namespace semfield

@@ -103,7 +103,7 @@ class Run {
     outcome.train_s = train_s_;
     outcome.run_dir = folder_.path();
     outcome.peak_bytes = peak_resident_bytes();
-    if (signal == 0) outcome.report_path = write_run_report(folder_, session_, strips_);
+    if (signal == 0) outcome.report_path = write_run_report(folder_, session_, report_frames_);
     return outcome;
   }
 
@@ -180,10 +180,8 @@ class Run {
     EvalJob job = session_.eval_job(evenly_spaced(test, most_frames));
     if (!last && hooks_.stop_signal) job.stop = [this] { return hooks_.stop_signal() != 0; };
     if (last) {
-      const std::vector<int> shown = evenly_spaced(test, session_.config.report.strips);
-      job.on_frame = [&, shown](int frame, const RenderedFrame& maps) {
-        if (std::find(shown.begin(), shown.end(), frame) != shown.end()) strips_.emplace_back(frame, maps);
-      };
+      report_frames_ = ReportFrames(evenly_spaced(test, session_.config.report.strips));
+      job.on_frame = [this](const FrameScore& score, const RenderedFrame& maps) { report_frames_.add(score, maps); };
     }
     const SplitScore score = evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);
     if (score.frames.size() < job.frames.size()) return {};  // stopped between frames: no partial figures
@@ -249,7 +247,7 @@ class Run {
   std::int64_t mse_steps_ = 0, saved_step_ = 0;
   Clock::time_point last_checkpoint_, last_progress_;
   std::optional<double> last_miou_;
-  std::vector<std::pair<int, RenderedFrame>> strips_;
+  ReportFrames report_frames_;
 };
 
 }  // namespace

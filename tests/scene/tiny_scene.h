@@ -18,14 +18,26 @@
 
 namespace semfield::testing_room {
 
+/// Folders of this program's tests; removed when it ends, unless a test failed: then they are there to look at.
+struct FolderKeeper {
+  std::vector<std::filesystem::path> folders;
+  ~FolderKeeper() {
+    if (::testing::UnitTest::GetInstance()->Failed()) return;
+    std::error_code ignored;
+    for (const std::filesystem::path& folder : folders) std::filesystem::remove_all(folder, ignored);
+  }
+};
+
 /// A fresh folder of the running test.
 inline std::string fresh_folder(const std::string& name) {
+  static FolderKeeper keeper;
   const auto* info = ::testing::UnitTest::GetInstance()->current_test_info();
   const std::filesystem::path folder =
       std::filesystem::path(::testing::TempDir()) / (std::string("semfield_") + info->test_suite_name() + "_" +
                                                      info->name() + "_" + std::to_string(::getpid()) + "_" + name);
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
+  keeper.folders.push_back(folder);
   return folder.string();
 }
 

@@ -9,6 +9,7 @@
 #include "tests/train/train_testing.h"
 #include "train/checkpoint_store.h"
 #include "train/metrics_log.h"
+#include "train/run_report.h"
 #include "train/train_run.h"
 #include "train/trainer.h"
 
@@ -117,6 +118,13 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
       evaluate(*opened.session.pipeline, opened.session.eval_job(opened.session.scene.frames_of(Split::test)),
                opened.session.limits, opened.session.plan.class_of_logit);
   EXPECT_EQ(*score.color.psnr_db(), psnr);
+  ReportFrames frames({score.frames[0].frame});
+  for (const FrameScore& row : score.frames) frames.add(row, {});
+  EXPECT_EQ(frames.strips().size(), 1u);
+  ASSERT_EQ(frames.worst().size(), std::min(ReportFrames::kWorst, score.frames.size()));
+  for (const FrameScore& row : score.frames) {
+    EXPECT_FALSE(row.worse_than(frames.worst()[0].first)) << row.name;
+  }
   // Rendering reads no pixel: what training knew of the scene stands in the checkpoint.
   OpenedRun blind = open_run(request.out_dir, {}, registry, diagnostics, OpenFor::rendering);
   const int frame = opened.session.scene.frames_of(Split::test).front();

@@ -202,6 +202,8 @@ TEST(ReportInput, IsReadFromRunFolders) {
     }
     folders.push_back(root + "/" + name);
   }
+  write_file_atomic(RunFolder::read(folders[0]).worst_frames_path(),
+                    worst_frames_json({{"4", "mIoU 0.10, PSNR 9.0 dB"}, {"0", "mIoU 0.20"}, {"gone", "no pictures"}}));
   const ReportInput input = read_report_input(folders, 2);
   ASSERT_EQ(input.runs.size(), 2u);
   EXPECT_EQ(input.runs[0].name, "run");
@@ -210,7 +212,12 @@ TEST(ReportInput, IsReadFromRunFolders) {
   ASSERT_EQ(input.classes.size(), 1u);
   EXPECT_EQ(input.classes[0].color, (std::array<std::uint8_t, 3>{1, 2, 3}));
   ASSERT_EQ(input.strips.size(), 2u);
+  EXPECT_EQ(input.strips[0].name, "1") << "frames of the worst are shown there, not twice";
   EXPECT_EQ(input.strips[1].name, "3");
+  ASSERT_EQ(input.worst.size(), 2u);
+  EXPECT_EQ(input.worst[0].name, "4");
+  EXPECT_EQ(input.worst[0].note, "mIoU 0.10, PSNR 9.0 dB");
+  EXPECT_EQ(input.worst[1].images.size(), 2u);
   EXPECT_EQ(input.strips[0].images.size(), 2u);
   EXPECT_EQ(input.runs[0].left_out.size(), 1u);
   // Moved as a whole, the folders give the same page.
