@@ -51,10 +51,11 @@ Peer::Peer(const std::string& script, const std::string& python, int threads, bo
   }
 }
 
-double Peer::seconds(const PeerRequest& r) {
+PeerTimes Peer::measure(const PeerRequest& r) {
   const json request{{"net", r.net},         {"mode", r.mode},   {"rays", r.rays},
                      {"classes", r.classes}, {"steps", r.steps}, {"log2_entries", r.log2_entries}};
-  return parsed(process_->ask(request.dump())).at("seconds").get<double>();
+  const json answer = parsed(process_->ask(request.dump()));
+  return {answer.value("seconds", 0.0), answer.value("processor", 0.0)};
 }
 
 }  // namespace semfield::app

@@ -18,14 +18,19 @@ struct PeerRequest {
   int steps = 1;          ///< mean of so many
 };
 
+/// Of a step; `processor`: summed over the peer's threads.
+struct PeerTimes {
+  double seconds = 0, processor = 0;
+};
+
 class Peer {
  public:
   /// Finds a Python with torch (`python`, or python3 on PATH, or the system's) and starts `script` as a server, tuned
   /// or as installed. Throws Error(unavailable) with the reason where that cannot be had.
   Peer(const std::string& script, const std::string& python, int threads, bool tuned);
 
-  /// Seconds a step. Throws Error(unavailable) with the peer's own words.
-  double seconds(const PeerRequest& request);
+  /// Throws Error(unavailable) with the peer's own words.
+  PeerTimes measure(const PeerRequest& request);
   /// Version, threads and what was tuned, in words.
   const std::string& description() const { return description_; }
 

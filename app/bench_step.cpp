@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <ctime>
 #include <memory>
 
 #include "allocation_count.h"
@@ -54,16 +55,24 @@ class Case {
     row_.rays = options.rays;
     row_.samples = static_cast<double>(step_.samples_per_step());
     row_.flop = flop;
+    processor_.reserve(1024);        // not while allocations are counted
     step_.seconds(row_.threads, 1);  // memory grows in the first step alone
   }
   double seconds() {
     const std::int64_t before = allocations_so_far().bytes;
+    const std::clock_t begin = std::clock();
     const double s = step_.seconds(row_.threads, steps_);
+    processor_.push_back(static_cast<double>(std::clock() - begin) / CLOCKS_PER_SEC / steps_);
     row_.allocated = std::max(row_.allocated, allocations_so_far().bytes - before);
     return s;
   }
+  void warm_up() {
+    seconds();
+    processor_.clear();
+  }
   StepRow finished(const Spread& spread, double peak) {
     row_.seconds = spread;
+    row_.processor = spread_of(processor_).median;
     row_.peak = peak;
     return row_;
   }
@@ -73,6 +82,7 @@ class Case {
   StepCase step_;
   StepRow row_;
   int steps_;
+  std::vector<double> processor_;
 };
 
 class Bench {
@@ -190,16 +200,18 @@ class Bench {
     struct Turn {
       std::unique_ptr<Case> ours;
       std::optional<PeerRequest> peer;
+      std::vector<double> processor;  // of the peer
     };
     std::vector<Turn> turns;
     const int n = results_.threads;
     for (const std::string& precision : precisions_) {
       turns.push_back({paper(precision, n, sizes_.rays, kPaperClasses),
-                       PeerRequest{"paper", precision, sizes_.rays, kPaperClasses, 0, 1}});
+                       PeerRequest{"paper", precision, sizes_.rays, kPaperClasses, 0, 1},
+                       {}});
     }
     for (const std::string& precision : precisions_) {
       for (const int log2 : {15, 17}) {
-        turns.push_back({hash(precision, n, log2, kPaperClasses), std::nullopt});
+        turns.push_back({hash(precision, n, log2, kPaperClasses), std::nullopt, {}});
         if (precision == "fp32")
           turns.back().peer = PeerRequest{"hash", precision, sizes_.rays, kPaperClasses, log2, 1};
       }
@@ -207,12 +219,16 @@ class Bench {
     std::vector<std::function<double()>> calls;
     for (Turn& turn : turns) {
       note_("warming up: " + turn.ours->row().net + " " + turn.ours->row().precision);
-      turn.ours->seconds();
+      turn.ours->warm_up();
       calls.emplace_back([&turn] { return turn.ours->seconds(); });
       if (!peer_ || !turn.peer) continue;
       try {
-        peer_->seconds(*turn.peer);
-        calls.emplace_back([this, &turn] { return peer_->seconds(*turn.peer); });
+        peer_->measure(*turn.peer);
+        calls.emplace_back([this, &turn] {
+          const PeerTimes times = peer_->measure(*turn.peer);
+          turn.processor.push_back(times.processor);
+          return times.seconds;
+        });
       } catch (const Error& error) {
         results_.peer_missing += fmt::format("{} {}: {}; ", turn.peer->net, turn.peer->mode, error.what());
         turn.peer.reset();
@@ -227,16 +243,16 @@ class Bench {
     auto spread = spreads.begin();
     for (Turn& turn : turns) {
       results_.steps.push_back(turn.ours->finished(*spread++, peak(turn.ours->row())));
-      if (peer_ && turn.peer) add_peer_row(*turn.peer, true, *spread++);
+      if (peer_ && turn.peer) add_peer_row(*turn.peer, true, *spread++, spread_of(turn.processor).median);
     }
     peer_.reset();
     if (!results_.peers.empty()) as_installed();
   }
 
-  void add_peer_row(const PeerRequest& r, bool tuned, const Spread& seconds) {
+  void add_peer_row(const PeerRequest& r, bool tuned, const Spread& seconds, double processor) {
     const double samples = static_cast<double>(r.rays) * (r.net == "paper" ? 256 : 30);
     const std::string net = r.net == "hash" ? fmt::format("hash T=2^{}", r.log2_entries) : r.net;
-    results_.peers.push_back({net, r.mode, tuned, r.rays, seconds, samples});
+    results_.peers.push_back({net, r.mode, tuned, r.rays, seconds, processor, samples});
   }
 
   /// The peer without any tuning, once: to show what the tuning is worth.
@@ -250,7 +266,8 @@ class Bench {
       for (const std::string& mode : precisions_) requests.push_back({"paper", mode, sizes_.rays, kPaperClasses, 0, 1});
       requests.push_back({"hash", "fp32", sizes_.rays, kPaperClasses, 15, 1});
       for (const PeerRequest& request : requests) {
-        add_peer_row(request, false, spread_of({peer.seconds(request)}));
+        const PeerTimes times = peer.measure(request);
+        add_peer_row(request, false, spread_of({times.seconds}), times.processor);
       }
     } catch (const Error& error) {
       results_.peer_missing += fmt::format("as installed: {}; ", error.what());
@@ -308,10 +325,14 @@ BenchStepResults measure_steps(const BenchStepOptions& options, Registry& regist
   return Bench(options, registry, note).run();
 }
 
-std::vector<std::pair<std::string, std::optional<double>>> goals_of(const BenchStepResults& r) {
-  const auto ratio = [](const auto* over, const auto* under) -> std::optional<double> {
+namespace {
+
+/// `time` says which of a row's times counts.
+template <class Time>
+Goals goals_by(const BenchStepResults& r, const Time& time) {
+  const auto ratio = [&](const auto* over, const auto* under) -> std::optional<double> {
     if (over == nullptr || under == nullptr) return std::nullopt;
-    return over->seconds.median / under->seconds.median;
+    return time(*over) / time(*under);
   };
   const int n = r.threads;
   const auto step = [&](const char* net, const char* precision) {
@@ -323,22 +344,36 @@ std::vector<std::pair<std::string, std::optional<double>>> goals_of(const BenchS
     const StepRow* ours = step(net, mode);
     const PeerRow* theirs = find_peer(r, net, mode);
     if (ours == nullptr || theirs == nullptr) return std::nullopt;
-    return ours->rate() / theirs->rate();
+    return (ours->samples / time(*ours)) / (theirs->samples / time(*theirs));
   };
-  std::optional<double> p4;
-  if (const StepRow* paper = step("paper", "fp32"); paper != nullptr && paper->peak > 0)
-    p4 = paper->flops() / paper->peak;
   // The worse of the two networks.
   const std::optional<double> p7 = std::max(ratio(of_classes("paper", 512), of_classes("paper", 13)),
                                             ratio(of_classes("hash T=2^15", 512), of_classes("hash T=2^15", 13)));
   return {{"P1", faster("paper", "fp32")},
           {"P2", faster("paper", "bf16")},
           {"P3", faster("hash T=2^15", "fp32")},
-          {"P4", p4},
+          {"P4", std::nullopt},
           {"P7", p7},
           {"P8", ratio(of_classes("paper", 101), of_classes("paper", 0))},
           {"threads2", ratio(find_step(r.scaling, "paper", "fp32", kPaperClasses, 1),
                              find_step(r.scaling, "paper", "fp32", kPaperClasses, 2))}};
+}
+
+}  // namespace
+
+Goals goals_of(const BenchStepResults& r) {
+  Goals goals = goals_by(r, [](const auto& row) { return row.seconds.median; });
+  const StepRow* paper = find_step(r.steps, "paper", "fp32", kPaperClasses, r.threads);
+  if (paper != nullptr && paper->peak > 0) goals[3].second = paper->flops() / paper->peak;
+  return goals;
+}
+
+Goals processor_goals_of(const BenchStepResults& r) {
+  Goals goals = goals_by(r, [](const auto& row) { return row.processor; });
+  const StepRow* paper = find_step(r.steps, "paper", "fp32", kPaperClasses, r.threads);
+  if (paper != nullptr && r.peak_fp32_one > 0) goals[3].second = paper->flop / paper->processor / r.peak_fp32_one;
+  goals.pop_back();  // threads2 is a matter of time that passes
+  return goals;
 }
 
 }  // namespace semfield::app

@@ -27,9 +27,10 @@ struct StepRow {
   int threads = 0, classes = 0;
   std::int64_t rays = 0;
   Spread seconds;
-  double samples = 0;  ///< a step
-  double flop = 0;     ///< of the networks, as executed
-  double peak = 0;     ///< measured floating-point operations a second of this precision and thread count; 0: unknown
+  double processor = 0;  ///< processor seconds a step, summed over threads; median
+  double samples = 0;    ///< a step
+  double flop = 0;       ///< of the networks, as executed
+  double peak = 0;       ///< measured floating-point operations a second of this precision and thread count; 0: unknown
   std::int64_t allocated = 0;  ///< most bytes of operator new in a call of steps after the first step
   double rate() const { return samples / seconds.median; }
   double flops() const { return flop / seconds.median; }
@@ -41,7 +42,8 @@ struct PeerRow {
   bool tuned = true;
   std::int64_t rays = 0;
   Spread seconds;
-  double samples = 0;  ///< a step
+  double processor = 0;  ///< as above
+  double samples = 0;    ///< a step
   double rate() const { return samples / seconds.median; }
 };
 
@@ -63,6 +65,10 @@ BenchStepResults measure_steps(const BenchStepOptions& options, Registry& regist
                                const std::function<void(const std::string&)>& note);
 
 /// Goals by name, in the order of the last line; nullopt: not measured here.
-std::vector<std::pair<std::string, std::optional<double>>> goals_of(const BenchStepResults& results);
+using Goals = std::vector<std::pair<std::string, std::optional<double>>>;
+Goals goals_of(const BenchStepResults& results);
+/// The same ratios of processor time (P4: of one core's limit): what is left of the truth where other programs run
+/// beside this one. Threads that wait in a busy loop count as working.
+Goals processor_goals_of(const BenchStepResults& results);
 
 }  // namespace semfield::app

@@ -19,23 +19,23 @@ std::string ratio_text(const std::optional<double>& value) {
   return *value >= 9.995 ? fmt::format("{:.1f}", *value) : fmt::format("{:.2f}", *value);
 }
 
-std::string goal_line(const BenchStepResults& results) {
-  std::string line = "bench:";
-  for (const auto& [name, value] : goals_of(results)) line += " " + name + "=" + ratio_text(value);
+std::string goal_line(const std::string& head, const Goals& goals) {
+  std::string line = head;
+  for (const auto& [name, value] : goals) line += " " + name + "=" + ratio_text(value);
   return line;
 }
 
 void print_rows(const char* title, const std::vector<StepRow>& rows) {
   if (rows.empty()) return;
-  std::printf("\n%s\n%-12s %-5s %7s %7s %6s  %10s  %-21s %12s %9s %8s %10s\n", title, "net", "", "threads", "classes",
-              "rays", "s a step", "(min .. max)", "samples/s", "GFLOP/s", "of peak", "allocated");
+  std::printf("\n%s\n%-12s %-5s %7s %7s %6s  %10s  %-21s %9s %12s %9s %8s %10s\n", title, "net", "", "threads",
+              "classes", "rays", "s a step", "(min .. max)", "core s", "samples/s", "GFLOP/s", "of peak", "allocated");
   for (const StepRow& row : rows) {
     const std::string classes = row.classes == 0 ? "none" : std::to_string(row.classes);
     const std::string range = fmt::format("({:.4f} .. {:.4f})", row.seconds.min, row.seconds.max);
     const std::string share = row.peak > 0 ? fmt::format("{:.2f}", row.flops() / row.peak) : "-";
-    std::printf("%-12s %-5s %7d %7s %6lld  %10.4f  %-21s %12.0f %9.1f %8s %10lld\n", row.net.c_str(),
+    std::printf("%-12s %-5s %7d %7s %6lld  %10.4f  %-21s %9.4f %12.0f %9.1f %8s %10lld\n", row.net.c_str(),
                 row.precision.c_str(), row.threads, classes.c_str(), static_cast<long long>(row.rays),
-                row.seconds.median, range.c_str(), row.rate(), row.flops() * 1e-9, share.c_str(),
+                row.seconds.median, range.c_str(), row.processor, row.rate(), row.flops() * 1e-9, share.c_str(),
                 static_cast<long long>(row.allocated));
   }
 }
@@ -43,9 +43,9 @@ void print_rows(const char* title, const std::vector<StepRow>& rows) {
 void print_peers(const BenchStepResults& results) {
   if (!results.peer_about.empty()) std::printf("\npeer: %s\n", results.peer_about.c_str());
   for (const PeerRow& row : results.peers) {
-    std::printf("%-12s %-5s %-13s %6lld rays  %10.4f  (%.4f .. %.4f) %12.0f samples/s\n", row.net.c_str(),
+    std::printf("%-12s %-5s %-13s %6lld rays  %10.4f  (%.4f .. %.4f) %9.4f core s %12.0f samples/s\n", row.net.c_str(),
                 row.mode.c_str(), row.tuned ? "tuned" : "as installed", static_cast<long long>(row.rays),
-                row.seconds.median, row.seconds.min, row.seconds.max, row.rate());
+                row.seconds.median, row.seconds.min, row.seconds.max, row.processor, row.rate());
   }
   for (const StepRow& ours : results.steps) {
     for (const PeerRow& row : results.peers) {
@@ -90,6 +90,7 @@ Json rows_json(const std::vector<StepRow>& rows) {
                    {"classes", row.classes},
                    {"rays", row.rays},
                    {"seconds", spread_json(row.seconds)},
+                   {"processor_s", row.processor},
                    {"samples_per_s", row.rate()},
                    {"flop", row.flop},
                    {"flops", row.flops()},
@@ -117,11 +118,14 @@ void print_json(const BenchStepOptions& options, const BenchStepResults& r) {
                             {"tuned", row.tuned},
                             {"rays", row.rays},
                             {"seconds", spread_json(row.seconds)},
+                            {"processor_s", row.processor},
                             {"samples_per_s", row.rate()}});
   }
   out["peer"] = r.peer_about;
   out["not_measured"] = r.peer_missing;
   for (const auto& [name, value] : goals_of(r)) out["goals"][name] = value ? Json(*value) : Json(nullptr);
+  for (const auto& [name, value] : processor_goals_of(r))
+    out["goals_by_processor_time"][name] = value ? Json(*value) : Json(nullptr);
   std::printf("%s\n", out.dump().c_str());
 }
 
@@ -135,7 +139,8 @@ int run_bench_step(const BenchStepOptions& options, AppContext& context) {
     return 0;
   }
   print_table(options, results);
-  std::printf("%s\n", goal_line(results).c_str());
+  std::printf("\n%s\n%s\n", goal_line("by processor time:", processor_goals_of(results)).c_str(),
+              goal_line("bench:", goals_of(results)).c_str());
   return 0;
 }
 

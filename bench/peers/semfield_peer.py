@@ -351,8 +351,11 @@ def serve(args):
             if key not in cases:
                 cases[key] = Step(*key)
                 cases[key].seconds(1)
-            seconds = cases[key].seconds(r.get("steps", 1))
-            answer = {"seconds": seconds, "samples": cases[key].samples}
+            steps = r.get("steps", 1)
+            processor = time.process_time()
+            seconds = cases[key].seconds(steps)
+            processor = (time.process_time() - processor) / steps
+            answer = {"seconds": seconds, "processor": processor, "samples": cases[key].samples}
         except (ValueError, KeyError, RuntimeError) as error:
             answer = {"error": str(error)}
         print(json.dumps(answer), flush=True)
