@@ -14,11 +14,15 @@ void gemm(const Gemm<Real>& g) {
   SEMFIELD_CHECK(int{g.accumulate} + int{g.bias != nullptr} + int{g.row_term != nullptr} <= 1,
                  "a matrix product starts from one of: its old value, a bias, a row term");
   if constexpr (std::is_same_v<Real, float>) {
-    if (const OnednnGemm* foreign = foreign_gemm(); foreign != nullptr && foreign->run(g)) return;
-    if (g.precision == Precision::bf16) {
-      bf16_gemm()(g);
-      return;
+    // Narrow products gain nothing from bf16: converting their operands costs what the sums save.
+    constexpr std::int64_t kNarrow = 8;
+    if (g.precision == Precision::bf16 && (g.n <= kNarrow || g.k <= kNarrow)) {
+      Gemm<float> exact = g;
+      exact.precision = Precision::fp32;
+      return gemm(exact);
     }
+    if (const OnednnGemm* foreign = foreign_gemm(); foreign != nullptr && foreign->run(g)) return;
+    if (g.precision == Precision::bf16) return bf16_gemm()(g);
   }
   cpu_kernels<Real>().gemm(g);
 }

@@ -8,7 +8,8 @@
 namespace semfield {
 
 /// Arithmetic of matrix products. fp32: in the type of the operands (float64 in the oracle). bf16: operands rounded to
-/// bf16 (8 significant bits), products and sums in fp32; memory, weights and gradients stay fp32.
+/// bf16 (8 significant bits), products and sums in fp32; memory, weights and gradients stay fp32, and so do products of
+/// at most 8 columns or terms.
 enum class Precision : std::uint8_t { fp32, bf16 };
 
 /// C = start + A B, then the epilogue. Shapes: A [m, k] with any strides, so that the same kernel serves forward (X W),

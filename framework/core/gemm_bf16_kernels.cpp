@@ -30,7 +30,12 @@ void pack_row_pairs(const float* in, std::int64_t stride, std::int64_t rows, std
   for (std::int64_t r = 0; r < rows; r += 2) {
     const float* first = in + r * stride;
     std::uint32_t* to = out + r / 2 * width;
-    for (std::int64_t i = 0; i < width; i += 16) {
+    std::int64_t i = 0;
+    for (; i + 16 <= cols && r + 1 < rows; i += 16) {
+      const __m512 low = _mm512_loadu_ps(first + i), high = _mm512_loadu_ps(first + stride + i);
+      _mm512_storeu_si512(to + i, _mm512_permutexvar_epi16(order, (__m512i)_mm512_cvtne2ps_pbh(high, low)));
+    }
+    for (; i < width; i += 16) {
       const __m512 low = load(first + i, cols - i);
       const __m512 high = r + 1 < rows ? load(first + stride + i, cols - i) : _mm512_setzero_ps();
       _mm512_storeu_si512(to + i, _mm512_permutexvar_epi16(order, (__m512i)_mm512_cvtne2ps_pbh(high, low)));
@@ -43,7 +48,12 @@ void pack_rows(const float* in, std::int64_t stride, std::int64_t rows, std::int
   for (std::int64_t i = 0; i < rows; ++i) {
     const float* from = in + i * stride;
     std::uint32_t* to = out + i * kPairs;
-    for (std::int64_t c = 0; c < k; c += 32) {
+    std::int64_t c = 0;
+    for (; c + 32 <= k; c += 32) {
+      const __m512 low = _mm512_loadu_ps(from + c), high = _mm512_loadu_ps(from + c + 16);
+      _mm512_storeu_si512(to + c / 2, (__m512i)_mm512_cvtne2ps_pbh(high, low));
+    }
+    for (; c < k; c += 32) {
       const __m512 low = load(from + c, k - c), high = load(from + c + 16, k - c - 16);
       _mm512_storeu_si512(to + c / 2, (__m512i)_mm512_cvtne2ps_pbh(high, low));
     }

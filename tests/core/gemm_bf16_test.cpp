@@ -131,37 +131,44 @@ TEST(GemmBf16, MaskZeroesWhereItIsNotPositive) {
   }
 }
 
+// value * 1 as one element of a product wide enough for bf16; either operand takes the value.
+float once_times_one(float value, bool as_a) {
+  constexpr int kSize = 16;
+  std::vector<float> a(kSize * kSize), b(kSize * kSize), c(kSize * kSize);
+  (as_a ? a : b)[0] = value;
+  (as_a ? b : a)[0] = 1;
+  gemm(Gemm<float>{.m = kSize,
+                   .n = kSize,
+                   .k = kSize,
+                   .a = a.data(),
+                   .a_row = kSize,
+                   .b = b.data(),
+                   .b_row = kSize,
+                   .c = c.data(),
+                   .c_row = kSize,
+                   .precision = Precision::bf16});
+  return c[0];
+}
+
 TEST(GemmBf16, RoundsToNearestEven) {
   // 1 + 2^-8 lies between the bf16 numbers 1 and 1 + 2^-7, as far from both: to the even one, 1. A little above: 1 +
   // 2^-7.
-  const float one = 1;
   for (const auto& [value, expected] : {std::pair<float, float>{1.00390625f, 1.0f},
                                         {1.0039064f, 1.0078125f},
                                         {1.01171875f, 1.015625f},
                                         {-1.00390625f, -1.0f}}) {
-    float c = 0;
-    gemm(Gemm<float>{.m = 1,
-                     .n = 1,
-                     .k = 1,
-                     .a = &value,
-                     .a_row = 1,
-                     .b = &one,
-                     .b_row = 1,
-                     .c = &c,
-                     .c_row = 1,
-                     .precision = Precision::bf16});
-    EXPECT_EQ(c, expected);
-    gemm(Gemm<float>{.m = 1,
-                     .n = 1,
-                     .k = 1,
-                     .a = &one,
-                     .a_row = 1,
-                     .b = &value,
-                     .b_row = 1,
-                     .c = &c,
-                     .c_row = 1,
-                     .precision = Precision::bf16});
-    EXPECT_EQ(c, expected);
+    EXPECT_EQ(once_times_one(value, true), expected);
+    EXPECT_EQ(once_times_one(value, false), expected);
+  }
+}
+
+TEST(GemmBf16, LeavesNarrowProductsToFp32) {
+  for (const Shape& s : {Shape{20, 8, 40}, Shape{20, 40, 8}}) {
+    Case narrow(s, 0, false), exact(s, 0, false);
+    exact.g.precision = Precision::fp32;
+    gemm(narrow.g);
+    gemm(exact.g);
+    EXPECT_EQ(std::memcmp(narrow.c.data(), exact.c.data(), exact.c.size() * sizeof(float)), 0);
   }
 }
 
@@ -191,20 +198,23 @@ TEST(GemmBf16, SplittingRowsOrEvenDepthGivesTheSameBits) {
 }
 
 TEST(GemmBf16, KeepsNotANumberAndInfinity) {
-  const float nan = std::numeric_limits<float>::quiet_NaN(), inf = std::numeric_limits<float>::infinity(), one = 1;
-  for (const float value : {nan, inf, -inf}) {
-    float c = 0;
+  const float inf = std::numeric_limits<float>::infinity();
+  EXPECT_TRUE(std::isnan(once_times_one(std::numeric_limits<float>::quiet_NaN(), true)));
+  for (const float value : {inf, -inf}) {
+    // inf * 1 beside inf * 0 is no number; alone it stays.
+    std::vector<float> a(16, 0), b(16 * 16, 1), c(16);
+    a[0] = value;
     gemm(Gemm<float>{.m = 1,
-                     .n = 1,
-                     .k = 1,
-                     .a = &value,
-                     .a_row = 1,
-                     .b = &one,
-                     .b_row = 1,
-                     .c = &c,
-                     .c_row = 1,
+                     .n = 16,
+                     .k = 16,
+                     .a = a.data(),
+                     .a_row = 16,
+                     .b = b.data(),
+                     .b_row = 16,
+                     .c = c.data(),
+                     .c_row = 16,
                      .precision = Precision::bf16});
-    EXPECT_TRUE(std::isnan(value) ? std::isnan(c) : c == value) << value;
+    for (const float got : c) EXPECT_EQ(got, value);
   }
 }
 

@@ -103,7 +103,9 @@ TEST(RaySource, LabelsOfUnselectedFramesAreVoid) {
   for (std::size_t r = 0; r < 2000; ++r) {
     EXPECT_NE(batch.label[r], 0);
     ones += batch.label[r] == 1 ? 1 : 0;
-    if (batch.label[r] == 1) EXPECT_EQ(batch.target[3 * r], 0.0F);
+    if (batch.label[r] == 1) {
+      EXPECT_EQ(batch.target[3 * r], 0.0F);
+    }
   }
   EXPECT_GT(ones, 5);
 }

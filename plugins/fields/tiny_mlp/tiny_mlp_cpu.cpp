@@ -125,7 +125,8 @@ void forward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<Real>&
   }
   const View<const Real> weight = value(t, s.geometry.weight), bias = value(t, s.geometry.bias);
   const bool wants_features = !out.rgb.empty() || (!out.feature.empty() && s.feature == TinyFeature::geometry);
-  if (wants_features) {
+  // In bf16 a single column would be computed in fp32, and a density query would differ from the others.
+  if (wants_features || (s.precision == Precision::bf16 && !out.sigma.empty())) {
     linear_forward<Real>(a.hidden[last], weight, bias, Activation::none, a.geometry, s.precision);
     if (!out.sigma.empty()) copy_rows<Real>(a.geometry.col_range(0, 1), out.sigma);
   } else if (!out.sigma.empty()) {
