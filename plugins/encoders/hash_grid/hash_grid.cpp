@@ -47,13 +47,14 @@ void validate(const HashGridParams& p, Diagnostics& diagnostics) {
 
 namespace {
 
+constexpr double kCellsPerPixel = 1.25;
 constexpr int kUnknownResolution = 2048;                    // of the paper [Mueller22 Tab. 1]
 constexpr std::int64_t kLevelBytes = std::int64_t{1} << 20;  // a core's L2 cache
 constexpr int kLeastLog2Entries = 14, kMostLog2Entries = 19;
 
 int chosen_resolution(const HashGridParams& p, const EncoderBuild& build) {
   const double cells = build.extent_m > 0 && build.pixel_footprint_m > 0
-                           ? std::round(build.extent_m / build.pixel_footprint_m)
+                           ? std::round(kCellsPerPixel * build.extent_m / build.pixel_footprint_m)
                            : kUnknownResolution;
   return static_cast<int>(std::clamp(cells, static_cast<double>(p.base_resolution), 1048576.0));
 }

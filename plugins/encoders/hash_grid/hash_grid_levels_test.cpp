@@ -142,18 +142,18 @@ Chosen chosen_for(HashGridParams p, double extent_m, double pixel_m, Device devi
 }
 
 TEST(HashGridLevels, SizesAreChosenFromTheScene) {
-  // 6.4 m at pixels of 25 mm: 256 cells a side; 12 * 257^2 = 792,588 vertices, more than 2^19, but 1 MiB is
+  // 6.4 m at pixels of 25 mm: cells of 20 mm, 320 a side; 12 * 321^2 = 1,236,492 vertices, more than 2^19, but 1 MiB is
   // 2^17 entries of 8 bytes.
   const Chosen room = chosen_for(params_of(8, 2, 0, 16, 0), 6.4, 0.025);
-  EXPECT_EQ(room.finest, 256);
+  EXPECT_EQ(room.finest, 320);
   EXPECT_EQ(room.log2_entries, 17);
   ASSERT_EQ(room.sentences.size(), 2u);
-  EXPECT_EQ(room.sentences[0], "finest_resolution 256: cells of 0.025 against pixels of 0.025 at the scene's middle depth");
+  EXPECT_EQ(room.sentences[0], "finest_resolution 320: cells of 0.02 against pixels of 0.025 at the scene's middle depth");
   EXPECT_EQ(room.sentences[1], "log2_entries 17: a level takes at most 1024 KiB");
   EXPECT_EQ(chosen_for(params_of(8, 8, 0, 16, 0), 6.4, 0.025).log2_entries, 15);  // 32 bytes an entry
-  // 2 m at 50 mm: 40 cells; 12 * 41^2 = 20,172 <= 2^15.
+  // 2 m at 50 mm: 50 cells; 12 * 51^2 = 31,212 <= 2^15.
   const Chosen small = chosen_for(params_of(8, 2, 0, 16, 0), 2.0, 0.05);
-  EXPECT_EQ(small.finest, 40);
+  EXPECT_EQ(small.finest, 50);
   EXPECT_EQ(small.log2_entries, 15);
   EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).finest, 16);  // never below the coarsest level
   EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).log2_entries, 14);
