@@ -113,7 +113,7 @@ class Bench {
              fmt::format("semantics.hidden_width={}", s.deep.semantic_width)};
     o.set.push_back(fmt::format("passes.0.field.width={}", s.deep.width));
     o.set.push_back(fmt::format("passes.0.field.view_width={}", s.deep.view_width));
-    add_precision(precision, o);
+    add_settings(precision, o);
     double flop = 0;
     const auto r = static_cast<double>(rays);
     for (const int samples : {s.coarse, s.coarse + s.fine})
@@ -129,7 +129,7 @@ class Bench {
     o.rays = s.rays;
     o.set = {fmt::format("passes.0.sampler.samples={}", s.hash_samples),
              fmt::format("passes.0.position.log2_entries={}", log2_entries)};
-    add_precision(precision, o);
+    add_settings(precision, o);
     const auto r = static_cast<double>(s.rays);
     const double flop = total_flop(small_network_work(s.small, r, r * s.hash_samples, {classes, true}));
     return std::make_unique<Case>(new_row(fmt::format("hash T=2^{}", log2_entries), precision, threads), o, flop,
@@ -144,7 +144,8 @@ class Bench {
     return row;
   }
 
-  static void add_precision(const std::string& precision, StepCaseOptions& o) {
+  void add_settings(const std::string& precision, StepCaseOptions& o) const {
+    o.set.insert(o.set.end(), options_.set.begin(), options_.set.end());
     if (precision != "fp32") o.set.push_back("runtime.precision=" + precision);
   }
 

@@ -18,6 +18,7 @@ struct BenchStepOptions {
   int repeats = 5;
   std::string size = "full";  ///< full, or tiny: narrow networks and few rays, for tests
   std::string peer_script, python;
+  std::vector<std::string> set;  ///< overrides of both networks' configurations
 };
 
 /// A measured training step of ours.

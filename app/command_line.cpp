@@ -148,6 +148,9 @@ void add_bench_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   step->add_option("--threads", options->threads, "CPU threads (default: every core)")->check(CLI::Range(1, 4096));
   step->add_option("--repeats", options->repeats, "rounds; medians are of so many")->check(CLI::Range(1, 1000));
   step->add_option("--size", options->size, "full, or tiny: narrow networks and few rays, for tests");
+  step->add_option("--set", options->set, "override a value of both networks: --set runtime.gemm=onednn")
+      ->expected(1)
+      ->take_all();
   step->add_option("--peer-script", options->peer_script, "the peer's script (default: the one that is shipped)");
   step->add_option("--python", options->python, "interpreter with torch (default: python3)");
   step->callback(

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "core/check.h"
+#include "core/gemm_engine.h"
 #include "core/parallel.h"
 #include "core/rng.h"
 #include "train/assembly.h"
@@ -66,6 +67,8 @@ struct StepCase::Impl {
   std::unique_ptr<Pipeline<float>> pipeline;
   std::unique_ptr<RaySource> rays;
   std::unique_ptr<Trainer> trainer;
+  GemmEngine engine = GemmEngine::automatic;
+  Precision precision = Precision::fp32;
   std::int64_t samples_last = 0, samples_all = 0;
   StepLosses losses;
 };
@@ -79,6 +82,8 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   extent.near_m = 0.05;
   extent.far_m = 1;
   extent.pixel_footprint_m = 0.01;
+  impl_->engine = config.runtime.gemm;
+  impl_->precision = config.runtime.precision;
   const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry), {});
   impl_->pipeline = assemble<float>(config, registry, plan, extent, {}, true);
 
@@ -123,6 +128,7 @@ StepCase::StepCase(StepCase&&) noexcept = default;
 double StepCase::seconds(int threads, int steps) {
   const int before = thread_count();
   set_thread_count(threads);
+  choose_gemm_engine(impl_->engine, impl_->precision);  // of the process; cases of the other precision take turns
   const auto begin = std::chrono::steady_clock::now();
   for (int i = 0; i < steps; ++i) impl_->losses = impl_->trainer->advance();
   const double elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();

@@ -97,6 +97,7 @@ TEST(BenchVerb, RatiosAreOfRatesBesideThePeer) {
 TEST(BenchVerb, WrongWordsAreRefused) {
   EXPECT_EQ(run("bench step --size huge").code, 2);
   EXPECT_EQ(run("bench step --repeats 0").code, 2);
+  EXPECT_EQ(run(std::string(kTiny) + "--set runtime.gem=onednn").code, 78);
   EXPECT_EQ(run("bench").code, 2);
 }
 
