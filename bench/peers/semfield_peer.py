@@ -37,6 +37,9 @@ def tune_environment():
     except OSError:
         pass
     env.pop("ONEDNN_MAX_CPU_ISA", None)
+    # Threads that wait spin for some ten microseconds, enough between two operations of a step, and then sleep: longer
+    # spins take the cores from whatever else runs, which may be the thread that is waited for.
+    env.setdefault("GOMP_SPINCOUNT", "20000")
     os.execve(sys.executable, [sys.executable] + sys.argv, env)
 
 
