@@ -290,7 +290,7 @@ class Bench {
     if (hardware_threads() < 2) return;
     note_("one thread against two");
     std::vector<std::unique_ptr<Case>> cases;
-    for (const int threads : {1, 2}) cases.push_back(paper("fp32", threads, sizes_.sweep_rays, kPaperClasses));
+    for (const int threads : {1, 2}) cases.push_back(paper("fp32", threads, sizes_.rays, kPaperClasses));
     for (const int threads : {1, 2}) cases.push_back(hash("fp32", threads, 15, kPaperClasses));
     results_.scaling = measure(std::move(cases));
   }

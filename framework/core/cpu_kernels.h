@@ -14,6 +14,9 @@ struct CpuKernels {
   void (*expm1_inplace)(Real*, std::int64_t);
   void (*sigmoid_inplace)(Real*, std::int64_t);
   void (*softplus_inplace)(Real*, std::int64_t);
+  Real (*largest_of)(const Real*, std::int64_t);
+  bool (*all_finite)(const Real*, std::int64_t);
+  double (*sum_of)(const Real*, std::int64_t);
   void (*relu_backward)(View<const Real> y, View<Real> dy);
   void (*bias_backward)(View<const Real> dz, View<Real> d_bias);
   void (*per_ray_backward)(View<const Real> dz, View<const std::int32_t> ray_of_sample, View<Real> d_ray_term);

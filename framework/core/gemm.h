@@ -41,7 +41,7 @@ struct Gemm {
   Precision precision = Precision::fp32;
 };
 
-/// Runs in the calling thread; allocates nothing (160 KiB of stack).
+/// Runs in the calling thread; allocates nothing (288 KiB of stack).
 template <class Real>
 void gemm(const Gemm<Real>& g);
 

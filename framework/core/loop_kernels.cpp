@@ -1,5 +1,5 @@
-// Elementwise loops of networks and rendering, for one instruction set. Exponentials: exact reduction to |r| <= ln2/2, a
-// degree-7 series, scaling by exponent bits.
+// Elementwise loops of networks and rendering, for one instruction set. Exponentials: exact reduction to |r| <= ln2/2,
+// a degree-7 series, scaling by exponent bits.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -103,8 +103,8 @@ void sigmoid_inplace(Real* x, std::int64_t n) {
   }
 }
 
-// log1p(e) = 2 atanh(s) with s = e / (2 + e) <= 1/3: an odd series without any reduction; the next term is below 2e-9 of
-// the sum.
+// log1p(e) = 2 atanh(s) with s = e / (2 + e) <= 1/3: an odd series without any reduction; the next term is below 2e-9
+// of the sum.
 inline float softplus_value(float x) {
   const float e = exp_value(-std::abs(x));
   const float s = e / (2.0f + e), q = s * s;
@@ -127,6 +127,43 @@ void softplus_inplace(Real* x, std::int64_t n) {
       x[i] = (x[i] > Real(0) ? x[i] : Real(0)) + std::log1p(std::exp(-std::abs(x[i])));
     }
   }
+}
+
+// Lanes that a reduction keeps apart, the same for every instruction set: the compiler may not reorder sums itself.
+constexpr std::int64_t kApart = 16;
+
+template <class Real>
+Real largest_of(const Real* x, std::int64_t n) {
+  Real most[kApart];
+  for (std::int64_t i = 0; i < kApart; ++i) most[i] = x[0];
+  std::int64_t k = 0;
+  for (; k + kApart <= n; k += kApart) {
+    for (std::int64_t i = 0; i < kApart; ++i) most[i] = x[k + i] > most[i] ? x[k + i] : most[i];
+  }
+  for (; k < n; ++k) most[k % kApart] = x[k] > most[k % kApart] ? x[k] : most[k % kApart];
+  Real result = most[0];
+  for (std::int64_t i = 1; i < kApart; ++i) result = most[i] > result ? most[i] : result;
+  return result;
+}
+
+template <class Real>
+bool all_finite(const Real* x, std::int64_t n) {
+  int bad = 0;
+  for (std::int64_t k = 0; k < n; ++k) bad |= x[k] - x[k] == Real(0) ? 0 : 1;  // inf - inf and NaN are not 0
+  return bad == 0;
+}
+
+template <class Real>
+double sum_of(const Real* x, std::int64_t n) {
+  double part[kApart] = {};
+  std::int64_t k = 0;
+  for (; k + kApart <= n; k += kApart) {
+    for (std::int64_t i = 0; i < kApart; ++i) part[i] += static_cast<double>(x[k + i]);
+  }
+  for (; k < n; ++k) part[k % kApart] += static_cast<double>(x[k]);
+  double sum = 0;
+  for (const double p : part) sum += p;
+  return sum;
 }
 
 template <class Real>
@@ -178,6 +215,9 @@ void fill(CpuKernels<Real>& kernels) {
   kernels.expm1_inplace = expm1_inplace<Real>;
   kernels.sigmoid_inplace = sigmoid_inplace<Real>;
   kernels.softplus_inplace = softplus_inplace<Real>;
+  kernels.largest_of = largest_of<Real>;
+  kernels.all_finite = all_finite<Real>;
+  kernels.sum_of = sum_of<Real>;
   kernels.relu_backward = relu_backward<Real>;
   kernels.bias_backward = bias_backward<Real>;
   kernels.per_ray_backward = per_ray_backward<Real>;

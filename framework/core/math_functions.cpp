@@ -24,6 +24,23 @@ void softplus_inplace(Real* x, std::int64_t n) {
   cpu_kernels<Real>().softplus_inplace(x, n);
 }
 
+template <class Real>
+Real largest_of(const Real* x, std::int64_t n) {
+  return cpu_kernels<Real>().largest_of(x, n);
+}
+
+template <class Real>
+bool all_finite(const Real* x, std::int64_t n) {
+  return cpu_kernels<Real>().all_finite(x, n);
+}
+
+template <class Real>
+double sum_of(const Real* x, std::int64_t n) {
+  return cpu_kernels<Real>().sum_of(x, n);
+}
+
+SEMFIELD_ROWS_OF(, float)
+SEMFIELD_ROWS_OF(, double)
 template void exp_inplace<float>(float*, std::int64_t);
 template void exp_inplace<double>(double*, std::int64_t);
 template void expm1_inplace<float>(float*, std::int64_t);

@@ -37,6 +37,18 @@ void sigmoid_inplace(Real* x, std::int64_t n);
 template <class Real>
 void softplus_inplace(Real* x, std::int64_t n);
 
+/// Largest of x[0..n), n >= 1; NaN is passed over unless all are.
+template <class Real>
+Real largest_of(const Real* x, std::int64_t n);
+
+/// Neither NaN nor infinite, each of them.
+template <class Real>
+bool all_finite(const Real* x, std::int64_t n);
+
+/// Sum in double, in a fixed order that is not that of the elements.
+template <class Real>
+double sum_of(const Real* x, std::int64_t n);
+
 extern template void exp_inplace<float>(float*, std::int64_t);
 extern template void exp_inplace<double>(double*, std::int64_t);
 extern template void expm1_inplace<float>(float*, std::int64_t);
@@ -45,5 +57,12 @@ extern template void sigmoid_inplace<float>(float*, std::int64_t);
 extern template void sigmoid_inplace<double>(double*, std::int64_t);
 extern template void softplus_inplace<float>(float*, std::int64_t);
 extern template void softplus_inplace<double>(double*, std::int64_t);
+
+#define SEMFIELD_ROWS_OF(prefix, Real)                              \
+  prefix template Real largest_of<Real>(const Real*, std::int64_t); \
+  prefix template bool all_finite<Real>(const Real*, std::int64_t); \
+  prefix template double sum_of<Real>(const Real*, std::int64_t);
+SEMFIELD_ROWS_OF(extern, float)
+SEMFIELD_ROWS_OF(extern, double)
 
 }  // namespace semfield

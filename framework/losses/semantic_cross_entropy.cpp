@@ -23,16 +23,18 @@ struct RowSum {
 template <class Real>
 RowSum top_of_row(const Real* logits, std::int32_t classes, std::int64_t ray) {
   RowSum row;
-  for (std::int32_t c = 0; c < classes; ++c) {
+  const bool finite = all_finite(logits, classes);
+  for (std::int32_t c = 0; c < classes && !finite; ++c) {
     if (!std::isfinite(logits[c])) {
       throw Error(ErrorKind::failure,
                   "logit of ray " + std::to_string(ray) + ", class " + std::to_string(c) + " is " +
                       std::to_string(static_cast<double>(logits[c])) + "; it must be finite",
                   "lower the learning rate, or go back to the last checkpoint");
     }
-    if (logits[c] > logits[row.argmax]) row.argmax = c;
   }
-  row.largest = static_cast<double>(logits[row.argmax]);
+  const Real largest = largest_of(logits, classes);
+  while (logits[row.argmax] != largest) ++row.argmax;  // the first of equals
+  row.largest = static_cast<double>(largest);
   return row;
 }
 
@@ -53,8 +55,7 @@ RowSum sum_row(const Real* logits, std::int32_t classes, std::int64_t ray, Real*
   const Real largest = logits[row.argmax];
   for (std::int32_t c = 0; c < classes; ++c) e[c] = logits[c] - largest;
   exp_inplace(e, classes);
-  for (std::int32_t c = 0; c < row.argmax; ++c) row.rest += static_cast<double>(e[c]);
-  for (std::int32_t c = row.argmax + 1; c < classes; ++c) row.rest += static_cast<double>(e[c]);
+  row.rest = sum_of(e, row.argmax) + sum_of(e + row.argmax + 1, classes - row.argmax - 1);
   // Exponentials below the normal range of float lose digits, and so would the loss of a row that is almost certain.
   if (row.rest < 1e-30) return sum_row(logits, classes, ray);
   return row;

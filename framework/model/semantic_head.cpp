@@ -60,10 +60,8 @@ void SemanticHead<Real>::class_forward(const StepContext&, const Tensors<Real>& 
     linear_forward<Real>(h, tensors.value[kClassWeight], bias, Activation::none, logits);
     return;
   }
-  linear_forward<Real>(h, tensors.value[kClassWeight], {}, Activation::none, logits);
-  for (std::int64_t n = 0; n < logits.rows; ++n) {
-    for (std::int32_t c = 0; c < classes_; ++c) logits(n, c) += share(n, 0) * bias(0, c);
-  }
+  gemm<Real>(share, bias, logits);
+  linear_forward_add<Real>(h, tensors.value[kClassWeight], Activation::none, logits);
 }
 
 template <class Real>
@@ -77,16 +75,10 @@ void SemanticHead<Real>::class_backward(const StepContext&, const Tensors<Real>&
   grad.dx = d_h;
   linear_backward<Real>(h, d_logits, grad);
   if (share.empty()) return;
-  const View<const Real> bias = tensors.value[kClassBias];
-  const View<Real> d_bias = tensors.grad[kClassBias];
-  for (std::int64_t n = 0; n < d_logits.rows; ++n) {
-    Real along_bias = 0;
-    for (std::int32_t c = 0; c < classes_; ++c) {
-      d_bias(0, c) += share(n, 0) * d_logits(n, c);
-      along_bias += d_logits(n, c) * bias(0, c);
-    }
-    if (!d_share.empty()) d_share(n, 0) = along_bias;
-  }
+  gemm_at_b_add<Real>(share, d_logits, tensors.grad[kClassBias]);
+  if (d_share.empty()) return;
+  const View<Real> bias = tensors.value[kClassBias];
+  gemm<Real>(d_logits, View<const Real>(bias.data, classes_, 1), d_share);
 }
 
 template class SemanticHead<float>;

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <bit>
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -202,7 +203,8 @@ TEST(MathFunctions, OneMinusExpKeepsItsRelativeError) {
 TEST(MathFunctions, AnElementDoesNotDependOnItsPlace) {
   std::vector<float> x(67);
   for (std::size_t i = 0; i < x.size(); ++i) x[i] = 0.37f * static_cast<float>(i) - 9.0f;
-  for (auto* function : {&exp_inplace<float>, &expm1_inplace<float>, &sigmoid_inplace<float>, &softplus_inplace<float>}) {
+  for (auto* function :
+       {&exp_inplace<float>, &expm1_inplace<float>, &sigmoid_inplace<float>, &softplus_inplace<float>}) {
     auto whole = x;
     function(whole.data(), static_cast<std::int64_t>(whole.size()));
     for (std::size_t i = 0; i < x.size(); ++i) {
@@ -243,6 +245,26 @@ TEST(MathFunctions, SigmoidAndSoftplusAtTheEnds) {
   EXPECT_EQ(ends[3], 1e30f);
   EXPECT_EQ(ends[4], 0.0f);
   EXPECT_FLOAT_EQ(ends[5], 0.693147181f);
+}
+
+TEST(RowReductions, AgreeWithPlainLoopsForEveryLength) {
+  for (std::int64_t n = 1; n < 70; ++n) {
+    std::vector<float> x(static_cast<std::size_t>(n));
+    double sum = 0;
+    for (std::int64_t i = 0; i < n; ++i) {
+      x[static_cast<std::size_t>(i)] = static_cast<float>((i * 37 + 11) % 64) - 40;
+      sum += static_cast<double>(x[static_cast<std::size_t>(i)]);
+    }
+    EXPECT_EQ(largest_of(x.data(), n), *std::max_element(x.begin(), x.end()));
+    EXPECT_EQ(sum_of(x.data(), n), sum);  // whole numbers: exact in any order
+    EXPECT_TRUE(all_finite(x.data(), n));
+    for (const float bad : {HUGE_VALF, -HUGE_VALF, std::nanf("")}) {
+      std::vector<float> broken = x;
+      broken[static_cast<std::size_t>(n / 2)] = bad;
+      EXPECT_FALSE(all_finite(broken.data(), n));
+    }
+  }
+  EXPECT_EQ(sum_of<float>(nullptr, 0), 0);
 }
 
 }  // namespace
