@@ -60,6 +60,14 @@ Bf16Gemm bf16_gemm() {
   return chosen;
 }
 
+bool bf16_is_native() {
+#if defined(__AVX512BF16__)
+  return true;  // the whole build has them
+#else
+  return isa() == Isa::avx512_bf16;
+#endif
+}
+
 template const CpuKernels<float>& cpu_kernels<float>();
 template const CpuKernels<double>& cpu_kernels<double>();
 

@@ -29,6 +29,8 @@ const CpuKernels<Real>& cpu_kernels();
 /// gemm with A and B rounded to bf16, sums in fp32.
 using Bf16Gemm = void (*)(const Gemm<float>&);
 Bf16Gemm bf16_gemm();
+/// By instructions of the processor; false: emulated, slower than fp32.
+bool bf16_is_native();
 
 extern template const CpuKernels<float>& cpu_kernels<float>();
 extern template const CpuKernels<double>& cpu_kernels<double>();

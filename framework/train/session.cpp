@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "core/cpu_kernels.h"
 #include "core/error.h"
 #include "core/parallel.h"
 
@@ -72,6 +73,10 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   s.config.load.far_m = s.scene.far_m;
   s.config.load.bounds = {b.lo.x, b.lo.y, b.lo.z, b.hi.x, b.hi.y, b.hi.z};
   s.chosen = choose_from_scene(s.config, s.extent);
+  if (s.config.runtime.precision == Precision::bf16 && !bf16_is_native()) {
+    diagnostics.note("runtime.precision",
+                     "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
+  }
   if (!options.build) return s;
 
   std::vector<float> class_weight;

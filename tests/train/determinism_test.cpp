@@ -1,6 +1,8 @@
 // The same bits for any number of threads and any grouping of rays, on real training runs.
 #include <gtest/gtest.h>
 
+#include "core/error.h"
+#include "core/gemm_engine.h"
 #include "core/parallel.h"
 #include "tests/train/train_testing.h"
 #include "train/trainer.h"
@@ -30,6 +32,26 @@ TEST(Determinism, HashRunOf200StepsIsTheSameFor1And2And4Threads) {
 TEST(Determinism, TwoPassRunIsTheSameFor1And3Threads) {
   const std::uint32_t one = train_fingerprint(two_pass_config(), 1, 25);
   EXPECT_EQ(one, train_fingerprint(two_pass_config(), 3, 25));
+}
+
+TEST(Determinism, Bf16RunIsTheSameFor1And2ThreadsAndNotThatOfFp32) {
+  const std::string bf16 = "runtime: {precision: bf16}\n";
+  const std::uint32_t one = train_fingerprint(hash_config(bf16), 1, 40);
+  EXPECT_EQ(one, train_fingerprint(hash_config(bf16), 2, 40));
+  EXPECT_NE(one, train_fingerprint(hash_config(), 2, 40));
+  EXPECT_EQ(train_fingerprint(two_pass_config(bf16), 1, 5), train_fingerprint(two_pass_config(bf16), 3, 5));
+}
+
+TEST(Determinism, OnednnRunIsTheSameFor1And2Threads) {
+  const std::string onednn = "runtime: {gemm: onednn}\n";
+  try {
+    choose_gemm_engine(GemmEngine::onednn, Precision::fp32);
+  } catch (const Error& error) {
+    GTEST_SKIP() << error.what();
+  }
+  const std::uint32_t one = train_fingerprint(hash_config(onednn), 1, 40);
+  EXPECT_EQ(one, train_fingerprint(hash_config(onednn), 2, 40));
+  choose_gemm_engine(GemmEngine::builtin, Precision::fp32);
 }
 
 TEST(Determinism, AnotherSeedGivesAnotherRun) {
