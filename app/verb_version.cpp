@@ -1,6 +1,7 @@
 // version: what this binary is.
 #include <cstdio>
 
+#include "core/isa.h"
 #include "plugin/loader.h"
 #include "train/run_folder.h"
 #include "verbs.h"
@@ -16,6 +17,7 @@ int run_version(AppContext& context) {
   std::printf("semfield %s (%s)\ncompiler  %s, %s\nplugin api %d, abi %s\ncpu       %s (%d threads)\n",
               e.version.c_str(), e.source.c_str(), e.compiler.c_str(), e.build_type.c_str(), kPluginApi, e.abi.c_str(),
               e.cpu.c_str(), e.hardware_threads);
+  std::printf("kernels   %s (this build has %s)\n", std::string(isa_name(isa())).c_str(), isas_of_build().c_str());
   return 0;
 }
 
