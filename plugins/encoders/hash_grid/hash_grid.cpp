@@ -16,13 +16,15 @@ void describe(ParamVisitor& visit, HashGridParams& p) {
   SEMFIELD_PARAM(visit, p, levels, "L, number of resolutions [Mueller22 Tab. 1]", {1, kHashGridMaxLevels});
   SEMFIELD_PARAM(visit, p, features, "F, features of an entry: 1, 2, 4 or 8 [Mueller22 Tab. 1]",
                  {1, kHashGridMaxFeatures});
-  SEMFIELD_PARAM(visit, p, log2_entries, "log2 of T, the most entries of a level [Mueller22 Tab. 1]; 0 = from the scene", {0, 24});
+  SEMFIELD_PARAM(visit, p, log2_entries,
+                 "log2 of T, the most entries of a level [Mueller22 Tab. 1]; 0 = from the scene", {0, 24});
   SEMFIELD_PARAM(visit, p, base_resolution, "cells along an axis of the coarsest level [Mueller22 Tab. 1]",
                  {1, 1048576});
-  SEMFIELD_PARAM(visit, p, finest_resolution,
-                 "cells along an axis of the finest level; growth between levels follows from it [Mueller22 Eq. 3]; 0 = from "
-                 "the scene",
-                 {0, 1048576});
+  SEMFIELD_PARAM(
+      visit, p, finest_resolution,
+      "cells along an axis of the finest level; growth between levels follows from it [Mueller22 Eq. 3]; 0 = from "
+      "the scene",
+      {0, 1048576});
   SEMFIELD_PARAM(visit, p, interpolation, "weights between vertices: linear, or smoothstep with continuous slopes");
   SEMFIELD_PARAM(visit, p, init, "entries start uniform in [-init, init) [Mueller22 Sec. 4]", {0, 1});
 }
@@ -48,14 +50,16 @@ void validate(const HashGridParams& p, Diagnostics& diagnostics) {
 namespace {
 
 constexpr double kCellsPerPixel = 1.25;
-constexpr int kUnknownResolution = 2048;                    // of the paper [Mueller22 Tab. 1]
+constexpr double kCellSteps = 8;                             // a frame more or less must not change the network
+constexpr int kUnknownResolution = 2048;                     // of the paper [Mueller22 Tab. 1]
 constexpr std::int64_t kLevelBytes = std::int64_t{1} << 20;  // a core's L2 cache
 constexpr int kLeastLog2Entries = 14, kMostLog2Entries = 19;
 
 int chosen_resolution(const HashGridParams& p, const EncoderBuild& build) {
-  const double cells = build.extent_m > 0 && build.pixel_footprint_m > 0
-                           ? std::round(kCellsPerPixel * build.extent_m / build.pixel_footprint_m)
-                           : kUnknownResolution;
+  const double cells =
+      build.extent_m > 0 && build.pixel_footprint_m > 0
+          ? kCellSteps * std::round(kCellsPerPixel * build.extent_m / build.pixel_footprint_m / kCellSteps)
+          : kUnknownResolution;
   return static_cast<int>(std::clamp(cells, static_cast<double>(p.base_resolution), 1048576.0));
 }
 
@@ -76,7 +80,8 @@ void choose(HashGridParams& p, const EncoderBuild& build, std::vector<std::strin
     p.finest_resolution = p.levels == 1 ? p.base_resolution : chosen_resolution(p, build);
     const double cell_m = build.extent_m / p.finest_resolution;
     if (build.pixel_footprint_m > 0 && cell_m > 0) {
-      std::snprintf(text, sizeof text, "finest_resolution %d: cells of %.3g against pixels of %.3g at the scene's middle depth",
+      std::snprintf(text, sizeof text,
+                    "finest_resolution %d: cells of %.3g against pixels of %.3g at the scene's middle depth",
                     p.finest_resolution, cell_m, build.pixel_footprint_m);
     } else {
       std::snprintf(text, sizeof text, "finest_resolution %d: the scene's extent is unknown", p.finest_resolution);

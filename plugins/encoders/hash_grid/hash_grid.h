@@ -33,7 +33,7 @@ void describe(ParamVisitor& visit, HashGridParams& params);
 void validate(const HashGridParams& params, Diagnostics& diagnostics);
 
 /// Puts numbers where finest_resolution or log2_entries is 0, and adds a sentence for each.
-/// finest_resolution: cells of 4/5 of a pixel at the scene's middle depth (2048 cells where its extent or the pixel is
+/// finest_resolution: cells of 4/5 of a pixel at the scene's middle depth (a multiple of 8; 2048 cells where its extent or the pixel is
 /// unknown), at least base_resolution. log2_entries: the first power of two that holds the vertices on both sides of six
 /// walls of the finest level, 12 (N + 1)^2, but not below 2^14, and on a CPU at most 1 MiB a level in float: a core's L2
 /// cache.

@@ -151,9 +151,9 @@ TEST(HashGridLevels, SizesAreChosenFromTheScene) {
   EXPECT_EQ(room.sentences[0], "finest_resolution 320: cells of 0.02 against pixels of 0.025 at the scene's middle depth");
   EXPECT_EQ(room.sentences[1], "log2_entries 17: a level takes at most 1024 KiB");
   EXPECT_EQ(chosen_for(params_of(8, 8, 0, 16, 0), 6.4, 0.025).log2_entries, 15);  // 32 bytes an entry
-  // 2 m at 50 mm: 50 cells; 12 * 51^2 = 31,212 <= 2^15.
+  // 2 m at 50 mm: 50 cells, of steps of 8 the nearest is 48; 12 * 49^2 = 28,812 <= 2^15.
   const Chosen small = chosen_for(params_of(8, 2, 0, 16, 0), 2.0, 0.05);
-  EXPECT_EQ(small.finest, 50);
+  EXPECT_EQ(small.finest, 48);
   EXPECT_EQ(small.log2_entries, 15);
   EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).finest, 16);  // never below the coarsest level
   EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).log2_entries, 14);
