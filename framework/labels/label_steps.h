@@ -1,0 +1,83 @@
+// What stands under `scene.labels`: where training labels come from (`from`) and what is done to them (`degrade`), each
+// chosen by `type` and declared like a plugin's parameters.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "config/params.h"
+#include "core/error.h"
+#include "scene/frame_source.h"
+#include "scene/soft_map.h"
+
+namespace semfield {
+
+/// Labels of one frame, row-major, at the size of the loaded frame: either hard or soft is set, or neither.
+struct FrameLabels {
+  std::vector<std::int16_t> hard;  ///< [H * W] internal class index, kVoid = void
+  SoftMap soft;                    ///< [H * W, C]
+  bool empty() const { return hard.empty() && soft.empty(); }
+};
+
+/// Training labels of a scene: one entry a frame of SceneInfo; empty for test frames and unlabelled ones.
+using LabelSet = std::vector<FrameLabels>;
+
+/// Facts of a step for the manifest, in the order of writing: ("pixels changed", "12345").
+using StepFacts = std::vector<std::pair<std::string, std::string>>;
+
+/// Parameters common to both kinds of step. describe() declares them; reading, writing and documents derive from it.
+class LabelStep {
+ public:
+  virtual ~LabelStep() = default;
+  virtual void describe(ParamVisitor& visit) = 0;
+  virtual void validate(Diagnostics&) const {}
+};
+
+/// A seeded change of training labels [Zhi21, section 4]. Randomness is addressed by (seed, frame's index in SceneInfo
+/// or instance, stream "labels/..."), so a frame's result depends neither on other frames nor on threads.
+class Degradation : public LabelStep {
+ public:
+  /// True: scene.frames[i].instance is filled in for apply().
+  virtual bool needs_instances() const { return false; }
+  /// Changes `labels`; `scene` gives sizes, instances, depth (training frames: when kept) and the class table. Throws
+  /// Error(data), naming the frame, for labels it cannot work on (soft ones, no instances).
+  virtual StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const = 0;
+};
+
+/// Labels of a frame as a file holds them, at the file's own size.
+struct LabelRaster {
+  std::int32_t width_px = 0, height_px = 0;
+  std::vector<std::int16_t> hard;  ///< [H * W] internal class index, kVoid = void; or empty
+  std::vector<float> soft;         ///< [H * W * C] probabilities; or empty
+};
+
+/// Label files beside a scene: polygons, palettes, predictions.
+class LabelReader : public LabelStep {
+ public:
+  /// Opens what there is to open, reports every problem (file, line or entry, cause, remedy) and returns the class
+  /// table that the files bring, empty without one. `known` is the table of the scene, which wins where both exist;
+  /// paths in the parameters are absolute.
+  virtual ClassTable open(const ClassTable& known, Diagnostics& diagnostics) = 0;
+  /// Whether the frame has labels here; frames are told apart by FrameInfo::name and by the stem of FrameInfo::source.
+  virtual bool has(const FrameInfo& frame) const = 0;
+  /// Thread-safe. `classes` is the table that holds for the run; names or ids that it lacks throw Error(data) naming
+  /// file, place and remedy.
+  virtual LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const = 0;
+};
+
+/// A type that `from` or `degrade` may name.
+template <class Step>
+struct StepKind {
+  std::string_view type, sentence;
+  std::unique_ptr<Step> (*make)();
+};
+
+/// In the order of the reference page.
+const std::vector<StepKind<Degradation>>& degradation_kinds();
+const std::vector<StepKind<LabelReader>>& label_reader_kinds();
+
+}  // namespace semfield
