@@ -29,14 +29,33 @@ OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context) {
   return opened;
 }
 
+// What an inspection shows of training frames are the labels that would train.
+void show_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
+  read_test_labels(scene, config, diagnostics);
+  TrainingLabels labels;
+  try {
+    labels = make_training_labels(scene, config, diagnostics);
+  } catch (const Error& e) {
+    if (!diagnostics.has_errors()) diagnostics.error("", e.message(), e.remedy());
+    return;
+  }
+  for (const int f : scene.frames_of(Split::train)) {
+    const auto i = static_cast<std::size_t>(f);
+    scene.info.frames[i].has_labels = !labels.frames[i].empty();
+    scene.class_pixels[i] = labels.class_pixels[i];
+  }
+}
+
 }  // namespace
 
 int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context) {
   OpenedDataset opened = dataset_of(options, context);
   Diagnostics diagnostics;
-  opened.config.load.depth = DepthKept::none;
+  opened.config.load.depth = opened.config.labels.wants_depth() ? DepthKept::all : DepthKept::none;
+  opened.config.load.with_instances = opened.config.labels.needs_instances();
   LoadedScene scene = load_scene(*opened.dataset, opened.config.load, diagnostics);
-  keep_labels(scene, select_label_frames(scene.info, opened.config.labels));
+  open_label_files(scene, opened.config.labels, diagnostics);
+  if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
   std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
   if (!frusta_path.empty()) {
     write_frusta_ply(frusta_path, scene);

@@ -112,14 +112,4 @@ std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& p
   return out;
 }
 
-void keep_labels(LoadedScene& scene, const std::vector<int>& keep) {
-  for (std::size_t i = 0; i < scene.frames.size(); ++i) {
-    FrameInfo& frame = scene.info.frames[i];
-    if (frame.split == Split::test || std::find(keep.begin(), keep.end(), static_cast<int>(i)) != keep.end()) continue;
-    frame.has_labels = false;
-    scene.frames[i].label = {};
-    scene.class_pixels[i] = {};
-  }
-}
-
 }  // namespace semfield

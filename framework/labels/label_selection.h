@@ -38,7 +38,4 @@ int label_frame_count(const std::string& frames, int available);
 /// training frame or has no labels.
 std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& params);
 
-/// Drops the labels of every training frame outside `keep`; test frames keep theirs. class_pixels follow.
-void keep_labels(LoadedScene& scene, const std::vector<int>& keep);
-
 }  // namespace semfield

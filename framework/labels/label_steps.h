@@ -43,6 +43,8 @@ class Degradation : public LabelStep {
  public:
   /// True: scene.frames[i].instance is filled in for apply().
   virtual bool needs_instances() const { return false; }
+  /// True: scene.frames[i].depth_m of training frames is kept for apply(), where the scene has depth.
+  virtual bool wants_depth() const { return false; }
   /// Changes `labels`; `scene` gives sizes, instances, depth (training frames: when kept) and the class table. Throws
   /// Error(data), naming the frame, for labels it cannot work on (soft ones, no instances).
   virtual StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const = 0;

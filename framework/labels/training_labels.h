@@ -23,6 +23,7 @@ struct LabelConfig {
   };
   std::vector<Step> degrade;  ///< applied in order
   bool needs_instances() const;
+  bool wants_depth() const;
 };
 
 /// Labels of the training frames, packed.
@@ -42,17 +43,19 @@ struct TrainingLabels {
     std::string type;
     StepFacts facts;
   };
-  std::vector<Step> steps;                               ///< what was done, for the manifest
+  std::vector<Step> steps;                              ///< what was done, for the manifest
   std::vector<std::vector<std::int64_t>> class_pixels;  ///< [frames][C + 1] as in LoadedScene, of these labels
 };
 
-/// Reads `from` into a loaded scene: frames get `has_labels`, a scene without a class table gets the files' one, and
-/// test frames without labels of their own get theirs as truth. Returns the training labels of all frames that have
-/// any (from the files, or the scene's own), before selection. Soft labels are scaled with hard ones by the nearest
-/// pixel.
-LabelSet read_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
+/// Opens `from` (nothing without one): a scene without a class table takes the files' one. Throws when there is none.
+void open_label_files(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
 
-/// Selection, then every degradation in order.
-TrainingLabels make_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
+/// Labels of test frames that the dataset does not have, from the files of `from`: they are the truth of these frames.
+void read_test_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
+
+/// The scene's own labels of training frames, or those of `from`, scaled to the loaded size by the nearest pixel; then
+/// the selection of frames; then every degradation in order. The scene's own labels stay in `scene` as the truth. Call
+/// open_label_files first.
+TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
 
 }  // namespace semfield

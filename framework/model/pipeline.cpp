@@ -85,7 +85,11 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
                                           : View<const float>(options_.class_weight.data(), 1,
                                                               static_cast<std::int32_t>(options_.class_weight.size()));
     SemanticTargets targets;
-    targets.hard = batch.label;
+    if (batch.soft.empty()) {
+      targets.hard = batch.label;
+    } else {
+      targets.soft = batch.soft;
+    }
     normaliser = semantic_normaliser(options_.normalisation, labelled_weight(targets, weights), rays);
   }
   tile_losses_.assign(static_cast<std::size_t>(tiles), StepLosses{});
@@ -165,7 +169,11 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
     if (semantic_rays > 0) {
       d_logits = arena.take<Real>(semantic_rays, trace.logits.cols);
       SemanticTargets targets;
-      targets.hard = label.row_range(0, semantic_rays);
+      if (batch.soft.empty()) {
+        targets.hard = label.row_range(0, semantic_rays);
+      } else {
+        targets.soft = batch.soft.row_range(begin, semantic_rays);
+      }
       const SemanticLoss semantic = semantic_cross_entropy<Real>(
           trace.logits, targets, class_weight, semantic_normaliser, options_.semantic_weight, d_logits, begin);
       losses.semantic += semantic.sum;

@@ -32,6 +32,7 @@ struct RayBatch {
   View<const double> near_far;     ///< [R, 2] metres along the ray
   View<const float> target;        ///< [R, 3] colour in [0, 1]
   View<const std::int16_t> label;  ///< [R, 1] class or kVoid; empty when the run has no semantics
+  View<const float> soft;  ///< [R, C] probabilities, a row of zeros where label is kVoid; empty: labels are hard
 };
 
 struct StepLosses {

@@ -22,6 +22,9 @@ class SoftMap {
   bool empty() const { return values_.empty(); }
   std::size_t pixels() const { return classes_ == 0 ? 0 : values_.size() / static_cast<std::size_t>(classes_); }
   int classes() const { return classes_; }
+  float at(std::size_t pixel, int cls) const {
+    return float_of_half(values_[pixel * static_cast<std::size_t>(classes_) + static_cast<std::size_t>(cls)]);
+  }
   /// Row of a pixel into `out` [classes].
   void row(std::size_t pixel, std::span<float> out) const;
   /// Throws Error(data) for a negative value or one that is not finite.

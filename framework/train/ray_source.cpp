@@ -8,13 +8,15 @@
 
 namespace semfield {
 
-void BatchBuffers::resize(std::int64_t rays) {
+void BatchBuffers::resize(std::int64_t rays, std::int32_t classes) {
   const auto n = static_cast<std::size_t>(rays);
   origin.resize(3 * n);
   direction.resize(3 * n);
   near_far.resize(2 * n);
   target.resize(3 * n);
   label.resize(n);
+  soft_classes = classes;
+  soft.resize(n * static_cast<std::size_t>(classes));
 }
 
 RayBatch BatchBuffers::view(bool with_labels) const {
@@ -25,6 +27,7 @@ RayBatch BatchBuffers::view(bool with_labels) const {
   batch.near_far = {near_far.data(), rays, 2};
   batch.target = {target.data(), rays, 3};
   if (with_labels) batch.label = {label.data(), rays, 1};
+  if (with_labels && soft_classes > 0) batch.soft = {soft.data(), rays, soft_classes};
   return batch;
 }
 
@@ -42,6 +45,11 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
   if (offsets_.back() > std::int64_t{0xFFFFFFFF}) {
     throw Error(ErrorKind::data, "the training split has more than 2^32 pixels", "reduce it with scene.load.downscale");
   }
+  const bool soft = std::any_of(frames_.begin(), frames_.end(),
+                                [](const TrainFrame& f) { return f.labels != nullptr && !f.labels->soft.empty(); });
+  for (const std::int16_t logit : logit_of_class_) {
+    if (soft) soft_logits_ = std::max(soft_logits_, static_cast<std::int32_t>(logit) + 1);
+  }
   if (options_.kind != RaySourceKind::label_balanced) return;
   index_labels();
   if (ranks_before_.back() == 0) {
@@ -53,7 +61,7 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
 void RaySource::index_labels() {
   block_offsets_.push_back(0);
   for (std::size_t f = 0; f < frames_.size(); ++f) {
-    const std::int64_t pixels = frames_[f].labelled ? offsets_[f + 1] - offsets_[f] : 0;
+    const std::int64_t pixels = frames_[f].labels != nullptr ? offsets_[f + 1] - offsets_[f] : 0;
     block_offsets_.push_back(block_offsets_.back() + static_cast<std::size_t>((pixels + kBlock - 1) / kBlock));
   }
   ranks_before_.assign(block_offsets_.back() + 1, 0);
@@ -115,15 +123,31 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
 
 std::int16_t RaySource::label_of(const Pixel& pixel) const {
   const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
-  if (!frame.labelled || frame.pixels->label.empty()) return kVoid;
-  const std::int16_t cls = frame.pixels->label[static_cast<std::size_t>(pixel.index)];
+  if (frame.labels == nullptr || frame.labels->empty()) return kVoid;
+  const std::int16_t cls = (*frame.labels)[static_cast<std::size_t>(pixel.index)];
   return cls < 0 || static_cast<std::size_t>(cls) >= logit_of_class_.size()
              ? kVoid
              : logit_of_class_[static_cast<std::size_t>(cls)];
 }
 
+void RaySource::soft_label_of(const Pixel& pixel, std::span<float> out) const {
+  std::fill(out.begin(), out.end(), 0.0F);
+  const std::int16_t label = label_of(pixel);
+  if (label == kVoid) return;
+  const TrainingLabels::Frame& labels = *frames_[static_cast<std::size_t>(pixel.frame)].labels;
+  if (labels.soft.empty()) {
+    out[static_cast<std::size_t>(label)] = 1;
+    return;
+  }
+  for (std::size_t c = 0; c < logit_of_class_.size(); ++c) {
+    if (logit_of_class_[c] == kVoid) continue;
+    out[static_cast<std::size_t>(logit_of_class_[c])] =
+        labels.soft.at(static_cast<std::size_t>(pixel.index), static_cast<int>(c));
+  }
+}
+
 void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
-  batch.resize(options_.rays);
+  batch.resize(options_.rays, soft_logits_);
   const std::int64_t tile_rays = options_.tile_rays;
   const std::int64_t tiles = (options_.rays + tile_rays - 1) / tile_rays;
   parallel_for(tiles, [&](std::int64_t tile) {
@@ -146,6 +170,10 @@ void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
               static_cast<float>(frame.pixels->rgb[3 * static_cast<std::size_t>(pixel.index) + i]) / 255.0F;
         }
         batch.label[s] = label;
+        if (soft_logits_ > 0) {
+          const auto logits = static_cast<std::size_t>(soft_logits_);
+          soft_label_of(pixel, std::span(batch.soft).subspan(s * logits, logits));
+        }
       }
     }
   });

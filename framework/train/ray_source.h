@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "labels/training_labels.h"
 #include "model/pipeline.h"
 #include "scene/stored_frame.h"
 #include "train/rays.h"
@@ -15,15 +16,17 @@ namespace semfield {
 struct TrainFrame {
   RayCamera camera;
   const StoredFrame* pixels = nullptr;
-  bool labelled = false;  ///< its labels were selected
+  const TrainingLabels::Frame* labels = nullptr;  ///< borrowed; null: unlabelled
 };
 
 /// Buffers of one batch; view() borrows them.
 struct BatchBuffers {
   std::vector<double> origin, direction, near_far;
   std::vector<float> target;
-  std::vector<std::int16_t> label;
-  void resize(std::int64_t rays);
+  std::vector<std::int16_t> label;  ///< the most probable class where labels are soft
+  std::vector<float> soft;          ///< [rays * soft_classes]
+  std::int32_t soft_classes = 0;    ///< 0: labels are hard
+  void resize(std::int64_t rays, std::int32_t soft_classes = 0);
   RayBatch view(bool with_labels) const;
 };
 
@@ -57,9 +60,11 @@ class RaySource {
  private:
   Pixel locate(std::int64_t global) const;
   std::int16_t label_of(const Pixel& pixel) const;
+  void soft_label_of(const Pixel& pixel, std::span<float> out) const;
 
   std::vector<TrainFrame> frames_;
   std::vector<std::int16_t> logit_of_class_;
+  std::int32_t soft_logits_ = 0;  // logits a soft label spreads over; 0: every label is hard
   RayLimits limits_;
   RaySourceOptions options_;
   // Labelled pixels by rank, for label_balanced alone: pixels of the labelled frames in blocks of kBlock, and how many

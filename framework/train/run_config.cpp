@@ -5,6 +5,7 @@
 
 #include "config/compose.h"
 #include "plugin/loader.h"
+#include "train/label_config.h"
 
 namespace semfield {
 
@@ -83,7 +84,7 @@ constexpr std::array<std::string_view, 8> kTopKeys{"scene", "semantics", "render
 // documenting share.
 template <class Config, class Fn>
 void each_section(Config& config, Fn&& section) {
-  section("scene.labels", "which training frames keep their labels", config.labels);
+  section("scene.labels", "which training frames keep their labels", config.labels.selection);
   section("scene.load", "size, bounds and distances of the loaded scene", config.load);
   section("semantics", "the semantic head and its loss", config.semantics);
   section("rendering", "fixed rules of volume rendering", config.rendering);
@@ -97,6 +98,7 @@ void each_section(Config& config, Fn&& section) {
 // Sub-sections of a section, which are keys of its map but no parameters.
 std::vector<std::string> nested_keys(std::string_view path) {
   if (path == "train") return {"adam", "schedule"};
+  if (path == "scene.labels") return {"from", "degrade"};
   return {};
 }
 
@@ -212,6 +214,10 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
     anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
   }
   config.dataset = read_slot(PluginKind::dataset, anchored, "scene", registry, diagnostics, {"labels", "load"});
+  if (const ConfigNode* labels = scene->is_map() ? scene->find("labels") : nullptr;
+      labels != nullptr && labels->is_map()) {
+    read_label_steps(*labels, !config.base_dir.empty(), config.labels, diagnostics);
+  }
   if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
 }
 
@@ -288,6 +294,7 @@ ConfigNode resolved_config(const RunConfig& config) {
   RunConfig& editable = const_cast<RunConfig&>(config);  // describe() takes a mutable struct; the writer only looks
   each_section(editable, [&](const char* path, const char*, auto& params) {
     ConfigNode section = params_to_config([&](ParamVisitor& visit) { describe(visit, params); });
+    if (std::string_view(path) == "scene.labels") section = with_label_steps(section, config.labels);
     tree = with_path(tree, path, section);
   });
   std::vector<ConfigNode> passes;

@@ -11,7 +11,7 @@
 #include "config/config_tree.h"
 #include "config/params_read.h"
 #include "core/gemm_engine.h"
-#include "labels/label_selection.h"
+#include "labels/training_labels.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
@@ -113,7 +113,7 @@ struct RunConfig {
   std::string name;
   std::string base_dir;  ///< where relative paths of plugins start that no file anchors; absolute
   PluginSlot dataset;
-  LabelParams labels;
+  LabelConfig labels;
   SceneLoadOptions load;
   SemanticsParams semantics;
   RenderingParams rendering;

@@ -12,7 +12,7 @@ namespace semfield {
 
 namespace {
 
-SceneManifest manifest_of(const LoadedScene& scene, const std::vector<char>& labelled) {
+SceneManifest manifest_of(const LoadedScene& scene, const TrainingLabels& labels) {
   SceneManifest manifest;
   manifest.classes = scene.info.classes.valid_count();
   manifest.train_class_pixels.resize(static_cast<std::size_t>(manifest.classes));
@@ -23,11 +23,10 @@ SceneManifest manifest_of(const LoadedScene& scene, const std::vector<char>& lab
     if (info.split != Split::train) continue;
     ++manifest.train_frames;
     manifest.train_pixels += std::int64_t{scene.frames[f].width_px} * scene.frames[f].height_px;
-    if (labelled[f] == 0) continue;
+    if (labels.frames[f].empty()) continue;
     ++manifest.labelled_frames;
-    if (scene.class_pixels[f].empty()) continue;
     for (std::size_t c = 0; c < manifest.train_class_pixels.size(); ++c)
-      manifest.train_class_pixels[c] += scene.class_pixels[f][c];
+      manifest.train_class_pixels[c] += labels.class_pixels[f][c];
   }
   return manifest;
 }
@@ -46,19 +45,23 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   dataset_build.config_dir = s.config.base_dir;
   const std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
   SceneLoadOptions load = s.config.load;
-  load.depth = options.depth;
-  load.pixels = !options.known;
+  const bool make_labels = !options.known || options.labels;
+  load.pixels = options.pixels || !options.known;
+  load.with_instances = make_labels && s.config.labels.needs_instances();
+  load.depth = make_labels && s.config.labels.wants_depth() ? DepthKept::all : options.depth;
   s.scene = load_scene(*dataset, load, diagnostics);
+  open_label_files(s.scene, s.config.labels, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
-  s.labelled.assign(s.scene.frames.size(), 0);
-  for (const int f : select_label_frames(s.scene.info, s.config.labels)) s.labelled[static_cast<std::size_t>(f)] = 1;
+  if (load.pixels) read_test_labels(s.scene, s.config.labels, diagnostics);
+  if (make_labels) s.labels = make_training_labels(s.scene, s.config.labels, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::data, "the labels have problems:");
   if (options.known && options.known->manifest.classes != s.classes()) {
     throw Error(ErrorKind::config,
                 fmt::format("the scene has {} classes, the run was trained with {}", s.classes(),
                             options.known->manifest.classes),
                 "render with the class table of the run");
   }
-  s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labelled);
+  s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
   s.plan = plan_build(s.manifest, build_request(s.config, registry), options.keep);
 
@@ -113,7 +116,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   for (std::size_t f = 0; f < scene.frames.size(); ++f) {
     const FrameInfo& info = scene.info.frames[f];
     if (info.split != Split::train || scene.frames[f].rgb.empty()) continue;
-    frames.push_back({{info.camera, info.world_from_camera, plan.undistortion}, &scene.frames[f], labelled[f] != 0});
+    frames.push_back({{info.camera, info.world_from_camera, plan.undistortion}, &scene.frames[f], &labels.frames[f]});
   }
   RaySourceOptions options;
   options.kind = config.train.ray_source;
@@ -128,6 +131,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
 MemoryPlan plan_memory(const Session& s) {
   MemoryPlan plan;
   for (const StoredFrame& frame : s.scene.frames) plan.scene += frame.bytes();
+  for (const TrainingLabels::Frame& frame : s.labels.frames) plan.scene += frame.bytes();
   if (s.pipeline) {
     plan.parameters = s.pipeline->store().bytes();
     plan.activations = s.pipeline->predicted_workspace_bytes(s.config.train.rays);

@@ -18,7 +18,7 @@ namespace semfield {
 struct Session {
   RunConfig config;
   LoadedScene scene;
-  std::vector<char> labelled;  ///< [frames] training frames that keep their labels
+  TrainingLabels labels;  ///< of training frames; the scene's own stay in `scene` as the truth
   SceneManifest manifest;
   BuildPlan plan;
   SceneExtent extent;
@@ -38,8 +38,10 @@ struct SessionOptions {
   bool trainable = true;
   bool build = true;                  ///< false: stop after the plan
   DepthKept depth = DepthKept::test;  ///< what a later evaluation compares with
-  /// What training knew of the scene (manifest_text.h). Then no pixel is read: enough to render, not to evaluate.
+  /// What training knew of the scene (manifest_text.h); then the training labels are not made again.
   std::optional<KnownScene> known;
+  bool pixels = true;   ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
+  bool labels = false;  ///< make the training labels although `known` is given
 };
 
 /// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, assembles.

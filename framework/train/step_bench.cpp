@@ -64,6 +64,7 @@ SceneManifest manifest_of(int classes) {
 
 struct StepCase::Impl {
   std::vector<StoredFrame> pixels;
+  std::vector<TrainingLabels::Frame> labels;
   std::unique_ptr<Pipeline<float>> pipeline;
   std::unique_ptr<RaySource> rays;
   std::unique_ptr<Trainer> trainer;
@@ -109,8 +110,10 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   const RandomAddress where{1, 0, stream_id("step_bench/pose")};
   std::vector<TrainFrame> frames;
   for (std::uint64_t f = 0; f < kFrames; ++f) impl_->pixels.emplace_back(random_frame(f, options.classes));
+  for (const StoredFrame& frame : impl_->pixels) impl_->labels.push_back({frame.label, {}});
   for (std::uint64_t f = 0; f < kFrames; ++f) {
-    frames.push_back({{camera, random_pose(where, f), false}, &impl_->pixels[f], options.classes > 0});
+    frames.push_back(
+        {{camera, random_pose(where, f), false}, &impl_->pixels[f], options.classes > 0 ? &impl_->labels[f] : nullptr});
   }
   std::vector<std::int16_t> logit_of_class;
   for (int c = 0; c < options.classes; ++c) logit_of_class.push_back(static_cast<std::int16_t>(c));

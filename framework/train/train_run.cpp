@@ -292,7 +292,9 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   options.depth = purpose == OpenFor::evaluation  ? DepthKept::test
                   : purpose == OpenFor::rendering ? DepthKept::none
                                                   : DepthKept::all;
-  if (purpose == OpenFor::rendering) options.known = read_manifest_text(found->file.metadata());
+  options.known = read_manifest_text(found->file.metadata());
+  options.pixels = purpose != OpenFor::rendering;
+  options.labels = purpose == OpenFor::evaluation_of_training_frames;
   run.session = open_session(std::move(config), registry, options, diagnostics);
   load_pipeline(*run.session.pipeline, found->file);
   run.step = found->step;

@@ -97,27 +97,5 @@ TEST(LabelSelection, RefusalsAreExact) {
   EXPECT_EQ(d.error_count(), 1);
 }
 
-TEST(LabelSelection, KeepDropsOnlyTrainingLabels) {
-  LoadedScene scene;
-  scene.info.classes = ClassTable({{1, "a", {}, false}});
-  for (int i = 0; i < 3; ++i) {
-    FrameInfo f;
-    f.has_labels = true;
-    f.split = i == 2 ? Split::test : Split::train;
-    scene.info.frames.push_back(f);
-    FrameBuffer b;
-    b.label = {0, kVoid};
-    scene.frames.emplace_back(b);
-    scene.class_pixels.push_back({1, 1});
-  }
-  keep_labels(scene, {1});
-  EXPECT_FALSE(scene.info.frames[0].has_labels);
-  EXPECT_TRUE(scene.frames[0].label.empty());
-  EXPECT_TRUE(scene.info.frames[1].has_labels);
-  EXPECT_EQ(scene.frames[2].label.size(), 2u);
-  EXPECT_EQ(scene.class_pixels[1], (std::vector<std::int64_t>{1, 1}));
-  EXPECT_TRUE(scene.class_pixels[0].empty());
-}
-
 }  // namespace
 }  // namespace semfield

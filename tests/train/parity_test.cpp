@@ -54,6 +54,39 @@ void expect_same_gradients(const std::string& yaml, const std::string& other_yam
   EXPECT_GT(compared, 10);
 }
 
+// Rows of one are hard labels; spread over classes, the loss is the cross-entropy with that spread.
+TEST(Parity, SoftRowsOfOneTrainAsHardLabels) {
+  Registry registry = make_registry();
+  Oracle hard(two_pass_config(), registry), soft(two_pass_config(), registry);
+  const std::int32_t logits = static_cast<std::int32_t>(soft.session.plan.class_of_logit.size());
+  BatchBuffers& batch = soft.batch;
+  batch.soft_classes = logits;
+  batch.soft.assign(batch.label.size() * static_cast<std::size_t>(logits), 0.0F);
+  for (std::size_t r = 0; r < batch.label.size(); ++r) {
+    if (batch.label[r] != kVoid)
+      batch.soft[r * static_cast<std::size_t>(logits) + static_cast<std::size_t>(batch.label[r])] = 1;
+  }
+  const StepLosses a = hard.gradients(), b = soft.gradients();
+  EXPECT_EQ(a.labelled, b.labelled);
+  EXPECT_GT(a.labelled, 0);
+  EXPECT_NEAR(a.semantic, b.semantic, 1e-12);
+  for (const Tensor<double>& t : hard.pipeline->store().all()) {
+    const Tensor<double>* other = soft.pipeline->store().find(t.name);
+    for (std::int64_t i = 0; i < t.size() && t.learned(); ++i)
+      ASSERT_NEAR(t.grad.data()[i], other->grad.data()[i], 1e-12) << t.name;
+  }
+  // Half of each label moved to another class: another loss, another gradient.
+  for (std::size_t r = 0; r < batch.label.size(); ++r) {
+    if (batch.label[r] == kVoid) continue;
+    float* row = &batch.soft[r * static_cast<std::size_t>(logits)];
+    row[batch.label[r]] = 0.5F;
+    row[(batch.label[r] + 1) % logits] = 0.5F;
+  }
+  const StepLosses c = soft.gradients();
+  EXPECT_EQ(c.labelled, a.labelled);
+  EXPECT_NE(c.semantic, a.semantic);
+}
+
 void expect_same_gradients(const std::string& switched_off) {
   expect_same_gradients(two_pass_config(), two_pass_config("runtime: {" + switched_off + ": false}\n"));
 }

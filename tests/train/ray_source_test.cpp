@@ -14,6 +14,7 @@ namespace {
 struct Fixture {
   FrameBuffer a, b;
   StoredFrame stored_a, stored_b;
+  TrainingLabels::Frame labels_a;
   RayLimits limits;
 
   Fixture() {
@@ -35,7 +36,8 @@ struct Fixture {
     camera.camera.cy = 2;
     stored_a = StoredFrame(a);
     stored_b = StoredFrame(b);
-    return RaySource({{camera, &stored_a, true}, {camera, &stored_b, false}}, {0, 1}, limits, options);
+    labels_a.hard = stored_a.label;
+    return RaySource({{camera, &stored_a, &labels_a}, {camera, &stored_b, nullptr}}, {0, 1}, limits, options);
   }
 };
 
@@ -182,8 +184,10 @@ TEST(RaySource, LabelBalancedDrawsFromTheLabelledPixelsInOrder) {
   RayCamera camera;
   camera.camera.width_px = 37;
   camera.camera.height_px = 19;
-  const RaySource source({{camera, &stored[0], true}, {camera, &stored[1], false}, {camera, &stored[2], true}},
-                         {0, 1, kVoid}, RayLimits{}, options);
+  const TrainingLabels::Frame labels[3] = {{stored[0].label, {}}, {}, {stored[2].label, {}}};
+  const RaySource source(
+      {{camera, &stored[0], &labels[0]}, {camera, &stored[1], nullptr}, {camera, &stored[2], &labels[2]}},
+      {0, 1, kVoid}, RayLimits{}, options);
   const RandomAddress address{9, 5, stream_id("ray_source/pixel")};
   for (std::int64_t ray = 0; ray < 2000; ++ray) {
     const RaySource::Pixel got = source.choose(5, ray);
@@ -191,6 +195,46 @@ TEST(RaySource, LabelBalancedDrawsFromTheLabelledPixelsInOrder) {
     ASSERT_EQ(got.frame, want.frame);
     ASSERT_EQ(got.index, want.index);
   }
+}
+
+// Class 1 has no logit; a frame of hard labels beside one of soft ones becomes rows of one.
+TEST(RaySource, SoftLabelsComeAsRowsOverLogits) {
+  Fixture f;
+  SoftMap soft(32, 3);
+  for (std::size_t i = 0; i < 32; ++i) soft.set_row(i, std::array<float, 3>{0.25F, 0, 0.5F});
+  soft.set_row(7, std::array<float, 3>{0, 0, 0});
+  f.stored_a = StoredFrame(f.a);
+  f.stored_b = StoredFrame(f.b);
+  const TrainingLabels::Frame a{{}, soft}, b{f.stored_b.label, {}};
+  RayCamera camera;
+  camera.camera.width_px = 8;
+  camera.camera.height_px = 4;
+  camera.camera.fx = camera.camera.fy = 4;
+  RaySourceOptions options;
+  options.rays = 3000;
+  const RaySource source({{camera, &f.stored_a, &a}, {camera, &f.stored_b, &b}}, {0, kVoid, 1}, f.limits, options);
+  BatchBuffers batch;
+  source.fill(0, batch);
+  ASSERT_EQ(batch.soft_classes, 2);
+  ASSERT_EQ(batch.view(true).soft.rows, 3000);
+  int soft_rows = 0, hard_rows = 0;
+  for (std::size_t r = 0; r < 3000; ++r) {
+    const float p = batch.soft[2 * r], q = batch.soft[2 * r + 1];
+    if (batch.label[r] == kVoid) {
+      EXPECT_EQ(p + q, 0);
+    } else if (batch.target[3 * r] == 0) {
+      EXPECT_EQ(batch.label[r], 1);
+      EXPECT_EQ(p, 0.25F);
+      EXPECT_EQ(q, 0.5F);
+      ++soft_rows;
+    } else {
+      EXPECT_EQ(p, 1);  // frame b's one label is class 0
+      EXPECT_EQ(q, 0);
+      ++hard_rows;
+    }
+  }
+  EXPECT_NEAR(soft_rows, 3000 * 31 / 64, 120);
+  EXPECT_GT(hard_rows, 10);
 }
 
 }  // namespace

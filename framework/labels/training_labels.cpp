@@ -1,0 +1,174 @@
+#include "labels/training_labels.h"
+
+#include <algorithm>
+#include <optional>
+
+#include "core/parallel.h"
+#include "scene/scene_checks.h"
+
+namespace semfield {
+
+namespace {
+
+// The raster at the loaded frame's size: each target pixel takes the source pixel that holds its centre.
+FrameLabels scaled(const LabelRaster& raster, const Camera& camera, int classes) {
+  const auto source_w = std::int64_t{raster.width_px}, source_h = std::int64_t{raster.height_px};
+  const std::int64_t w = camera.width_px, h = camera.height_px;
+  // Equal shapes up to half a pixel of rounding on each axis; anything else is the labels of another image.
+  if (2 * std::abs(source_w * h - source_h * w) > source_w + source_h) {
+    throw Error(ErrorKind::data,
+                "labels are " + std::to_string(source_w) + " x " + std::to_string(source_h) + " pixels, the frame is " +
+                    std::to_string(w) + " x " + std::to_string(h) + ": another shape",
+                "label the image of this frame");
+  }
+  FrameLabels out;
+  const auto pixels = static_cast<std::size_t>(w * h);
+  const auto width = static_cast<std::size_t>(classes);
+  if (raster.soft.empty()) {
+    out.hard.resize(pixels);
+  } else {
+    out.soft = SoftMap(pixels, classes);
+  }
+  for (std::int64_t y = 0; y < h; ++y) {
+    const std::int64_t sy = (2 * y + 1) * source_h / (2 * h);
+    for (std::int64_t x = 0; x < w; ++x) {
+      const auto from = static_cast<std::size_t>(sy * source_w + (2 * x + 1) * source_w / (2 * w));
+      const auto to = static_cast<std::size_t>(y * w + x);
+      if (raster.soft.empty()) {
+        out.hard[to] = raster.hard.at(from);
+      } else {
+        out.soft.set_row(to, std::span(raster.soft).subspan(from * width, width));
+      }
+    }
+  }
+  return out;
+}
+
+bool labelled_by(const LoadedScene& scene, const LabelConfig& config, std::size_t frame) {
+  const FrameInfo& info = scene.info.frames[frame];
+  return config.from.reader ? config.from.reader->has(info) : info.has_labels;
+}
+
+// Labels of the frames that `wanted` says, read in parallel; every error goes into `diagnostics`.
+LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const std::vector<char>& wanted,
+                     Diagnostics& diagnostics) {
+  LabelSet labels(scene.frames.size());
+  std::vector<std::optional<Error>> errors(scene.frames.size());
+  const int classes = scene.info.classes.valid_count();
+  parallel_for(std::ssize(labels), [&](std::int64_t index) {
+    const auto i = static_cast<std::size_t>(index);
+    if (wanted[i] == 0) return;
+    try {
+      if (config.from.reader) {
+        const LabelRaster raster = config.from.reader->read(scene.info.frames[i], scene.info.classes);
+        labels[i] = scaled(raster, scene.info.frames[i].camera, classes);
+      } else {
+        labels[i].hard = scene.frames[i].label.expand();
+      }
+    } catch (const Error& e) {
+      errors[i] = e;
+    }
+  });
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    if (errors[i]) diagnostics.error(frame_place(scene.info.frames[i]), errors[i]->message(), errors[i]->remedy());
+  }
+  return labels;
+}
+
+// As in LoadedScene. Soft labels count for their most probable class; a class that is nowhere the most probable but has
+// probability somewhere counts 1, so that it keeps its logit.
+std::vector<std::int64_t> count_classes(const TrainingLabels::Frame& frame, int classes) {
+  const auto valid = static_cast<std::size_t>(classes);
+  std::vector<std::int64_t> counts(valid + 1);
+  std::vector<float> row(valid);
+  std::vector<char> seen(valid);
+  for (std::size_t i = 0; i < frame.size(); ++i) {
+    const std::int16_t c = frame[i];
+    ++counts[c < 0 ? valid : static_cast<std::size_t>(c)];
+    if (frame.soft.empty()) continue;
+    frame.soft.row(i, row);
+    for (std::size_t k = 0; k < valid; ++k) seen[k] |= row[k] > 0 ? 1 : 0;
+  }
+  for (std::size_t k = 0; k < valid; ++k) {
+    if (seen[k] != 0 && counts[k] == 0) counts[k] = 1;
+  }
+  return counts;
+}
+
+}  // namespace
+
+bool LabelConfig::needs_instances() const {
+  return std::any_of(degrade.begin(), degrade.end(), [](const Step& s) { return s.degradation->needs_instances(); });
+}
+
+bool LabelConfig::wants_depth() const {
+  return std::any_of(degrade.begin(), degrade.end(), [](const Step& s) { return s.degradation->wants_depth(); });
+}
+
+void open_label_files(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
+  if (!config.from.reader) return;
+  const ClassTable table = config.from.reader->open(scene.info.classes, diagnostics);
+  if (scene.info.classes.empty()) scene.info.classes = table;
+  if (scene.info.classes.empty() && !diagnostics.has_errors()) {
+    diagnostics.error("scene.labels.from", "neither the scene nor its label files have a class table",
+                      "write classes.yaml beside the scene, or name a table in scene.labels.from");
+  }
+}
+
+void read_test_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
+  if (!config.from.reader) return;
+  std::vector<char> wanted(scene.frames.size());
+  for (std::size_t i = 0; i < wanted.size(); ++i) {
+    const FrameInfo& info = scene.info.frames[i];
+    wanted[i] = info.split == Split::test && !info.has_labels && config.from.reader->has(info) ? 1 : 0;
+  }
+  LabelSet labels = read_frames(scene, config, wanted, diagnostics);
+  for (std::size_t i = 0; i < wanted.size(); ++i) {
+    if (wanted[i] == 0 || labels[i].empty()) continue;
+    if (labels[i].hard.empty()) {
+      for (std::size_t p = 0; p < labels[i].soft.pixels(); ++p) labels[i].hard.push_back(labels[i].soft.argmax(p));
+    }
+    scene.frames[i].label = LabelMap(std::move(labels[i].hard));
+    scene.info.frames[i].has_labels = true;
+  }
+}
+
+TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
+  SceneInfo listed = scene.info;  // has_labels as the source of the labels tells, for the selection and its messages
+  for (std::size_t i = 0; i < listed.frames.size(); ++i) {
+    FrameInfo& frame = listed.frames[i];
+    if (frame.split == Split::train) frame.has_labels = labelled_by(scene, config, i);
+  }
+  std::vector<char> wanted(scene.frames.size());
+  for (const int f : select_label_frames(listed, config.selection)) wanted[static_cast<std::size_t>(f)] = 1;
+  LabelSet labels = read_frames(scene, config, wanted, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::data, "the labels have problems:");
+
+  TrainingLabels out;
+  for (const LabelConfig::Step& step : config.degrade) {
+    try {
+      out.steps.push_back(
+          {step.type, step.degradation->apply(scene, static_cast<std::uint64_t>(config.selection.seed), labels)});
+    } catch (Error& e) {
+      throw e.while_doing("scene.labels.degrade: " + step.type);
+    }
+  }
+  out.frames.resize(labels.size());
+  out.class_pixels.resize(labels.size());
+  const int classes = scene.info.classes.valid_count();
+  parallel_for(std::ssize(labels), [&](std::int64_t index) {
+    const auto i = static_cast<std::size_t>(index);
+    if (labels[i].empty()) return;
+    if (labels[i].soft.empty()) {
+      out.frames[i].hard = LabelMap(std::move(labels[i].hard));
+    } else {
+      out.frames[i].soft = std::move(labels[i].soft);
+    }
+    labels[i] = {};
+    out.class_pixels[i] = count_classes(out.frames[i], classes);
+  });
+  out.soft = std::any_of(out.frames.begin(), out.frames.end(), [](const auto& f) { return !f.soft.empty(); });
+  return out;
+}
+
+}  // namespace semfield

@@ -1,0 +1,28 @@
+// `scene.labels.from` and `scene.labels.degrade`: steps chosen by type, read, written and documented.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "config/config_tree.h"
+#include "config/params_read.h"
+#include "labels/training_labels.h"
+
+namespace semfield {
+
+/// Reads both keys of the section `labels` (a map) into `config`. Paths of `from` start at the file that wrote them,
+/// unless `paths_are_absolute`.
+void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelConfig& config, Diagnostics& diagnostics);
+
+/// `labels` with the keys `from` and `degrade` of `config`; without steps the keys are absent.
+ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config);
+
+/// Every type that the two keys may name.
+struct LabelStepDoc {
+  std::string key;  ///< "from" or "degrade"
+  std::string type, sentence;
+  std::vector<ParamDoc> params;
+};
+std::vector<LabelStepDoc> describe_label_steps();
+
+}  // namespace semfield
