@@ -120,7 +120,10 @@ svg text{font:12px system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans","Libera
 svg .g{stroke:var(--grid);stroke-width:1}
 svg .ax{stroke:var(--soft);stroke-width:1}
 svg .ln{fill:none;stroke-width:2;stroke-linejoin:round;stroke-linecap:round}
-svg .bd{stroke:none;opacity:.16}
+svg .rf{fill:none;stroke:var(--soft);stroke-width:1.5;stroke-dasharray:3 4}
+svg .br{stroke:none;opacity:.22}
+svg .eb{stroke-width:1.5}
+svg .mk{fill:var(--card);stroke-width:2}
 svg .end{font-weight:650}
 .legend{display:flex;flex-wrap:wrap;gap:4px 22px;margin:0 0 12px;padding:0;list-style:none;font-size:.92rem}
 .legend li{display:flex;align-items:center;gap:8px}

@@ -1,4 +1,4 @@
-// Line plots as SVG text.
+// Plots as SVG text.
 #include "train/report_svg.h"
 
 #include <fmt/format.h>
@@ -32,7 +32,10 @@ std::string px(double value) { return fmt::format("{:.1f}", value); }
 
 // Ticks are round numbers; the fewest decimals that show them.
 std::string tick_text(double value) {
-  if (value != 0 && (std::abs(value) < 1e-3 || std::abs(value) >= 1e5)) return fmt::format("{:.0e}", value);
+  for (const auto& [unit, letter] : {std::pair{1e9, "G"}, {1e6, "M"}, {1e3, "k"}}) {
+    if (std::abs(value) >= 1e4 && std::abs(value) >= unit) return tick_text(value / unit) + letter;
+  }
+  if (value != 0 && std::abs(value) < 1e-3) return fmt::format("{:.0e}", value);
   std::string text = fmt::format("{:.3f}", value);
   text.erase(text.find_last_not_of('0') + 1);
   if (text.ends_with('.')) text.pop_back();
@@ -48,16 +51,24 @@ std::string text_at(double x, double y, const char* anchor, const std::string& t
   return fmt::format("<text x=\"{}\" y=\"{}\" text-anchor=\"{}\"{}>{}</text>\n", px(x), px(y), anchor, extra, html_escape(text));
 }
 
-bool drawable(const PlotPoint& p, bool log_y) { return std::isfinite(p.x) && std::isfinite(p.y) && (!log_y || p.y > 0); }
+bool drawable(const PlotPoint& p, const PlotSpec& spec) {
+  return std::isfinite(p.x) && std::isfinite(p.y) && (!spec.log_y || p.y > 0) && (!spec.log_x || p.x > 0);
+}
+
+bool has_bar(const PlotPoint& p) { return p.low && p.high && std::isfinite(*p.low) && std::isfinite(*p.high); }
+
+// "31.4 (30.9 to 31.8) at 120".
+std::string point_text(const PlotPoint& p, int digits) {
+  const std::string interval = has_bar(p) ? fmt::format(" ({} to {})", figure_text(*p.low, digits), figure_text(*p.high, digits)) : "";
+  return fmt::format("{}{} at {}", figure_text(p.y, digits), interval, figure_text(p.x, 3));
+}
 
 std::string describe(const PlotSpec& spec) {
   std::string text = spec.title + " over " + spec.x_label + ".";
   for (const PlotSeries& series : spec.series) {
-    if (series.points.empty()) continue;
-    const PlotPoint& first = series.points.front();
-    const PlotPoint& last = series.points.back();
-    text += fmt::format(" {}: from {} at {} to {} at {}.", series.name, figure_text(first.y, spec.digits), figure_text(first.x, 3),
-                        figure_text(last.y, spec.digits), figure_text(last.x, 3));
+    if (series.points.empty() || series.reference) continue;
+    text += fmt::format(" {}: from {} to {}.", series.name, point_text(series.points.front(), spec.digits), point_text(series.points.back(), spec.digits));
+    for (const PlotMark& mark : series.marks) text += fmt::format(" {}.", mark.text);
   }
   return text;
 }
@@ -88,7 +99,7 @@ std::string end_labels(const PlotSpec& spec, const std::vector<PlotSeries>& draw
   };
   std::vector<Label> labels;
   for (const PlotSeries& series : drawn) {
-    if (series.points.empty()) continue;
+    if (series.points.empty() || series.reference) continue;
     const PlotPoint& last = series.points.back();
     labels.push_back({y.at(last.y), figure_text(last.y, spec.digits), series.color, x.at(last.x)});
   }
@@ -99,6 +110,118 @@ std::string end_labels(const PlotSpec& spec, const std::vector<PlotSeries>& draw
   std::string out;
   for (const Label& label : labels) {
     out += text_at(label.x_px + 8, label.at_px + 4, "start", label.text, fmt::format(" class=\"end\" style=\"fill:var(--s{})\"", label.color % kColors));
+  }
+  return out;
+}
+
+// Smallest interval that holds every point, error bar, bar and mark that is drawn.
+struct Extent {
+  double x_low = 1e300, x_high = -1e300, y_low = 1e300, y_high = -1e300;
+  void add_x(double x) {
+    x_low = std::min(x_low, x);
+    x_high = std::max(x_high, x);
+  }
+  void add_y(double y) {
+    y_low = std::min(y_low, y);
+    y_high = std::max(y_high, y);
+  }
+};
+
+Extent extent_of(const PlotSpec& spec, const std::vector<PlotSeries>& drawn) {
+  Extent extent;
+  for (const PlotSeries& series : drawn) {
+    for (const PlotPoint& p : series.points) {
+      extent.add_x(p.x);
+      extent.add_y(p.y);
+      if (!has_bar(p)) continue;
+      extent.add_y(*p.high);
+      if (!spec.log_y || *p.low > 0) extent.add_y(*p.low);
+    }
+    for (const PlotBar& bar : series.bars) {
+      extent.add_x(bar.from);
+      extent.add_x(bar.to);
+      extent.add_y(bar.height);
+      if (!spec.log_y) extent.add_y(0);
+    }
+  }
+  return extent;
+}
+
+// Sets the axis' range and returns its ticks.
+std::vector<double> scale_x(const PlotSpec& spec, const Extent& extent, Axis& x) {
+  if (spec.log_x) {
+    const double room = extent.x_high > extent.x_low ? 1.0 : 2.0;  // a single point stands in the middle
+    x.low = extent.x_low / room;
+    x.high = extent.x_high * room;
+    return log_ticks(x.low, x.high);
+  }
+  x.low = spec.x_range ? spec.x_range->first : std::min(0.0, extent.x_low);
+  x.high = spec.x_range ? spec.x_range->second : extent.x_high;
+  if (x.high <= x.low) x.high = x.low + 1;
+  std::vector<double> ticks = linear_ticks(x.low, x.high, 5);
+  std::erase_if(ticks, [&](double tick) { return tick < x.low - 1e-9 * (x.high - x.low) || tick > x.high + 1e-9 * (x.high - x.low); });
+  return ticks;
+}
+
+std::vector<double> scale_y(const PlotSpec& spec, Extent extent, Axis& y) {
+  if (spec.log_y) {
+    y.low = extent.y_low / 1.15;
+    y.high = extent.y_high * 1.15;
+    return log_ticks(y.low, y.high);
+  }
+  if (spec.y_range) {
+    y.low = spec.y_range->first;
+    y.high = spec.y_range->second;
+    return linear_ticks(y.low, y.high, 5);
+  }
+  if (extent.y_high - extent.y_low < 1e-9 * std::max(1.0, std::abs(extent.y_high))) {
+    extent.y_low -= 0.5;
+    extent.y_high += 0.5;
+  }
+  const std::vector<double> ticks = linear_ticks(extent.y_low, extent.y_high, 5);
+  y.low = ticks.front();
+  y.high = ticks.back();
+  return ticks;
+}
+
+std::string line(double x1, double y1, double x2, double y2, const std::string& attributes) {
+  return fmt::format("<line x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\" {}/>\n", px(x1), px(y1), px(x2), px(y2), attributes);
+}
+
+std::string draw_bars(const PlotSeries& series, const Axis& x, const Axis& y) {
+  std::string out;
+  for (const PlotBar& bar : series.bars) {
+    const double top = y.log && bar.height <= 0 ? y.from_px : y.at(bar.height);
+    out += fmt::format("<rect class=\"br\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" fill=\"var(--s{})\"><title>{}</title></rect>\n", px(x.at(bar.from) + 1),
+                       px(top), px(std::max(0.0, x.at(bar.to) - x.at(bar.from) - 2)), px(std::max(0.0, y.from_px - top)), series.color % kColors, html_escape(bar.text));
+  }
+  return out;
+}
+
+std::string draw_error_bar(const PlotPoint& p, int color, const Axis& x, const Axis& y) {
+  const std::string paint = fmt::format("class=\"eb\" stroke=\"var(--s{})\"", color % kColors);
+  const double at = x.at(p.x), low = y.log && *p.low <= 0 ? y.from_px : y.at(*p.low), high = y.at(*p.high);
+  return line(at, low, at, high, paint) + line(at - 4, low, at + 4, low, paint) + line(at - 4, high, at + 4, high, paint);
+}
+
+std::string draw_series(const PlotSpec& spec, const PlotSeries& series, const Axis& x, const Axis& y) {
+  std::string out, path;
+  for (const PlotPoint& p : series.points) path += fmt::format("{}{},{}", path.empty() ? "" : " ", px(x.at(p.x)), px(y.at(p.y)));
+  if (series.reference) return path.empty() ? path : fmt::format("<polyline class=\"rf\" points=\"{}\"/>\n", path);
+  if (!path.empty()) out += fmt::format("<polyline class=\"ln\" {} points=\"{}\"/>\n", stroke(series.color), path);
+  for (std::size_t i = 0; i < series.points.size(); ++i) {
+    const PlotPoint& p = series.points[i];
+    if (has_bar(p)) out += draw_error_bar(p, series.color, x, y);
+    if (!spec.markers && i + 1 != series.points.size()) continue;
+    out += fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"3\" fill=\"var(--s{})\"><title>{}: {}</title></circle>\n", px(x.at(p.x)), px(y.at(p.y)),
+                       series.color % kColors, html_escape(series.name), html_escape(point_text(p, spec.digits)));
+  }
+  for (const PlotMark& mark : series.marks) {
+    if (!drawable({mark.x, mark.y}, spec)) continue;
+    const double cx = x.at(mark.x), cy = y.at(mark.y), r = mark.diamond ? 7 : 5.5;
+    const std::string shape = mark.diamond ? fmt::format("<path d=\"M{} {}L{} {}L{} {}L{} {}Z\"", px(cx - r), px(cy), px(cx), px(cy - r), px(cx + r), px(cy), px(cx), px(cy + r))
+                                           : fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"{}\"", px(cx), px(cy), px(r));
+    out += fmt::format("{} class=\"mk\" stroke=\"var(--s{})\"><title>{}</title></{}>\n", shape, series.color % kColors, html_escape(mark.text), mark.diamond ? "path" : "circle");
   }
   return out;
 }
@@ -137,6 +260,10 @@ std::vector<double> log_ticks(double low, double high) {
   };
   collect({1});
   if (ticks.size() < 3) collect({1, 2, 5});
+  if (ticks.size() < 2) {
+    ticks = linear_ticks(low, high, 3);
+    std::erase_if(ticks, [&](double tick) { return tick < low || tick > high; });
+  }
   return ticks;
 }
 
@@ -163,50 +290,19 @@ std::string line_sample(int color) {
 
 std::string line_plot(const PlotSpec& spec) {
   std::vector<PlotSeries> drawn = spec.series;
-  double x_high = 0, y_low = 1e300, y_high = -1e300;
   for (PlotSeries& series : drawn) {
-    std::erase_if(series.points, [&](const PlotPoint& p) { return !drawable(p, spec.log_y); });
-    for (const PlotPoint& p : series.points) {
-      x_high = std::max(x_high, p.x);
-      y_low = std::min(y_low, p.y);
-      y_high = std::max(y_high, p.y);
-    }
+    std::erase_if(series.points, [&](const PlotPoint& p) { return !drawable(p, spec); });
   }
   std::string out = fmt::format("<svg viewBox=\"0 0 {:.0f} {:.0f}\" role=\"img\" aria-label=\"{}\">\n", kWidth, kHeight, html_escape(describe(spec)));
-  if (y_low > y_high) return out + text_at(kWidth / 2, kHeight / 2, "middle", "no data") + "</svg>\n";
+  const Extent extent = extent_of(spec, drawn);
+  if (extent.y_low > extent.y_high) return out + text_at(kWidth / 2, kHeight / 2, "middle", "no data") + "</svg>\n";
 
-  if (x_high <= 0) x_high = 1;
-  Axis x{0, x_high, kLeft, kWidth - kRight, false};
-  Axis y{y_low, y_high, kHeight - kBottom, kTop, spec.log_y};
-  std::vector<double> x_ticks = linear_ticks(0, x_high, 5);
-  if (x_ticks.back() > x_high) x_ticks.pop_back();
-  std::vector<double> y_ticks;
-  if (spec.log_y) {
-    y.low = y_low / 1.15;
-    y.high = y_high * 1.15;
-    y_ticks = log_ticks(y.low, y.high);
-  } else {
-    if (y_high - y_low < 1e-9 * std::max(1.0, std::abs(y_high))) {
-      y_low -= 0.5;
-      y_high += 0.5;
-    }
-    y_ticks = linear_ticks(y_low, y_high, 5);
-    y.low = y_ticks.front();
-    y.high = y_ticks.back();
-  }
+  Axis x{0, 1, kLeft, kWidth - kRight, spec.log_x};
+  Axis y{0, 1, kHeight - kBottom, kTop, spec.log_y};
+  const std::vector<double> x_ticks = scale_x(spec, extent, x), y_ticks = scale_y(spec, extent, y);
   out += grid(spec, x, y, x_ticks, y_ticks);
-  for (const PlotSeries& series : drawn) {
-    if (series.points.empty()) continue;
-    std::string path;
-    for (const PlotPoint& p : series.points) path += fmt::format("{}{},{}", path.empty() ? "" : " ", px(x.at(p.x)), px(y.at(p.y)));
-    out += fmt::format("<polyline class=\"ln\" {} points=\"{}\"/>\n", stroke(series.color), path);
-    for (std::size_t i = 0; i < series.points.size(); ++i) {
-      const PlotPoint& p = series.points[i];
-      if (!spec.markers && i + 1 != series.points.size()) continue;
-      out += fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"3\" fill=\"var(--s{})\"><title>{}: {} at {}</title></circle>\n", px(x.at(p.x)),
-                         px(y.at(p.y)), series.color % kColors, html_escape(series.name), figure_text(p.y, spec.digits), figure_text(p.x, 3));
-    }
-  }
+  for (const PlotSeries& series : drawn) out += draw_bars(series, x, y);
+  for (const PlotSeries& series : drawn) out += draw_series(spec, series, x, y);
   return out + end_labels(spec, drawn, x, y) + "</svg>\n";
 }
 

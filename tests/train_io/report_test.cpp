@@ -273,5 +273,50 @@ TEST(Plot, ThinningKeepsMeansAndSkipsWhatCannotBeDrawn) {
   EXPECT_NE(one.find("<circle"), std::string::npos);
 }
 
+PlotSpec spec_of(std::vector<PlotPoint> points) { return {"mIoU", "labels", false, true, 3, {{"a", 0, std::move(points)}}}; }
+
+TEST(Plot, ErrorBarsAreDrawnAndWidenTheRange) {
+  const std::string plain = line_plot(spec_of({{1, 0.5}, {2, 0.6}}));
+  EXPECT_EQ(count_of(plain, "class=\"eb\""), 0u);
+  const std::string bars = line_plot(spec_of({{1, 0.5, 0.1, 0.9}, {2, 0.6, 0.55, std::nullopt}}));
+  EXPECT_EQ(count_of(bars, "class=\"eb\""), 3u) << "a stem and two ends for the point that has both";
+  EXPECT_NE(bars.find("0.500 (0.100 to 0.900) at 1.00"), std::string::npos);
+  EXPECT_NE(bars.find(">0.2</text>"), std::string::npos) << "the axis reaches the bar's end";
+  PlotSpec log = spec_of({{1, 0.5, -0.1, 0.9}, {2, 0.6, 0.5, 0.7}});
+  log.log_y = true;
+  const std::string on_log = line_plot(log);
+  EXPECT_EQ(count_of(on_log, "class=\"eb\""), 6u) << "an end below a logarithmic axis stops at its foot";
+  EXPECT_EQ(on_log.find("nan"), std::string::npos);
+}
+
+TEST(Plot, LogAbscissaHoldsPositivePointsAndRoundTicks) {
+  PlotSpec spec = spec_of({{0, 9}, {10, 1}, {100, 2}, {1000, 3}});
+  spec.log_x = true;
+  const std::string plot = line_plot(spec);
+  EXPECT_EQ(count_of(plot, "<circle"), 3u);
+  EXPECT_NE(plot.find("points=\"54.0,"), std::string::npos);
+  EXPECT_NE(plot.find(" 267.0,"), std::string::npos) << "the middle decade stands in the middle: 54 + 426 / 2";
+  for (const char* tick : {">10<", ">100<", ">1000<"}) EXPECT_NE(plot.find(tick), std::string::npos) << tick;
+  spec.series[0].points = {{614400, 0.5}};
+  EXPECT_NE(line_plot(spec).find(">1M<"), std::string::npos);
+  EXPECT_GE(log_ticks(3000, 4500).size(), 2u) << "a range without 1, 2 or 5 still has ticks";
+}
+
+TEST(Plot, BarsMarksAndReferences) {
+  PlotSpec spec = spec_of({{0.5, 0.25}, {1, 0.5}});
+  spec.x_range = spec.y_range = PlotRange{0, 1};
+  spec.series[0].bars = {{0, 0.5, 0.5, "half <b>"}};
+  spec.series[0].marks = {{1, 0.5, false, "t90"}, {1, 0.5, true, "t95"}, {std::nan(""), 1, true, "nowhere"}};
+  spec.series.push_back({"perfect", 0, {{0, 0}, {1, 1}}});
+  spec.series.back().reference = true;
+  const std::string plot = line_plot(spec);
+  EXPECT_NE(plot.find("<rect class=\"br\" x=\"55.0\" y=\"129.0\" width=\"211.0\" height=\"115.0\""), std::string::npos) << plot;
+  EXPECT_NE(plot.find("half &lt;b&gt;"), std::string::npos);
+  EXPECT_EQ(count_of(plot, "class=\"mk\""), 2u);
+  EXPECT_EQ(count_of(plot, "class=\"rf\""), 1u);
+  EXPECT_EQ(count_of(plot, "class=\"end\""), 1u) << "the reference has no number";
+  EXPECT_EQ(unbalanced(plot), "");
+}
+
 }  // namespace
 }  // namespace semfield
