@@ -42,6 +42,7 @@ void add_run_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* verb = root.add_subcommand("eval", "metrics of a run's field on a split");
   verb->add_option("run", eval->run, "run folder")->required();
   verb->add_option("--split", eval->split, "train or test");
+  verb->add_option("--out", eval->out, "also write the JSON object to this file");
   verb->add_option("--set", eval->set, "override a value of run.yaml")->expected(1)->take_all();
   verb->callback([&context, &choice, eval] { choice = [&context, eval] { return run_eval(*eval, context); }; });
 

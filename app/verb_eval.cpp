@@ -1,10 +1,12 @@
 // eval: metrics of a split as a table or one JSON object.
 #include <fmt/format.h>
 
-#include <cmath>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "core/files.h"
+#include "train/final_eval.h"
+#include "train/json_number.h"
 #include "train/train_run.h"
 #include "verbs.h"
 
@@ -18,29 +20,25 @@ Split split_of(const std::string& name) {
   throw Error(ErrorKind::usage, "--split " + name + ": expected train or test");
 }
 
-void print_json(const OpenedRun& run, const SplitScore& score, const std::string& split) {
-  nlohmann::ordered_json out;
+std::string json_text(const OpenedRun& run, const SplitScore& score, const std::string& split) {
+  using Json = nlohmann::ordered_json;
+  const ClassTable& table = run.session.scene.info.classes;
+  Json out;
   out["run"] = run.run_dir;
   out["split"] = split;
   out["step"] = run.step;
   out["train_s"] = run.train_s;
   out["frames"] = score.frames.size();
-  for (const auto& [name, value] : score.values()) {
-    if (value && std::isfinite(*value)) {
-      out[name] = *value;
-    } else {
-      out[name] = value ? nlohmann::ordered_json("inf") : nlohmann::ordered_json(nullptr);
-    }
-  }
+  for (const auto& [name, value] : score.values()) out[name] = number_json<Json>(value);
   const std::vector<ClassScore> classes = score.confusion.per_class();
-  for (std::size_t c = 0; c < classes.size(); ++c) {
-    nlohmann::ordered_json& slot = out["per_class_iou"][run.session.scene.info.classes.valid(static_cast<int>(c)).name];
-    if (classes[c].iou)
-      slot = *classes[c].iou;
-    else
-      slot = nullptr;
-  }
-  std::printf("%s\n", out.dump().c_str());
+  for (std::size_t c = 0; c < classes.size(); ++c)
+    out["per_class_iou"][table.valid(static_cast<int>(c)).name] = number_json<Json>(classes[c].iou);
+  // Confusion matrix, reliability bins and scores of every frame, as in a run folder's final_eval.json.
+  FinalEval detail = final_eval(score, table, split);
+  detail.step = run.step;
+  detail.train_s = run.train_s;
+  out.update(Json::parse(final_eval_json(detail)));
+  return out.dump() + "\n";
 }
 
 }  // namespace
@@ -57,8 +55,9 @@ int run_eval(const EvalOptions& options, AppContext& context) {
     throw Error(ErrorKind::data, options.run + ": the scene has no frames in split '" + options.split + "'",
                 "see `semfield inspect`");
   const SplitScore score = evaluate(*s.pipeline, s.eval_job(frames), s.limits, s.plan.class_of_logit);
+  if (!options.out.empty()) write_file_atomic(options.out, json_text(run, score, options.split));
   if (context.json) {
-    print_json(run, score, options.split);
+    std::fputs(json_text(run, score, options.split).c_str(), stdout);
     return 0;
   }
   std::printf("%s: %zu %s frames, step %lld, %.1f s of training\n", options.run.c_str(), score.frames.size(),

@@ -38,7 +38,7 @@ struct TrainOptions {
 int run_train(const TrainOptions& options, AppContext& context);
 
 struct EvalOptions {
-  std::string run;
+  std::string run, out;
   std::string split = "test";
   std::vector<std::string> set;
 };

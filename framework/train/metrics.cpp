@@ -265,21 +265,20 @@ void Calibration::add(std::span<const float> confidence, std::span<const float> 
 }
 
 void Calibration::add_pixel(double confidence, bool correct, double truth_probability) {
-  // Bin b holds confidences in (b / 15, (b + 1) / 15].
-  const int bin = std::min(kBins - 1, std::max(0, static_cast<int>(std::ceil(confidence * kBins)) - 1));
-  const auto b = static_cast<std::size_t>(bin);
+  const int index = std::min(kBins - 1, std::max(0, static_cast<int>(std::ceil(confidence * kBins)) - 1));
+  Bin& bin = bins_[static_cast<std::size_t>(index)];
   ++scored_;
-  ++count_[b];
-  correct_[b] += correct ? 1 : 0;
-  confidence_[b] += confidence;
+  ++bin.pixels;
+  bin.correct += correct ? 1 : 0;
+  bin.confidence += confidence;
   nll_ -= std::log(std::max(truth_probability, static_cast<double>(std::numeric_limits<float>::min())));
 }
 
 void Calibration::merge(const Calibration& other) {
-  for (std::size_t b = 0; b < count_.size(); ++b) {
-    count_[b] += other.count_[b];
-    correct_[b] += other.correct_[b];
-    confidence_[b] += other.confidence_[b];
+  for (std::size_t b = 0; b < bins_.size(); ++b) {
+    bins_[b].pixels += other.bins_[b].pixels;
+    bins_[b].correct += other.bins_[b].correct;
+    bins_[b].confidence += other.bins_[b].confidence;
   }
   nll_ += other.nll_;
   scored_ += other.scored_;
@@ -289,7 +288,7 @@ void Calibration::merge(const Calibration& other) {
 std::optional<double> Calibration::ece() const {
   if (scored_ == 0 || nonfinite_ > 0) return std::nullopt;
   double sum = 0;  // sum over bins of (n_b / n) |accuracy_b - confidence_b|
-  for (std::size_t b = 0; b < count_.size(); ++b) sum += std::abs(static_cast<double>(correct_[b]) - confidence_[b]);
+  for (const Bin& bin : bins_) sum += std::abs(static_cast<double>(bin.correct) - bin.confidence);
   return sum / static_cast<double>(scored_);
 }
 

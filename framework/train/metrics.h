@@ -107,6 +107,11 @@ class DepthError {
 class Calibration {
  public:
   static constexpr int kBins = 15;
+  /// Bin b holds confidences in (b / 15, (b + 1) / 15].
+  struct Bin {
+    std::int64_t pixels = 0, correct = 0;
+    double confidence = 0;  ///< sum over its pixels
+  };
   /// `probabilities` [pixels, classes] row-major; void truth is dropped. A true class with p < 1.2e-38 counts as that.
   void add(std::span<const float> probabilities, int classes, std::span<const std::int16_t> truth);
   /// The same from what a renderer kept of each pixel: the largest probability, its class, and the probability of the
@@ -116,13 +121,13 @@ class Calibration {
   void merge(const Calibration& other);
   std::int64_t scored_px() const { return scored_; }
   std::int64_t nonfinite() const { return nonfinite_; }
+  const std::array<Bin, kBins>& bins() const { return bins_; }  ///< pixels that were not finite are in none
   std::optional<double> ece() const;
   std::optional<double> nll() const;  ///< nats a pixel
 
  private:
   void add_pixel(double confidence, bool correct, double truth_probability);
-  std::array<std::int64_t, kBins> count_{}, correct_{};
-  std::array<double, kBins> confidence_{};
+  std::array<Bin, kBins> bins_{};
   double nll_ = 0;
   std::int64_t scored_ = 0, nonfinite_ = 0;
 };

@@ -6,41 +6,19 @@
 #include <unistd.h>
 
 #include <cerrno>
-#include <cmath>
 #include <cstring>
 #include <filesystem>
-#include <limits>
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
 #include "core/files.h"
+#include "train/json_number.h"
 
 namespace semfield {
 
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-Json number(std::optional<double> value) {
-  if (!value) return nullptr;
-  if (std::isnan(*value)) return "nan";
-  if (std::isinf(*value)) return *value > 0 ? "inf" : "-inf";
-  if (std::abs(*value) < 1e15 && *value == std::floor(*value)) return static_cast<std::int64_t>(*value);
-  return *value;
-}
-
-bool read_number(const Json& json, std::optional<double>& value) {
-  value.reset();
-  if (json.is_null()) return true;
-  if (json.is_number()) {
-    value = json.get<double>();
-    return true;
-  }
-  if (json == "nan") value = std::numeric_limits<double>::quiet_NaN();
-  if (json == "inf") value = std::numeric_limits<double>::infinity();
-  if (json == "-inf") value = -std::numeric_limits<double>::infinity();
-  return value.has_value();
-}
 
 MetricsRow parse_row(std::string_view line, const std::string& place) {
   const auto fail = [&](const std::string& what) -> Error {
@@ -62,12 +40,12 @@ MetricsRow parse_row(std::string_view line, const std::string& place) {
       if (!value.is_object()) throw fail("'per_class_iou' is not a map");
       for (const auto& [name, iou] : value.items()) {
         std::optional<double> read;
-        if (!read_number(iou, read)) throw fail("'per_class_iou' of '" + name + "' is not a number");
+        if (!read_number_json(iou, read)) throw fail("'per_class_iou' of '" + name + "' is not a number");
         row.per_class_iou.emplace_back(name, read);
       }
     } else {
       std::optional<double> read;
-      if (!read_number(value, read)) throw fail("'" + key + "' is not a number");
+      if (!read_number_json(value, read)) throw fail("'" + key + "' is not a number");
       if (key == "train_s") {
         row.train_s = read.value_or(0);
       } else {
@@ -113,12 +91,12 @@ std::string metrics_line(const MetricsRow& row) {
   Json json;
   json["kind"] = row.kind;
   json["step"] = row.step;
-  json["train_s"] = number(row.train_s);
+  json["train_s"] = number_json<Json>(row.train_s);
   if (!row.split.empty()) json["split"] = row.split;
-  for (const auto& [name, value] : row.values) json[name] = number(value);
+  for (const auto& [name, value] : row.values) json[name] = number_json<Json>(value);
   if (!row.per_class_iou.empty()) {
     Json& map = json["per_class_iou"] = Json::object();
-    for (const auto& [name, value] : row.per_class_iou) map[name] = number(value);
+    for (const auto& [name, value] : row.per_class_iou) map[name] = number_json<Json>(value);
   }
   return json.dump(-1, ' ', false, Json::error_handler_t::replace);
 }

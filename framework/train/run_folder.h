@@ -10,8 +10,8 @@
 namespace semfield {
 
 /// Layout (all paths relative to the folder, which may be moved as a whole):
-///   run.yaml  classes.yaml  metrics.jsonl  events.out.tfevents.*  environment.json  left_out.json
-///   worst_frames.json  report.html  .lock
+///   run.yaml  classes.yaml  metrics.jsonl  events.out.tfevents.*  environment.json  left_out.json  labels.json
+///   final_eval.json  worst_frames.json  report.html  .lock
 ///   checkpoints/step_00020000.safetensors + latest    render/<split>/<frame>_{rgb,label,label_vis,depth,entropy}.*
 class RunFolder {
  public:
@@ -32,6 +32,8 @@ class RunFolder {
   std::string metrics_path() const { return in("metrics.jsonl"); }
   std::string environment_path() const { return in("environment.json"); }
   std::string left_out_path() const { return in("left_out.json"); }
+  std::string labels_path() const { return in("labels.json"); }
+  std::string final_eval_path() const { return in("final_eval.json"); }
   std::string worst_frames_path() const { return in("worst_frames.json"); }
   std::string report_path() const { return in("report.html"); }
   std::string checkpoints_path() const { return in("checkpoints"); }

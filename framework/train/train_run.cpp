@@ -13,6 +13,7 @@
 #include "core/gemm_engine.h"
 #include "core/parallel.h"
 #include "train/checkpoint_store.h"
+#include "train/final_eval.h"
 #include "train/metrics_log.h"
 #include "train/run_folder.h"
 #include "train/run_report.h"
@@ -46,6 +47,7 @@ class Run {
     if (!session_.scene.info.classes.empty())
       write_file_atomic(folder_.classes_path(), session_.scene.info.classes.to_yaml());
     write_left_out();
+    write_file_atomic(folder_.labels_path(), label_counts_json(label_counts(session_.manifest, session_.scene.info.classes)));
     write_environment(registry);
     rays_ = session_.make_ray_source();
     trainer_ = std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule);
@@ -201,6 +203,12 @@ class Run {
       if (value) events_->scalar("eval/" + name, row.step, *value, unix_seconds());
     }
     last_miou_ = score.confusion.miou_present();
+    if (last) {
+      FinalEval detail = final_eval(score, session_.scene.info.classes, row.split);
+      detail.step = row.step;
+      detail.train_s = row.train_s;
+      write_file_atomic(folder_.final_eval_path(), final_eval_json(detail));
+    }
     return score.values();
   }
 
