@@ -66,6 +66,22 @@ void add_run_verbs(CLI::App& root, AppContext& context, Choice& choice) {
       [&context, &choice, runs, out] { choice = [&context, runs, out] { return run_report(*runs, *out, context); }; });
 }
 
+void add_sweep(CLI::App& root, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<SweepOptions>();
+  CLI::App* verb = root.add_subcommand("sweep", "experiments: a grid of differences, scenes and seeds, with tables");
+  verb->add_option("file", options->file, "sweep file (YAML)")->required();
+  verb->add_option("--out", options->out,
+                   "folder of cells and tables (default: runs/<name>); one that is there goes on");
+  verb->add_option("--jobs", options->jobs, "cells at a time (default: every core)")->check(CLI::Range(1, 4096));
+  verb->add_option("--threads", options->threads, "threads of a cell (default: 1)")->check(CLI::Range(1, 4096));
+  verb->add_option("--memory", options->memory_gb, "GB that all cells may take (default: 80 % of what is free)")
+      ->check(CLI::PositiveNumber);
+  verb->add_flag("--keep-checkpoints", options->keep_checkpoints, "keep the checkpoints of finished cells");
+  verb->add_flag("--dry-run", options->dry_run, "list the cells, then stop");
+  verb->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_sweep(*options, context); }; });
+}
+
 void add_scene_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   auto options = std::make_shared<ConfigOptions>();
   auto path = std::make_shared<std::string>();
@@ -169,6 +185,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   Choice choice;
   add_train(root, context, choice);
   add_run_verbs(root, context, choice);
+  add_sweep(root, context, choice);
   add_scene_verbs(root, context, choice);
   add_config_verbs(root, context, choice);
   add_plugins_verbs(root, context, choice);

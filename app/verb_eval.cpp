@@ -64,6 +64,12 @@ int run_eval(const EvalOptions& options, AppContext& context) {
               options.split.c_str(), static_cast<long long>(run.step), run.train_s);
   for (const auto& [name, value] : score.values())
     std::printf("  %-18s %s\n", name.c_str(), value ? fmt::format("{:.4f}", *value).c_str() : "no data");
+  if (split == Split::train) {
+    const ConfusionMatrix given = score_training_labels(s, frames);
+    if (given.scored_px() > 0)
+      std::printf("  %-18s miou_present %.4f, total_accuracy %.4f over %lld pixels\n", "labels given",
+                  *given.miou_present(), *given.total_accuracy(), static_cast<long long>(given.scored_px()));
+  }
   const std::vector<ClassScore> classes = score.confusion.per_class();
   if (!classes.empty()) std::printf("  %-18s %8s %8s %10s\n", "class", "iou", "recall", "pixels");
   for (std::size_t c = 0; c < classes.size(); ++c) {

@@ -54,6 +54,16 @@ struct RenderOptions {
 };
 int run_render(const RenderOptions& options, AppContext& context);
 
+struct SweepOptions {
+  std::string file;
+  std::string out;  ///< default: runs/<name>
+  std::optional<int> jobs, threads;
+  std::optional<double> memory_gb;
+  bool keep_checkpoints = false;
+  bool dry_run = false;
+};
+int run_sweep(const SweepOptions& options, AppContext& context);
+
 int run_report(const std::vector<std::string>& runs, const std::string& out, AppContext& context);
 
 int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context);

@@ -145,20 +145,26 @@ ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segmen
   return node.with(segment, child);
 }
 
-ConfigNode apply_override(const ConfigNode& root, const std::string& text) {
-  const Location origin{"--set " + text, 0, 0};
-  const std::size_t equals = text.find('=');
-  if (equals == std::string::npos) fail(origin, "expected KEY=VALUE", "for example --set train.steps=1000");
+ConfigNode apply_override(const ConfigNode& root, const std::string& key, const ConfigNode& value,
+                          const Location& origin) {
   std::vector<std::string> segments;
-  for (std::size_t begin = 0; begin <= equals;) {
-    const std::size_t end = std::min(text.find('.', begin), equals);
-    segments.push_back(text.substr(begin, end - begin));
-    if (segments.back().empty()) fail(origin, "empty key in '" + text.substr(0, equals) + "'");
+  for (std::size_t begin = 0; begin <= key.size();) {
+    const std::size_t end = std::min(key.find('.', begin), key.size());
+    segments.push_back(key.substr(begin, end - begin));
+    if (segments.back().empty()) fail(origin, "empty key in '" + key + "'");
     begin = end + 1;
   }
   if (segments.size() > 32) fail(origin, "key path longer than 32 levels");
   if (segments[0] == "include") fail(origin, "include: files are included by a config, not by an override");
-  return set_at(root, segments, 0, parse_config_value(std::string_view(text).substr(equals + 1), origin.file), origin);
+  return set_at(root, segments, 0, value, origin);
+}
+
+ConfigNode apply_override(const ConfigNode& root, const std::string& text) {
+  const Location origin{"--set " + text, 0, 0};
+  const std::size_t equals = text.find('=');
+  if (equals == std::string::npos) fail(origin, "expected KEY=VALUE", "for example --set train.steps=1000");
+  return apply_override(root, text.substr(0, equals),
+                        parse_config_value(std::string_view(text).substr(equals + 1), origin.file), origin);
 }
 
 /// Items of `passes` with `like: NAME`, each merged onto the earlier item of that name.
@@ -215,6 +221,12 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides) {
   ConfigNode root = Loader().load(path);
   for (const std::string& override_text : overrides) root = apply_override(root, override_text);
+  return resolve_like(root);
+}
+
+ConfigNode compose_config(const std::string& path, const std::vector<ConfigOverride>& overrides) {
+  ConfigNode root = Loader().load(path);
+  for (const ConfigOverride& o : overrides) root = apply_override(root, o.key, o.value, o.value.location());
   return resolve_like(root);
 }
 

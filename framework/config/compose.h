@@ -18,6 +18,14 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over);
 /// Error(config).
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides = {});
 
+/// A value set at a key path ("passes.0.sampler.samples"), written in some file: paths in it start there.
+struct ConfigOverride {
+  std::string key;
+  ConfigNode value;
+};
+/// The same with overrides that are nodes.
+ConfigNode compose_config(const std::string& path, const std::vector<ConfigOverride>& overrides);
+
 /// Paths in a config are relative to the file that wrote them: the absolute path of a scalar node's text.
 std::string resolve_path(const ConfigNode& scalar);
 

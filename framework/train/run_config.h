@@ -95,6 +95,7 @@ struct ReportParams {
   double checkpoint_every_s = 60;
   int keep_checkpoints = 2;
   int strips = 4;
+  bool score_training_frames = false;
 };
 void describe(ParamVisitor& visit, ReportParams& params);
 

@@ -128,6 +128,21 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
                                      limits, options);
 }
 
+ConfusionMatrix score_training_labels(const Session& s, const std::vector<int>& frames) {
+  ConfusionMatrix score(s.classes());
+  std::vector<ConfusionMatrix> parts(frames.size(), score);
+  parallel_for(std::ssize(frames), [&](std::int64_t k) {
+    const auto f = static_cast<std::size_t>(frames[static_cast<std::size_t>(k)]);
+    const TrainingLabels::Frame& labels = s.labels.frames[f];
+    if (labels.empty() || s.scene.frames[f].label.empty()) return;
+    std::vector<std::int16_t> given(labels.size());
+    for (std::size_t i = 0; i < given.size(); ++i) given[i] = labels[i];
+    parts[static_cast<std::size_t>(k)].add(s.scene.frames[f].label.expand(), given);
+  });
+  for (const ConfusionMatrix& part : parts) score.merge(part);
+  return score;
+}
+
 MemoryPlan plan_memory(const Session& s) {
   MemoryPlan plan;
   for (const StoredFrame& frame : s.scene.frames) plan.scene += frame.bytes();

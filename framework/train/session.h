@@ -48,6 +48,9 @@ struct SessionOptions {
 /// Problems that do not stop go into `diagnostics`; those that do are thrown together.
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics);
 
+/// The labels that train, scored against the scene's own on `frames`; void labels are dropped and counted.
+ConfusionMatrix score_training_labels(const Session& session, const std::vector<int>& frames);
+
 /// Bytes that training will hold, by part.
 struct MemoryPlan {
   std::size_t scene = 0, parameters = 0, activations = 0;

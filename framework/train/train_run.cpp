@@ -99,6 +99,7 @@ class Run {
     if (signal == 0) {
       if (config.report.eval_every_s > 0) evaluate_now(config.report.eval_frames, false);  // the curve's last point
       outcome.values = evaluate_now(1 << 30, true);
+      if (config.report.score_training_frames) score_training_frames();
     }
     outcome.signal = signal;
     outcome.step = trainer_->step();
@@ -212,6 +213,26 @@ class Run {
     return score.values();
   }
 
+  // A row of split "train": the field at the training poses against the scene's own labels, then the labels given.
+  void score_training_frames() {
+    const std::vector<int> frames = session_.scene.frames_of(Split::train);
+    const SplitScore score =
+        evaluate(*session_.pipeline, session_.eval_job(frames), session_.limits, session_.plan.class_of_logit);
+    MetricsRow row;
+    row.kind = "eval";
+    row.step = trainer_->step();
+    row.train_s = train_s_;
+    row.split = "train";
+    row.values = score.values();
+    row.set("frames", static_cast<double>(score.frames.size()));
+    const ConfusionMatrix given = score_training_labels(session_, frames);
+    row.set("given_miou", given.miou());
+    row.set("given_miou_present", given.miou_present());
+    row.set("given_total_accuracy", given.total_accuracy());
+    row.set("given_px", static_cast<double>(given.scored_px()));
+    log_->append(row);
+  }
+
   void write_left_out() {
     std::vector<LeftOutRow> rows;
     for (const LeftOut& out : session_.plan.left_out) {
@@ -264,6 +285,7 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   Diagnostics diagnostics;
   SessionOptions options;
   options.keep = request.keep;
+  if (config.report.score_training_frames) options.depth = DepthKept::all;
   // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
   std::optional<RunFolder> folder;
   if (request.resume) folder.emplace(RunFolder::resume(request.out_dir));

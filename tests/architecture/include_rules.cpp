@@ -20,7 +20,7 @@ bool ends_with(const std::string& text, const std::string& end) {
 }
 
 const Folders kFrameworkFolders{"core",  "config", "scene", "plugin", "labels", "losses",
-                                "model", "optim",  "train", "fuse",   "mesh",   "testkit"};
+                                "model", "optim",  "train", "fuse",   "mesh",   "sweep",  "testkit"};
 
 // app -> train, fuse, mesh -> model, losses, optim, labels -> plugin -> config, scene -> core. Folders of one floor may
 // use each other where the table says so: scene reads class tables through config's tree; model and labels are told
@@ -40,6 +40,7 @@ const std::map<std::string, Folders>& floors() {
       {"train", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train"}},
       {"fuse", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "fuse"}},
       {"mesh", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "mesh"}},
+      {"sweep", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "sweep"}},
       {"testkit", kFrameworkFolders},
   };
   return table;

@@ -1,0 +1,114 @@
+#include "sweep/sweep_results.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "config/params_read.h"
+#include "core/files.h"
+#include "train/metrics_log.h"
+
+namespace semfield {
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json parse(const std::string& text, const std::string& name) {
+  try {
+    return Json::parse(text);
+  } catch (const nlohmann::json::exception& e) {
+    throw Error(ErrorKind::data, name + ": not valid JSON: " + e.what(), "remove the cell's folder and run it again");
+  }
+}
+
+CellValues numbers_of(const Json& map) {
+  CellValues out;
+  for (const auto& [key, value] : map.items()) {
+    if (value.is_number()) out.emplace_back(key, value.get<double>());
+  }
+  return out;
+}
+
+}  // namespace
+
+void write_cell_result(const std::string& path, const CellValues& values) {
+  Json map = Json::object();
+  for (const auto& [name, value] : values) {
+    if (std::isfinite(value)) map[name] = value;
+  }
+  write_file_atomic(path, Json{{"values", map}}.dump(1) + "\n");
+}
+
+std::optional<CellValues> read_cell_result(const std::string& path) {
+  if (!std::filesystem::exists(path)) return std::nullopt;
+  const Json root = parse(read_text_file(path), path);
+  if (!root.is_object() || !root.contains("values") || !root["values"].is_object())
+    throw Error(ErrorKind::data, path + ": no map 'values' in it", "remove the cell's folder and run it again");
+  return numbers_of(root["values"]);
+}
+
+CellValues values_of_run(const std::string& metrics_path, const std::string& split) {
+  const std::vector<MetricsRow> rows = read_metrics(metrics_path);
+  const auto last = std::find_if(rows.rbegin(), rows.rend(),
+                                 [&](const MetricsRow& row) { return row.kind == "eval" && row.split == split; });
+  if (last == rows.rend())
+    throw Error(ErrorKind::data, metrics_path + ": no evaluation of the split '" + split + "'",
+                "the scene needs frames in that split; see `semfield inspect`");
+  CellValues out;
+  for (const auto& [name, value] : last->values) {
+    if (value && std::isfinite(*value)) out.emplace_back(name, *value);
+  }
+  out.emplace_back("train_s", last->train_s);
+  out.emplace_back("steps", static_cast<double>(last->step));
+  return out;
+}
+
+CellValues values_of_fusion(const std::string& json, const std::string& method) {
+  const Json root = parse(json, "result of semfield fuse");
+  const Json& list = root.is_array() ? root : root.contains("methods") ? root["methods"] : Json::array();
+  for (const Json& row : list) {
+    if (row.is_object() && row.value("method", "") == method) return numbers_of(row);
+  }
+  throw Error(ErrorKind::data, "semfield fuse gave no result for the method '" + method + "'");
+}
+
+std::string csv_field(const std::string& text) {
+  if (text.find_first_of(",\"\n\r") == std::string::npos) return text;
+  std::string out = "\"";
+  for (const char c : text) {
+    if (c == '"') out += '"';
+    out += c;
+  }
+  return out + "\"";
+}
+
+std::string results_csv(const Sweep& sweep, const std::vector<Cell>& cells, const SweepResults& results) {
+  struct Line {
+    CellUse use;
+    const Cell* cell;
+  };
+  std::vector<Line> lines;
+  for (const Cell& cell : cells) {
+    for (const CellUse& use : cell.uses) lines.push_back({use, &cell});
+  }
+  std::sort(lines.begin(), lines.end(), [](const Line& a, const Line& b) {
+    return std::tie(a.use.experiment, a.use.scene, a.use.variant, a.use.seed) <
+           std::tie(b.use.experiment, b.use.scene, b.use.variant, b.use.seed);
+  });
+  std::string out = "experiment,scene,variant,seed,metric,value\n";
+  for (const Line& line : lines) {
+    const auto found = results.find(line.cell->id);
+    if (found == results.end()) continue;
+    const Experiment& e = sweep.experiments[line.use.experiment];
+    const std::string start = csv_field(e.name) + "," + csv_field(e.scenes[line.use.scene].name) + "," +
+                              csv_field(e.variants[line.use.variant].name) + "," +
+                              std::to_string(e.seeds[line.use.seed]) + ",";
+    for (const auto& [name, value] : found->second)
+      out += start + csv_field(name) + "," + shortest_number(value) + "\n";
+  }
+  return out;
+}
+
+}  // namespace semfield

@@ -1,0 +1,222 @@
+#include "sweep/sweep_tables.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "config/params_read.h"
+#include "core/check.h"
+#include "train/html.h"
+#include "train/report_svg.h"
+
+namespace semfield {
+
+namespace {
+
+// Upper tail P(T > t) of Student's t by its finite series in theta = atan(t / sqrt(v)) [Abramowitz64, 26.7.3-26.7.4].
+double t_upper_tail(double t, int v) {
+  const double theta = std::atan(t / std::sqrt(static_cast<double>(v)));
+  const double s = std::sin(theta), c = std::cos(theta);
+  double term = v % 2 == 1 ? c : 1, sum = v == 1 ? 0 : term;
+  for (int k = v % 2 == 1 ? 3 : 2; k <= v - 2; k += 2) {
+    term *= c * c * (k - 1) / k;
+    sum += term;
+  }
+  const double inside = v % 2 == 1 ? 2 / M_PI * (theta + s * sum) : s * sum;  // P(-t < T < t)
+  return (1 - inside) / 2;
+}
+
+std::string cell_text(const MeanInterval& m) {
+  if (m.n == 0) return "–";
+  if (m.half_width > 0) return fmt::format("{:.3f} ± {:.3f}", m.mean, m.half_width);
+  return fmt::format("{:.3f}", m.mean);
+}
+
+// A plot as a file of its own: the page's style, and a legend above it.
+std::string standalone_svg(const PlotSpec& spec) {
+  const std::string plot = line_plot(spec);
+  double width = 0, height = 0;
+  SEMFIELD_CHECK(std::sscanf(plot.c_str(), "<svg viewBox=\"0 0 %lf %lf\"", &width, &height) == 2,
+                 "plot without a size");
+  constexpr double kHead = 46;
+  std::string out = fmt::format(
+      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {0:.0f} {1:.0f}\" width=\"{0:.0f}\" height=\"{1:.0f}\" "
+      "font-family=\"sans-serif\">\n<style>{2}</style>\n<rect width=\"100%\" height=\"100%\" "
+      "fill=\"var(--card)\"/>\n<text x=\"12\" y=\"18\" font-size=\"14\" fill=\"var(--ink)\">{3}</text>\n",
+      width, height + kHead, report_style(), html_escape(spec.title));
+  double x = 12;
+  for (const PlotSeries& series : spec.series) {
+    out += fmt::format(
+        "<line x1=\"{0:.0f}\" x2=\"{1:.0f}\" y1=\"34\" y2=\"34\" stroke-width=\"2\" stroke=\"var(--s{2})\"/><text "
+        "x=\"{3:.0f}\" "
+        "y=\"38\" font-size=\"12\" fill=\"var(--ink)\">{4}</text>\n",
+        x, x + 20, series.color, x + 26, html_escape(series.name));
+    x += 44 + 7.5 * static_cast<double>(series.name.size());
+  }
+  out += fmt::format("<g transform=\"translate(0 {:.0f})\">\n", kHead);
+  return out + plot.substr(0, 4) + fmt::format(" width=\"{:.0f}\" height=\"{:.0f}\"", width, height) + plot.substr(4) +
+         "</g></svg>\n";
+}
+
+// A bar would end the table's cell.
+std::string md(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    if (c == '|') out += '\\';
+    out += c;
+  }
+  return out;
+}
+
+}  // namespace
+
+double student_t975(int freedom) {
+  SEMFIELD_CHECK(freedom >= 1, "no degrees of freedom");
+  double low = 1.9, high = 12.8;  // t(1) = 12.7062, t(infinity) = 1.9600
+  for (int i = 0; i < 60; ++i) {
+    const double middle = (low + high) / 2;
+    (t_upper_tail(middle, freedom) > 0.025 ? low : high) = middle;
+  }
+  return (low + high) / 2;
+}
+
+MeanInterval mean_interval(const std::vector<double>& values) {
+  MeanInterval out;
+  out.n = static_cast<int>(values.size());
+  if (values.empty()) return out;
+  for (const double v : values) out.mean += v;
+  out.mean /= out.n;
+  if (out.n < 2) return out;
+  double squares = 0;
+  for (const double v : values) squares += (v - out.mean) * (v - out.mean);
+  out.half_width = student_t975(out.n - 1) * std::sqrt(squares / (out.n - 1) / out.n);
+  return out;
+}
+
+ExperimentTable::ExperimentTable(const Sweep& sweep, std::size_t experiment, const std::vector<Cell>& cells,
+                                 const SweepResults& results)
+    : experiment_(sweep.experiments.at(experiment)) {
+  values_.assign(experiment_.scenes.size(), std::vector<std::vector<const CellValues*>>(experiment_.variants.size()));
+  for (const Cell& cell : cells) {
+    const auto found = results.find(cell.id);
+    if (found == results.end()) continue;
+    for (const CellUse& use : cell.uses) {
+      if (use.experiment == experiment) values_[use.scene][use.variant].push_back(&found->second);
+    }
+  }
+}
+
+MeanInterval ExperimentTable::at(std::size_t scene, std::size_t variant, const std::string& metric) const {
+  std::vector<double> values;
+  for (const CellValues* seed : values_[scene][variant]) {
+    for (const auto& [name, value] : *seed) {
+      if (name == metric) values.push_back(value);
+    }
+  }
+  return mean_interval(values);
+}
+
+MeanInterval ExperimentTable::over_scenes(std::size_t variant, const std::string& metric) const {
+  MeanInterval out;
+  double squares = 0;
+  for (std::size_t s = 0; s < values_.size(); ++s) {
+    const MeanInterval m = at(s, variant, metric);
+    if (m.n == 0) continue;
+    ++out.n;
+    out.mean += m.mean;
+    squares += m.half_width * m.half_width;
+  }
+  if (out.n > 0) {
+    out.mean /= out.n;
+    out.half_width = std::sqrt(squares) / out.n;
+  }
+  return out;
+}
+
+std::string ExperimentTable::markdown() const {
+  const Experiment& e = experiment_;
+  std::string out = "## " + e.title + "\n\n";
+  if (!e.note.empty()) out += e.note + "\n\n";
+  const std::size_t seeds = e.seeds.size();
+  out += fmt::format("Scored on {} frames; {}.\n\n", e.split == "train" ? "training" : "held-out",
+                     seeds == 1 ? "one seed" : fmt::format("mean of {} seeds ± half the 95 % interval", seeds));
+  const bool many = e.scenes.size() > 1;
+  const bool paper =
+      std::any_of(e.variants.begin(), e.variants.end(), [](const SweepVariant& v) { return v.paper.has_value(); });
+  out += "| variant |";
+  std::string rule = "|---|";
+  for (const std::string& metric : e.metrics) {
+    for (const SweepScene& scene : e.scenes) {
+      out += " " + md(scene.name) + " " + metric + " |";
+      rule += "---|";
+    }
+    if (many) {
+      out += " mean " + metric + " |";
+      rule += "---|";
+    }
+  }
+  if (paper) {
+    out += " paper" + (e.paper.empty() ? "" : " (" + md(e.paper) + ")") + " |";
+    rule += "---|";
+  }
+  out += "\n" + rule + "\n";
+  for (std::size_t v = 0; v < e.variants.size(); ++v) {
+    out += "| " + md(e.variants[v].name) + " |";
+    for (const std::string& metric : e.metrics) {
+      for (std::size_t s = 0; s < e.scenes.size(); ++s) out += " " + cell_text(at(s, v, metric)) + " |";
+      if (many) out += " " + cell_text(over_scenes(v, metric)) + " |";
+    }
+    if (paper) out += " " + (e.variants[v].paper ? fmt::format("{:.3f}", *e.variants[v].paper) : "–") + " |";
+    out += "\n";
+  }
+  return out;
+}
+
+std::string ExperimentTable::csv() const {
+  const Experiment& e = experiment_;
+  std::string out = "variant,scene,metric,n,mean,half_width\n";
+  for (std::size_t v = 0; v < e.variants.size(); ++v) {
+    for (std::size_t s = 0; s < e.scenes.size(); ++s) {
+      for (const std::string& metric : e.metrics) {
+        const MeanInterval m = at(s, v, metric);
+        if (m.n == 0) continue;
+        out += csv_field(e.variants[v].name) + "," + csv_field(e.scenes[s].name) + "," + metric + "," +
+               std::to_string(m.n) + "," + shortest_number(m.mean) + "," + shortest_number(m.half_width) + "\n";
+      }
+    }
+  }
+  return out;
+}
+
+std::string ExperimentTable::svg() const {
+  const Experiment& e = experiment_;
+  PlotSpec spec;
+  spec.title = e.title + ": " + e.metrics.front();
+  spec.x_label = e.x_label;
+  spec.markers = true;
+  std::size_t places = 0;
+  for (std::size_t s = 0; s < e.scenes.size(); ++s) {
+    PlotSeries series;
+    series.name = e.scenes[s].name;
+    series.color = static_cast<int>(s % 8);
+    for (std::size_t v = 0; v < e.variants.size(); ++v) {
+      const MeanInterval m = at(s, v, e.metrics.front());
+      if (!e.variants[v].x || m.n == 0) continue;
+      PlotPoint point{*e.variants[v].x, m.mean};
+      if (m.half_width > 0) {
+        point.low = m.mean - m.half_width;
+        point.high = m.mean + m.half_width;
+      }
+      series.points.push_back(point);
+    }
+    std::sort(series.points.begin(), series.points.end(),
+              [](const PlotPoint& a, const PlotPoint& b) { return a.x < b.x; });
+    places = std::max(places, series.points.size());
+    if (!series.points.empty()) spec.series.push_back(std::move(series));
+  }
+  return places < 2 ? std::string() : standalone_svg(spec);
+}
+
+}  // namespace semfield
