@@ -107,6 +107,17 @@ void add_scene_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   });
 }
 
+void add_degrade(CLI::App& root, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<ConfigOptions>();
+  auto folder = std::make_shared<std::string>();
+  CLI::App* verb = root.add_subcommand("degrade", "write the labels that would train, degraded as the configuration says");
+  config_options(verb, *options);
+  verb->add_option("--out", *folder, "folder to create")->required();
+  verb->callback([&context, &choice, options, folder] {
+    choice = [&context, options, folder] { return run_degrade(*options, *folder, context); };
+  });
+}
+
 void add_config_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* group = root.add_subcommand("config", "check, explain and compare configurations");
   group->require_subcommand(1);
@@ -187,6 +198,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   add_run_verbs(root, context, choice);
   add_sweep(root, context, choice);
   add_scene_verbs(root, context, choice);
+  add_degrade(root, context, choice);
   add_config_verbs(root, context, choice);
   add_plugins_verbs(root, context, choice);
   add_bench_verbs(root, context, choice);

@@ -1,10 +1,13 @@
-// inspect, capture, pack: a configuration's scene without training.
+// inspect, capture, degrade, pack: a configuration's scene without training.
+#include <fmt/format.h>
+
 #include <cstdio>
 
 #include "core/parallel.h"
 #include "plugin/loader.h"
 #include "train/run_config.h"
 #include "verb_capture.h"
+#include "verb_degrade.h"
 #include "verb_inspect.h"
 #include "verb_pack.h"
 #include "verbs.h"
@@ -29,6 +32,16 @@ OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context) {
   return opened;
 }
 
+// The scene with what its label steps ask for.
+LoadedScene load_for_labels(const OpenedDataset& opened, Diagnostics& diagnostics) {
+  SceneLoadOptions load = opened.config.load;
+  load.depth = opened.config.labels.wants_depth() ? DepthKept::all : DepthKept::none;
+  load.with_instances = opened.config.labels.needs_instances();
+  LoadedScene scene = load_scene(*opened.dataset, load, diagnostics);
+  open_label_files(scene, opened.config.labels, diagnostics);
+  return scene;
+}
+
 // What an inspection shows of training frames are the labels that would train.
 void show_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
   read_test_labels(scene, config, diagnostics);
@@ -51,10 +64,7 @@ void show_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnos
 int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context) {
   OpenedDataset opened = dataset_of(options, context);
   Diagnostics diagnostics;
-  opened.config.load.depth = opened.config.labels.wants_depth() ? DepthKept::all : DepthKept::none;
-  opened.config.load.with_instances = opened.config.labels.needs_instances();
-  LoadedScene scene = load_scene(*opened.dataset, opened.config.load, diagnostics);
-  open_label_files(scene, opened.config.labels, diagnostics);
+  LoadedScene scene = load_for_labels(opened, diagnostics);
   if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
   std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
   if (!frusta_path.empty()) {
@@ -78,6 +88,24 @@ int run_capture(const ConfigOptions& options, const std::string& out, AppContext
   });
   std::printf("capture: frames=%d bytes=%lld folder=%s\n", report.frames, static_cast<long long>(report.bytes),
               out.c_str());
+  return 0;
+}
+
+int run_degrade(const ConfigOptions& options, const std::string& out, AppContext& context) {
+  refuse_used_folder(out);
+  const OpenedDataset opened = dataset_of(options, context);
+  Diagnostics diagnostics;
+  const LoadedScene scene = load_for_labels(opened, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
+  const TrainingLabels labels = make_training_labels(scene, opened.config.labels, diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  const DegradeSource source{write_config(resolved_config(opened.config)), opened.config.labels.from.type,
+                             opened.config.labels.selection.seed};
+  const DegradeReport report = write_degraded(scene, labels, source, out);
+  const auto number = [](const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "-"; };
+  std::printf("degrade: frames=%d labelled_px=%lld accuracy=%s miou_present=%s folder=%s\n", report.frames,
+              static_cast<long long>(report.labelled_px), number(report.accuracy).c_str(),
+              number(report.miou_present).c_str(), out.c_str());
   return 0;
 }
 

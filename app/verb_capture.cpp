@@ -9,6 +9,7 @@
 
 #include "core/files.h"
 #include "scene/image_io.h"
+#include "scene/void_class.h"
 
 namespace semfield {
 namespace {
@@ -34,18 +35,6 @@ void check_cameras(const SceneInfo& info) {
     }
   }
   diagnostics.throw_if_errors(ErrorKind::data, "the scene does not fit the Replica layout");
-}
-
-// The table with an id for void: without one, void pixels would take the id of a class or one that nobody knows.
-ClassTable with_void(const ClassTable& classes) {
-  std::vector<ClassEntry> entries = classes.entries();
-  std::int32_t free_id = 0;
-  for (const ClassEntry& e : entries) {  // ordered by id
-    if (e.ignore) return classes;
-    if (e.id == free_id) ++free_id;
-  }
-  entries.push_back({free_id, "void", {0, 0, 0}, true});
-  return ClassTable(std::move(entries));
 }
 
 std::string numbered(const fs::path& folder, const std::string& stem, std::size_t index) {

@@ -68,6 +68,7 @@ int run_report(const std::vector<std::string>& runs, const std::string& out, App
 
 int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context);
 int run_capture(const ConfigOptions& options, const std::string& out, AppContext& context);
+int run_degrade(const ConfigOptions& options, const std::string& out, AppContext& context);
 int run_pack(const ConfigOptions& options, const std::string& out, AppContext& context);
 
 int run_config_check(const ConfigOptions& options, AppContext& context);

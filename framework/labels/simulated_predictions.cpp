@@ -24,9 +24,9 @@ enum class Output { soft, hard };
 struct SimulatedParams {
   Output output = Output::soft;
   double strength = 1;
-  double evidence = 6;
+  double evidence = 8;
   int similar = 3;
-  double overlap = 0.8;
+  double overlap = 0.6;
   double region_error = 0.15;
   double boundary_width = 0.012;
   double noise = 2;
@@ -303,10 +303,7 @@ class SimulatedPredictions final : public Degradation {
   void probabilities(const Confusions& confusions, std::int16_t seen, double evidence, const Noise& noise,
                      std::span<float> row) const {
     const auto own = static_cast<std::size_t>(seen);
-    std::fill(row.begin(), row.end(), -1.0F);  // not a class of the scene
-    for (const std::int16_t c : confusions.classes) row[static_cast<std::size_t>(c)] = 0;
     const std::vector<std::int16_t>& similar = confusions.similar[own];
-    row[own] = 0;
     std::array<std::pair<std::size_t, double>, 1 + kMostSimilar> logits;  // of the classes that are not at 0
     logits[0] = {own, evidence + noise(own)};
     double most = std::max(0.0, logits[0].second);
@@ -316,18 +313,17 @@ class SimulatedPredictions final : public Degradation {
       logits[k + 1] = {c, shared * evidence + noise(c)};
       most = std::max(most, logits[k + 1].second);
     }
+    const std::span<const std::pair<std::size_t, double>> raised = std::span(logits).first(similar.size() + 1);
+    std::fill(row.begin(), row.end(), 0.0F);
+    for (const std::int16_t c : confusions.classes)
+      row[static_cast<std::size_t>(c)] = static_cast<float>(std::exp(-most));
+    for (const auto& [c, logit] : raised) row[c] = static_cast<float>(std::exp(logit - most));
     double sum = 0;
+    for (const float p : row) sum += static_cast<double>(p);
     for (float& p : row) {
-      p = p < 0 ? 0.0F : static_cast<float>(std::exp(-most));
-      sum += static_cast<double>(p);
+      // As stored, so that the most probable class is the same in soft and hard output.
+      if (p > 0) p = float_of_half(half_of(static_cast<float>(static_cast<double>(p) / sum)));
     }
-    for (const auto& [c, logit] : std::span(logits).first(similar.size() + 1)) {
-      sum -= static_cast<double>(row[c]);
-      row[c] = static_cast<float>(std::exp(logit - most));
-      sum += static_cast<double>(row[c]);
-    }
-    // As stored, so that the most probable class is the same in soft and hard output.
-    for (float& p : row) p = float_of_half(half_of(static_cast<float>(static_cast<double>(p) / sum)));
   }
 
   SimulatedParams params_;

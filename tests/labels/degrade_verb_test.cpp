@@ -1,0 +1,159 @@
+// `semfield degrade`: the program on a tiny room; what it wrote is read back.
+#include <cstdlib>
+#include <nlohmann/json.hpp>
+
+#include "core/files.h"
+#include "scene/class_table.h"
+#include "tests/labels/degradation_testing.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+using testing_room::fresh_folder;
+
+struct Result {
+  int code = 0;
+  std::string out, err;
+};
+
+Result semfield_run(const std::string& words, const std::string& folder) {
+  const std::string command =
+      std::string("'") + SEMFIELD_BINARY + "' " + words + " >'" + folder + "/stdout' 2>'" + folder + "/stderr'";
+  const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of this test
+  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
+          read_text_file(folder + "/stderr")};
+}
+
+// A room of 5 frames of which 0, 2 and 4 train; returns the configuration's path.
+std::string write_config(const std::string& folder, const std::string& labels) {
+  fs::create_directories(folder + "/room");
+  testing_room::write_replica(folder + "/room", 5);
+  std::string yaml = "include: " + std::string(SEMFIELD_SOURCE_DIR) + "/configs/parts/hash_room.yaml\n";
+  yaml += "scene: {type: replica, root: room, train_step: 2, test_step: 2, test_offset: 1, labels: " + labels + "}\n";
+  write_file_atomic(folder + "/room.yaml", std::string_view(yaml));
+  return folder + "/room.yaml";
+}
+
+nlohmann::json manifest_of(const std::string& folder) {
+  return nlohmann::json::parse(read_text_file(folder + "/manifest.json"));
+}
+
+std::vector<std::string> names_in(const std::string& folder) {
+  std::vector<std::string> out;
+  for (const auto& entry : fs::directory_iterator(folder)) out.push_back(entry.path().filename().string());
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+TEST(DegradeVerb, WritesIdsPreviewsClassesAndAManifestThatAgree) {
+  const std::string folder = fresh_folder("hard");
+  const std::string config = write_config(
+      folder, "{seed: 3, degrade: [{type: super_resolution, factor: 4, mode: sparse}, {type: pixel_noise}]}");
+  const Result r = semfield_run("degrade " + config + " --out " + folder + "/labels", folder);
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_EQ(names_in(folder), (std::vector<std::string>{"labels", "room", "room.yaml", "stderr", "stdout"}));
+  const std::string out = folder + "/labels";
+  EXPECT_EQ(names_in(out), (std::vector<std::string>{"classes.yaml", "manifest.json", "preview", "semantic_class"}));
+  EXPECT_EQ(names_in(out + "/semantic_class"),
+            (std::vector<std::string>{"semantic_class_0.png", "semantic_class_2.png", "semantic_class_4.png"}));
+  EXPECT_EQ(ClassTable::load(out + "/classes.yaml").valid_count(), 6);
+
+  const nlohmann::json m = manifest_of(out);
+  EXPECT_EQ(m["seed"], 3);
+  EXPECT_EQ(m["labels_from"], "the scene");
+  ASSERT_EQ(m["steps"].size(), 2u);
+  EXPECT_EQ(m["steps"][0]["type"], "super_resolution");
+  EXPECT_EQ(m["steps"][1]["facts"]["pixels drawn"], "1800");
+  EXPECT_NE(m["config"].get<std::string>().find("pixel_noise"), std::string::npos);
+
+  // The figures, counted again from the images.
+  std::int64_t labelled = 0, changed = 0, right = 0;
+  for (const nlohmann::json& frame : m["frames"]) {
+    const Image<std::uint16_t> given = read_ids(out + "/" + frame["label"].get<std::string>());
+    const Image<std::uint16_t> preview = read_ids(out + "/" + frame["preview"].get<std::string>());
+    const Image<std::uint16_t> truth = read_ids(folder + "/room/" + frame["label"].get<std::string>());
+    ASSERT_EQ(given.pixels.size(), 1200u);
+    EXPECT_EQ(given.pixels, preview.pixels);
+    std::int64_t in_frame = 0;
+    for (std::size_t p = 0; p < given.pixels.size(); ++p) {
+      in_frame += given.pixels[p] != 0;
+      changed += given.pixels[p] != truth.pixels[p];
+      right += given.pixels[p] != 0 && given.pixels[p] == truth.pixels[p];
+      EXPECT_TRUE(given.pixels[p] == 0 || (p % 4 == 0 && p / 40 % 4 == 0));
+    }
+    EXPECT_EQ(frame["labelled_px"], in_frame);
+    labelled += in_frame;
+  }
+  EXPECT_EQ(m["total"]["labelled_px"], labelled);
+  EXPECT_EQ(m["total"]["changed_px"], changed);
+  EXPECT_DOUBLE_EQ(m["total"]["accuracy"], static_cast<double>(right) / static_cast<double>(labelled));
+  EXPECT_EQ(r.out.rfind("degrade: frames=3 labelled_px=" + std::to_string(labelled) + " accuracy=0.", 0), 0u) << r.out;
+}
+
+TEST(DegradeVerb, SoftLabelsAreWrittenAsProbabilities) {
+  const std::string folder = fresh_folder("soft");
+  const std::string config = write_config(folder, "{frames: 2, degrade: [{type: simulated_predictions}]}");
+  const std::string out = folder + "/labels";
+  const Result r = semfield_run("degrade " + config + " --out " + out + "/", folder);
+  ASSERT_EQ(r.code, 0) << r.err;
+  const nlohmann::json m = manifest_of(out);
+  ASSERT_EQ(m["frames"].size(), 2u);
+  EXPECT_EQ(m["steps"][0]["facts"]["simulated"], "true");
+  for (const nlohmann::json& frame : m["frames"]) {
+    const std::string npy = read_text_file(out + "/" + frame["probability"].get<std::string>());
+    EXPECT_NE(npy.find("'shape': (30, 40, 6)"), std::string::npos);
+    const std::size_t bytes = std::size_t{30} * 40 * 6 * 4;
+    ASSERT_GT(npy.size(), bytes);
+    std::vector<float> values(bytes / 4);
+    std::memcpy(values.data(), npy.data() + npy.size() - bytes, bytes);
+    const Image<std::uint16_t> given = read_ids(out + "/" + frame["label"].get<std::string>());
+    for (std::size_t p = 0; p < given.pixels.size(); ++p) {
+      const auto row = values.begin() + static_cast<std::ptrdiff_t>(6 * p);
+      EXPECT_EQ(given.pixels[p], std::max_element(row, row + 6) - row + 1);
+    }
+  }
+}
+
+TEST(DegradeVerb, TheSameLabelsAsBefore) {
+  const std::string folder = fresh_folder("same");
+  const std::string config = write_config(folder, "{degrade: [{type: pixel_noise}, {type: region_noise}]}");
+  for (const char* name : {"a", "b"}) {
+    const Result r = semfield_run("degrade " + config + " --out " + folder + "/" + name +
+                                      (*name == 'a' ? " --set runtime.threads=1" : " --set runtime.threads=3"),
+                                  folder);
+    ASSERT_EQ(r.code, 0) << r.err;
+  }
+  for (const std::string& name : names_in(folder + "/a/semantic_class")) {
+    EXPECT_EQ(read_text_file(folder + "/a/semantic_class/" + name),
+              read_text_file(folder + "/b/semantic_class/" + name));
+  }
+}
+
+TEST(DegradeVerb, AUsedFolderAndProblemsLeaveNothingBehind) {
+  const std::string folder = fresh_folder("used");
+  const std::string config = write_config(folder, "{degrade: [{type: region_noise, instances: [77]}]}");
+  fs::create_directories(folder + "/full");
+  testing_room::plain_write(folder + "/full/mine.txt", "keep");
+  Result r = semfield_run("degrade " + config + " --out " + folder + "/full", folder);
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::cannot_create));
+  EXPECT_NE(r.err.find("holds files already"), std::string::npos) << r.err;
+  EXPECT_EQ(names_in(folder + "/full"), (std::vector<std::string>{"mine.txt"}));
+
+  r = semfield_run("degrade " + config + " --out " + folder + "/new", folder);
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
+  EXPECT_NE(r.err.find("no labelled training frame sees instance 77"), std::string::npos) << r.err;
+  r = semfield_run("degrade " + config + " --out " + folder + "/new --set scene.labels.frames=none --set " +
+                       "'scene.labels.degrade=[]'",
+                   folder);
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
+  EXPECT_NE(r.err.find("no training frame keeps labels"), std::string::npos) << r.err;
+  testing_room::plain_write(folder + "/room/semantic_class/semantic_class_2.png", "no image");
+  r = semfield_run("degrade " + config + " --out " + folder + "/new", folder);
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
+  EXPECT_NE(r.err.find("semantic_class_2.png"), std::string::npos) << r.err;
+  EXPECT_EQ(names_in(folder), (std::vector<std::string>{"full", "room", "room.yaml", "stderr", "stdout"}));
+}
+
+}  // namespace
+}  // namespace semfield
