@@ -10,6 +10,7 @@
 
 #include "config/config_tree.h"
 #include "core/files.h"
+#include "scene/class_names.h"
 
 namespace semfield {
 
@@ -17,12 +18,6 @@ namespace {
 
 constexpr std::int32_t kMaxId = 65535;  // what a 16-bit label image can hold
 constexpr std::size_t kMaxClasses = 1024;
-
-bool is_void_name(std::string name) {
-  for (char& c : name) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  static const std::vector<std::string> names{"void", "undefined", "unlabelled", "unlabeled", "unknown", "other"};
-  return std::find(names.begin(), names.end(), name) != names.end();
-}
 
 bool parse_int(std::string_view text, std::int32_t& out) {
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);

@@ -74,7 +74,7 @@ std::vector<ScannetLabel> read_scannet_tsv(const std::string& path) {
                   remedy);
     }
     if (text_at(row, id).empty()) throw Error(ErrorKind::data, row.place + ": the row has no id", remedy);
-    ScannetLabel label{number_at(row, id, 65535), text_at(row, raw),        number_at(row, nyu40, 40),
+    ScannetLabel label{number_at(row, id, 65535),   text_at(row, raw),        number_at(row, nyu40, 40),
                        number_at(row, eigen13, 13), text_at(row, nyu40_name), text_at(row, eigen13_name)};
     const auto [first, fresh] = seen.emplace(label.id, labels.size());
     if (!fresh) {

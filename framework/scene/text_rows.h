@@ -13,9 +13,9 @@ struct TextRow {
   std::vector<std::string> fields;  ///< without surrounding blanks
 };
 
-/// Rows of a file of at most 64 MiB; empty lines and lines that begin with '#' are left out, CR LF counts as LF. With ','
-/// as separator a field may stand in double quotes, a doubled quote inside being one quote. Throws Error(data) for a
-/// quote that is not closed, Error(no_input) as read_text_file does.
+/// Rows of a file of at most 64 MiB; empty lines and lines that begin with '#' are left out, CR LF counts as LF. With
+/// ',' as separator a field may stand in double quotes, a doubled quote inside being one quote. Throws Error(data) for
+/// a quote that is not closed, Error(no_input) as read_text_file does.
 std::vector<TextRow> read_text_rows(const std::string& path, char separator);
 
 /// Whole text as a number; false for anything else.

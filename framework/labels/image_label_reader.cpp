@@ -1,0 +1,208 @@
+// Label images: ids, palette indices or exact colours, one file a frame.
+#include <array>
+#include <filesystem>
+#include <span>
+
+#include "core/files.h"
+#include "labels/label_files.h"
+#include "labels/label_readers.h"
+#include "scene/class_import.h"
+#include "scene/image_io.h"
+#include "scene/png_codec.h"
+#include "scene/text_rows.h"
+
+namespace semfield {
+
+enum class LabelImageKind { ids, palette, color };
+template <>
+struct ChoiceNames<LabelImageKind> {
+  static constexpr std::array<std::string_view, 3> names{"ids", "palette", "color"};
+};
+enum class UnknownLabels { error, make_void };
+template <>
+struct ChoiceNames<UnknownLabels> {
+  static constexpr std::array<std::string_view, 2> names{"error", "void"};
+};
+
+namespace {
+
+using Rgb = std::array<std::uint8_t, 3>;
+
+[[noreturn]] void refuse(const std::string& place, const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, place + ": " + message, remedy);
+}
+
+std::string text_of(Rgb c) {
+  std::string out = "(";
+  out += std::to_string(c[0]) + ", " + std::to_string(c[1]) + ", " + std::to_string(c[2]);
+  return out += ")";
+}
+
+bool is_palette_png(const std::string& path) {
+  const std::string start = read_file_start(path, 26);
+  return looks_like_png(std::as_bytes(std::span<const char>(start.data(), start.size()))) && start.size() == 26 &&
+         start[25] == 3;  // the colour type, after width, height and depth in the first chunk
+}
+
+struct NamedColor {
+  Rgb color{};
+  std::string name, place;
+};
+
+std::vector<NamedColor> read_colors(const std::string& path) {
+  std::vector<NamedColor> out;
+  std::map<Rgb, std::string> seen;
+  for (const TextRow& row : read_text_rows(path, ',')) {
+    if (row.fields[0] == "r" || row.fields[0] == "red") continue;  // the header
+    if (row.fields.size() != 4 || row.fields[3].empty()) refuse(row.place, "expected 'r,g,b,name'");
+    NamedColor entry{{}, row.fields[3], row.place};
+    for (std::size_t i = 0; i < 3; ++i) {
+      std::int64_t value = 0;
+      if (!parse_whole(row.fields[i], value) || value < 0 || value > 255)
+        refuse(row.place, "expected a number from 0 to 255, got '" + row.fields[i] + "'", "write lines 'r,g,b,name'");
+      entry.color[i] = static_cast<std::uint8_t>(value);
+    }
+    const auto [other, fresh] = seen.emplace(entry.color, entry.name);
+    if (!fresh) refuse(row.place, "colour " + text_of(entry.color) + " is given to '" + other->second + "' before");
+    out.push_back(std::move(entry));
+  }
+  if (out.empty()) refuse(path, "no colours in it", "write lines 'r,g,b,name'");
+  return out;
+}
+
+class ImageLabelReader : public LabelReader {
+ public:
+  void describe(ParamVisitor& visit) override {
+    SEMFIELD_PARAM(visit, *this, folder, "folder of the images");
+    SEMFIELD_PARAM(visit, *this, pattern,
+                   "file of a frame: {name} is the frame's name, {stem} its image's name without extension, {number} "
+                   "the digits at the end of its name");
+    SEMFIELD_PARAM(visit, *this, kind,
+                   "ids: one channel of class ids; palette: a palette PNG whose indices are ids; color: exact colours");
+    SEMFIELD_PARAM(visit, *this, file, "for color: CSV file of lines r,g,b,name; empty: the class table's colours");
+    SEMFIELD_PARAM(visit, *this, classes,
+                   "class table, for a scene without one (classes.yaml, .csv, .json, or CVAT's "
+                   "labelmap.txt)");
+    SEMFIELD_PARAM(visit, *this, unknown, "what an id or colour outside the table is");
+  }
+
+  void validate(Diagnostics& diagnostics) const override {
+    check_pattern(pattern, diagnostics);
+    if (!file.empty() && kind != LabelImageKind::color)
+      diagnostics.error("file", "a table of colours is given, but kind is not color", "set kind: color");
+  }
+
+  ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
+    colors_.clear();
+    (void)check_folder(folder, diagnostics);
+    ProblemList problems(diagnostics);
+    ClassTable table = known;
+    if (table.empty() && !classes.empty()) problems.collect([&] { table = import_classes(classes); });
+    if (!file.empty()) problems.collect([&] { colors_ = read_colors(file); });
+    if (!colors_.empty()) table = table_of_colors(table, problems);
+    if (table.empty() && problems.count() == 0)
+      problems.error("classes", "the scene has no class table", "name one in scene.labels.from.classes");
+    if (kind == LabelImageKind::color && problems.count() == 0) problems.collect([&] { (void)index_of_color(table); });
+    return table;
+  }
+
+  bool has(const FrameInfo& frame) const override {
+    std::error_code ignored;
+    const std::string path = path_of(folder, pattern, frame);
+    return !path.empty() && std::filesystem::is_regular_file(path, ignored);
+  }
+
+  LabelRaster read(const FrameInfo& frame, const ClassTable& table) const override {
+    const std::string path = path_of(folder, pattern, frame);
+    return kind == LabelImageKind::color ? read_color(path, table) : read_index(path, table);
+  }
+
+  std::string folder, pattern = "{name}.png", file, classes;
+  LabelImageKind kind = LabelImageKind::ids;
+  UnknownLabels unknown = UnknownLabels::error;
+
+ private:
+  ClassTable table_of_colors(const ClassTable& known, ProblemList& problems) const {
+    std::map<std::string, std::string> place_of_name;
+    for (const NamedColor& color : colors_) place_of_name.emplace(color.name, color.place);
+    if (!known.empty()) return table_for(place_of_name, known, problems);
+    // Ids in the order of the file, colours as it gives them.
+    std::vector<std::string> names;
+    std::map<std::string, Rgb> color_of_name;
+    for (const NamedColor& color : colors_) {
+      if (color_of_name.emplace(color.name, color.color).second) names.push_back(color.name);
+    }
+    const ClassTable built = table_of_names(names);
+    std::vector<ClassEntry> entries = built.entries();
+    for (ClassEntry& entry : entries) {
+      if (const auto own = color_of_name.find(entry.name); own != color_of_name.end()) entry.color = own->second;
+    }
+    return ClassTable(std::move(entries));
+  }
+
+  std::map<Rgb, std::int16_t> index_of_color(const ClassTable& table) const {
+    std::map<Rgb, std::int16_t> index;
+    if (!colors_.empty()) {
+      const ClassNames names(table);
+      for (const NamedColor& color : colors_) index.emplace(color.color, names.index_of(color.name, color.place));
+      return index;
+    }
+    std::map<Rgb, std::string> owner;
+    for (const ClassEntry& entry : table.entries()) {
+      const auto [other, fresh] = owner.emplace(entry.color, entry.name);
+      if (!fresh) {
+        refuse("class table",
+               "'" + other->second + "' and '" + entry.name + "' have the same colour " + text_of(entry.color),
+               "give each class its own colour, or name a table of colours in scene.labels.from.file");
+      }
+      index.emplace(entry.color, static_cast<std::int16_t>(table.index_of(entry.id)));
+    }
+    return index;
+  }
+
+  // What a value without a class becomes.
+  std::int16_t not_known(const std::string& path, const std::string& what, std::size_t pixel,
+                         std::int32_t width) const {
+    if (unknown == UnknownLabels::make_void) return kVoid;
+    const auto w = static_cast<std::size_t>(width);
+    refuse("'" + path + "'",
+           what + " at x " + std::to_string(pixel % w) + ", y " + std::to_string(pixel / w) + " stands for no class",
+           "add it to the table, or set unknown: void");
+  }
+
+  LabelRaster read_index(const std::string& path, const ClassTable& table) const {
+    if (kind == LabelImageKind::palette && !is_palette_png(path))
+      refuse("'" + path + "'", "no PNG with a palette", "set kind: ids or color");
+    const Image<std::uint16_t> image = read_ids(path);
+    LabelRaster raster{image.width_px, image.height_px, {}, {}};
+    raster.hard.resize(image.pixels.size());
+    for (std::size_t i = 0; i < raster.hard.size(); ++i) {
+      const int index = table.index_of(image.pixels[i]);
+      raster.hard[i] = index == -2 ? not_known(path, "id " + std::to_string(image.pixels[i]), i, image.width_px)
+                                   : static_cast<std::int16_t>(index);
+    }
+    return raster;
+  }
+
+  LabelRaster read_color(const std::string& path, const ClassTable& table) const {
+    const std::map<Rgb, std::int16_t> index = index_of_color(table);
+    const Image<std::uint8_t> image = read_rgb(path);
+    LabelRaster raster{image.width_px, image.height_px, {}, {}};
+    raster.hard.resize(image.pixels.size() / 3);
+    for (std::size_t i = 0; i < raster.hard.size(); ++i) {
+      const Rgb color{image.pixels[3 * i], image.pixels[3 * i + 1], image.pixels[3 * i + 2]};
+      const auto found = index.find(color);
+      raster.hard[i] =
+          found == index.end() ? not_known(path, "colour " + text_of(color), i, image.width_px) : found->second;
+    }
+    return raster;
+  }
+
+  std::vector<NamedColor> colors_;
+};
+
+}  // namespace
+
+std::unique_ptr<LabelReader> make_image_label_reader() { return std::make_unique<ImageLabelReader>(); }
+
+}  // namespace semfield

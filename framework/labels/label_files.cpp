@@ -1,0 +1,116 @@
+#include "labels/label_files.h"
+
+#include <algorithm>
+#include <filesystem>
+
+namespace semfield {
+
+namespace {
+
+constexpr int kMaxProblems = 20;
+
+bool is_digit(char c) { return c >= '0' && c <= '9'; }
+
+std::string number_of(const std::string& name) {
+  std::size_t first = name.size();
+  while (first > 0 && is_digit(name[first - 1])) --first;
+  return name.substr(first);
+}
+
+}  // namespace
+
+std::string file_stem(std::string_view path) {
+  const std::size_t slash = path.find_last_of("/\\");
+  if (slash != std::string_view::npos) path.remove_prefix(slash + 1);
+  return std::filesystem::path(path).stem().string();
+}
+
+std::vector<std::string> names_of(const FrameInfo& frame) {
+  std::string flat = frame.name;
+  std::replace(flat.begin(), flat.end(), '/', '_');
+  return {frame.name, flat, file_stem(frame.source)};
+}
+
+void check_pattern(const std::string& pattern, Diagnostics& diagnostics) {
+  const std::string remedy = "write for example \"semantic_class_{number}.png\"; there are {name}, {stem} and {number}";
+  bool has_place = false;
+  for (std::size_t at = pattern.find('{'); at != std::string::npos; at = pattern.find('{', at + 1)) {
+    const std::size_t end = std::min(pattern.find('}', at), pattern.size() - 1);
+    const std::string place = pattern.substr(at, end - at + 1);
+    if (place != "{name}" && place != "{stem}" && place != "{number}") {
+      diagnostics.error("pattern", "'" + place + "' in '" + pattern + "' stands for nothing", remedy);
+      return;
+    }
+    has_place = true;
+  }
+  if (!has_place) diagnostics.error("pattern", "'" + pattern + "' names the same file for every frame", remedy);
+}
+
+std::string path_of(const std::string& folder, const std::string& pattern, const FrameInfo& frame) {
+  std::string out;
+  for (std::size_t at = 0; at < pattern.size();) {
+    if (pattern[at] != '{') {
+      out += pattern[at++];
+      continue;
+    }
+    const std::size_t end = pattern.find('}', at);
+    const std::string place = pattern.substr(at, end - at + 1);
+    const std::string text = place == "{name}"   ? frame.name
+                             : place == "{stem}" ? file_stem(frame.source)
+                                                 : number_of(frame.name);
+    if (text.empty()) return {};
+    out += text;
+    at = end + 1;
+  }
+  return (std::filesystem::path(folder) / out).string();
+}
+
+bool check_folder(const std::string& folder, Diagnostics& diagnostics) {
+  std::error_code ignored;
+  if (folder.empty()) {
+    diagnostics.error("folder", "no folder is named", "set scene.labels.from.folder");
+  } else if (!std::filesystem::is_directory(folder, ignored)) {
+    diagnostics.error("folder", "'" + folder + "' is no folder", "check the path");
+  } else {
+    return true;
+  }
+  return false;
+}
+
+ProblemList::~ProblemList() {
+  if (count_ > kMaxProblems)
+    diagnostics_.error("", std::to_string(count_ - kMaxProblems) + " further problems are not listed");
+}
+
+void ProblemList::error(const std::string& where, const std::string& message, const std::string& remedy) {
+  if (++count_ <= kMaxProblems) diagnostics_.error(where, message, remedy);
+}
+
+void ProblemList::collect(const std::function<void()>& body) {
+  try {
+    body();
+  } catch (const Error& e) {
+    error("", e.message(), e.remedy());
+  }
+}
+
+ClassTable table_for(const std::map<std::string, std::string>& place_of_name, const ClassTable& known,
+                     ProblemList& problems) {
+  if (known.empty()) {
+    std::vector<std::string> names;
+    for (const auto& [name, place] : place_of_name) names.push_back(name);
+    ClassTable built;
+    problems.collect([&] { built = table_of_names(names); });
+    return built;
+  }
+  const ClassNames classes(known);
+  for (const auto& [name, place] : place_of_name) problems.collect([&] { (void)classes.index_of(name, place); });
+  return known;
+}
+
+std::string json_cause(const std::string& message) {
+  const std::size_t end = message.find("] ");
+  return !message.empty() && message[0] == '[' && end != std::string::npos ? message.substr(end + 2) : message;
+}
+
+}  // namespace semfield

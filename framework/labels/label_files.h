@@ -1,0 +1,66 @@
+// What readers of label files share: frames by the names of files, places in patterns, and a bounded list of problems.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "labels/label_steps.h"
+#include "scene/class_names.h"
+
+namespace semfield {
+
+/// File name without folder and extension; '\' counts as a slash, as in files from Windows.
+std::string file_stem(std::string_view path);
+
+/// Names by which label files may call a frame: its name, its name with slashes turned into '_', the stem of its
+/// source.
+std::vector<std::string> names_of(const FrameInfo& frame);
+
+/// The entry of a frame under any of its names, or nullptr.
+template <class T>
+const T* entry_of(const std::map<std::string, T>& entries, const FrameInfo& frame) {
+  for (const std::string& name : names_of(frame)) {
+    if (const auto found = entries.find(name); found != entries.end()) return &found->second;
+  }
+  return nullptr;
+}
+
+/// "{name}" and "{stem}" are the frame's name and the stem of its source, "{number}" the digits at the end of its name.
+/// Reports any other place in braces, and a pattern without one.
+void check_pattern(const std::string& pattern, Diagnostics& diagnostics);
+/// Path of the frame's file, or "" for a frame whose name ends in no digit where the pattern asks for a number.
+std::string path_of(const std::string& folder, const std::string& pattern, const FrameInfo& frame);
+
+/// Reports `what` (the key's name) as missing or as no folder; true when it is one.
+bool check_folder(const std::string& folder, Diagnostics& diagnostics);
+
+/// Passes problems on to `diagnostics`, the first 20 of them; the rest are counted in one line at the end.
+class ProblemList {
+ public:
+  explicit ProblemList(Diagnostics& diagnostics) : diagnostics_(diagnostics) {}
+  ~ProblemList();
+  ProblemList(const ProblemList&) = delete;
+  ProblemList& operator=(const ProblemList&) = delete;
+
+  void error(const std::string& where, const std::string& message, const std::string& remedy = {});
+  /// Runs `body`; an Error that it throws becomes a problem.
+  void collect(const std::function<void()>& body);
+  int count() const { return count_; }
+
+ private:
+  Diagnostics& diagnostics_;
+  int count_ = 0;
+};
+
+/// The table for names found in files, each with the place where it stood first: names that `known` lacks are problems;
+/// without a known table one is built from the names in sorted order.
+ClassTable table_for(const std::map<std::string, std::string>& place_of_name, const ClassTable& known,
+                     ProblemList& problems);
+
+/// A parser's message of nlohmann-json without its number: "parse error at line 1, column 5: ...".
+std::string json_cause(const std::string& message);
+
+}  // namespace semfield

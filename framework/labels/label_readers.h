@@ -1,0 +1,16 @@
+// The kinds of label files that `scene.labels.from` may name; each is made in a file of its own.
+#pragma once
+
+#include <memory>
+
+#include "labels/label_steps.h"
+
+namespace semfield {
+
+std::unique_ptr<LabelReader> make_labelme_reader();
+std::unique_ptr<LabelReader> make_coco_reader();
+std::unique_ptr<LabelReader> make_image_label_reader();
+std::unique_ptr<LabelReader> make_npz_reader();
+std::unique_ptr<LabelReader> make_click_reader();
+
+}  // namespace semfield

@@ -1,0 +1,85 @@
+// Label readers as `scene.labels.from` makes them, on small files of a test.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "config/config_tree.h"
+#include "config/params_read.h"
+#include "labels/label_steps.h"
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield::testing_labels {
+
+/// A reader of `type` with the parameters of a YAML map.
+inline std::unique_ptr<LabelReader> make_reader(const std::string& type, const std::string& yaml) {
+  for (const StepKind<LabelReader>& kind : label_reader_kinds()) {
+    if (kind.type != type) continue;
+    std::unique_ptr<LabelReader> reader = kind.make();
+    Diagnostics diagnostics;
+    read_params(parse_config_text(yaml, "test.yaml"), "scene.labels.from",
+                [&](ParamVisitor& visit) { reader->describe(visit); }, diagnostics);
+    reader->validate(diagnostics);
+    diagnostics.throw_if_errors(ErrorKind::config, "parameters:");
+    return reader;
+  }
+  ADD_FAILURE() << "no reader '" << type << "'";
+  return nullptr;
+}
+
+inline FrameInfo frame_of(const std::string& name, int width = 4, int height = 3) {
+  FrameInfo frame;
+  frame.name = name;
+  frame.source = "/nowhere/" + name + ".png";
+  frame.camera.width_px = width;
+  frame.camera.height_px = height;
+  return frame;
+}
+
+/// wall 1, chair 4, table 7 -> indices 0, 1, 2; id 0 void.
+inline ClassTable room_table() {
+  return ClassTable({{0, "void", {0, 0, 0}, true},
+                     {1, "wall", {10, 20, 30}, false},
+                     {4, "chair", {40, 50, 60}, false},
+                     {7, "table", {70, 80, 90}, false}});
+}
+
+/// Everything that open() reports, one a line.
+inline std::string open_findings(LabelReader& reader, const ClassTable& known) {
+  Diagnostics diagnostics;
+  try {
+    (void)reader.open(known, diagnostics);
+  } catch (const Error& e) {
+    return std::string("thrown: ") + e.what();
+  }
+  std::string out;
+  for (const Diagnostic& d : diagnostics.all()) out += (out.empty() ? "" : "\n") + d.text();
+  return out;
+}
+
+/// Opens with `known`, expecting no finding, and reads.
+inline LabelRaster read_labels(LabelReader& reader, const FrameInfo& frame, const ClassTable& known) {
+  Diagnostics diagnostics;
+  const ClassTable table = reader.open(known, diagnostics);
+  for (const Diagnostic& d : diagnostics.all()) ADD_FAILURE() << d.text();
+  EXPECT_TRUE(reader.has(frame));
+  return reader.read(frame, table);
+}
+
+/// Rows of a raster as text: '.' void, else the index.
+inline std::vector<std::string> rows_of(const LabelRaster& raster) {
+  std::vector<std::string> rows;
+  for (std::int32_t y = 0; y < raster.height_px; ++y) {
+    rows.emplace_back();
+    for (std::int32_t x = 0; x < raster.width_px; ++x) {
+      const std::int16_t c = raster.hard.at(static_cast<std::size_t>(y * raster.width_px + x));
+      rows.back() += c < 0 ? '.' : static_cast<char>('0' + c);
+    }
+  }
+  return rows;
+}
+
+using Rows = std::vector<std::string>;
+
+}  // namespace semfield::testing_labels
