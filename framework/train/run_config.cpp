@@ -79,8 +79,8 @@ void describe(ParamVisitor& visit, ReportParams& p) {
 
 namespace {
 
-constexpr std::array<std::string_view, 8> kTopKeys{"scene", "semantics", "rendering", "passes",
-                                                   "train", "runtime",   "report",    "plugins"};
+constexpr std::array<std::string_view, 9> kTopKeys{"scene",   "semantics", "rendering", "passes", "train",
+                                                   "runtime", "report",    "fuse",      "plugins"};
 
 // Calls `section(key path, params)` for every fixed section of `config`: the one list that reading, writing and
 // documenting share.
@@ -95,6 +95,7 @@ void each_section(Config& config, Fn&& section) {
   section("train.schedule", "learning rate over the steps", config.schedule);
   section("runtime", "device, threads, seed and exact savings", config.runtime);
   section("report", "what is measured and kept while training", config.report);
+  section("fuse", "labels of several views combined by `semfield fuse`", config.fuse);
 }
 
 // Sub-sections of a section, which are keys of its map but no parameters.
@@ -275,6 +276,7 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
         *node, path, [&](ParamVisitor& visit) { describe(visit, params); }, diagnostics, nested_keys(path));
   });
   validate(config.rendering, diagnostics);
+  validate(config.fuse, diagnostics);
   read_passes(tree, registry, config, diagnostics);
   return config;
 }

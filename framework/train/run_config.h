@@ -19,6 +19,7 @@
 #include "optim/schedule.h"
 #include "plugin/registry.h"
 #include "scene/frame_source.h"
+#include "train/fusion_params.h"
 
 namespace semfield {
 
@@ -124,6 +125,7 @@ struct RunConfig {
   ScheduleParams schedule;
   RuntimeParams runtime;
   ReportParams report;
+  FusionParams fuse;
   std::vector<std::string> plugins;  ///< loadable modules, absolute paths
 };
 
