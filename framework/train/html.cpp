@@ -103,7 +103,7 @@ h2{font-size:1.3rem;margin:0 0 4px;letter-spacing:-.01em}
 .scroll{overflow-x:auto}
 table{border-collapse:collapse;width:100%;font-size:.93rem}
 th,td{text-align:left;padding:9px 16px;border-bottom:1px solid var(--line);vertical-align:top}
-tr:last-child>td,tr:last-child>th{border-bottom:0}
+tbody tr:last-child>td,tbody tr:last-child>th{border-bottom:0}
 thead th{color:var(--soft);font-weight:600;font-size:.82rem;white-space:nowrap}
 tbody th{font-weight:500}
 td.num,th.num{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
@@ -124,7 +124,7 @@ svg .rf{fill:none;stroke:var(--soft);stroke-width:1.5;stroke-dasharray:3 4}
 svg .br{stroke:none;opacity:.22}
 svg .eb{stroke-width:1.5}
 svg .mk{fill:var(--card);stroke-width:2}
-svg .end{font-weight:650}
+svg .end{font-weight:650;stroke:var(--card);stroke-width:3px;paint-order:stroke}
 .legend{display:flex;flex-wrap:wrap;gap:4px 22px;margin:0 0 12px;padding:0;list-style:none;font-size:.92rem}
 .legend li{display:flex;align-items:center;gap:8px}
 .legend svg{width:34px;height:10px;flex:none}
@@ -144,9 +144,39 @@ svg .end{font-weight:650}
 .imgs{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:12px}
 .imgs img{display:block;width:100%;height:auto;border-radius:6px;background:var(--grid)}
 .imgs figcaption{font-weight:400;font-size:.82rem;color:var(--soft);padding:5px 0 0}
+h3{font-size:1.05rem;margin:24px 0 2px}
+.after{margin:12px 0 0}
+.note{margin:0;padding:2px 4px 8px}
+.below{margin-top:14px}
+.pick{margin:0 7px 0 2px;accent-color:var(--accent);vertical-align:-1px}
+.pick+label{font-size:.92rem}
+.pick~.plots{margin-top:12px}
+.plots+.panel,.pick~.panel{margin-top:16px}
+.pick~.two,.pick:checked~.one{display:none}
+.pick:checked~.two{display:grid}
+.pad{padding:14px 18px 16px}
+.words{margin:0 0 18px;display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,380px),1fr));gap:12px 32px}
+.words ul{margin:0;padding:0;list-style:none;font-size:.95rem}
+.words li{padding:3px 0}
+.words .sw{margin-right:6px;margin-left:2px}
+h4{margin:0 0 4px;font-size:.85rem;font-weight:600;color:var(--soft)}
+thead th.grp{text-align:center;border-left:1px solid var(--line)}
+.cm{width:auto;font-size:.82rem;border-collapse:separate;border-spacing:1px}
+.cm th,.cm td{padding:3px 4px;border:0;text-align:center;min-width:30px;font-variant-numeric:tabular-nums}
+.cm td{background:var(--grid);border-radius:3px}
+.cm td.num{background:none;text-align:right;color:var(--soft);padding-left:10px}
+.cm td.no{background:color-mix(in srgb,var(--s1) var(--p),var(--grid))}
+.cm td.ok{background:color-mix(in srgb,var(--s2) var(--p),var(--grid))}
+.cm th.row{position:sticky;left:0;background:var(--card);text-align:left;white-space:nowrap;padding-right:12px;font-weight:500}
+.cm thead th{vertical-align:bottom;color:var(--ink);font-weight:500}
+.cm thead th.row{color:var(--soft)}
+.cm thead th .v{writing-mode:vertical-rl;transform:rotate(180deg);white-space:nowrap}
+.cm thead .sw{margin:0 0 5px}
 details{padding:12px 18px}
+figure details{padding:0 4px 10px}
+figure details th,figure details td{padding:6px 8px}
 summary{cursor:pointer;font-weight:600;font-size:.95rem}
-details+details{border-top:1px solid var(--line)}
+.panel>details+details{border-top:1px solid var(--line)}
 pre{overflow-x:auto;margin:12px 0 2px;font:13px/1.5 ui-monospace,"DejaVu Sans Mono","Liberation Mono",Menlo,Consolas,monospace}
 td.code{font:13px/1.5 ui-monospace,"DejaVu Sans Mono","Liberation Mono",Menlo,Consolas,monospace;overflow-wrap:anywhere}
 footer{padding-top:36px;padding-bottom:44px;color:var(--soft);font-size:.85rem}

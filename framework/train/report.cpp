@@ -7,6 +7,7 @@
 
 #include "core/check.h"
 #include "train/html.h"
+#include "train/report_parts.h"
 #include "train/report_sections.h"
 
 namespace semfield {
@@ -27,16 +28,20 @@ std::string chosen_split(const ReportInput& input) {
 std::string make_report(const ReportInput& input) {
   SEMFIELD_CHECK(!input.runs.empty(), "a report is about at least one run");
   const std::string split = chosen_split(input);
+  const std::string of_first = input.runs.size() > 1 ? " Pictures are of " + html_escape(input.runs.front().name) + "." : std::string();
   struct Part {
     const char *id, *name;
     std::string html;
   };
-  const std::array<Part, 7> parts{{
+  const std::array<Part, 10> parts{{
       {"figures", "Figures", figures_section(input, split)},
       {"curves", "Error against run time", curves_section(input, split)},
+      {"labels", "Labels", labels_section(input, split)},
       {"classes", "Classes", classes_section(input, split)},
-      {"frames", "Frames", strips_section(input.strips, "frames", "Rendered frames", "Entropy runs over its full range, 0 to ln C; depth is bright where near.")},
-      {"worst", "Worst frames", strips_section(input.worst, "worst", "Worst frames", "The frames with the lowest scores, worst first.")},
+      {"confusion", "Confusions", confusion_section(input)},
+      {"calibration", "Calibration", calibration_section(input)},
+      {"frames", "Frames", strips_section(input.strips, "frames", "Rendered frames", "Entropy runs over its full range, 0 to ln C; depth is bright where near." + of_first)},
+      {"worst", "Worst frames", worst_section(input, of_first)},
       {"left-out", "Left out", left_out_section(input)},
       {"setup", "Set-up", environment_section(input)},
   }};
@@ -56,7 +61,7 @@ std::string make_report(const ReportInput& input) {
   }
   page += "</nav>\n" + cards_section(input, split) + "</header>\n<main>\n";
   for (const Part& part : parts) page += part.html;
-  page += "</main>\n<footer>Made by Semfield from metrics.jsonl; the same files give the same bytes.</footer>\n</body>\n</html>\n";
+  page += "</main>\n<footer>Made by Semfield from the run folder’s files; the same files give the same bytes.</footer>\n</body>\n</html>\n";
   return page;
 }
 

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "train/final_eval.h"
 #include "train/metrics_log.h"
 #include "train/run_folder.h"
 
@@ -40,6 +41,8 @@ struct ReportRun {
   std::string config;            ///< resolved YAML; may be empty
   ReportFacts environment;
   std::vector<LeftOutRow> left_out;
+  std::optional<LabelCounts> labels;  ///< of labels.json
+  std::optional<FinalEval> eval;      ///< of final_eval.json
 };
 
 struct ReportInput {
@@ -62,8 +65,8 @@ struct WorstFrame {
 std::string worst_frames_json(const std::vector<WorstFrame>& frames);
 std::vector<WorstFrame> parse_worst_frames(std::string_view json, const std::string& name);
 
-/// What a report needs, read from run folders: metrics.jsonl, run.yaml, environment.json, left_out.json, classes.yaml
-/// and the images render/<split>/<frame>_{rgb_truth,rgb,label_truth_vis,label_vis,entropy_vis,depth_vis}.png of the
+/// What a report needs, read from run folders: metrics.jsonl, run.yaml, environment.json, left_out.json, labels.json,
+/// final_eval.json, classes.yaml and the images render/<split>/<frame>_{rgb_truth,rgb,label_truth_vis,label_vis,entropy_vis,depth_vis}.png of the
 /// first run: those that its worst_frames.json names, and at most `most_frames` others, evenly chosen. Only metrics.jsonl must be there. Names are the folders',
 /// made unique.
 ReportInput read_report_input(const std::vector<std::string>& run_folders, int most_frames = 4);

@@ -103,6 +103,10 @@ ReportInput read_report_input(const std::vector<std::string>& run_folders, int m
     if (!environment.empty()) run.environment = parse_environment(environment, folder.environment_path());
     const std::string left_out = text_or_empty(folder.left_out_path());
     if (!left_out.empty()) run.left_out = parse_left_out(left_out, folder.left_out_path());
+    const std::string labels = text_or_empty(folder.labels_path());
+    if (!labels.empty()) run.labels = parse_label_counts(labels, folder.labels_path());
+    const std::string eval = text_or_empty(folder.final_eval_path());
+    if (!eval.empty()) run.eval = parse_final_eval(eval, folder.final_eval_path());
     names.push_back(run.name);
     input.runs.push_back(std::move(run));
   }

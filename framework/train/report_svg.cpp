@@ -14,7 +14,7 @@ namespace semfield {
 namespace {
 
 constexpr double kWidth = 540, kHeight = 290;
-constexpr double kLeft = 54, kRight = 60, kTop = 14, kBottom = 46;
+constexpr double kLeft = 54, kRight = 66, kTop = 14, kBottom = 46;
 constexpr int kColors = 8;
 constexpr std::array<const char*, 4> kDashes{"", "7 5", "2 5", "10 4 2 4"};
 
@@ -204,6 +204,22 @@ std::string draw_error_bar(const PlotPoint& p, int color, const Axis& x, const A
   return line(at, low, at, high, paint) + line(at - 4, low, at + 4, low, paint) + line(at - 4, high, at + 4, high, paint);
 }
 
+// On the line as it is drawn, whatever the axes: between two points it is straight in pixels.
+std::string draw_mark(const PlotMark& mark, const PlotSeries& series, const Axis& x, const Axis& y) {
+  const auto after = std::find_if(series.points.begin(), series.points.end(), [&](const PlotPoint& p) { return p.x >= mark.x; });
+  if (after == series.points.end() || (after == series.points.begin() && after->x > mark.x)) return {};
+  const double cx = x.at(mark.x);
+  double cy = y.at(after->y);
+  if (after != series.points.begin() && after->x > mark.x) {
+    const PlotPoint& before = *(after - 1);
+    cy = y.at(before.y) + (cx - x.at(before.x)) / (x.at(after->x) - x.at(before.x)) * (cy - y.at(before.y));
+  }
+  const double r = mark.diamond ? 7 : 5.5;
+  const std::string shape = mark.diamond ? fmt::format("<path d=\"M{} {}L{} {}L{} {}L{} {}Z\"", px(cx - r), px(cy), px(cx), px(cy - r), px(cx + r), px(cy), px(cx), px(cy + r))
+                                         : fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"{}\"", px(cx), px(cy), px(r));
+  return fmt::format("{} class=\"mk\" stroke=\"var(--s{})\"><title>{}</title></{}>\n", shape, series.color % kColors, html_escape(mark.text), mark.diamond ? "path" : "circle");
+}
+
 std::string draw_series(const PlotSpec& spec, const PlotSeries& series, const Axis& x, const Axis& y) {
   std::string out, path;
   for (const PlotPoint& p : series.points) path += fmt::format("{}{},{}", path.empty() ? "" : " ", px(x.at(p.x)), px(y.at(p.y)));
@@ -213,16 +229,10 @@ std::string draw_series(const PlotSpec& spec, const PlotSeries& series, const Ax
     const PlotPoint& p = series.points[i];
     if (has_bar(p)) out += draw_error_bar(p, series.color, x, y);
     if (!spec.markers && i + 1 != series.points.size()) continue;
-    out += fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"3\" fill=\"var(--s{})\"><title>{}: {}</title></circle>\n", px(x.at(p.x)), px(y.at(p.y)),
-                       series.color % kColors, html_escape(series.name), html_escape(point_text(p, spec.digits)));
+    out += fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"{}\" fill=\"var(--s{})\"><title>{}: {}</title></circle>\n", px(x.at(p.x)), px(y.at(p.y)),
+                       series.points.size() == 1 ? 5 : 3, series.color % kColors, html_escape(series.name), html_escape(point_text(p, spec.digits)));
   }
-  for (const PlotMark& mark : series.marks) {
-    if (!drawable({mark.x, mark.y}, spec)) continue;
-    const double cx = x.at(mark.x), cy = y.at(mark.y), r = mark.diamond ? 7 : 5.5;
-    const std::string shape = mark.diamond ? fmt::format("<path d=\"M{} {}L{} {}L{} {}L{} {}Z\"", px(cx - r), px(cy), px(cx), px(cy - r), px(cx + r), px(cy), px(cx), px(cy + r))
-                                           : fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"{}\"", px(cx), px(cy), px(r));
-    out += fmt::format("{} class=\"mk\" stroke=\"var(--s{})\"><title>{}</title></{}>\n", shape, series.color % kColors, html_escape(mark.text), mark.diamond ? "path" : "circle");
-  }
+  for (const PlotMark& mark : series.marks) out += draw_mark(mark, series, x, y);
   return out;
 }
 
@@ -303,7 +313,8 @@ std::string line_plot(const PlotSpec& spec) {
   out += grid(spec, x, y, x_ticks, y_ticks);
   for (const PlotSeries& series : drawn) out += draw_bars(series, x, y);
   for (const PlotSeries& series : drawn) out += draw_series(spec, series, x, y);
-  return out + end_labels(spec, drawn, x, y) + "</svg>\n";
+  if (spec.end_values) out += end_labels(spec, drawn, x, y);
+  return out + "</svg>\n";
 }
 
 }  // namespace semfield

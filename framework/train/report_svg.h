@@ -14,9 +14,9 @@ struct PlotPoint {
   std::optional<double> low = {}, high = {};
 };
 
-/// A place on a curve that is pointed out.
+/// A place on a series' line, within its first and last point, that is pointed out.
 struct PlotMark {
-  double x = 0, y = 0;
+  double x = 0;
   bool diamond = false;  ///< else a ring
   std::string text;      ///< tooltip
 };
@@ -47,6 +47,7 @@ struct PlotSpec {
   int digits = 3;        ///< significant digits of the values shown
   std::vector<PlotSeries> series;
   bool log_x = false;                                   ///< points with x <= 0 are then left out
+  bool end_values = true;                               ///< the last value of each series beside its end
   std::optional<PlotRange> x_range = {}, y_range = {};  ///< of a linear axis; empty: from the points (x from 0)
 };
 
