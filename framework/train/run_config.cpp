@@ -75,6 +75,7 @@ void describe(ParamVisitor& visit, ReportParams& p) {
   SEMFIELD_PARAM(visit, p, strips, "test frames shown in the report", {0, 64});
   SEMFIELD_PARAM(visit, p, score_training_frames,
                  "at the end also score the training frames against the scene's own labels, and the labels given");
+  SEMFIELD_PARAM(visit, p, worst_frames, "test frames with the lowest scores shown in the report", {0, 64});
 }
 
 namespace {

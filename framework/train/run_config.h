@@ -97,6 +97,7 @@ struct ReportParams {
   int keep_checkpoints = 2;
   int strips = 4;
   bool score_training_frames = false;
+  int worst_frames = 2;
 };
 void describe(ParamVisitor& visit, ReportParams& params);
 

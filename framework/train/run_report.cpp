@@ -45,19 +45,17 @@ void ReportFrames::add(const FrameScore& score, const RenderedFrame& maps) {
   if (std::find(shown_.begin(), shown_.end(), score.frame) != shown_.end()) strips_.emplace_back(score, maps);
   const auto place =
       std::find_if(worst_.begin(), worst_.end(), [&](const auto& kept) { return score.worse_than(kept.first); });
-  if (place == worst_.end() && worst_.size() == kWorst) return;
+  if (place == worst_.end() && worst_.size() == most_worst_) return;
   worst_.emplace(place, score, maps);
-  if (worst_.size() > kWorst) worst_.pop_back();
+  if (worst_.size() > most_worst_) worst_.pop_back();
 }
 
 std::string write_run_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) {
   std::vector<WorstFrame> worst;
   for (const auto& [score, maps] : frames.strips()) write_strip(folder, session, score.frame, maps);
-  if (!frames.strips().empty()) {  // a report without pictures shows none of these either
-    for (const auto& [score, maps] : frames.worst()) {
-      write_strip(folder, session, score.frame, maps);
-      worst.push_back({score.name, score_text(score)});
-    }
+  for (const auto& [score, maps] : frames.worst()) {
+    write_strip(folder, session, score.frame, maps);
+    worst.push_back({score.name, score_text(score)});
   }
   write_file_atomic(folder.worst_frames_path(), worst_frames_json(worst));
   write_file_atomic(folder.report_path(),

@@ -13,18 +13,19 @@ namespace semfield {
 /// Frames of an evaluation that a report shows, with their maps.
 class ReportFrames {
  public:
-  static constexpr std::size_t kWorst = 2;
+  ReportFrames() = default;
   /// `shown`: frames to keep in any case.
-  explicit ReportFrames(std::vector<int> shown = {}) : shown_(std::move(shown)) {}
+  ReportFrames(std::vector<int> shown, int most_worst) : shown_(std::move(shown)), most_worst_(static_cast<std::size_t>(most_worst)) {}
   void add(const FrameScore& score, const RenderedFrame& maps);
 
   using Kept = std::vector<std::pair<FrameScore, RenderedFrame>>;
   const Kept& strips() const { return strips_; }
-  /// Worst first, at most kWorst.
+  /// Worst first, at most `most_worst`.
   const Kept& worst() const { return worst_; }
 
  private:
   std::vector<int> shown_;
+  std::size_t most_worst_ = 0;
   Kept strips_, worst_;
 };
 

@@ -183,7 +183,7 @@ class Run {
     EvalJob job = session_.eval_job(evenly_spaced(test, most_frames));
     if (!last && hooks_.stop_signal) job.stop = [this] { return hooks_.stop_signal() != 0; };
     if (last) {
-      report_frames_ = ReportFrames(evenly_spaced(test, session_.config.report.strips));
+      report_frames_ = ReportFrames(evenly_spaced(test, session_.config.report.strips), session_.config.report.worst_frames);
       job.on_frame = [this](const FrameScore& score, const RenderedFrame& maps) { report_frames_.add(score, maps); };
     }
     const SplitScore score = evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);

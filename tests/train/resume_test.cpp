@@ -5,9 +5,11 @@
 #include <filesystem>
 #include <fstream>
 
+#include "core/files.h"
 #include "core/parallel.h"
 #include "tests/train/train_testing.h"
 #include "train/checkpoint_store.h"
+#include "train/final_eval.h"
 #include "train/metrics_log.h"
 #include "train/run_report.h"
 #include "train/train_run.h"
@@ -118,10 +120,23 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
       evaluate(*opened.session.pipeline, opened.session.eval_job(opened.session.scene.frames_of(Split::test)),
                opened.session.limits, opened.session.plan.class_of_logit);
   EXPECT_EQ(*score.color.psnr_db(), psnr);
-  ReportFrames frames({score.frames[0].frame});
+  // What the run folder tells of its last evaluation is that evaluation.
+  const FinalEval stored = parse_final_eval(read_text_file(request.out_dir + "/final_eval.json"), "final_eval.json");
+  EXPECT_EQ(stored.step, 200);
+  EXPECT_EQ(stored.confusion, final_eval(score, opened.session.scene.info.classes, "test").confusion);
+  EXPECT_NEAR(*stored.ece(), *score.calibration.ece(), 1e-12);
+  ASSERT_EQ(stored.frames.size(), score.frames.size());
+  EXPECT_EQ(stored.frames[0].psnr_db, score.frames[0].psnr_db);
+  const LabelCounts labels = parse_label_counts(read_text_file(request.out_dir + "/labels.json"), "labels.json");
+  EXPECT_EQ(labels.labelled_frames, opened.session.manifest.labelled_frames);
+  EXPECT_GT(labels.labelled_px, 0);
+  ReportFrames none({}, 0);
+  for (const FrameScore& row : score.frames) none.add(row, {});
+  EXPECT_TRUE(none.strips().empty() && none.worst().empty());
+  ReportFrames frames({score.frames[0].frame}, 2);
   for (const FrameScore& row : score.frames) frames.add(row, {});
   EXPECT_EQ(frames.strips().size(), 1u);
-  ASSERT_EQ(frames.worst().size(), std::min(ReportFrames::kWorst, score.frames.size()));
+  ASSERT_EQ(frames.worst().size(), std::min<std::size_t>(2, score.frames.size()));
   for (const FrameScore& row : score.frames) {
     EXPECT_FALSE(row.worse_than(frames.worst()[0].first)) << row.name;
   }
