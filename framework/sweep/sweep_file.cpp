@@ -84,6 +84,13 @@ class Reader {
     return node->text() == "true";
   }
 
+  std::string base_file(const ConfigNode& node) {
+    const std::string path = resolve_path(node);
+    if (!std::filesystem::is_regular_file(path))
+      error(node, "base: no file '" + path + "'", "paths are relative to the file that writes them");
+    return path;
+  }
+
   std::vector<ConfigOverride> overrides(const ConfigNode* node, const std::string& path) {
     std::vector<ConfigOverride> out;
     if (node == nullptr || node->is_null()) return out;
@@ -134,9 +141,7 @@ class Reader {
         error(node, path + ": no base configuration", "write base: FILE for the scene or for all");
         continue;
       }
-      scene.base = resolve_path(*file);
-      if (!std::filesystem::is_regular_file(scene.base))
-        error(*file, "base: no file '" + scene.base + "'", "paths are relative to the file that writes them");
+      scene.base = base_file(*file);
       scene.set = overrides(node.is_map() ? node.find("set") : nullptr, path + ".set");
       scene.pack = flag(node, path, "pack");
       e.scenes.push_back(std::move(scene));
@@ -159,8 +164,9 @@ class Reader {
       const std::string path = "variants." + name;
       SweepVariant v;
       v.name = name;
-      if (!node.is_map() && !node.is_null()) error(node, path + ": expected a map {set, x, paper, fuse}");
-      known_keys(node, path, {"set", "x", "paper", "fuse"});
+      if (!node.is_map() && !node.is_null()) error(node, path + ": expected a map {base, set, x, paper, fuse}");
+      known_keys(node, path, {"base", "set", "x", "paper", "fuse"});
+      if (const ConfigNode* file = node.find("base"); file != nullptr) v.base = base_file(*file);
       v.set = overrides(node.find("set"), path + ".set");
       v.x = number(node, path, "x");
       v.paper = number(node, path, "paper");

@@ -19,6 +19,7 @@ struct FuseCell {
 /// A row of an experiment's table.
 struct SweepVariant {
   std::string name;
+  std::string base;  ///< replaces the scene's configuration file; empty: it does not
   std::vector<ConfigOverride> set;
   std::optional<double> x;      ///< abscissa of the experiment's plot
   std::optional<double> paper;  ///< figure to print beside, of the experiment's paper metric

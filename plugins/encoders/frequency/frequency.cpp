@@ -13,6 +13,8 @@ void describe(ParamVisitor& visit, FrequencyParams& p) {
   SEMFIELD_PARAM(visit, p, frequencies, "L, number of bands [Mildenhall20 Eq. 4]", {0, 40});
   SEMFIELD_PARAM(visit, p, include_input, "put the coordinates themselves before the bands");
   SEMFIELD_PARAM(visit, p, angular, "angle of band k: 2^k x (radian) or 2^k pi x (pi)");
+  SEMFIELD_PARAM(visit, p, arithmetic,
+                 "what is rounded to fp32 for comparison: nothing, the coordinates, or angles too (naive)");
 }
 
 void validate(const FrequencyParams& p, Diagnostics& diagnostics) {
@@ -35,7 +37,7 @@ int effective_bands(double delta_x, Angular angular) {
 template <class Real>
 Frequency<Real>::Frequency(const FrequencyParams& params, const EncoderBuild& build, const KernelTables& kernels)
     : kernels_(&kernels.get<FrequencyKernels<Real>>(build.device, "encoder 'frequency'")),
-      shape_{build.in_dims, params.frequencies, params.include_input, params.angular} {
+      shape_{build.in_dims, params.frequencies, params.include_input, params.angular, params.arithmetic} {
   if (build.in_dims < 1 || build.in_dims > kFrequencyMaxDims) {
     throw Error(ErrorKind::config, "encoder 'frequency' takes 1 to " + std::to_string(kFrequencyMaxDims) +
                                        " coordinates, got " + std::to_string(build.in_dims));

@@ -16,11 +16,17 @@ struct FrequencyParams {
   int frequencies = 10;
   bool include_input = true;
   Angular angular = Angular::radian;
+  Arithmetic arithmetic = Arithmetic::float64;
 };
 
 template <>
 struct ChoiceNames<Angular> {
   static constexpr std::array<std::string_view, 2> names{"radian", "pi"};
+};
+
+template <>
+struct ChoiceNames<Arithmetic> {
+  static constexpr std::array<std::string_view, 3> names{"float64", "float32", "naive"};
 };
 
 void describe(ParamVisitor& visit, FrequencyParams& params);
@@ -36,6 +42,7 @@ int effective_bands(double delta_x, Angular angular);
 /// (D)]. a = 1 (radian, the paper's) or pi. x [M, D] float64; |x| at most 2^30, else (or NaN) Error(data) naming the
 /// row. Error of a value: 1.2e-7 in float for every band up to k = 39 and |x| up to 2^20; in double 2e-16 for phases
 /// 2^k |x| up to 2^30, growing to 1e-14 at 2^59 (the reciprocal of 2 pi is kept to 107 bits). [Mildenhall20 Eq. 4]
+/// These bounds hold for Arithmetic::float64; the other two exist to measure what rounding costs.
 template <class Real>
 class Frequency final : public Encoder<Real> {
  public:

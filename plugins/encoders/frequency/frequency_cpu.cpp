@@ -20,6 +20,7 @@ constexpr std::int32_t kLanes = 16;  // loops run over whole groups, so a row's 
 struct Block {
   alignas(64) double hi[kBlockValues];
   alignas(64) double lo[kBlockValues];
+  alignas(64) double x[kBlockValues];
   std::int32_t values = 0;
   std::int32_t padded = 0;
 };
@@ -29,7 +30,7 @@ std::int64_t rows_per_block(const FrequencyShape& shape) { return kBlockValues /
 /// Fills the block with the phases of rows [begin, begin + rows); false when a coordinate cannot be encoded.
 bool load_block(const FrequencyShape& shape, View<const double> x, std::int64_t begin, std::int64_t rows,
                 Block& block) {
-  alignas(64) double flat[kBlockValues];
+  double* flat = block.x;
   std::int32_t n = 0;
   for (std::int64_t r = 0; r < rows; ++r) {
     const double* from = x.row(begin + r);
@@ -38,6 +39,9 @@ bool load_block(const FrequencyShape& shape, View<const double> x, std::int64_t 
   block.values = n;
   block.padded = (n + kLanes - 1) / kLanes * kLanes;
   for (std::int32_t i = n; i < block.padded; ++i) flat[i] = 0;
+  if (shape.arithmetic != Arithmetic::float64) {
+    for (std::int32_t i = 0; i < n; ++i) flat[i] = static_cast<double>(static_cast<float>(flat[i]));
+  }
   std::int32_t bad = 0;
   for (std::int32_t i = 0; i < block.padded; ++i) {
     bad |= std::fabs(flat[i]) <= kFrequencyLimit ? 0 : 1;  // written so that NaN is bad
@@ -57,8 +61,17 @@ std::int64_t first_bad_row(View<const double> x) {
   return -1;
 }
 
+double angular_factor(const FrequencyShape& shape) { return shape.angular == Angular::pi ? 3.141592653589793 : 1.0; }
+
 template <class Real>
-void band(const Block& block, double scale, Real* __restrict sine, Real* __restrict cosine) {
+void band(const FrequencyShape& shape, const Block& block, double scale, Real* __restrict sine,
+          Real* __restrict cosine) {
+  if (shape.arithmetic == Arithmetic::naive) {
+    const double factor = angular_factor(shape) * scale;
+    for (std::int32_t i = 0; i < block.padded; ++i)
+      sincos_of_turns<Real>(naive_turns_of(block.x[i], factor), 1.0, sine[i], cosine[i]);
+    return;
+  }
   for (std::int32_t i = 0; i < block.padded; ++i) {
     sincos_of_turns<Real>({block.hi[i], block.lo[i]}, scale, sine[i], cosine[i]);
   }
@@ -91,7 +104,7 @@ std::int64_t forward(const FrequencyShape& shape, View<const double> x, View<Rea
     }
     double scale = 1;
     for (std::int32_t k = 0; k < shape.frequencies; ++k, scale *= 2) {
-      band<Real>(block, scale, sine, cosine);
+      band<Real>(shape, block, scale, sine, cosine);
       Real* to = y.row(begin) + first + 2 * shape.dims * k;
       if (shape.dims == 3) {
         store_band<Real, 3>(shape, rows, sine, cosine, to, y.row_stride);
@@ -122,9 +135,9 @@ void backward_block(const FrequencyShape& shape, View<const double> x, View<cons
     }
   }
   double scale = 1;
-  const double a = shape.angular == Angular::pi ? 3.141592653589793 : 1.0;
+  const double a = angular_factor(shape);
   for (std::int32_t k = 0; k < shape.frequencies; ++k, scale *= 2) {
-    band<Real>(block, scale, sine, cosine);
+    band<Real>(shape, block, scale, sine, cosine);
     for (std::int64_t r = 0; r < rows; ++r) {
       const Real* d_sine = dy.row(begin + r) + first + 2 * dims * k;
       const Real* d_cosine = d_sine + dims;

@@ -13,6 +13,7 @@ struct FrequencyShape {
   std::int32_t frequencies = 10;
   bool include_input = true;
   Angular angular = Angular::radian;
+  Arithmetic arithmetic = Arithmetic::float64;
 };
 
 /// Most coordinates of an input row.

@@ -11,6 +11,10 @@ namespace semfield {
 /// Meaning of the angle: sin(2^k x) (radian) or sin(2^k pi x) (pi).
 enum class Angular : std::uint8_t { radian, pi };
 
+/// What is rounded to fp32 before a phase is reduced. float64: nothing. float32: the coordinate, the reduction stays
+/// exact. naive: the coordinate, the factor a 2^k and their product, as sin(float) of a plain fp32 program has them.
+enum class Arithmetic : std::uint8_t { float64, float32, naive };
+
 /// Coordinates farther out are refused: no scene has them, and they would only hide a broken pose.
 inline constexpr double kFrequencyLimit = 1073741824.0;  // 2^30
 
@@ -26,6 +30,11 @@ SEMFIELD_HD inline Turns turns_of(double x, Angular angular) {
   if (angular == Angular::pi) return {0.5 * x, 0.0};
   const double hi = x * c0;
   return {hi, std::fma(x, c0, -hi) + x * c1};
+}
+
+/// Phase of band k where everything is rounded to fp32: the angle fl(fl(a 2^k) fl(x)) in radians; `factor` = a 2^k.
+SEMFIELD_HD inline Turns naive_turns_of(double x, double factor) {
+  return turns_of(static_cast<double>(static_cast<float>(factor) * static_cast<float>(x)), Angular::radian);
 }
 
 /// sin z on [-pi/4, pi/4]: Taylor polynomial whose first dropped term is below a quarter of Real's last bit.

@@ -190,5 +190,35 @@ TEST(Frequency, KnowsItsEffectiveBands) {
   EXPECT_THROW(effective_bands(0, Angular::radian), Error);
 }
 
+// The arms of the rounding experiment: a rounded coordinate reduced exactly, and the plain fp32 program.
+TEST(Frequency, ArmsRoundWhatTheySay) {
+  const std::vector<double> x{0.73120349871234, -0.98711112223334, 0.1};
+  KernelTables tables;
+  frequency_kernels(tables);
+  const int bands = 20;
+  for (const Angular angular : {Angular::radian, Angular::pi}) {
+    const double a = angular == Angular::pi ? 3.141592653589793 : 1.0;
+    const Frequency<float> rounded({bands, false, angular, Arithmetic::float32}, EncoderBuild{}, tables);
+    const Frequency<float> naive({bands, false, angular, Arithmetic::naive}, EncoderBuild{}, tables);
+    std::vector<double> x32;
+    for (const double v : x) x32.push_back(static_cast<float>(v));
+    const auto exact = encode<float>(make<float>(bands, angular, false), x32);
+    EXPECT_EQ(encode<float>(rounded, x), exact);
+    const auto plain = encode<float>(naive, x);
+    double apart = 0;
+    for (int k = 0; k < bands; ++k) {
+      for (std::size_t c = 0; c < 3; ++c) {
+        const float product = static_cast<float>(std::ldexp(a, k)) * static_cast<float>(x[c]);
+        const std::size_t at = 6 * static_cast<std::size_t>(k) + c;
+        EXPECT_NEAR(plain[at], std::sin(static_cast<double>(product)), 2e-7) << k;
+        EXPECT_NEAR(plain[at + 3], std::cos(static_cast<double>(product)), 2e-7) << k;
+        apart = std::max(apart, std::fabs(static_cast<double>(plain[at]) - exact[at]));
+      }
+    }
+    // 2^k x is exact in fp32, 2^k pi x is not: rounding doubles its phase error a band.
+    EXPECT_TRUE(angular == Angular::radian ? apart < 1e-6 : apart > 1e-2) << apart;
+  }
+}
+
 }  // namespace
 }  // namespace semfield
