@@ -118,6 +118,17 @@ void add_degrade(CLI::App& root, AppContext& context, Choice& choice) {
   });
 }
 
+void add_fuse(CLI::App& root, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<FuseOptions>();
+  CLI::App* verb = root.add_subcommand("fuse", "combine predictions of several views by depth, and score them");
+  config_options(verb, options->config);
+  verb->add_option("--method", options->method, "monocular, bayesian, average, with commas (default: fuse.methods)");
+  verb->add_option("--depth", options->depth, "true or learned (default: fuse.depth)");
+  verb->add_option("--depth-from", options->depth_from, "run folder whose field gives the depth, and a row of its own");
+  verb->add_option("--out", options->out, "folder for the fused maps and fuse.json");
+  verb->callback([&context, &choice, options] { choice = [&context, options] { return run_fuse(*options, context); }; });
+}
+
 void add_config_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* group = root.add_subcommand("config", "check, explain and compare configurations");
   group->require_subcommand(1);
@@ -199,6 +210,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   add_sweep(root, context, choice);
   add_scene_verbs(root, context, choice);
   add_degrade(root, context, choice);
+  add_fuse(root, context, choice);
   add_config_verbs(root, context, choice);
   add_plugins_verbs(root, context, choice);
   add_bench_verbs(root, context, choice);

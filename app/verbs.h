@@ -66,6 +66,15 @@ int run_sweep(const SweepOptions& options, AppContext& context);
 
 int run_report(const std::vector<std::string>& runs, const std::string& out, AppContext& context);
 
+struct FuseOptions {
+  ConfigOptions config;
+  std::string method;      ///< names with commas; replaces fuse.methods
+  std::string depth;       ///< true or learned; replaces fuse.depth
+  std::string depth_from;  ///< run folder
+  std::string out;
+};
+int run_fuse(const FuseOptions& options, AppContext& context);
+
 int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context);
 int run_capture(const ConfigOptions& options, const std::string& out, AppContext& context);
 int run_degrade(const ConfigOptions& options, const std::string& out, AppContext& context);

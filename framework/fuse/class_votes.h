@@ -23,8 +23,8 @@ class ClassVotes {
   ClassVotes(int classes, double floor, HardLikelihood hard);
 
   void clear();
-  /// Probabilities of a view [classes], some above 0. They need not sum to 1: what is missing belongs to no class of the
-  /// table.
+  /// Probabilities of a view [classes], some above 0. They need not sum to 1: what is missing belongs to no class of
+  /// the table.
   void add(std::span<const double> probability);
   /// A label of a view, in [0, classes).
   void add(std::int16_t label);

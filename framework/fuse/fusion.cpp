@@ -22,9 +22,10 @@ void check_view(const FusionView& view, std::size_t index, int classes) {
                  "a view's probabilities are of the scene's classes");
   for (std::size_t i = 0; i < prediction.hard.size(); ++i) {
     if (prediction.hard[i] >= kVoid && prediction.hard[i] < classes) continue;
-    throw Error(ErrorKind::data,
-                fmt::format("view {}: pixel {} has class index {}, there are {}", index, i, prediction.hard[i], classes),
-                "predict with the scene's class table");
+    throw Error(
+        ErrorKind::data,
+        fmt::format("view {}: pixel {} has class index {}, there are {}", index, i, prediction.hard[i], classes),
+        "predict with the scene's class table");
   }
 }
 
@@ -153,8 +154,11 @@ FusedFrame LabelFusion::fuse(int target) const {
   std::vector<FusionCounts> counts(static_cast<std::size_t>(camera.height_px));
   const auto classes = static_cast<std::size_t>(classes_);
   parallel_for(camera.height_px, [&](std::int64_t row) {
-    Scratch scratch{ClassVotes(classes_, params_.floor, hard_), std::vector<float>(classes), std::vector<double>(classes),
-                    std::vector<double>(classes), {}};
+    Scratch scratch{ClassVotes(classes_, params_.floor, hard_),
+                    std::vector<float>(classes),
+                    std::vector<double>(classes),
+                    std::vector<double>(classes),
+                    {}};
     for (std::int32_t column = 0; column < camera.width_px; ++column)
       fuse_pixel(target, others, column, static_cast<std::int32_t>(row), scratch, out);
     counts[static_cast<std::size_t>(row)] = scratch.counts;

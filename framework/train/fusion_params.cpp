@@ -16,9 +16,10 @@ void describe(ParamVisitor& visit, FusionParams& p) {
   SEMFIELD_PARAM(visit, p, floor, "bayesian: least probability of a class in one view", {1e-12, 0.5});
   SEMFIELD_PARAM(visit, p, views, "other views asked for each frame; 0: all", {0, 1e6});
   SEMFIELD_PARAM(visit, p, choose, "which ones, where views is not 0: nearest cameras, or evenly over the frames");
-  SEMFIELD_PARAM(visit, p, neighbourhood,
-                 "side of the window of pixels whose predictions are averaged in another view; odd; 1: the nearest pixel",
-                 {1, 15});
+  SEMFIELD_PARAM(
+      visit, p, neighbourhood,
+      "side of the window of pixels whose predictions are averaged in another view; odd; 1: the nearest pixel",
+      {1, 15});
   SEMFIELD_PARAM(visit, p, hard_confidence,
                  "probability of the label in a prediction without probabilities; other classes share the rest",
                  {1e-3, 1});

@@ -15,9 +15,7 @@ namespace {
 
 using Row = std::array<double, 3>;
 
-ClassVotes three(double floor = 1e-6, double confidence = 0.8) {
-  return {3, floor, HardLikelihood(confidence, 3)};
-}
+ClassVotes three(double floor = 1e-6, double confidence = 0.8) { return {3, floor, HardLikelihood(confidence, 3)}; }
 
 TEST(ClassVotes, BayesianIsTheProduct) {
   ClassVotes votes = three();

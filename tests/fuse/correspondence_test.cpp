@@ -97,8 +97,15 @@ TEST(Correspondence, AnotherDepthIsAnotherSurface) {
   std::vector<float> depth(64, 2.0F);
   const PosedDepth first{camera(), {}, depth};
   const Vec3d point = *surface_point(first, 4, 4);
-  for (const auto& [z, seen] : {std::pair{2.06F, true}, {1.94F, true}, {2.08F, false}, {1.92F, false}, {0.5F, false},
-                                {0.0F, false}, {-1.0F, false}, {INFINITY, false}, {NAN, false}}) {
+  for (const auto& [z, seen] : {std::pair{2.06F, true},
+                                {1.94F, true},
+                                {2.08F, false},
+                                {1.92F, false},
+                                {0.5F, false},
+                                {0.0F, false},
+                                {-1.0F, false},
+                                {INFINITY, false},
+                                {NAN, false}}) {
     std::vector<float> other(64, z);
     EXPECT_EQ(seen_at({camera(), {}, other}, point, params).has_value(), seen) << z;
     if (!(z > 0) || !std::isfinite(z)) {
@@ -130,7 +137,8 @@ TEST(Correspondence, AgreesWithMatrices) {
       pose[i].topLeftCorner<3, 3>() = Eigen::AngleAxisd(random(0, 0.6), axis).toRotationMatrix();
       pose[i].topRightCorner<3, 1>() = Eigen::Vector3d(random(-1, 1), random(-1, 1), random(-1, 1));
       for (std::size_t row = 0; row < 3; ++row) {
-        for (std::size_t col = 0; col < 3; ++col) ours[i].r[row][col] = pose[i](static_cast<long>(row), static_cast<long>(col));
+        for (std::size_t col = 0; col < 3; ++col)
+          ours[i].r[row][col] = pose[i](static_cast<long>(row), static_cast<long>(col));
       }
       ours[i].t = {pose[i](0, 3), pose[i](1, 3), pose[i](2, 3)};
     }
