@@ -146,9 +146,13 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
 
   TrainingLabels out;
   for (const LabelConfig::Step& step : config.degrade) {
+    // A type that is named again draws anew: its second turn would otherwise choose the pixels of its first. Seeds of
+    // the configuration are below 2^53.
+    const auto turn =
+        std::count_if(out.steps.begin(), out.steps.end(), [&](const auto& s) { return s.type == step.type; });
+    const auto seed = static_cast<std::uint64_t>(config.selection.seed) + (static_cast<std::uint64_t>(turn) << 53);
     try {
-      out.steps.push_back(
-          {step.type, step.degradation->apply(scene, static_cast<std::uint64_t>(config.selection.seed), labels)});
+      out.steps.push_back({step.type, step.degradation->apply(scene, seed, labels)});
     } catch (Error& e) {
       throw e.while_doing("scene.labels.degrade: " + step.type);
     }

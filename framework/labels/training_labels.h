@@ -54,8 +54,8 @@ void open_label_files(LoadedScene& scene, const LabelConfig& config, Diagnostics
 void read_test_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
 
 /// The scene's own labels of training frames, or those of `from`, scaled to the loaded size by the nearest pixel; then
-/// the selection of frames; then every degradation in order. The scene's own labels stay in `scene` as the truth. Call
-/// open_label_files first.
+/// the selection of frames; then every degradation in order, with the selection's seed; a type that is named again draws
+/// anew. The scene's own labels stay in `scene` as the truth. Call open_label_files first.
 TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
 
 }  // namespace semfield

@@ -7,6 +7,7 @@
 #include "core/files.h"
 #include "plugin/linked_plugins.h"
 #include "tests/docs/pages.h"
+#include "train/label_config.h"
 #include "train/run_config.h"
 
 namespace semfield::docs {
@@ -25,28 +26,48 @@ std::string cell(const std::string& text) {
   return out;
 }
 
+std::string heading_and_table(const std::string& heading, const std::vector<ParamDoc>& params) {
+  std::string text = "\n### " + heading + "\n\n";
+  text += "| key | type | default | allowed | meaning |\n|---|---|---|---|---|\n";
+  for (const ParamDoc& doc : params) {
+    text += "| `" + doc.name + "` | " + doc.type + " | " + code(doc.default_value) + " | " +
+            cell(doc.choices.empty() ? doc.range : join(doc.choices)) + " | " + cell(doc.help) + " |\n";
+  }
+  return text;
+}
+
 std::string section_tables() {
   std::string text = "\n";
-  for (const SectionDoc& section : describe_sections()) {
-    text += "\n### `" + section.path + "`: " + section.sentence + "\n\n";
-    text += "| key | type | default | allowed | meaning |\n|---|---|---|---|---|\n";
-    for (const ParamDoc& doc : section.params) {
-      text += "| `" + doc.name + "` | " + doc.type + " | " + code(doc.default_value) + " | " +
-              cell(doc.choices.empty() ? doc.range : join(doc.choices)) + " | " + cell(doc.help) + " |\n";
-    }
+  for (const SectionDoc& section : describe_sections())
+    text += heading_and_table("`" + section.path + "`: " + section.sentence, section.params);
+  return text + "\n";
+}
+
+std::string degradation_tables() {
+  std::string text = "\n";
+  for (const LabelStepDoc& step : describe_label_steps()) {
+    if (step.key == "degrade") text += heading_and_table("`" + step.type + "`: " + step.sentence, step.params);
   }
   return text + "\n";
 }
 
-TEST(ConfigurationPage, SectionTablesAreFresh) {
-  const char* const path = "docs/configuration.md";
+// The part of a page between `begin` and `end` is `part`; written when the environment says so.
+void expect_part(const char* path, const std::string& begin, const std::string& end, const std::string& part) {
   const std::string old = page(path);
-  const std::string fresh = with_part(old, "<!-- sections -->", "<!-- /sections -->", section_tables());
+  const std::string fresh = with_part(old, begin, end, part);
   if (std::getenv("SEMFIELD_WRITE_DOCS") != nullptr) {
     write_file_atomic((fs::path(SEMFIELD_SOURCE_DIR) / path).string(), fresh);
     return;
   }
   EXPECT_TRUE(old == fresh) << path << " is stale; run docs_test with SEMFIELD_WRITE_DOCS=1 in its environment";
+}
+
+TEST(ConfigurationPage, SectionTablesAreFresh) {
+  expect_part("docs/configuration.md", "<!-- sections -->", "<!-- /sections -->", section_tables());
+}
+
+TEST(LabelExperimentsPage, TablesOfDegradationsAreFresh) {
+  expect_part("docs/label_experiments.md", "<!-- degradations -->", "<!-- /degradations -->", degradation_tables());
 }
 
 // A block marked `yaml` is a whole configuration, saved in configs/ as the text around it says.

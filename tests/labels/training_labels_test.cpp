@@ -103,6 +103,19 @@ TEST(TrainingLabels, SelectionAndDegradationLeaveTheTruthAlone) {
   EXPECT_EQ(labels.class_pixels[0], (std::vector<std::int64_t>{1, 5, 2}));
 }
 
+TEST(TrainingLabels, ATypeNamedAgainDrawsAnew) {
+  const LoadedScene scene = tiny_scene(true);
+  LabelConfig config;
+  config.selection.seed = 7;
+  for (const char* type : {"void_first", "other", "void_first"})
+    config.degrade.push_back({type, std::make_unique<VoidFirst>()});
+  Diagnostics d;
+  const TrainingLabels labels = make_training_labels(scene, config, d);
+  EXPECT_EQ(labels.steps[0].facts[0].second, "7");
+  EXPECT_EQ(labels.steps[1].facts[0].second, "7");
+  EXPECT_EQ(labels.steps[2].facts[0].second, std::to_string(7 + (std::int64_t{1} << 53)));
+}
+
 TEST(TrainingLabels, FilesReplaceTrainingLabelsAndGiveTestFramesTheirTruth) {
   LoadedScene scene = tiny_scene(false);
   const LabelConfig config = files_config();
