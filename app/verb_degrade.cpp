@@ -24,6 +24,13 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
+// Names of the classes in the order of internal indices: what the last axis of the probabilities means.
+std::string class_order_json(const ClassTable& classes) {
+  Json names = Json::array();
+  for (int c = 0; c < classes.valid_count(); ++c) names.push_back(classes.valid(c).name);
+  return names.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
 // A new folder that takes its name when it is complete.
 class UnfinishedFolder {
  public:
@@ -232,8 +239,8 @@ DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& lab
                 {"frames", std::move(frames)},
                 {"config", source.config}};
   write_file_atomic(unfinished / "classes.yaml", classes.to_yaml());
-  write_file_atomic(unfinished / "manifest.json",
-                    manifest.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n");
+  if (labels.soft) write_file_atomic(unfinished / "probability/classes.json", class_order_json(classes));
+  write_file_atomic(unfinished / "manifest.json", manifest.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
   unfinished.finish();
   return {static_cast<int>(files.size()), total.labelled_px, total.confusion.total_accuracy(),
           total.confusion.miou_present()};

@@ -31,7 +31,7 @@ struct DegradeReport {
 ///   semantic_class/semantic_class_N.png (frames named rgb_N) or semantic_class/FRAME_label.png: ids as on disk
 ///   preview/FRAME_label_vis.png: the same in colours
 ///   probability/FRAME.npy: float32 [height, width, classes] in the order of internal indices, frames with soft labels
-///     only; their label image holds the most probable class
+///     only; their label image holds the most probable class. classes.json beside them: the names in that order
 ///   classes.yaml (with an entry for void), manifest.json
 /// The folder appears under its name when all of it is written: until then it is called `folder`.unfinished-PID, and an
 /// error removes it. Throws Error(cannot_create) as refuse_used_folder does, Error(data) for labels of no frame and for

@@ -115,6 +115,48 @@ TEST(DegradeVerb, SoftLabelsAreWrittenAsProbabilities) {
   }
 }
 
+// What was written is read as label files, and written again.
+TEST(DegradeVerb, WrittenLabelsComeBackThroughTheReaders) {
+  const std::string folder = fresh_folder("again");
+  const std::string config = write_config(folder, "{frames: 2, degrade: [{type: simulated_predictions, strength: 2}]}");
+  ASSERT_EQ(semfield_run("degrade " + config + " --out " + folder + "/first", folder).code, 0);
+  const std::vector<std::string> images = names_in(folder + "/first/semantic_class");
+  ASSERT_EQ(images.size(), 2u);
+  for (const auto& [kind, from] : std::vector<std::pair<std::string, std::string>>{
+           {"images", "{type: images, folder: first/semantic_class, pattern: 'semantic_class_{number}.png'}"},
+           {"npz", "{type: npz, folder: first/probability, pattern: '{name}.npy'}"}}) {
+    const std::string again = write_config(folder, "{from: " + from + "}");
+    const Result r = semfield_run("degrade " + again + " --out " + folder + "/" + kind, folder);
+    ASSERT_EQ(r.code, 0) << r.err;
+    EXPECT_EQ(names_in(folder + "/" + kind + "/semantic_class"), images);
+    for (const std::string& name : images) {
+      EXPECT_EQ(read_text_file(folder + "/first/semantic_class/" + name),
+                read_text_file(folder + "/" + kind + "/semantic_class/" + name));
+    }
+    EXPECT_EQ(manifest_of(folder + "/first")["total"], manifest_of(folder + "/" + kind)["total"]);
+    EXPECT_EQ(manifest_of(folder + "/" + kind)["labels_from"], kind);
+  }
+  for (const std::string& name : names_in(folder + "/first/probability"))
+    EXPECT_EQ(read_text_file(folder + "/first/probability/" + name),
+              read_text_file(folder + "/npz/probability/" + name));
+}
+
+TEST(DegradeVerb, ATableWithoutVoidGetsAnIdForIt) {
+  const std::string folder = fresh_folder("void");
+  const std::string config = write_config(folder, "{degrade: [{type: propagation}]}");
+  write_file_atomic(folder + "/room/classes.yaml",
+                    std::string_view("- {id: 1, name: west}\n- {id: 2, name: east}\n- {id: 3, name: ceiling}\n"
+                                     "- {id: 4, name: floor}\n- {id: 5, name: south}\n- {id: 6, name: north}\n"));
+  fs::create_directories(folder + "/labels");  // an empty folder may be there
+  const Result r = semfield_run("degrade " + config + " --out " + folder + "/labels", folder);
+  ASSERT_EQ(r.code, 0) << r.err;
+  const ClassTable table = ClassTable::load(folder + "/labels/classes.yaml");
+  EXPECT_EQ(table.index_of(0), kVoid);
+  EXPECT_EQ(table.valid_count(), 6);
+  const Image<std::uint16_t> given = read_ids(folder + "/labels/semantic_class/semantic_class_2.png");
+  EXPECT_GT(std::count(given.pixels.begin(), given.pixels.end(), 0), 1190);
+}
+
 TEST(DegradeVerb, TheSameLabelsAsBefore) {
   const std::string folder = fresh_folder("same");
   const std::string config = write_config(folder, "{degrade: [{type: pixel_noise}, {type: region_noise}]}");
