@@ -17,9 +17,9 @@ struct Result {
   std::string out, err;
 };
 
-Result semfield_run(const std::string& words, const std::string& folder) {
-  const std::string command =
-      std::string("'") + SEMFIELD_BINARY + "' " + words + " >'" + folder + "/stdout' 2>'" + folder + "/stderr'";
+Result semfield_run(const std::string& words, const std::string& folder, const std::string& before = "") {
+  const std::string command = before + "'" + std::string(SEMFIELD_BINARY) + "' " + words + " >'" + folder +
+                              "/stdout' 2>'" + folder + "/stderr'";
   const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of this test
   return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
           read_text_file(folder + "/stderr")};
@@ -195,6 +195,16 @@ TEST(DegradeVerb, AUsedFolderAndProblemsLeaveNothingBehind) {
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
   EXPECT_NE(r.err.find("semantic_class_2.png"), std::string::npos) << r.err;
   EXPECT_EQ(names_in(folder), (std::vector<std::string>{"full", "room", "room.yaml", "stderr", "stdout"}));
+}
+
+TEST(DegradeVerb, AnErrorWhileWritingRemovesWhatWasWritten) {
+  const std::string folder = fresh_folder("limit");
+  const std::string config = write_config(folder, "{degrade: [{type: simulated_predictions}]}");
+  // Files may have 8 KiB at most: images fit, probabilities do not.
+  const Result r = semfield_run("degrade " + config + " --out " + folder + "/labels", folder, "ulimit -f 16; ");
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::io));
+  EXPECT_NE(r.err.find("probability"), std::string::npos) << r.err;
+  EXPECT_EQ(names_in(folder), (std::vector<std::string>{"room", "room.yaml", "stderr", "stdout"}));
 }
 
 }  // namespace
