@@ -22,7 +22,8 @@ Error unreadable(const std::string& name, const std::string& what) {
 }
 
 std::int64_t integer_of(const Json& json, std::int64_t low, std::int64_t high) {
-  const bool fits = json.is_number_integer() && !(json.is_number_unsigned() && json.get<std::uint64_t>() > static_cast<std::uint64_t>(high));
+  const bool fits = json.is_number_integer() &&
+                    !(json.is_number_unsigned() && json.get<std::uint64_t>() > static_cast<std::uint64_t>(high));
   if (!fits || json.get<std::int64_t>() < low || json.get<std::int64_t>() > high)
     throw std::out_of_range(fmt::format("{} is no integer from {} to {}", json.dump(), low, high));
   return json.get<std::int64_t>();
@@ -125,7 +126,8 @@ std::string final_eval_json(const FinalEval& eval) {
   out["step"] = eval.step;
   out["train_s"] = eval.train_s;
   Json& classes = out["classes"] = Json::array();
-  for (const FinalEval::Class& c : eval.classes) classes.push_back({{"id", c.id}, {"name", c.name}, {"color", c.color}});
+  for (const FinalEval::Class& c : eval.classes)
+    classes.push_back({{"id", c.id}, {"name", c.name}, {"color", c.color}});
   out["confusion"] = confusion_json(eval);
   out["reliability"] = reliability_json(eval);
   Json& frames = out["per_frame"] = Json::array();
@@ -154,9 +156,12 @@ FinalEval parse_final_eval(std::string_view text, const std::string& name) {
     const Json& confusion = json.at("confusion");
     const Json& rows = confusion.at("pixels");
     const std::size_t classes = eval.classes.size();
-    if (!rows.is_array() || rows.size() != classes) throw std::out_of_range(fmt::format("the confusion matrix has {} rows for {} classes", rows.size(), classes));
+    if (!rows.is_array() || rows.size() != classes)
+      throw std::out_of_range(fmt::format("the confusion matrix has {} rows for {} classes", rows.size(), classes));
     for (const Json& row : rows) {
-      if (!row.is_array() || row.size() != classes) throw std::out_of_range(fmt::format("a row of the confusion matrix has {} entries for {} classes", row.size(), classes));
+      if (!row.is_array() || row.size() != classes)
+        throw std::out_of_range(
+            fmt::format("a row of the confusion matrix has {} entries for {} classes", row.size(), classes));
       for (const Json& pixels : row) eval.confusion.push_back(pixels_of(pixels));
     }
     eval.void_truth_px = pixels_of(confusion.at("void_truth_pixels"));
@@ -197,7 +202,8 @@ std::string label_counts_json(const LabelCounts& counts) {
   out["train_pixels"] = counts.train_px;
   out["labelled_pixels"] = counts.labelled_px;
   Json& classes = out["classes"] = Json::array();
-  for (const LabelCounts::Class& c : counts.classes) classes.push_back({{"id", c.id}, {"name", c.name}, {"pixels", c.pixels}});
+  for (const LabelCounts::Class& c : counts.classes)
+    classes.push_back({{"id", c.id}, {"name", c.name}, {"pixels", c.pixels}});
   return out.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -26,8 +26,8 @@ struct FinalEval {
     std::string name;
     std::array<std::uint8_t, 3> color{};
   };
-  std::vector<Class> classes;            ///< those that occur in truth or prediction, by ascending id
-  std::vector<std::int64_t> confusion;   ///< [classes, classes] pixels, row = truth
+  std::vector<Class> classes;           ///< those that occur in truth or prediction, by ascending id
+  std::vector<std::int64_t> confusion;  ///< [classes, classes] pixels, row = truth
   std::int64_t void_truth_px = 0, void_predicted_px = 0;
 
   struct Bin {
@@ -39,7 +39,9 @@ struct FinalEval {
   std::int64_t nonfinite_px = 0;   ///< scored pixels whose probabilities were not finite, in no bin
   std::vector<FrameScore> frames;  ///< in order of evaluation; FrameScore::frame is not kept
 
-  std::int64_t count(std::size_t truth, std::size_t predicted) const { return confusion[truth * classes.size() + predicted]; }
+  std::int64_t count(std::size_t truth, std::size_t predicted) const {
+    return confusion[truth * classes.size() + predicted];
+  }
   /// Sum over bins of (pixels / all pixels) |accuracy - confidence| [Guo17, Eq. 3]; none without pixels, or when some
   /// were not finite.
   std::optional<double> ece() const;

@@ -167,10 +167,11 @@ thead th.grp{text-align:center;border-left:1px solid var(--line)}
 .cm td.num{background:none;text-align:right;color:var(--soft);padding-left:10px}
 .cm td.no{background:color-mix(in srgb,var(--s1) var(--p),var(--grid))}
 .cm td.ok{background:color-mix(in srgb,var(--s2) var(--p),var(--grid))}
-.cm th.row{position:sticky;left:0;background:var(--card);text-align:left;white-space:nowrap;padding-right:12px;font-weight:500}
+.cm th.row{position:sticky;left:0;background:var(--card);text-align:left;white-space:nowrap;padding-right:12px;font-weight:500;max-width:17em;overflow:hidden;text-overflow:ellipsis}
+@media (max-width:640px){.cm th.row{max-width:9em}}
 .cm thead th{vertical-align:bottom;color:var(--ink);font-weight:500}
 .cm thead th.row{color:var(--soft)}
-.cm thead th .v{writing-mode:vertical-rl;transform:rotate(180deg);white-space:nowrap}
+.cm thead th .v{writing-mode:vertical-rl;transform:rotate(180deg);white-space:nowrap;max-height:13em;overflow:hidden}
 .cm thead .sw{margin:0 0 5px}
 details{padding:12px 18px}
 figure details{padding:0 4px 10px}

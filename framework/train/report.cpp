@@ -28,7 +28,8 @@ std::string chosen_split(const ReportInput& input) {
 std::string make_report(const ReportInput& input) {
   SEMFIELD_CHECK(!input.runs.empty(), "a report is about at least one run");
   const std::string split = chosen_split(input);
-  const std::string of_first = input.runs.size() > 1 ? " Pictures are of " + html_escape(input.runs.front().name) + "." : std::string();
+  const std::string of_first =
+      input.runs.size() > 1 ? " Pictures are of " + html_escape(input.runs.front().name) + "." : std::string();
   struct Part {
     const char *id, *name;
     std::string html;
@@ -40,7 +41,9 @@ std::string make_report(const ReportInput& input) {
       {"classes", "Classes", classes_section(input, split)},
       {"confusion", "Confusions", confusion_section(input)},
       {"calibration", "Calibration", calibration_section(input)},
-      {"frames", "Frames", strips_section(input.strips, "frames", "Rendered frames", "Entropy runs over its full range, 0 to ln C; depth is bright where near." + of_first)},
+      {"frames", "Frames",
+       strips_section(input.strips, "frames", "Rendered frames",
+                      "Entropy runs over its full range, 0 to ln C; depth is bright where near." + of_first)},
       {"worst", "Worst frames", worst_section(input, of_first)},
       {"left-out", "Left out", left_out_section(input)},
       {"setup", "Set-up", environment_section(input)},
@@ -48,8 +51,10 @@ std::string make_report(const ReportInput& input) {
   const std::string title = html_escape(input.title.empty() ? "Semfield run" : input.title);
   std::string page = fmt::format(
       "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
-      "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n"
-      "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">\n"
+      "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" "
+      "content=\"light dark\">\n"
+      "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src "
+      "'unsafe-inline'\">\n"
       "<title>{} – Semfield report</title>\n<style>",
       title);
   page += report_style();
@@ -61,7 +66,9 @@ std::string make_report(const ReportInput& input) {
   }
   page += "</nav>\n" + cards_section(input, split) + "</header>\n<main>\n";
   for (const Part& part : parts) page += part.html;
-  page += "</main>\n<footer>Made by Semfield from the run folder’s files; the same files give the same bytes.</footer>\n</body>\n</html>\n";
+  page +=
+      "</main>\n<footer>Made by Semfield from the run folder’s files; the same files give the same "
+      "bytes.</footer>\n</body>\n</html>\n";
   return page;
 }
 

@@ -42,21 +42,25 @@ std::string time_to_level(const ReportInput& input, const std::string& split) {
       seconds.push_back(first);
     }
     const int best = best_run(seconds, -1);
-    body += fmt::format("<tr><th scope=\"row\">{} {} {}{}</th>", html_escape(metric.label), metric.better > 0 ? "≥" : "≤", figure_text(*level, metric.digits),
-                        metric.unit.empty() ? "" : fmt::format(" {}", metric.unit));
+    body +=
+        fmt::format("<tr><th scope=\"row\">{} {} {}{}</th>", html_escape(metric.label), metric.better > 0 ? "≥" : "≤",
+                    figure_text(*level, metric.digits), metric.unit.empty() ? "" : fmt::format(" {}", metric.unit));
     for (std::size_t i = 0; i < seconds.size(); ++i) {
-      body += seconds[i] ? fmt::format("<td class=\"num{}\">{}</td>", best == static_cast<int>(i) ? " best" : "", duration_text(*seconds[i]))
+      body += seconds[i] ? fmt::format("<td class=\"num{}\">{}</td>", best == static_cast<int>(i) ? " best" : "",
+                                       duration_text(*seconds[i]))
                          : std::string("<td class=\"num none\">–</td>");
     }
     body += "</tr>\n";
   }
   if (body.empty()) return {};
-  return "<h3>Time to a common level</h3>\n<p class=\"hint\">Training time until the first evaluation at the level that every run reached.</p>\n" +
-         table_panel("Time to reach a level", fmt::format("<tr><th scope=\"col\">Level</th>{}</tr>", run_heads(input)), body);
+  return "<h3>Time to a common level</h3>\n<p class=\"hint\">Training time until the first evaluation at the level "
+         "that every run reached.</p>\n" +
+         table_panel("Time to reach a level", fmt::format("<tr><th scope=\"col\">Level</th>{}</tr>", run_heads(input)),
+                     body);
 }
 
-// Evaluations while training may score a sample of the split ("test_sample"): a curve holds those alone, because its last point
-// would otherwise be of other frames than the rest.
+// Evaluations while training may score a sample of the split ("test_sample"): a curve holds those alone, because its
+// last point would otherwise be of other frames than the rest.
 std::string curve_split(const ReportInput& input, const std::string& split) {
   const std::string sample = split + kSampleSuffix;
   for (const ReportRun& run : input.runs) {
@@ -89,7 +93,8 @@ TimeUnit time_unit(double longest_s) {
 std::vector<PlotPoint> points_of(const ReportRun& run, const Curve& curve, const std::string& split) {
   std::vector<PlotPoint> points;
   for (const MetricsRow& row : run.rows) {
-    const bool wanted = curve.from_training ? row.kind == "train" : row.kind == "eval" && (split.empty() || row.split == split);
+    const bool wanted =
+        curve.from_training ? row.kind == "train" : row.kind == "eval" && (split.empty() || row.split == split);
     const auto value = wanted ? row.get(curve.key) : std::nullopt;
     if (value && std::isfinite(*value)) points.push_back({row.train_s, *value});
   }
@@ -105,7 +110,10 @@ PlotSeries series_of(const ReportRun& run, int color, const Curve& curve, const 
   if (curve.from_training) return series;
   for (const double share : kShares) {
     const auto seconds = time_to_share(points, report_metric(curve.key).better, share);
-    if (seconds) series.marks.push_back({*seconds / unit_s, share != kShares[0], fmt::format("{}: {} of the way after {}", run.name, percent_text(share), duration_text(*seconds))});
+    if (seconds)
+      series.marks.push_back(
+          {*seconds / unit_s, share != kShares[0],
+           fmt::format("{}: {} of the way after {}", run.name, percent_text(share), duration_text(*seconds))});
   }
   return series;
 }
@@ -115,9 +123,12 @@ std::string plots(const ReportInput& input, const std::string& split, const Time
   for (const Curve& curve : kCurves) {
     PlotSpec spec{curve.title, unit.label, curve.log_y, !curve.from_training, curve.digits, {}};
     spec.log_x = log_x;
-    for (std::size_t i = 0; i < input.runs.size(); ++i) spec.series.push_back(series_of(input.runs[i], static_cast<int>(i), curve, split, unit.seconds));
-    if (std::all_of(spec.series.begin(), spec.series.end(), [](const PlotSeries& s) { return s.points.empty(); })) continue;
-    figures += fmt::format("<figure class=\"panel\"><figcaption>{}<span>{}</span></figcaption>\n{}</figure>\n", curve.title, curve.note, line_plot(spec));
+    for (std::size_t i = 0; i < input.runs.size(); ++i)
+      spec.series.push_back(series_of(input.runs[i], static_cast<int>(i), curve, split, unit.seconds));
+    if (std::all_of(spec.series.begin(), spec.series.end(), [](const PlotSeries& s) { return s.points.empty(); }))
+      continue;
+    figures += fmt::format("<figure class=\"panel\"><figcaption>{}<span>{}</span></figcaption>\n{}</figure>\n",
+                           curve.title, curve.note, line_plot(spec));
   }
   return figures;
 }
@@ -145,8 +156,11 @@ std::string convergence_table(const ReportInput& input, const std::string& split
   std::string groups = "<th scope=\"col\" rowspan=\"2\">Run</th>", heads;
   for (const Curve* curve : curves) {
     const ReportMetric& metric = report_metric(curve->key);
-    groups += fmt::format("<th scope=\"colgroup\" colspan=\"3\" class=\"grp\">{}{}</th>", metric.label, metric.unit.empty() ? "" : fmt::format(", {}", metric.unit));
-    heads += "<th scope=\"col\" class=\"num\">last</th><th scope=\"col\" class=\"num\">t90</th><th scope=\"col\" class=\"num\">t95</th>";
+    groups += fmt::format("<th scope=\"colgroup\" colspan=\"3\" class=\"grp\">{}{}</th>", metric.label,
+                          metric.unit.empty() ? "" : fmt::format(", {}", metric.unit));
+    heads +=
+        "<th scope=\"col\" class=\"num\">last</th><th scope=\"col\" class=\"num\">t90</th><th scope=\"col\" "
+        "class=\"num\">t95</th>";
   }
   std::string body;
   for (const ReportRun& run : input.runs) {
@@ -155,17 +169,24 @@ std::string convergence_table(const ReportInput& input, const std::string& split
       const std::vector<PlotPoint> points = points_of(run, *curve, split);
       const ReportMetric& metric = report_metric(curve->key);
       body += points.empty() ? value_cell(std::nullopt, 0, false)
-                             : fmt::format("<td class=\"num\">{}<small class=\"d\">from {}</small></td>", figure_text(points.back().y, metric.digits), figure_text(points.front().y, metric.digits));
+                             : fmt::format("<td class=\"num\">{}<small class=\"d\">from {}</small></td>",
+                                           figure_text(points.back().y, metric.digits),
+                                           figure_text(points.front().y, metric.digits));
       for (const double share : kShares) {
         const auto seconds = time_to_share(points, metric.better, share);
-        body += seconds ? fmt::format("<td class=\"num\">{}</td>", duration_text(*seconds)) : value_cell(std::nullopt, 0, false);
+        body += seconds ? fmt::format("<td class=\"num\">{}</td>", duration_text(*seconds))
+                        : value_cell(std::nullopt, 0, false);
       }
     }
     body += "</tr>\n";
   }
-  return "<h3>Time to the last value</h3>\n<p class=\"hint\">t90 and t95 are the training time at which a curve, read as straight lines between evaluations, first covers 90&#160;% and 95&#160;% of the way "
-         "from its first to its last value; a later dip does not count. In the plots: ring and diamond. Every run is held against its own last value, so a run that ends low can be quick. A dash: fewer than two evaluations, or the last is no better than the first.</p>\n" +
-         table_panel("Time to 90 % and 95 % of the last value", fmt::format("<tr>{}</tr><tr>{}</tr>", groups, heads), body);
+  return "<h3>Time to the last value</h3>\n<p class=\"hint\">t90 and t95 are the training time at which a curve, read "
+         "as straight lines between evaluations, first covers 90&#160;% and 95&#160;% of the way "
+         "from its first to its last value; a later dip does not count. In the plots: ring and diamond. Every run is "
+         "held against its own last value, so a run that ends low can be quick. A dash: fewer than two evaluations, or "
+         "the last is no better than the first.</p>\n" +
+         table_panel("Time to 90 % and 95 % of the last value", fmt::format("<tr>{}</tr><tr>{}</tr>", groups, heads),
+                     body);
 }
 
 }  // namespace
@@ -177,12 +198,18 @@ std::string curves_section(const ReportInput& input, const std::string& whole_sp
   const TimeUnit unit = time_unit(longest);
   const std::string linear = plots(input, split, unit, false);
   if (linear.empty()) return {};
-  std::string out = open_section("curves", "Error against run time", fmt::format("Time is training alone; evaluation and output are not counted. The number at a line’s end is its last value{}.",
-                                 split == whole_split ? "" : ", on the sample of frames that was scored while training")) +
-                    legend(input);
+  std::string out =
+      open_section(
+          "curves", "Error against run time",
+          fmt::format("Time is training alone; evaluation and output are not counted. The number at a line’s end is "
+                      "its last value{}.",
+                      split == whole_split ? "" : ", on the sample of frames that was scored while training")) +
+      legend(input);
   if (spans_a_decade(input)) {  // two drawings and a box between them: the page needs no script
-    out += "<input class=\"pick\" type=\"checkbox\" id=\"log-time\"><label for=\"log-time\">logarithmic time</label>\n<div class=\"plots one\">\n" + linear +
-           "</div>\n<div class=\"plots two\">\n" + plots(input, split, unit, true) + "</div>\n";
+    out +=
+        "<input class=\"pick\" type=\"checkbox\" id=\"log-time\"><label for=\"log-time\">logarithmic "
+        "time</label>\n<div class=\"plots one\">\n" +
+        linear + "</div>\n<div class=\"plots two\">\n" + plots(input, split, unit, true) + "</div>\n";
   } else {
     out += "<div class=\"plots\">\n" + linear + "</div>\n";
   }

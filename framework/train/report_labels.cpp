@@ -17,7 +17,8 @@ struct Abscissa {
   const char* label;
   std::int64_t LabelCounts::*count;
 };
-constexpr Abscissa kPixels{"labelled pixels in training", &LabelCounts::labelled_px}, kFrames{"labelled frames in training", &LabelCounts::labelled_frames};
+constexpr Abscissa kPixels{"labelled pixels in training", &LabelCounts::labelled_px},
+    kFrames{"labelled frames in training", &LabelCounts::labelled_frames};
 
 // Each run is a point of its own: what else differs between runs is not known here, so no line joins them.
 std::string plots(const ReportInput& input, const std::string& split, const Abscissa& abscissa) {
@@ -34,10 +35,14 @@ std::string plots(const ReportInput& input, const std::string& split, const Absc
     for (std::size_t i = 0; i < input.runs.size(); ++i) {
       const ReportRun& run = input.runs[i];
       const auto value = last_value(run, split, key);
-      if (run.labels && value) spec.series.push_back({run.name, static_cast<int>(i), {{static_cast<double>((*run.labels).*abscissa.count), *value}}});
+      if (run.labels && value)
+        spec.series.push_back(
+            {run.name, static_cast<int>(i), {{static_cast<double>((*run.labels).*abscissa.count), *value}}});
     }
     if (spec.series.empty()) continue;
-    figures += fmt::format("<figure class=\"panel\"><figcaption>{}<span>{}</span></figcaption>\n{}</figure>\n", spec.title, spec.log_x ? "logarithmic number of labels" : "higher is better", line_plot(spec));
+    figures +=
+        fmt::format("<figure class=\"panel\"><figcaption>{}<span>{}</span></figcaption>\n{}</figure>\n", spec.title,
+                    spec.log_x ? "logarithmic number of labels" : "higher is better", line_plot(spec));
   }
   return figures;
 }
@@ -47,33 +52,51 @@ std::string table(const ReportInput& input, const std::string& split) {
   for (const ReportRun& run : input.runs) {
     if (!run.labels) continue;
     const LabelCounts& labels = *run.labels;
-    const auto taught = std::count_if(labels.classes.begin(), labels.classes.end(), [](const LabelCounts::Class& c) { return c.pixels > 0; });
-    body += fmt::format("<tr><th scope=\"row\">{}</th><td class=\"num\">{} of {}</td><td class=\"num\">{}<small class=\"d\">{} of the training pixels</small></td><td class=\"num\">{} of {}</td>",
-                        html_escape(run.name), count_text(labels.labelled_frames), count_text(labels.train_frames), count_text(labels.labelled_px),
-                        percent_text(labels.train_px > 0 ? static_cast<double>(labels.labelled_px) / static_cast<double>(labels.train_px) : 0), taught, labels.classes.size());
-    for (const std::string_view key : {"miou", "total_accuracy"}) body += value_cell(last_value(run, split, key), report_metric(key).digits, false);
+    const auto taught = std::count_if(labels.classes.begin(), labels.classes.end(),
+                                      [](const LabelCounts::Class& c) { return c.pixels > 0; });
+    body += fmt::format(
+        "<tr><th scope=\"row\">{}</th><td class=\"num\">{} of {}</td><td class=\"num\">{}<small class=\"d\">{} of the "
+        "training pixels</small></td><td class=\"num\">{} of {}</td>",
+        html_escape(run.name), count_text(labels.labelled_frames), count_text(labels.train_frames),
+        count_text(labels.labelled_px),
+        percent_text(
+            labels.train_px > 0 ? static_cast<double>(labels.labelled_px) / static_cast<double>(labels.train_px) : 0),
+        taught, labels.classes.size());
+    for (const std::string_view key : {"miou", "total_accuracy"})
+      body += value_cell(last_value(run, split, key), report_metric(key).digits, false);
     body += "</tr>\n";
   }
-  return table_panel("Labels of each run", "<tr><th scope=\"col\">Run</th><th scope=\"col\" class=\"num\">Labelled frames</th><th scope=\"col\" class=\"num\">Labelled pixels</th>"
-                     "<th scope=\"col\" class=\"num\">Classes with labels</th><th scope=\"col\" class=\"num\">mIoU</th><th scope=\"col\" class=\"num\">Total accuracy</th></tr>", body);
+  return table_panel("Labels of each run",
+                     "<tr><th scope=\"col\">Run</th><th scope=\"col\" class=\"num\">Labelled frames</th><th "
+                     "scope=\"col\" class=\"num\">Labelled pixels</th>"
+                     "<th scope=\"col\" class=\"num\">Classes with labels</th><th scope=\"col\" "
+                     "class=\"num\">mIoU</th><th scope=\"col\" class=\"num\">Total accuracy</th></tr>",
+                     body);
 }
 
 }  // namespace
 
 std::string labels_section(const ReportInput& input, const std::string& split) {
-  const auto known = std::count_if(input.runs.begin(), input.runs.end(), [](const ReportRun& run) { return run.labels.has_value(); });
+  const auto known =
+      std::count_if(input.runs.begin(), input.runs.end(), [](const ReportRun& run) { return run.labels.has_value(); });
   if (known == 0) return {};
-  std::string out = open_section("labels", known > 1 ? "Error against number of labels" : "Labels in training",
-                                 known > 1 ? "A point a run, at its last evaluation; runs may differ in more than their labels." : "What the semantic head learned from.");
+  std::string out = open_section(
+      "labels", known > 1 ? "Error against number of labels" : "Labels in training",
+      known > 1 ? "One point for each run, at its last evaluation; runs may differ in more than their labels."
+                : "What the semantic head learned from.");
   if (known > 1) {
     const std::string pixels = plots(input, split, kPixels);
     if (!pixels.empty()) {
-      out += legend(input) + "<input class=\"pick\" type=\"checkbox\" id=\"label-frames\"><label for=\"label-frames\">count labelled frames</label>\n<div class=\"plots one\">\n" + pixels +
-             "</div>\n<div class=\"plots two\">\n" + plots(input, split, kFrames) + "</div>\n";
+      out += legend(input) +
+             "<input class=\"pick\" type=\"checkbox\" id=\"label-frames\"><label for=\"label-frames\">count labelled "
+             "frames</label>\n<div class=\"plots one\">\n" +
+             pixels + "</div>\n<div class=\"plots two\">\n" + plots(input, split, kFrames) + "</div>\n";
     }
   }
   return out + table(input, split) +
-         missing_runs(input, "Left out, because their folders hold no labels.json (made by an earlier version):", [](const ReportRun& run) { return !run.labels; }) + "</section>\n";
+         missing_runs(input, "Left out, because their folders hold no labels.json (made by an earlier version):",
+                      [](const ReportRun& run) { return !run.labels; }) +
+         "</section>\n";
 }
 
 }  // namespace semfield

@@ -106,7 +106,10 @@ std::string open_section(std::string_view id, std::string_view title, std::strin
 }
 
 std::string table_panel(std::string_view label, const std::string& head, const std::string& body) {
-  return fmt::format("<div class=\"panel scroll\" tabindex=\"0\" role=\"region\" aria-label=\"{}\"><table>\n<thead>{}</thead>\n<tbody>\n{}</tbody></table></div>\n", label, head, body);
+  return fmt::format(
+      "<div class=\"panel scroll\" tabindex=\"0\" role=\"region\" "
+      "aria-label=\"{}\"><table>\n<thead>{}</thead>\n<tbody>\n{}</tbody></table></div>\n",
+      label, head, body);
 }
 
 std::string value_cell(const std::optional<double>& value, int digits, bool best) {
@@ -116,7 +119,8 @@ std::string value_cell(const std::optional<double>& value, int digits, bool best
 
 std::string run_heads(const ReportInput& input) {
   std::string out;
-  for (const ReportRun& run : input.runs) out += fmt::format("<th scope=\"col\" class=\"num\">{}</th>", html_escape(run.name));
+  for (const ReportRun& run : input.runs)
+    out += fmt::format("<th scope=\"col\" class=\"num\">{}</th>", html_escape(run.name));
   return out;
 }
 
@@ -134,7 +138,8 @@ std::string swatch(const std::array<std::uint8_t, 3>& color) {
 }
 
 std::string named_runs(std::string_view sentence, const std::vector<std::string>& names) {
-  return names.empty() ? std::string() : fmt::format("<p class=\"hint after\">{} {}.</p>\n", sentence, html_escape(join(names, ", ")));
+  return names.empty() ? std::string()
+                       : fmt::format("<p class=\"hint after\">{} {}.</p>\n", sentence, html_escape(join(names, ", ")));
 }
 
 }  // namespace semfield

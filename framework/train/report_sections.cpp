@@ -29,9 +29,11 @@ std::optional<double> table_value(const ReportRun& run, const std::string& split
 std::string cards_section(const ReportInput& input, const std::string& split) {
   std::string out = "<div class=\"cards\">\n";
   const bool several = input.runs.size() > 1;
-  const auto card = [&](std::string_view label, const std::string& value, std::string_view unit, const std::string& note) {
-    out += fmt::format("<div class=\"card\"><div class=\"k\">{}</div><div class=\"v\">{}{}</div><div class=\"n\">{}</div></div>\n", label, value,
-                       unit.empty() ? "" : fmt::format("<span class=\"u\">{}</span>", unit), html_escape(note));
+  const auto card = [&](std::string_view label, const std::string& value, std::string_view unit,
+                        const std::string& note) {
+    out += fmt::format(
+        "<div class=\"card\"><div class=\"k\">{}</div><div class=\"v\">{}{}</div><div class=\"n\">{}</div></div>\n",
+        label, value, unit.empty() ? "" : fmt::format("<span class=\"u\">{}</span>", unit), html_escape(note));
   };
   for (const std::string_view key : {"miou", "total_accuracy", "psnr", "absrel"}) {
     const ReportMetric& metric = report_metric(key);
@@ -43,7 +45,8 @@ std::string cards_section(const ReportInput& input, const std::string& split) {
     }
     if (best < 0) continue;
     const auto b = static_cast<std::size_t>(best);
-    card(metric.label, figure_text(*values[b], key == "absrel" ? 2 : 3), metric.unit, several ? "best: " + input.runs[b].name : std::string(metric.help));
+    card(metric.label, figure_text(*values[b], key == "absrel" ? 2 : 3), metric.unit,
+         several ? "best: " + input.runs[b].name : std::string(metric.help));
   }
   double longest = 0;
   std::int64_t step = 0;
@@ -51,7 +54,8 @@ std::string cards_section(const ReportInput& input, const std::string& split) {
     longest = std::max(longest, trained_s(run));
     for (const MetricsRow& row : run.rows) step = std::max(step, row.step);
   }
-  card(several ? "Longest training" : "Training", duration_text(longest), "", fmt::format("{} steps, evaluation not counted", step));
+  card(several ? "Longest training" : "Training", duration_text(longest), "",
+       fmt::format("{} steps, evaluation not counted", step));
   return out + "</div>\n";
 }
 
@@ -63,17 +67,22 @@ std::string figures_section(const ReportInput& input, const std::string& split) 
     if (std::none_of(values.begin(), values.end(), [](const auto& v) { return v.has_value(); })) continue;
     const int best = best_run(values, metric.better);
     body += fmt::format("<tr><th scope=\"row\">{}{}<small class=\"d\">{}</small></th>", html_escape(metric.label),
-                        metric.unit.empty() ? "" : fmt::format(" <span class=\"none\">{}</span>", metric.unit), html_escape(metric.help));
-    for (std::size_t i = 0; i < values.size(); ++i) body += value_cell(values[i], metric.digits, best == static_cast<int>(i));
+                        metric.unit.empty() ? "" : fmt::format(" <span class=\"none\">{}</span>", metric.unit),
+                        html_escape(metric.help));
+    for (std::size_t i = 0; i < values.size(); ++i)
+      body += value_cell(values[i], metric.digits, best == static_cast<int>(i));
     body += "</tr>\n";
   }
   body += "<tr><th scope=\"row\">Training time<small class=\"d\">evaluation not counted</small></th>";
-  for (const ReportRun& run : input.runs) body += fmt::format("<td class=\"num\">{}</td>", duration_text(trained_s(run)));
+  for (const ReportRun& run : input.runs)
+    body += fmt::format("<td class=\"num\">{}</td>", duration_text(trained_s(run)));
   body += "</tr>\n";
-  const std::string hint = fmt::format("Last evaluation{}.{}", split.empty() ? "" : " on the split “" + html_escape(split) + "”",
-                                       input.runs.size() > 1 ? " The best of each row is set in bold." : "");
+  const std::string hint =
+      fmt::format("Last evaluation{}.{}", split.empty() ? "" : " on the split “" + html_escape(split) + "”",
+                  input.runs.size() > 1 ? " The best of each row is set in bold." : "");
   return open_section("figures", "Figures", hint) +
-         table_panel("Figures", fmt::format("<tr><th scope=\"col\">Metric</th>{}</tr>", run_heads(input)), body) + "</section>\n";
+         table_panel("Figures", fmt::format("<tr><th scope=\"col\">Metric</th>{}</tr>", run_heads(input)), body) +
+         "</section>\n";
 }
 
 std::string classes_section(const ReportInput& input, const std::string& split) {
@@ -101,7 +110,8 @@ std::string classes_section(const ReportInput& input, const std::string& split) 
     std::string tracks, values;
     bool listed = false;
     for (std::size_t i = 0; i < of_run.size(); ++i) {
-      const auto found = std::find_if(of_run[i].begin(), of_run[i].end(), [&](const auto& e) { return e.first == entry.name; });
+      const auto found =
+          std::find_if(of_run[i].begin(), of_run[i].end(), [&](const auto& e) { return e.first == entry.name; });
       listed = listed || found != of_run[i].end();
       const bool scored = found != of_run[i].end() && found->second.has_value();
       if (!scored) {
@@ -109,21 +119,27 @@ std::string classes_section(const ReportInput& input, const std::string& split) 
         values += "<div class=\"none\">no data</div>";
         continue;
       }
-      const std::string paint =
-          single ? fmt::format("rgb({} {} {})", entry.color[0], entry.color[1], entry.color[2]) : fmt::format("var(--s{})", i % 8);
-      tracks += fmt::format("<div class=\"tr\"><i style=\"width:{:.1f}%;background:{}\"></i></div>", 100 * std::clamp(*found->second, 0.0, 1.0), paint);
+      const std::string paint = single ? fmt::format("rgb({} {} {})", entry.color[0], entry.color[1], entry.color[2])
+                                       : fmt::format("var(--s{})", i % 8);
+      tracks += fmt::format("<div class=\"tr\"><i style=\"width:{:.1f}%;background:{}\"></i></div>",
+                            100 * std::clamp(*found->second, 0.0, 1.0), paint);
       values += fmt::format("<div>{:.3f}</div>", *found->second);
     }
     if (!listed) continue;
-    bars += fmt::format("<div class=\"bar\"><span class=\"name\"><span class=\"sw\" style=\"background:rgb({} {} {})\"></span>{}</span><span>{}</span><span class=\"val\">{}</span></div>\n",
-                        entry.color[0], entry.color[1], entry.color[2], html_escape(entry.name), tracks, values);
+    bars += fmt::format(
+        "<div class=\"bar\"><span class=\"name\"><span class=\"sw\" style=\"background:rgb({} {} "
+        "{})\"></span>{}</span><span>{}</span><span class=\"val\">{}</span></div>\n",
+        entry.color[0], entry.color[1], entry.color[2], html_escape(entry.name), tracks, values);
   }
   if (bars.empty()) return {};
-  return open_section("classes", "Intersection over union by class", single ? "Bars run from 0 to 1, in the colours of the label images." : "Bars run from 0 to 1, in the order and colours of the legend.") +
+  return open_section("classes", "Intersection over union by class",
+                      single ? "Bars run from 0 to 1, in the colours of the label images."
+                             : "Bars run from 0 to 1, in the order and colours of the legend.") +
          legend(input) + "<div class=\"panel bars\">\n" + bars + "</div>\n</section>\n";
 }
 
-std::string strips_section(const std::vector<ReportStrip>& strips, std::string_view id, std::string_view title, std::string_view hint) {
+std::string strips_section(const std::vector<ReportStrip>& strips, std::string_view id, std::string_view title,
+                           std::string_view hint) {
   if (strips.empty()) return {};
   return open_section(id, title, hint) + strip_panels(strips) + "</section>\n";
 }
@@ -134,8 +150,9 @@ std::string strip_panels(const std::vector<ReportStrip>& strips) {
     out += fmt::format("<div class=\"panel strip\"><h3>{}{}</h3>\n<div class=\"imgs\">\n", html_escape(strip.name),
                        strip.note.empty() ? "" : fmt::format("<span>{}</span>", html_escape(strip.note)));
     for (const ReportImage& image : strip.images) {
-      out += fmt::format("<figure><img alt=\"{}, frame {}\" loading=\"lazy\" src=\"{}\"><figcaption>{}</figcaption></figure>\n",
-                         html_escape(image.caption), html_escape(strip.name), png_data_uri(image.png), html_escape(image.caption));
+      out += fmt::format(
+          "<figure><img alt=\"{}, frame {}\" loading=\"lazy\" src=\"{}\"><figcaption>{}</figcaption></figure>\n",
+          html_escape(image.caption), html_escape(strip.name), png_data_uri(image.png), html_escape(image.caption));
     }
     out += "</div></div>\n";
   }
@@ -147,16 +164,24 @@ std::string left_out_section(const ReportInput& input) {
   const bool several = input.runs.size() > 1;
   for (const ReportRun& run : input.runs) {
     for (const LeftOutRow& row : run.left_out) {
-      body += fmt::format("<tr>{}<th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>\n",
-                          several ? fmt::format("<td>{}</td>", html_escape(run.name)) : "", html_escape(row.component), html_escape(row.rule),
-                          html_escape(row.evidence), html_escape(row.proof), html_escape(row.saving_estimate),
-                          row.saving_measured.empty() ? "<span class=\"none\">–</span>" : html_escape(row.saving_measured));
+      body += fmt::format(
+          "<tr>{}<th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>\n",
+          several ? fmt::format("<td>{}</td>", html_escape(run.name)) : "", html_escape(row.component),
+          html_escape(row.rule), html_escape(row.evidence), html_escape(row.proof), html_escape(row.saving_estimate),
+          row.saving_measured.empty() ? "<span class=\"none\">–</span>" : html_escape(row.saving_measured));
     }
   }
   if (body.empty()) return {};
-  return open_section("left-out", "Left out, and why", "Parts that this scene does not need were not built. Proof: B, bitwise the same result; C, within a certified bound; S, the same within statistics.") +
-         table_panel("Left out", fmt::format("<tr>{}<th scope=\"col\">Component</th><th scope=\"col\">Rule</th><th scope=\"col\">Found here</th><th scope=\"col\">Proof</th><th scope=\"col\">Saving, estimated</th><th scope=\"col\">Measured</th></tr>",
-                                             several ? "<th scope=\"col\">Run</th>" : ""), body) + "</section>\n";
+  return open_section("left-out", "Left out, and why",
+                      "Parts that this scene does not need were not built. Proof: B, bitwise the same result; C, "
+                      "within a certified bound; S, the same within statistics.") +
+         table_panel("Left out",
+                     fmt::format("<tr>{}<th scope=\"col\">Component</th><th scope=\"col\">Rule</th><th "
+                                 "scope=\"col\">Found here</th><th scope=\"col\">Proof</th><th scope=\"col\">Saving, "
+                                 "estimated</th><th scope=\"col\">Measured</th></tr>",
+                                 several ? "<th scope=\"col\">Run</th>" : ""),
+                     body) +
+         "</section>\n";
 }
 
 std::string environment_section(const ReportInput& input) {
@@ -169,16 +194,22 @@ std::string environment_section(const ReportInput& input) {
         if (value.empty()) continue;
         std::string label = key;
         std::replace(label.begin(), label.end(), '_', ' ');
-        rows += fmt::format("<tr><th scope=\"row\">{}</th><td class=\"code\">{}</td></tr>\n", html_escape(label), html_escape(value));
+        rows += fmt::format("<tr><th scope=\"row\">{}</th><td class=\"code\">{}</td></tr>\n", html_escape(label),
+                            html_escape(value));
       }
-      body += fmt::format("<details><summary>Environment{}</summary><div class=\"scroll\"><table><tbody>\n{}</tbody></table></div></details>\n", suffix, rows);
+      body += fmt::format(
+          "<details><summary>Environment{}</summary><div "
+          "class=\"scroll\"><table><tbody>\n{}</tbody></table></div></details>\n",
+          suffix, rows);
     }
     if (!run.config.empty()) {
-      body += fmt::format("<details><summary>Configuration{}</summary><pre tabindex=\"0\">{}</pre></details>\n", suffix, html_escape(run.config));
+      body += fmt::format("<details><summary>Configuration{}</summary><pre tabindex=\"0\">{}</pre></details>\n", suffix,
+                          html_escape(run.config));
     }
   }
   if (body.empty()) return {};
-  return open_section("setup", "Set-up", "What it takes to repeat the run.") + "<div class=\"panel\">\n" + body + "</div>\n</section>\n";
+  return open_section("setup", "Set-up", "What it takes to repeat the run.") + "<div class=\"panel\">\n" + body +
+         "</div>\n</section>\n";
 }
 
 }  // namespace semfield

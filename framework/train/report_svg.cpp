@@ -23,7 +23,8 @@ struct Axis {
   double low = 0, high = 1, from_px = 0, to_px = 1;
   bool log = false;
   double at(double value) const {
-    const double share = log ? (std::log10(value) - std::log10(low)) / (std::log10(high) - std::log10(low)) : (value - low) / (high - low);
+    const double share = log ? (std::log10(value) - std::log10(low)) / (std::log10(high) - std::log10(low))
+                             : (value - low) / (high - low);
     return from_px + share * (to_px - from_px);
   }
 };
@@ -44,11 +45,13 @@ std::string tick_text(double value) {
 
 std::string stroke(int color) {
   const char* dash = kDashes[static_cast<std::size_t>(color) % kDashes.size()];
-  return fmt::format("stroke=\"var(--s{})\"{}", color % kColors, *dash != 0 ? fmt::format(" stroke-dasharray=\"{}\"", dash) : "");
+  return fmt::format("stroke=\"var(--s{})\"{}", color % kColors,
+                     *dash != 0 ? fmt::format(" stroke-dasharray=\"{}\"", dash) : "");
 }
 
 std::string text_at(double x, double y, const char* anchor, const std::string& text, const std::string& extra = {}) {
-  return fmt::format("<text x=\"{}\" y=\"{}\" text-anchor=\"{}\"{}>{}</text>\n", px(x), px(y), anchor, extra, html_escape(text));
+  return fmt::format("<text x=\"{}\" y=\"{}\" text-anchor=\"{}\"{}>{}</text>\n", px(x), px(y), anchor, extra,
+                     html_escape(text));
 }
 
 bool drawable(const PlotPoint& p, const PlotSpec& spec) {
@@ -59,7 +62,8 @@ bool has_bar(const PlotPoint& p) { return p.low && p.high && std::isfinite(*p.lo
 
 // "31.4 (30.9 to 31.8) at 120".
 std::string point_text(const PlotPoint& p, int digits) {
-  const std::string interval = has_bar(p) ? fmt::format(" ({} to {})", figure_text(*p.low, digits), figure_text(*p.high, digits)) : "";
+  const std::string interval =
+      has_bar(p) ? fmt::format(" ({} to {})", figure_text(*p.low, digits), figure_text(*p.high, digits)) : "";
   return fmt::format("{}{} at {}", figure_text(p.y, digits), interval, figure_text(p.x, 3));
 }
 
@@ -67,24 +71,29 @@ std::string describe(const PlotSpec& spec) {
   std::string text = spec.title + " over " + spec.x_label + ".";
   for (const PlotSeries& series : spec.series) {
     if (series.points.empty() || series.reference) continue;
-    text += fmt::format(" {}: from {} to {}.", series.name, point_text(series.points.front(), spec.digits), point_text(series.points.back(), spec.digits));
+    text += fmt::format(" {}: from {} to {}.", series.name, point_text(series.points.front(), spec.digits),
+                        point_text(series.points.back(), spec.digits));
     for (const PlotMark& mark : series.marks) text += fmt::format(" {}.", mark.text);
   }
   return text;
 }
 
-std::string grid(const PlotSpec& spec, const Axis& x, const Axis& y, const std::vector<double>& x_ticks, const std::vector<double>& y_ticks) {
+std::string grid(const PlotSpec& spec, const Axis& x, const Axis& y, const std::vector<double>& x_ticks,
+                 const std::vector<double>& y_ticks) {
   std::string out;
   for (double tick : y_ticks) {
-    out += fmt::format("<line class=\"g\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>\n", px(kLeft), px(y.at(tick)), px(kWidth - kRight), px(y.at(tick)));
+    out += fmt::format("<line class=\"g\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>\n", px(kLeft), px(y.at(tick)),
+                       px(kWidth - kRight), px(y.at(tick)));
     out += text_at(kLeft - 8, y.at(tick) + 4, "end", tick_text(tick));
   }
   const double base = kHeight - kBottom;
   for (double tick : x_ticks) {
-    out += fmt::format("<line class=\"ax\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>\n", px(x.at(tick)), px(base), px(x.at(tick)), px(base + 5));
+    out += fmt::format("<line class=\"ax\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>\n", px(x.at(tick)), px(base),
+                       px(x.at(tick)), px(base + 5));
     out += text_at(x.at(tick), base + 19, "middle", tick_text(tick));
   }
-  out += fmt::format("<line class=\"ax\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>\n", px(kLeft), px(base), px(kWidth - kRight), px(base));
+  out += fmt::format("<line class=\"ax\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>\n", px(kLeft), px(base),
+                     px(kWidth - kRight), px(base));
   out += text_at((kLeft + kWidth - kRight) / 2, kHeight - 6, "middle", spec.x_label);
   return out;
 }
@@ -105,11 +114,13 @@ std::string end_labels(const PlotSpec& spec, const std::vector<PlotSeries>& draw
   }
   std::stable_sort(labels.begin(), labels.end(), [](const Label& a, const Label& b) { return a.at_px < b.at_px; });
   for (std::size_t i = 1; i < labels.size(); ++i) {
-    if (std::abs(labels[i].x_px - labels[i - 1].x_px) < 48) labels[i].at_px = std::max(labels[i].at_px, labels[i - 1].at_px + 15);
+    if (std::abs(labels[i].x_px - labels[i - 1].x_px) < 48)
+      labels[i].at_px = std::max(labels[i].at_px, labels[i - 1].at_px + 15);
   }
   std::string out;
   for (const Label& label : labels) {
-    out += text_at(label.x_px + 8, label.at_px + 4, "start", label.text, fmt::format(" class=\"end\" style=\"fill:var(--s{})\"", label.color % kColors));
+    out += text_at(label.x_px + 8, label.at_px + 4, "start", label.text,
+                   fmt::format(" class=\"end\" style=\"fill:var(--s{})\"", label.color % kColors));
   }
   return out;
 }
@@ -159,7 +170,9 @@ std::vector<double> scale_x(const PlotSpec& spec, const Extent& extent, Axis& x)
   x.high = spec.x_range ? spec.x_range->second : extent.x_high;
   if (x.high <= x.low) x.high = x.low + 1;
   std::vector<double> ticks = linear_ticks(x.low, x.high, 5);
-  std::erase_if(ticks, [&](double tick) { return tick < x.low - 1e-9 * (x.high - x.low) || tick > x.high + 1e-9 * (x.high - x.low); });
+  std::erase_if(ticks, [&](double tick) {
+    return tick < x.low - 1e-9 * (x.high - x.low) || tick > x.high + 1e-9 * (x.high - x.low);
+  });
   return ticks;
 }
 
@@ -185,15 +198,19 @@ std::vector<double> scale_y(const PlotSpec& spec, Extent extent, Axis& y) {
 }
 
 std::string line(double x1, double y1, double x2, double y2, const std::string& attributes) {
-  return fmt::format("<line x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\" {}/>\n", px(x1), px(y1), px(x2), px(y2), attributes);
+  return fmt::format("<line x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\" {}/>\n", px(x1), px(y1), px(x2), px(y2),
+                     attributes);
 }
 
 std::string draw_bars(const PlotSeries& series, const Axis& x, const Axis& y) {
   std::string out;
   for (const PlotBar& bar : series.bars) {
     const double top = y.log && bar.height <= 0 ? y.from_px : y.at(bar.height);
-    out += fmt::format("<rect class=\"br\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" fill=\"var(--s{})\"><title>{}</title></rect>\n", px(x.at(bar.from) + 1),
-                       px(top), px(std::max(0.0, x.at(bar.to) - x.at(bar.from) - 2)), px(std::max(0.0, y.from_px - top)), series.color % kColors, html_escape(bar.text));
+    out += fmt::format(
+        "<rect class=\"br\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" "
+        "fill=\"var(--s{})\"><title>{}</title></rect>\n",
+        px(x.at(bar.from) + 1), px(top), px(std::max(0.0, x.at(bar.to) - x.at(bar.from) - 2)),
+        px(std::max(0.0, y.from_px - top)), series.color % kColors, html_escape(bar.text));
   }
   return out;
 }
@@ -201,12 +218,14 @@ std::string draw_bars(const PlotSeries& series, const Axis& x, const Axis& y) {
 std::string draw_error_bar(const PlotPoint& p, int color, const Axis& x, const Axis& y) {
   const std::string paint = fmt::format("class=\"eb\" stroke=\"var(--s{})\"", color % kColors);
   const double at = x.at(p.x), low = y.log && *p.low <= 0 ? y.from_px : y.at(*p.low), high = y.at(*p.high);
-  return line(at, low, at, high, paint) + line(at - 4, low, at + 4, low, paint) + line(at - 4, high, at + 4, high, paint);
+  return line(at, low, at, high, paint) + line(at - 4, low, at + 4, low, paint) +
+         line(at - 4, high, at + 4, high, paint);
 }
 
 // On the line as it is drawn, whatever the axes: between two points it is straight in pixels.
 std::string draw_mark(const PlotMark& mark, const PlotSeries& series, const Axis& x, const Axis& y) {
-  const auto after = std::find_if(series.points.begin(), series.points.end(), [&](const PlotPoint& p) { return p.x >= mark.x; });
+  const auto after =
+      std::find_if(series.points.begin(), series.points.end(), [&](const PlotPoint& p) { return p.x >= mark.x; });
   if (after == series.points.end() || (after == series.points.begin() && after->x > mark.x)) return {};
   const double cx = x.at(mark.x);
   double cy = y.at(after->y);
@@ -215,22 +234,26 @@ std::string draw_mark(const PlotMark& mark, const PlotSeries& series, const Axis
     cy = y.at(before.y) + (cx - x.at(before.x)) / (x.at(after->x) - x.at(before.x)) * (cy - y.at(before.y));
   }
   const double r = mark.diamond ? 7 : 5.5;
-  const std::string shape = mark.diamond ? fmt::format("<path d=\"M{} {}L{} {}L{} {}L{} {}Z\"", px(cx - r), px(cy), px(cx), px(cy - r), px(cx + r), px(cy), px(cx), px(cy + r))
+  const std::string shape = mark.diamond ? fmt::format("<path d=\"M{} {}L{} {}L{} {}L{} {}Z\"", px(cx - r), px(cy),
+                                                       px(cx), px(cy - r), px(cx + r), px(cy), px(cx), px(cy + r))
                                          : fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"{}\"", px(cx), px(cy), px(r));
-  return fmt::format("{} class=\"mk\" stroke=\"var(--s{})\"><title>{}</title></{}>\n", shape, series.color % kColors, html_escape(mark.text), mark.diamond ? "path" : "circle");
+  return fmt::format("{} class=\"mk\" stroke=\"var(--s{})\"><title>{}</title></{}>\n", shape, series.color % kColors,
+                     html_escape(mark.text), mark.diamond ? "path" : "circle");
 }
 
 std::string draw_series(const PlotSpec& spec, const PlotSeries& series, const Axis& x, const Axis& y) {
   std::string out, path;
-  for (const PlotPoint& p : series.points) path += fmt::format("{}{},{}", path.empty() ? "" : " ", px(x.at(p.x)), px(y.at(p.y)));
+  for (const PlotPoint& p : series.points)
+    path += fmt::format("{}{},{}", path.empty() ? "" : " ", px(x.at(p.x)), px(y.at(p.y)));
   if (series.reference) return path.empty() ? path : fmt::format("<polyline class=\"rf\" points=\"{}\"/>\n", path);
   if (!path.empty()) out += fmt::format("<polyline class=\"ln\" {} points=\"{}\"/>\n", stroke(series.color), path);
   for (std::size_t i = 0; i < series.points.size(); ++i) {
     const PlotPoint& p = series.points[i];
     if (has_bar(p)) out += draw_error_bar(p, series.color, x, y);
     if (!spec.markers && i + 1 != series.points.size()) continue;
-    out += fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"{}\" fill=\"var(--s{})\"><title>{}: {}</title></circle>\n", px(x.at(p.x)), px(y.at(p.y)),
-                       series.points.size() == 1 ? 5 : 3, series.color % kColors, html_escape(series.name), html_escape(point_text(p, spec.digits)));
+    out += fmt::format("<circle cx=\"{}\" cy=\"{}\" r=\"{}\" fill=\"var(--s{})\"><title>{}: {}</title></circle>\n",
+                       px(x.at(p.x)), px(y.at(p.y)), series.points.size() == 1 ? 5 : 3, series.color % kColors,
+                       html_escape(series.name), html_escape(point_text(p, spec.digits)));
   }
   for (const PlotMark& mark : series.marks) out += draw_mark(mark, series, x, y);
   return out;
@@ -261,7 +284,8 @@ std::vector<double> log_ticks(double low, double high) {
   std::vector<double> ticks;
   const auto collect = [&](std::initializer_list<double> factors) {
     ticks.clear();
-    for (int e = static_cast<int>(std::floor(std::log10(low))); e <= static_cast<int>(std::ceil(std::log10(high))); ++e) {
+    for (int e = static_cast<int>(std::floor(std::log10(low))); e <= static_cast<int>(std::ceil(std::log10(high)));
+         ++e) {
       for (double factor : factors) {
         const double tick = factor * std::pow(10.0, e);
         if (tick >= low * (1 - 1e-9) && tick <= high * (1 + 1e-9)) ticks.push_back(tick);
@@ -295,7 +319,10 @@ std::vector<PlotPoint> thin_points(const std::vector<PlotPoint>& points, std::si
 }
 
 std::string line_sample(int color) {
-  return fmt::format("<svg viewBox=\"0 0 34 10\" aria-hidden=\"true\"><line class=\"ln\" x1=\"1\" y1=\"5\" x2=\"33\" y2=\"5\" {}/></svg>", stroke(color));
+  return fmt::format(
+      "<svg viewBox=\"0 0 34 10\" aria-hidden=\"true\"><line class=\"ln\" x1=\"1\" y1=\"5\" x2=\"33\" y2=\"5\" "
+      "{}/></svg>",
+      stroke(color));
 }
 
 std::string line_plot(const PlotSpec& spec) {
@@ -303,7 +330,8 @@ std::string line_plot(const PlotSpec& spec) {
   for (PlotSeries& series : drawn) {
     std::erase_if(series.points, [&](const PlotPoint& p) { return !drawable(p, spec); });
   }
-  std::string out = fmt::format("<svg viewBox=\"0 0 {:.0f} {:.0f}\" role=\"img\" aria-label=\"{}\">\n", kWidth, kHeight, html_escape(describe(spec)));
+  std::string out = fmt::format("<svg viewBox=\"0 0 {:.0f} {:.0f}\" role=\"img\" aria-label=\"{}\">\n", kWidth, kHeight,
+                                html_escape(describe(spec)));
   const Extent extent = extent_of(spec, drawn);
   if (extent.y_low > extent.y_high) return out + text_at(kWidth / 2, kHeight / 2, "middle", "no data") + "</svg>\n";
 

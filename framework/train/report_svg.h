@@ -1,4 +1,5 @@
-// Plots as SVG text: axes with round ticks, several series overlaid, linear or logarithmic axes, error bars, bars and marks.
+// Plots as SVG text: axes with round ticks, several series overlaid, linear or logarithmic axes, error bars, bars and
+// marks.
 #pragma once
 
 #include <optional>
@@ -53,8 +54,8 @@ struct PlotSpec {
 
 /// Round tick positions that cover [low, high]: 1, 2 or 5 times a power of ten apart, about `wanted` of them.
 std::vector<double> linear_ticks(double low, double high, int wanted);
-/// Powers of ten in [low, high], with their 2- and 5-fold when that leaves fewer than three; round numbers when the range
-/// holds fewer than two of those.
+/// Powers of ten in [low, high], with their 2- and 5-fold when that leaves fewer than three; round numbers when the
+/// range holds fewer than two of those.
 std::vector<double> log_ticks(double low, double high);
 
 /// At most `most` points: neighbours are averaged in equal groups, which have no error bars. Fewer points come back as

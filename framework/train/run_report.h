@@ -15,7 +15,8 @@ class ReportFrames {
  public:
   ReportFrames() = default;
   /// `shown`: frames to keep in any case.
-  ReportFrames(std::vector<int> shown, int most_worst) : shown_(std::move(shown)), most_worst_(static_cast<std::size_t>(most_worst)) {}
+  ReportFrames(std::vector<int> shown, int most_worst)
+      : shown_(std::move(shown)), most_worst_(static_cast<std::size_t>(most_worst)) {}
   void add(const FrameScore& score, const RenderedFrame& maps);
 
   using Kept = std::vector<std::pair<FrameScore, RenderedFrame>>;

@@ -47,7 +47,8 @@ class Run {
     if (!session_.scene.info.classes.empty())
       write_file_atomic(folder_.classes_path(), session_.scene.info.classes.to_yaml());
     write_left_out();
-    write_file_atomic(folder_.labels_path(), label_counts_json(label_counts(session_.manifest, session_.scene.info.classes)));
+    write_file_atomic(folder_.labels_path(),
+                      label_counts_json(label_counts(session_.manifest, session_.scene.info.classes)));
     write_environment(registry);
     rays_ = session_.make_ray_source();
     trainer_ = std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule);
@@ -183,7 +184,8 @@ class Run {
     EvalJob job = session_.eval_job(evenly_spaced(test, most_frames));
     if (!last && hooks_.stop_signal) job.stop = [this] { return hooks_.stop_signal() != 0; };
     if (last) {
-      report_frames_ = ReportFrames(evenly_spaced(test, session_.config.report.strips), session_.config.report.worst_frames);
+      report_frames_ =
+          ReportFrames(evenly_spaced(test, session_.config.report.strips), session_.config.report.worst_frames);
       job.on_frame = [this](const FrameScore& score, const RenderedFrame& maps) { report_frames_.add(score, maps); };
     }
     const SplitScore score = evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);

@@ -11,7 +11,10 @@
 namespace semfield {
 namespace {
 
-const ClassTable kTable({{0, "void", {0, 0, 0}, true}, {3, "wall \"a\"", {1, 2, 3}, false}, {7, "never", {4, 5, 6}, false}, {9, "chair", {7, 8, 9}, false}});
+const ClassTable kTable({{0, "void", {0, 0, 0}, true},
+                         {3, "wall \"a\"", {1, 2, 3}, false},
+                         {7, "never", {4, 5, 6}, false},
+                         {9, "chair", {7, 8, 9}, false}});
 
 // Two frames of truth wall, wall, chair, void; one chair is taken for a wall with confidence 0.9.
 SplitScore sample_score() {

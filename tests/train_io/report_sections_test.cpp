@@ -1,4 +1,6 @@
 // The report's sections that compare runs and look into their last evaluation, held against hand-made inputs.
+#include "train/report_sections.h"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -9,7 +11,6 @@
 #include "train/report.h"
 #include "train/report_convergence.h"
 #include "train/report_parts.h"
-#include "train/report_sections.h"
 
 namespace semfield {
 namespace {
@@ -66,7 +67,10 @@ ReportRun run_named(const std::string& name) {
   return run;
 }
 
-LabelCounts labels_of(std::int64_t frames) { return {200, frames, 3840000, frames * 19200, {{1, "wall", frames * 19000}, {2, "clock", frames * 200}, {3, "mug", 0}}}; }
+LabelCounts labels_of(std::int64_t frames) {
+  return {
+      200, frames, 3840000, frames * 19200, {{1, "wall", frames * 19000}, {2, "clock", frames * 200}, {3, "mug", 0}}};
+}
 
 // wall: 80 right, 20 as chair & co; chair <b>: 30 as wall, 10 right; table: predicted alone.
 FinalEval eval_of() {
@@ -94,7 +98,10 @@ TEST(CurvesSection, MarksAndTabulatesTheTimes) {
   ReportInput input;
   input.runs = {run_named("a")};
   const std::string html = curves_section(input, "test");
-  EXPECT_TRUE(holds(html, "<td class=\"num\">30.00<small class=\"d\">from 20.00</small></td><td class=\"num\">30.0 s</td><td class=\"num\">35.0 s</td>")) << html;
+  EXPECT_TRUE(holds(html,
+                    "<td class=\"num\">30.00<small class=\"d\">from 20.00</small></td><td class=\"num\">30.0 s</td><td "
+                    "class=\"num\">35.0 s</td>"))
+      << html;
   EXPECT_TRUE(holds(html, "<title>a: 90 % of the way after 30.0 s</title>"));
   EXPECT_EQ(count_of(html, "class=\"mk\""), 4u) << "two marks in each of two plots";
   EXPECT_FALSE(holds(html, "log-time")) << "10 s to 40 s is less than a decade";
@@ -102,7 +109,10 @@ TEST(CurvesSection, MarksAndTabulatesTheTimes) {
   EXPECT_TRUE(holds(curves_section(input, "test"), "log-time"));
   input.runs[0].rows.resize(1);
   const std::string single = curves_section(input, "test");
-  EXPECT_TRUE(holds(single, "<td class=\"num\">10.00<small class=\"d\">from 10.00</small></td><td class=\"num none\">–</td><td class=\"num none\">–</td>")) << single;
+  EXPECT_TRUE(holds(single,
+                    "<td class=\"num\">10.00<small class=\"d\">from 10.00</small></td><td class=\"num none\">–</td><td "
+                    "class=\"num none\">–</td>"))
+      << single;
   EXPECT_EQ(count_of(single, "class=\"mk\""), 0u);
 }
 
@@ -144,7 +154,8 @@ TEST(ConfusionSection, NormalisesRowsAndSaysTheLargest) {
   const std::string html = confusion_section(input);
   EXPECT_TRUE(holds(html, "chair &lt;b&gt; read as ")) << html;
   EXPECT_FALSE(holds(html, "<b>"));
-  EXPECT_TRUE(holds(html, "</span>wall: 75 % of chair &lt;b&gt;<small class=\"d\">30 px, 60 % of all wrong pixels</small>"));
+  EXPECT_TRUE(
+      holds(html, "</span>wall: 75 % of chair &lt;b&gt;<small class=\"d\">30 px, 60 % of all wrong pixels</small>"));
   EXPECT_TRUE(holds(html, ">80</td>"));  // of 100 pixels of wall
   EXPECT_TRUE(holds(html, ">75</td>"));  // 30 of 40 pixels of chair
   EXPECT_EQ(count_of(html, "<th scope=\"row\""), 2u) << "a class that is never true has a column and no row";
@@ -219,11 +230,13 @@ TEST(Report, RunFoldersWithAndWithoutTheNewFiles) {
   write_file_atomic(fresh.labels_path(), label_counts_json(labels_of(20)));
   write_file_atomic(fresh.final_eval_path(), final_eval_json(eval_of()));
   const std::string page = make_report(read_report_input(folders));
-  for (const char* part : {"id=\"labels\"", "id=\"confusion\"", "id=\"calibration\"", "id=\"worst\"", "no labels.json (made by an earlier version): old.", "href=\"#calibration\""})
+  for (const char* part : {"id=\"labels\"", "id=\"confusion\"", "id=\"calibration\"", "id=\"worst\"",
+                           "no labels.json (made by an earlier version): old.", "href=\"#calibration\""})
     EXPECT_TRUE(holds(page, part)) << part;
   EXPECT_TRUE(page == make_report(read_report_input(folders))) << "the same files give the same bytes";
   const std::string old_page = make_report(read_report_input({folders[1]}));
-  for (const char* part : {"id=\"labels\"", "id=\"confusion\"", "id=\"calibration\"", "id=\"worst\""}) EXPECT_FALSE(holds(old_page, part)) << part;
+  for (const char* part : {"id=\"labels\"", "id=\"confusion\"", "id=\"calibration\"", "id=\"worst\""})
+    EXPECT_FALSE(holds(old_page, part)) << part;
   write_file_atomic(fresh.final_eval_path(), "{\"split\": \"test\"}");
   try {
     (void)read_report_input(folders);
