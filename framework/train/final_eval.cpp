@@ -182,8 +182,10 @@ FinalEval parse_final_eval(std::string_view text, const std::string& name) {
   });
 }
 
-LabelCounts label_counts(const SceneManifest& manifest, const ClassTable& table) {
+LabelCounts label_counts(const SceneManifest& manifest, const ClassTable& table,
+                         std::vector<TrainingLabels::Step> steps) {
   LabelCounts counts;
+  counts.steps = std::move(steps);
   counts.train_frames = manifest.train_frames;
   counts.labelled_frames = manifest.labelled_frames;
   counts.train_px = manifest.train_pixels;
@@ -204,6 +206,12 @@ std::string label_counts_json(const LabelCounts& counts) {
   Json& classes = out["classes"] = Json::array();
   for (const LabelCounts::Class& c : counts.classes)
     classes.push_back({{"id", c.id}, {"name", c.name}, {"pixels", c.pixels}});
+  Json& steps = out["degrade"] = Json::array();
+  for (const TrainingLabels::Step& step : counts.steps) {
+    Json facts = Json::object();
+    for (const auto& [name, value] : step.facts) facts[name] = value;
+    steps.push_back({{"type", step.type}, {"facts", std::move(facts)}});
+  }
   return out.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
@@ -216,6 +224,11 @@ LabelCounts parse_label_counts(std::string_view text, const std::string& name) {
     counts.labelled_px = pixels_of(json.at("labelled_pixels"));
     for (const Json& row : json.at("classes")) {
       counts.classes.push_back({id_of(row.at("id")), row.at("name").get<std::string>(), pixels_of(row.at("pixels"))});
+    }
+    for (const Json& row : json.at("degrade")) {
+      TrainingLabels::Step& step = counts.steps.emplace_back();
+      step.type = row.at("type").get<std::string>();
+      for (const auto& [fact, value] : row.at("facts").items()) step.facts.emplace_back(fact, value.get<std::string>());
     }
     return counts;
   });

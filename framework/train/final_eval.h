@@ -9,6 +9,7 @@
 #include <string_view>
 #include <vector>
 
+#include "labels/training_labels.h"
 #include "model/leave_out.h"
 #include "scene/class_table.h"
 #include "train/evaluator.h"
@@ -63,10 +64,12 @@ struct LabelCounts {
     std::string name;
     std::int64_t pixels = 0;
   };
-  std::vector<Class> classes;  ///< every class that is not ignored, by ascending id
+  std::vector<Class> classes;               ///< every class that is not ignored, by ascending id
+  std::vector<TrainingLabels::Step> steps;  ///< what was done to the labels, in order; counts are of what came out
 };
 
-LabelCounts label_counts(const SceneManifest& manifest, const ClassTable& classes);
+LabelCounts label_counts(const SceneManifest& manifest, const ClassTable& classes,
+                         std::vector<TrainingLabels::Step> steps = {});
 std::string label_counts_json(const LabelCounts& counts);
 LabelCounts parse_label_counts(std::string_view json, const std::string& name);
 

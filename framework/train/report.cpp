@@ -12,22 +12,19 @@
 
 namespace semfield {
 
-namespace {
-
-std::string chosen_split(const ReportInput& input) {
-  if (!input.split.empty()) return input.split;
-  std::string split;
-  for (const MetricsRow& row : input.runs.front().rows) {
-    if (row.kind == "eval") split = row.split;
+std::string report_split(const std::vector<MetricsRow>& rows) {
+  std::string last, held_out;
+  for (const MetricsRow& row : rows) {
+    if (row.kind != "eval") continue;
+    last = row.split;
+    if (row.split != "train") held_out = row.split;
   }
-  return split;
+  return held_out.empty() ? last : held_out;
 }
-
-}  // namespace
 
 std::string make_report(const ReportInput& input) {
   SEMFIELD_CHECK(!input.runs.empty(), "a report is about at least one run");
-  const std::string split = chosen_split(input);
+  const std::string split = input.split.empty() ? report_split(input.runs.front().rows) : input.split;
   const std::string of_first =
       input.runs.size() > 1 ? " Pictures are of " + html_escape(input.runs.front().name) + "." : std::string();
   struct Part {

@@ -48,12 +48,15 @@ struct ReportRun {
 struct ReportInput {
   std::string title;                 ///< e.g. the scene's name
   std::string subtitle;              ///< one sentence: configuration, split
-  std::string split;                 ///< eval rows that count; empty: those of the last eval row's split
+  std::string split;                 ///< eval rows that count; empty: report_split of the first run
   std::vector<ReportRun> runs;       ///< at least one
   std::vector<ReportClass> classes;  ///< order and colours of the per-class list; empty: order of the rows, no colours
   std::vector<ReportStrip> strips;
   std::vector<ReportStrip> worst;  ///< worst frames, worst first
 };
+
+/// Split of the last evaluation; one of training frames only where there is no other.
+std::string report_split(const std::vector<MetricsRow>& rows);
 
 /// The page: no scripts, no network, images inside. Throws Error(internal) without runs.
 std::string make_report(const ReportInput& input);

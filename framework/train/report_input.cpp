@@ -115,9 +115,7 @@ ReportInput read_report_input(const std::vector<std::string>& run_folders, int m
     const ClassTable table = ClassTable::load(first.classes_path());
     for (int c = 0; c < table.valid_count(); ++c) input.classes.push_back({table.valid(c).name, table.valid(c).color});
   }
-  for (const MetricsRow& row : input.runs.front().rows) {
-    if (row.kind == "eval") input.split = row.split;
-  }
+  input.split = report_split(input.runs.front().rows);
   const fs::path render = fs::path(first.path()) / "render" / (input.split.empty() ? "test" : input.split);
   std::set<std::string> apart;
   const std::string worst = text_or_empty(first.worst_frames_path());

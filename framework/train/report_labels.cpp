@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 
+#include "core/error.h"
 #include "train/html.h"
 #include "train/report_parts.h"
 #include "train/report_sections.h"
@@ -47,31 +48,59 @@ std::string plots(const ReportInput& input, const std::string& split, const Absc
   return figures;
 }
 
+// "pixel_noise: pixels changed 12345, share 0.1; propagate: ..."
+std::string steps_text(const LabelCounts& labels) {
+  std::vector<std::string> steps;
+  for (const TrainingLabels::Step& step : labels.steps) {
+    std::vector<std::string> facts;
+    for (const auto& [name, value] : step.facts) facts.push_back(name + " " + value);
+    steps.push_back(facts.empty() ? step.type : step.type + ": " + join(facts, ", "));
+  }
+  return join(steps, "; ");
+}
+
+struct Column {
+  const char *head, *hint;
+  std::string split, key;
+};
+
 std::string table(const ReportInput& input, const std::string& split) {
+  // The last two are of runs with report.score_training_frames: what the labels were worth, and what was made of them.
+  const std::array<Column, 4> all{{{"mIoU", "", split, "miou"},
+                                   {"Total accuracy", "", split, "total_accuracy"},
+                                   {"mIoU of the labels", "against the scene’s own", "train", "given_miou"},
+                                   {"mIoU at their poses", "of the field", "train", "miou"}}};
+  std::vector<Column> columns;
+  for (const Column& column : all) {
+    const auto has = [&](const ReportRun& run) { return run.labels && last_value(run, column.split, column.key); };
+    if (std::any_of(input.runs.begin(), input.runs.end(), has)) columns.push_back(column);
+  }
+  std::string head =
+      "<tr><th scope=\"col\">Run</th><th scope=\"col\" class=\"num\">Labelled frames</th>"
+      "<th scope=\"col\" class=\"num\">Labelled pixels</th><th scope=\"col\" class=\"num\">Classes with labels</th>";
+  for (const Column& column : columns)
+    head +=
+        fmt::format("<th scope=\"col\" class=\"num\">{}<small class=\"d\">{}</small></th>", column.head, column.hint);
   std::string body;
   for (const ReportRun& run : input.runs) {
     if (!run.labels) continue;
     const LabelCounts& labels = *run.labels;
     const auto taught = std::count_if(labels.classes.begin(), labels.classes.end(),
                                       [](const LabelCounts::Class& c) { return c.pixels > 0; });
+    const std::string steps = steps_text(labels);
+    const double share =
+        labels.train_px > 0 ? static_cast<double>(labels.labelled_px) / static_cast<double>(labels.train_px) : 0;
     body += fmt::format(
-        "<tr><th scope=\"row\">{}</th><td class=\"num\">{} of {}</td><td class=\"num\">{}<small class=\"d\">{} of the "
+        "<tr><th scope=\"row\">{}{}</th><td class=\"num\">{} of {}</td><td class=\"num\">{}<small class=\"d\">{} of "
+        "the "
         "training pixels</small></td><td class=\"num\">{} of {}</td>",
-        html_escape(run.name), count_text(labels.labelled_frames), count_text(labels.train_frames),
-        count_text(labels.labelled_px),
-        percent_text(
-            labels.train_px > 0 ? static_cast<double>(labels.labelled_px) / static_cast<double>(labels.train_px) : 0),
-        taught, labels.classes.size());
-    for (const std::string_view key : {"miou", "total_accuracy"})
-      body += value_cell(last_value(run, split, key), report_metric(key).digits, false);
+        html_escape(run.name), steps.empty() ? "" : fmt::format("<small class=\"d\">{}</small>", html_escape(steps)),
+        count_text(labels.labelled_frames), count_text(labels.train_frames), count_text(labels.labelled_px),
+        percent_text(share), taught, labels.classes.size());
+    for (const Column& column : columns) body += value_cell(last_value(run, column.split, column.key), 4, false);
     body += "</tr>\n";
   }
-  return table_panel("Labels of each run",
-                     "<tr><th scope=\"col\">Run</th><th scope=\"col\" class=\"num\">Labelled frames</th><th "
-                     "scope=\"col\" class=\"num\">Labelled pixels</th>"
-                     "<th scope=\"col\" class=\"num\">Classes with labels</th><th scope=\"col\" "
-                     "class=\"num\">mIoU</th><th scope=\"col\" class=\"num\">Total accuracy</th></tr>",
-                     body);
+  return table_panel("Labels of each run", head + "</tr>", body);
 }
 
 }  // namespace

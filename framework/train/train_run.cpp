@@ -47,8 +47,9 @@ class Run {
     if (!session_.scene.info.classes.empty())
       write_file_atomic(folder_.classes_path(), session_.scene.info.classes.to_yaml());
     write_left_out();
-    write_file_atomic(folder_.labels_path(),
-                      label_counts_json(label_counts(session_.manifest, session_.scene.info.classes)));
+    write_file_atomic(
+        folder_.labels_path(),
+        label_counts_json(label_counts(session_.manifest, session_.scene.info.classes, session_.labels.steps)));
     write_environment(registry);
     rays_ = session_.make_ray_source();
     trainer_ = std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule);

@@ -127,13 +127,16 @@ TEST(LabelCounts, AreSummedFromTheManifestAndComeBack) {
   manifest.train_pixels = 1000;
   manifest.train_frames = 10;
   manifest.labelled_frames = 2;
-  const LabelCounts counts = label_counts(manifest, kTable);
+  const LabelCounts counts =
+      label_counts(manifest, kTable, {{"pixel_noise", {{"pixels changed", "12"}, {"seed", "3"}}}});
   EXPECT_EQ(counts.labelled_px, 120);
   ASSERT_EQ(counts.classes.size(), 3u);
   EXPECT_EQ(counts.classes[2].id, 9);
   const std::string json = label_counts_json(counts);
   EXPECT_EQ(label_counts_json(parse_label_counts(json, "labels.json")), json);
   EXPECT_EQ(parse_label_counts(json, "labels.json").labelled_frames, 2);
+  ASSERT_EQ(parse_label_counts(json, "labels.json").steps.size(), 1u);
+  EXPECT_EQ(parse_label_counts(json, "labels.json").steps[0].facts, counts.steps[0].facts);
   EXPECT_THROW((void)parse_label_counts("{\"train_frames\": -1}", "labels.json"), Error);
   EXPECT_THROW((void)parse_label_counts("[]", "labels.json"), Error);
 }

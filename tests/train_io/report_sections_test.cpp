@@ -69,7 +69,8 @@ ReportRun run_named(const std::string& name) {
 
 LabelCounts labels_of(std::int64_t frames) {
   return {
-      200, frames, 3840000, frames * 19200, {{1, "wall", frames * 19000}, {2, "clock", frames * 200}, {3, "mug", 0}}};
+      200, frames, 3840000, frames * 19200, {{1, "wall", frames * 19000}, {2, "clock", frames * 200}, {3, "mug", 0}},
+      {}};
 }
 
 // wall: 80 right, 20 as chair & co; chair <b>: 30 as wall, 10 right; table: predicted alone.
@@ -133,6 +134,29 @@ TEST(LabelsSection, ShowsRunsThatKnowTheirLabelsAndNamesTheOthers) {
   EXPECT_TRUE(holds(html, "few: 0.700 at 76800")) << html;
   EXPECT_TRUE(holds(html, "many: 0.700 at 100")) << html;
   EXPECT_TRUE(holds(html, "earlier version): &lt;old&gt;.</p>"));
+}
+
+TEST(LabelsSection, SaysWhatWasDoneToLabelsAndWhatTheyWereWorth) {
+  ReportInput input;
+  input.runs = {run_named("noisy")};
+  input.runs[0].labels = labels_of(4);
+  EXPECT_FALSE(holds(labels_section(input, "test"), "mIoU of the labels"));
+  input.runs[0].labels->steps = {{"pixel_noise", {{"pixels changed", "<12>"}, {"share", "0.5"}}}, {"propagate", {}}};
+  MetricsRow train;
+  train.kind = "eval";
+  train.split = "train";
+  train.set("given_miou", 0.345);
+  train.set("miou", 0.812);
+  input.runs[0].rows.push_back(train);
+  const std::string html = labels_section(input, "test");
+  EXPECT_TRUE(
+      holds(html, "noisy<small class=\"d\">pixel_noise: pixels changed &lt;12&gt;, share 0.5; propagate</small>"));
+  EXPECT_TRUE(holds(html,
+                    "<td class=\"num\">0.7000</td><td class=\"num\">0.8000</td><td class=\"num\">0.3450</td><td "
+                    "class=\"num\">0.8120</td>"))
+      << html;
+  EXPECT_EQ(report_split(input.runs[0].rows), "test") << "the page is about held-out frames";
+  EXPECT_EQ(report_split({train}), "train");
 }
 
 TEST(LabelsSection, NoLabelAtAllIsNoLogarithm) {
