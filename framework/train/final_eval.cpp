@@ -225,7 +225,7 @@ LabelCounts parse_label_counts(std::string_view text, const std::string& name) {
     for (const Json& row : json.at("classes")) {
       counts.classes.push_back({id_of(row.at("id")), row.at("name").get<std::string>(), pixels_of(row.at("pixels"))});
     }
-    for (const Json& row : json.at("degrade")) {
+    for (const Json& row : json.value("degrade", Json::array())) {
       TrainingLabels::Step& step = counts.steps.emplace_back();
       step.type = row.at("type").get<std::string>();
       for (const auto& [fact, value] : row.at("facts").items()) step.facts.emplace_back(fact, value.get<std::string>());

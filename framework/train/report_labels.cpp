@@ -48,15 +48,26 @@ std::string plots(const ReportInput& input, const std::string& split, const Absc
   return figures;
 }
 
-// "pixel_noise: pixels changed 12345, share 0.1; propagate: ..."
-std::string steps_text(const LabelCounts& labels) {
-  std::vector<std::string> steps;
-  for (const TrainingLabels::Step& step : labels.steps) {
-    std::vector<std::string> facts;
-    for (const auto& [name, value] : step.facts) facts.push_back(name + " " + value);
-    steps.push_back(facts.empty() ? step.type : step.type + ": " + join(facts, ", "));
+std::string step_names(const LabelCounts& labels) {
+  std::vector<std::string> names;
+  for (const TrainingLabels::Step& step : labels.steps) names.push_back(step.type);
+  return join(names, ", ");
+}
+
+// A paragraph a step: "noisy, pixel_noise: pixels changed 12345, pixels drawn 20000."
+std::string step_facts(const ReportInput& input) {
+  std::string out;
+  for (const ReportRun& run : input.runs) {
+    if (!run.labels) continue;
+    for (const TrainingLabels::Step& step : run.labels->steps) {
+      std::vector<std::string> facts;
+      for (const auto& [name, value] : step.facts) facts.push_back(name + " " + value);
+      if (facts.empty()) continue;
+      out += fmt::format("<p class=\"hint after\">{}, {}: {}.</p>\n", html_escape(run.name), html_escape(step.type),
+                         html_escape(join(facts, ", ")));
+    }
   }
-  return join(steps, "; ");
+  return out;
 }
 
 struct Column {
@@ -87,20 +98,19 @@ std::string table(const ReportInput& input, const std::string& split) {
     const LabelCounts& labels = *run.labels;
     const auto taught = std::count_if(labels.classes.begin(), labels.classes.end(),
                                       [](const LabelCounts::Class& c) { return c.pixels > 0; });
-    const std::string steps = steps_text(labels);
+    const std::string steps = step_names(labels);
     const double share =
         labels.train_px > 0 ? static_cast<double>(labels.labelled_px) / static_cast<double>(labels.train_px) : 0;
     body += fmt::format(
         "<tr><th scope=\"row\">{}{}</th><td class=\"num\">{} of {}</td><td class=\"num\">{}<small class=\"d\">{} of "
-        "the "
-        "training pixels</small></td><td class=\"num\">{} of {}</td>",
+        "all</small></td><td class=\"num\">{} of {}</td>",
         html_escape(run.name), steps.empty() ? "" : fmt::format("<small class=\"d\">{}</small>", html_escape(steps)),
         count_text(labels.labelled_frames), count_text(labels.train_frames), count_text(labels.labelled_px),
         percent_text(share), taught, labels.classes.size());
     for (const Column& column : columns) body += value_cell(last_value(run, column.split, column.key), 4, false);
     body += "</tr>\n";
   }
-  return table_panel("Labels of each run", head + "</tr>", body);
+  return table_panel("Labels of each run", head + "</tr>", body) + step_facts(input);
 }
 
 }  // namespace
