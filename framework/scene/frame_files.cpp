@@ -123,4 +123,35 @@ std::string find_class_file(const std::vector<std::string>& folders) {
   return {};
 }
 
+ClassTable load_class_file(const std::string& path, const std::vector<std::string>& folders, bool has_labels,
+                           Diagnostics& diagnostics) {
+  const std::string found = path.empty() ? find_class_file(folders) : path;
+  try {
+    if (!found.empty()) return ClassTable::load(found);
+  } catch (const Error& e) {
+    diagnostics.error("", e.message(), e.remedy());
+    return {};
+  }
+  if (has_labels) {
+    diagnostics.error(
+        folders.front(),
+        "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
+        "write classes.yaml with one {id, name} a class, or set scene.classes");
+  }
+  return {};
+}
+
+std::string unique_frame_name(const std::string& image_path, std::set<std::string>& taken) {
+  const std::filesystem::path path(image_path);
+  std::string name = path.stem().string();
+  if (taken.count(name) > 0) {
+    name = (path.parent_path().filename() / path.stem()).string();
+    for (char& c : name) c = c == '/' ? '_' : c;
+  }
+  const std::string base = name;
+  for (int i = 2; taken.count(name) > 0; ++i) name = base + "_" + std::to_string(i);
+  taken.insert(name);
+  return name;
+}
+
 }  // namespace semfield

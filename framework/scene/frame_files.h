@@ -2,8 +2,13 @@
 // it.
 #pragma once
 
+#include <array>
+#include <set>
 #include <string>
+#include <string_view>
+#include <vector>
 
+#include "config/params.h"
 #include "scene/scene.h"
 
 namespace semfield {
@@ -11,6 +16,13 @@ namespace semfield {
 /// Paths; "" where the frame has no such channel.
 struct FrameFiles {
   std::string color, depth, label, instance;
+};
+
+/// What a label id outside the class table is; the parameter `unknown_labels` of datasets made of image files.
+enum class UnknownLabels { error, as_void };
+template <>
+struct ChoiceNames<UnknownLabels> {
+  static constexpr std::array<std::string_view, 2> names{"error", "void"};
 };
 
 struct FrameReadRules {
@@ -31,5 +43,13 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
 /// The class table nearest to a scene: classes.yaml, classes.yml, classes.csv, info_semantic.json in each folder in
 /// turn; "" when none.
 std::string find_class_file(const std::vector<std::string>& folders);
+
+/// The class table `path`, or where that is empty the one that find_class_file finds. With labels but without a table,
+/// and for a table that cannot be read, an error goes into `diagnostics` and the table is empty.
+ClassTable load_class_file(const std::string& path, const std::vector<std::string>& folders, bool has_labels,
+                           Diagnostics& diagnostics);
+
+/// The stem of the image's path; where another frame took it, its folder is added, then a number.
+std::string unique_frame_name(const std::string& image_path, std::set<std::string>& taken);
 
 }  // namespace semfield

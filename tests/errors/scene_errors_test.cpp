@@ -76,7 +76,7 @@ TEST(SceneErrors, UnknownLabelsCanBeVoid) {
   write_replica(folder, 2);
   write_png_gray8(folder + "/semantic_class/semantic_class_0.png", 40, 30, std::vector<std::uint8_t>(1200, 99));
   ReplicaParams p = even_odd(folder);
-  p.unknown_labels = ReplicaUnknownLabels::as_void;
+  p.unknown_labels = UnknownLabels::as_void;
   Replica replica(p, {});
   Diagnostics d;
   const LoadedScene s = load_scene(replica, {}, d);

@@ -126,25 +126,6 @@ FrameFiles Replica::files_of(const std::string& folder, int number, Split split)
   return files;
 }
 
-void Replica::load_classes(const std::string& folder, bool has_labels, Diagnostics& diagnostics) {
-  std::string path = class_file_;
-  if (path.empty()) path = find_class_file({folder, root_, (fs::path(root_) / "habitat").string()});
-  if (path.empty()) {
-    if (has_labels) {
-      diagnostics.error(
-          root_,
-          "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
-          "write classes.yaml with one {id, name} a class, or set scene.classes");
-    }
-    return;
-  }
-  try {
-    info_.classes = ClassTable::load(path);
-  } catch (const Error& e) {
-    diagnostics.error("", e.message(), e.remedy());
-  }
-}
-
 SceneInfo Replica::open(Diagnostics& diagnostics) {
   const std::string folder = sequence_folder();
   info_ = {};
@@ -201,14 +182,15 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
     diagnostics.note(root_, std::to_string(rows - trajectory.size()) + " of " + std::to_string(rows) +
                                 " frames are in neither split");
   }
-  load_classes(folder, has_labels, diagnostics);
+  info_.classes =
+      load_class_file(class_file_, {folder, root_, (fs::path(root_) / "habitat").string()}, has_labels, diagnostics);
   return info_;
 }
 
 void Replica::read(int frame, FrameBuffer& out) const {
   const auto i = static_cast<std::size_t>(frame);
   FrameReadRules rules;
-  rules.unknown_labels_void = params_.unknown_labels == ReplicaUnknownLabels::as_void;
+  rules.unknown_labels_void = params_.unknown_labels == UnknownLabels::as_void;
   read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
 }
 

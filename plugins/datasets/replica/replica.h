@@ -1,10 +1,8 @@
 // Pre-rendered Replica sequences: traj_w_c.txt, rgb/, depth/, semantic_class/, semantic_instance/.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -13,12 +11,6 @@
 
 namespace semfield {
 
-enum class ReplicaUnknownLabels { error, as_void };
-template <>
-struct ChoiceNames<ReplicaUnknownLabels> {
-  static constexpr std::array<std::string_view, 2> names{"error", "void"};
-};
-
 struct ReplicaParams {
   std::string root;
   std::string sequence;
@@ -26,7 +18,7 @@ struct ReplicaParams {
   std::string label_dir = "semantic_class";
   std::string test_label_dir;
   std::string classes;
-  ReplicaUnknownLabels unknown_labels = ReplicaUnknownLabels::error;
+  UnknownLabels unknown_labels = UnknownLabels::error;
   std::int32_t train_step = 5;
   std::int32_t train_offset = 0;
   std::int32_t test_step = 5;
@@ -50,7 +42,6 @@ class Replica final : public Dataset {
   std::vector<Row> read_trajectory(const std::string& path, Diagnostics& diagnostics, std::size_t& rows) const;
   Split split_of(int number) const;
   FrameFiles files_of(const std::string& folder, int number, Split split) const;
-  void load_classes(const std::string& folder, bool has_labels, Diagnostics& diagnostics);
 
   ReplicaParams params_;
   std::string root_;

@@ -89,20 +89,6 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, Camera& o
   return check_camera(out, place, diagnostics);
 }
 
-// Names are stems; where two folders hold the same stem, the folder is added.
-std::string unique_name(const std::string& file_path, std::set<std::string>& taken) {
-  const fs::path path(file_path);
-  std::string name = path.stem().string();
-  if (taken.count(name) > 0) {
-    name = (path.parent_path().filename() / path.stem()).string();
-    for (char& c : name) c = c == '/' ? '_' : c;
-  }
-  const std::string base = name;
-  for (int i = 2; taken.count(name) > 0; ++i) name = base + "_" + std::to_string(i);
-  taken.insert(name);
-  return name;
-}
-
 }  // namespace
 
 SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
@@ -131,7 +117,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   std::sort(order.begin(), order.end());
   for (const TransformsFrame* in : kept) {
     FrameInfo frame;
-    frame.name = unique_name(in->file_path, taken);
+    frame.name = unique_frame_name(in->file_path, taken);
     frame.source = in->files.color;
     frame.world_from_camera = opencv_from_opengl(pose_from_rows(in->matrix));
     const PoseState state = check_pose(frame.world_from_camera, frame_place(frame), diagnostics);
@@ -181,7 +167,7 @@ void TransformsJson::read(int frame, FrameBuffer& out) const {
   FrameReadRules rules;
   rules.depth_unit_m = depth_unit_m_;
   rules.alpha_background = params_.alpha_background;
-  rules.unknown_labels_void = params_.unknown_labels == TransformsUnknownLabels::as_void;
+  rules.unknown_labels_void = params_.unknown_labels == UnknownLabels::as_void;
   read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
 }
 

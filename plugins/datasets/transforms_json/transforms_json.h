@@ -1,10 +1,8 @@
 // transforms.json scenes of nerfstudio, instant-ngp and Blender.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -14,17 +12,11 @@
 
 namespace semfield {
 
-enum class TransformsUnknownLabels { error, as_void };
-template <>
-struct ChoiceNames<TransformsUnknownLabels> {
-  static constexpr std::array<std::string_view, 2> names{"error", "void"};
-};
-
 struct TransformsJsonParams {
   std::string root;
   std::int32_t test_every = 8;
   std::string classes;
-  TransformsUnknownLabels unknown_labels = TransformsUnknownLabels::error;
+  UnknownLabels unknown_labels = UnknownLabels::error;
   double depth_unit_m = 0;
   std::int32_t alpha_background = 255;
   bool metric = false;
