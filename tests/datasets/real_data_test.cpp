@@ -1,6 +1,9 @@
 // The datasets on real scenes, where they are at hand.
 #include <gtest/gtest.h>
 
+#include <map>
+
+#include "datasets/colmap/colmap.h"
 #include "datasets/replica/replica.h"
 #include "datasets/transforms_json/transforms_json.h"
 #include "scene/frame_source.h"
@@ -49,6 +52,44 @@ TEST(RealData, StudioRoomPhotographs) {
   FrameBuffer f;
   scene.read(0, f);
   EXPECT_EQ(f.rgb.size(), 960u * 540 * 3);
+}
+
+// The two exports of one reconstruction agree up to a similarity: x' = s Q x + t.
+TEST(RealData, StudioRoomByColmapAndByTransforms) {
+  if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
+  TransformsJsonParams pt;
+  ColmapParams pc;
+  pt.root = pc.root = data("studio_room");
+  TransformsJson by_json(pt, {});
+  Colmap by_colmap(pc, {});
+  Diagnostics d;
+  const SceneInfo json = by_json.open(d), colmap = by_colmap.open(d);
+  for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
+  ASSERT_EQ(colmap.frames.size(), 35u);
+  std::map<std::string, const FrameInfo*> other;
+  for (const FrameInfo& f : json.frames) other[f.name] = &f;
+  const FrameInfo &a = colmap.frames[0], &b = *other.at(a.name);
+  const Vec3d a_far = colmap.frames[20].world_from_camera.t - a.world_from_camera.t;
+  const double scale =
+      length(other.at(colmap.frames[20].name)->world_from_camera.t - b.world_from_camera.t) / length(a_far);
+  const auto turned = [&](Vec3d v) { return b.world_from_camera.rotate(a.world_from_camera.unrotate(v)); };  // Q
+  for (const FrameInfo& f : colmap.frames) {
+    const FrameInfo& g = *other.at(f.name);
+    EXPECT_EQ(f.split, g.split) << f.name;
+    for (int axis = 0; axis < 3; ++axis)
+      EXPECT_LT(length(turned(f.world_from_camera.axis(axis)) - g.world_from_camera.axis(axis)), 1e-6) << f.name;
+    const Vec3d moved = turned(f.world_from_camera.t - a.world_from_camera.t) * scale + b.world_from_camera.t;
+    EXPECT_LT(length(moved - g.world_from_camera.t), 1e-6) << f.name;
+    // The model is of images twice as large.
+    EXPECT_EQ(f.camera.width_px, 960);
+    EXPECT_NEAR(f.camera.fx, g.camera.fx, 1e-9);
+    EXPECT_NEAR(f.camera.fy, g.camera.fy, 1e-9);
+    EXPECT_NEAR(f.camera.cx, g.camera.cx, 1e-9);
+    EXPECT_NEAR(f.camera.cy, g.camera.cy, 1e-9);
+    EXPECT_EQ(f.camera.k2, g.camera.k2);
+    EXPECT_EQ(f.camera.p1, g.camera.p1);
+  }
+  EXPECT_FALSE(colmap.bounds.empty());
 }
 
 TEST(RealData, ShelfBinWithDepthAndLabels) {

@@ -1,0 +1,225 @@
+// COLMAP scenes.
+#include "datasets/colmap/colmap.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <set>
+
+#include "plugin/module.h"
+#include "scene/image_io.h"
+#include "scene/scene_checks.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+void describe(ParamVisitor& visit, ColmapParams& p) {
+  SEMFIELD_PARAM(visit, p, root, "folder of the scene: it holds the sparse model and the images");
+  SEMFIELD_PARAM(visit, p, model,
+                 "folder inside root with cameras, images and points3D (.bin or .txt); empty = sparse/0, sparse, "
+                 "colmap/sparse/0 or root itself");
+  SEMFIELD_PARAM(visit, p, images, "folder inside root of the images that the model names; any size of theirs will do");
+  SEMFIELD_PARAM(visit, p, test_every, "every how many-th frame, by name, is held out for tests; 0 = none", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, label_dir,
+                 "folder inside root of label images: the name of the image with .png; empty = no labels");
+  SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found in root");
+  SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
+}
+
+void validate(const ColmapParams& p, Diagnostics& diagnostics) {
+  if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  if (p.test_every == 1)
+    diagnostics.error("test_every", "1 leaves no frame to train on", "take 2 or more, or 0 for no test frames");
+}
+
+Colmap::Colmap(const ColmapParams& params, const DatasetBuild& build)
+    : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
+  if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
+}
+
+namespace {
+
+bool holds_model(const fs::path& folder) {
+  return fs::exists(folder / "cameras.bin") || fs::exists(folder / "cameras.txt");
+}
+
+std::string size_text(std::int32_t width, std::int32_t height) {
+  return std::to_string(width) + " x " + std::to_string(height);
+}
+
+double quantile(std::vector<double>& values, double share) {
+  const auto at = static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), values.begin() + at, values.end());
+  return values[static_cast<std::size_t>(at)];
+}
+
+}  // namespace
+
+std::string Colmap::model_folder(Diagnostics& diagnostics) const {
+  const fs::path root(root_);
+  if (!fs::is_directory(root))
+    throw Error(ErrorKind::no_input, "folder '" + root_ + "' is missing", "check scene.root");
+  if (!params_.model.empty()) {
+    if (holds_model(root / params_.model)) return (root / params_.model).string();
+    throw Error(ErrorKind::no_input, "no cameras.bin or cameras.txt in '" + (root / params_.model).string() + "'",
+                "check scene.model");
+  }
+  for (const char* folder : {"sparse/0", "sparse", "colmap/sparse/0", "."}) {
+    if (!holds_model(root / folder)) continue;
+    if (holds_model(root / folder / ".." / "1")) {
+      diagnostics.note(root_, std::string("the reconstruction fell into several models; '") + folder +
+                                  "' is read, scene.model chooses another");
+    }
+    return (root / folder).lexically_normal().string();
+  }
+  throw Error(ErrorKind::no_input, "no cameras.bin or cameras.txt in '" + root_ + "', its sparse/0 or sparse",
+              "check scene.root, or name the model's folder with scene.model");
+}
+
+// Image points run from 0 to the size, so every intrinsic follows the ratio of sizes. A side may be rounded.
+bool Colmap::scale_camera(const std::string& image, const std::string& place, Camera& camera,
+                          Diagnostics& diagnostics) const {
+  ImageSize size;
+  try {
+    size = image_size(image);
+  } catch (const Error&) {
+    return true;  // check_frame_files tells what is wrong with the file
+  }
+  if (size.width_px == camera.width_px && size.height_px == camera.height_px) return true;
+  const double sx = static_cast<double>(size.width_px) / camera.width_px;
+  const double sy = static_cast<double>(size.height_px) / camera.height_px;
+  if (std::abs(sx * camera.height_px - size.height_px) >= 1 && std::abs(sy * camera.width_px - size.width_px) >= 1) {
+    diagnostics.error(place,
+                      "image is " + size_text(size.width_px, size.height_px) + " pixels, the model's camera " +
+                          size_text(camera.width_px, camera.height_px) + ": another aspect ratio",
+                      "give the images that the model was made from, or scaled copies of them");
+    return false;
+  }
+  camera = camera.resized(size.width_px, size.height_px);
+  return true;
+}
+
+SceneInfo Colmap::open(Diagnostics& diagnostics) {
+  info_ = {};
+  files_.clear();
+  const std::string folder = model_folder(diagnostics);
+  const ColmapModel model = read_colmap_model(folder, diagnostics);
+  const fs::path root(root_);
+  info_.name = fs::weakly_canonical(root).filename().string();
+  info_.metric = false;
+  for (const auto& [what, name] : {std::pair{"images", params_.images}, std::pair{"label_dir", params_.label_dir}}) {
+    if (!name.empty() && !fs::is_directory(root / name)) {
+      throw Error(ErrorKind::no_input, "folder '" + (root / name).string() + "' is missing",
+                  std::string("check scene.") + what);
+    }
+  }
+
+  std::vector<std::string> skipped;
+  std::set<std::string> taken;
+  std::size_t unlabelled = 0, scaled = 0;
+  std::string scaled_text;
+  for (std::size_t rank = 0; rank < model.images.size(); ++rank) {
+    const ColmapImage& in = model.images[rank];
+    FrameInfo frame;
+    FrameFiles files;
+    frame.name = unique_frame_name(in.name, taken);
+    frame.source = files.color = (root / params_.images / in.name).string();
+    frame.world_from_camera = in.world_from_camera;
+    frame.camera = model.cameras.at(in.camera);
+    const PoseState state = check_pose(frame.world_from_camera, in.place, diagnostics);
+    if (state == PoseState::not_finite) skipped.push_back(frame.name);
+    if (state != PoseState::good || frame.camera.width_px == 0) continue;  // a camera without a size was refused
+    const Camera stated = frame.camera;
+    if (!scale_camera(files.color, frame_place(frame), frame.camera, diagnostics) ||
+        !check_camera(frame.camera, frame_place(frame), diagnostics)) {
+      continue;
+    }
+    if (frame.camera.width_px != stated.width_px && scaled++ == 0) {
+      scaled_text = size_text(frame.camera.width_px, frame.camera.height_px) + " pixels, the model's camera " +
+                    size_text(stated.width_px, stated.height_px);
+    }
+    if (!params_.label_dir.empty()) {
+      const fs::path label = (root / params_.label_dir / in.name).replace_extension(".png");
+      if (fs::exists(label)) files.label = label.string();
+      unlabelled += files.label.empty() ? 1 : 0;
+    }
+    frame.has_labels = !files.label.empty();
+    const bool held_out =
+        params_.test_every > 0 && model.images.size() > 1 && rank % static_cast<std::size_t>(params_.test_every) == 0;
+    frame.split = held_out ? Split::test : Split::train;
+    check_frame_files(frame, files, diagnostics);
+    info_.frames.push_back(frame);
+    files_.push_back(files);
+  }
+  if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), folder, diagnostics);
+  if (scaled > 0)
+    diagnostics.note(
+        root_, "images are " + scaled_text + ": the intrinsics of " + std::to_string(scaled) + " frames were scaled");
+  const bool has_labels = unlabelled < info_.frames.size() && !params_.label_dir.empty();
+  if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty()) {
+    diagnostics.error((root / params_.label_dir).string(), "no label image for any frame",
+                      "name them like the images, with .png: '" +
+                          fs::path(model.images.front().name).replace_extension(".png").string() + "'");
+  } else if (has_labels && unlabelled > 0) {
+    diagnostics.note(
+        (root / params_.label_dir).string(),
+        std::to_string(unlabelled) + " of " + std::to_string(info_.frames.size()) + " frames have no label image");
+  }
+  extent_from_points(model);
+  info_.classes = load_class_file(class_file_, {root_}, has_labels, diagnostics);
+  return info_;
+}
+
+// Bounds: the central 99 % of the points on every axis, a tenth wider each way, and the cameras. Distances: of the
+// points inside them, as the images see them.
+void Colmap::extent_from_points(const ColmapModel& model) {
+  constexpr double kLost = 0.005, kMargin = 0.1;
+  constexpr std::size_t kEnough = 100;
+  if (model.points.size() < kEnough) return;
+  Box box;
+  std::vector<double> values;
+  Vec3d lo, hi;
+  for (int a = 0; a < 3; ++a) {
+    values.clear();
+    for (const auto& [id, point] : model.points) values.push_back(point[a]);
+    lo[a] = quantile(values, kLost);
+    hi[a] = quantile(values, 1 - kLost);
+  }
+  box.include(lo - (hi - lo) * kMargin);
+  box.include(hi + (hi - lo) * kMargin);
+  for (const FrameInfo& frame : info_.frames) box.include(frame.world_from_camera.t);
+  std::vector<double> distances;
+  for (const ColmapImage& image : model.images) {
+    for (const std::int64_t id : image.points) {
+      const auto found = model.points.find(id);
+      if (found == model.points.end()) continue;
+      const Vec3d p = found->second;
+      const bool inside = p.x >= box.lo.x && p.x <= box.hi.x && p.y >= box.lo.y && p.y <= box.hi.y && p.z >= box.lo.z &&
+                          p.z <= box.hi.z;
+      const double distance = length(p - image.world_from_camera.t);
+      if (inside && std::isfinite(distance) && distance > 0) distances.push_back(distance);
+    }
+  }
+  info_.bounds = box;
+  if (distances.size() < kEnough) return;
+  info_.near_hint_m = 0.5 * quantile(distances, 0.001);
+  info_.far_hint_m = 1.2 * quantile(distances, 0.999);
+}
+
+void Colmap::read(int frame, FrameBuffer& out) const {
+  const auto i = static_cast<std::size_t>(frame);
+  FrameReadRules rules;
+  rules.unknown_labels_void = params_.unknown_labels == UnknownLabels::as_void;
+  read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
+}
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_dataset<Colmap, ColmapParams>("colmap", "COLMAP sparse models, binary or text, with their images.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(colmap, "1.0", register_into)
+
+}  // namespace semfield

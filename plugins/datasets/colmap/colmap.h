@@ -1,0 +1,44 @@
+// COLMAP sparse models with their images; label images beside them where there are any.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "config/params.h"
+#include "datasets/colmap/colmap_model.h"
+#include "plugin/dataset.h"
+#include "scene/frame_files.h"
+
+namespace semfield {
+
+struct ColmapParams {
+  std::string root;
+  std::string model;
+  std::string images = "images";
+  std::int32_t test_every = 8;
+  std::string label_dir;
+  std::string classes;
+  UnknownLabels unknown_labels = UnknownLabels::error;
+};
+void describe(ParamVisitor& visit, ColmapParams& params);
+void validate(const ColmapParams& params, Diagnostics& diagnostics);
+
+class Colmap final : public Dataset {
+ public:
+  Colmap(const ColmapParams& params, const DatasetBuild& build);
+  SceneInfo open(Diagnostics& diagnostics) override;
+  void read(int frame, FrameBuffer& out) const override;
+
+ private:
+  std::string model_folder(Diagnostics& diagnostics) const;
+  bool scale_camera(const std::string& image, const std::string& place, Camera& camera, Diagnostics& diagnostics) const;
+  void extent_from_points(const ColmapModel& model);
+
+  ColmapParams params_;
+  std::string root_, class_file_;
+  SceneInfo info_;
+  std::vector<FrameFiles> files_;
+};
+
+}  // namespace semfield

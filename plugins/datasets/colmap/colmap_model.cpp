@@ -1,0 +1,217 @@
+// COLMAP models: lenses, poses, and the text files.
+#include "datasets/colmap/colmap_model.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+
+#include "core/files.h"
+#include "core/words.h"
+#include "scene/text_rows.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+// Which parameter goes where, in the order in which COLMAP writes them.
+struct Lens {
+  std::string_view name;
+  std::vector<double Camera::*> params;
+};
+
+const std::vector<Lens>& lenses() {
+  using C = Camera;
+  static const std::vector<Lens> known{
+      {"SIMPLE_PINHOLE", {&C::fx, &C::cx, &C::cy}},
+      {"PINHOLE", {&C::fx, &C::fy, &C::cx, &C::cy}},
+      {"SIMPLE_RADIAL", {&C::fx, &C::cx, &C::cy, &C::k1}},
+      {"RADIAL", {&C::fx, &C::cx, &C::cy, &C::k1, &C::k2}},
+      {"OPENCV", {&C::fx, &C::fy, &C::cx, &C::cy, &C::k1, &C::k2, &C::p1, &C::p2}},
+  };
+  return known;
+}
+
+const Lens* find_lens(std::string_view name) {
+  for (const Lens& lens : lenses()) {
+    if (lens.name == name) return &lens;
+  }
+  return nullptr;
+}
+
+// World from camera, of the unit quaternion (w, x, y, z) and the translation of camera from world: R^T, -R^T t. A
+// quaternion that is zero or not finite gives a pose that is not finite.
+Pose inverse_pose(const double p[7]) {
+  const double norm = std::sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + p[3] * p[3]);
+  const double w = p[0] / norm, x = p[1] / norm, y = p[2] / norm, z = p[3] / norm;
+  Pose out;
+  out.r = {{{1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)},
+            {2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)},
+            {2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)}}};
+  out.t = out.rotate({p[4], p[5], p[6]}) * -1.0;
+  return out;
+}
+
+class TextFile {
+ public:
+  explicit TextFile(std::string path) : path_(std::move(path)), text_(read_text_file(path_)), rest_(text_) {}
+
+  // The next line that is neither empty nor a comment.
+  bool record(std::string_view& line) {
+    while (any(line)) {
+      const std::size_t first = line.find_first_not_of(" \t");
+      if (first != std::string_view::npos && line[first] != '#') return true;
+    }
+    return false;
+  }
+  bool any(std::string_view& line) {
+    ++number_;
+    return next_line(rest_, line);
+  }
+
+  [[noreturn]] void fail(const std::string& what, const std::string& remedy) const {
+    throw Error(ErrorKind::data, path_ + ":" + std::to_string(number_) + ": " + what, remedy);
+  }
+
+  double real(std::string_view word) const {
+    double value = 0;
+    if (!parse_number(word, value)) fail("'" + std::string(word) + "' is not a number", kAgain);
+    return value;
+  }
+  std::int64_t integer(std::string_view word) const {
+    std::int64_t value = 0;
+    if (!parse_whole(word, value)) fail("'" + std::string(word) + "' is not a whole number", kAgain);
+    return value;
+  }
+  std::string place(const std::string& what) const { return path_ + ":" + std::to_string(number_) + ": " + what; }
+
+  static constexpr const char* kAgain = "export the model again with colmap model_converter";
+
+ private:
+  std::string path_, text_;
+  std::string_view rest_;
+  int number_ = 0;
+};
+
+void read_cameras_text(const std::string& path, ColmapBuilder& out) {
+  TextFile file(path);
+  for (std::string_view line; file.record(line);) {
+    const std::vector<std::string_view> words = words_of(line);
+    if (words.size() < 4) file.fail("expected 'id MODEL width height parameters'", TextFile::kAgain);
+    std::vector<double> params;
+    for (std::size_t i = 4; i < words.size(); ++i) params.push_back(file.real(words[i]));
+    const std::int64_t id = file.integer(words[0]);
+    out.add_camera(id, words[1], file.real(words[2]), file.real(words[3]), params,
+                   file.place("camera " + std::to_string(id)));
+  }
+}
+
+// Two lines an image; the second, its points, may be empty.
+void read_images_text(const std::string& path, ColmapBuilder& out) {
+  TextFile file(path);
+  for (std::string_view line; file.record(line);) {
+    const std::vector<std::string_view> words = words_of(line);
+    if (words.size() < 10) file.fail("expected 'id qw qx qy qz tx ty tz camera name'", TextFile::kAgain);
+    double pose[7];
+    for (std::size_t i = 0; i < 7; ++i) pose[i] = file.real(words[i + 1]);
+    ColmapImage image;
+    const std::int64_t id = file.integer(words[0]);
+    image.camera = file.integer(words[8]);
+    image.name.assign(words[9].data(), words.back().data() + words.back().size());  // names may hold blanks
+    image.place = file.place("image " + std::to_string(id) + " ('" + image.name + "')");
+    if (file.any(line)) {
+      const std::vector<std::string_view> points = words_of(line);
+      if (points.size() % 3 != 0) {
+        file.fail("the points of image " + std::to_string(id) + " are " + std::to_string(points.size()) +
+                      " numbers, not triples 'x y point'",
+                  "keep the line of points after each image, even an empty one");
+      }
+      for (std::size_t i = 2; i < points.size(); i += 3) {
+        const std::int64_t point = file.integer(points[i]);
+        if (point >= 0) image.points.push_back(point);
+      }
+    }
+    out.add_image(std::move(image), pose);
+  }
+}
+
+void read_points_text(const std::string& path, ColmapBuilder& out) {
+  TextFile file(path);
+  for (std::string_view line; file.record(line);) {
+    const std::vector<std::string_view> words = words_of(line);
+    if (words.size() < 8) file.fail("expected 'id x y z r g b error track'", TextFile::kAgain);
+    const std::int64_t id = file.integer(words[0]);
+    if (!out.add_point(id, {file.real(words[1]), file.real(words[2]), file.real(words[3])}))
+      file.fail("the position of point " + std::to_string(id) + " is not finite", TextFile::kAgain);
+  }
+}
+
+}  // namespace
+
+void ColmapBuilder::add_camera(std::int64_t id, std::string_view model_name, double width, double height,
+                               const std::vector<double>& params, const std::string& place) {
+  if (model_.cameras.count(id) > 0) return diagnostics_.error(place, "camera id is given twice", "keep one of the two");
+  Camera& camera = model_.cameras[id];  // kept without a size when refused: images then need no error of their own
+  const Lens* lens = find_lens(model_name);
+  if (lens == nullptr) {
+    std::string names;
+    for (const Lens& known : lenses()) names += (names.empty() ? "" : ", ") + std::string(known.name);
+    return diagnostics_.error(
+        place,
+        "camera model '" + std::string(model_name) + "' is not supported (only perspective lenses: " + names + ")",
+        "undistort the images with colmap image_undistorter, or reconstruct with another camera model");
+  }
+  if (params.size() != lens->params.size()) {
+    return diagnostics_.error(place,
+                              "camera model " + std::string(model_name) + " has " +
+                                  std::to_string(lens->params.size()) + " parameters, got " +
+                                  std::to_string(params.size()),
+                              "export the model again");
+  }
+  const auto whole = [](double v) { return v >= 1 && v <= 65536 && v == std::floor(v); };
+  if (!whole(width) || !whole(height))
+    return diagnostics_.error(place, "image size is not a pair of whole numbers from 1 to 65536",
+                              "export the model again");
+  for (std::size_t i = 0; i < params.size(); ++i) camera.*(lens->params[i]) = params[i];
+  if (lens->params[1] != &Camera::fy) camera.fy = camera.fx;
+  camera.width_px = static_cast<std::int32_t>(width);
+  camera.height_px = static_cast<std::int32_t>(height);
+}
+
+void ColmapBuilder::add_image(ColmapImage image, const double pose[7]) {
+  if (model_.cameras.count(image.camera) == 0) {
+    return diagnostics_.error(image.place, "its camera " + std::to_string(image.camera) + " is not in the model",
+                              "take cameras and images of the same model");
+  }
+  image.world_from_camera = inverse_pose(pose);
+  model_.images.push_back(std::move(image));
+}
+
+bool ColmapBuilder::add_point(std::int64_t id, Vec3d position) {
+  if (!std::isfinite(position.x) || !std::isfinite(position.y) || !std::isfinite(position.z)) return false;
+  model_.points[id] = position;
+  return true;
+}
+
+ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostics) {
+  ColmapModel model;
+  ColmapBuilder builder(model, diagnostics);
+  const auto path_of = [&](const char* name) { return (fs::path(folder) / name).string(); };
+  if (fs::exists(path_of("cameras.bin"))) {
+    read_colmap_binary(folder, builder);
+  } else {
+    read_cameras_text(path_of("cameras.txt"), builder);
+    read_images_text(path_of("images.txt"), builder);
+    if (fs::exists(path_of("points3D.txt"))) read_points_text(path_of("points3D.txt"), builder);
+  }
+  std::sort(model.images.begin(), model.images.end(),
+            [](const ColmapImage& a, const ColmapImage& b) { return a.name < b.name; });
+  for (std::size_t i = 1; i < model.images.size(); ++i) {
+    if (model.images[i].name == model.images[i - 1].name)
+      diagnostics.error(model.images[i].place, "image is listed twice", "keep one of the two");
+  }
+  return model;
+}
+
+}  // namespace semfield

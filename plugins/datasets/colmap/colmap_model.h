@@ -1,0 +1,54 @@
+// A COLMAP sparse model as plain structs, from text or binary files; the only place of this plugin that knows them.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+#include "core/error.h"
+#include "scene/scene.h"
+
+namespace semfield {
+
+struct ColmapImage {
+  std::string place;  ///< "images.bin: image 12 ('0017.jpg')"
+  std::string name;   ///< path below the image folder, as written
+  std::int64_t camera = 0;
+  Pose world_from_camera;
+  std::vector<std::int64_t> points;  ///< ids of the points seen in it
+};
+
+struct ColmapModel {
+  std::unordered_map<std::int64_t, Camera> cameras;  ///< by id; pixel centres are at +0.5 as written
+  std::vector<ColmapImage> images;                   ///< by name
+  std::unordered_map<std::int64_t, Vec3d> points;    ///< by id; empty without a points3D file
+};
+
+/// Reads cameras, images and points3D of `folder`, .bin where there are any, else .txt. Problems of single cameras and
+/// images (a lens that is not supported, an id given twice) go into `diagnostics`; throws Error for a file that is
+/// missing or damaged, naming file and offset or line.
+ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostics);
+
+/// What the readers of both kinds of file build from.
+class ColmapBuilder {
+ public:
+  ColmapBuilder(ColmapModel& model, Diagnostics& diagnostics) : model_(model), diagnostics_(diagnostics) {}
+  /// `model_name` is COLMAP's name of the lens, `place` names file and entry.
+  void add_camera(std::int64_t id, std::string_view model_name, double width, double height,
+                  const std::vector<double>& params, const std::string& place);
+  /// `pose` holds the quaternion (w, x, y, z) and the translation of the world-to-camera transform.
+  void add_image(ColmapImage image, const double pose[7]);
+  /// False when the position is not finite.
+  bool add_point(std::int64_t id, Vec3d position);
+
+ private:
+  ColmapModel& model_;
+  Diagnostics& diagnostics_;
+};
+
+/// The three .bin files.
+void read_colmap_binary(const std::string& folder, ColmapBuilder& out);
+
+}  // namespace semfield

@@ -1,0 +1,57 @@
+// A tiny scene with a COLMAP model in text, made of images twice as large as those on disk.
+#include <filesystem>
+#include <sstream>
+
+#include "core/files.h"
+#include "tests/conformance/dataset_samples.h"
+#include "tests/conformance/sample_files.h"
+
+namespace semfield::testkit {
+
+DatasetSample semfield_sample_colmap(const std::string& folder);
+
+DatasetSample semfield_sample_colmap(const std::string& folder) {
+  const SceneInfo scene = write_sample_images(folder, {"images/view_", "depth/view_", "labels/view_"});
+  const Camera& small = scene.frames.front().camera;
+  const Camera camera = small.resized(2 * small.width_px, 2 * small.height_px);
+  std::ostringstream cameras, images;
+  cameras.precision(17);
+  images.precision(17);
+  cameras << "# one camera\n1 PINHOLE " << camera.width_px << ' ' << camera.height_px << ' ' << camera.fx << ' '
+          << camera.fy << ' ' << camera.cx << ' ' << camera.cy << '\n';
+  for (std::size_t i = 0; i < scene.frames.size(); ++i) {
+    // Quaternion of camera from world by the largest of its four squares, from the rows of R = world_from_camera^T.
+    const Pose& pose = scene.frames[i].world_from_camera;
+    const auto r = [&](int row, int col) { return pose.axis(row)[col]; };
+    double q[4];
+    const double trace = r(0, 0) + r(1, 1) + r(2, 2);
+    if (trace > 0) {
+      const double s = 2 * std::sqrt(1 + trace);
+      q[0] = s / 4;
+      for (int a = 0; a < 3; ++a) q[a + 1] = (r((a + 2) % 3, (a + 1) % 3) - r((a + 1) % 3, (a + 2) % 3)) / s;
+    } else {
+      const int a = r(0, 0) >= r(1, 1) && r(0, 0) >= r(2, 2) ? 0 : r(1, 1) >= r(2, 2) ? 1 : 2;
+      const int b = (a + 1) % 3, c = (a + 2) % 3;
+      const double s = 2 * std::sqrt(1 + r(a, a) - r(b, b) - r(c, c));
+      q[0] = (r(c, b) - r(b, c)) / s;
+      q[a + 1] = s / 4;
+      q[b + 1] = (r(a, b) + r(b, a)) / s;
+      q[c + 1] = (r(a, c) + r(c, a)) / s;
+    }
+    const Vec3d t = pose.unrotate(pose.t) * -1.0;
+    images << i + 1 << ' ' << q[0] << ' ' << q[1] << ' ' << q[2] << ' ' << q[3] << ' ' << t.x << ' ' << t.y << ' '
+           << t.z << " 1 view_" << i << ".png\n\n";
+  }
+  const std::filesystem::path model = std::filesystem::path(folder) / "sparse/0";
+  std::filesystem::create_directories(model);
+  write_file_atomic((model / "cameras.txt").string(), cameras.str());
+  write_file_atomic((model / "images.txt").string(), images.str());
+  DatasetSample sample;
+  sample.settings = {{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}};
+  sample.expected.frames = 12;
+  sample.expected.labels = true;
+  sample.needs_images = true;
+  return sample;
+}
+
+}  // namespace semfield::testkit

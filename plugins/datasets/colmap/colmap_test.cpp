@@ -1,0 +1,317 @@
+// COLMAP models: both kinds of file say the same, lenses, sizes, labels, extent, damage.
+#include "datasets/colmap/colmap.h"
+
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <functional>
+
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_room;
+
+template <class T>
+void put(std::string& out, T value) {
+  out.append(reinterpret_cast<const char*>(&value), sizeof value);
+}
+
+// Two views of one 8 x 4 camera: view a at the origin, view b turned by 90 degrees about y and moved.
+constexpr double kHalf = 0.70710678118654752;
+constexpr double kPoses[2][7] = {{1, 0, 0, 0, 0, 0, 0}, {2 * kHalf, 0, 2 * kHalf, 0, 1, 2, 3}};  // b not normalised
+constexpr double kOpencv[8] = {6, 5, 4.5, 2.25, 0.01, -0.02, 0.003, -0.004};
+constexpr int kPoints = 200;
+Vec3d point(int i) { return {0.01 * i - 1, 0.005 * i, 4 + 0.02 * i}; }
+
+struct Binary {
+  std::string cameras, images, points;
+  Binary() {
+    put<std::uint64_t>(cameras, 1);
+    put<std::uint32_t>(cameras, 7);
+    put<std::int32_t>(cameras, 4);
+    put<std::uint64_t>(cameras, 8);
+    put<std::uint64_t>(cameras, 4);
+    for (const double p : kOpencv) put(cameras, p);
+    put<std::uint64_t>(images, 2);
+    for (std::uint32_t i = 0; i < 2; ++i) {
+      put<std::uint32_t>(images, i + 1);
+      for (const double v : kPoses[i]) put(images, v);
+      put<std::uint32_t>(images, 7);
+      images += i == 0 ? std::string("a.png") + '\0' : std::string("b.png") + '\0';
+      put<std::uint64_t>(images, kPoints + 1);
+      for (int p = -1; p < kPoints; ++p) {
+        put(images, 1.0);
+        put(images, 2.0);
+        put<std::int64_t>(images, p < 0 ? -1 : 10 + p);
+      }
+    }
+    put<std::uint64_t>(points, kPoints);
+    for (int p = 0; p < kPoints; ++p) {
+      put<std::uint64_t>(points, 10 + static_cast<std::uint64_t>(p));
+      for (int a = 0; a < 3; ++a) put(points, point(p)[a]);
+      points += "rgb";
+      put(points, 0.5);
+      put<std::uint64_t>(points, 1);
+      put<std::uint32_t>(points, 1);
+      put<std::uint32_t>(points, 0);
+    }
+  }
+  void write(const std::string& folder) const {
+    plain_write(folder + "/cameras.bin", cameras);
+    plain_write(folder + "/images.bin", images);
+    plain_write(folder + "/points3D.bin", points);
+  }
+};
+
+void write_text(const std::string& folder) {
+  std::string points = "# points\n", seen = "1 2 -1";
+  char text[128];
+  for (int p = 0; p < kPoints; ++p) {
+    std::snprintf(text, sizeof text, "%d %.17g %.17g %.17g 1 2 3 0.5 1 0\n", 10 + p, point(p).x, point(p).y,
+                  point(p).z);
+    points += text;
+    seen += " 1 2 " + std::to_string(10 + p);
+  }
+  plain_write(folder + "/cameras.txt", "# cameras\n7 OPENCV 8 4 6 5 4.5 2.25 0.01 -0.02 0.003 -0.004\n");
+  std::snprintf(text, sizeof text, "2 %.17g 0 %.17g 0 1 2 3 7 b.png\r\n", 2 * kHalf, 2 * kHalf);
+  plain_write(folder + "/images.txt", "#\n1 1 0 0 0 0 0 0 7 a.png\n" + seen + "\n" + text + seen + "\n");
+  plain_write(folder + "/points3D.txt", points);
+}
+
+// root/images/{a,b}.png at width x height, model in root/sparse/0 by `model`.
+std::string scene_folder(const std::string& name, int width, int height,
+                         const std::function<void(const std::string&)>& model) {
+  const std::string folder = fresh_folder(name);
+  std::filesystem::create_directories(folder + "/images");
+  std::filesystem::create_directories(folder + "/sparse/0");
+  for (const char* image : {"a", "b"}) {
+    write_png_rgb(folder + "/images/" + image + ".png", width, height,
+                  std::vector<std::uint8_t>(static_cast<std::size_t>(3 * width * height), 9));
+  }
+  model(folder + "/sparse/0");
+  return folder;
+}
+
+SceneInfo open(const std::string& folder, Diagnostics& diagnostics, const std::string& label_dir = "") {
+  ColmapParams p;
+  p.root = folder;
+  p.label_dir = label_dir;
+  return Colmap(p, {}).open(diagnostics);
+}
+
+std::vector<std::string> problems(const Diagnostics& diagnostics) {
+  std::vector<std::string> out;
+  for (const Diagnostic& d : diagnostics.all()) {
+    if (d.severity != Severity::note) out.push_back(d.text());
+  }
+  return out;
+}
+
+TEST(Colmap, TextAndBinaryGiveTheSameScene) {
+  Diagnostics d;
+  const SceneInfo binary = open(scene_folder("b", 8, 4, [](const std::string& f) { Binary().write(f); }), d);
+  const SceneInfo text = open(scene_folder("t", 8, 4, write_text), d);
+  EXPECT_EQ(problems(d), std::vector<std::string>{});
+  ASSERT_EQ(binary.frames.size(), 2u);
+  ASSERT_EQ(text.frames.size(), 2u);
+  for (std::size_t i = 0; i < 2; ++i) {
+    EXPECT_EQ(binary.frames[i].name, text.frames[i].name);
+    EXPECT_EQ(binary.frames[i].world_from_camera.r, text.frames[i].world_from_camera.r);
+    EXPECT_EQ(binary.frames[i].world_from_camera.t, text.frames[i].world_from_camera.t);
+    EXPECT_EQ(binary.frames[i].camera.fx, 6.0);
+    EXPECT_EQ(text.frames[i].camera.fy, 5.0);
+    EXPECT_EQ(text.frames[i].camera.cx, 4.5);
+    EXPECT_EQ(binary.frames[i].camera.p2, -0.004);
+  }
+  EXPECT_EQ(binary.bounds.lo, text.bounds.lo);
+  EXPECT_EQ(binary.bounds.hi, text.bounds.hi);
+  EXPECT_EQ(binary.near_hint_m, text.near_hint_m);
+  EXPECT_FALSE(binary.metric);
+}
+
+TEST(Colmap, WorldToCameraIsInvertedAndPointsLieInFront) {
+  Diagnostics d;
+  const SceneInfo info = open(scene_folder("b", 8, 4, [](const std::string& f) { Binary().write(f); }), d);
+  const Pose& b = info.frames[1].world_from_camera;
+  // Turned by 90 degrees about y: camera from world is x -> -z, z -> x, then moved by (1, 2, 3).
+  const Vec3d p{0.3, -0.2, 5};
+  const Vec3d q = b.apply_inverse(p);
+  EXPECT_NEAR(q.x, p.z + 1, 1e-12);
+  EXPECT_NEAR(q.y, p.y + 2, 1e-12);
+  EXPECT_NEAR(q.z, -p.x + 3, 1e-12);
+  // 99 % of the points, a tenth wider, and both cameras (b's centre is (3, -2, -1)).
+  EXPECT_NEAR(info.bounds.hi.x, 3, 1e-12);
+  EXPECT_NEAR(info.bounds.lo.y, -2, 1e-12);
+  EXPECT_NEAR(info.bounds.lo.z, -1, 1e-12);
+  EXPECT_NEAR(info.bounds.hi.z, point(198).z + 0.1 * (point(198).z - point(0).z), 0.05);
+  EXPECT_GT(info.near_hint_m, 1.0);
+  EXPECT_LT(info.near_hint_m, 2.5);
+  EXPECT_GT(info.far_hint_m, 9.0);
+  EXPECT_LT(info.far_hint_m, 14.0);
+}
+
+TEST(Colmap, IntrinsicsFollowTheImagesOnDisk) {
+  Diagnostics d;
+  const SceneInfo info = open(scene_folder("s", 4, 2, [](const std::string& f) { Binary().write(f); }), d);
+  EXPECT_EQ(problems(d), std::vector<std::string>{});
+  EXPECT_EQ(info.frames[0].camera.width_px, 4);
+  EXPECT_EQ(info.frames[0].camera.fx, 3.0);
+  EXPECT_EQ(info.frames[0].camera.cy, 1.125);
+  EXPECT_EQ(info.frames[0].camera.k2, -0.02);
+  ASSERT_EQ(d.all().size(), 1u);
+  EXPECT_NE(d.all()[0].text().find("images are 4 x 2 pixels, the model's camera 8 x 4: the intrinsics of 2 frames"),
+            std::string::npos)
+      << d.all()[0].text();
+  Diagnostics refused;
+  open(scene_folder("r", 4, 4, [](const std::string& f) { Binary().write(f); }), refused);
+  ASSERT_FALSE(problems(refused).empty());
+  EXPECT_NE(problems(refused)[0].find("image is 4 x 4 pixels, the model's camera 8 x 4: another aspect ratio"),
+            std::string::npos);
+}
+
+TEST(Colmap, LensesWithOneFocalLengthAndRefusedOnes) {
+  const auto with_camera = [](const std::string& line) {
+    return [line](const std::string& f) {
+      write_text(f);
+      plain_write(f + "/cameras.txt", line + "\n");
+    };
+  };
+  Diagnostics d;
+  const SceneInfo info = open(scene_folder("radial", 8, 4, with_camera("7 RADIAL 8 4 6 4 2 0.1 0.2")), d);
+  EXPECT_EQ(problems(d), std::vector<std::string>{});
+  EXPECT_EQ(info.frames[0].camera.fy, 6.0);
+  EXPECT_EQ(info.frames[0].camera.cx, 4.0);
+  EXPECT_EQ(info.frames[0].camera.k1, 0.1);
+  EXPECT_EQ(info.frames[0].camera.k2, 0.2);
+  const std::string folder = scene_folder("fisheye", 8, 4, with_camera("7 OPENCV_FISHEYE 8 4 6 6 4 2 0 0 0 0"));
+  Diagnostics fisheye;
+  open(folder, fisheye);
+  EXPECT_EQ(problems(fisheye)[0],
+            folder +
+                "/sparse/0/cameras.txt:1: camera 7: camera model 'OPENCV_FISHEYE' is not supported (only "
+                "perspective lenses: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV); undistort the images "
+                "with colmap image_undistorter, or reconstruct with another camera model");
+  Diagnostics few;
+  open(scene_folder("few", 8, 4, with_camera("7 PINHOLE 8 4 6 6 4")), few);
+  EXPECT_NE(problems(few)[0].find("PINHOLE has 4 parameters, got 3"), std::string::npos);
+  Diagnostics other;
+  open(scene_folder("other", 8, 4, with_camera("8 PINHOLE 8 4 6 6 4 2")), other);
+  EXPECT_NE(problems(other)[0].find("image 1 ('a.png'): its camera 7 is not in the model"), std::string::npos);
+}
+
+TEST(Colmap, LabelsForSomeFrames) {
+  const std::string folder = scene_folder("l", 8, 4, [](const std::string& f) { Binary().write(f); });
+  std::filesystem::create_directories(folder + "/labels");
+  Diagnostics none;
+  open(folder, none, "labels");
+  EXPECT_NE(problems(none)[0].find("no label image for any frame; name them like the images, with .png: 'a.png'"),
+            std::string::npos);
+  write_png_gray8(folder + "/labels/b.png", 8, 4, std::vector<std::uint8_t>(32, 5));
+  plain_write(folder + "/classes.yaml", "- {id: 0, name: void, ignore: true}\n- {id: 5, name: cup}\n");
+  ColmapParams p;
+  p.root = folder;
+  p.label_dir = "labels";
+  Colmap scene(p, {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  EXPECT_EQ(problems(d), std::vector<std::string>{});
+  EXPECT_NE(d.all().back().text().find("1 of 2 frames have no label image"), std::string::npos);
+  EXPECT_FALSE(info.frames[0].has_labels);
+  EXPECT_TRUE(info.frames[1].has_labels);
+  EXPECT_EQ(info.frames[0].split, Split::test);
+  FrameBuffer pixels;
+  scene.read(1, pixels);
+  EXPECT_EQ(pixels.label, std::vector<std::int16_t>(32, 0));
+}
+
+TEST(Colmap, LostPosesAreSkippedAndCounted) {
+  const std::string folder = scene_folder("p", 8, 4, write_text);
+  plain_write(folder + "/sparse/0/images.txt", "1 0 0 0 0 0 0 0 7 a.png\n\n2 1 0 0 0 0 0 0 7 b.png\n\n");
+  Diagnostics d;
+  EXPECT_EQ(open(folder, d).frames.size(), 1u);
+  ASSERT_EQ(problems(d).size(), 1u);
+  EXPECT_NE(problems(d)[0].find("1 of 2 frames skipped: their poses are not finite (a)"), std::string::npos);
+}
+
+TEST(Colmap, EveryCutOfABinaryFileIsRefusedWithFileAndOffset) {
+  const std::string folder = scene_folder("c", 8, 4, [](const std::string& f) { Binary().write(f); });
+  const Binary whole;
+  const std::pair<const char*, const std::string*> files[] = {
+      {"cameras.bin", &whole.cameras}, {"images.bin", &whole.images}, {"points3D.bin", &whole.points}};
+  for (const auto& [name, bytes] : files) {
+    const std::string path = folder + "/sparse/0/" + name;
+    for (std::size_t size = 0; size < bytes->size(); size += size < 200 ? 1 : 97) {
+      plain_write(path, bytes->substr(0, size));
+      Diagnostics d;
+      const std::string error = error_of([&] { open(folder, d); });
+      ASSERT_EQ(error.find("'" + path + "' "), 0u) << size << ": " << error;
+      ASSERT_NE(error.find("(offset "), std::string::npos) << error;
+    }
+    plain_write(path, *bytes + "x");
+    Diagnostics d;
+    EXPECT_NE(error_of([&] { open(folder, d); }).find("has 1 bytes after its last record"), std::string::npos);
+    plain_write(path, *bytes);
+  }
+}
+
+TEST(Colmap, AbsurdCountsAndNumbersAreRefused) {
+  const std::string folder = scene_folder("a", 8, 4, [](const std::string& f) { Binary().write(f); });
+  const auto refused = [&](const char* file, const std::string& bytes) {
+    const Binary whole;
+    whole.write(folder + "/sparse/0");
+    plain_write(folder + "/sparse/0/" + file, bytes);
+    Diagnostics d;
+    const std::string thrown = error_of([&] { open(folder, d); });
+    return !thrown.empty() || problems(d).empty() ? thrown : problems(d)[0];
+  };
+  const auto with = [](std::string bytes, std::size_t at, auto value) {
+    std::memcpy(bytes.data() + at, &value, sizeof value);
+    return bytes;
+  };
+  const Binary whole;
+  const auto huge = std::uint64_t{1} << 60;
+  EXPECT_NE(refused("images.bin", with(whole.images, 0, huge))
+                .find("states 1152921504606846976 images, but 9804 bytes are left, room for 134 (offset 0)"),
+            std::string::npos)
+      << refused("images.bin", with(whole.images, 0, huge));
+  EXPECT_NE(
+      refused("images.bin", with(whole.images, 8 + 64 + 6, ~std::uint64_t{0})).find("image points of image 1 of 2"),
+      std::string::npos);
+  EXPECT_NE(refused("points3D.bin", with(whole.points, 8 + 43, huge)).find("views of point 1 of 200"),
+            std::string::npos);
+  EXPECT_NE(
+      refused("points3D.bin", with(whole.points, 16, std::nan(""))).find("not finite in point 1 of 200 (offset 8)"),
+      std::string::npos);
+  EXPECT_NE(refused("cameras.bin", with(whole.cameras, 12, std::int32_t{99})).find("unknown lens number 99"),
+            std::string::npos);
+  EXPECT_NE(refused("cameras.bin", with(whole.cameras, 16, huge)).find("camera 7: image size is not a pair"),
+            std::string::npos);
+  EXPECT_NE(refused("cameras.bin", with(whole.cameras, 32, -1.0)).find("focal length is -1 x 5 pixels"),
+            std::string::npos);
+}
+
+TEST(Colmap, BrokenTextNamesItsLine) {
+  const std::string folder = scene_folder("x", 8, 4, write_text);
+  const std::string model = folder + "/sparse/0/";
+  const auto refused = [&](const char* file, const std::string& text) {
+    write_text(folder + "/sparse/0");
+    plain_write(model + file, text);
+    Diagnostics d;
+    return error_of([&] { open(folder, d); });
+  };
+  EXPECT_EQ(refused("images.txt", "1 1 0 0 0 0 0 0 7 a.png\n\n2 1 0 0 0 0 z 0 7 b.png\n\n"),
+            model + "images.txt:3: 'z' is not a number; export the model again with colmap model_converter");
+  EXPECT_EQ(refused("images.txt", "1 1 0 0 0 0 0 0 7 a.png\n2 1 0 0 0 0 0 0 7 b.png\n"),
+            model +
+                "images.txt:2: the points of image 1 are 10 numbers, not triples 'x y point'; keep the line of "
+                "points after each image, even an empty one");
+  EXPECT_NE(refused("points3D.txt", "4 1 2 inf 0 0 0 0\n").find("points3D.txt:1: the position of point 4"),
+            std::string::npos);
+  EXPECT_NE(refused("cameras.txt", "7 PINHOLE\n").find("cameras.txt:1: expected 'id MODEL width height parameters'"),
+            std::string::npos);
+}
+
+}  // namespace
+}  // namespace semfield
