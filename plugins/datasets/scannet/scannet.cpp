@@ -1,0 +1,385 @@
+// Exported ScanNet scenes.
+#include "datasets/scannet/scannet.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <map>
+#include <optional>
+
+#include "core/files.h"
+#include "core/words.h"
+#include "plugin/module.h"
+#include "scene/image_io.h"
+#include "scene/scannet_labels.h"
+#include "scene/scene_checks.h"
+#include "scene/text_rows.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+void describe(ParamVisitor& visit, ScannetParams& p) {
+  SEMFIELD_PARAM(visit, p, root, "folder of the exported scene: it holds color/, pose/, intrinsic/");
+  SEMFIELD_PARAM(visit, p, classes, "what trains: the 40 classes of NYUv2, the 13 of Eigen and Fergus, or the raw ids");
+  SEMFIELD_PARAM(visit, p, label_table,
+                 "scannetv2-labels.combined.tsv; empty = the one in root or in the folder above it");
+  SEMFIELD_PARAM(visit, p, label_dir, "folder inside root of the label images <id>.png of raw ids; empty = no labels");
+  SEMFIELD_PARAM(visit, p, max_frames, "frames to take, evenly spaced among those with a pose; 0 = all", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, test_every,
+                 "every how many-th of the frames taken is held out for tests, 2 = every other; 0 = none", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, unknown_labels, "what a raw id outside the label table is: an error, or void");
+}
+
+void validate(const ScannetParams& p, Diagnostics& diagnostics) {
+  if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  if (p.test_every == 1)
+    diagnostics.error("test_every", "1 leaves no frame to train on", "take 2 or more, or 0 for no test frames");
+}
+
+Scannet::Scannet(const ScannetParams& params, const DatasetBuild& build)
+    : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
+  if (!params.label_table.empty()) table_file_ = (fs::path(build.config_dir) / params.label_table).string();
+}
+
+namespace {
+
+constexpr const char* kTableName = "scannetv2-labels.combined.tsv";
+constexpr std::int16_t kUnknown = -2;
+constexpr std::size_t kRawIds = 65536;
+
+// The 16 numbers of a 4 x 4 matrix; nothing when reported.
+std::optional<std::vector<double>> read_matrix(const std::string& path, const std::string& place,
+                                               Diagnostics& diagnostics) {
+  std::vector<double> numbers;
+  try {
+    const std::string text = read_text_file(path, 1 << 16);
+    for (const std::string_view word : words_of(text)) {
+      double value = 0;
+      if (!parse_number(word, value)) {
+        diagnostics.error(place, "'" + path + "': '" + std::string(word) + "' is not a number",
+                          "export the scene again");
+        return std::nullopt;
+      }
+      numbers.push_back(value);
+    }
+  } catch (const Error& e) {
+    diagnostics.error(place, e.message(), e.remedy());
+    return std::nullopt;
+  }
+  if (numbers.size() != 16) {
+    diagnostics.error(place, "'" + path + "': expected 16 numbers, got " + std::to_string(numbers.size()),
+                      "write a 4 x 4 matrix row by row");
+    return std::nullopt;
+  }
+  return numbers;
+}
+
+// A picture of what the colour camera sees, at any size; ScanNet's own sizes are off each other by half a percent.
+void check_shape(const std::string& path, const Camera& color, const std::string& place, Diagnostics& diagnostics) {
+  if (path.empty()) return;
+  try {
+    const ImageSize size = image_size(path);
+    const double shape = static_cast<double>(size.width_px) * color.height_px / size.height_px / color.width_px;
+    if (std::abs(shape - 1) < 0.02) return;
+    diagnostics.error(place,
+                      "'" + path + "' is " + std::to_string(size.width_px) + " x " + std::to_string(size.height_px) +
+                          " pixels, the colour image " + std::to_string(color.width_px) + " x " +
+                          std::to_string(color.height_px) + ": another aspect ratio",
+                      "export labels and colour of the same camera");
+  } catch (const Error& e) {
+    diagnostics.error(place, e.message(), e.remedy());
+  }
+}
+
+// The nearest of `from` pixels for each of `to`: the one that holds its centre.
+std::vector<std::int64_t> by_ratio(std::int32_t from, std::int32_t to) {
+  std::vector<std::int64_t> out;
+  for (std::int64_t i = 0; i < to; ++i) out.push_back((2 * i + 1) * from / (2 * std::int64_t{to}));
+  return out;
+}
+
+// The pixel of a second camera, of focal length f2 and centre c2, that sees the centre of each of `to` pixels of a
+// first one (f1, c1); -1 outside its `from` pixels.
+std::vector<std::int64_t> by_ray(double f2, double c2, std::int32_t from, double f1, double c1, std::int32_t to) {
+  std::vector<std::int64_t> out;
+  for (std::int32_t i = 0; i < to; ++i) {
+    const double at = std::floor(f2 * (i + 0.5 - c1) / f1 + c2);
+    out.push_back(at >= 0 && at < from ? static_cast<std::int64_t>(at) : -1);
+  }
+  return out;
+}
+
+// out[row, col] = value(image pixel), or `outside`.
+template <class T, class Value>
+std::vector<T> resample(const Image<std::uint16_t>& image, const std::vector<std::int64_t>& rows,
+                        const std::vector<std::int64_t>& cols, T outside, Value value) {
+  std::vector<T> out;
+  out.reserve(rows.size() * cols.size());
+  for (const std::int64_t row : rows) {
+    for (const std::int64_t col : cols) {
+      const std::int64_t pixel = row * image.width_px + col;
+      out.push_back(row < 0 || col < 0 ? outside : value(static_cast<std::size_t>(pixel)));
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
+std::vector<Scannet::View> Scannet::list_views(Diagnostics& diagnostics) const {
+  const fs::path root(root_);
+  for (const char* name : {"", "color", "pose", "intrinsic"}) {
+    if (!fs::is_directory(root / name)) {
+      throw Error(ErrorKind::no_input, "folder '" + (*name == '\0' ? root : root / name).string() + "' is missing",
+                  "check scene.root; it names the folder of one exported scene");
+    }
+  }
+  std::map<std::int64_t, std::string> images;
+  for (const fs::directory_entry& entry : fs::directory_iterator(root / "color")) {
+    const std::string extension = entry.path().extension().string();
+    std::int64_t number = 0;
+    if (extension != ".jpg" && extension != ".jpeg" && extension != ".png") continue;
+    const std::string path = entry.path().string();
+    if (!parse_whole(entry.path().stem().string(), number) || number < 0 || number > 1'000'000'000) {
+      diagnostics.error("'" + path + "'", "the name is not a frame's number",
+                        "name colour images <id>.jpg or <id>.png");
+    } else if (const auto [other, fresh] = images.emplace(number, path); !fresh) {
+      diagnostics.error("'" + path + "'", "is the same frame as '" + other->second + "'", "keep one of the two");
+    }
+  }
+  std::vector<View> out;
+  std::vector<std::string> skipped;
+  for (const auto& [number, path] : images) {
+    const std::string stem = fs::path(path).stem().string();
+    const auto matrix =
+        read_matrix((root / "pose" / (stem + ".txt")).string(), "frame '" + stem + "' (" + path + ")", diagnostics);
+    if (!matrix) continue;
+    if (std::all_of(matrix->begin(), matrix->end(), [](double v) { return std::isfinite(v); })) {
+      out.push_back({static_cast<int>(number), path, pose_from_rows(*matrix)});
+    } else {
+      skipped.push_back(stem);
+    }
+  }
+  if (!diagnostics.has_errors() || !skipped.empty())
+    report_skipped(skipped, out.size(), (root / "pose").string(), diagnostics);
+  if (params_.max_frames > 0 && out.size() > static_cast<std::size_t>(params_.max_frames)) {
+    const auto taken = static_cast<std::size_t>(params_.max_frames);
+    diagnostics.note(root_, std::to_string(taken) + " of " + std::to_string(out.size()) +
+                                " frames with a pose are taken, evenly spaced (max_frames)");
+    for (std::size_t k = 0; k < taken; ++k) out[k] = out[k * out.size() / taken];
+    out.resize(taken);
+  }
+  return out;
+}
+
+// ScanNet counts pixel centres as whole numbers (its depth camera has cx = 319.5 at 640 pixels): 0.5 is added.
+Camera Scannet::read_camera(const std::string& file, const std::vector<std::string>& images,
+                            Diagnostics& diagnostics) const {
+  const std::string path = (fs::path(root_) / "intrinsic" / file).string();
+  Camera camera;
+  for (const std::string& image : images) {
+    try {
+      const ImageSize size = image_size(image);
+      camera.width_px = size.width_px;
+      camera.height_px = size.height_px;
+      break;
+    } catch (const Error&) {
+      continue;  // check_frame_files tells what is wrong with it
+    }
+  }
+  if (camera.width_px == 0) return camera;
+  const auto m = read_matrix(path, path, diagnostics);
+  if (!m) return camera;
+  if ((*m)[1] != 0 || (*m)[4] != 0 || (*m)[8] != 0 || (*m)[9] != 0 || (*m)[10] != 1) {
+    diagnostics.error(path, "is not a pinhole camera without skew",
+                      "write rows 'fx 0 cx 0', '0 fy cy 0', '0 0 1 0', '0 0 0 1'");
+    return camera;
+  }
+  camera.fx = (*m)[0];
+  camera.fy = (*m)[5];
+  camera.cx = (*m)[2] + 0.5;
+  camera.cy = (*m)[6] + 0.5;
+  if (!check_camera(camera, path, diagnostics)) return camera;
+  if (std::abs(camera.cx / camera.width_px - 0.5) > 0.2 || std::abs(camera.cy / camera.height_px - 0.5) > 0.2) {
+    diagnostics.warning(path,
+                        "its principal point is far from the middle of images of " + std::to_string(camera.width_px) +
+                            " x " + std::to_string(camera.height_px) + " pixels",
+                        "if the images were made smaller on export, scale the intrinsics with them");
+  }
+  return camera;
+}
+
+void Scannet::check_extrinsics(Diagnostics& diagnostics) const {
+  for (const char* name : {"extrinsic_color.txt", "extrinsic_depth.txt"}) {
+    const std::string path = (fs::path(root_) / "intrinsic" / name).string();
+    if (!fs::exists(path)) continue;
+    const auto m = read_matrix(path, path, diagnostics);
+    if (!m) continue;
+    double off = 0;
+    for (std::size_t i = 0; i < 16; ++i) off = std::max(off, std::abs((*m)[i] - (i % 5 == 0 ? 1.0 : 0.0)));
+    if (!(off < 1e-4)) {
+      diagnostics.warning(path, "is not the identity; colour and depth are taken to be seen from the same pose",
+                          "expect depth and colour to be shifted against each other");
+    }
+  }
+}
+
+void Scannet::load_classes(Diagnostics& diagnostics) {
+  const fs::path root = fs::weakly_canonical(root_);
+  std::string path = table_file_;
+  for (const fs::path& folder : {root, root.parent_path()}) {
+    if (path.empty() && fs::exists(folder / kTableName)) path = (folder / kTableName).string();
+  }
+  if (path.empty()) {
+    return diagnostics.error(root_, std::string("labels without ") + kTableName + " in the scene's folder or above it",
+                             "copy the file there, or set scene.label_table");
+  }
+  try {
+    const std::vector<ScannetLabel> labels = read_scannet_tsv(path);
+    const auto id_of = [&](const ScannetLabel& label) {
+      return params_.classes == ScannetClasses::nyu40     ? label.nyu40id
+             : params_.classes == ScannetClasses::eigen13 ? label.eigen13id
+                                                          : label.id;
+    };
+    const auto name_of = [&](const ScannetLabel& label) {
+      return params_.classes == ScannetClasses::nyu40     ? label.nyu40class
+             : params_.classes == ScannetClasses::eigen13 ? label.eigen13class
+                                                          : label.raw_category;
+    };
+    std::map<std::int32_t, ClassEntry> entries{{0, {0, "unannotated", ClassTable::default_color(0), true}}};
+    for (const ScannetLabel& label : labels) {
+      const std::int32_t id = id_of(label);
+      if (id > 0) entries.try_emplace(id, ClassEntry{id, name_of(label), ClassTable::default_color(id), false});
+    }
+    if (entries.size() < 2) {
+      const auto choice = static_cast<std::size_t>(params_.classes);
+      return diagnostics.error(
+          path, "has no ids of the classes '" + std::string(ChoiceNames<ScannetClasses>::names[choice]) + "'",
+          "choose other classes, or restore the table as ScanNet gives it out");
+    }
+    std::vector<ClassEntry> list;
+    for (auto& [id, entry] : entries) list.push_back(std::move(entry));
+    info_.classes = ClassTable(std::move(list));
+    index_of_raw_.assign(kRawIds, kUnknown);
+    index_of_raw_[0] = kVoid;
+    for (const ScannetLabel& label : labels)
+      index_of_raw_[static_cast<std::size_t>(label.id)] =
+          static_cast<std::int16_t>(info_.classes.index_of(id_of(label)));
+  } catch (const Error& e) {
+    diagnostics.error("", e.message(), e.remedy());
+  }
+}
+
+void Scannet::add_frame(const View& view, std::size_t rank, std::size_t& unlabelled, Diagnostics& diagnostics) {
+  const std::string stem = fs::path(view.color).stem().string();
+  const auto file_in = [&](const std::string& folder) { return (fs::path(root_) / folder / (stem + ".png")).string(); };
+  FrameInfo frame;
+  frame.name = stem;
+  frame.source = view.color;
+  frame.camera = color_;
+  frame.world_from_camera = view.pose;
+  if (check_pose(frame.world_from_camera, frame_place(frame), diagnostics) != PoseState::good) return;
+  FrameFiles files{view.color, has_[0] ? file_in("depth") : "", has_[1] ? file_in(params_.label_dir) : "",
+                   has_[2] ? file_in("instance-filt") : ""};
+  if (has_[1] && !fs::exists(files.label)) {
+    files.label.clear();
+    ++unlabelled;
+  }
+  frame.has_depth = has_[0];
+  frame.has_labels = !files.label.empty();
+  frame.has_instances = has_[2];
+  const bool held_out = params_.test_every > 0 && rank % static_cast<std::size_t>(params_.test_every) ==
+                                                      static_cast<std::size_t>(params_.test_every) - 1;
+  frame.split = held_out ? Split::test : Split::train;
+  check_frame_files(frame, {files.color, "", "", ""}, diagnostics);
+  // The other channels have sizes of their own: depth that of its camera, the rest the shape of the colour picture.
+  FrameInfo other = frame;
+  other.camera = depth_;
+  check_frame_files(other, {"", files.depth, "", ""}, diagnostics);
+  for (const std::string& path : {files.label, files.instance})
+    check_shape(path, frame.camera, frame_place(frame), diagnostics);
+  info_.frames.push_back(frame);
+  files_.push_back(files);
+}
+
+SceneInfo Scannet::open(Diagnostics& diagnostics) {
+  info_ = {};
+  files_.clear();
+  const fs::path root(root_);
+  const std::vector<View> views = list_views(diagnostics);
+  info_.name = fs::weakly_canonical(root).filename().string();
+  has_ = {fs::is_directory(root / "depth"), !params_.label_dir.empty() && fs::is_directory(root / params_.label_dir),
+          fs::is_directory(root / "instance-filt")};
+  if (!params_.label_dir.empty() && params_.label_dir != ScannetParams{}.label_dir && !has_[1])
+    diagnostics.error((root / params_.label_dir).string(), "label folder is missing", "check scene.label_dir");
+  if (views.empty()) return info_;
+
+  std::vector<std::string> colors, depths;
+  for (const View& view : views) {
+    colors.push_back(view.color);
+    depths.push_back((root / "depth" / (fs::path(view.color).stem().string() + ".png")).string());
+  }
+  color_ = read_camera("intrinsic_color.txt", colors, diagnostics);
+  if (has_[0]) depth_ = read_camera("intrinsic_depth.txt", depths, diagnostics);
+  check_extrinsics(diagnostics);
+  std::size_t unlabelled = 0;
+  for (std::size_t rank = 0; rank < views.size(); ++rank) add_frame(views[rank], rank, unlabelled, diagnostics);
+  if (has_[1] && unlabelled > 0) {
+    diagnostics.note(
+        (root / params_.label_dir).string(),
+        std::to_string(unlabelled) + " of " + std::to_string(views.size()) + " frames have no label image");
+  }
+  if (has_[1]) load_classes(diagnostics);
+  return info_;
+}
+
+void Scannet::read(int frame, FrameBuffer& out) const {
+  const auto i = static_cast<std::size_t>(frame);
+  const FrameInfo& info = info_.frames.at(i);
+  const FrameFiles& files = files_.at(i);
+  const Camera& c = info.camera;
+  read_frame_files(info, {files.color, "", "", ""}, FrameReadRules{}, info_.classes, out);
+  try {
+    if (!files.depth.empty()) {
+      const Image<std::uint16_t> image = read_ids(files.depth);
+      out.depth_m = resample(
+          image, by_ray(depth_.fy, depth_.cy, image.height_px, c.fy, c.cy, c.height_px),
+          by_ray(depth_.fx, depth_.cx, image.width_px, c.fx, c.cx, c.width_px), 0.0f,
+          [&](std::size_t p) { return image.pixels[p] == 65535 ? 0.0f : static_cast<float>(image.pixels[p] * 0.001); });
+    }
+    if (!files.label.empty()) {
+      const Image<std::uint16_t> image = read_ids(files.label);
+      const auto index = [&](std::size_t p) {
+        const std::int16_t found = index_of_raw_[image.pixels[p]];
+        if (found != kUnknown) return found;
+        if (params_.unknown_labels == UnknownLabels::as_void) return kVoid;
+        const auto width = static_cast<std::size_t>(image.width_px);
+        throw Error(ErrorKind::data,
+                    "'" + files.label + "': raw id " + std::to_string(image.pixels[p]) + " at x " +
+                        std::to_string(p % width) + ", y " + std::to_string(p / width) + " is not in the label table",
+                    "take the table of the data's release, or set unknown_labels: void");
+      };
+      out.label =
+          resample(image, by_ratio(image.height_px, c.height_px), by_ratio(image.width_px, c.width_px), kVoid, index);
+    }
+    if (!files.instance.empty()) {
+      const Image<std::uint16_t> image = read_ids(files.instance);
+      out.instance = resample(image, by_ratio(image.height_px, c.height_px), by_ratio(image.width_px, c.width_px),
+                              std::int32_t{0}, [&](std::size_t p) { return std::int32_t{image.pixels[p]}; });
+    }
+  } catch (Error& e) {
+    throw e.while_doing("frame '" + info.name + "'");
+  }
+}
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_dataset<Scannet, ScannetParams>(
+      "scannet", "Exported ScanNet scenes: poses, colour, depth, raw labels by their table, instances.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(scannet, "1.0", register_into)
+
+}  // namespace semfield

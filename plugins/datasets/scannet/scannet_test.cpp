@@ -1,0 +1,245 @@
+// Exported ScanNet scenes: cameras of two sizes, label tables, frames taken, trouble.
+#include "datasets/scannet/scannet.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_room;
+
+constexpr const char* kTable =
+    "id\traw_category\tnyu40id\teigen13id\tnyu40class\teigen13class\n"
+    "101\twest wall\t1\t12\twall\tWall\n102\teast wall\t1\t12\twall\tWall\n103\tceiling\t22\t3\tceiling\tCeiling\n"
+    "104\tcarpet\t2\t5\tfloor\tFloor\n105\tsouth\t38\t7\totherstructure\tObjects\n106\tdoor\t8\t\tdoor\t\n";
+
+// Depth is cropped as well as smaller, so that only intrinsics, not ratios of sizes, can find its pixels.
+Camera depth_camera() {
+  Camera c = room_camera(20, 16);
+  c.fx = c.fy = 12;
+  c.cx = 9.5;
+  c.cy = 8.25;
+  return c;
+}
+constexpr int kLabelWidth = 60, kLabelHeight = 45;
+
+std::string matrix(const Camera& c) {
+  return std::to_string(c.fx) + " 0 " + std::to_string(c.cx - 0.5) + " 0\n0 " + std::to_string(c.fy) + " " +
+         std::to_string(c.cy - 0.5) + " 0\n0 0 1 0\n0 0 0 1\n";
+}
+
+// Colour 40 x 30, frame numbers 0, 10, 20, ...; raw id = 101 + wall.
+std::string write_scannet(const std::string& name, int frames) {
+  const std::string folder = fresh_folder(name) + "/scene0000_00";
+  for (const char* part : {"color", "depth", "pose", "intrinsic", "label-filt", "instance-filt"})
+    std::filesystem::create_directories(folder + "/" + part);
+  for (int i = 0; i < frames; ++i) {
+    const std::string n = std::to_string(10 * i);
+    const Pose pose = room_pose(i);
+    write_png_rgb(folder + "/color/" + n + ".png", 40, 30, render_room(room_camera(), pose).rgb);
+    write_png_gray16(folder + "/depth/" + n + ".png", 20, 16, mm_of(render_room(depth_camera(), pose)));
+    const FrameBuffer large = render_room(room_camera(kLabelWidth, kLabelHeight), pose);
+    std::vector<std::uint16_t> raw;
+    for (const std::int16_t wall : large.label) raw.push_back(static_cast<std::uint16_t>(101 + wall));
+    raw[0] = 0;
+    write_png_gray16(folder + "/label-filt/" + n + ".png", kLabelWidth, kLabelHeight, raw);
+    write_png_gray8(folder + "/instance-filt/" + n + ".png", kLabelWidth, kLabelHeight, ids_of(large));
+    plain_write(folder + "/pose/" + n + ".txt", pose_line(pose));
+  }
+  plain_write(folder + "/intrinsic/intrinsic_color.txt", matrix(room_camera()));
+  plain_write(folder + "/intrinsic/intrinsic_depth.txt", matrix(depth_camera()));
+  plain_write(folder + "/../scannetv2-labels.combined.tsv", kTable);
+  return folder;
+}
+
+ScannetParams params_of(const std::string& folder) {
+  ScannetParams p;
+  p.root = folder;
+  return p;
+}
+
+// Every error and warning of open() and of reading each frame.
+std::vector<std::string> problems(const ScannetParams& p) {
+  Scannet scene(p, {});
+  Diagnostics d;
+  std::vector<std::string> out;
+  const SceneInfo info = scene.open(d);
+  for (const Diagnostic& x : d.all()) {
+    if (x.severity != Severity::note) out.push_back(x.text());
+  }
+  if (!out.empty()) return out;
+  for (std::size_t i = 0; i < info.frames.size(); ++i) {
+    FrameBuffer pixels;
+    const std::string error = error_of([&] { scene.read(static_cast<int>(i), pixels); });
+    if (!error.empty()) out.push_back(error);
+  }
+  return out;
+}
+
+TEST(Scannet, ColourCameraDeliversDepthAndLabelsOfOtherSizes) {
+  Scannet scene(params_of(write_scannet("s", 4)), {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
+  ASSERT_EQ(info.frames.size(), 4u);
+  EXPECT_EQ(info.frames[1].name, "10");
+  EXPECT_EQ(info.frames[0].split, Split::train);
+  EXPECT_EQ(info.frames[1].split, Split::test);
+  EXPECT_EQ(info.frames[0].camera.width_px, 40);
+  EXPECT_NEAR(info.frames[0].camera.cx, 20, 1e-9);  // 19.5 with whole-number centres
+  ASSERT_EQ(info.classes.valid_count(), 5);         // 1, 2, 8, 22, 38
+  EXPECT_EQ(info.classes.valid(0).name, "wall");
+  EXPECT_EQ(info.classes.valid(4).id, 38);
+  const int index_of_wall[] = {0, 0, 3, 1, 4, 2};
+  for (int i = 0; i < 4; ++i) {
+    FrameBuffer got;
+    scene.read(i, got);
+    const FrameBuffer want = render_room(room_camera(), room_pose(i));
+    EXPECT_EQ(got.rgb, want.rgb);
+    int seen = 0, same_label = 0, same_instance = 0;
+    for (int y = 0; y < 30; ++y) {
+      for (int x = 0; x < 40; ++x) {
+        const auto p = static_cast<std::size_t>(40 * y + x);
+        same_label += got.label[p] == index_of_wall[want.label[p]] ? 1 : 0;
+        same_instance += got.instance[p] == want.instance[p] ? 1 : 0;
+        // The depth pixel that holds the point where the colour pixel's ray meets the depth image.
+        const double u = 12 * (x + 0.5 - 20) / 20 + 9.5, v = 12 * (y + 0.5 - 15) / 20 + 8.25;
+        if (u < 0 || u >= 20 || v < 0 || v >= 16) {
+          ASSERT_EQ(got.depth_m[p], 0.0f);
+          continue;
+        }
+        ++seen;
+        const Vec3d ray = depth_camera().direction(std::floor(u) + 0.5, std::floor(v) + 0.5);
+        const double z = trace(room_pose(i).t, room_pose(i).rotate(ray)).t * ray.z;
+        ASSERT_NEAR(got.depth_m[p], z, 0.000501) << i << ": " << x << ", " << y;
+      }
+    }
+    EXPECT_GT(seen, 800);
+    EXPECT_LT(seen, 1200);
+    EXPECT_GE(same_label, 1200 - 60);  // nearest pixels differ along the edges of walls, and one pixel is void
+    EXPECT_GE(same_instance, 1200 - 60);
+    EXPECT_EQ(got.label[0], kVoid);
+  }
+}
+
+TEST(Scannet, ClassesByTheTable) {
+  const std::string folder = write_scannet("c", 2);
+  ScannetParams p = params_of(folder);
+  p.classes = ScannetClasses::eigen13;
+  Diagnostics d;
+  Scannet eigen(p, {});
+  const SceneInfo info = eigen.open(d);
+  ASSERT_EQ(info.classes.valid_count(), 4);  // 3, 5, 7, 12
+  EXPECT_EQ(info.classes.valid(3).id, 12);
+  EXPECT_EQ(info.classes.valid(3).name, "Wall");
+  FrameBuffer pixels;
+  eigen.read(0, pixels);
+  const FrameBuffer want = render_room(room_camera(), room_pose(0));
+  const auto doors = std::count(want.label.begin(), want.label.end(), 5);  // raw id 106 has none of the 13 classes
+  EXPECT_GT(doors, 100);
+  EXPECT_NEAR(static_cast<double>(std::count(pixels.label.begin(), pixels.label.end(), kVoid)),
+              static_cast<double>(doors), 60);
+  p.classes = ScannetClasses::raw;
+  Scannet raw(p, {});
+  const SceneInfo by_raw = raw.open(d);
+  ASSERT_EQ(by_raw.classes.valid_count(), 6);
+  EXPECT_EQ(by_raw.classes.valid(1).id, 102);
+  EXPECT_EQ(by_raw.classes.valid(1).name, "east wall");
+  p.label_table = "elsewhere.tsv";
+  EXPECT_NE(problems(p)[0].find("elsewhere.tsv"), std::string::npos);
+  std::filesystem::remove(folder + "/../scannetv2-labels.combined.tsv");
+  EXPECT_EQ(problems(params_of(folder)),
+            std::vector<std::string>{folder + ": labels without scannetv2-labels.combined.tsv in the scene's folder or "
+                                              "above it; copy the file there, or set scene.label_table"});
+}
+
+TEST(Scannet, FramesAreTakenEvenlyAmongThoseWithAPose) {
+  const std::string folder = write_scannet("f", 11);
+  plain_write(folder + "/pose/10.txt", "-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n0 0 0 1\n");
+  ScannetParams p = params_of(folder);
+  p.max_frames = 5;
+  p.test_every = 3;
+  Diagnostics d;
+  const SceneInfo info = Scannet(p, {}).open(d);
+  ASSERT_EQ(info.frames.size(), 5u);
+  const char* names[] = {"0", "30", "50", "70", "90"};  // ranks 0, 2, 4, 6, 8 of ten
+  for (std::size_t i = 0; i < 5; ++i) {
+    EXPECT_EQ(info.frames[i].name, names[i]);
+    EXPECT_EQ(info.frames[i].split, i == 2 ? Split::test : Split::train);
+  }
+  ASSERT_EQ(d.all().size(), 2u);
+  EXPECT_NE(d.all()[0].text().find("1 of 11 frames skipped: their poses are not finite (10)"), std::string::npos);
+  EXPECT_NE(d.all()[1].text().find("5 of 10 frames with a pose are taken, evenly spaced"), std::string::npos);
+}
+
+TEST(Scannet, TroubleNamesFileCauseAndRemedy) {
+  const std::string folder = write_scannet("t", 4);
+  const std::string f = folder + "/";
+  const auto place = [&](const char* n) { return std::string("frame '") + n + "' (" + f + "color/" + n + ".png): "; };
+  std::filesystem::remove(f + "depth/0.png");
+  plain_write(f + "pose/10.txt", "1 0 0 x");
+  write_png_gray16(f + "label-filt/20.png", 10, 10, std::vector<std::uint16_t>(100, 101));
+  plain_write(f + "pose/30.txt", "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n");
+  plain_write(f + "intrinsic/extrinsic_color.txt", "1 0 0 0.04\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
+  plain_write(f + "color/left.jpg", "");
+  const std::vector<std::string> found = problems(params_of(folder));  // the size of depth is told by the next frame
+  SCOPED_TRACE(join(found, "\n"));
+  const auto has = [&](const std::string& text) {
+    return std::any_of(found.begin(), found.end(),
+                       [&](const std::string& x) { return x.find(text) != std::string::npos; });
+  };
+  EXPECT_EQ(found.size(), 6u);
+  EXPECT_TRUE(has("color/left.jpg': the name is not a frame's number; name colour images <id>.jpg or <id>.png"));
+  EXPECT_TRUE(has(place("10") + "'" + f + "pose/10.txt': 'x' is not a number"));
+  EXPECT_TRUE(has(place("0") + "depth image '" + f + "depth/0.png' is missing"));
+  EXPECT_TRUE(has(place("20") + "'" + f + "label-filt/20.png' is 10 x 10 pixels, the colour image 40 x 30: another"));
+  EXPECT_TRUE(has(place("30") + "pose is no rotation"));
+  EXPECT_TRUE(has("extrinsic_color.txt: is not the identity"));
+}
+
+TEST(Scannet, UnknownRawIdsAreRefusedOrVoid) {
+  const std::string folder = write_scannet("u", 2);
+  std::vector<std::uint16_t> raw(kLabelWidth * kLabelHeight, 101);
+  raw[kLabelWidth * 3 + 3] = 999;
+  write_png_gray16(folder + "/label-filt/10.png", kLabelWidth, kLabelHeight, raw);
+  EXPECT_EQ(problems(params_of(folder)),
+            std::vector<std::string>{"frame '10': '" + folder +
+                                     "/label-filt/10.png': raw id 999 at x 3, y 3 is not in the label table; take the "
+                                     "table of the data's release, or set unknown_labels: void"});
+  ScannetParams p = params_of(folder);
+  p.unknown_labels = UnknownLabels::as_void;
+  EXPECT_EQ(problems(p), std::vector<std::string>{});
+}
+
+TEST(Scannet, IntrinsicsAreChecked) {
+  const std::string folder = write_scannet("i", 2);
+  const std::string file = folder + "/intrinsic/intrinsic_color.txt";
+  plain_write(file, "40 1 19.5 0\n0 40 14.5 0\n0 0 1 0\n0 0 0 1\n");
+  EXPECT_NE(problems(params_of(folder))[0].find(file + ": is not a pinhole camera without skew"), std::string::npos);
+  plain_write(file, "40 0 39.5 0\n0 40 29.5 0\n0 0 1 0\n0 0 0 1\n");
+  EXPECT_NE(problems(params_of(folder))[0].find("its principal point is far from the middle of images of 40 x 30"),
+            std::string::npos);
+  std::filesystem::remove(file);
+  EXPECT_NE(problems(params_of(folder))[0].find("intrinsic_color.txt'"), std::string::npos);
+}
+
+TEST(Scannet, SomeFramesWithoutLabels) {
+  const std::string folder = write_scannet("n", 4);
+  std::filesystem::remove(folder + "/label-filt/20.png");
+  Scannet scene(params_of(folder), {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  EXPECT_FALSE(d.has_errors());
+  EXPECT_FALSE(info.frames[2].has_labels);
+  EXPECT_NE(d.all().back().text().find("1 of 4 frames have no label image"), std::string::npos);
+  FrameBuffer pixels;
+  scene.read(2, pixels);
+  EXPECT_TRUE(pixels.label.empty());
+}
+
+}  // namespace
+}  // namespace semfield
