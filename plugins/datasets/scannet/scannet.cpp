@@ -21,9 +21,10 @@ namespace fs = std::filesystem;
 
 void describe(ParamVisitor& visit, ScannetParams& p) {
   SEMFIELD_PARAM(visit, p, root, "folder of the exported scene: it holds color/, pose/, intrinsic/");
-  SEMFIELD_PARAM(visit, p, classes, "what trains: the 40 classes of NYUv2, the 13 of Eigen and Fergus, or the raw ids");
-  SEMFIELD_PARAM(visit, p, label_table,
-                 "scannetv2-labels.combined.tsv; empty = the one in root or in the folder above it");
+  SEMFIELD_PARAM(visit, p, class_ids,
+                 "what trains: the 40 classes of NYUv2, the 13 of Eigen and Fergus, or the raw ids");
+  SEMFIELD_PARAM(visit, p, classes,
+                 "label table (scannetv2-labels.combined.tsv); empty = the one in root or in the folder above it");
   SEMFIELD_PARAM(visit, p, label_dir, "folder inside root of the label images <id>.png of raw ids; empty = no labels");
   SEMFIELD_PARAM(visit, p, max_frames, "frames to take, evenly spaced among those with a pose; 0 = all", {0, 1e6});
   SEMFIELD_PARAM(visit, p, test_every,
@@ -39,7 +40,7 @@ void validate(const ScannetParams& p, Diagnostics& diagnostics) {
 
 Scannet::Scannet(const ScannetParams& params, const DatasetBuild& build)
     : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
-  if (!params.label_table.empty()) table_file_ = (fs::path(build.config_dir) / params.label_table).string();
+  if (!params.classes.empty()) table_file_ = (fs::path(build.config_dir) / params.classes).string();
 }
 
 namespace {
@@ -233,19 +234,19 @@ void Scannet::load_classes(Diagnostics& diagnostics) {
   }
   if (path.empty()) {
     return diagnostics.error(root_, std::string("labels without ") + kTableName + " in the scene's folder or above it",
-                             "copy the file there, or set scene.label_table");
+                             "copy the file there, or set scene.classes");
   }
   try {
     const std::vector<ScannetLabel> labels = read_scannet_tsv(path);
     const auto id_of = [&](const ScannetLabel& label) {
-      return params_.classes == ScannetClasses::nyu40     ? label.nyu40id
-             : params_.classes == ScannetClasses::eigen13 ? label.eigen13id
-                                                          : label.id;
+      return params_.class_ids == ScannetClassIds::nyu40     ? label.nyu40id
+             : params_.class_ids == ScannetClassIds::eigen13 ? label.eigen13id
+                                                             : label.id;
     };
     const auto name_of = [&](const ScannetLabel& label) {
-      return params_.classes == ScannetClasses::nyu40     ? label.nyu40class
-             : params_.classes == ScannetClasses::eigen13 ? label.eigen13class
-                                                          : label.raw_category;
+      return params_.class_ids == ScannetClassIds::nyu40     ? label.nyu40class
+             : params_.class_ids == ScannetClassIds::eigen13 ? label.eigen13class
+                                                             : label.raw_category;
     };
     std::map<std::int32_t, ClassEntry> entries{{0, {0, "unannotated", ClassTable::default_color(0), true}}};
     for (const ScannetLabel& label : labels) {
@@ -253,10 +254,10 @@ void Scannet::load_classes(Diagnostics& diagnostics) {
       if (id > 0) entries.try_emplace(id, ClassEntry{id, name_of(label), ClassTable::default_color(id), false});
     }
     if (entries.size() < 2) {
-      const auto choice = static_cast<std::size_t>(params_.classes);
+      const auto choice = static_cast<std::size_t>(params_.class_ids);
       return diagnostics.error(
-          path, "has no ids of the classes '" + std::string(ChoiceNames<ScannetClasses>::names[choice]) + "'",
-          "choose other classes, or restore the table as ScanNet gives it out");
+          path, "has no ids of the classes '" + std::string(ChoiceNames<ScannetClassIds>::names[choice]) + "'",
+          "choose other class_ids, or restore the table as ScanNet gives it out");
     }
     std::vector<ClassEntry> list;
     for (auto& [id, entry] : entries) list.push_back(std::move(entry));
@@ -306,6 +307,7 @@ void Scannet::add_frame(const View& view, std::size_t rank, std::size_t& unlabel
 SceneInfo Scannet::open(Diagnostics& diagnostics) {
   info_ = {};
   files_.clear();
+  index_of_raw_.assign(kRawIds, kVoid);  // until the table is read: a table that fails is one error, not one a frame
   const fs::path root(root_);
   const std::vector<View> views = list_views(diagnostics);
   info_.name = fs::weakly_canonical(root).filename().string();

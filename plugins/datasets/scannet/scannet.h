@@ -13,16 +13,16 @@
 
 namespace semfield {
 
-enum class ScannetClasses { nyu40, eigen13, raw };
+enum class ScannetClassIds { nyu40, eigen13, raw };
 template <>
-struct ChoiceNames<ScannetClasses> {
+struct ChoiceNames<ScannetClassIds> {
   static constexpr std::array<std::string_view, 3> names{"nyu40", "eigen13", "raw"};
 };
 
 struct ScannetParams {
   std::string root;
-  ScannetClasses classes = ScannetClasses::nyu40;
-  std::string label_table;
+  ScannetClassIds class_ids = ScannetClassIds::nyu40;
+  std::string classes;
   std::string label_dir = "label-filt";
   std::int32_t max_frames = 300;
   std::int32_t test_every = 2;

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "scene/frame_source.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -62,20 +63,14 @@ ScannetParams params_of(const std::string& folder) {
   return p;
 }
 
-// Every error and warning of open() and of reading each frame.
+// Every error and warning of loading the scene.
 std::vector<std::string> problems(const ScannetParams& p) {
   Scannet scene(p, {});
   Diagnostics d;
+  (void)load_scene(scene, {}, d);
   std::vector<std::string> out;
-  const SceneInfo info = scene.open(d);
   for (const Diagnostic& x : d.all()) {
     if (x.severity != Severity::note) out.push_back(x.text());
-  }
-  if (!out.empty()) return out;
-  for (std::size_t i = 0; i < info.frames.size(); ++i) {
-    FrameBuffer pixels;
-    const std::string error = error_of([&] { scene.read(static_cast<int>(i), pixels); });
-    if (!error.empty()) out.push_back(error);
   }
   return out;
 }
@@ -129,7 +124,7 @@ TEST(Scannet, ColourCameraDeliversDepthAndLabelsOfOtherSizes) {
 TEST(Scannet, ClassesByTheTable) {
   const std::string folder = write_scannet("c", 2);
   ScannetParams p = params_of(folder);
-  p.classes = ScannetClasses::eigen13;
+  p.class_ids = ScannetClassIds::eigen13;
   Diagnostics d;
   Scannet eigen(p, {});
   const SceneInfo info = eigen.open(d);
@@ -143,18 +138,18 @@ TEST(Scannet, ClassesByTheTable) {
   EXPECT_GT(doors, 100);
   EXPECT_NEAR(static_cast<double>(std::count(pixels.label.begin(), pixels.label.end(), kVoid)),
               static_cast<double>(doors), 60);
-  p.classes = ScannetClasses::raw;
+  p.class_ids = ScannetClassIds::raw;
   Scannet raw(p, {});
   const SceneInfo by_raw = raw.open(d);
   ASSERT_EQ(by_raw.classes.valid_count(), 6);
   EXPECT_EQ(by_raw.classes.valid(1).id, 102);
   EXPECT_EQ(by_raw.classes.valid(1).name, "east wall");
-  p.label_table = "elsewhere.tsv";
+  p.classes = "elsewhere.tsv";
   EXPECT_NE(problems(p)[0].find("elsewhere.tsv"), std::string::npos);
   std::filesystem::remove(folder + "/../scannetv2-labels.combined.tsv");
   EXPECT_EQ(problems(params_of(folder)),
             std::vector<std::string>{folder + ": labels without scannetv2-labels.combined.tsv in the scene's folder or "
-                                              "above it; copy the file there, or set scene.label_table"});
+                                              "above it; copy the file there, or set scene.classes"});
 }
 
 TEST(Scannet, FramesAreTakenEvenlyAmongThoseWithAPose) {
@@ -207,7 +202,7 @@ TEST(Scannet, UnknownRawIdsAreRefusedOrVoid) {
   raw[kLabelWidth * 3 + 3] = 999;
   write_png_gray16(folder + "/label-filt/10.png", kLabelWidth, kLabelHeight, raw);
   EXPECT_EQ(problems(params_of(folder)),
-            std::vector<std::string>{"frame '10': '" + folder +
+            std::vector<std::string>{"frame '10' (" + folder + "/color/10.png): '" + folder +
                                      "/label-filt/10.png': raw id 999 at x 3, y 3 is not in the label table; take the "
                                      "table of the data's release, or set unknown_labels: void"});
   ScannetParams p = params_of(folder);
