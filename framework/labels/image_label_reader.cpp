@@ -7,6 +7,7 @@
 #include "labels/label_files.h"
 #include "labels/label_readers.h"
 #include "scene/class_import.h"
+#include "scene/frame_files.h"
 #include "scene/image_io.h"
 #include "scene/png_codec.h"
 #include "scene/text_rows.h"
@@ -17,11 +18,6 @@ enum class LabelImageKind { ids, palette, color };
 template <>
 struct ChoiceNames<LabelImageKind> {
   static constexpr std::array<std::string_view, 3> names{"ids", "palette", "color"};
-};
-enum class UnknownLabels { error, make_void };
-template <>
-struct ChoiceNames<UnknownLabels> {
-  static constexpr std::array<std::string_view, 2> names{"error", "void"};
 };
 
 namespace {
@@ -76,7 +72,7 @@ class ImageLabelReader : public LabelReader {
     SEMFIELD_PARAM(visit, *this, folder, "folder of the images");
     SEMFIELD_PARAM(visit, *this, pattern,
                    "file of a frame: {name} is the frame's name, {stem} its image's name without extension, {number} "
-                   "the digits at the end of its name");
+                   "the digits at the end of its name, with or without zeros before them");
     SEMFIELD_PARAM(visit, *this, kind,
                    "ids: one channel of class ids; palette: a palette PNG whose indices are ids; color: exact colours");
     SEMFIELD_PARAM(visit, *this, file, "for color: CSV file of lines r,g,b,name; empty: the class table's colours");
@@ -163,7 +159,7 @@ class ImageLabelReader : public LabelReader {
   // What a value without a class becomes.
   std::int16_t not_known(const std::string& path, const std::string& what, std::size_t pixel,
                          std::int32_t width) const {
-    if (unknown == UnknownLabels::make_void) return kVoid;
+    if (unknown == UnknownLabels::as_void) return kVoid;
     const auto w = static_cast<std::size_t>(width);
     refuse("'" + path + "'",
            what + " at x " + std::to_string(pixel % w) + ", y " + std::to_string(pixel / w) + " stands for no class",

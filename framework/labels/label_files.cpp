@@ -9,6 +9,8 @@ namespace {
 
 constexpr int kMaxProblems = 20;
 
+constexpr std::size_t kMostDigits = 9;  // of a frame's number in the name of a file
+
 bool is_digit(char c) { return c >= '0' && c <= '9'; }
 
 std::string number_of(const std::string& name) {
@@ -47,22 +49,33 @@ void check_pattern(const std::string& pattern, Diagnostics& diagnostics) {
 }
 
 std::string path_of(const std::string& folder, const std::string& pattern, const FrameInfo& frame) {
-  std::string out;
-  for (std::size_t at = 0; at < pattern.size();) {
-    if (pattern[at] != '{') {
-      out += pattern[at++];
-      continue;
+  const std::string number = number_of(frame.name);
+  const auto path_with = [&](const std::string& digits) {
+    std::string out;
+    for (std::size_t at = 0; at < pattern.size();) {
+      if (pattern[at] != '{') {
+        out += pattern[at++];
+        continue;
+      }
+      const std::size_t end = pattern.find('}', at);
+      const std::string place = pattern.substr(at, end - at + 1);
+      out += place == "{name}" ? frame.name : place == "{stem}" ? file_stem(frame.source) : digits;
+      at = end + 1;
     }
-    const std::size_t end = pattern.find('}', at);
-    const std::string place = pattern.substr(at, end - at + 1);
-    const std::string text = place == "{name}"   ? frame.name
-                             : place == "{stem}" ? file_stem(frame.source)
-                                                 : number_of(frame.name);
-    if (text.empty()) return {};
-    out += text;
-    at = end + 1;
+    return (std::filesystem::path(folder) / out).string();
+  };
+  const bool by_number = pattern.find("{number}") != std::string::npos;
+  if (by_number && number.empty()) return {};
+  std::string path = path_with(number);
+  std::error_code ignored;
+  if (!by_number || std::filesystem::exists(path, ignored)) return path;
+  // The same number with other zeros before it: "12" for "00012", and the other way round.
+  const std::size_t first = std::min(number.find_first_not_of('0'), number.size() - 1);
+  for (std::string digits = number.substr(first); digits.size() <= kMostDigits; digits.insert(0, "0")) {
+    std::string other = path_with(digits);
+    if (std::filesystem::exists(other, ignored)) return other;
   }
-  return (std::filesystem::path(folder) / out).string();
+  return path;
 }
 
 bool check_folder(const std::string& folder, Diagnostics& diagnostics) {

@@ -28,8 +28,8 @@ const T* entry_of(const std::map<std::string, T>& entries, const FrameInfo& fram
   return nullptr;
 }
 
-/// "{name}" and "{stem}" are the frame's name and the stem of its source, "{number}" the digits at the end of its name.
-/// Reports any other place in braces, and a pattern without one.
+/// "{name}" and "{stem}" are the frame's name and the stem of its source, "{number}" the digits at the end of its name,
+/// with or without zeros before them. Reports any other place in braces, and a pattern without one.
 void check_pattern(const std::string& pattern, Diagnostics& diagnostics);
 /// Path of the frame's file, or "" for a frame whose name ends in no digit where the pattern asks for a number.
 std::string path_of(const std::string& folder, const std::string& pattern, const FrameInfo& frame);

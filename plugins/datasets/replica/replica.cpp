@@ -1,10 +1,12 @@
 // Pre-rendered Replica sequences.
 #include "datasets/replica/replica.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
 #include <numeric>
+#include <tuple>
 
 #include "core/files.h"
 #include "plugin/module.h"
@@ -19,8 +21,12 @@ void describe(ParamVisitor& visit, ReplicaParams& p) {
   SEMFIELD_PARAM(visit, p, root, "folder of the scene: it holds traj_w_c.txt, or Sequence_1 and so on");
   SEMFIELD_PARAM(visit, p, sequence, "folder of the sequence inside root; empty = root itself, else Sequence_1");
   SEMFIELD_PARAM(visit, p, hfov_deg, "horizontal field of view of the renders, degrees", {1, 179});
-  SEMFIELD_PARAM(visit, p, label_dir, "folder of the label images semantic_class_<i>.png; empty = no labels");
-  SEMFIELD_PARAM(visit, p, test_label_dir, "label folder of the test frames; empty = label_dir");
+  SEMFIELD_PARAM(
+      visit, p, label_dir,
+      "folder of the label images semantic_class_<i>.png or <i>.png, with or without zeros before <i>; empty = "
+      "no labels");
+  SEMFIELD_PARAM(visit, p, test_label_dir,
+                 "label folder of the test frames; empty = label_dir, and semantic_class where it has no file");
   SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found beside the sequence");
   SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
   SEMFIELD_PARAM(visit, p, train_step, "every how many-th frame trains", {1, 1e6});
@@ -110,18 +116,77 @@ Split Replica::split_of(int number) const {
   return Split::unused;
 }
 
+// Label images by number: "semantic_class_12.png", "semantic_class_00012.png", "12.png". Other files (previews) are
+// none.
+void Replica::index_labels(const std::string& folder, Diagnostics& diagnostics) {
+  constexpr std::string_view kPrefix = "semantic_class_";
+  label_files_.clear();
+  for (const std::string& labels : {params_.label_dir, params_.test_label_dir, ReplicaParams{}.label_dir}) {
+    const fs::path where = fs::path(folder) / labels;
+    if (params_.label_dir.empty() && params_.test_label_dir.empty()) return;
+    if (labels.empty() || !fs::is_directory(where) || label_files_.count(labels) > 0) continue;
+    std::map<int, std::string>& files = label_files_[labels];
+    for (const fs::directory_entry& entry : fs::directory_iterator(where)) {
+      std::string digits = entry.path().stem().string();
+      if (digits.rfind(kPrefix, 0) == 0) digits.erase(0, kPrefix.size());
+      if (entry.path().extension() != ".png" || digits.empty() || digits.size() > 9 ||
+          digits.find_first_not_of("0123456789") != std::string::npos) {
+        continue;
+      }
+      const auto [other, fresh] = files.emplace(std::stoi(digits), entry.path().string());
+      if (!fresh) {
+        diagnostics.error(where.string(),
+                          "'" + entry.path().filename().string() + "' and '" +
+                              fs::path(other->second).filename().string() + "' are labels of the same frame",
+                          "keep one of the two");
+      }
+    }
+  }
+}
+
+std::string Replica::label_of(int number, Split split) const {
+  const auto find = [&](const std::string& labels) {
+    const auto files = label_files_.find(labels);
+    if (files == label_files_.end()) return std::string();
+    const auto file = files->second.find(number);
+    return file == files->second.end() ? std::string() : file->second;
+  };
+  if (split != Split::test) return find(params_.label_dir);
+  if (!params_.test_label_dir.empty()) return find(params_.test_label_dir);
+  const std::string own = find(params_.label_dir);
+  return own.empty() && label_files_.count(params_.label_dir) > 0 ? find(ReplicaParams{}.label_dir) : own;
+}
+
+void Replica::report_unlabelled(const std::string& folder, Diagnostics& diagnostics) const {
+  for (const auto& [split, what, labels] :
+       {std::tuple{Split::train, "training", params_.label_dir},
+        std::tuple{Split::test, "test", params_.test_label_dir.empty() ? params_.label_dir : params_.test_label_dir}}) {
+    if (label_files_.count(labels) == 0) continue;
+    const auto in_split = [&, wanted = split](const FrameInfo& f) { return f.split == wanted; };
+    const auto all = std::count_if(info_.frames.begin(), info_.frames.end(), in_split);
+    const auto missing = std::count_if(info_.frames.begin(), info_.frames.end(),
+                                       [&](const FrameInfo& f) { return in_split(f) && !f.has_labels; });
+    const std::string place = (fs::path(folder) / labels).string();
+    if (all > 0 && missing == all) {
+      diagnostics.error(place, std::string("no label image of any ") + what + " frame in it",
+                        "name them semantic_class_<i>.png or <i>.png, <i> as in rgb_<i>.png");
+    } else if (missing > 0) {
+      diagnostics.note(
+          place, std::to_string(missing) + " of " + std::to_string(all) + " " + what + " frames have no label image");
+    }
+  }
+}
+
 FrameFiles Replica::files_of(const std::string& folder, int number, Split split) const {
   const std::string n = std::to_string(number) + ".png";
   const auto in_folder = [&](const std::string& directory, const char* prefix) {
     const fs::path where = fs::path(folder) / directory;
     return directory.empty() || !fs::is_directory(where) ? std::string() : (where / (prefix + n)).string();
   };
-  const std::string& labels =
-      split == Split::test && !params_.test_label_dir.empty() ? params_.test_label_dir : params_.label_dir;
   FrameFiles files;
   files.color = (fs::path(folder) / "rgb" / ("rgb_" + n)).string();
   files.depth = in_folder("depth", "depth_");
-  files.label = in_folder(labels, "semantic_class_");
+  files.label = label_of(number, split);
   files.instance = in_folder("semantic_instance", "semantic_instance_");
   return files;
 }
@@ -141,6 +206,7 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
                         "check scene.label_dir and scene.test_label_dir");
     }
   }
+  index_labels(folder, diagnostics);
   std::size_t rows = 0;
   const std::vector<Row> trajectory = read_trajectory((fs::path(folder) / "traj_w_c.txt").string(), diagnostics, rows);
 
@@ -182,6 +248,7 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
     diagnostics.note(root_, std::to_string(rows - trajectory.size()) + " of " + std::to_string(rows) +
                                 " frames are in neither split");
   }
+  report_unlabelled(folder, diagnostics);
   info_.classes =
       load_class_file(class_file_, {folder, root_, (fs::path(root_) / "habitat").string()}, has_labels, diagnostics);
   return info_;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -42,10 +43,14 @@ class Replica final : public Dataset {
   std::vector<Row> read_trajectory(const std::string& path, Diagnostics& diagnostics, std::size_t& rows) const;
   Split split_of(int number) const;
   FrameFiles files_of(const std::string& folder, int number, Split split) const;
+  void index_labels(const std::string& folder, Diagnostics& diagnostics);
+  std::string label_of(int number, Split split) const;
+  void report_unlabelled(const std::string& folder, Diagnostics& diagnostics) const;
 
   ReplicaParams params_;
   std::string root_;
   std::string class_file_;
+  std::map<std::string, std::map<int, std::string>> label_files_;  ///< folder as in the parameters -> <i> -> path
   SceneInfo info_;
   std::vector<FrameFiles> files_;
 };

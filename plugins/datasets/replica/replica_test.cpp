@@ -3,6 +3,9 @@
 
 #include <gtest/gtest.h>
 
+#include "labels/training_labels.h"
+#include "scene/frame_source.h"
+#include "tests/labels/reader_case.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -58,6 +61,90 @@ TEST(Replica, TestLabelsMayComeFromAnotherFolder) {
   replica.read(1, test);
   EXPECT_EQ(train.label, std::vector<std::int16_t>(1200, 2));
   EXPECT_EQ(test.label, render_room(room_camera(), room_pose(1)).label);
+}
+
+ReplicaParams even_odd(const std::string& folder) {
+  ReplicaParams p;
+  p.root = folder;
+  p.train_step = p.test_step = 2;
+  p.test_offset = 1;
+  return p;
+}
+
+// Frames 0 and 4 of 0, 2, 4 have noisy labels (class id 3 everywhere), one name with zeros, one without a prefix.
+std::string write_noise(const std::string& name) {
+  const std::string folder = fresh_folder(name);
+  write_replica(folder, 6);
+  const std::string noise = folder + "/semantic_instance_noise/sort_0.5";
+  std::filesystem::create_directories(noise);
+  write_png_gray8(noise + "/semantic_class_00000.png", 40, 30, std::vector<std::uint8_t>(1200, 3));
+  write_png_gray8(noise + "/4.png", 40, 30, std::vector<std::uint8_t>(1200, 3));
+  write_png_gray8(noise + "/vis_sem_class_2.png", 40, 30, std::vector<std::uint8_t>(1200, 3));  // a preview
+  return folder;
+}
+
+TEST(Replica, NestedLabelFoldersOfTrainingFramesWithOrWithoutZeros) {
+  ReplicaParams p = even_odd(write_noise("room"));
+  p.label_dir = "semantic_instance_noise/sort_0.5";
+  Replica replica(p, {});
+  Diagnostics d;
+  const SceneInfo info = replica.open(d);
+  ASSERT_EQ(d.all().size(), 1u);
+  EXPECT_EQ(d.all()[0].severity, Severity::note);
+  EXPECT_NE(d.all()[0].text().find("sort_0.5: 1 of 3 training frames have no label image"), std::string::npos)
+      << d.all()[0].text();
+  for (const int i : {0, 4}) {
+    FrameBuffer pixels;
+    replica.read(i, pixels);
+    EXPECT_EQ(pixels.label, std::vector<std::int16_t>(1200, 2)) << i;
+  }
+  EXPECT_FALSE(info.frames[2].has_labels);
+  for (const int i : {1, 3, 5}) {  // the folder has none of them: semantic_class tells
+    FrameBuffer pixels;
+    replica.read(i, pixels);
+    EXPECT_EQ(pixels.label, render_room(room_camera(), room_pose(i)).label) << i;
+  }
+}
+
+TEST(Replica, LabelFoldersThatHoldNothingOrTwoOfAFrame) {
+  const std::string folder = write_noise("room");
+  ReplicaParams p = even_odd(folder);
+  p.label_dir = "semantic_instance_noise";
+  Diagnostics none;
+  Replica(p, {}).open(none);
+  ASSERT_TRUE(none.has_errors());
+  EXPECT_EQ(none.all()[0].text(), folder +
+                                      "/semantic_instance_noise: no label image of any training frame in it; name them "
+                                      "semantic_class_<i>.png or <i>.png, <i> as in rgb_<i>.png");
+  p.label_dir += "/sort_0.5";
+  write_png_gray8(folder + "/" + p.label_dir + "/04.png", 40, 30, std::vector<std::uint8_t>(1200, 3));
+  Diagnostics twice;
+  Replica(p, {}).open(twice);
+  ASSERT_TRUE(twice.has_errors());
+  EXPECT_NE(twice.all()[0].text().find("are labels of the same frame; keep one of the two"), std::string::npos);
+}
+
+// Degraded labels that only train: the scene's own stay the truth of every pose.
+TEST(Replica, NoiseFolderTrainsWhileCleanLabelsStayTheTruth) {
+  const std::string folder = write_noise("room");
+  Replica replica(even_odd(folder), {});
+  Diagnostics d;
+  LoadedScene scene = load_scene(replica, {}, d);
+  LabelConfig config;
+  config.from.type = "images";
+  config.from.reader = testing_labels::make_reader(
+      "images", "{folder: '" + folder + "/semantic_instance_noise/sort_0.5', pattern: 'semantic_class_{number}.png'}");
+  open_label_files(scene, config, d);
+  read_test_labels(scene, config, d);
+  const TrainingLabels labels = make_training_labels(scene, config, d);
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(labels.frames.size(), 6u);
+  EXPECT_EQ(labels.frames[0].hard.expand(), std::vector<std::int16_t>(1200, 2));
+  EXPECT_TRUE(labels.frames[2].empty());
+  EXPECT_TRUE(labels.frames[4].empty());  // "4.png" is not of the pattern
+  for (std::size_t i = 0; i < 6; ++i) {
+    EXPECT_EQ(scene.frames[i].label.expand(), render_room(room_camera(), room_pose(static_cast<int>(i))).label) << i;
+  }
 }
 
 }  // namespace

@@ -237,36 +237,21 @@ void Scannet::load_classes(Diagnostics& diagnostics) {
                              "copy the file there, or set scene.classes");
   }
   try {
-    const std::vector<ScannetLabel> labels = read_scannet_tsv(path);
-    const auto id_of = [&](const ScannetLabel& label) {
-      return params_.class_ids == ScannetClassIds::nyu40     ? label.nyu40id
-             : params_.class_ids == ScannetClassIds::eigen13 ? label.eigen13id
-                                                             : label.id;
-    };
-    const auto name_of = [&](const ScannetLabel& label) {
-      return params_.class_ids == ScannetClassIds::nyu40     ? label.nyu40class
-             : params_.class_ids == ScannetClassIds::eigen13 ? label.eigen13class
-                                                             : label.raw_category;
-    };
-    std::map<std::int32_t, ClassEntry> entries{{0, {0, "unannotated", ClassTable::default_color(0), true}}};
-    for (const ScannetLabel& label : labels) {
-      const std::int32_t id = id_of(label);
-      if (id > 0) entries.try_emplace(id, ClassEntry{id, name_of(label), ClassTable::default_color(id), false});
-    }
-    if (entries.size() < 2) {
+    info_.classes = load_scannet_classes(path, params_.class_ids);
+    if (info_.classes.valid_count() == 0) {
       const auto choice = static_cast<std::size_t>(params_.class_ids);
-      return diagnostics.error(
-          path, "has no ids of the classes '" + std::string(ChoiceNames<ScannetClassIds>::names[choice]) + "'",
-          "choose other class_ids, or restore the table as ScanNet gives it out");
+      return diagnostics.error(path,
+                               "has no ids of '" + std::string(ChoiceNames<ScannetIds>::names[choice]) + "' classes",
+                               "choose other class_ids, or restore the table as ScanNet gives it out");
     }
-    std::vector<ClassEntry> list;
-    for (auto& [id, entry] : entries) list.push_back(std::move(entry));
-    info_.classes = ClassTable(std::move(list));
     index_of_raw_.assign(kRawIds, kUnknown);
     index_of_raw_[0] = kVoid;
-    for (const ScannetLabel& label : labels)
-      index_of_raw_[static_cast<std::size_t>(label.id)] =
-          static_cast<std::int16_t>(info_.classes.index_of(id_of(label)));
+    for (const ScannetLabel& label : read_scannet_tsv(path)) {
+      const std::int32_t id = params_.class_ids == ScannetIds::raw     ? label.id
+                              : params_.class_ids == ScannetIds::nyu40 ? label.nyu40id
+                                                                       : label.eigen13id;
+      index_of_raw_[static_cast<std::size_t>(label.id)] = static_cast<std::int16_t>(info_.classes.index_of(id));
+    }
   } catch (const Error& e) {
     diagnostics.error("", e.message(), e.remedy());
   }

@@ -9,19 +9,19 @@
 
 #include "config/params.h"
 #include "plugin/dataset.h"
+#include "scene/class_import.h"
 #include "scene/frame_files.h"
 
 namespace semfield {
 
-enum class ScannetClassIds { nyu40, eigen13, raw };
 template <>
-struct ChoiceNames<ScannetClassIds> {
-  static constexpr std::array<std::string_view, 3> names{"nyu40", "eigen13", "raw"};
+struct ChoiceNames<ScannetIds> {
+  static constexpr std::array<std::string_view, 3> names{"raw", "nyu40", "eigen13"};
 };
 
 struct ScannetParams {
   std::string root;
-  ScannetClassIds class_ids = ScannetClassIds::nyu40;
+  ScannetIds class_ids = ScannetIds::nyu40;
   std::string classes;
   std::string label_dir = "label-filt";
   std::int32_t max_frames = 300;

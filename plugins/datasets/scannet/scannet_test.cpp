@@ -124,13 +124,13 @@ TEST(Scannet, ColourCameraDeliversDepthAndLabelsOfOtherSizes) {
 TEST(Scannet, ClassesByTheTable) {
   const std::string folder = write_scannet("c", 2);
   ScannetParams p = params_of(folder);
-  p.class_ids = ScannetClassIds::eigen13;
+  p.class_ids = ScannetIds::nyu13;
   Diagnostics d;
   Scannet eigen(p, {});
   const SceneInfo info = eigen.open(d);
   ASSERT_EQ(info.classes.valid_count(), 4);  // 3, 5, 7, 12
   EXPECT_EQ(info.classes.valid(3).id, 12);
-  EXPECT_EQ(info.classes.valid(3).name, "Wall");
+  EXPECT_EQ(info.classes.valid(3).name, "wall");
   FrameBuffer pixels;
   eigen.read(0, pixels);
   const FrameBuffer want = render_room(room_camera(), room_pose(0));
@@ -138,7 +138,7 @@ TEST(Scannet, ClassesByTheTable) {
   EXPECT_GT(doors, 100);
   EXPECT_NEAR(static_cast<double>(std::count(pixels.label.begin(), pixels.label.end(), kVoid)),
               static_cast<double>(doors), 60);
-  p.class_ids = ScannetClassIds::raw;
+  p.class_ids = ScannetIds::raw;
   Scannet raw(p, {});
   const SceneInfo by_raw = raw.open(d);
   ASSERT_EQ(by_raw.classes.valid_count(), 6);
