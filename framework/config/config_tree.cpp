@@ -16,6 +16,7 @@
 
 #include "core/error.h"
 #include "core/files.h"
+#include "core/words.h"
 
 namespace semfield {
 namespace {
@@ -110,7 +111,7 @@ class Source {
     }
   }
 
-  // Well-formed UTF-8 [Unicode, table 3-7] without control characters.
+  // UTF-8 without control characters.
   void check_characters() const {
     for (std::size_t i = 0; i < text_.size();) {
       const auto byte = static_cast<unsigned char>(text_[i]);
@@ -118,29 +119,10 @@ class Source {
       if ((byte < 0x20 && byte != '\t' && byte != '\n') || byte == 0x7F) {
         fail(at_offset(i), "control character " + std::to_string(byte), "write it as an escape in double quotes");
       }
-      const std::size_t length = utf8_length(i);
+      const std::size_t length = utf8_length(text_, i);
       if (length == 0) fail(at_offset(i), "not valid UTF-8", "save the file as UTF-8");
       i += length;
     }
-  }
-
-  std::size_t utf8_length(std::size_t i) const {
-    const auto at_byte = [&](std::size_t k) {
-      return k < text_.size() ? static_cast<unsigned char>(text_[k]) : static_cast<unsigned char>(0);
-    };
-    const auto continues = [&](std::size_t k) { return (at_byte(k) & 0xC0u) == 0x80u; };
-    const unsigned a = at_byte(i), b = at_byte(i + 1);
-    if (a < 0x80) return 1;
-    if (a >= 0xC2 && a <= 0xDF) return continues(i + 1) ? 2 : 0;
-    if (a >= 0xE0 && a <= 0xEF) {
-      const bool overlong = a == 0xE0 && b < 0xA0, surrogate = a == 0xED && b >= 0xA0;
-      return continues(i + 1) && continues(i + 2) && !overlong && !surrogate ? 3 : 0;
-    }
-    if (a >= 0xF0 && a <= 0xF4) {
-      const bool overlong = a == 0xF0 && b < 0x90, beyond = a == 0xF4 && b >= 0x90;
-      return continues(i + 1) && continues(i + 2) && continues(i + 3) && !overlong && !beyond ? 4 : 0;
-    }
-    return 0;
   }
 
   void check_brackets() const {

@@ -35,4 +35,23 @@ bool parse_number(std::string_view word, double& out) {
   return true;
 }
 
+std::size_t utf8_length(std::string_view text, std::size_t i) {
+  const auto at_byte = [&](std::size_t k) {
+    return k < text.size() ? static_cast<unsigned char>(text[k]) : static_cast<unsigned char>(0);
+  };
+  const auto continues = [&](std::size_t k) { return (at_byte(k) & 0xC0u) == 0x80u; };
+  const unsigned a = at_byte(i), b = at_byte(i + 1);
+  if (a < 0x80) return 1;
+  if (a >= 0xC2 && a <= 0xDF) return continues(i + 1) ? 2 : 0;
+  if (a >= 0xE0 && a <= 0xEF) {
+    const bool overlong = a == 0xE0 && b < 0xA0, surrogate = a == 0xED && b >= 0xA0;
+    return continues(i + 1) && continues(i + 2) && !overlong && !surrogate ? 3 : 0;
+  }
+  if (a >= 0xF0 && a <= 0xF4) {
+    const bool overlong = a == 0xF0 && b < 0x90, beyond = a == 0xF4 && b >= 0x90;
+    return continues(i + 1) && continues(i + 2) && continues(i + 3) && !overlong && !beyond ? 4 : 0;
+  }
+  return 0;
+}
+
 }  // namespace semfield

@@ -1,6 +1,7 @@
-// Words and numbers of text files whose lines are separated by blanks.
+// Words, numbers and characters of text files.
 #pragma once
 
+#include <cstddef>
 #include <string_view>
 #include <vector>
 
@@ -15,5 +16,8 @@ bool next_line(std::string_view& text, std::string_view& line);
 
 /// The whole word as a number; "nan" and "-inf" are numbers too. False (out unchanged) for anything else.
 bool parse_number(std::string_view word, double& out);
+
+/// Bytes of the character that begins at `i`, by well-formed UTF-8 [Unicode, table 3-7]; 0 where none does.
+std::size_t utf8_length(std::string_view text, std::size_t i);
 
 }  // namespace semfield

@@ -37,5 +37,15 @@ TEST(Words, NumbersAreWholeWords) {
   EXPECT_EQ(v, 7);
 }
 
+TEST(Words, CharactersOfUtf8) {
+  const std::string_view text = "a\xC3\xA9\xE2\x82\xAC\xF0\x9F\x98\x80";
+  EXPECT_EQ(utf8_length(text, 0), 1u);
+  EXPECT_EQ(utf8_length(text, 1), 2u);
+  EXPECT_EQ(utf8_length(text, 3), 3u);
+  EXPECT_EQ(utf8_length(text, 6), 4u);
+  for (const char* bad : {"\x96", "\xC3", "\xC0\xAF", "\xED\xA0\x80", "\xF5\x80\x80\x80"})
+    EXPECT_EQ(utf8_length(bad, 0), 0u);
+}
+
 }  // namespace
 }  // namespace semfield

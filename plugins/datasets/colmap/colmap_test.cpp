@@ -284,6 +284,9 @@ TEST(Colmap, AbsurdCountsAndNumbersAreRefused) {
   EXPECT_NE(
       refused("points3D.bin", with(whole.points, 16, std::nan(""))).find("not finite in point 1 of 200 (offset 8)"),
       std::string::npos);
+  EXPECT_NE(refused("images.bin", with(whole.images, 8 + 64, '\x96'))
+                .find("images.bin: image 1: the name of its image is empty, no UTF-8 or has control characters"),
+            std::string::npos);
   EXPECT_NE(refused("cameras.bin", with(whole.cameras, 12, std::int32_t{99})).find("unknown lens number 99"),
             std::string::npos);
   EXPECT_NE(refused("cameras.bin", with(whole.cameras, 16, huge)).find("camera 7: image size is not a pair"),
