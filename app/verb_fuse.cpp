@@ -10,7 +10,9 @@
 #include "config/params_read.h"
 #include "core/files.h"
 #include "fuse/scene_fusion.h"
+#include "scene/void_class.h"
 #include "train/image_output.h"
+#include "verb_degrade.h"
 #include "verbs.h"
 
 namespace semfield::app {
@@ -77,9 +79,11 @@ Json scores_json(const SceneFusion& fusion, const FusionParams& params) {
 // Maps of one folder: OUT/METHOD/FRAME_label.png, readable again as label images through the class table beside them.
 class MapWriter {
  public:
-  MapWriter(std::string folder, const SceneInfo& info) : folder_(std::move(folder)), info_(info) {
+  MapWriter(std::string folder, const SceneInfo& info)
+      : folder_(std::move(folder)), info_(info), classes_(with_void(info.classes)) {
+    refuse_used_folder(folder_);
     make_folder(folder_);
-    write_file_atomic((fs::path(folder_) / "classes.yaml").string(), info.classes.to_yaml());
+    write_file_atomic((fs::path(folder_) / "classes.yaml").string(), classes_.to_yaml());
   }
   void write(const std::string& method, int frame, const std::vector<std::int16_t>& label) const {
     const FrameInfo& info = info_.frames[static_cast<std::size_t>(frame)];
@@ -88,8 +92,8 @@ class MapWriter {
     const fs::path folder = fs::path(folder_) / method;
     make_folder(folder.string());
     const MapSize size{info.camera.width_px, info.camera.height_px};
-    write_label_ids((folder / (stem + "_label.png")).string(), size, label, info_.classes);
-    write_label_colors((folder / (stem + "_label_vis.png")).string(), size, label, info_.classes);
+    write_label_ids((folder / (stem + "_label.png")).string(), size, label, classes_);
+    write_label_colors((folder / (stem + "_label_vis.png")).string(), size, label, classes_);
   }
   void write_manifest(const Json& manifest) const {
     write_file_atomic((fs::path(folder_) / "fuse.json").string(), manifest.dump(1) + "\n");
@@ -105,6 +109,7 @@ class MapWriter {
   }
   std::string folder_;
   const SceneInfo& info_;
+  ClassTable classes_;  // with an id for void
 };
 
 Json manifest_of(const Session& s, const FusionParams& params, const FrameMaps& maps, const SceneFusion& fusion) {

@@ -116,6 +116,25 @@ TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
   EXPECT_NE(other.err.find("the camera stands elsewhere in the scene of"), std::string::npos) << other.err;
 }
 
+TEST(FuseVerb, RealProbabilities) {
+  const std::string root = std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/shelf_bin";
+  if (!std::filesystem::exists(root)) GTEST_SKIP() << "the optional shelf bin is not at hand";
+  const TempDir dir;
+  std::string yaml = hash_config("");
+  yaml.replace(
+      yaml.find("{type: analytic_room}"), 21,
+      "{type: transforms_json, root: " + root + ", labels: {from: {type: npz, folder: " + root + "/predictions}}}");
+  write_file_atomic(dir / "config.yaml", yaml);
+  const Result r = semfield("fuse " + (dir / "config.yaml") + " --json", dir);
+  ASSERT_EQ(r.code, 0) << r.err;
+  const auto rows = nlohmann::json::parse(r.out);
+  ASSERT_EQ(rows.size(), 3u);
+  const double alone = rows[0]["miou_present"].get<double>();
+  EXPECT_NEAR(alone, 0.657, 0.001);
+  EXPECT_GT(rows[1]["miou_present"].get<double>(), alone + 0.03);
+  EXPECT_GT(rows[2]["miou_present"].get<double>(), alone + 0.04);
+}
+
 TEST(FuseVerb, Refusals) {
   const TempDir dir;
   const std::string config = write_scene(dir, false);
