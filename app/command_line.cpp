@@ -82,6 +82,26 @@ void add_sweep(CLI::App& root, AppContext& context, Choice& choice) {
       [&context, &choice, options] { choice = [&context, options] { return run_sweep(*options, context); }; });
 }
 
+void add_mesh(CLI::App& root, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<MeshOptions>();
+  CLI::App* verb = root.add_subcommand("mesh", "the field's surface with colour and class, as PLY, OBJ or GLB");
+  verb->add_option("run", options->run, "run folder")->required();
+  CLI::Option* resolution =
+      verb->add_option("--resolution", options->resolution, "cells along the longest side of the scene (default: 256)");
+  verb->add_option("--voxel", options->voxel, "edge of a cell in metres, instead of --resolution")
+      ->excludes(resolution);
+  verb->add_option("--level", options->level,
+                   "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
+  verb->add_option("--format", options->formats, "ply, obj, glb; several with commas")->delimiter(',');
+  verb->add_flag("--points", options->points, "also a labelled point cloud from the depth of the training views");
+  verb->add_option("--out", options->out, "file to write (default: mesh.ply in the run folder)");
+  verb->add_option("--keep-components", options->keep_components,
+                   "keep connected parts with at least this share of all faces (default: 0.01; 0 keeps all)");
+  verb->add_option("--set", options->set, "override a value of run.yaml")->expected(1)->take_all();
+  verb->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_mesh(*options, context); }; });
+}
+
 void add_scene_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   auto options = std::make_shared<ConfigOptions>();
   auto path = std::make_shared<std::string>();
@@ -208,6 +228,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   add_train(root, context, choice);
   add_run_verbs(root, context, choice);
   add_sweep(root, context, choice);
+  add_mesh(root, context, choice);
   add_scene_verbs(root, context, choice);
   add_degrade(root, context, choice);
   add_fuse(root, context, choice);

@@ -64,6 +64,19 @@ struct SweepOptions {
 };
 int run_sweep(const SweepOptions& options, AppContext& context);
 
+struct MeshOptions {
+  std::string run;
+  std::string out;                      ///< default: mesh.ply in the run folder
+  std::vector<std::string> formats;     ///< ply, obj, glb; empty: what `out` ends with, or ply
+  std::optional<long long> resolution;  ///< cells along the longest side of the bounds
+  std::optional<double> voxel;          ///< edge of a cell instead, world units
+  std::optional<double> level;          ///< density of the surface, 1/m
+  double keep_components = 0.01;        ///< least share of the faces
+  bool points = false;                  ///< also a point cloud from the training views
+  std::vector<std::string> set;
+};
+int run_mesh(const MeshOptions& options, AppContext& context);
+
 int run_report(const std::vector<std::string>& runs, const std::string& out, AppContext& context);
 
 struct FuseOptions {

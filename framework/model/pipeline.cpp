@@ -46,7 +46,7 @@ Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions op
 }
 
 template <class Real>
-StepContext Pipeline<Real>::context(std::int64_t step, bool training, int lane, std::int64_t first_ray) {
+StepContext Pipeline<Real>::context(std::int64_t step, bool training, int lane, std::int64_t first_ray) const {
   StepContext ctx;
   ctx.seed = options_.seed;
   ctx.step = step;
@@ -204,6 +204,19 @@ void Pipeline<Real>::render(const RenderJob<Real>& job) {
       const std::int64_t begin = tile * tile_rays_;
       render_tile(static_cast<int>(lane), job, begin, std::min(tile_rays_, rays - begin));
     }
+  });
+}
+
+template <class Real>
+void Pipeline<Real>::density(View<const double> positions, View<Real> sigma) const {
+  const Pass<Real>& pass = passes_.back();
+  parallel_for(options_.lanes, [&](std::int64_t lane) {
+    const std::int64_t share = (positions.rows + options_.lanes - 1) / options_.lanes;
+    const std::int64_t begin = std::min(lane * share, positions.rows);
+    const std::int64_t count = std::min(share, positions.rows - begin);
+    StepContext ctx = context(0, false, static_cast<int>(lane), 0);
+    ctx.pass = pass.parts().number;
+    pass.density(ctx, positions.row_range(begin, count), sigma.row_range(begin, count));
   });
 }
 

@@ -79,6 +79,9 @@ class Pipeline {
   void observe(std::int64_t step);
   /// Renders without jitter or noise; the same bits for any grouping of rays into calls.
   void render(const RenderJob<Real>& job);
+  /// sigma [N, 1] of the last pass, after activation, 1/m, at world positions [N, 3]; the same bits for any grouping of
+  /// positions into calls. Uses the lanes' scratch: not beside another call.
+  void density(View<const double> positions, View<Real> sigma) const;
 
   /// Scratch of all lanes for a batch, from the samplers' capacities: an upper bound, known before step 0.
   std::size_t predicted_workspace_bytes(std::int64_t rays) const;
@@ -108,7 +111,7 @@ class Pipeline {
   bool draws_ahead() const { return passes_.size() == 1 && passes_[0].scatters(); }
   void draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles);
   void scatter(std::int64_t step);
-  StepContext context(std::int64_t step, bool training, int lane, std::int64_t first_ray);
+  StepContext context(std::int64_t step, bool training, int lane, std::int64_t first_ray) const;
   StepLosses train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t tile,
                         double semantic_normaliser);
   void render_tile(int lane, const RenderJob<Real>& job, std::int64_t begin, std::int64_t count);

@@ -1,0 +1,188 @@
+#include "mesh/field_surface.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace semfield {
+
+namespace {
+constexpr std::int64_t kBatch = std::int64_t{1} << 16;  // points, or rays, asked for at once
+constexpr float kLeastOpacity = 1e-3F;                  // below it a colour is rounding alone
+constexpr std::size_t kLevels = 19;
+constexpr double kMostCellsOff = 8;
+
+double candidate(double spacing, std::size_t k) {
+  return half_opaque_density(spacing) * std::exp2(-0.5 * static_cast<double>(k));
+}
+
+void close_border(const VoxelGrid& grid, std::int64_t z, std::span<double> values) {
+  for (std::int64_t i = 0; i < grid.layer_points(); ++i) {
+    const std::int64_t x = i % grid.nx, y = i / grid.nx;
+    const bool border = x == 0 || y == 0 || z == 0 || x == grid.nx - 1 || y == grid.ny - 1 || z == grid.nz - 1;
+    if (border) values[static_cast<std::size_t>(i)] = 1;
+  }
+}
+
+}  // namespace
+
+double half_opaque_density(double spacing) { return std::log(2.0) / spacing; }
+
+Surface density_surface(const Pipeline<float>& pipeline, const SurfaceRequest& request) {
+  const VoxelGrid& grid = request.grid;
+  std::vector<double> position(static_cast<std::size_t>(3 * kBatch));
+  std::vector<float> sigma(static_cast<std::size_t>(kBatch));
+  Surface surface = marching_cubes(grid, 0.5, [&](std::int64_t z, std::span<double> values) {
+    for (std::int64_t begin = 0; begin < grid.layer_points(); begin += kBatch) {
+      const std::int64_t count = std::min(kBatch, grid.layer_points() - begin);
+      for (std::int64_t i = 0; i < count; ++i) {
+        const Vec3d p = grid.world({static_cast<double>((begin + i) % grid.nx),
+                                    static_cast<double>((begin + i) / grid.nx), static_cast<double>(z)});
+        for (int axis = 0; axis < 3; ++axis) position[static_cast<std::size_t>(3 * i + axis)] = p[axis];
+      }
+      pipeline.density({position.data(), count, 3}, {sigma.data(), count, 1});
+      for (std::int64_t i = 0; i < count; ++i) {
+        const auto density = static_cast<double>(sigma[static_cast<std::size_t>(i)]);
+        values[static_cast<std::size_t>(begin + i)] = 1 - std::exp2(-density / request.level_per_m);
+      }
+    }
+    if (request.opaque_border) close_border(grid, z, values);
+  });
+  set_vertex_normals(surface);
+  return surface;
+}
+
+SightLines look(Pipeline<float>& pipeline, std::span<const RayCamera> cameras, const RayLimits& limits, int rays) {
+  SightLines lines;
+  std::vector<double> origin, direction, near_far;
+  const auto each = std::max<std::int64_t>(1, rays / std::max<std::int64_t>(1, std::ssize(cameras)));
+  for (const RayCamera& camera : cameras) {
+    const auto pixels = std::int64_t{camera.camera.width_px} * camera.camera.height_px;
+    for (std::int64_t k = 0; k < std::min(each, pixels); ++k) {
+      // The golden ratio spreads any number of pixels evenly, and differently for every camera.
+      const double turn = (static_cast<double>(k) + 0.5) / static_cast<double>(each);
+      const auto row = static_cast<std::int32_t>(turn * camera.camera.height_px);
+      const double across = 0.6180339887498949 * static_cast<double>(k + std::ssize(origin));
+      const auto column = static_cast<std::int32_t>((across - std::floor(across)) * camera.camera.width_px);
+      const std::size_t at = near_far.size() / 2;
+      origin.resize(3 * at + 3);
+      direction.resize(3 * at + 3);
+      near_far.resize(2 * at + 2);
+      cast_ray(camera, limits, column, row, &origin[3 * at], &direction[3 * at], &near_far[2 * at]);
+    }
+  }
+  const auto count = static_cast<std::int64_t>(near_far.size() / 2);
+  std::vector<float> depth(static_cast<std::size_t>(count)), opacity(depth.size());
+  RenderJob<float> job;
+  job.origin = {origin.data(), count, 3};
+  job.direction = {direction.data(), count, 3};
+  job.near_far = {near_far.data(), count, 2};
+  job.depth = {depth.data(), count, 1};
+  job.opacity = {opacity.data(), count, 1};
+  if (count > 0) pipeline.render(job);
+  for (std::size_t r = 0; r < depth.size(); ++r) {
+    if (!(opacity[r] >= 0.5F)) continue;
+    lines.origin.push_back({origin[3 * r], origin[3 * r + 1], origin[3 * r + 2]});
+    lines.direction.push_back({direction[3 * r], direction[3 * r + 1], direction[3 * r + 2]});
+    lines.near.push_back(near_far[2 * r]);
+    lines.surface.push_back(static_cast<double>(depth[r]) / static_cast<double>(opacity[r]));
+  }
+  return lines;
+}
+
+double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& request, const SightLines& lines) {
+  const double spacing = request.grid.spacing, most = kMostCellsOff * spacing;
+  const Vec3d last{static_cast<double>(request.grid.nx - 1), static_cast<double>(request.grid.ny - 1),
+                   static_cast<double>(request.grid.nz - 1)};
+  const Box box{request.grid.world({0, 0, 0}), request.grid.world(last)};
+  std::array<double, kLevels> off{};
+  std::vector<double> position;
+  std::vector<float> sigma;
+  for (std::size_t r = 0; r < lines.surface.size(); ++r) {
+    // Beyond the surface by more than counts, nothing is learned; a border that is opaque ends every line.
+    double enter = 0, leave = 0;
+    if (!intersect(box, lines.origin[r], lines.direction[r], enter, leave)) continue;
+    const double from = std::max(lines.near[r], enter), to = std::min(lines.surface[r] + most, leave);
+    const bool ends_at_border = request.opaque_border && to == leave;
+    const auto steps = static_cast<std::int64_t>(std::max(0.0, (to - from) / spacing)) + 1;
+    position.resize(static_cast<std::size_t>(3 * steps));
+    sigma.resize(static_cast<std::size_t>(steps));
+    for (std::int64_t i = 0; i < steps; ++i) {
+      const Vec3d p = lines.origin[r] + lines.direction[r] * (from + static_cast<double>(i) * spacing);
+      for (int axis = 0; axis < 3; ++axis) position[static_cast<std::size_t>(3 * i + axis)] = p[axis];
+    }
+    pipeline.density({position.data(), steps, 3}, {sigma.data(), steps, 1});
+    for (std::size_t k = 0; k < kLevels; ++k) {
+      const double level = candidate(spacing, k);
+      const auto first =
+          std::find_if(sigma.begin(), sigma.end(), [&](float s) { return static_cast<double>(s) > level; });
+      double at = from + static_cast<double>(first - sigma.begin()) * spacing;
+      if (first == sigma.end()) at = ends_at_border ? to : lines.surface[r] + most;
+      off[k] += std::min(most, std::abs(at - lines.surface[r]));
+    }
+  }
+  const auto best = std::min_element(off.begin(), off.end()) - off.begin();
+  return candidate(spacing, static_cast<std::size_t>(best));
+}
+
+PointAttributes render_attributes(Pipeline<float>& pipeline, std::span<const Vec3d> points,
+                                  std::span<const Vec3d> normals, double offset, const RayLimits& limits,
+                                  const ClassOfLogit& class_of_logit) {
+  const bool semantics = pipeline.has_semantics();
+  PointAttributes out;
+  out.color.resize(points.size());
+  if (semantics) {
+    out.label.resize(points.size());
+    out.entropy.resize(points.size());
+  }
+  const auto rows = std::min<std::size_t>(points.size(), kBatch);
+  std::vector<double> origin(3 * rows), direction(3 * rows), near_far(2 * rows);
+  std::vector<float> color(3 * rows), opacity(rows), entropy(rows);
+  std::vector<std::int16_t> label(rows);
+  const std::array<double, 3>& background = pipeline.options().rules.background;
+  for (std::size_t begin = 0; begin < points.size(); begin += rows) {
+    const std::size_t count = std::min(rows, points.size() - begin);
+    for (std::size_t r = 0; r < count; ++r) {
+      const Vec3d n = normals[begin + r], o = points[begin + r] + n * offset;
+      double enter = 0, leave = 2 * offset;
+      if (limits.clip) {
+        double in = 0, past = 0;
+        const bool meets = intersect(limits.bounds, o, n * -1.0, in, past);
+        enter = meets ? std::min(in, leave) : 0;
+        leave = meets ? std::max(enter, std::min(past, leave)) : 0;
+      }
+      near_far[2 * r] = enter;
+      near_far[2 * r + 1] = leave;
+      for (int axis = 0; axis < 3; ++axis) {
+        origin[3 * r + static_cast<std::size_t>(axis)] = o[axis];
+        direction[3 * r + static_cast<std::size_t>(axis)] = -n[axis];
+      }
+    }
+    const auto n = static_cast<std::int64_t>(count);
+    RenderJob<float> job;
+    job.origin = {origin.data(), n, 3};
+    job.direction = {direction.data(), n, 3};
+    job.near_far = {near_far.data(), n, 2};
+    job.color = {color.data(), n, 3};
+    job.opacity = {opacity.data(), n, 1};
+    if (semantics) {
+      job.label = {label.data(), n, 1};
+      job.entropy = {entropy.data(), n, 1};
+    }
+    pipeline.render(job);
+    for (std::size_t r = 0; r < count; ++r) {
+      const bool met = opacity[r] > kLeastOpacity;
+      for (std::size_t c = 0; c < 3 && met; ++c) {
+        const double behind = (1 - static_cast<double>(opacity[r])) * background[c];
+        const double value = (static_cast<double>(color[3 * r + c]) - behind) / static_cast<double>(opacity[r]);
+        out.color[begin + r][c] = static_cast<std::uint8_t>(std::lround(255 * std::clamp(value, 0.0, 1.0)));
+      }
+      if (!semantics) continue;
+      out.label[begin + r] =
+          met ? static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(label[r])]) : kVoid;
+      out.entropy[begin + r] = entropy[r];
+    }
+  }
+  return out;
+}
+
+}  // namespace semfield

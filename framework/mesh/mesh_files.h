@@ -1,0 +1,35 @@
+// Surfaces and points as files: PLY, OBJ with MTL, GLB. Positions are written in the world frame and scale they have.
+#pragma once
+
+#include <span>
+#include <string>
+
+#include "mesh/surface.h"
+#include "scene/class_table.h"
+
+namespace semfield {
+
+/// Points without triangles: labelled point clouds.
+struct PointSet {
+  std::vector<Vec3d> positions;
+  PointAttributes attributes;
+};
+
+/// Binary little-endian PLY. Vertices: x y z (double), nx ny nz (float), red green blue (uchar) and, with semantics,
+/// label (ushort: the id of the class table) and entropy (float, nats); faces: vertex_indices.
+void write_ply(const std::string& path, const Surface& surface, const ClassTable& classes);
+/// The same without normals and faces.
+void write_ply(const std::string& path, const PointSet& points, const ClassTable& classes);
+
+/// OBJ: vertices with colours behind their coordinates (0..1), normals, and one group of faces with one material per
+/// class; beside it `path` with .mtl, in which Kd is the class's colour in linear light. Materials carry the classes'
+/// names, with blanks as '_'; two that would be equal get their id behind. Without semantics one material 'surface'.
+void write_obj(const std::string& path, const Surface& surface, const ClassTable& classes);
+
+/// glTF 2.0 binary: one primitive and one material per class over shared attributes POSITION, NORMAL, COLOR_0 (linear
+/// light, 16 bits) and, with semantics, _LABEL (the id, 16 bits) and _ENTROPY (nats). Material extras hold class_id and
+/// the class's colour; asset.extras say that axes are those of the input. Positions are rounded to 32 bits. Throws
+/// Error(data) for files over 4 GiB.
+void write_glb(const std::string& path, const Surface& surface, const ClassTable& classes);
+
+}  // namespace semfield

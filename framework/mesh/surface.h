@@ -1,0 +1,52 @@
+// A triangle surface in world coordinates with what is known of each vertex; every writer and filter works on it.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "core/small_math.h"
+
+namespace semfield {
+
+/// What rendering tells of a point on a surface. `label` and `entropy` are empty without semantics.
+struct PointAttributes {
+  std::vector<std::array<std::uint8_t, 3>> color;  ///< display-referred, as PNG output
+  std::vector<std::int16_t> label;                 ///< class index, kVoid = none
+  std::vector<float> entropy;                      ///< nats
+
+  bool has_labels() const { return !label.empty(); }
+};
+
+using Triangle = std::array<std::uint32_t, 3>;
+
+/// Triangles run counter-clockwise seen from the empty side. Vertices are shared.
+struct Surface {
+  std::vector<Vec3d> positions;  ///< world, metres (or the scene's unit)
+  std::vector<Vec3d> normals;    ///< unit, towards the empty side; as many as positions once set
+  std::vector<Triangle> triangles;
+  PointAttributes attributes;  ///< per vertex; empty until the surface is textured
+};
+
+/// Unit normals of vertices: the mean of the triangles around, weighted by area. A vertex without area around it gets
+/// {0, 0, 1}.
+void set_vertex_normals(Surface& surface);
+
+/// Pieces that share vertices: the part that each vertex belongs to, and the triangles of each part.
+struct Components {
+  std::vector<std::uint32_t> of_vertex;
+  std::vector<std::int64_t> faces;
+};
+Components components_of(const Surface& surface);
+
+/// Drops components with fewer than `min_share` of all triangles, then vertices without a triangle; order is kept.
+/// Returns the number of components that stay. The attributes must be empty still.
+std::int64_t drop_small_components(Surface& surface, double min_share);
+
+/// Keeps triangles whose flag is set, and the vertices that they use.
+void keep_triangles(Surface& surface, const std::vector<char>& keep);
+
+/// The class of a triangle: that of two of its corners, or of the corner with the least entropy.
+std::int16_t triangle_label(const PointAttributes& attributes, const Triangle& triangle);
+
+}  // namespace semfield

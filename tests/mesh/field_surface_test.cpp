@@ -1,0 +1,275 @@
+// Density through the pipeline against its float64 twin, and surfaces of a trained field against formulas.
+#include "mesh/field_surface.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "core/parallel.h"
+#include "core/rng.h"
+#include "mesh/point_cloud.h"
+#include "testkit/analytic_scene.h"
+#include "tests/train/train_testing.h"
+#include "train/trainer.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+using testkit::intersect_analytic_room;
+
+std::vector<double> random_points(const Box& box, std::int64_t count) {
+  const RandomAddress address{3, 0, stream_id("mesh_test/points")};
+  std::vector<double> points;
+  for (std::uint64_t i = 0; i < static_cast<std::uint64_t>(3 * count); ++i) {
+    const int axis = static_cast<int>(i % 3);
+    points.push_back(box.lo[axis] + box.size()[axis] * static_cast<double>(uniform01(address, i)));
+  }
+  return points;
+}
+
+void expect_twins_agree(const std::string& yaml) {
+  Registry registry = make_registry();
+  Session session = open_text(yaml, registry);
+  const auto twin = assemble<double>(session.config, registry, session.plan, session.extent, {}, false);
+  for (Tensor<double>& t : twin->store().all()) {
+    const Tensor<float>* from = session.pipeline->store().find(t.name);
+    ASSERT_NE(from, nullptr) << t.name;
+    for (std::int64_t i = 0; i < t.size(); ++i) t.value.data()[i] = static_cast<double>(from->value.data()[i]);
+  }
+  session.pipeline->derive(0);
+  twin->derive(0);
+  constexpr std::int64_t kCount = 5003;
+  const std::vector<double> points = random_points(session.extent.bounds, kCount);
+  std::vector<float> sigma(kCount), again(kCount);
+  std::vector<double> exact(kCount);
+  session.pipeline->density({points.data(), kCount, 3}, {sigma.data(), kCount, 1});
+  twin->density({points.data(), kCount, 3}, {exact.data(), kCount, 1});
+  double largest = 0, least = HUGE_VAL;
+  for (std::size_t i = 0; i < kCount; ++i) {
+    ASSERT_NEAR(static_cast<double>(sigma[i]), exact[i], 1e-4 * std::max(1.0, exact[i])) << i;
+    largest = std::max(largest, exact[i]);
+    least = std::min(least, exact[i]);
+  }
+  EXPECT_GT(largest, least) << "a density that differs from place to place";
+  // Points of their own calls, and other threads: the same bits.
+  const int threads = thread_count();
+  set_thread_count(1);
+  for (std::int64_t i = 0; i < kCount; i += 997) {
+    const std::int64_t count = std::min<std::int64_t>(997, kCount - i);
+    session.pipeline->density({points.data() + 3 * i, count, 3}, {again.data() + i, count, 1});
+  }
+  set_thread_count(threads);
+  EXPECT_EQ(sigma, again);
+}
+
+TEST(Density, FloatAgreesWithItsTwinOfAHashGrid) { expect_twins_agree(hash_config()); }
+TEST(Density, FloatAgreesWithItsTwinOfTwoPasses) { expect_twins_agree(two_pass_config()); }
+
+// One trained field for the tests below.
+class TrainedRoom : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    registry_ = new Registry(make_registry());
+    session_ = new Session(open_text(hash_config(), *registry_));
+    const std::unique_ptr<RaySource> rays = session_->make_ray_source();
+    Trainer trainer(*session_->pipeline, *rays, session_->config.adam, session_->config.schedule);
+    while (trainer.step() < 400) trainer.advance();
+  }
+  static void TearDownTestSuite() {
+    delete session_;
+    delete registry_;
+    session_ = nullptr;
+    registry_ = nullptr;
+  }
+  static std::vector<RayCamera> cameras() {
+    std::vector<RayCamera> out;
+    for (const int f : session_->scene.frames_of(Split::train)) {
+      const FrameInfo& info = session_->scene.info.frames[static_cast<std::size_t>(f)];
+      out.push_back({info.camera, info.world_from_camera, false});
+    }
+    return out;
+  }
+  static SurfaceRequest request() {
+    const Vec3d size = session_->extent.bounds.size();
+    SurfaceRequest request;
+    request.grid = VoxelGrid::covering(session_->extent.bounds, std::max({size.x, size.y, size.z}) / 96);
+    request.opaque_border = true;
+    request.level_per_m =
+        choose_level(*session_->pipeline, request, look(*session_->pipeline, cameras(), session_->limits, 1024));
+    return request;
+  }
+  static Registry* registry_;
+  static Session* session_;
+};
+Registry* TrainedRoom::registry_ = nullptr;
+Session* TrainedRoom::session_ = nullptr;
+
+TEST_F(TrainedRoom, SurfaceLiesWhereTheRoomIs) {
+  Surface surface = density_surface(*session_->pipeline, request());
+  drop_small_components(surface, 0.01);
+  ASSERT_GT(surface.triangles.size(), 1000U);
+  surface.attributes = render_attributes(*session_->pipeline, surface.positions, surface.normals,
+                                         1.5 * request().grid.spacing, session_->limits, session_->plan.class_of_logit);
+  // Along sight lines from the middle of the walk: distance and class of the surface that is met first.
+  PointAttributes& known = surface.attributes;
+  std::vector<double> off;
+  std::int64_t right = 0, looked = 0;
+  for (std::size_t v = 0; v < surface.positions.size(); v += 7) {
+    const Vec3d p = surface.positions[v], n = surface.normals[v];
+    if (std::max(std::abs(p.x) - 1.99, std::max(std::abs(p.y) - 1.49, std::abs(p.z) - 0.99)) > 0) continue;
+    const testkit::AnalyticHit ahead = intersect_analytic_room(p + n * 0.3, n * -1.0);
+    off.push_back(std::abs(ahead.t_m - 0.3));
+    ++looked;
+    right += known.label[v] == ahead.label ? 1 : 0;
+  }
+  ASSERT_GT(looked, 100);
+  std::nth_element(off.begin(), off.begin() + off.size() / 2, off.end());
+  EXPECT_LT(off[off.size() / 2], 0.15) << "metres, in the median";
+  EXPECT_GT(static_cast<double>(right) / static_cast<double>(looked), 0.5);
+  EXPECT_EQ(known.color.size(), surface.positions.size());
+  for (const float e : known.entropy) EXPECT_TRUE(e >= 0 && e <= std::log(5.0F) + 1e-4F);
+}
+
+// A field of formulas: a ball whose density grows towards its middle, its colour a function of the place.
+const Vec3d kCenter{0.31, -0.22, 0.13};
+constexpr double kRadius = 0.7, kGrowth = 2000;
+double red_at(double x) { return 0.5 + 0.3 * x; }
+
+struct BallParams {};
+void describe(ParamVisitor&, BallParams&) {}
+void validate(const BallParams&, Diagnostics&) {}
+
+template <class Real>
+class BallField final : public Field<Real> {
+ public:
+  BallField(const BallParams&, const FieldBuild&, const KernelTables&) {}
+  FieldTraits traits() const noexcept override { return {1, false}; }
+  std::size_t saved_bytes(std::int64_t, std::int64_t) const noexcept override { return 0; }
+
+ protected:
+  void do_forward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>& in, const FieldOut<Real>& out,
+                  Saved) const override {
+    for (std::int64_t m = 0; m < in.position.rows; ++m) {
+      const Vec3d p{static_cast<double>(in.position(m, 0)), static_cast<double>(in.position(m, 1)),
+                    static_cast<double>(in.position(m, 2))};
+      const double inside = kRadius * kRadius - dot(p - kCenter, p - kCenter);
+      out.sigma(m, 0) = static_cast<Real>(kGrowth * inside);
+      for (int c = 0; c < 3 && !out.rgb.empty(); ++c) out.rgb(m, c) = static_cast<Real>(c == 0 ? red_at(p.x) : 0.25);
+      if (!out.feature.empty()) out.feature(m, 0) = static_cast<Real>(p.z > kCenter.z ? 1 : -1);
+    }
+  }
+  void do_backward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>&, const FieldOut<Real>&,
+                   const FieldGrad<Real>&, Saved, View<Real>) const override {}
+};
+
+class Ball : public ::testing::Test {
+ protected:
+  Ball() : registry(make_registry()) {
+    registry.add_field<BallField, BallParams>("ball", "a ball of formulas");
+    session = std::make_unique<Session>(
+        open_text("scene: {type: analytic_room, frames: 8, load: {bounds: [-1, -1.5, -1, 1.2, 1.1, 1.3]}}\n"
+                  "rendering: {scene_scale: 1}\n"
+                  "semantics: {hidden_width: 4}\n"
+                  "passes:\n  - {name: main, sampler: {type: stratified, samples: 400}, position: {type: identity},\n"
+                  "     direction: {type: identity}, field: {type: ball}}\n",
+                  registry));
+  }
+  SurfaceRequest request(double spacing, double level) const {
+    return {VoxelGrid::covering(session->extent.bounds, spacing), level, false};
+  }
+  std::vector<RayCamera> cameras() const {
+    std::vector<RayCamera> out;
+    for (const FrameInfo& info : session->scene.info.frames)
+      out.push_back({info.camera, info.world_from_camera, false});
+    return out;
+  }
+  Registry registry;
+  std::unique_ptr<Session> session;
+};
+
+double radius_at(double level) { return std::sqrt(kRadius * kRadius - level / kGrowth); }
+
+TEST_F(Ball, VerticesLieOnItInWorldMetres) {
+  double before = 0;
+  for (const double spacing : {0.08, 0.04, 0.02}) {
+    const double level = 40;
+    const Surface surface = density_surface(*session->pipeline, request(spacing, level));
+    ASSERT_GT(surface.positions.size(), 500U);
+    double worst = 0, sum = 0;
+    for (std::size_t v = 0; v < surface.positions.size(); ++v) {
+      const Vec3d out = surface.positions[v] - kCenter;
+      worst = std::max(worst, std::abs(length(out) - radius_at(level)));
+      sum += std::abs(length(out) - radius_at(level));
+      EXPECT_GT(dot(surface.normals[v], normalized(out)), 0.9);
+    }
+    const double mean = sum / static_cast<double>(surface.positions.size());
+    EXPECT_LT(worst, spacing / 2);
+    EXPECT_TRUE(before == 0 || before / mean > 2) << spacing << " m: " << before << " then " << mean;
+    before = mean;
+  }
+  EXPECT_LT(before, 0.002) << "metres at cells of 2 cm";
+}
+
+TEST_F(Ball, VerticesGetTheColourAndClassOfTheirPlace) {
+  Surface surface = density_surface(*session->pipeline, request(0.05, 40));
+  surface.attributes = render_attributes(*session->pipeline, surface.positions, surface.normals, 0.075, session->limits,
+                                         session->plan.class_of_logit);
+  std::int16_t above = -2, below = -2;
+  for (std::size_t v = 0; v < surface.positions.size(); ++v) {
+    EXPECT_NEAR(surface.attributes.color[v][0], 255 * red_at(surface.positions[v].x), 5);
+    EXPECT_NEAR(surface.attributes.color[v][1], 64, 1);
+    if (std::abs(surface.positions[v].z - kCenter.z) < 0.1) continue;
+    std::int16_t& same = surface.positions[v].z > kCenter.z ? above : below;
+    if (same == -2) same = surface.attributes.label[v];
+    EXPECT_EQ(surface.attributes.label[v], same);
+  }
+  EXPECT_GE(above, 0);
+  EXPECT_GE(below, 0);
+}
+
+TEST_F(Ball, ChosenLevelPutsTheSurfaceWhereItIsSeen) {
+  const SightLines lines = look(*session->pipeline, cameras(), session->limits, 4096);
+  ASSERT_GT(lines.surface.size(), 200U);
+  const double level = choose_level(*session->pipeline, request(0.02, 0), lines);
+  EXPECT_LE(level, half_opaque_density(0.02));
+  double off = 0;
+  for (std::size_t r = 0; r < lines.surface.size(); ++r) {
+    const Vec3d p = lines.origin[r] + lines.direction[r] * lines.surface[r];
+    off += std::abs(length(p - kCenter) - radius_at(level));
+  }
+  EXPECT_LT(off / static_cast<double>(lines.surface.size()), 0.02);
+}
+
+TEST_F(Ball, AnOpaqueBorderClosesTheBox) {
+  SurfaceRequest closed = request(0.1, 40);
+  const std::size_t ball = density_surface(*session->pipeline, closed).triangles.size();
+  closed.opaque_border = true;
+  const Surface both = density_surface(*session->pipeline, closed);
+  EXPECT_EQ(components_of(both).faces.size(), 2U);
+  EXPECT_GT(both.triangles.size(), 2 * ball);
+}
+
+TEST_F(Ball, PointCloudIsThinnedAndLabelled) {
+  PointCloud fine(0.02), coarse(0.1);
+  for (const RayCamera& camera : cameras()) {
+    const RenderedFrame frame = render_frame(*session->pipeline, camera, session->limits, session->plan.class_of_logit);
+    fine.add(camera, frame);
+    coarse.add(camera, frame);
+  }
+  const PointSet many = fine.points(), few = coarse.points();
+  ASSERT_GT(few.positions.size(), 20U);
+  EXPECT_GT(many.positions.size(), 2 * few.positions.size());
+  EXPECT_EQ(many.attributes.label.size(), many.positions.size());
+  double off = 0;
+  for (std::size_t i = 0; i < many.positions.size(); ++i) {
+    const Vec3d p = many.positions[i];
+    off += std::abs(length(p - kCenter) - kRadius);
+    EXPECT_NEAR(many.attributes.color[i][0], 255 * red_at(p.x), 12);
+  }
+  EXPECT_LT(off / static_cast<double>(many.positions.size()), 0.03);
+  EXPECT_THROW(PointCloud(0), Error);
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,188 @@
+"""Reads mesh files with nothing but the standard library and compares them with expected.json; any difference ends it."""
+import json
+import struct
+import sys
+
+folder = sys.argv[1]
+with open(folder + "/expected.json") as file:
+    want = json.load(file)
+
+
+def check(ok, what):
+    if not ok:
+        sys.exit("mesh file: " + what)
+
+
+def near(a, b, tolerance):
+    return len(a) == len(b) and all(abs(x - y) <= tolerance for x, y in zip(a, b))
+
+
+def float32(value):
+    return struct.unpack("<f", struct.pack("<f", value))[0]
+
+
+def read_ply(path):
+    kinds = {"double": "d", "float": "f", "uchar": "B", "ushort": "H", "uint": "I"}
+    with open(path, "rb") as file:
+        data = file.read()
+    head, mark, body = data.partition(b"end_header\n")
+    lines = head.decode("ascii").split("\n")
+    check(lines[0] == "ply" and lines[1] == "format binary_little_endian 1.0" and mark, path + ": header")
+    elements = []
+    for line in lines[2:]:
+        words = line.split()
+        if words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            elements[-1][2].append(words[1:])
+    rows, at = {}, 0
+    for name, count, properties in elements:
+        rows[name] = []
+        for _ in range(count):
+            row = {}
+            for words in properties:
+                if words[0] == "list":
+                    size = struct.unpack_from("<" + kinds[words[1]], body, at)[0]
+                    at += struct.calcsize(kinds[words[1]])
+                    row[words[3]] = list(struct.unpack_from("<%d%s" % (size, kinds[words[2]]), body, at))
+                    at += size * struct.calcsize(kinds[words[2]])
+                else:
+                    row[words[1]] = struct.unpack_from("<" + kinds[words[0]], body, at)[0]
+                    at += struct.calcsize(kinds[words[0]])
+            rows[name].append(row)
+    check(at == len(body), path + ": %d bytes after the last element" % (len(body) - at))
+    return rows
+
+
+def check_vertices(rows, normals):
+    check(len(rows) == len(want["positions"]), "number of vertices")
+    for i, row in enumerate(rows):
+        check([row["x"], row["y"], row["z"]] == want["positions"][i], "position %d, all 64 bits" % i)
+        check([row["red"], row["green"], row["blue"]] == want["colors"][i], "colour %d" % i)
+        check(("nx" in row) == normals, "normals")
+        if normals:
+            check(near([row["nx"], row["ny"], row["nz"]], want["normals"][i], 1e-6), "normal %d" % i)
+        check(("label" in row) == bool(want["ids"]), "label property")
+        if want["ids"]:
+            check(row["label"] == want["ids"][i], "label %d: %r" % (i, row["label"]))
+            check(row["entropy"] == float32(want["entropy"][i]), "entropy %d" % i)
+
+
+def check_ply():
+    rows = read_ply(folder + "/mesh.ply")
+    check_vertices(rows["vertex"], True)
+    check([face["vertex_indices"] for face in rows["face"]] == want["triangles"], "faces")
+    points = read_ply(folder + "/points.ply")
+    check(list(points) == ["vertex"], "a point cloud has vertices only")
+    check_vertices(points["vertex"], False)
+
+
+def check_obj():
+    materials, name = {}, None
+    with open(folder + "/mesh.mtl") as file:
+        for line in file:
+            words = line.split()
+            if words[:1] == ["newmtl"]:
+                check(len(words) == 2, "a material's name is one word: " + line)
+                name = words[1]
+                check(name not in materials, "material %s twice" % name)
+            elif words[:1] == ["Kd"]:
+                materials[name] = [float(w) for w in words[1:]]
+    positions, normals, faces, used, library = [], [], {}, None, None
+    with open(folder + "/mesh.obj") as file:
+        for line in file:
+            words = line.split()
+            if words[:1] == ["v"]:
+                positions.append([float(w) for w in words[1:]])
+            elif words[:1] == ["vn"]:
+                normals.append([float(w) for w in words[1:]])
+            elif words[:1] == ["mtllib"]:
+                library = words[1]
+            elif words[:1] == ["usemtl"]:
+                used = words[1]
+                check(used in materials, "material %s is not in the MTL file" % used)
+            elif words[:1] == ["f"]:
+                corners = [w.split("/") for w in words[1:]]
+                check(all(c[0] == c[2] for c in corners), "normals are numbered as vertices")
+                faces.setdefault(used, []).append([int(c[0]) - 1 for c in corners])
+    check(library == "mesh.mtl", "mtllib names the file beside it")
+    check(near([c for p in positions for c in p[:3]], [c for p in want["positions"] for c in p], 1e-6), "positions")
+    check(near([c for p in positions for c in p[3:]], [c / 255 for p in want["colors"] for c in p], 1e-4), "colours")
+    check(near([c for n in normals for c in n], [c for n in want["normals"] for c in n], 1e-5), "normals")
+    check(sorted(faces) == sorted(g["name"] for g in want["groups"]), "materials in use: %r" % sorted(faces))
+    for group in want["groups"]:
+        check(faces[group["name"]] == group["triangles"], "faces of " + group["name"])
+        check(near(materials[group["name"]], group["linear"], 1e-5), "Kd of " + group["name"])
+
+
+def check_glb():
+    with open(folder + "/mesh.glb", "rb") as file:
+        data = file.read()
+    magic, version, total = struct.unpack_from("<4sII", data)
+    check(magic == b"glTF" and version == 2 and total == len(data), "GLB header")
+    size, kind = struct.unpack_from("<I4s", data, 12)
+    check(kind == b"JSON" and size % 4 == 0, "JSON chunk")
+    root = json.loads(data[20 : 20 + size])
+    binary_at = 20 + size
+    binary_size, kind = struct.unpack_from("<I4s", data, binary_at)
+    binary = data[binary_at + 8 :]
+    check(kind == b"BIN\0" and binary_size % 4 == 0 and binary_size == len(binary), "binary chunk")
+    check(root["asset"]["version"] == "2.0", "version")
+    check([b["byteLength"] for b in root["buffers"]] == [len(binary)], "byteLength of the buffer")
+    views = sorted(root["bufferViews"], key=lambda v: v["byteOffset"])
+    at = 0
+    for view in views:
+        check(view["byteOffset"] == at and at % 4 == 0, "views lie side by side, aligned")
+        at += view["byteLength"]
+    check(at == len(binary), "views fill the buffer")
+
+    def read(number):
+        accessor = root["accessors"][number]
+        view = root["bufferViews"][accessor["bufferView"]]
+        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        letter = {5123: "H", 5125: "I", 5126: "f"}[accessor["componentType"]]
+        packed = struct.calcsize("<%d%s" % (width, letter))
+        stride = view.get("byteStride", packed)
+        check(stride % 4 == 0 and stride >= packed or "byteStride" not in view, "stride")
+        check(stride * (accessor["count"] - 1) + packed <= view["byteLength"], "accessor inside its view")
+        rows = [
+            list(struct.unpack_from("<%d%s" % (width, letter), binary, view["byteOffset"] + i * stride))
+            for i in range(accessor["count"])
+        ]
+        return accessor, view, rows
+
+    primitives = root["meshes"][root["nodes"][root["scenes"][root["scene"]]["nodes"][0]]["mesh"]]["primitives"]
+    check("matrix" not in root["nodes"][0] and "rotation" not in root["nodes"][0], "no axis is turned")
+    check(len(primitives) == len(want["groups"]), "a primitive per class")
+    for primitive, group in zip(primitives, want["groups"]):
+        attributes = primitive["attributes"]
+        accessor, view, positions = read(attributes["POSITION"])
+        check(positions == [[float32(c) for c in p] for p in want["positions"]], "positions as 32-bit floats")
+        check(accessor["min"] == [min(p[k] for p in positions) for k in range(3)], "min")
+        check(accessor["max"] == [max(p[k] for p in positions) for k in range(3)], "max")
+        check(view["target"] == 34962 and accessor["componentType"] == 5126, "POSITION")
+        normals = read(attributes["NORMAL"])[2]
+        check(all(abs(sum(c * c for c in n) - 1) < 1e-5 for n in normals), "unit normals")
+        accessor, view, colors = read(attributes["COLOR_0"])
+        check(accessor["normalized"] is True, "COLOR_0 is normalised")
+        for color, expected in zip(colors, want["linear_colors"]):
+            check(near([c / 65535 for c in color], expected + [1], 1e-5), "COLOR_0 in linear light")
+        check(("_LABEL" in attributes) == bool(want["ids"]), "_LABEL")
+        if want["ids"]:
+            check([r[0] for r in read(attributes["_LABEL"])[2]] == want["ids"], "_LABEL")
+            check([r[0] for r in read(attributes["_ENTROPY"])[2]] == [float32(e) for e in want["entropy"]], "_ENTROPY")
+        accessor, view, indices = read(primitive["indices"])
+        indices = [i[0] for i in indices]
+        check(view["target"] == 34963 and "byteStride" not in view, "indices")
+        check(primitive["mode"] == 4 and max(indices) < len(positions), "index range")
+        check([indices[i : i + 3] for i in range(0, len(indices), 3)] == group["triangles"], "triangles of a class")
+        material = root["materials"][primitive["material"]]
+        check(material["name"] == group["name"], "material " + material["name"])
+        if group["id"] >= 0:
+            check(material["extras"]["class_id"] == group["id"], "class_id")
+
+
+check_ply()
+check_obj()
+check_glb()
+print("read")
