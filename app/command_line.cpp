@@ -51,8 +51,15 @@ void add_run_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("run", render->run, "run folder")->required();
   verb->add_option("--split", render->split, "train or test");
   verb->add_option("--trajectory", render->trajectory,
-                   "file with one camera-to-world matrix a line (12 or 16 numbers), instead of a split");
-  verb->add_option("--out", render->out, "folder for the images (default: render/ in the run folder)");
+                   "file with one camera-to-world matrix a line (12 or 16 numbers), or 'smooth' for a path through the "
+                   "training cameras, instead of a split");
+  verb->add_option("--frames", render->frames, "of the smooth path (default: 240)");
+  verb->add_option("--out", render->out,
+                   "folder for the images, or the video's file (default: render/ in the run folder)");
+  CLI::Option* video = verb->add_flag("--video", render->video, "write a video through ffmpeg instead of images");
+  verb->add_option("--panels", render->panels, "of the video, side by side: rgb,label,depth,entropy (default: all)")
+      ->needs(video);
+  verb->add_option("--fps", render->fps, "frames a second of the video (default: 24)");
   verb->add_flag("--npy", render->npy, "also write depth and entropy as float32 .npy");
   verb->add_option("--set", render->set, "override a value of run.yaml")->expected(1)->take_all();
   verb->callback([&context, &choice, render] { choice = [&context, render] { return run_render(*render, context); }; });
@@ -130,7 +137,8 @@ void add_scene_verbs(CLI::App& root, AppContext& context, Choice& choice) {
 void add_degrade(CLI::App& root, AppContext& context, Choice& choice) {
   auto options = std::make_shared<ConfigOptions>();
   auto folder = std::make_shared<std::string>();
-  CLI::App* verb = root.add_subcommand("degrade", "write the labels that would train, degraded as the configuration says");
+  CLI::App* verb =
+      root.add_subcommand("degrade", "write the labels that would train, degraded as the configuration says");
   config_options(verb, *options);
   verb->add_option("--out", *folder, "folder to create")->required();
   verb->callback([&context, &choice, options, folder] {

@@ -1,47 +1,27 @@
-// render: images of a run's field for a split or a trajectory.
+// render: images, or a video, of a run's field for a split or a trajectory.
 #include <fmt/format.h>
 
 #include <chrono>
+#include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <functional>
 #include <future>
 
-#include "core/parallel.h"
-#include "scene/camera_path.h"
+#include "frame_strip.h"
+#include "render_views.h"
 #include "train/image_output.h"
-#include "train/run_folder.h"
 #include "train/train_run.h"
 #include "verbs.h"
+#include "video.h"
 
 namespace semfield::app {
 
 namespace {
 
-struct View3d {
-  std::string name;
-  RayCamera camera;
-};
+namespace fs = std::filesystem;
 
-std::vector<View3d> views_of_split(const Session& s, const std::string& split) {
-  if (split != "test" && split != "train")
-    throw Error(ErrorKind::usage, "--split " + split + ": expected train or test");
-  std::vector<View3d> views;
-  for (const int f : s.scene.frames_of(split == "test" ? Split::test : Split::train)) {
-    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
-    views.push_back({info.name, {info.camera, info.world_from_camera, s.plan.undistortion}});
-  }
-  return views;
-}
-
-std::vector<View3d> views_of_trajectory(const Session& s, const std::string& path) {
-  const Camera& camera = s.scene.info.frames.front().camera;
-  std::vector<View3d> views;
-  int number = 0;
-  for (const Pose& pose : read_camera_file(path, CameraAxes::right_down_forward)) {
-    views.push_back({fmt::format("{:05}", number++), {camera, pose, s.plan.undistortion}});
-  }
-  return views;
-}
+using FrameSink = std::function<void(const std::string& name, const RenderedFrame& frame)>;
 
 void write_frame(const std::string& base, const RenderedFrame& frame, const Session& s, bool npy) {
   const MapSize size{frame.width_px, frame.height_px};
@@ -56,44 +36,90 @@ void write_frame(const std::string& base, const RenderedFrame& frame, const Sess
   if (npy) write_map_npy(base + "_entropy.npy", size, frame.entropy);
 }
 
-}  // namespace
-
-int run_render(const RenderOptions& options, AppContext& context) {
-  Diagnostics diagnostics;
-  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
-  Session& s = run.session;
-  const std::vector<View3d> views =
-      options.trajectory.empty() ? views_of_split(s, options.split) : views_of_trajectory(s, options.trajectory);
-  if (views.empty())
-    throw Error(ErrorKind::data, options.run + ": nothing to render in split '" + options.split + "'",
-                "see `semfield inspect`");
-  const std::string name = options.trajectory.empty() ? options.split : "trajectory";
-  const std::filesystem::path folder =
-      options.out.empty() ? std::filesystem::path(options.run) / "render" / name : std::filesystem::path(options.out);
+void create_folder(const fs::path& folder) {
   std::error_code failed;
-  std::filesystem::create_directories(folder, failed);
+  if (!folder.empty()) fs::create_directories(folder, failed);
   if (failed)
     throw Error(ErrorKind::cannot_create, folder.string() + ": cannot create the folder: " + failed.message(),
                 "choose another --out");
-  int done = 0;
+}
+
+// Seconds a frame. A frame's files are compressed and written while the next is rendered.
+double render_all(const Session& s, const std::vector<NamedView>& views, const FrameSink& sink,
+                  const AppContext& context) {
   const auto begin = std::chrono::steady_clock::now();
-  std::future<void> written;  // one frame's files are compressed and synced while the next is rendered
-  for (const View3d& view : views) {
+  std::future<void> written;
+  int done = 0;
+  for (const NamedView& view : views) {
     RenderedFrame frame = render_frame(*s.pipeline, view.camera, s.limits, s.plan.class_of_logit);
-    std::string stem = view.name;
-    for (char& c : stem) c = c == '/' ? '_' : c;
     if (written.valid()) written.get();
-    written = std::async(std::launch::async, [base = (folder / stem).string(), frame = std::move(frame), &s, &options] {
-      write_frame(base, frame, s, options.npy);
-    });
+    written = std::async(std::launch::async, [&view, &sink, frame = std::move(frame)] { sink(view.name, frame); });
     ++done;
     if (context.terminal && !context.quiet) std::fprintf(stderr, "\r\033[Krendered %d/%zu", done, views.size());
   }
   written.get();
-  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   if (context.terminal && !context.quiet) std::fputs("\n", stderr);
-  std::printf("render: frames=%d s_per_frame=%.3f folder=%s\n", done, seconds / done, folder.string().c_str());
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return seconds / static_cast<double>(done);
+}
+
+void render_images(const RenderOptions& options, const Session& s, const std::vector<NamedView>& views,
+                   const AppContext& context) {
+  const fs::path folder =
+      options.out.empty() ? fs::path(options.run) / "render" / render_name(options) : fs::path(options.out);
+  create_folder(folder);
+  const double seconds = render_all(
+      s, views,
+      [&](std::string name, const RenderedFrame& frame) {
+        for (char& c : name) c = c == '/' ? '_' : c;
+        write_frame((folder / name).string(), frame, s, options.npy);
+      },
+      context);
+  std::printf("render: frames=%zu s_per_frame=%.3f folder=%s\n", views.size(), seconds, folder.string().c_str());
+}
+
+void render_video(const RenderOptions& options, const std::string& ffmpeg, const Session& s,
+                  const std::vector<NamedView>& views, const AppContext& context) {
+  const std::vector<Panel> panels = parse_panels(options.panels, s.pipeline->has_semantics());
+  const Camera& first = views.front().camera.camera;
+  for (const NamedView& view : views) {
+    const Camera& c = view.camera.camera;
+    if (c.width_px == first.width_px && c.height_px == first.height_px) continue;
+    throw Error(ErrorKind::data,
+                fmt::format("--video: view {} has {}x{} pixels and view {} has {}x{}", views.front().name,
+                            first.width_px, first.height_px, view.name, c.width_px, c.height_px),
+                "a video has one size: use --trajectory, whose views have the first frame's camera");
+  }
+  const fs::path file =
+      options.out.empty() ? fs::path(options.run) / "render" / (render_name(options) + ".mp4") : fs::path(options.out);
+  if (!file.has_extension())
+    throw Error(ErrorKind::usage, "--out " + options.out + ": no file ending", "name a file such as room.mp4");
+  create_folder(file.parent_path());
+  VideoWriter video(ffmpeg, file.string(), first.width_px * static_cast<std::int32_t>(panels.size()), first.height_px,
+                    options.fps);
+  const double seconds = render_all(
+      s, views, [&](const std::string&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); },
+      context);
+  video.finish();
+  std::printf("render: frames=%zu s_per_frame=%.3f file=%s\n", views.size(), seconds, file.string().c_str());
+}
+
+}  // namespace
+
+int run_render(const RenderOptions& options, AppContext& context) {
+  // Before anything that takes time.
+  const std::string ffmpeg = options.video ? find_ffmpeg() : std::string();
+  if (!(options.fps > 0 && options.fps <= 1000))
+    throw Error(ErrorKind::usage, fmt::format("--fps {}: expected more than 0, at most 1000", options.fps));
+  Diagnostics diagnostics;
+  const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  const std::vector<NamedView> views = render_views(run.session, options);
+  if (options.video) {
+    render_video(options, ffmpeg, run.session, views, context);
+  } else {
+    render_images(options, run.session, views, context);
+  }
   return 0;
 }
 

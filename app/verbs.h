@@ -47,9 +47,13 @@ int run_eval(const EvalOptions& options, AppContext& context);
 struct RenderOptions {
   std::string run;
   std::string split = "test";
-  std::string trajectory;  ///< file of camera-to-world matrices; replaces the split
-  std::string out;         ///< default: render/<split> of the run
+  std::string trajectory;  ///< file of camera-to-world matrices, or "smooth"; replaces the split
+  int frames = 240;        ///< of the smooth path
+  std::string out;         ///< default: render/<split> of the run, or render/<split>.mp4
   bool npy = false;
+  bool video = false;
+  std::string panels;  ///< of the video: "rgb,label,depth,entropy"; "" = all that the run has
+  double fps = 24;
   std::vector<std::string> set;
 };
 int run_render(const RenderOptions& options, AppContext& context);

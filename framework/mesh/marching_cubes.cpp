@@ -10,7 +10,7 @@ namespace semfield {
 
 namespace {
 
-constexpr double kMostPoints = 4096;  // along an axis: four layers then take about 1 GiB
+constexpr double kMostPoints = 4096;  // along an axis: layers then take 640 MiB
 constexpr std::uint32_t kNone = 0xFFFFFFFFU;
 
 // Vertices on the edges of a layer that run along x and y, and on those that rise from it along z.

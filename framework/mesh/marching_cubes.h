@@ -31,7 +31,8 @@ using GridLayer = std::function<void(std::int64_t z, std::span<double> values)>;
 /// Where the linearly interpolated values cross `level`; vertices in world units, every vertex once, no normals yet.
 /// Closed but for the grid's own border: each inner edge belongs to exactly two triangles, which run along it in
 /// opposite directions (faces of a cube with two dense corners across a diagonal are always cut corner by corner, so
-/// that both cubes agree; no triangle's inner edge lies in a face). Memory beside the result: four layers. Throws
+/// that both cubes agree; no triangle's inner edge lies in a face). Memory beside the result: two layers of values and
+/// two of vertex numbers. Throws
 /// Error(data) for a value that is not a number, and for more than 2^32 - 2 vertices.
 Surface marching_cubes(const VoxelGrid& grid, double level, const GridLayer& layer);
 

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <sstream>
 
+#include "core/check.h"
 #include "core/files.h"
 #include "core/rng.h"
 
@@ -179,7 +180,69 @@ T spline(T a, T b, T c, T d, double t) {
          0.5;
 }
 
+using Quaternion = std::array<double, 4>;  // w, x, y, z
+
+// Of the rotation's four expressions the one with the largest divisor.
+Quaternion quaternion_of(const Pose& pose) {
+  const auto& r = pose.r;
+  const double squares[4] = {1 + r[0][0] + r[1][1] + r[2][2], 1 + r[0][0] - r[1][1] - r[2][2],
+                             1 - r[0][0] + r[1][1] - r[2][2], 1 - r[0][0] - r[1][1] + r[2][2]};
+  const auto largest = std::max_element(std::begin(squares), std::end(squares)) - std::begin(squares);
+  const double s = 0.5 / std::sqrt(squares[largest]), q = squares[largest] * s;
+  const double xw = (r[2][1] - r[1][2]) * s, yw = (r[0][2] - r[2][0]) * s, zw = (r[1][0] - r[0][1]) * s;
+  const double xy = (r[0][1] + r[1][0]) * s, xz = (r[0][2] + r[2][0]) * s, yz = (r[1][2] + r[2][1]) * s;
+  switch (largest) {
+    case 0:
+      return {q, xw, yw, zw};
+    case 1:
+      return {xw, q, xy, xz};
+    case 2:
+      return {yw, xy, q, yz};
+    default:
+      return {zw, xz, yz, q};
+  }
+}
+
+void set_rotation(Pose& pose, Quaternion q) {
+  double size = 0;
+  for (const double v : q) size += v * v;
+  const double scale = 1 / std::sqrt(size);
+  for (double& v : q) v *= scale;
+  const auto [w, x, y, z] = q;
+  pose.r = {{{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
+             {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
+             {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}}};
+}
+
 }  // namespace
+
+std::vector<Pose> make_smooth_path(const std::vector<Pose>& keys, int count) {
+  SEMFIELD_CHECK(!keys.empty(), "a path needs a pose");
+  std::vector<Quaternion> turns;
+  for (const Pose& key : keys) {
+    Quaternion q = quaternion_of(key);
+    double along = 0;
+    for (std::size_t i = 0; i < 4 && !turns.empty(); ++i) along += q[i] * turns.back()[i];
+    // q and -q are one turn: the shorter way from the key before.
+    for (double& v : q) v = along < 0 ? -v : v;
+    turns.push_back(q);
+  }
+  const std::size_t last = keys.size() - 1;
+  std::vector<Pose> path;
+  for (int i = 0; i < count; ++i) {
+    const double at = count > 1 ? static_cast<double>(i) * static_cast<double>(last) / (count - 1) : 0;
+    const std::size_t b = std::min(static_cast<std::size_t>(at), last), c = std::min(b + 1, last);
+    const std::size_t a = b > 0 ? b - 1 : b, d = std::min(c + 1, last);
+    const double t = at - static_cast<double>(b);
+    Pose pose;
+    pose.t = spline(keys[a].t, keys[b].t, keys[c].t, keys[d].t, t);
+    Quaternion turn{};
+    for (std::size_t k = 0; k < 4; ++k) turn[k] = spline(turns[a][k], turns[b][k], turns[c][k], turns[d][k], t);
+    set_rotation(pose, turn);
+    path.push_back(pose);
+  }
+  return path;
+}
 
 Pose look_along(Vec3d position, Vec3d forward, Vec3d up) {
   const Vec3d z = normalized(forward);

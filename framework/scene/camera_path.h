@@ -28,6 +28,10 @@ std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& se
 /// Camera at `position` looking along `forward`, its x axis level.
 Pose look_along(Vec3d position, Vec3d forward, Vec3d up);
 
+/// `count` poses along a smooth curve through `keys` in their order, ends included: Catmull-Rom for centres, and for
+/// turns the same over unit quaternions, made unit again. One key stands still. `keys` must not be empty.
+std::vector<Pose> make_smooth_path(const std::vector<Pose>& keys, int count);
+
 /// Camera axes of a file's poses, as x, y, z of the camera.
 enum class CameraAxes : std::uint8_t { right_down_forward, right_up_backward, left_up_forward };
 

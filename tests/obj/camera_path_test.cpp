@@ -223,5 +223,38 @@ TEST(CameraFile, BadNumbersNameFileAndLine) {
   }
 }
 
+TEST(SmoothPath, MeetsItsKeysAndTurnsLittleFromFrameToFrame) {
+  // Turns about every axis, half turns among them: each of the four ways to a quaternion is taken.
+  std::vector<Pose> keys;
+  for (const Vec3d forward : {Vec3d{1, 0, 0}, {0, 1, 0.2}, {-1, 0.3, 0}, {-0.2, -1, 0.4}, {0.9, -0.1, -0.3}}) {
+    keys.push_back(look_along(forward * 2.0, forward, {0, 0, 1}));
+  }
+  for (const Vec3d axis : {Vec3d{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}) {
+    Pose half;  // 2 a a^T - 1
+    for (int row = 0; row < 3; ++row) {
+      for (int col = 0; col < 3; ++col) {
+        half.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(col)] =
+            2 * axis[row] * axis[col] - (row == col ? 1 : 0);
+      }
+    }
+    keys.push_back(half);
+  }
+  const int between = 50, count = between * static_cast<int>(keys.size() - 1) + 1;
+  const std::vector<Pose> path = make_smooth_path(keys, count);
+  ASSERT_EQ(path.size(), static_cast<std::size_t>(count));
+  for (std::size_t k = 0; k < keys.size(); ++k) {
+    const Pose& met = path[k * between];
+    for (int axis = 0; axis < 3; ++axis) EXPECT_LT(length(met.axis(axis) - keys[k].axis(axis)), 1e-9) << k;
+    EXPECT_LT(length(met.t - keys[k].t), 1e-9) << k;
+  }
+  for (std::size_t i = 0; i < path.size(); ++i) {
+    EXPECT_NEAR(dot(cross(path[i].axis(0), path[i].axis(1)), path[i].axis(2)), 1, 1e-9);
+    if (i == 0) continue;
+    EXPECT_GT(dot(path[i].axis(2), path[i - 1].axis(2)), std::cos(0.2)) << i;
+    EXPECT_LT(length(path[i].t - path[i - 1].t), 0.2) << i;
+  }
+  EXPECT_EQ(make_smooth_path({keys[0]}, 3).size(), 3U);
+}
+
 }  // namespace
 }  // namespace semfield

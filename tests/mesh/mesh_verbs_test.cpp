@@ -1,0 +1,196 @@
+// The program itself: `mesh` and `render --video` of a small run, read back by other programs.
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "core/files.h"
+#include "scene/packed_scene.h"
+#include "testkit/analytic_scene.h"
+#include "tests/train/train_testing.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+using testing_train::TempDir;
+
+struct Result {
+  int code = -1;
+  std::string out, err;
+};
+
+// `path`: the PATH that it sees; "" leaves it.
+Result run(const TempDir& dir, std::vector<std::string> words, const std::string& path = "") {
+  words.insert(words.begin(), SEMFIELD_BINARY);
+  std::vector<char*> argv;
+  for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
+  argv.push_back(nullptr);
+  const std::string out = dir / "stdout", err = dir / "stderr";
+  const pid_t pid = fork();
+  if (pid == 0) {
+    dup2(open(out.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600), 1);
+    dup2(open(err.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600), 2);
+    if (!path.empty()) setenv("PATH", path.c_str(), 1);
+    alarm(120);  // a hang is a failure, not a wait
+    execv(argv[0], argv.data());
+    _exit(127);
+  }
+  int status = 0;
+  waitpid(pid, &status, 0);
+  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(out), read_text_file(err)};
+}
+
+std::string answer_of(const std::string& command) {
+  std::string text;
+  FILE* const pipe = popen(command.c_str(), "r");
+  char buffer[256];
+  while (std::fgets(buffer, sizeof buffer, pipe) != nullptr) text += buffer;
+  pclose(pipe);
+  return text;
+}
+
+bool found(const std::string& program) { return !answer_of("command -v " + program).empty(); }
+
+// One short run for all tests.
+class Verbs : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    dir_ = new TempDir;
+    const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
+    Diagnostics diagnostics;
+    const SceneInfo info = scene->open(diagnostics);
+    write_packed_scene(*dir_ / "room.sfpack", info,
+                       [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
+    std::string yaml = testing_train::hash_config("report: {eval_every_s: 0, strips: 0}\n");
+    yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: packed, file: room.sfpack}");
+    write_file_atomic(*dir_ / "config.yaml", yaml);
+    const Result trained = run(*dir_, {"train", *dir_ / "config.yaml", "--out", *dir_ / "run"});
+    ASSERT_EQ(trained.code, 0) << trained.err;
+  }
+  static void TearDownTestSuite() {
+    delete dir_;
+    dir_ = nullptr;
+  }
+  static std::string run_dir() { return *dir_ / "run"; }
+  static TempDir* dir_;
+};
+TempDir* Verbs::dir_ = nullptr;
+
+TEST_F(Verbs, MeshWritesEveryFormatAndSaysSo) {
+  const std::string stem = *dir_ / "out/room.v2";
+  const Result r = run(
+      *dir_, {"mesh", run_dir(), "--resolution", "48", "--format", "ply,obj,glb", "--points", "--out", stem, "--json"});
+  ASSERT_EQ(r.code, 0) << r.err;
+  const nlohmann::json said = nlohmann::json::parse(r.out);
+  EXPECT_GT(said["vertices"], 500);
+  EXPECT_GT(said["faces"], 1000);
+  EXPECT_GE(said["components"], 1);
+  EXPECT_GT(said["points"], 100);
+  const std::vector<std::string> files{stem + ".ply", stem + ".obj", stem + ".glb", stem + "_points.ply"};
+  EXPECT_EQ(said["files"], files);
+  for (const std::string& file : files) EXPECT_GT(fs::file_size(file), 1000U) << file;
+  EXPECT_TRUE(fs::exists(stem + ".mtl"));
+  const std::string head = read_file_start(stem + ".ply", 400);
+  EXPECT_NE(head.find("element vertex " + std::to_string(said["vertices"].get<int>()) + "\n"), std::string::npos);
+  EXPECT_NE(head.find("property ushort label\n"), std::string::npos);
+}
+
+TEST_F(Verbs, MeshIsTheSameForAnyNumberOfThreadsAndItsDefaultsStandInTheRun) {
+  const Result first = run(*dir_, {"mesh", run_dir(), "--resolution", "32"});
+  ASSERT_EQ(first.code, 0) << first.err;
+  EXPECT_EQ(first.out.find("mesh: vertices="), 0U) << first.out;
+  EXPECT_NE(first.out.find(" file=" + run_dir() + "/mesh.ply\n"), std::string::npos) << first.out;
+  const Result second =
+      run(*dir_, {"mesh", run_dir(), "--resolution", "32", "--set", "runtime.threads=1", "--out", *dir_ / "one.ply"});
+  ASSERT_EQ(second.code, 0) << second.err;
+  EXPECT_EQ(read_text_file(run_dir() + "/mesh.ply"), read_text_file(*dir_ / "one.ply"));
+}
+
+TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
+  const auto refused = [&](std::vector<std::string> more, int code, const std::string& sentence) {
+    std::vector<std::string> words{"mesh", run_dir()};
+    words.insert(words.end(), more.begin(), more.end());
+    const Result r = run(*dir_, words);
+    EXPECT_EQ(r.code, code) << r.err;
+    EXPECT_NE(r.err.find(sentence), std::string::npos) << r.err;
+  };
+  refused({"--format", "gbl"}, 2, "did you mean glb?");
+  refused({"--out", *dir_ / "mesh.stl"}, 2, "unknown mesh format 'stl'");
+  refused({"--resolution", "5000"}, 2, "--resolution 5000: expected 1 to 4095 cells");
+  refused({"--resolution", "8", "--voxel", "0.1"}, 2, "excludes");
+  refused({"--voxel", "-1"}, 2, "--voxel -1: expected a positive number");
+  refused({"--voxel", "1e-7"}, 2, "choose a larger --voxel");
+  refused({"--level", "nan"}, 2, "--level nan");
+  refused({"--keep-components", "2"}, 2, "expected 0 to 1");
+  refused({"--resolution", "8", "--out", "/proc/none/x.ply"}, 73, "/proc/none: cannot create the folder");
+}
+
+TEST_F(Verbs, VideoIsDecodedByAnotherProgram) {
+  if (!found("ffmpeg") || !found("ffprobe")) GTEST_SKIP() << "no ffmpeg here: no video was written";
+  const std::string file = *dir_ / "a video: 1.mp4";
+  const Result r = run(
+      *dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "7", "--video", "--fps", "10", "--out", file});
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_NE(r.out.find("render: frames=7 "), std::string::npos) << r.out;
+  EXPECT_NE(r.out.find("file=" + file), std::string::npos) << r.out;
+  // Four panels of 48 x 36 pixels.
+  EXPECT_EQ(answer_of("ffprobe -v error -count_frames -show_entries stream=width,height,nb_read_frames,r_frame_rate "
+                      "-of csv=p=0 'file:" +
+                      file + "'"),
+            "192,36,10/1,7\n");
+  for (const fs::directory_entry& entry : fs::directory_iterator(dir_->path()))
+    EXPECT_EQ(entry.path().string().find(".part"), std::string::npos) << entry.path();
+  // Its first panel is the rendered colour, within what the coding loses.
+  const Result still =
+      run(*dir_, {"render", run_dir(), "--split", "test", "--video", "--panels", "rgb", "--out", *dir_ / "t.mkv"});
+  ASSERT_EQ(still.code, 0) << still.err;
+  EXPECT_EQ(answer_of("ffprobe -v error -show_entries stream=width,height -of csv=p=0 '" + *dir_ / "t.mkv'"),
+            "48,36\n");
+}
+
+TEST_F(Verbs, VideoWithoutFfmpegNamesTheRemedy) {
+  const Result r = run(*dir_, {"render", run_dir(), "--video"}, dir_->path());
+  EXPECT_EQ(r.code, 69) << r.err;
+  EXPECT_NE(r.err.find("ffmpeg is not in PATH; install it"), std::string::npos) << r.err;
+}
+
+TEST_F(Verbs, VideoSurvivesAnFfmpegThatDies) {
+  // One that ends at once, and one that reads all and then fails: neither hangs, kills us or leaves a file.
+  int n = 0;
+  for (const std::string script : {"#!/bin/sh\nexit 3\n", "#!/bin/sh\n/bin/cat >/dev/null\nexit 3\n"}) {
+    const std::string folder = *dir_ / ("bin" + std::to_string(n++));
+    fs::create_directory(folder);
+    write_file_atomic(folder + "/ffmpeg", script);
+    fs::permissions(folder + "/ffmpeg", fs::perms::owner_all);
+    const std::string file = folder + "/out.mp4";
+    const Result r =
+        run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "40", "--video", "--out", file}, folder);
+    EXPECT_EQ(r.code, 74) << r.err;
+    EXPECT_NE(r.err.find("(exit code 3)"), std::string::npos) << r.err;
+    EXPECT_FALSE(fs::exists(file));
+  }
+}
+
+TEST_F(Verbs, VideoRefusesUnknownPanelsAndCounts) {
+  if (!found("ffmpeg")) GTEST_SKIP() << "no ffmpeg here";
+  const Result panel = run(*dir_, {"render", run_dir(), "--video", "--panels", "rgb,normals"});
+  EXPECT_EQ(panel.code, 2);
+  EXPECT_NE(panel.err.find("unknown panel 'normals'; one of rgb, label, depth, entropy"), std::string::npos)
+      << panel.err;
+  EXPECT_EQ(run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "0"}).code, 2);
+  EXPECT_EQ(run(*dir_, {"render", run_dir(), "--video", "--fps", "0"}).code, 2);
+}
+
+TEST_F(Verbs, SmoothPathRendersImagesToo) {
+  const Result r = run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "2"});
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_TRUE(fs::exists(run_dir() + "/render/smooth/00001_rgb.png"));
+}
+
+}  // namespace
+}  // namespace semfield
