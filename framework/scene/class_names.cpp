@@ -20,7 +20,8 @@ ClassNames::ClassNames(const ClassTable& classes) {
 
 int ClassNames::find(const std::string& name) const {
   const auto found = index_.find(name);
-  return found == index_.end() ? -2 : found->second;
+  if (found != index_.end()) return found->second;
+  return is_void_name(name) ? kVoid : -2;
 }
 
 std::int16_t ClassNames::index_of(const std::string& name, const std::string& place) const {

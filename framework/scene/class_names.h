@@ -13,11 +13,12 @@ namespace semfield {
 /// "void", "undefined", "unlabelled", "unlabeled", "unknown" or "other", in any case.
 bool is_void_name(std::string name);
 
-/// Names of a table, exact to the letter; of a name given twice the entry with the lower id.
+/// Names of a table, exact to the letter; of a name given twice the entry with the lower id. A name for void that the
+/// table does not have means void.
 class ClassNames {
  public:
   explicit ClassNames(const ClassTable& classes);
-  /// Internal index, kVoid for an ignored class, -2 for a name that is not in the table.
+  /// Internal index, kVoid for an ignored class and for void, -2 for a name that is not in the table.
   int find(const std::string& name) const;
   /// As find(); throws Error(data) "PLACE: no class 'chiar'; did you mean 'chair'?" for a name that is not there.
   std::int16_t index_of(const std::string& name, const std::string& place) const;

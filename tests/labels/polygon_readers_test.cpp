@@ -73,10 +73,10 @@ struct LabelmeCase {
 
 TEST(Labelme, ShapesAreFilledInTheirOrder) {
   LabelmeCase c;
-  c.write("rgb_3.json", labelme(shape("wall", "polygon", "[[0,0],[6,0],[6,4],[0,4]]") + "," +
-                                shape("chair", "rectangle", "[[4,3],[1,1]]") + "," +
-                                shape("table", "circle", "[[4.5,2.5],[5.5,2.5]]") + "," +
-                                shape("void", "point", "[[6,0.2]]")));
+  c.write("rgb_3.json",
+          labelme(shape("wall", "polygon", "[[0,0],[6,0],[6,4],[0,4]]") + "," +
+                  shape("chair", "rectangle", "[[4,3],[1,1]]") + "," +
+                  shape("table", "circle", "[[4.5,2.5],[5.5,2.5]]") + "," + shape("void", "point", "[[6,0.2]]")));
   EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), room_table())),
             (Rows{"00000.", "011120", "011222", "000020"}));
 }
@@ -151,8 +151,9 @@ TEST(Labelme, EveryRefusalNamesFileAndShape) {
             "folder: '" + c.folder + "/none' is no folder; check the path");
   EXPECT_EQ(open_findings(*make_reader("labelme", "{}"), {}),
             "folder: no folder is named; set scene.labels.from.folder");
-  EXPECT_EQ(open_findings(*make_reader("labelme", "folder: " + fresh_folder("empty")), {}).find("folder: no labelme file"),
-            0u);
+  EXPECT_EQ(
+      open_findings(*make_reader("labelme", "folder: " + fresh_folder("empty")), {}).find("folder: no labelme file"),
+      0u);
 }
 
 TEST(Labelme, ManyProblemsAreCounted) {
@@ -192,11 +193,12 @@ TEST(Coco, PolygonsAndBothRunLengthsAndSmallOnesStayVisible) {
   CocoCase c;
   // The chair comes first and is smaller than the wall. Counts go down the columns of a 4 x 3 image.
   const std::string wall = note(1, "[[0,0,4,0,4,3,0,3]]");
-  for (const std::string chair : {"[[1,1,2,1,2,3,1,3],[3,0,4,0,4,1,3,1]]",
-                                  R"({"size": [3, 4], "counts": [4, 2, 3, 1, 2]})",
-                                  R"({"size": [3, 4], "counts": "423OO"})"}) {
+  for (const std::string chair :
+       {"[[1,1,2,1,2,3,1,3],[3,0,4,0,4,1,3,1]]", R"({"size": [3, 4], "counts": [4, 2, 3, 1, 2]})",
+        R"({"size": [3, 4], "counts": "423OO"})"}) {
     EXPECT_EQ(c.findings(coco(note(4, chair) + "," + wall)), "") << chair;
-    EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), room_table())), (Rows{"0001", "0100", "0100"})) << chair;
+    EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), room_table())), (Rows{"0001", "0100", "0100"}))
+        << chair;
   }
   EXPECT_FALSE(c.reader->has(frame_of("rgb_4")));
   EXPECT_FALSE(c.reader->has(frame_of("rgb_5")));
@@ -252,7 +254,8 @@ TEST(Coco, EveryRefusalNamesTheEntry) {
   EXPECT_EQ(read("{\"counts\": [4, 9000000000000000000, 9000000000000000000]}"),
             first + "run lengths: they run past the end of an image of 4 x 3" + again);
   EXPECT_EQ(read("{\"counts\": [4, -1]}"), first + "run lengths: a count is negative" + again);
-  EXPECT_EQ(read("{\"counts\": [4, 2]}"), first + "run lengths: they cover 6 of 12 pixels of an image of 4 x 3" + again);
+  EXPECT_EQ(read("{\"counts\": [4, 2]}"),
+            first + "run lengths: they cover 6 of 12 pixels of an image of 4 x 3" + again);
   EXPECT_EQ(c.findings(coco(note(4, good), R"("categories": [{"id": 4, "name": "chiar"}])")),
             first.substr(0, first.size() - 2) + " (category 4): no class 'chiar'; did you mean 'chair'?");
   EXPECT_EQ(c.findings(coco("", R"("categories": [{"id": 4, "name": "a"}, {"id": 4, "name": "b"}, {"id": 5}])")),
@@ -261,14 +264,17 @@ TEST(Coco, EveryRefusalNamesTheEntry) {
             c.file + ": category 'a' has id 70000; ids run from 0 to 65535");
   EXPECT_EQ(c.findings(R"({"images": [{"id": 1, "file_name": "a.png", "width": 4, "height": 3},
       {"id": 1, "file_name": "b.png", "width": 4, "height": 3}, {"id": 2, "file_name": "x/a.jpg", "width": 4, "height": 3},
-      {"id": 3, "file_name": "c.png", "width": 4}], "annotations": [], )" + kCategories + "}"),
+      {"id": 3, "file_name": "c.png", "width": 4}], "annotations": [], )" +
+                       kCategories + "}"),
             c.file + ": image 2: id 1 is given twice\n" + c.file +
                 ": image 3: 'x/a.jpg' and 'a.png' are the same frame 'a'\n" + c.file +
                 ": image 4: needs a whole number 'height'");
 }
 
 TEST(Coco, RunLengthTextRoundTrips) {
-  for (const std::vector<std::int64_t>& counts : {std::vector<std::int64_t>{0, 12}, {4, 2, 3, 1, 2}, {1, 1, 1, 1, 1, 1},
+  for (const std::vector<std::int64_t>& counts : {std::vector<std::int64_t>{0, 12},
+                                                  {4, 2, 3, 1, 2},
+                                                  {1, 1, 1, 1, 1, 1},
                                                   {1000000, 1, 5, 70000, 0, 3, 16, 31, 32, 1024, 15}}) {
     EXPECT_EQ(counts_of_text(text_of_counts(counts)), counts);
   }

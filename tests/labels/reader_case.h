@@ -18,8 +18,9 @@ inline std::unique_ptr<LabelReader> make_reader(const std::string& type, const s
     if (kind.type != type) continue;
     std::unique_ptr<LabelReader> reader = kind.make();
     Diagnostics diagnostics;
-    read_params(parse_config_text(yaml, "test.yaml"), "scene.labels.from",
-                [&](ParamVisitor& visit) { reader->describe(visit); }, diagnostics);
+    read_params(
+        parse_config_text(yaml, "test.yaml"), "scene.labels.from",
+        [&](ParamVisitor& visit) { reader->describe(visit); }, diagnostics);
     reader->validate(diagnostics);
     diagnostics.throw_if_errors(ErrorKind::config, "parameters:");
     return reader;
@@ -54,7 +55,10 @@ inline std::string open_findings(LabelReader& reader, const ClassTable& known) {
     return std::string("thrown: ") + e.what();
   }
   std::string out;
-  for (const Diagnostic& d : diagnostics.all()) out += (out.empty() ? "" : "\n") + d.text();
+  for (const Diagnostic& d : diagnostics.all()) {
+    if (!out.empty()) out += "\n";
+    out += d.text();
+  }
   return out;
 }
 
