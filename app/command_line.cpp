@@ -157,6 +157,28 @@ void add_fuse(CLI::App& root, AppContext& context, Choice& choice) {
   verb->callback([&context, &choice, options] { choice = [&context, options] { return run_fuse(*options, context); }; });
 }
 
+void add_label_verbs(CLI::App& root, AppContext& context, Choice& choice) {
+  auto out = std::make_shared<ExportOptions>();
+  CLI::App* verb = root.add_subcommand("export", "labels of a run's field for labelling tools");
+  verb->add_option("run", out->run, "run folder")->required();
+  verb->add_option("--split", out->split, "train or test");
+  verb->add_option("--format", out->format, "coco (polygons), coco_rle (run lengths) or labelme");
+  verb->add_option("--out", out->out, "file to write for COCO, folder for labelme")->required();
+  verb->add_option("--set", out->set, "override a value of run.yaml")->expected(1)->take_all();
+  verb->callback([&context, &choice, out] { choice = [&context, out] { return run_export(*out, context); }; });
+
+  auto classes = std::make_shared<ClassesOptions>();
+  verb = root.add_subcommand("classes", "class tables: from and to the forms of other tools");
+  verb->add_option("in", classes->in,
+                   "table (.yaml, .csv, .json, CVAT's .txt, ScanNet's .tsv), or nyu13, nyu40, scannet20")
+      ->required();
+  verb->add_option("--format", classes->format, "yaml, csv or cvat");
+  verb->add_option("--ids", classes->ids, "of ScanNet's .tsv: raw, nyu40 or nyu13");
+  verb->add_option("--colors", classes->colors, "keep, pascal (VOC's bit pattern) or semfield");
+  verb->add_option("--out", classes->out, "file to write (default: stdout)");
+  verb->callback([&choice, classes] { choice = [classes] { return run_classes(*classes); }; });
+}
+
 void add_config_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* group = root.add_subcommand("config", "check, explain and compare configurations");
   group->require_subcommand(1);
@@ -240,6 +262,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   add_scene_verbs(root, context, choice);
   add_degrade(root, context, choice);
   add_fuse(root, context, choice);
+  add_label_verbs(root, context, choice);
   add_config_verbs(root, context, choice);
   add_plugins_verbs(root, context, choice);
   add_bench_verbs(root, context, choice);

@@ -81,6 +81,24 @@ struct MeshOptions {
 };
 int run_mesh(const MeshOptions& options, AppContext& context);
 
+struct ExportOptions {
+  std::string run;
+  std::string split = "test";
+  std::string format = "coco";  ///< coco, coco_rle or labelme
+  std::string out;              ///< file for COCO, folder for labelme
+  std::vector<std::string> set;
+};
+int run_export(const ExportOptions& options, AppContext& context);
+
+struct ClassesOptions {
+  std::string in;               ///< file, or the name of a published table
+  std::string format = "yaml";  ///< yaml, csv or cvat
+  std::string ids = "raw";      ///< of ScanNet's table: raw, nyu40 or nyu13
+  std::string colors = "keep";  ///< keep, pascal or semfield
+  std::string out;              ///< file; "" = stdout
+};
+int run_classes(const ClassesOptions& options);
+
 int run_report(const std::vector<std::string>& runs, const std::string& out, AppContext& context);
 
 struct FuseOptions {

@@ -116,24 +116,24 @@ class Tracer {
     nodes_[static_cast<std::size_t>(last)].next = there + 1;
   }
 
+  // b lies between a and c: at the end of a cut, where the way leads back, it does not.
+  static bool between(Step a, Step b, Step c) {
+    const bool vertical = a.x == b.x && b.x == c.x && (b.y - a.y > 0) == (c.y - b.y > 0);
+    const bool horizontal = a.y == b.y && b.y == c.y && (b.x - a.x > 0) == (c.x - b.x > 0);
+    return vertical || horizontal;
+  }
+
   Outline corners(std::int32_t head) const {
     std::vector<Step> points;
-    const auto add = [&](Step p) {
-      if (points.size() >= 2) {
-        const Step a = points[points.size() - 2], b = points.back();
-        // b lies between a and p: a way back, at the end of a cut, keeps its corner.
-        const bool vertical = a.x == b.x && b.x == p.x && (b.y - a.y > 0) == (p.y - b.y > 0);
-        const bool horizontal = a.y == b.y && b.y == p.y && (b.x - a.x > 0) == (p.x - b.x > 0);
-        if (vertical || horizontal) points.pop_back();
-      }
-      points.push_back(p);
-    };
     std::int32_t node = head;
     do {
       const Node& n = nodes_[static_cast<std::size_t>(node)];
-      add({n.x, n.y});
+      if (points.size() >= 2 && between(points[points.size() - 2], points.back(), {n.x, n.y})) points.pop_back();
+      points.push_back({n.x, n.y});
       node = n.next;
     } while (node != head);
+    if (between(points[points.size() - 2], points.back(), points[0])) points.pop_back();
+    if (between(points.back(), points[0], points[1])) points.erase(points.begin());
     Outline outline;
     for (const Step& p : points) outline.push_back({static_cast<double>(p.x), static_cast<double>(p.y)});
     return outline;

@@ -1,0 +1,86 @@
+// export: label maps of a run's field for labelling tools.
+#include <cstdio>
+#include <filesystem>
+#include <optional>
+
+#include "labels/label_export.h"
+#include "scene/image_io.h"
+#include "train/run_folder.h"
+#include "train/train_run.h"
+#include "verbs.h"
+
+namespace semfield::app {
+
+namespace {
+
+void check_options(const ExportOptions& options) {
+  if (options.split != "test" && options.split != "train")
+    throw Error(ErrorKind::usage, "--split " + options.split + ": expected train or test");
+  if (options.format != "coco" && options.format != "coco_rle" && options.format != "labelme")
+    throw Error(ErrorKind::usage, "--format " + options.format + ": expected coco, coco_rle or labelme");
+}
+
+// Labelling tools lay the labels over the stored image; a run may have been trained at another size.
+void note_other_size(const LabelledFrame& frame, const AppContext& context) {
+  if (frame.image_path.empty()) return;
+  const ImageSize size = image_size(frame.image_path);
+  if (size.width_px == frame.width_px && size.height_px == frame.height_px) return;
+  print_note(context, "labels are " + std::to_string(frame.width_px) + " x " + std::to_string(frame.height_px) +
+                          ", the stored images " + std::to_string(size.width_px) + " x " +
+                          std::to_string(size.height_px) +
+                          ": use --set scene.downscale=1 for labels of the images' own size");
+}
+
+}  // namespace
+
+int run_export(const ExportOptions& options, AppContext& context) {
+  check_options(options);
+  Diagnostics diagnostics;
+  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  Session& s = run.session;
+  if (s.plan.class_of_logit.empty())
+    throw Error(ErrorKind::data, options.run + ": the run has no semantics", "train with labels");
+  const std::vector<int> frames = s.scene.frames_of(options.split == "test" ? Split::test : Split::train);
+  if (frames.empty())
+    throw Error(ErrorKind::data, options.run + ": no frames in split '" + options.split + "'",
+                "see `semfield inspect`");
+  std::optional<CocoExport> coco;
+  if (options.format == "labelme") {
+    std::error_code failed;
+    std::filesystem::create_directories(options.out, failed);
+    if (failed)
+      throw Error(ErrorKind::cannot_create, options.out + ": cannot create the folder: " + failed.message(),
+                  "choose another --out");
+  } else {
+    coco.emplace(s.scene.info.classes, options.format == "coco" ? CocoMasks::polygons : CocoMasks::run_lengths);
+  }
+  std::int64_t shapes = 0;
+  int done = 0;
+  for (const int f : frames) {
+    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
+    RenderedFrame rendered = render_frame(*s.pipeline, {info.camera, info.world_from_camera, s.plan.undistortion},
+                                          s.limits, s.plan.class_of_logit);
+    std::error_code ignored;
+    LabelledFrame frame{info.name, std::filesystem::is_regular_file(info.source, ignored) ? info.source : "",
+                        rendered.width_px, rendered.height_px, std::move(rendered.label)};
+    if (done == 0) note_other_size(frame, context);
+    if (coco) {
+      coco->add(frame);
+    } else {
+      shapes += write_labelme(options.out, frame, s.scene.info.classes);
+    }
+    ++done;
+    if (context.terminal && !context.quiet) std::fprintf(stderr, "\r\033[Kexported %d/%zu", done, frames.size());
+  }
+  if (context.terminal && !context.quiet) std::fputs("\n", stderr);
+  if (coco) {
+    coco->write(options.out);
+    shapes = coco->annotations();
+  }
+  std::printf("export: frames=%d shapes=%lld format=%s out=%s\n", done, static_cast<long long>(shapes),
+              options.format.c_str(), options.out.c_str());
+  return 0;
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,164 @@
+// Labels out and in again: regions traced exactly, files read back by the project and by a Python script of its own.
+#include "labels/label_export.h"
+
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <sstream>
+
+#include "core/rng.h"
+#include "labels/mask_outlines.h"
+#include "labels/run_lengths.h"
+#include "tests/labels/reader_case.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_labels;
+using testing_room::fresh_folder;
+
+LabelledFrame drawn(const std::string& name, const Rows& rows) {
+  LabelledFrame frame{name, "", static_cast<std::int32_t>(rows[0].size()), static_cast<std::int32_t>(rows.size()), {}};
+  for (const std::string& row : rows) {
+    for (const char c : row) frame.label.push_back(c == '.' ? kVoid : static_cast<std::int16_t>(c - '0'));
+  }
+  return frame;
+}
+
+// Holes in holes, holes that touch at corners, regions that touch at corners, the whole border.
+const Rows kHard{
+    "0000000000002", "0111110101002", "0100010010102", "0102010101012", "0100010000002",
+    "0111111111100", "0000000000100", "1111.11110101", "1000.00010111", "1011111010000",
+    "1010.01010121", "1010101010111", "1111111111110",
+};
+
+LabelledFrame noisy(const std::string& name, std::int32_t width, std::int32_t height, double order) {
+  LabelledFrame frame{name, "", width, height, std::vector<std::int16_t>(static_cast<std::size_t>(width * height))};
+  const RandomAddress address{7, static_cast<std::uint64_t>(width), stream_id("test")};
+  for (std::size_t i = 0; i < frame.label.size(); ++i) {
+    // Blocks of classes 0..2 and void, sprinkled with single pixels.
+    const std::size_t x = i % static_cast<std::size_t>(width), y = i / static_cast<std::size_t>(width);
+    const std::uint64_t block = uniform_below(address, 1000000 + x / 7 * 1000 + y / 5, 4);
+    const bool noise = static_cast<double>(uniform_below(address, 2 * i, 1000)) >= order * 1000;
+    frame.label[i] = static_cast<std::int16_t>(noise ? uniform_below(address, 2 * i + 1, 4) : block) - std::int16_t{1};
+  }
+  return frame;
+}
+
+void expect_regions_give_the_map_back(const LabelledFrame& frame) {
+  LabelRaster even_odd = void_raster(frame.width_px, frame.height_px);
+  std::vector<int> winding(frame.label.size());
+  std::int64_t area = 0;
+  for (const MaskRegion& region : mask_regions(frame.label, frame.width_px, frame.height_px)) {
+    const std::vector<PixelRun> runs = outline_runs(region.outline, frame.width_px, frame.height_px);
+    EXPECT_EQ(area_of(runs), region.area_px);
+    area += region.area_px;
+    paint(runs, region.index, even_odd);
+    // The sum of signed crossings to the right of each centre: 1 inside a clockwise outline, for the non-zero rule.
+    for (std::size_t i = 0; i < region.outline.size(); ++i) {
+      const ImagePoint a = region.outline[i], b = region.outline[(i + 1) % region.outline.size()];
+      ASSERT_TRUE((a.x == b.x) != (a.y == b.y)) << "an edge that is no edge of pixels";
+      for (auto y = static_cast<std::int32_t>(std::min(a.y, b.y)); y < std::max(a.y, b.y) && a.x == b.x; ++y) {
+        for (std::int32_t x = 0; x < a.x; ++x)
+          winding[static_cast<std::size_t>(y * frame.width_px + x)] += a.y < b.y ? 1 : -1;
+      }
+    }
+  }
+  EXPECT_EQ(even_odd.hard, frame.label);
+  std::int64_t labelled = 0;
+  for (std::size_t i = 0; i < frame.label.size(); ++i) {
+    labelled += frame.label[i] >= 0;
+    ASSERT_EQ(winding[i], frame.label[i] >= 0 ? 1 : 0) << i;
+  }
+  EXPECT_EQ(area, labelled);
+}
+
+TEST(MaskOutlines, GiveTheSamePixelsBack) {
+  expect_regions_give_the_map_back(drawn("a", kHard));
+  for (const double order : {0.0, 0.5, 0.9, 1.0}) {
+    expect_regions_give_the_map_back(noisy("a", 61, 47, order));
+    expect_regions_give_the_map_back(noisy("a", 1, 40, order));
+    expect_regions_give_the_map_back(noisy("a", 40, 1, order));
+  }
+  EXPECT_TRUE(mask_regions(std::vector<std::int16_t>(6, kVoid), 3, 2).empty());
+}
+
+TEST(MaskOutlines, OneRegionAConnectedAreaWithCornersOnly) {
+  const LabelledFrame ring = drawn("a", {"0000", "0110", "0000"});
+  const std::vector<MaskRegion> regions = mask_regions(ring.label, 4, 3);
+  ASSERT_EQ(regions.size(), 2u);
+  EXPECT_EQ(regions[0].outline.size(), 4u + 4 + 2) << "two rectangles, and the cut's ends";
+  EXPECT_EQ(regions[1].outline.size(), 4u);
+  const LabelledFrame diagonal = drawn("a", {"0.", ".0"});
+  EXPECT_EQ(mask_regions(diagonal.label, 2, 2).size(), 2u);
+}
+
+TEST(LabelExport, OwnReadersGiveTheSameMapBack) {
+  const std::string folder = fresh_folder("t");
+  const std::vector<LabelledFrame> frames{drawn("a/hard", kHard), noisy("noise", 61, 47, 0.7)};
+  for (const CocoMasks masks : {CocoMasks::polygons, CocoMasks::run_lengths}) {
+    CocoExport coco(room_table(), masks);
+    for (const LabelledFrame& frame : frames) coco.add(frame);
+    coco.write(folder + "/coco.json");
+    auto reader = make_reader("coco", "file: " + folder + "/coco.json");
+    for (const ClassTable& known : {room_table(), ClassTable{}}) {
+      EXPECT_EQ(read_labels(*reader, frame_of("hard"), known).hard, frames[0].label);
+      EXPECT_EQ(read_labels(*reader, frame_of("noise"), known).hard, frames[1].label);
+    }
+  }
+  const std::string labelme = fresh_folder("labelme");
+  for (const LabelledFrame& frame : frames) EXPECT_GT(write_labelme(labelme, frame, room_table()), 10);
+  auto reader = make_reader("labelme", "folder: " + labelme);
+  EXPECT_EQ(read_labels(*reader, frame_of("a/hard"), room_table()).hard, frames[0].label);
+  EXPECT_EQ(read_labels(*reader, frame_of("noise"), room_table()).hard, frames[1].label);
+}
+
+bool has_python() { return std::system("python3 -c 'import json' >/dev/null 2>&1") == 0; }
+
+// What the script prints: the size, then the class of every pixel.
+std::vector<std::string> decoded(const std::string& kind, const std::string& file, const std::string& image) {
+  const std::string command = "python3 '" + std::string(SEMFIELD_SOURCE_DIR) + "/tests/labels/decode_export.py' " +
+                              kind + " '" + file + "' '" + image + "' 2>&1";
+  std::vector<std::string> lines;
+  FILE* pipe = ::popen(command.c_str(), "r");
+  char line[256];
+  while (pipe != nullptr && std::fgets(line, sizeof line, pipe) != nullptr) {
+    lines.emplace_back(line);
+    if (!lines.back().empty() && lines.back().back() == '\n') lines.back().pop_back();
+  }
+  EXPECT_EQ(::pclose(pipe), 0) << (lines.empty() ? "" : lines.back());
+  return lines;
+}
+
+std::vector<std::string> wanted(const LabelledFrame& frame, bool with_id) {
+  const ClassTable table = room_table();
+  std::vector<std::string> lines{std::to_string(frame.width_px) + " " + std::to_string(frame.height_px)};
+  for (const std::int16_t c : frame.label) {
+    const std::string id = c < 0 || !with_id ? "" : std::to_string(table.valid(c).id) + ":";
+    lines.push_back(c < 0 ? "-" : id + table.valid(c).name);
+  }
+  return lines;
+}
+
+TEST(LabelExport, AnotherReaderGivesTheSameMapBack) {
+  if (!has_python()) GTEST_SKIP() << "python3 is not at hand";
+  const std::string folder = fresh_folder("t");
+  LabelledFrame first = drawn("hard", kHard), second = noisy("noise", 61, 47, 0.7);
+  second.image_path = folder + "/images/noise_17.jpg";
+  for (const CocoMasks masks : {CocoMasks::polygons, CocoMasks::run_lengths}) {
+    CocoExport coco(room_table(), masks);
+    coco.add(first);
+    coco.add(second);
+    EXPECT_GT(coco.annotations(), 5);
+    coco.write(folder + "/coco.json");
+    EXPECT_EQ(decoded("coco", folder + "/coco.json", "hard.png"), wanted(first, true));
+    EXPECT_EQ(decoded("coco", folder + "/coco.json", "noise_17.jpg"), wanted(second, true));
+  }
+  write_labelme(folder, first, room_table());
+  write_labelme(folder, second, room_table());
+  EXPECT_EQ(decoded("labelme", folder + "/hard.json", "hard.png"), wanted(first, false));
+  EXPECT_EQ(decoded("labelme", folder + "/noise.json", "images/noise_17.jpg"), wanted(second, false));
+}
+
+}  // namespace
+}  // namespace semfield
