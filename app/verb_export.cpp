@@ -28,7 +28,7 @@ void note_other_size(const LabelledFrame& frame, const AppContext& context) {
   print_note(context, "labels are " + std::to_string(frame.width_px) + " x " + std::to_string(frame.height_px) +
                           ", the stored images " + std::to_string(size.width_px) + " x " +
                           std::to_string(size.height_px) +
-                          ": set scene.load so that both agree");
+                          ": to export at that size, give --set scene.load.downscale=1");
 }
 
 }  // namespace

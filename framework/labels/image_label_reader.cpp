@@ -90,7 +90,7 @@ class ImageLabelReader : public LabelReader {
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     colors_.clear();
-    (void)check_folder(folder, diagnostics);
+    (void)check_folder(folder, pattern, diagnostics);
     ProblemList problems(diagnostics);
     ClassTable table = known;
     if (table.empty() && !classes.empty()) problems.collect([&] { table = import_classes(classes); });

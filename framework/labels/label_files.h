@@ -34,8 +34,10 @@ void check_pattern(const std::string& pattern, Diagnostics& diagnostics);
 /// Path of the frame's file, or "" for a frame whose name ends in no digit where the pattern asks for a number.
 std::string path_of(const std::string& folder, const std::string& pattern, const FrameInfo& frame);
 
-/// Reports `what` (the key's name) as missing or as no folder; true when it is one.
+/// Reports a folder that is not named or is none; true when it is one.
 bool check_folder(const std::string& folder, Diagnostics& diagnostics);
+/// The same, and reports a folder in which no file can belong to the pattern, with a name that is there.
+bool check_folder(const std::string& folder, const std::string& pattern, Diagnostics& diagnostics);
 
 /// Passes problems on to `diagnostics`, the first 20 of them; the rest are counted in one line at the end.
 class ProblemList {

@@ -94,7 +94,7 @@ class NpzReader : public LabelReader {
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     order_.clear();
-    if (!check_folder(folder, diagnostics)) return {};
+    if (!check_folder(folder, pattern, diagnostics)) return {};
     order_path_ = classes.empty() ? (std::filesystem::path(folder) / "classes.json").string() : classes;
     ProblemList problems(diagnostics);
     problems.collect([&] { order_ = read_class_order(order_path_); });

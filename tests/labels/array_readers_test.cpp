@@ -104,6 +104,9 @@ TEST(LabelImages, RefusalsNameFileAndPixel) {
             "of colours in scene.labels.from.file");
   EXPECT_EQ(open_findings(*images(folder + "/none", ""), room_table()),
             "folder: '" + folder + "/none' is no folder; check the path");
+  EXPECT_EQ(opened("pattern: 'x_{number}.png'"),
+            "pattern: no file in '" + folder + "' is named like 'x_{number}.png'; there is for example 'a.png'");
+  EXPECT_EQ(open_findings(*images(fresh_folder("empty"), ""), room_table()).find("pattern: no file in"), 0u);
   const auto parameters = [&](const std::string& rest) { return error_of([&] { (void)images(folder, rest); }); };
   EXPECT_NE(parameters("pattern: 'x.png'").find("'x.png' names the same file for every frame"), std::string::npos);
   EXPECT_NE(parameters("pattern: '{nmae}.png'").find("'{nmae}' in '{nmae}.png' stands for nothing"), std::string::npos);
