@@ -1,0 +1,87 @@
+// `semfield export` and `semfield classes`: the program on a tiny room; what it wrote is compared with what it renders.
+#include <cstdlib>
+
+#include "core/files.h"
+#include "scene/class_import.h"
+#include "scene/image_io.h"
+#include "tests/labels/reader_case.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_labels;
+using testing_room::fresh_folder;
+
+struct Result {
+  int code = 0;
+  std::string out, err;
+};
+
+Result semfield_run(const std::string& words, const std::string& folder) {
+  const std::string command = "cd '" + folder + "' && '" + std::string(SEMFIELD_BINARY) + "' " + words + " >'" +
+                              folder + "/stdout' 2>'" + folder + "/stderr'";
+  const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of this test
+  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
+          read_text_file(folder + "/stderr")};
+}
+
+TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
+  const std::string folder = fresh_folder("t");
+  testing_room::write_replica(folder + "/room", 5);
+  // Labels by way of a reader: the class images under another name.
+  std::filesystem::rename(folder + "/room/semantic_class", folder + "/predictions");
+  write_file_atomic(
+      folder + "/room.yaml",
+      "include: " + std::string(SEMFIELD_SOURCE_DIR) +
+          "/configs/parts/hash_room.yaml\n"
+          "scene: {type: replica, root: room, train_step: 2, test_step: 2, test_offset: 1, labels: {from: "
+          "{type: images, folder: predictions, pattern: 'semantic_class_{number}.png'}}}\n");
+  const Result trained = semfield_run("train room.yaml --steps 20 --threads 1 --out run -q", folder);
+  ASSERT_EQ(trained.code, 0) << trained.err;
+  ASSERT_EQ(semfield_run("render run --split test --out rendered -q", folder).code, 0);
+  const ClassTable table = ClassTable::load(folder + "/room/classes.yaml");
+  for (const std::string format : {"coco", "coco_rle", "labelme"}) {
+    const Result r = semfield_run("export run --split test --format " + format + " --out " + format + ".json", folder);
+    ASSERT_EQ(r.code, 0) << r.err;
+    EXPECT_EQ(r.out.find("export: frames=2 shapes="), 0u) << r.out;
+    const std::string path = folder + "/" + format + ".json";
+    const auto reader =
+        format == "labelme" ? make_reader("labelme", "folder: " + path) : make_reader("coco", "file: " + path);
+    for (const std::string name : {"rgb_1", "rgb_3"}) {
+      const Image<std::uint16_t> ids = read_ids(folder + "/rendered/" + name + "_label.png");
+      std::vector<std::int16_t> rendered;
+      for (const std::uint16_t id : ids.pixels) rendered.push_back(static_cast<std::int16_t>(table.index_of(id)));
+      EXPECT_EQ(read_labels(*reader, frame_of(name), table).hard, rendered) << format << " " << name;
+    }
+  }
+  const Result small = semfield_run("export run --set scene.load.downscale=2 --out half.json", folder);
+  EXPECT_EQ(small.code, 0);
+  EXPECT_EQ(
+      small.err,
+      "labels are 20 x 15, the stored images 40 x 30: to export at that size, give --set scene.load.downscale=1\n");
+  const Result wrong = semfield_run("export run --format coc --out x.json", folder);
+  EXPECT_EQ(wrong.code, 2);
+  EXPECT_EQ(wrong.err, "semfield: --format coc: expected coco, coco_rle or labelme\n");
+  EXPECT_EQ(semfield_run("export none --out x.json", folder).code, 66);
+}
+
+TEST(ClassesVerb, ConvertsTables) {
+  const std::string folder = fresh_folder("t");
+  EXPECT_EQ(semfield_run("classes nyu40", folder).out, published_classes("nyu40").to_yaml());
+  ASSERT_EQ(semfield_run("classes scannet20 --format cvat --out labelmap.txt", folder).code, 0);
+  EXPECT_EQ(load_cvat_labelmap(folder + "/labelmap.txt").valid_count(), 20);
+  EXPECT_EQ(semfield_run("classes labelmap.txt --format csv", folder).out.find("class_id,class\n0,void\n1,wall\n"), 0u);
+  EXPECT_NE(semfield_run("classes nyu13 --colors semfield", folder).out, published_classes("nyu13").to_yaml());
+  write_file_atomic(folder + "/l.tsv", std::string_view("id\traw_category\tnyu40id\n2\toffice chair\t5\n"));
+  EXPECT_NE(semfield_run("classes l.tsv --ids nyu40", folder).out.find("{id: 5, name: \"chair\""), std::string::npos);
+  EXPECT_NE(semfield_run("classes l.tsv", folder).out.find("{id: 2, name: \"office chair\""), std::string::npos);
+  const Result wrong = semfield_run("classes nyu13 --ids nyu40", folder);
+  EXPECT_EQ(wrong.code, 2);
+  EXPECT_EQ(wrong.err, "semfield: --ids nyu40: 'nyu13' is no table of ScanNet; give scannetv2-labels.combined.tsv\n");
+  EXPECT_EQ(semfield_run("classes nyu13 --format yml", folder).err,
+            "semfield: --format yml: expected one of yaml, csv, cvat; did you mean yaml?\n");
+  EXPECT_EQ(semfield_run("classes none.yaml", folder).code, 66);
+}
+
+}  // namespace
+}  // namespace semfield
