@@ -1,6 +1,7 @@
 // labelme and COCO: shapes to pixels, names to classes, every refusal.
 #include <gtest/gtest.h>
 
+#include "core/rng.h"
 #include "labels/outline_fill.h"
 #include "labels/run_lengths.h"
 #include "tests/labels/reader_case.h"
@@ -282,6 +283,39 @@ TEST(Coco, RunLengthTextRoundTrips) {
   EXPECT_NE(error_of([] { (void)counts_of_text("4P"); }).find("the text ends within a number"), std::string::npos);
   EXPECT_NE(error_of([] { (void)counts_of_text("ooooooooooooo0"); }).find("number 1 is too large"), std::string::npos);
   EXPECT_NE(error_of([] { (void)counts_of_text("O"); }).find("count 1 is negative"), std::string::npos);
+}
+
+// Whatever bytes are damaged, opening and reading end with an Error, with problems or with labels, never otherwise.
+TEST(PolygonReaders, DamageNeverCrashes) {
+  LabelmeCase labelme_case;
+  CocoCase coco_case;
+  const std::string shapes = labelme(shape("wall", "polygon", "[[0,0],[6,0],[6,4]]") + "," +
+                                     shape("table", "circle", "[[4.5,2.5],[5.5,2.5]]"));
+  const std::string masks =
+      coco(note(1, R"({"size": [3, 4], "counts": "423OO"})") + "," +
+           note(4, R"({"size": [3, 4], "counts": [4, 2, 3, 1, 2]})") + "," + note(9, "[[0,0,4,0,4,3,0,3]]"));
+  int refused = 0;
+  for (std::uint64_t trial = 0; trial < 400; ++trial) {
+    const RandomAddress address{trial, 0, stream_id("damage")};
+    const auto damaged = [&](std::string text) {
+      for (std::uint64_t k = 0; k < 1 + trial % 3; ++k)
+        text[uniform_below(address, 2 * k, text.size())] =
+            "0123456789-.e[]{}\",:x"[uniform_below(address, 2 * k + 1, 22)];
+      return text;
+    };
+    testing_room::plain_write(labelme_case.folder + "/rgb_3.json", damaged(shapes));
+    testing_room::plain_write(coco_case.file, damaged(masks));
+    for (LabelReader* reader : {labelme_case.reader.get(), coco_case.reader.get()}) {
+      const std::string error = error_of([&] {
+        Diagnostics d;
+        (void)reader->open(room_table(), d);
+        d.throw_if_errors(ErrorKind::data, "problems:");
+        if (reader->has(frame_of("rgb_3"))) (void)reader->read(frame_of("rgb_3"), room_table());
+      });
+      refused += error.empty() ? 0 : 1;
+    }
+  }
+  EXPECT_GT(refused, 200);
 }
 
 }  // namespace
