@@ -4,6 +4,7 @@
 #include "config/compose.h"
 #include "config/explain.h"
 #include "config/schema.h"
+#include "train/label_config.h"
 #include "train/run_config.h"
 #include "verbs.h"
 
@@ -59,7 +60,12 @@ int run_config_schema(AppContext& context) {
   const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
   const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};
   sections.push_back({"passes[]", "one pass over the rays", {pass, like}});
+  std::vector<SchemaAlternative> readers, degradations;
+  for (const LabelStepDoc& doc : describe_label_steps())
+    (doc.key == "from" ? readers : degradations).push_back({doc.type, doc.sentence, doc.params});
   const std::vector<SchemaChoice> choices{
+      {"scene.labels.from", "label files that train instead of the dataset's own labels", readers},
+      {"scene.labels.degrade[]", "changes of the labels that train, in order", degradations},
       {"scene", "where frames come from", alternatives(context.registry, PluginKind::dataset)},
       {"passes[].sampler", "where along a ray the field is evaluated",
        alternatives(context.registry, PluginKind::sampler)},

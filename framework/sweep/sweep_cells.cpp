@@ -19,10 +19,12 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
   std::vector<ConfigOverride> set = scene.set;
   set.insert(set.end(), e.set.begin(), e.set.end());
   set.insert(set.end(), variant.set.begin(), variant.set.end());
+  set.insert(set.end(), scene.after.begin(), scene.after.end());
   Diagnostics found;
   std::string text;
   try {
-    RunConfig config = read_run_config(compose_config(variant.base.empty() ? scene.base : variant.base, set), registry, found);
+    RunConfig config =
+        read_run_config(compose_config(variant.base.empty() ? scene.base : variant.base, set), registry, found);
     config.name = scene.name;
     config.runtime.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
     config.labels.selection.seed = e.seeds[use.seed];

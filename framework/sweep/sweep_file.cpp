@@ -133,8 +133,9 @@ class Reader {
     for (const auto& [name, node] : map->entries()) {
       if (!use.empty() && std::find(use.begin(), use.end(), name) == use.end()) continue;
       const std::string path = "scenes." + name;
-      SweepScene scene{name, "", {}, false};
-      if (node.is_map()) known_keys(node, path, {"base", "set", "pack"});
+      SweepScene scene;
+      scene.name = name;
+      if (node.is_map()) known_keys(node, path, {"base", "set", "after", "pack"});
       const ConfigNode* own = node.is_map() ? node.find("base") : nullptr;
       const ConfigNode* file = own != nullptr ? own : base;
       if (file == nullptr || !file->is_scalar()) {
@@ -143,6 +144,7 @@ class Reader {
       }
       scene.base = base_file(*file);
       scene.set = overrides(node.is_map() ? node.find("set") : nullptr, path + ".set");
+      scene.after = overrides(node.is_map() ? node.find("after") : nullptr, path + ".after");
       scene.pack = flag(node, path, "pack");
       e.scenes.push_back(std::move(scene));
     }

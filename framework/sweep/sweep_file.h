@@ -28,8 +28,9 @@ struct SweepVariant {
 
 struct SweepScene {
   std::string name;
-  std::string base;  ///< configuration file, absolute
-  std::vector<ConfigOverride> set;
+  std::string base;                   ///< configuration file, absolute
+  std::vector<ConfigOverride> set;    ///< before the variant's
+  std::vector<ConfigOverride> after;  ///< after them: what a variant's step needs to know of this scene
   bool pack = false;  ///< cells read the scene from one packed file, made once: where opening it costs time
 };
 

@@ -1,0 +1,170 @@
+// Sweep files: what becomes of grids, variants, scenes and lists of files, and every error with its place.
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include "core/files.h"
+#include "plugin/linked_plugins.h"
+#include "sweep/sweep_cells.h"
+#include "train/run_config.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+
+class SweepFile : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = (fs::path(testing::TempDir()) / "semfield_sweep_file").string();
+    fs::remove_all(folder_);
+    fs::create_directories(folder_);
+    write("base.yaml",
+          "scene: {type: replica, root: walk}\n"
+          "passes:\n"
+          "  - sampler: {type: stratified, samples: 8}\n"
+          "    position: {type: frequency, frequencies: 3}\n"
+          "    field: {type: nerf_mlp, depth: 2, width: 8, skip_at: 0}\n");
+    register_linked_plugins(registry_);
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  std::string write(const std::string& name, const std::string& text) {
+    write_file_atomic(folder_ + "/" + name, std::string_view(text));
+    return folder_ + "/" + name;
+  }
+  std::vector<Cell> cells(const std::string& text) {
+    return plan_cells(read_sweep(write("sweep.yaml", text)), registry_);
+  }
+  std::string error_of(const std::string& text) {
+    try {
+      (void)cells(text);
+    } catch (const Error& e) {
+      std::string what = e.what();
+      for (std::size_t at; (at = what.find(folder_ + "/")) != std::string::npos;) what.erase(at, folder_.size() + 1);
+      return what;
+    }
+    return "no error";
+  }
+
+  std::string folder_;
+  Registry registry_;
+};
+
+TEST_F(SweepFile, AGridIsEveryCombinationTheLastKeyFastest) {
+  const Sweep sweep = read_sweep(write("sweep.yaml",
+                                       "base: base.yaml\nscenes: {a: }\n"
+                                       "grid: {train.rays: [64, 128], semantics.weight: [0.04, 1]}\n"));
+  ASSERT_EQ(sweep.experiments.size(), 1u);
+  const Experiment& e = sweep.experiments[0];
+  EXPECT_EQ(e.name, "sweep");
+  ASSERT_EQ(e.variants.size(), 4u);
+  EXPECT_EQ(e.variants[0].name, "rays 64, weight 0.04");
+  EXPECT_EQ(e.variants[1].name, "rays 64, weight 1");
+  EXPECT_EQ(e.variants[2].name, "rays 128, weight 0.04");
+  EXPECT_FALSE(e.variants[0].x) << "two keys have no one abscissa";
+  const std::vector<Cell> all = plan_cells(sweep, registry_);
+  ASSERT_EQ(all.size(), 4u);
+  EXPECT_NE(all[3].config.find("rays: 128"), std::string::npos);
+  EXPECT_NE(all[3].config.find("weight: 1.0"), std::string::npos);
+}
+
+TEST_F(SweepFile, SeedsGoToTrainingAndLabelsAndEqualRunsAreOneCell) {
+  const std::vector<Cell> all = cells(
+      "base: base.yaml\nseeds: [3, 4]\nscenes: {a: , b: {set: {scene.root: other}}}\n"
+      "variants: {plain: , same: {set: {train.steps: 20000}}, longer: {set: {train.steps: 30000}}}\n");
+  ASSERT_EQ(all.size(), 8u) << "2 scenes x 2 seeds x 2 configurations; 20000 is the default";
+  EXPECT_EQ(all[0].uses.size(), 2u);
+  EXPECT_EQ(all[0].seed, 3);
+  EXPECT_NE(all[0].config.find("seed: 3"), std::string::npos);
+  EXPECT_EQ(all[0].config.find("seed: 1"), std::string::npos) << "labels and training share the seed";
+  EXPECT_NE(all[0].config.find(folder_ + "/walk"), std::string::npos) << "a path starts at the file that wrote it";
+}
+
+TEST_F(SweepFile, AnotherSplitIsAnotherCellAndScoresTrainingFrames) {
+  const std::string rest = "base: base.yaml\nscenes: {a: }\nvariants: {plain: }\n";
+  const std::vector<Cell> test = cells(rest), train = cells("split: train\n" + rest);
+  EXPECT_NE(test[0].id, train[0].id);
+  EXPECT_NE(test[0].config.find("score_training_frames: false"), std::string::npos);
+  EXPECT_NE(train[0].config.find("score_training_frames: true"), std::string::npos);
+}
+
+TEST_F(SweepFile, FusionsComeAfterTheFieldTheyTakeDepthFrom) {
+  const std::vector<Cell> all = cells(
+      "base: base.yaml\nsplit: train\nscenes: {a: }\n"
+      "variants: {bayes: {fuse: {method: bayesian, field: ours}}, truth: {fuse: {method: bayesian}}, ours: }\n");
+  ASSERT_EQ(all.size(), 3u);
+  EXPECT_EQ(all[0].label, "sweep / ours");
+  EXPECT_EQ(all[1].field_cell, all[0].id);
+  EXPECT_EQ(all[2].field_cell, "");
+  EXPECT_NE(all[1].id, all[2].id);
+}
+
+TEST_F(SweepFile, AListOfSweepsIsMergedUnderItsOwnKeys) {
+  write("one.yaml", "base: missing.yaml\nseeds: [1, 2, 3]\nscenes: {a: }\nvariants: {plain: }\n");
+  write("two.yaml", "scenes: {a: {set: {train.rays: 64}}, b: }\nuse_scenes: [a]\nvariants: {plain: }\n");
+  const Sweep sweep =
+      read_sweep(write("all.yaml", "name: everything\nbase: base.yaml\nseeds: [9]\nsweeps: [one.yaml, two.yaml]\n"));
+  EXPECT_EQ(sweep.name, "everything");
+  ASSERT_EQ(sweep.experiments.size(), 2u);
+  EXPECT_EQ(sweep.experiments[0].name, "one");
+  EXPECT_EQ(sweep.experiments[0].seeds, (std::vector<std::int64_t>{9}));
+  EXPECT_EQ(sweep.experiments[1].scenes.size(), 1u);
+}
+
+TEST_F(SweepFile, PackedCellsKeepLabelsAndSizes) {
+  const std::vector<Cell> all = cells(
+      "base: base.yaml\nscenes: {a: {pack: true, set: {scene.labels.frames: 10%, scene.load.downscale: 2}}}\n"
+      "variants: {x: , y: {set: {scene.labels.frames: 50%}}, z: {set: {scene.hfov_deg: 80}}}\n");
+  EXPECT_EQ(all[0].pack, all[1].pack) << "labels are no part of the packed scene";
+  EXPECT_NE(all[0].pack, all[2].pack);
+  const ConfigNode config = parse_config_text(with_packed_scene(all[0].config, "/p.sfpack"), "t");
+  const ConfigNode& scene = *config.find("scene");
+  EXPECT_EQ(scene.find("type")->text(), "packed");
+  EXPECT_EQ(scene.find("root"), nullptr);
+  EXPECT_EQ(scene.find("labels")->find("frames")->text(), "10%");
+  Diagnostics d;
+  (void)read_run_config(config, registry_, d);
+  EXPECT_FALSE(d.has_errors()) << d.all()[0].text();
+}
+
+TEST_F(SweepFile, ErrorsNameTheirPlaceAllAtOnce) {
+  EXPECT_EQ(error_of("base: base.yaml\nscenes: {a: }\nvariants: {v: {sett: {}, x: one}}\nsplit: val\nseeds: [1, 1]\n"),
+            "sweep.yaml:4:8: split: expected test or train\n"
+            "sweep.yaml:5:12: seeds: 1 stands twice\n"
+            "sweep.yaml:3:16: variants.v: unknown key 'sett'; did you mean 'set'?\n"
+            "sweep.yaml:3:29: variants.v.x: expected a number");
+  EXPECT_EQ(error_of("base: bas.yaml\nscenes: {a: }\nvariants: {v: }\n"),
+            "sweep.yaml:1:7: base: no file 'bas.yaml'; paths are relative to the file that writes them");
+  EXPECT_EQ(error_of("base: base.yaml\nscenes: {a: }\nuse_scenes: [b]\n"
+                     "variants: {v: {fuse: {method: bayes, field: w}}}\n"),
+            "sweep.yaml:3:13: use_scenes: no scene 'b'; known: a\n"
+            "sweep.yaml:4:22: variants.v.fuse.method: expected monocular, bayesian or average, got 'bayes'\n"
+            "sweep.yaml:4:22: variants.v.fuse.field: no variant 'w' that trains a field");
+  EXPECT_EQ(error_of("base: base.yaml\nscenes: {a: }\n"),
+            "sweep.yaml:1:1: expected either 'variants' (a map of named differences) or 'grid' (lists of values by key "
+            "path)");
+}
+
+TEST_F(SweepFile, AnErrorOfACellNamesTheCellAndIsSaidOnce) {
+  const std::string what =
+      error_of("base: base.yaml\nseeds: [1, 2]\nscenes: {a: }\nvariants: {v: {set: {train.rayz: 3}}}\n");
+  EXPECT_NE(what.find("sweep.yaml:4:"), std::string::npos) << what;
+  EXPECT_NE(what.find("unknown key 'rayz'"), std::string::npos) << what;
+  EXPECT_NE(what.find("(sweep / a / v)"), std::string::npos) << what;
+  EXPECT_EQ(what.find("rayz", what.find("rayz") + 8), std::string::npos) << what;
+}
+
+// Every file that is shipped reads, and its cells' configurations too.
+TEST_F(SweepFile, ShippedExperimentsArePlanned) {
+  const fs::path experiments = fs::path(SEMFIELD_SOURCE_DIR) / "configs" / "experiments";
+  const Sweep all = read_sweep((experiments / "all.yaml").string());
+  int files = 0;
+  for (const auto& entry : fs::directory_iterator(experiments)) files += entry.is_regular_file() ? 1 : 0;
+  EXPECT_EQ(static_cast<int>(all.experiments.size()), files - 2) << "all.yaml lists every experiment";
+  EXPECT_GT(plan_cells(all, registry_).size(), 100u);
+  EXPECT_GT(plan_cells(read_sweep((experiments / "all_paper.yaml").string()), registry_).size(), 100u);
+}
+
+}  // namespace
+}  // namespace semfield
