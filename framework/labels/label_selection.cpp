@@ -44,12 +44,42 @@ std::vector<int> named_frames(const SceneInfo& info, const std::vector<std::stri
   return out;
 }
 
+std::vector<int> covering_frames(std::vector<int> left, std::int64_t count,
+                                 const std::vector<std::vector<std::int64_t>>& class_pixels) {
+  std::vector<int> out;
+  std::vector<char> seen;
+  while (std::ssize(out) < count) {
+    std::pair<std::int64_t, std::int64_t> most{-1, -1};  // classes not yet seen, labelled pixels
+    std::size_t best = 0;
+    for (std::size_t k = 0; k < left.size(); ++k) {
+      const std::vector<std::int64_t>& pixels = class_pixels.at(static_cast<std::size_t>(left[k]));
+      std::pair<std::int64_t, std::int64_t> shows{0, 0};
+      for (std::size_t c = 0; c + 1 < pixels.size(); ++c) {
+        if (pixels[c] > 0 && (c >= seen.size() || seen[c] == 0)) ++shows.first;
+        shows.second += pixels[c];
+      }
+      if (shows > most) {
+        most = shows;
+        best = k;
+      }
+    }
+    const std::vector<std::int64_t>& pixels = class_pixels[static_cast<std::size_t>(left[best])];
+    seen.resize(std::max(seen.size(), pixels.size()));
+    for (std::size_t c = 0; c + 1 < pixels.size(); ++c) seen[c] |= pixels[c] > 0 ? 1 : 0;
+    out.push_back(left[best]);
+    left.erase(left.begin() + static_cast<std::ptrdiff_t>(best));
+  }
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
 }  // namespace
 
 void describe(ParamVisitor& visit, LabelParams& p) {
   SEMFIELD_PARAM(visit, p, frames,
                  "training frames that keep their labels: all, none, a share such as 10%, or a number of frames");
-  SEMFIELD_PARAM(visit, p, mode, "how they are chosen: evenly spaced key-frames, at random, or by name");
+  SEMFIELD_PARAM(visit, p, mode,
+                 "how they are chosen: evenly spaced key-frames, at random, by name, or those that show most classes");
   SEMFIELD_PARAM(visit, p, seed, "seed of the random choice", {0, 9e15});
   SEMFIELD_PARAM(visit, p, names, "names of the frames, for mode named");
 }
@@ -86,7 +116,8 @@ int label_frame_count(const std::string& frames, int available) {
   refuse("frames: expected all, none, a share such as 10%, or a number, got '" + frames + "'", "write for example 10%");
 }
 
-std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& params) {
+std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& params,
+                                     const std::vector<std::vector<std::int64_t>>& class_pixels) {
   if (params.mode == LabelMode::named) return named_frames(info, params.names);
   std::vector<int> labelled;
   for (std::size_t i = 0; i < info.frames.size(); ++i) {
@@ -95,6 +126,7 @@ std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& p
   const auto available = static_cast<std::int64_t>(labelled.size());
   const std::int64_t count = label_frame_count(params.frames, static_cast<int>(available));
   std::vector<int> out;
+  if (params.mode == LabelMode::coverage) return covering_frames(labelled, count, class_pixels);
   if (params.mode == LabelMode::even) {
     for (std::int64_t k = 0; k < count; ++k) out.push_back(labelled[static_cast<std::size_t>(k * available / count)]);
     return out;

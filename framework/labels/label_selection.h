@@ -12,10 +12,10 @@
 
 namespace semfield {
 
-enum class LabelMode { even, random, named };
+enum class LabelMode { even, random, named, coverage };
 template <>
 struct ChoiceNames<LabelMode> {
-  static constexpr std::array<std::string_view, 3> names{"even", "random", "named"};
+  static constexpr std::array<std::string_view, 4> names{"even", "random", "named", "coverage"};
 };
 
 struct LabelParams {
@@ -34,8 +34,11 @@ int label_frame_count(const std::string& frames, int available);
 
 /// Indices into info.frames, ascending, of the training frames whose labels train: N key-frames at ranks floor(k * n /
 /// N) (`even`), N drawn without replacement from the address (seed, "labels/selection") (`random`), or the frames of
-/// the given names (`named`). Only frames with labels count. Throws Error(config) naming a frame that is missing, is no
-/// training frame or has no labels.
-std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& params);
+/// the given names (`named`), or one by one the frame that shows most classes not yet seen (`coverage`; of equals the
+/// one with most labelled pixels, then the first), as an annotator would choose key-frames. Only frames with labels
+/// count. `class_pixels` [frames][C + 1] as in LoadedScene, for `coverage` alone. Throws Error(config) naming a frame
+/// that is missing, is no training frame or has no labels.
+std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& params,
+                                     const std::vector<std::vector<std::int64_t>>& class_pixels = {});
 
 }  // namespace semfield

@@ -77,13 +77,14 @@ LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const 
 
 // As in LoadedScene. Soft labels count for their most probable class; a class that is nowhere the most probable but has
 // probability somewhere counts 1, so that it keeps its logit.
-std::vector<std::int64_t> count_classes(const TrainingLabels::Frame& frame, int classes) {
+std::vector<std::int64_t> count_classes(const FrameLabels& frame, int classes) {
   const auto valid = static_cast<std::size_t>(classes);
   std::vector<std::int64_t> counts(valid + 1);
   std::vector<float> row(valid);
   std::vector<char> seen(valid);
-  for (std::size_t i = 0; i < frame.size(); ++i) {
-    const std::int16_t c = frame[i];
+  const std::size_t size = frame.soft.empty() ? frame.hard.size() : frame.soft.pixels();
+  for (std::size_t i = 0; i < size; ++i) {
+    const std::int16_t c = frame.soft.empty() ? frame.hard[i] : frame.soft.argmax(i);
     ++counts[c < 0 ? valid : static_cast<std::size_t>(c)];
     if (frame.soft.empty()) continue;
     frame.soft.row(i, row);
@@ -140,8 +141,24 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
     if (frame.split == Split::train) frame.has_labels = labelled_by(scene, config, i);
   }
   std::vector<char> wanted(scene.frames.size());
-  for (const int f : select_label_frames(listed, config.selection)) wanted[static_cast<std::size_t>(f)] = 1;
-  LabelSet labels = read_frames(scene, config, wanted, diagnostics);
+  LabelSet labels;
+  if (config.selection.mode == LabelMode::coverage) {
+    // The choice depends on what the labels show, so all are read.
+    for (std::size_t i = 0; i < wanted.size(); ++i)
+      wanted[i] = listed.frames[i].split == Split::train && listed.frames[i].has_labels ? 1 : 0;
+    labels = read_frames(scene, config, wanted, diagnostics);
+    std::vector<std::vector<std::int64_t>> pixels(labels.size());
+    for (std::size_t i = 0; i < labels.size(); ++i) {
+      if (!labels[i].empty()) pixels[i] = count_classes(labels[i], scene.info.classes.valid_count());
+    }
+    const std::vector<int> chosen = select_label_frames(listed, config.selection, pixels);
+    for (std::size_t i = 0; i < labels.size(); ++i) {
+      if (!std::binary_search(chosen.begin(), chosen.end(), static_cast<int>(i))) labels[i] = {};
+    }
+  } else {
+    for (const int f : select_label_frames(listed, config.selection)) wanted[static_cast<std::size_t>(f)] = 1;
+    labels = read_frames(scene, config, wanted, diagnostics);
+  }
   diagnostics.throw_if_errors(ErrorKind::data, "the labels have problems:");
 
   TrainingLabels out;
@@ -163,13 +180,13 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
   parallel_for(std::ssize(labels), [&](std::int64_t index) {
     const auto i = static_cast<std::size_t>(index);
     if (labels[i].empty()) return;
+    out.class_pixels[i] = count_classes(labels[i], classes);
     if (labels[i].soft.empty()) {
       out.frames[i].hard = LabelMap(std::move(labels[i].hard));
     } else {
       out.frames[i].soft = std::move(labels[i].soft);
     }
     labels[i] = {};
-    out.class_pixels[i] = count_classes(out.frames[i], classes);
   });
   out.soft = std::any_of(out.frames.begin(), out.frames.end(), [](const auto& f) { return !f.soft.empty(); });
   return out;

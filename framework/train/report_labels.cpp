@@ -76,7 +76,7 @@ struct Column {
 };
 
 std::string table(const ReportInput& input, const std::string& split) {
-  // The last two are of runs with report.score_training_frames: what the labels were worth, and what was made of them.
+  // The last two are of runs with report.training_frames: what the labels were worth, and what was made of them.
   const std::array<Column, 4> all{{{"mIoU", "", split, "miou"},
                                    {"Total accuracy", "", split, "total_accuracy"},
                                    {"mIoU of the labels", "against the scene’s own", "train", "given_miou"},

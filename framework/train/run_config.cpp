@@ -73,8 +73,10 @@ void describe(ParamVisitor& visit, ReportParams& p) {
   SEMFIELD_PARAM(visit, p, checkpoint_every_s, "seconds between checkpoints; 0: only at the end", {0, 1e8});
   SEMFIELD_PARAM(visit, p, keep_checkpoints, "checkpoints that stay on disk", {2, 1e6});
   SEMFIELD_PARAM(visit, p, strips, "test frames shown in the report", {0, 64});
-  SEMFIELD_PARAM(visit, p, score_training_frames,
-                 "at the end also score the training frames against the scene's own labels, and the labels given");
+  SEMFIELD_PARAM(visit, p, training_frames,
+                 "training frames, evenly spaced, that are scored at the end against the scene's own labels, as are "
+                 "the labels given; 0: none",
+                 {0, 1e6});
   SEMFIELD_PARAM(visit, p, worst_frames, "test frames with the lowest scores shown in the report", {0, 64});
 }
 

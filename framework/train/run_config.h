@@ -96,7 +96,7 @@ struct ReportParams {
   double checkpoint_every_s = 60;
   int keep_checkpoints = 2;
   int strips = 4;
-  bool score_training_frames = false;
+  int training_frames = 0;
   int worst_frames = 2;
 };
 void describe(ParamVisitor& visit, ReportParams& params);

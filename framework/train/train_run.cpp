@@ -101,7 +101,7 @@ class Run {
     if (signal == 0) {
       if (config.report.eval_every_s > 0) evaluate_now(config.report.eval_frames, false);  // the curve's last point
       outcome.values = evaluate_now(1 << 30, true);
-      if (config.report.score_training_frames) score_training_frames();
+      if (config.report.training_frames > 0) score_training_frames();
     }
     outcome.signal = signal;
     outcome.step = trainer_->step();
@@ -218,7 +218,8 @@ class Run {
 
   // A row of split "train": the field at the training poses against the scene's own labels, then the labels given.
   void score_training_frames() {
-    const std::vector<int> frames = session_.scene.frames_of(Split::train);
+    const std::vector<int> frames =
+        evenly_spaced(session_.scene.frames_of(Split::train), session_.config.report.training_frames);
     const SplitScore score =
         evaluate(*session_.pipeline, session_.eval_job(frames), session_.limits, session_.plan.class_of_logit);
     MetricsRow row;
@@ -288,7 +289,7 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   Diagnostics diagnostics;
   SessionOptions options;
   options.keep = request.keep;
-  if (config.report.score_training_frames) options.depth = DepthKept::all;
+  if (config.report.training_frames > 0) options.depth = DepthKept::all;
   // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
   std::optional<RunFolder> folder;
   if (request.resume) folder.emplace(RunFolder::resume(request.out_dir));

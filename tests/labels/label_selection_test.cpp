@@ -97,5 +97,26 @@ TEST(LabelSelection, RefusalsAreExact) {
   EXPECT_EQ(d.error_count(), 1);
 }
 
+// Frame 0 shows classes 0 and 1, frame 1 class 2 alone, frame 2 classes 0, 1 and 3: 2 first, then 1.
+TEST(LabelSelection, CoverageTakesTheFrameThatShowsMostNewClasses) {
+  SceneInfo info;
+  for (int i = 0; i < 4; ++i) {
+    FrameInfo f;
+    f.has_labels = true;
+    f.split = i == 3 ? Split::test : Split::train;
+    info.frames.push_back(f);
+  }
+  const std::vector<std::vector<std::int64_t>> pixels{
+      {9, 9, 0, 0, 0}, {0, 0, 1, 0, 30}, {1, 1, 0, 1, 0}, {5, 5, 5, 5, 5}};
+  LabelParams p;
+  p.mode = LabelMode::coverage;
+  p.frames = "1";
+  EXPECT_EQ(select_label_frames(info, p, pixels), (std::vector<int>{2}));
+  p.frames = "2";
+  EXPECT_EQ(select_label_frames(info, p, pixels), (std::vector<int>{1, 2}));
+  p.frames = "3";
+  EXPECT_EQ(select_label_frames(info, p, pixels), (std::vector<int>{0, 1, 2}));
+}
+
 }  // namespace
 }  // namespace semfield

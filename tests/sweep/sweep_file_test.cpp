@@ -85,8 +85,8 @@ TEST_F(SweepFile, AnotherSplitIsAnotherCellAndScoresTrainingFrames) {
   const std::string rest = "base: base.yaml\nscenes: {a: }\nvariants: {plain: }\n";
   const std::vector<Cell> test = cells(rest), train = cells("split: train\n" + rest);
   EXPECT_NE(test[0].id, train[0].id);
-  EXPECT_NE(test[0].config.find("score_training_frames: false"), std::string::npos);
-  EXPECT_NE(train[0].config.find("score_training_frames: true"), std::string::npos);
+  EXPECT_NE(test[0].config.find("training_frames: 0"), std::string::npos);
+  EXPECT_NE(train[0].config.find("training_frames: 1000000"), std::string::npos);
 }
 
 TEST_F(SweepFile, FusionsComeAfterTheFieldTheyTakeDepthFrom) {
