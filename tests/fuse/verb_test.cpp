@@ -1,6 +1,5 @@
 // `semfield fuse` as a user runs it: lines, JSON, maps, depth of a trained run, refusals.
 #include <gtest/gtest.h>
-#include <sys/wait.h>
 
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -10,6 +9,7 @@
 #include "scene/packed_scene.h"
 #include "scene/png_codec.h"
 #include "testkit/analytic_scene.h"
+#include "tests/program.h"
 #include "tests/train/train_testing.h"
 
 namespace semfield {
@@ -17,15 +17,10 @@ namespace {
 
 using namespace testing_train;
 
-struct Result {
-  int code = -1;
-  std::string out, err;
-};
+using testing_program::Result;
 
 Result semfield(const std::string& words, const TempDir& dir) {
-  const int status =
-      std::system((SEMFIELD_BINARY " " + words + " >" + (dir / "out") + " 2>" + (dir / "err") + " </dev/null").c_str());
-  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(dir / "out"), read_text_file(dir / "err")};
+  return testing_program::semfield_run(words, dir.path());
 }
 
 // A packed analytic room and a configuration that trains on it for a moment.

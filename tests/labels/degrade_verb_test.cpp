@@ -5,25 +5,15 @@
 #include "core/files.h"
 #include "scene/class_table.h"
 #include "tests/labels/degradation_testing.h"
+#include "tests/program.h"
 
 namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
+using testing_program::Result;
+using testing_program::semfield_run;
 using testing_room::fresh_folder;
-
-struct Result {
-  int code = 0;
-  std::string out, err;
-};
-
-Result semfield_run(const std::string& words, const std::string& folder, const std::string& before = "") {
-  const std::string command = before + "'" + std::string(SEMFIELD_BINARY) + "' " + words + " >'" + folder +
-                              "/stdout' 2>'" + folder + "/stderr'";
-  const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of this test
-  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
-          read_text_file(folder + "/stderr")};
-}
 
 // A room of 5 frames of which 0, 2 and 4 train; returns the configuration's path.
 std::string write_config(const std::string& folder, const std::string& labels) {

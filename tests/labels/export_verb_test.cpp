@@ -5,25 +5,15 @@
 #include "scene/class_import.h"
 #include "scene/image_io.h"
 #include "tests/labels/reader_case.h"
+#include "tests/program.h"
 
 namespace semfield {
 namespace {
 
 using namespace testing_labels;
+using testing_program::Result;
+using testing_program::semfield_run;
 using testing_room::fresh_folder;
-
-struct Result {
-  int code = 0;
-  std::string out, err;
-};
-
-Result semfield_run(const std::string& words, const std::string& folder) {
-  const std::string command = "cd '" + folder + "' && '" + std::string(SEMFIELD_BINARY) + "' " + words + " >'" +
-                              folder + "/stdout' 2>'" + folder + "/stderr'";
-  const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of this test
-  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
-          read_text_file(folder + "/stderr")};
-}
 
 TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
   const std::string folder = fresh_folder("t");

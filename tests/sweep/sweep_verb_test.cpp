@@ -10,26 +10,16 @@
 #include <thread>
 
 #include "core/files.h"
+#include "tests/program.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
+using testing_program::Result;
+using testing_program::semfield_run;
 using testing_room::fresh_folder;
-
-struct Result {
-  int code = 0;
-  std::string out, err;
-};
-
-Result semfield_run(const std::string& words, const std::string& folder) {
-  const std::string command =
-      "'" + std::string(SEMFIELD_BINARY) + "' " + words + " >'" + folder + "/stdout' 2>'" + folder + "/stderr'";
-  const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of this test
-  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
-          read_text_file(folder + "/stderr")};
-}
 
 // Five frames, three of which train; two variants that train and one that fuses.
 std::string write_sweep(const std::string& folder, int steps, const std::string& more = "") {
