@@ -108,7 +108,18 @@ bool LabelConfig::wants_depth() const {
 
 void open_label_files(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
   if (!config.from.reader) return;
-  const ClassTable table = config.from.reader->open(scene.info.classes, diagnostics);
+  Diagnostics found;
+  const ClassTable table = config.from.reader->open(scene.info.classes, found);
+  for (const Diagnostic& d : found.all()) {
+    const std::string where = "scene.labels.from" + (d.where.empty() ? "" : ": " + d.where);
+    if (d.severity == Severity::error) {
+      diagnostics.error(where, d.message, d.remedy);
+    } else if (d.severity == Severity::warning) {
+      diagnostics.warning(where, d.message, d.remedy);
+    } else {
+      diagnostics.note(where, d.message);
+    }
+  }
   if (scene.info.classes.empty()) scene.info.classes = table;
   if (scene.info.classes.empty() && !diagnostics.has_errors()) {
     diagnostics.error("scene.labels.from", "neither the scene nor its label files have a class table",

@@ -48,12 +48,11 @@ std::string standalone_svg(const PlotSpec& spec) {
       width, height + kHead, report_style(), html_escape(spec.title));
   double x = 12;
   for (const PlotSeries& series : spec.series) {
-    out += fmt::format(
-        "<line x1=\"{0:.0f}\" x2=\"{1:.0f}\" y1=\"34\" y2=\"34\" stroke-width=\"2\" stroke=\"var(--s{2})\"/><text "
-        "x=\"{3:.0f}\" "
-        "y=\"38\" font-size=\"12\" fill=\"var(--ink)\">{4}</text>\n",
-        x, x + 20, series.color, x + 26, html_escape(series.name));
-    x += 44 + 7.5 * static_cast<double>(series.name.size());
+    const std::string sample = line_sample(series.color);
+    out += sample.substr(0, 4) + fmt::format(" x=\"{:.0f}\" y=\"28\" width=\"34\" height=\"10\"", x) + sample.substr(4);
+    out += fmt::format("<text x=\"{:.0f}\" y=\"38\" font-size=\"12\" fill=\"var(--ink)\">{}</text>\n", x + 40,
+                       html_escape(series.name));
+    x += 60 + 7.5 * static_cast<double>(series.name.size());
   }
   out += fmt::format("<g transform=\"translate(0 {:.0f})\">\n", kHead);
   return out + plot.substr(0, 4) + fmt::format(" width=\"{:.0f}\" height=\"{:.0f}\"", width, height) + plot.substr(4) +

@@ -164,6 +164,12 @@ std::string describe_session(const Session& s) {
   add(fmt::format("scene     {}: {} training and {} test frames at {}x{}, {} classes, labels on {} training frames",
                   s.scene.info.name, train.size(), test.size(), first.camera.width_px, first.camera.height_px,
                   s.classes(), s.manifest.labelled_frames));
+  if (s.config.labels.from.reader) add("labels    from " + s.config.labels.from.type);
+  for (const TrainingLabels::Step& step : s.labels.steps) {
+    std::vector<std::string> facts;
+    for (const auto& [name, value] : step.facts) facts.push_back(name + " " + value);
+    add("labels    " + step.type + ": " + join(facts));
+  }
   add(fmt::format("bounds    {:.2f} x {:.2f} x {:.2f} {} (from {}), near {:.3g}, far {:.3g} (from {})", size.x, size.y,
                   size.z, s.scene.info.metric ? "m" : "units", s.scene.bounds_from, s.extent.near_m, s.extent.far_m,
                   s.scene.near_far_from));
