@@ -100,6 +100,17 @@ TEST_F(SweepFile, FusionsComeAfterTheFieldTheyTakeDepthFrom) {
   EXPECT_NE(all[1].id, all[2].id);
 }
 
+TEST_F(SweepFile, WhatASceneSetsAfterReachesIntoAVariantsStep) {
+  const std::vector<Cell> all = cells(
+      "base: base.yaml\nscenes: {a: {set: {train.rays: 64}, after: {scene.labels.degrade.0.classes: [chair]}}}\n"
+      "set: {train.rays: 32}\n"
+      "variants: {v: {set: {scene.labels.degrade: [{type: region_noise, ratio: 0.5}], train.steps: 7}}}\n");
+  ASSERT_EQ(all.size(), 1u);
+  EXPECT_NE(all[0].config.find("chair"), std::string::npos) << all[0].config;
+  EXPECT_NE(all[0].config.find("rays: 32"), std::string::npos) << "the experiment's come after the scene's";
+  EXPECT_NE(all[0].config.find("steps: 7"), std::string::npos);
+}
+
 TEST_F(SweepFile, AListOfSweepsIsMergedUnderItsOwnKeys) {
   write("one.yaml", "base: missing.yaml\nseeds: [1, 2, 3]\nscenes: {a: }\nvariants: {plain: }\n");
   write("two.yaml", "scenes: {a: {set: {train.rays: 64}}, b: }\nuse_scenes: [a]\nvariants: {plain: }\n");
