@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <map>
 
 #include "config/params_read.h"
 #include "core/check.h"
@@ -57,6 +58,17 @@ std::string standalone_svg(const PlotSpec& spec) {
   out += fmt::format("<g transform=\"translate(0 {:.0f})\">\n", kHead);
   return out + plot.substr(0, 4) + fmt::format(" width=\"{:.0f}\" height=\"{:.0f}\"", width, height) + plot.substr(4) +
          "</g></svg>\n";
+}
+
+// What a reader calls a metric of metrics.jsonl.
+std::string metric_label(const std::string& metric) {
+  static const std::map<std::string, std::string> labels{
+      {"miou_present", "mIoU"},       {"given_miou_present", "mIoU of the labels given"},
+      {"total_accuracy", "accuracy"}, {"given_total_accuracy", "accuracy of the labels given"},
+      {"psnr", "PSNR, dB"},           {"absrel", "AbsRel"},
+      {"rmse", "RMSE of depth, m"},   {"train_s", "seconds of training"}};
+  const auto found = labels.find(metric);
+  return found == labels.end() ? metric : found->second;
 }
 
 // A bar would end the table's cell.
@@ -120,16 +132,40 @@ MeanInterval ExperimentTable::at(std::size_t scene, std::size_t variant, const s
 MeanInterval ExperimentTable::over_scenes(std::size_t variant, const std::string& metric) const {
   MeanInterval out;
   double squares = 0;
+  bool known = true;  // of every scene's interval
   for (std::size_t s = 0; s < values_.size(); ++s) {
     const MeanInterval m = at(s, variant, metric);
     if (m.n == 0) continue;
     ++out.n;
     out.mean += m.mean;
     squares += m.half_width * m.half_width;
+    known = known && m.n > 1;
   }
   if (out.n > 0) {
     out.mean /= out.n;
-    out.half_width = std::sqrt(squares) / out.n;
+    if (known) out.half_width = std::sqrt(squares) / out.n;
+  }
+  return out;
+}
+
+std::string ExperimentTable::metric_table(const std::string& metric, bool with_paper) const {
+  const Experiment& e = experiment_;
+  const bool many = e.scenes.size() > 1;
+  std::string out = "| " + metric_label(metric) + " |", rule = "|---|";
+  const auto column = [&](const std::string& head) {
+    out += " " + head + " |";
+    rule += "---|";
+  };
+  for (const SweepScene& scene : e.scenes) column(md(scene.name));
+  if (many) column("mean");
+  if (with_paper) column("paper" + (e.paper.empty() ? "" : " (" + md(e.paper) + ")"));
+  out += "\n" + rule + "\n";
+  for (std::size_t v = 0; v < e.variants.size(); ++v) {
+    out += "| " + md(e.variants[v].name) + " |";
+    for (std::size_t s = 0; s < e.scenes.size(); ++s) out += " " + cell_text(at(s, v, metric)) + " |";
+    if (many) out += " " + cell_text(over_scenes(v, metric)) + " |";
+    if (with_paper) out += " " + (e.variants[v].paper ? fmt::format("{:.3f}", *e.variants[v].paper) : "–") + " |";
+    out += "\n";
   }
   return out;
 }
@@ -139,36 +175,13 @@ std::string ExperimentTable::markdown() const {
   std::string out = "## " + e.title + "\n\n";
   if (!e.note.empty()) out += e.note + "\n\n";
   const std::size_t seeds = e.seeds.size();
-  out += fmt::format("Scored on {} frames; {}.\n\n", e.split == "train" ? "training" : "held-out",
+  out += fmt::format("Scored on {} frames; {}.\n", e.split == "train" ? "training" : "held-out",
                      seeds == 1 ? "one seed" : fmt::format("mean of {} seeds ± half the 95 % interval", seeds));
-  const bool many = e.scenes.size() > 1;
-  const bool paper =
+  bool paper =
       std::any_of(e.variants.begin(), e.variants.end(), [](const SweepVariant& v) { return v.paper.has_value(); });
-  out += "| variant |";
-  std::string rule = "|---|";
   for (const std::string& metric : e.metrics) {
-    for (const SweepScene& scene : e.scenes) {
-      out += " " + md(scene.name) + " " + metric + " |";
-      rule += "---|";
-    }
-    if (many) {
-      out += " mean " + metric + " |";
-      rule += "---|";
-    }
-  }
-  if (paper) {
-    out += " paper" + (e.paper.empty() ? "" : " (" + md(e.paper) + ")") + " |";
-    rule += "---|";
-  }
-  out += "\n" + rule + "\n";
-  for (std::size_t v = 0; v < e.variants.size(); ++v) {
-    out += "| " + md(e.variants[v].name) + " |";
-    for (const std::string& metric : e.metrics) {
-      for (std::size_t s = 0; s < e.scenes.size(); ++s) out += " " + cell_text(at(s, v, metric)) + " |";
-      if (many) out += " " + cell_text(over_scenes(v, metric)) + " |";
-    }
-    if (paper) out += " " + (e.variants[v].paper ? fmt::format("{:.3f}", *e.variants[v].paper) : "–") + " |";
-    out += "\n";
+    out += "\n" + metric_table(metric, paper);
+    paper = false;  // its figures are of the first metric
   }
   return out;
 }
@@ -192,7 +205,7 @@ std::string ExperimentTable::csv() const {
 std::string ExperimentTable::svg() const {
   const Experiment& e = experiment_;
   PlotSpec spec;
-  spec.title = e.title + ": " + e.metrics.front();
+  spec.title = e.title + ": " + metric_label(e.metrics.front());
   spec.x_label = e.x_label;
   spec.markers = true;
   std::size_t places = 0;

@@ -27,10 +27,11 @@ class ExperimentTable {
 
   /// Over the seeds of one scene; n = 0 without a finished cell.
   MeanInterval at(std::size_t scene, std::size_t variant, const std::string& metric) const;
-  /// Over scenes: the mean of the scenes' means, its interval from the seeds' alone; n = scenes with data.
+  /// Over scenes: the mean of the scenes' means, its interval from the seeds' alone, 0 where a scene has one seed;
+  /// n = scenes with data.
   MeanInterval over_scenes(std::size_t variant, const std::string& metric) const;
 
-  /// A heading, the note, and a row a variant; a column a scene and metric, the mean over scenes, the paper's figure.
+  /// A heading, the note, and a table a metric: a row a variant, a column a scene, their mean, the paper's figure.
   std::string markdown() const;
   /// variant, scene, metric, n, mean, half_width.
   std::string csv() const;
@@ -38,6 +39,7 @@ class ExperimentTable {
   std::string svg() const;
 
  private:
+  std::string metric_table(const std::string& metric, bool with_paper) const;
   const Experiment& experiment_;
   std::vector<std::vector<std::vector<const CellValues*>>> values_;  // [scene][variant][seeds done]
 };

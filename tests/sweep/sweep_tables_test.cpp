@@ -70,13 +70,12 @@ TEST(SweepTables, MarkdownShowsMeansIntervalsAndThePaper) {
   const ExperimentTable table(x.sweep, 0, x.cells, x.results);
   // Two seeds 0.002 apart: s = 0.002 / sqrt 2, half width = t(1) s / sqrt 2 = 12.706 * 0.001.
   const std::string text = table.markdown();
-  EXPECT_NE(text.find("| variant | a miou | b miou | mean miou | a psnr | b psnr | mean psnr | paper (mIoU) |\n"),
+  EXPECT_NE(text.find("| miou | a | b | mean | paper (mIoU) |\n|---|---|---|---|---|\n"
+                      "| 50 %, even | 0.101 ± 0.013 | 0.201 ± 0.013 | 0.151 ± 0.009 | 0.951 |\n"
+                      "| p\\|q | 0.111 ± 0.013 | 0.210 | 0.161 | – |\n"),
             std::string::npos)
-      << text;
-  EXPECT_NE(text.find("| 50 %, even | 0.101 ± 0.013 | 0.201 ± 0.013 | 0.151 ± 0.009 |"), std::string::npos) << text;
-  EXPECT_NE(text.find("| 0.951 |\n"), std::string::npos) << text;
-  EXPECT_NE(text.find("| p\\|q | 0.111 ± 0.013 | 0.210 |"), std::string::npos) << "a cell is missing: one seed\n"
-                                                                               << text;
+      << text;  // a cell is missing: one seed of scene b, whose interval is then unknown
+  EXPECT_NE(text.find("| PSNR, dB | a | b | mean |\n"), std::string::npos) << text;
 }
 
 TEST(SweepTables, CsvQuotesAndCountsOnlyFinishedCells) {
