@@ -224,7 +224,7 @@ ConfigNode compose_config(const std::string& path, const std::vector<std::string
   return resolve_like(root);
 }
 
-ConfigNode compose_config(const std::string& path, const std::vector<ConfigOverride>& overrides) {
+ConfigNode compose_config_with(const std::string& path, const std::vector<ConfigOverride>& overrides) {
   ConfigNode root = Loader().load(path);
   for (const ConfigOverride& o : overrides) root = apply_override(root, o.key, o.value, o.value.location());
   return resolve_like(root);

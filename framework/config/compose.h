@@ -24,7 +24,7 @@ struct ConfigOverride {
   ConfigNode value;
 };
 /// The same with overrides that are nodes.
-ConfigNode compose_config(const std::string& path, const std::vector<ConfigOverride>& overrides);
+ConfigNode compose_config_with(const std::string& path, const std::vector<ConfigOverride>& overrides);
 
 /// Paths in a config are relative to the file that wrote them: the absolute path of a scalar node's text.
 std::string resolve_path(const ConfigNode& scalar);

@@ -24,7 +24,7 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
   std::string text;
   try {
     RunConfig config =
-        read_run_config(compose_config(variant.base.empty() ? scene.base : variant.base, set), registry, found);
+        read_run_config(compose_config_with(variant.base.empty() ? scene.base : variant.base, set), registry, found);
     config.name = scene.name;
     config.runtime.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
     config.labels.selection.seed = e.seeds[use.seed];
