@@ -77,8 +77,8 @@ TEST(RunConfig, EveryShippedConfigReadsWithoutError) {
   for (const auto& entry : std::filesystem::recursive_directory_iterator(SEMFIELD_SOURCE_DIR "/configs")) {
     const std::string path = entry.path().string();
     if (entry.path().extension() != ".yaml" || path.find("/parts/") != std::string::npos ||
-        path.find(".classes.") != std::string::npos)
-      continue;
+        path.find("/experiments/") != std::string::npos || path.find(".classes.") != std::string::npos)
+      continue;  // sweep files are read by the tests of sweeps
     Registry registry = make_registry();
     EXPECT_NO_THROW(load_run_config(path, {}, registry)) << path;
     ++read;
