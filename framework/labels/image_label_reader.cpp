@@ -102,11 +102,7 @@ class ImageLabelReader : public LabelReader {
     return table;
   }
 
-  bool has(const FrameInfo& frame) const override {
-    std::error_code ignored;
-    const std::string path = path_of(folder, pattern, frame);
-    return !path.empty() && std::filesystem::is_regular_file(path, ignored);
-  }
+  bool has(const FrameInfo& frame) const override { return has_file(folder, pattern, frame); }
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& table) const override {
     const std::string path = path_of(folder, pattern, frame);

@@ -78,6 +78,12 @@ std::string path_of(const std::string& folder, const std::string& pattern, const
   return path;
 }
 
+bool has_file(const std::string& folder, const std::string& pattern, const FrameInfo& frame) {
+  std::error_code ignored;
+  const std::string path = path_of(folder, pattern, frame);
+  return !path.empty() && std::filesystem::is_regular_file(path, ignored);
+}
+
 bool check_folder(const std::string& folder, Diagnostics& diagnostics) {
   std::error_code ignored;
   if (folder.empty()) {

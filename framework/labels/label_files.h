@@ -33,6 +33,7 @@ const T* entry_of(const std::map<std::string, T>& entries, const FrameInfo& fram
 void check_pattern(const std::string& pattern, Diagnostics& diagnostics);
 /// Path of the frame's file, or "" for a frame whose name ends in no digit where the pattern asks for a number.
 std::string path_of(const std::string& folder, const std::string& pattern, const FrameInfo& frame);
+bool has_file(const std::string& folder, const std::string& pattern, const FrameInfo& frame);
 
 /// Reports a folder that is not named or is none; true when it is one.
 bool check_folder(const std::string& folder, Diagnostics& diagnostics);
