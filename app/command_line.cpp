@@ -154,7 +154,8 @@ void add_fuse(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("--depth", options->depth, "true or learned (default: fuse.depth)");
   verb->add_option("--depth-from", options->depth_from, "run folder whose field gives the depth, and a row of its own");
   verb->add_option("--out", options->out, "folder for the fused maps and fuse.json");
-  verb->callback([&context, &choice, options] { choice = [&context, options] { return run_fuse(*options, context); }; });
+  verb->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_fuse(*options, context); }; });
 }
 
 void add_label_verbs(CLI::App& root, AppContext& context, Choice& choice) {
@@ -246,6 +247,15 @@ void add_bench_verbs(CLI::App& root, AppContext& context, Choice& choice) {
       [&context, &choice, options] { choice = [&context, options] { return run_bench_step(*options, context); }; });
 }
 
+void add_check_numerics(CLI::App& root, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<CheckNumericsOptions>();
+  CLI::App* verb = root.add_subcommand("check-numerics", "stiff and extreme cases against their references");
+  verb->add_option("--only", options->only, "ids or their beginnings: --only A,C03")->delimiter(',');
+  verb->add_option("--write", options->page, "page whose marked part becomes the table: docs/numerics.md");
+  verb->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_check_numerics(*options, context); }; });
+}
+
 }  // namespace
 
 int run_command_line(int argc, char** argv, AppContext& context) {
@@ -266,6 +276,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   add_config_verbs(root, context, choice);
   add_plugins_verbs(root, context, choice);
   add_bench_verbs(root, context, choice);
+  add_check_numerics(root, context, choice);
   CLI::App* version = root.add_subcommand("version", "version, build and plugins");
   version->callback([&context, &choice] { choice = [&context] { return run_version(context); }; });
   try {

@@ -128,6 +128,13 @@ int run_plugins_matrix(AppContext& context);
 struct BenchStepOptions;
 int run_bench_step(const BenchStepOptions& options, AppContext& context);
 
+struct CheckNumericsOptions {
+  std::vector<std::string> only;  ///< beginnings of ids; empty: every case
+  std::string page;               ///< Markdown page whose marked part the table replaces; "" = none
+};
+/// 0 when no case failed, else 1.
+int run_check_numerics(const CheckNumericsOptions& options, AppContext& context);
+
 int run_version(AppContext& context);
 
 /// Loads the modules of `--plugin`.
