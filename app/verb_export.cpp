@@ -59,8 +59,8 @@ int run_export(const ExportOptions& options, AppContext& context) {
   int done = 0;
   for (const int f : frames) {
     const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
-    RenderedFrame rendered = render_frame(*s.pipeline, {info.camera, info.world_from_camera, s.plan.undistortion},
-                                          s.limits, s.plan.class_of_logit);
+    const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
+    RenderedFrame rendered = render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit);
     std::error_code ignored;
     LabelledFrame frame{info.name, std::filesystem::is_regular_file(info.source, ignored) ? info.source : "",
                         rendered.width_px, rendered.height_px, std::move(rendered.label)};

@@ -96,7 +96,7 @@ PointSet points_of(const Session& s, double voxel, const AppContext& context) {
   for (std::size_t i = 0; i < frames.size(); ++i) {
     const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frames[i])];
     const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
-    cloud.add(camera, render_frame(*s.pipeline, camera, s.limits, s.plan.class_of_logit));
+    cloud.add(camera, render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit));
     if (context.terminal && !context.quiet) std::fprintf(stderr, "\r\033[Kpoints: view %zu/%zu", i + 1, frames.size());
   }
   if (context.terminal && !context.quiet) std::fputs("\n", stderr);

@@ -51,7 +51,7 @@ double render_all(const Session& s, const std::vector<NamedView>& views, const F
   std::future<void> written;
   int done = 0;
   for (const NamedView& view : views) {
-    RenderedFrame frame = render_frame(*s.pipeline, view.camera, s.limits, s.plan.class_of_logit);
+    RenderedFrame frame = render_named_frame(*s.pipeline, view.name, view.camera, s.limits, s.plan.class_of_logit);
     if (written.valid()) written.get();
     written = std::async(std::launch::async, [&view, &sink, frame = std::move(frame)] { sink(view.name, frame); });
     ++done;

@@ -64,8 +64,8 @@ FrameMaps learned_depth(OpenedRun& run, const LoadedScene& scene, double min_opa
   for (const int f : maps.frames) check_frame(scene.info.frames[static_cast<std::size_t>(f)], run);
   for (const int f : maps.frames) {
     const FrameInfo& info = scene.info.frames[static_cast<std::size_t>(f)];
-    RenderedFrame frame = render_frame(*s.pipeline, {info.camera, info.world_from_camera, s.plan.undistortion},
-                                       s.limits, s.plan.class_of_logit);
+    const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
+    RenderedFrame frame = render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit);
     for (std::size_t i = 0; i < frame.depth_m.size(); ++i) {
       const float opacity = frame.opacity[i];
       frame.depth_m[i] = opacity >= static_cast<float>(min_opacity) ? frame.depth_m[i] / opacity : 0.0F;

@@ -9,6 +9,7 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "core/math_functions.h"
+#include "model/ray_guard.h"
 
 namespace semfield {
 namespace {
@@ -228,18 +229,22 @@ template <class Real>
 void check_density(const Samples<Real>& samples, View<const Real> sigma, std::int64_t first_ray) {
   constexpr Real kLargest = std::numeric_limits<Real>::max();
   int bad = 0;
-  for (std::int64_t k = 0; k < samples.count; ++k) bad |= !(*sigma.row(k) >= 0 && *sigma.row(k) <= kLargest);
+  if (sigma.contiguous()) {
+    for (std::int64_t k = 0; k < samples.count; ++k) bad |= !(sigma.data[k] >= 0) | !(sigma.data[k] <= kLargest);
+  } else {
+    for (std::int64_t k = 0; k < samples.count; ++k) bad |= !(*sigma.row(k) >= 0) | !(*sigma.row(k) <= kLargest);
+  }
   if (bad == 0) return;
   for (std::int64_t r = 0; r + 1 < samples.first.rows; ++r) {
     const std::int32_t begin = *samples.first.row(r), end = *samples.first.row(r + 1);
     for (std::int32_t k = begin; k < end; ++k) {
       const Real value = *sigma.row(k);
       if (value >= 0 && value <= kLargest) continue;
-      throw Error(ErrorKind::failure,
-                  "density of ray " + std::to_string(first_ray + r) + ", sample " + std::to_string(k - begin) + " at " +
-                      std::to_string(static_cast<double>(*samples.t.row(k))) + " m is " +
-                      std::to_string(static_cast<double>(value)) + "; it must be finite and not negative",
-                  "lower the learning rate, or go back to the last checkpoint");
+      throw RayFault(first_ray + r, ErrorKind::failure,
+                     "density of ray " + std::to_string(first_ray + r) + ", sample " + std::to_string(k - begin) +
+                         " at " + std::to_string(static_cast<double>(*samples.t.row(k))) + " m is " +
+                         std::to_string(static_cast<double>(value)) + "; it must be finite and not negative",
+                     "lower the learning rate, or go back to the last checkpoint");
     }
   }
 }

@@ -70,8 +70,8 @@ template <class Real>
 void composite_backward(const CompositeIn<Real>& in, const CompositeOut<Real>& out, const CompositeGrad<Real>& grad,
                         View<Real> d_sigma, View<Real> d_rgb, View<Real> d_hidden);
 
-/// Throws Error(failure) for the first density that is negative, infinite or NaN, naming ray (first_ray + its number in
-/// the tile), sample within the ray, distance and value.
+/// Throws RayFault(failure) for the first density that is negative, infinite or NaN, naming ray (first_ray + its number
+/// in the tile), sample within the ray, distance and value.
 template <class Real>
 void check_density(const Samples<Real>& samples, View<const Real> sigma, std::int64_t first_ray = 0);
 

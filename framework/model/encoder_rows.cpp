@@ -93,7 +93,8 @@ void Pipeline<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, std::i
     const std::int64_t row = a.row[static_cast<std::size_t>(tile)], count = sampled.samples.count;
     sampled.x = {a.x.data() + 3 * row, count, 3};
     sampled.encoded = {a.encoded.data() + dims * row, count, dims};
-    pass.locate(rays_of_tile<Real>(batch, tile, tile_rays_), sampled.samples, sampled.x);
+    pass.locate(context(step, true, 0, tile * tile_rays_), rays_of_tile<Real>(batch, tile, tile_rays_), sampled.samples,
+                sampled.x);
   });
   const int lanes_at_once = pass.parts().position->traits().whole_batch ? options_.lanes : kLanesAhead;
   parallel_for((options_.lanes + lanes_at_once - 1) / lanes_at_once, [&](std::int64_t group) {

@@ -120,6 +120,14 @@ void ParamStore<Real>::zero_gradients() {
 }
 
 template <class Real>
+void ParamStore<Real>::clear_gradients() {
+  for (Tensor<Real>& t : tensors_) {
+    std::fill_n(t.grad.data(), t.grad.size(), Real(0));
+    std::fill_n(t.lanes.data(), t.lanes.size(), Real(0));
+  }
+}
+
+template <class Real>
 Tensor<Real>* ParamStore<Real>::find(const std::string& name) {
   for (Tensor<Real>& t : tensors_) {
     if (t.name == name) return &t;

@@ -68,6 +68,8 @@ class ParamStore {
   void reduce_lanes();
   /// Zeroes gradients of every tensor but sparse ones, which the optimiser clears row by row as it visits them.
   void zero_gradients();
+  /// Zeroes every gradient and lane, sparse ones too: after a step that failed halfway.
+  void clear_gradients();
 
   std::vector<Tensor<Real>>& all() { return tensors_; }
   const std::vector<Tensor<Real>>& all() const { return tensors_; }

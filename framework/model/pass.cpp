@@ -6,6 +6,7 @@
 
 #include "core/error.h"
 #include "core/parallel.h"
+#include "model/ray_guard.h"
 
 namespace semfield {
 
@@ -16,6 +17,18 @@ constexpr std::int64_t kRound = 16;           // samples a ray advances before e
 template <class T>
 void fill_zero(View<T> view) {
   for (std::int64_t r = 0; r < view.rows; ++r) std::fill_n(view.row(r), view.cols, T(0));
+}
+
+// Densities asked for by position belong to no ray: the message names the place.
+template <class Real>
+void check_density_at(View<const double> positions, View<const Real> raw, View<const Real> sigma) {
+  for (std::int64_t m = 0; m < sigma.rows; ++m) {
+    if (std::isfinite(raw(m, 0)) && std::isfinite(sigma(m, 0))) continue;
+    throw Error(ErrorKind::failure,
+                "density at (" + std::to_string(positions(m, 0)) + ", " + std::to_string(positions(m, 1)) + ", " +
+                    std::to_string(positions(m, 2)) + ") m is not finite (raw value " + std::to_string(raw(m, 0)) + ")",
+                std::string(fault_remedy()));
+  }
 }
 
 // Rays [begin, begin + count) of the samples: `first` keeps its absolute offsets, so the sample arrays stay whole.
@@ -101,7 +114,8 @@ void Pass<Real>::sample(const StepContext& ctx, const Rays<Real>& rays, const Pr
 }
 
 template <class Real>
-void Pass<Real>::locate(const Rays<Real>& rays, const Samples<Real>& samples, View<double> x) const {
+void Pass<Real>::locate(const StepContext& ctx, const Rays<Real>& rays, const Samples<Real>& samples,
+                        View<double> x) const {
   const DomainMap& map = parts_.domain;
   for (std::int64_t m = 0; m < samples.count; ++m) {
     const std::int64_t r = samples.ray_of_sample(m, 0);
@@ -110,6 +124,7 @@ void Pass<Real>::locate(const Rays<Real>& rays, const Samples<Real>& samples, Vi
       x(m, i) = (rays.origin(r, i) + t * rays.direction(r, i) - map.center[i]) * map.scale + map.offset;
     }
   }
+  RayGuard<Real>(parts_.name, ctx.first_ray, samples).samples(x);
 }
 
 template <class Real>
@@ -131,7 +146,7 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
   tile.samples.first = arena.take<std::int32_t>(ray_count + 1, 1);
   sample(ctx, rays, previous, tile.samples);
   tile.x = arena.take<double>(tile.samples.count, 3);
-  locate(rays, tile.samples, tile.x);
+  locate(ctx, rays, tile.samples, tile.x);
   return forward(ctx, lane, rays, tile, semantic_rays);
 }
 
@@ -150,6 +165,7 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
   if (parts_.direction) {
     trace.direction = arena.take<Real>(ray_count, parts_.direction->traits().out_dims);
     parts_.direction->forward(ctx, store_->tensors(direction_), rays.direction, trace.direction);
+    RayGuard<Real>(parts_.name, ctx.first_ray, trace.samples).per_ray("encoded direction", trace.direction);
   }
   trace.sigma = arena.take<Real>(count, 1);
   trace.weight = arena.take<Real>(count, 1);
@@ -182,6 +198,8 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
     trace.encoded = arena.take<Real>(count, encoded_dims());
     encode(ctx, lane, trace.x, trace.encoded);
   }
+  const RayGuard<Real> guard(parts_.name, ctx.first_ray, trace.samples);
+  guard.per_sample("encoded position", trace.encoded);
   if (parts_.head) trace.out.feature = arena.take<Real>(count, parts_.field->traits().feature_dims);
   if (training) {
     const std::size_t bytes = parts_.field->saved_bytes(count, trace.samples.first.rows - 1);
@@ -190,6 +208,9 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
   const View<const std::int32_t> ray_of_sample = trace.samples.ray_of_sample.row_range(0, count);
   parts_.field->forward(ctx, store_->tensors(field_, lane), {trace.encoded, trace.direction, ray_of_sample}, trace.out,
                         trace.saved);
+  guard.per_sample("raw density", trace.out.sigma);
+  guard.per_sample("colour", trace.out.rgb);
+  guard.per_sample("feature", trace.out.feature);
   if (rules_.density_bias != 0) {
     for (std::int64_t m = 0; m < count; ++m) trace.out.sigma(m, 0) += static_cast<Real>(rules_.density_bias);
   }
@@ -264,6 +285,7 @@ void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& tr
   const std::int64_t ray_count = trace.samples.first.rows - 1;
   const std::int64_t labelled = trace.semantic_rays;
   const bool deferred = rules_.deferred_class_layer;
+  check_density<Real>(trace.samples, trace.sigma, ctx.first_ray);
   if (labelled > 0 && !deferred) {
     parts_.head->class_forward(ctx, store_->tensors(head_, lane), trace.hidden, {}, trace.sample_logits);
   }
@@ -278,6 +300,11 @@ void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& tr
     parts_.head->class_forward(ctx, store_->tensors(head_, lane), trace.ray_hidden,
                                trace.opacity.row_range(0, labelled), trace.logits);
   }
+  const RayGuard<Real> guard(parts_.name, ctx.first_ray, trace.samples);
+  guard.per_ray("colour", trace.color);
+  guard.per_ray("depth", trace.depth);
+  guard.per_ray("opacity", trace.opacity);
+  guard.per_ray("logits", trace.logits);
 }
 
 template <class Real>
@@ -371,7 +398,9 @@ void Pass<Real>::density(const StepContext& ctx, View<const double> positions, V
     out.sigma = raw;
     parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
     for (std::int64_t m = 0; m < count; ++m) raw(m, 0) += static_cast<Real>(rules_.density_bias);
-    density_forward<Real>(rules_.activation, raw, sigma.row_range(begin, count));
+    const View<Real> out_rows = sigma.row_range(begin, count);
+    density_forward<Real>(rules_.activation, raw, out_rows);
+    check_density_at(positions.row_range(begin, count), View<const Real>(raw), View<const Real>(out_rows));
   }
 }
 

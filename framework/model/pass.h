@@ -98,14 +98,14 @@ class Pass {
   bool scatters() const { return encoder_learns_; }
 
   /// Everything of a tile, in ctx.workspace (the caller's scope keeps it until backward is done). The first
-  /// `semantic_rays` rays get logits.
+  /// `semantic_rays` rays get logits. A value of a stage that is not finite is a RayFault (model/ray_guard.h).
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const Proposal<Real>* previous,
                           std::int64_t previous_per_ray, std::int64_t semantic_rays) const;
 
   /// The two steps that forward begins with, for callers that take them ahead: samples of `rays` into `out`, and
   /// encoder coordinates x [samples.count, 3].
   void sample(const StepContext& ctx, const Rays<Real>& rays, const Proposal<Real>* previous, Samples<Real>& out) const;
-  void locate(const Rays<Real>& rays, const Samples<Real>& samples, View<double> x) const;
+  void locate(const StepContext& ctx, const Rays<Real>& rays, const Samples<Real>& samples, View<double> x) const;
   /// encoded [N, Dp] from x [N, 3].
   void encode(const StepContext& ctx, int lane, View<const double> x, View<Real> encoded) const;
   std::int32_t encoded_dims() const { return parts_.position->traits().out_dims; }

@@ -18,6 +18,14 @@ View<const T> rows_of(View<const T> view, std::int64_t begin, std::int64_t count
   return view.empty() ? view : view.row_range(begin, count);
 }
 
+// Any sample whose density, and with it the slope of its activation, is not 0.
+template <class Real>
+bool any_density(const PassTrace<Real>& trace) {
+  Real most = 0;
+  for (std::int64_t m = 0; m < trace.samples.count; ++m) most = std::max(most, trace.sigma.data[m]);
+  return most > 0;
+}
+
 }  // namespace
 
 template <class Real>
@@ -78,20 +86,8 @@ template <class Real>
 StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
   const std::int64_t rays = batch.origin.rows;
   const std::int64_t tiles = (rays + tile_rays_ - 1) / tile_rays_;
-  double normaliser = 0;
-  if (has_semantics() && !batch.label.empty()) {
-    const View<const float> weights = options_.class_weight.empty()
-                                          ? View<const float>()
-                                          : View<const float>(options_.class_weight.data(), 1,
-                                                              static_cast<std::int32_t>(options_.class_weight.size()));
-    SemanticTargets targets;
-    if (batch.soft.empty()) {
-      targets.hard = batch.label;
-    } else {
-      targets.soft = batch.soft;
-    }
-    normaliser = semantic_normaliser(options_.normalisation, labelled_weight(targets, weights), rays);
-  }
+  guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
+  const double normaliser = batch_normaliser(batch);
   tile_losses_.assign(static_cast<std::size_t>(tiles), StepLosses{});
   for (auto& lane : lanes_) {
     for (EncoderInbox<Real>& inbox : lane->inbox) inbox.rows = 0;
@@ -99,7 +95,9 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
   if (draws_ahead()) draw_ahead(step, batch, tiles);
   parallel_for(options_.lanes, [&](std::int64_t lane) {
     for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
-      tile_losses_[static_cast<std::size_t>(tile)] = train_tile(step, static_cast<int>(lane), batch, tile, normaliser);
+      const std::int64_t begin = tile * tile_rays_;
+      tile_losses_[static_cast<std::size_t>(tile)] = train_tile(
+          step, static_cast<int>(lane), batch, {begin, std::min(tile_rays_, rays - begin), tile}, normaliser);
     }
   });
   scatter(step);
@@ -117,6 +115,7 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
     sum.samples += tile.samples;
     sum.labelled += tile.labelled;
     sum.correct += tile.correct;
+    sum.dense_passes |= tile.dense_passes;
   }
   sum.color /= static_cast<double>(3 * rays);
   sum.mse /= static_cast<double>(3 * rays);
@@ -126,9 +125,10 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
 }
 
 template <class Real>
-StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t tile,
+StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, const TileRange& tile,
                                       double semantic_normaliser) {
-  const std::int64_t begin = tile * tile_rays_, count = std::min(tile_rays_, batch.origin.rows - begin);
+  const std::int64_t begin = tile.begin, count = tile.count;
+  const bool drawn = draws_ahead() && tile.number != kAlone;
   StepContext ctx = context(step, true, lane, begin);
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope tile_scope(arena);
@@ -157,14 +157,15 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
     ctx.pass = passes_[p].parts().number;
     const Pass<Real>& pass = passes_[p];
     PassTrace<Real> trace =
-        draws_ahead()
-            ? pass.forward(ctx, lane, rays, ahead_.tiles[static_cast<std::size_t>(tile)], semantic_rays)
+        drawn
+            ? pass.forward(ctx, lane, rays, ahead_.tiles[static_cast<std::size_t>(tile.number)], semantic_rays)
             : pass.forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
     View<Real> d_color = arena.take<Real>(count, 3);
     const double squares = photometric_loss<Real>(trace.color, target, static_cast<double>(3 * all_rays), 1.0, d_color);
     losses.color += squares;
     losses.mse = squares;
     losses.samples = trace.samples.count;
+    if (any_density(trace)) losses.dense_passes |= 1U << p;
     View<Real> d_logits;
     if (semantic_rays > 0) {
       d_logits = arena.take<Real>(semantic_rays, trace.logits.cols);
@@ -181,13 +182,18 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
       losses.correct = semantic.correct;
     }
     View<Real> d_encoded;
-    if (draws_ahead()) {
-      const std::int64_t row = ahead_.row[static_cast<std::size_t>(tile)];
+    if (tile.number == kAlone) {
+      if (pass.scatters()) d_encoded = arena.take<Real>(trace.samples.count, trace.encoded.cols);
+    } else if (drawn) {
+      const std::int64_t row = ahead_.row[static_cast<std::size_t>(tile.number)];
       d_encoded = {ahead_.d_encoded.data() + trace.encoded.cols * row, trace.samples.count, trace.encoded.cols};
     } else if (pass.scatters()) {
       d_encoded = lanes_[static_cast<std::size_t>(lane)]->inbox[p].append(trace.x, trace.encoded.cols);
     }
     pass.backward(ctx, lane, trace, d_color, d_logits, d_encoded);
+    if (tile.number == kAlone) {
+      RayGuard<Real>(pass.parts().name, begin, trace.samples).per_sample("gradient of the encoded position", d_encoded);
+    }
     previous = trace;
     proposal.samples = &previous.samples;
     proposal.weight = previous.weight.row_range(0, previous.samples.count);
@@ -198,6 +204,7 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
 template <class Real>
 void Pipeline<Real>::render(const RenderJob<Real>& job) {
   const std::int64_t rays = job.origin.rows;
+  guard_rays<Real>({job.origin, job.direction, job.near_far}, {}, 0);
   const std::int64_t tiles = (rays + tile_rays_ - 1) / tile_rays_;
   parallel_for(options_.lanes, [&](std::int64_t lane) {
     for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {

@@ -1,12 +1,14 @@
 // The whole differentiable renderer: passes over tiles of rays, losses, and gradients that do not depend on threads.
 #pragma once
 
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "losses/semantic_cross_entropy.h"
 #include "model/pass.h"
+#include "model/ray_guard.h"
 #include "scene/class_table.h"
 
 namespace semfield {
@@ -43,6 +45,8 @@ struct StepLosses {
   std::int64_t samples = 0;   ///< of the last pass
   std::int64_t labelled = 0;  ///< rays with a label
   std::int64_t correct = 0;   ///< of them, rays whose largest logit of the last pass is the label
+  std::uint32_t dense_passes =
+      0;  ///< bit p: pass p met density somewhere. Without it nothing of the pass gets a gradient
 };
 
 /// Rays to render and where results go; R rows each, empty = not wanted.
@@ -73,8 +77,14 @@ class Pipeline {
 
   /// Derived tensors from learned ones: after construction, loading, and every optimiser step.
   void derive(std::int64_t step);
-  /// Losses of the batch and dL/dtheta in the store's main gradients (which must be zero on entry).
+  /// Losses of the batch and dL/dtheta in the store's main gradients (which must be zero on entry). A value of a ray
+  /// that is not finite throws RayFault; gradients are then anything, and ParamStore::clear_gradients is due.
   StepLosses gradients(std::int64_t step, const RayBatch& batch);
+  /// After a step that failed: takes its rays one by one and gives the first that throws, or whose own gradient is not
+  /// finite, with its number in the batch; none when only their sum fails. Leaves every gradient zero.
+  std::optional<RayFault> find_fault(std::int64_t step, const RayBatch& batch);
+  /// Tensors of a semantic head.
+  bool is_semantic(const Tensor<Real>& tensor) const;
   /// Lets samplers refresh their state; calls derive() first.
   void observe(std::int64_t step);
   /// Renders without jitter or noise; the same bits for any grouping of rays into calls.
@@ -112,8 +122,13 @@ class Pipeline {
   void draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles);
   void scatter(std::int64_t step);
   StepContext context(std::int64_t step, bool training, int lane, std::int64_t first_ray) const;
-  StepLosses train_tile(std::int64_t step, int lane, const RayBatch& batch, std::int64_t tile,
+  static constexpr std::int64_t kAlone = -1;  // a tile's number: rays that are no tile of the step
+  struct TileRange {
+    std::int64_t begin, count, number;
+  };
+  StepLosses train_tile(std::int64_t step, int lane, const RayBatch& batch, const TileRange& tile,
                         double semantic_normaliser);
+  double batch_normaliser(const RayBatch& batch) const;
   void render_tile(int lane, const RenderJob<Real>& job, std::int64_t begin, std::int64_t count);
 
   PipelineOptions options_;

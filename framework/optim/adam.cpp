@@ -15,10 +15,10 @@
 
 namespace semfield {
 
-#define SEMFIELD_DECLARE(name)                 \
-  namespace isa_##name {                       \
-  const AdamKernels<float>& adam_kernels32();  \
-  const AdamKernels<double>& adam_kernels64(); \
+#define SEMFIELD_DECLARE(name)                   \
+  namespace isa_##name {                         \
+    const AdamKernels<float>& adam_kernels32();  \
+    const AdamKernels<double>& adam_kernels64(); \
   }
 SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
 #undef SEMFIELD_DECLARE
@@ -137,25 +137,72 @@ std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<
   return touched;
 }
 
-template <class Real>
-std::int64_t first_non_finite(View<const Real> values) {
-  SEMFIELD_CHECK(values.empty() || values.contiguous(), "the finite check needs contiguous tensors");
+namespace {
+
+// First range of kRangeElements of `size` elements that good(begin, count) denies, whichever thread finds one first; or
+// -1.
+template <class Good>
+std::int64_t first_bad_range(std::int64_t size, const Good& good) {
   struct Job {
-    const Real* data;
+    const Good& good;
     std::int64_t size;
-    std::atomic<std::int64_t> first_bad;  // range; the smallest of all, whichever thread finds one first
-  } job{values.data, values.empty() ? 0 : values.size(), std::numeric_limits<std::int64_t>::max()};
-  parallel_for((job.size + kRangeElements - 1) / kRangeElements, [&job](std::int64_t i) {
+    std::atomic<std::int64_t> first_bad;
+  } job{good, size, std::numeric_limits<std::int64_t>::max()};
+  parallel_for((size + kRangeElements - 1) / kRangeElements, [&job](std::int64_t i) {
     const std::int64_t begin = i * kRangeElements;
-    if (kernels<Real>().all_finite(job.data + begin, std::min(kRangeElements, job.size - begin))) return;
+    if (job.good(begin, std::min(kRangeElements, job.size - begin))) return;
     std::int64_t known = job.first_bad;
     while (i < known && !job.first_bad.compare_exchange_weak(known, i)) {
     }
   });
-  if (job.first_bad == std::numeric_limits<std::int64_t>::max()) return -1;
-  std::int64_t at = job.first_bad * kRangeElements;
-  while (std::isfinite(job.data[at])) ++at;
+  return job.first_bad == std::numeric_limits<std::int64_t>::max() ? -1 : job.first_bad.load();
+}
+
+template <class Real>
+std::int64_t first_outside(View<const Real> values, Real low, Real high) {
+  SEMFIELD_CHECK(values.empty() || values.contiguous(), "the finite check needs contiguous tensors");
+  const std::int64_t range =
+      first_bad_range(values.empty() ? 0 : values.size(), [&](std::int64_t begin, std::int64_t count) {
+        return kernels<Real>().all_within(values.data + begin, count, low, high);
+      });
+  if (range < 0) return -1;
+  std::int64_t at = range * kRangeElements;
+  while (values.data[at] >= low && values.data[at] <= high) ++at;
   return at;
+}
+
+}  // namespace
+
+template <class Real>
+std::int64_t first_non_finite(View<const Real> values) {
+  constexpr Real kMost = std::numeric_limits<Real>::max();
+  return first_outside(values, -kMost, kMost);
+}
+
+template <class Real>
+Unsound<Real> first_unsound(View<const Real> value, View<const Real> grad, View<const Real> m, View<const Real> v,
+                            bool touched_only) {
+  constexpr Real kMost = kLargestSound<Real>;
+  if (touched_only) {
+    const std::int64_t bad = first_bad_range(value.size(), [&](std::int64_t begin, std::int64_t count) {
+      const auto at = [begin](const View<const Real>& view) { return const_cast<Real*>(view.data) + begin; };
+      return kernels<Real>().touched_sound({at(value), at(grad), at(m), at(v), count, 1});
+    });
+    if (bad < 0) return {};
+  }
+  const struct {
+    const char* name;
+    View<const Real> values;
+    Real low, high;
+  } arrays[] = {{"value", value, -kMost, kMost},
+                {"gradient", grad, -kMost, kMost},
+                {"first moment", m, -kMost, kMost},
+                {"second moment", v, 0, kMost * kMost}};
+  for (const auto& array : arrays) {
+    const std::int64_t at = first_outside(array.values, array.low, array.high);
+    if (at >= 0) return {array.name, at, array.values.data[at]};
+  }
+  return {};
 }
 
 #define SEMFIELD_INSTANTIATE(Real)                                                                                    \
@@ -165,7 +212,9 @@ std::int64_t first_non_finite(View<const Real> values) {
                                            std::int64_t, std::int64_t);                                               \
   template void adam_dense_parallel<Real>(const AdamStep&, View<Real>, View<const Real>, View<Real>, View<Real>);     \
   template std::int64_t adam_touched_parallel<Real>(const AdamStep&, View<Real>, View<Real>, View<Real>, View<Real>); \
-  template std::int64_t first_non_finite<Real>(View<const Real>);
+  template std::int64_t first_non_finite<Real>(View<const Real>);                                                     \
+  template Unsound<Real> first_unsound<Real>(View<const Real>, View<const Real>, View<const Real>, View<const Real>,  \
+                                             bool);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)
 #undef SEMFIELD_INSTANTIATE

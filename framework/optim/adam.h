@@ -52,4 +52,26 @@ std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<
 template <class Real>
 std::int64_t first_non_finite(View<const Real> values);
 
+/// Largest magnitude of a value, a gradient or a first moment from which an update may start: their squares and the
+/// update are then finite, so an update that begins with sound numbers ends with finite ones.
+template <class Real>
+inline constexpr Real kLargestSound = Real(1e150);
+template <>
+inline constexpr float kLargestSound<float> = 1e19F;
+
+/// An element from which no update may start.
+template <class Real>
+struct Unsound {
+  const char* array = "";     ///< "value", "gradient", "first moment" or "second moment"
+  std::int64_t element = -1;  ///< row * cols + col; -1: all are sound
+  Real found = 0;
+};
+
+/// The first element of value, gradient or first moment that is NaN or larger than kLargestSound, or of the second
+/// moment that is not in [0, kLargestSound^2]. To be called for every tensor before any update. `touched_only`: rows
+/// without a gradient, which adam_touched does not visit, are not looked at either.
+template <class Real>
+Unsound<Real> first_unsound(View<const Real> value, View<const Real> grad, View<const Real> m, View<const Real> v,
+                            bool touched_only);
+
 }  // namespace semfield

@@ -1,8 +1,8 @@
 // Adam updates as plain vector loops, for one instruction set.
 #include "optim/adam_kernels.h"
 
+#include <algorithm>
 #include <cmath>
-#include <limits>
 #include <type_traits>
 
 #include "core/isa.h"
@@ -155,15 +155,30 @@ std::int64_t touched(const AdamStep& step, const AdamRange<Real>& range) {
 }
 
 template <class Real>
-bool all_finite(const Real* values, std::int64_t count) {
-  constexpr Real kLargest = std::numeric_limits<Real>::max();
+bool all_within(const Real* values, std::int64_t count, Real low, Real high) {
   int bad = 0;
-  for (std::int64_t i = 0; i < count; ++i) bad |= !(std::abs(values[i]) <= kLargest);
+  for (std::int64_t i = 0; i < count; ++i) bad |= !(values[i] >= low) | !(values[i] <= high);
   return bad == 0;
 }
 
 template <class Real>
-constexpr AdamKernels<Real> kKernels{dense<Real>, touched<Real>, all_finite<Real>};
+bool touched_sound(const AdamRange<Real>& range) {
+  constexpr Real kLargest = kLargestSound<Real>, kLargestSquare = kLargest * kLargest;
+  const std::int64_t size = range.rows * range.cols;
+  int bad = 0;
+  for (std::int64_t at = 0; at < size; at += kBlockElements) {
+    const std::int64_t n = std::min(kBlockElements, size - at);
+    if (!any_non_zero(range.grad + at, n)) continue;
+    for (std::int64_t i = at; i < at + n; ++i) {
+      bad |= !(std::abs(range.grad[i]) <= kLargest) | !(std::abs(range.value[i]) <= kLargest) |
+             !(std::abs(range.m[i]) <= kLargest) | !(range.v[i] >= 0) | !(range.v[i] <= kLargestSquare);
+    }
+  }
+  return bad == 0;
+}
+
+template <class Real>
+constexpr AdamKernels<Real> kKernels{dense<Real>, touched<Real>, all_within<Real>, touched_sound<Real>};
 
 }  // namespace
 

@@ -22,7 +22,9 @@ template <class Real>
 struct AdamKernels {
   void (*dense)(const AdamStep& step, const AdamRange<Real>& range);  ///< the gradient is left as it is
   std::int64_t (*touched)(const AdamStep& step, const AdamRange<Real>& range);
-  bool (*all_finite)(const Real* values, std::int64_t count);
+  bool (*all_within)(const Real* values, std::int64_t count, Real low, Real high);  ///< false for a NaN
+  /// The limits of first_unsound (optim/adam.h) for the rows that `touched` would visit, and some beside them.
+  bool (*touched_sound)(const AdamRange<Real>& range);
 };
 
 }  // namespace semfield

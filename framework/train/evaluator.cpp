@@ -1,5 +1,7 @@
 #include "train/evaluator.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 
@@ -62,7 +64,14 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
         job.truth_probability = {frame.truth_probability.data() + begin, count, 1};
       }
     }
-    pipeline.render(job);
+    try {
+      pipeline.render(job);
+    } catch (const RayFault& fault) {
+      const std::int64_t pixel = begin + fault.ray();
+      throw Error(fault.kind(),
+                  fmt::format("pixel x {}, y {}: {}", pixel % frame.width_px, pixel / frame.width_px, fault.message()),
+                  fault.remedy());
+    }
     for (std::int64_t i = 0; i < count; ++i) {
       frame.depth_m[static_cast<std::size_t>(begin + i)] *= static_cast<float>(cosine[static_cast<std::size_t>(i)]);
     }
@@ -71,6 +80,16 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
   for (std::int16_t& label : frame.label)
     label = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(label)]);
   return frame;
+}
+
+RenderedFrame render_named_frame(Pipeline<float>& pipeline, const std::string& name, const RayCamera& camera,
+                                 const RayLimits& limits, const ClassOfLogit& class_of_logit,
+                                 const std::vector<std::int16_t>& truth) {
+  try {
+    return render_frame(pipeline, camera, limits, class_of_logit, truth);
+  } catch (Error& error) {
+    throw error.while_doing("while rendering frame '" + name + "'");
+  }
 }
 
 bool FrameScore::worse_than(const FrameScore& other) const {
@@ -118,7 +137,7 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     const StoredFrame& stored = (*job.buffers)[static_cast<std::size_t>(index)];
     const RayCamera camera{info.camera, info.world_from_camera, job.undistort};
     const std::vector<std::int16_t> truth = stored.label.expand();
-    const RenderedFrame frame = render_frame(pipeline, camera, limits, class_of_logit, truth);
+    const RenderedFrame frame = render_named_frame(pipeline, info.name, camera, limits, class_of_logit, truth);
     std::vector<float> truth_rgb(stored.rgb.size());
     for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(stored.rgb[i]) / 255.0F;
     ColorError color;

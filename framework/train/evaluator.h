@@ -27,9 +27,13 @@ struct RenderedFrame {
 /// Which class each logit stands for; empty without semantics.
 using ClassOfLogit = std::vector<int>;
 
-/// `truth` [H * W] class indices, or empty.
+/// `truth` [H * W] class indices, or empty. A value that is not finite is an Error that names the pixel.
 RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
                            const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth = {});
+/// The same; an Error names the frame too.
+RenderedFrame render_named_frame(Pipeline<float>& pipeline, const std::string& name, const RayCamera& camera,
+                                 const RayLimits& limits, const ClassOfLogit& class_of_logit,
+                                 const std::vector<std::int16_t>& truth = {});
 
 struct FrameScore {
   int frame = 0;

@@ -1,5 +1,7 @@
 #include "train/ray_source.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 
 #include "core/error.h"
@@ -125,9 +127,33 @@ std::int16_t RaySource::label_of(const Pixel& pixel) const {
   const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
   if (frame.labels == nullptr || frame.labels->empty()) return kVoid;
   const std::int16_t cls = (*frame.labels)[static_cast<std::size_t>(pixel.index)];
-  return cls < 0 || static_cast<std::size_t>(cls) >= logit_of_class_.size()
-             ? kVoid
-             : logit_of_class_[static_cast<std::size_t>(cls)];
+  if (cls == kVoid || logit_of_class_.empty()) return kVoid;
+  if (cls < 0 || static_cast<std::size_t>(cls) >= logit_of_class_.size()) {
+    throw Error(ErrorKind::data,
+                fmt::format("{}: label {} is no class; classes are 0 to {} and void is {}", place_of(pixel), cls,
+                            logit_of_class_.size() - 1, kVoid),
+                "check the labels against the scene's class table");
+  }
+  return logit_of_class_[static_cast<std::size_t>(cls)];
+}
+
+std::string RaySource::place_of(const Pixel& pixel) const {
+  const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
+  const std::int32_t width = frame.pixels->width_px;
+  return fmt::format("frame '{}', pixel x {}, y {}", frame.name, pixel.index % width, pixel.index / width);
+}
+
+std::string RaySource::place_of_row(std::int64_t step, std::int64_t row) const {
+  const std::int64_t begin = row / options_.tile_rays * options_.tile_rays;
+  const std::int64_t end = std::min(begin + options_.tile_rays, options_.rays);
+  std::int64_t slot = begin;
+  for (const bool labelled : {true, false}) {
+    for (std::int64_t ray = begin; ray < end; ++ray) {
+      const Pixel pixel = choose(step, ray);
+      if ((label_of(pixel) != kVoid) == labelled && slot++ == row) return place_of(pixel);
+    }
+  }
+  return {};
 }
 
 void RaySource::soft_label_of(const Pixel& pixel, std::span<float> out) const {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "labels/training_labels.h"
@@ -17,6 +18,7 @@ struct TrainFrame {
   RayCamera camera;
   const StoredFrame* pixels = nullptr;
   const TrainingLabels::Frame* labels = nullptr;  ///< borrowed; null: unlabelled
+  std::string name = {};                          ///< for messages
 };
 
 /// Buffers of one batch; view() borrows them.
@@ -46,7 +48,8 @@ class RaySource {
             const RaySourceOptions& options);
 
   /// Fills the batch of `step`. Within a tile labelled rays come first (their order is otherwise kept), so the head's
-  /// samples are contiguous. The same for any thread count.
+  /// samples are contiguous. The same for any thread count. A label that is no class is an Error(data) that names
+  /// frame, pixel and value.
   void fill(std::int64_t step, BatchBuffers& batch) const;
 
   std::int64_t pixel_count() const { return offsets_.back(); }
@@ -56,10 +59,14 @@ class RaySource {
     std::int32_t index = 0;  ///< row * width + column
   };
   Pixel choose(std::int64_t step, std::int64_t ray) const;
+  /// The pixel behind row `row` of the batch that fill made: "frame 'rgb_12', pixel x 3, y 4".
+  std::string place_of_row(std::int64_t step, std::int64_t row) const;
 
  private:
   Pixel locate(std::int64_t global) const;
+  /// The label's logit. Throws Error(data) naming frame, pixel and value for a label that is no class.
   std::int16_t label_of(const Pixel& pixel) const;
+  std::string place_of(const Pixel& pixel) const;
   void soft_label_of(const Pixel& pixel, std::span<float> out) const;
 
   std::vector<TrainFrame> frames_;

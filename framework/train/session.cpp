@@ -116,7 +116,8 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   for (std::size_t f = 0; f < scene.frames.size(); ++f) {
     const FrameInfo& info = scene.info.frames[f];
     if (info.split != Split::train || scene.frames[f].rgb.empty()) continue;
-    frames.push_back({{info.camera, info.world_from_camera, plan.undistortion}, &scene.frames[f], &labels.frames[f]});
+    frames.push_back(
+        {{info.camera, info.world_from_camera, plan.undistortion}, &scene.frames[f], &labels.frames[f], info.name});
   }
   RaySourceOptions options;
   options.kind = config.train.ray_source;

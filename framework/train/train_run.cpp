@@ -118,6 +118,7 @@ class Run {
   }
 
   void save() {
+    trainer_->check_storable();
     TensorMetadata metadata;
     metadata["format"] = kFormat;
     metadata["step"] = std::to_string(trainer_->step());

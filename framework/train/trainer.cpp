@@ -43,6 +43,10 @@ const TensorRef& matching(const TensorFile& file, const std::string& name, const
   return *found;
 }
 
+std::string element_text(const Tensor<float>& t, std::int64_t element) {
+  return fmt::format("row {}, column {}", element / t.spec.cols, element % t.spec.cols);
+}
+
 void copy_into(const TensorRef& from, const AlignedBuffer<float>& to) {
   std::memcpy(to.data(), from.bytes.data(), from.bytes.size());
 }
@@ -56,43 +60,140 @@ Trainer::Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamPar
 StepLosses Trainer::advance() {
   rays_.fill(step_, batch_);
   pipeline_.store().zero_gradients();
-  const StepLosses losses = pipeline_.gradients(step_, batch_.view(pipeline_.has_semantics()));
-  check_finite(losses);
-  update();
+  StepLosses losses;
+  try {
+    losses = pipeline_.gradients(step_, batch_.view(pipeline_.has_semantics()));
+    check_step(losses);
+  } catch (const Error& error) {
+    fail(error);
+  }
+  check_alive(losses);
+  update(losses);
   ++step_;
   pipeline_.derive(step_);
-  pipeline_.observe(step_);
+  try {
+    pipeline_.observe(step_);
+  } catch (Error& error) {
+    throw error.while_doing(fmt::format(
+        "while refreshing the sampler's state after step {}, which was made; that state is as it was", step_));
+  }
   return losses;
 }
 
-void Trainer::check_finite(const StepLosses& losses) const {
+void Trainer::check_step(const StepLosses& losses) const {
   for (const Tensor<float>& t : pipeline_.store().all()) {
     if (!t.learned()) continue;
-    const std::int64_t bad = first_non_finite<float>(t.view(t.grad));
-    if (bad < 0) continue;
+    const Unsound<float> bad = first_unsound<float>(t.view(t.value), t.view(t.grad), t.view(t.moment1),
+                                                    t.view(t.moment2), t.spec.role == TensorRole::sparse);
+    if (bad.element < 0) continue;
     throw Error(ErrorKind::failure,
-                fmt::format("step {}: the gradient of '{}' is not finite at row {}, column {} (loss {}); nothing was "
-                            "changed in this step",
-                            step_, t.name, bad / t.spec.cols, bad % t.spec.cols, losses.total),
-                "lower train.adam.learning_rate, or go on from the last checkpoint with another runtime.seed");
+                fmt::format("the {} of '{}' at {} is {:.6g} (loss {:.6g})", bad.array, t.name,
+                            element_text(t, bad.element), bad.found, losses.total),
+                std::string(fault_remedy()));
   }
   if (!std::isfinite(losses.total)) {
     throw Error(ErrorKind::failure,
-                fmt::format("step {}: the loss is {} (colour {}, semantic {}); nothing was changed in this step", step_,
-                            losses.total, losses.color, losses.semantic),
-                "lower train.adam.learning_rate, or go on from the last checkpoint with another runtime.seed");
+                fmt::format("the loss is {} (colour {}, semantic {})", losses.total, losses.color, losses.semantic),
+                std::string(fault_remedy()));
+  }
+  check_states();
+}
+
+// Derived and state tensors. Of a large one (the cells of a fine occupancy grid) a window is looked at in each step, so
+// that the check costs the same for any grid; the sampler itself refuses what it would write.
+void Trainer::check_states() const {
+  constexpr std::int64_t kWindow = std::int64_t{1} << 18;
+  for (const Tensor<float>& t : pipeline_.store().all()) {
+    if (t.learned()) continue;
+    const std::int64_t windows = (t.size() + kWindow - 1) / kWindow;
+    const std::int64_t begin = step_ % windows * kWindow, count = std::min(kWindow, t.size() - begin);
+    const std::int64_t at = first_non_finite<float>(View<const float>(t.value.data() + begin, count, 1));
+    if (at < 0) continue;
+    throw Error(ErrorKind::failure,
+                fmt::format("'{}' holds {} at {}", t.name, t.value.data()[begin + at], element_text(t, begin + at)),
+                std::string(fault_remedy()));
   }
 }
 
-void Trainer::update() {
+// The tensor behind a value that is not finite: one that holds such a value, else the largest value of all if it is out
+// of all proportion.
+std::string Trainer::bad_tensor() const {
+  constexpr float kProportion = 1e10F;
+  float largest = kProportion;
+  std::string text;
+  for (const Tensor<float>& t : pipeline_.store().all()) {
+    const std::int64_t bad = first_non_finite<float>(t.view(t.value));
+    if (bad >= 0) return fmt::format("'{}' holds {} at {}", t.name, t.value.data()[bad], element_text(t, bad));
+    for (std::int64_t i = 0; i < t.size() && t.spec.role != TensorRole::state; ++i) {
+      const float value = t.value.data()[i];
+      if (!(std::abs(value) > largest)) continue;
+      largest = std::abs(value);
+      text = fmt::format("the largest value is {:.6g} in '{}' at {}", value, t.name, element_text(t, i));
+    }
+  }
+  return text;
+}
+
+// Throws what stopped the step, with the ray's frame and pixel and the tensor behind it.
+void Trainer::fail(const Error& error) {
+  const std::optional<RayFault> fault = pipeline_.find_fault(step_, batch_.view(pipeline_.has_semantics()));
+  const Error& cause = fault ? *fault : error;
+  std::string text = fmt::format("step {}: ", step_);
+  const bool is_ray = dynamic_cast<const RayFault*>(&error) != nullptr;
+  if (!fault || !is_ray) text += error.message();
+  if (fault && !is_ray && fault->message() != error.message()) text += "; ";
+  if (fault && (is_ray || fault->message() != error.message())) text += fault->message();
+  if (fault) text += "; " + rays_.place_of_row(step_, fault->ray());
+  const std::string tensor = bad_tensor();
+  if (!tensor.empty() && text.find(tensor) == std::string::npos) text += "; " + tensor;
+  throw Error(cause.kind(), text + "; nothing was changed in this step", cause.remedy());
+}
+
+void Trainer::check_alive(const StepLosses& losses) {
+  constexpr double kExplained = 1.0 / (255.0 * 255.0);  // an empty scene in front of its background has no density
+  const std::vector<Pass<float>>& passes = pipeline_.passes();
+  std::size_t dead = 0;
+  while (dead < passes.size() && (losses.dense_passes >> dead & 1U) != 0) ++dead;
+  dead_steps_ = dead < passes.size() && losses.color > kExplained ? dead_steps_ + 1 : 0;
+  if (dead_steps_ < kDeadSteps) return;
+  const bool relu = pipeline_.options().rules.activation == DensityActivation::relu;
+  pipeline_.store().clear_gradients();
+  throw Error(
+      ErrorKind::failure,
+      fmt::format("step {}: pass '{}' had no density at any sample of the last {} steps: every weight is 0, no "
+                  "gradient reaches the density, and it cannot learn any more; nothing was changed in this step",
+                  step_, passes[dead].parts().name, dead_steps_),
+      relu ? "set rendering.density_activation to softplus, raise rendering.density_bias or "
+             "rendering.density_noise, or take another runtime.seed"
+           : "raise rendering.density_bias, lower train.adam.learning_rate, or take another runtime.seed");
+}
+
+// A step without a labelled ray says nothing about the semantic head: its tensors and their moments stay, as the rows
+// of a table do that no ray touched. (Adam would move them along their old moments.)
+void Trainer::update(const StepLosses& losses) {
   const AdamStep rule = adam_step(adam_, adam_.learning_rate * schedule_factor(schedule_, step_), step_);
   for (Tensor<float>& t : pipeline_.store().all()) {
-    if (!t.learned()) continue;
+    if (!t.learned() || (losses.labelled == 0 && pipeline_.is_semantic(t))) continue;
     if (t.spec.role == TensorRole::dense) {
       adam_dense_parallel<float>(rule, t.view(t.value), t.view(t.grad), t.view(t.moment1), t.view(t.moment2));
       continue;
     }
     adam_touched_parallel<float>(rule, t.view(t.value), t.view(t.grad), t.view(t.moment1), t.view(t.moment2));
+  }
+}
+
+void Trainer::check_storable() const {
+  for (const Tensor<float>& t : pipeline_.store().all()) {
+    if (!stored(t)) continue;
+    for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2}) {
+      const std::int64_t bad = first_non_finite<float>(t.view(*buffer));
+      if (bad < 0) continue;
+      throw Error(
+          ErrorKind::failure,
+          fmt::format("no checkpoint of step {}: {}'{}' holds {} at {}", step_,
+                      buffer == &t.value ? "" : "a moment of ", t.name, buffer->data()[bad], element_text(t, bad)),
+          "go on from the last checkpoint");
+    }
   }
 }
 

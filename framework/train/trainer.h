@@ -13,6 +13,9 @@
 
 namespace semfield {
 
+/// Steps in a row without any density after which a pass counts as dead.
+inline constexpr std::int64_t kDeadSteps = 100;
+
 class Trainer {
  public:
   /// Borrows both; the pipeline must be trainable.
@@ -21,10 +24,18 @@ class Trainer {
   /// Steps done so far.
   std::int64_t step() const { return step_; }
 
-  /// One step: batch, losses, gradients, finite check, Adam, derived tensors, samplers' observe. A loss or gradient
-  /// that is not finite throws Error(failure) naming the tensor and its element; values, moments and samplers are then
-  /// untouched.
+  /// One step: batch, losses, gradients, checks, Adam, derived tensors, samplers' observe. A value of a ray, a
+  /// gradient, a parameter, a moment or a state that is not finite (or too large for an update) throws Error: it names
+  /// the value, frame and pixel of the ray it belongs to, and the tensor and element that it comes from. Values,
+  /// moments, samplers and the step count are then untouched. A density that is not finite where a sampler asks for it
+  /// in `observe` is found after the update: the step then counts as made and the sampler's state stays as it was. A
+  /// pass whose density is 0 at every sample for kDeadSteps steps, while colours are not explained, is an Error too:
+  /// nothing of it can learn.
   StepLosses advance();
+
+  /// Throws Error(failure) naming the tensor for a value, moment or state that is not finite: such a state is no
+  /// checkpoint.
+  void check_storable() const;
 
   /// Tensors of a checkpoint: every learned and state tensor under its name, moments under adam/m/NAME and adam/v/NAME.
   /// Borrowed.
@@ -34,8 +45,12 @@ class Trainer {
   void load(const TensorFile& file, std::int64_t step);
 
  private:
-  void check_finite(const StepLosses& losses) const;
-  void update();
+  void check_step(const StepLosses& losses) const;
+  void check_states() const;
+  std::string bad_tensor() const;
+  [[noreturn]] void fail(const Error& error);
+  void update(const StepLosses& losses);
+  void check_alive(const StepLosses& losses);
 
   Pipeline<float>& pipeline_;
   const RaySource& rays_;
@@ -43,6 +58,7 @@ class Trainer {
   ScheduleParams schedule_;
   std::int64_t step_ = 0;
   BatchBuffers batch_;
+  std::int64_t dead_steps_ = 0;  // in a row
 };
 
 /// Tensors of a pipeline alone (no moments), for rendering: strict for those, moments are ignored.

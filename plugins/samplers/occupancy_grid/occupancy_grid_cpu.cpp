@@ -167,6 +167,7 @@ struct QueryChunk {
   View<double> position;    // [kChunkCells, 3]
   View<Real> sigma;         // [kChunkCells, 1]
   View<std::int64_t> cell;  // [kChunkCells, 1]
+  std::int64_t rows = 0;
 };
 
 template <class Real>
@@ -178,7 +179,8 @@ struct UpdateJob {
   std::int64_t first_chunk;  // of the round
   QueryChunk<Real>* chunks;
 
-  void run(std::int64_t slot) const {
+  // The densities of a chunk's cells, each checked.
+  void ask(std::int64_t slot) const {
     QueryChunk<Real>& chunk = chunks[slot];
     const OccupancyGeometry& g = args.geometry;
     const std::int64_t begin = (first_chunk + slot) * kChunkCells;
@@ -195,16 +197,21 @@ struct UpdateJob {
       *chunk.cell.row(rows) = index;
       ++rows;
     }
+    chunk.rows = rows;
     if (rows == 0) return;
     query(chunk.position.row_range(0, rows), chunk.sigma.row_range(0, rows));
-    for (std::int64_t k = 0; k < rows; ++k) absorb(chunk, k);
+    for (std::int64_t k = 0; k < rows; ++k) {
+      const Real sigma = *chunk.sigma.row(k);
+      if (!(sigma >= 0) || std::isinf(sigma)) bad_density(chunk.position.row(k), static_cast<double>(sigma));
+    }
   }
 
-  void absorb(const QueryChunk<Real>& chunk, std::int64_t k) const {
-    const Real sigma = *chunk.sigma.row(k);
-    if (!(sigma >= 0) || std::isinf(sigma)) bad_density(chunk.position.row(k), static_cast<double>(sigma));
-    Real& value = state.density[*chunk.cell.row(k)];
-    value = std::max(value * static_cast<Real>(args.decay), sigma);  // an unseen cell holds -1
+  void absorb(std::int64_t slot) const {
+    const QueryChunk<Real>& chunk = chunks[slot];
+    for (std::int64_t k = 0; k < chunk.rows; ++k) {
+      Real& value = state.density[*chunk.cell.row(k)];
+      value = std::max(value * static_cast<Real>(args.decay), *chunk.sigma.row(k));  // an unseen cell holds -1
+    }
   }
 };
 
@@ -223,7 +230,9 @@ void update(const OccupancyUpdateArgs& args, const OccupancyState<Real>& state, 
   }
   for (std::int64_t first = 0; first < chunk_count; first += kRoundChunks) {
     const UpdateJob<Real> job{args, state, query, chosen, first, chunks};
-    parallel_for(std::min(kRoundChunks, chunk_count - first), [&job](std::int64_t slot) { job.run(slot); });
+    const std::int64_t round = std::min(kRoundChunks, chunk_count - first);
+    parallel_for(round, [&job](std::int64_t slot) { job.ask(slot); });  // a bad density leaves the round's cells alone
+    parallel_for(round, [&job](std::int64_t slot) { job.absorb(slot); });
   }
 }
 
