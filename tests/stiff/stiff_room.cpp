@@ -1,0 +1,103 @@
+// The room, moved; configurations of small networks in it.
+#include "stiff_room.h"
+
+#include "testkit/analytic_scene.h"
+
+namespace semfield {
+
+namespace {
+
+struct StiffRoomParams {
+  double x_m = 0, y_m = 0, z_m = 0;
+};
+void describe(ParamVisitor& visit, StiffRoomParams& p) {
+  SEMFIELD_PARAM(visit, p, x_m, "shift", {-1e9, 1e9});
+  SEMFIELD_PARAM(visit, p, y_m, "shift", {-1e9, 1e9});
+  SEMFIELD_PARAM(visit, p, z_m, "shift", {-1e9, 1e9});
+}
+void validate(const StiffRoomParams&, Diagnostics&) {}
+
+class ShiftedRoom final : public Dataset {
+ public:
+  explicit ShiftedRoom(Vec3d shift_m) : shift_m_(shift_m), inner_(testkit::make_analytic_scene()) {}
+
+  SceneInfo open(Diagnostics& diagnostics) override {
+    SceneInfo info = inner_->open(diagnostics);
+    for (FrameInfo& frame : info.frames) frame.world_from_camera.t = frame.world_from_camera.t + shift_m_;
+    info.bounds.lo = Vec3d{-2, -1.5, -1} + shift_m_;
+    info.bounds.hi = Vec3d{2, 1.5, 1} + shift_m_;
+    return info;
+  }
+  void read(int frame, FrameBuffer& out) const override { inner_->read(frame, out); }
+
+ private:
+  Vec3d shift_m_;
+  std::unique_ptr<Dataset> inner_;
+};
+
+}  // namespace
+
+namespace stiff {
+
+const char* const kHashPass =
+    "rendering: {density_activation: softplus, far: background}\n"
+    "semantics: {hidden_width: 16, weight: 0.01}\n"
+    "passes:\n"
+    "  - sampler: {type: occupancy_grid, resolution: 32, warmup_steps: 32, max_samples: 96}\n"
+    "    position: {type: hash_grid, levels: 6, log2_entries: 11, finest_resolution: 64}\n"
+    "    direction: {type: spherical_harmonics, degree: 2}\n"
+    "    field: {type: tiny_mlp, hidden_width: 32, color_width: 32}\n"
+    "train: {steps: 200, rays: 192, adam: {learning_rate: 0.02}}\n";
+
+const char* const kFrequencyPass =
+    "rendering: {density_activation: softplus, scene_scale: 0}\n"
+    "semantics: {hidden_width: 16, weight: 0.04}\n"
+    "passes:\n"
+    "  - name: coarse\n"
+    "    sampler: {type: stratified, samples: 16}\n"
+    "    position: {type: frequency, frequencies: 4}\n"
+    "    direction: {type: frequency, frequencies: 2}\n"
+    "    field: {type: nerf_mlp, depth: 4, width: 32, skip_at: 2, view_width: 16}\n"
+    "  - name: fine\n"
+    "    sampler: {type: importance, samples: 16}\n"
+    "    position: {type: frequency, frequencies: 4}\n"
+    "    direction: {type: frequency, frequencies: 2}\n"
+    "    field: {type: nerf_mlp, depth: 4, width: 32, skip_at: 2, view_width: 16}\n"
+    "train: {steps: 200, rays: 128}\n";
+
+std::unique_ptr<Dataset> shifted_room(Vec3d shift_m) { return std::make_unique<ShiftedRoom>(shift_m); }
+
+Registry with_room(const Registry& known, Vec3d shift_m) {
+  Registry registry = known;
+  PluginEntry entry;
+  entry.kind = PluginKind::dataset;
+  entry.name = "stiff_room";
+  entry.summary = "The analytic room.";
+  entry.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<StiffRoomParams>>()); };
+  entry.dataset = [shift_m](const PluginParams& params, const DatasetBuild&) -> std::unique_ptr<Dataset> {
+    const StiffRoomParams& p = static_cast<const ParamsOf<StiffRoomParams>&>(params).value;
+    return shifted_room(shift_m + Vec3d{p.x_m, p.y_m, p.z_m});
+  };
+  registry.add(std::move(entry));
+  return registry;
+}
+
+Session open_room(const std::string& yaml, Registry& registry) {
+  Diagnostics diagnostics;
+  RunConfig config = read_run_config(parse_config_text(yaml, "stiff.yaml"), registry, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "");
+  return open_session(std::move(config), registry, {}, diagnostics);
+}
+
+std::vector<float> render_room_frame(const Registry& known, const std::string& yaml, Vec3d shift_m) {
+  Registry registry = with_room(known, shift_m);
+  Session session = open_room(yaml, registry);
+  const FrameInfo& frame = session.scene.info.frames.at(0);
+  session.pipeline->derive(0);
+  return render_frame(*session.pipeline, {frame.camera, frame.world_from_camera, false}, session.limits,
+                      session.plan.class_of_logit)
+      .rgb;
+}
+
+}  // namespace stiff
+}  // namespace semfield
