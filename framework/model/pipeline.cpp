@@ -117,8 +117,9 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
     sum.correct += tile.correct;
     sum.dense_passes |= tile.dense_passes;
   }
-  sum.color /= static_cast<double>(3 * rays);
-  sum.mse /= static_cast<double>(3 * rays);
+  const auto values = static_cast<double>(std::max<std::int64_t>(1, 3 * rays));  // a batch without rays has loss 0
+  sum.color /= values;
+  sum.mse /= values;
   sum.semantic = normaliser > 0 ? sum.semantic / normaliser : 0;
   sum.total = sum.color + options_.semantic_weight * sum.semantic;
   return sum;

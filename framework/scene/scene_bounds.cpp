@@ -150,6 +150,15 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
         has_depth ? std::min(0.5 * quantile(survey.distances, 0.001), 0.5 * scene.far_m) : 0.01 * scene.far_m;
     if (scene.near_far_from.empty()) scene.near_far_from = has_depth ? "depth of the training frames" : "1 % of far";
   }
+  // Where both are asked for, validate() compares them. Where one is, it may lie beyond what the other was derived to
+  // be.
+  const bool both_given = options.near_m > 0 && options.far_m > 0;
+  if (!both_given && (!(scene.near_m < scene.far_m) || !std::isfinite(scene.far_m))) {
+    diagnostics.error("scene.near_m",
+                      "near is " + short_number(scene.near_m) + " m and far is " + short_number(scene.far_m) +
+                          " m: no part of a ray lies between them",
+                      "set near_m and far_m, near_m below far_m");
+  }
 
   if (options.bounds.size() == 6) {
     scene.bounds = box_of(options.bounds);

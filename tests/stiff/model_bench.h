@@ -22,22 +22,25 @@ auto make_part(const Float& make32, const Double& make64, const PluginEntry& ent
   }
 }
 
-/// 128 samples a ray, 4 bands, 16 units, 5 classes.
+/// 16 units, 5 classes; the encoder's own coordinates come from `domain`.
 template <class Real>
-PassParts<Real> small_pass(const Registry& registry, const std::string& samples = "128") {
+PassParts<Real> small_pass(const Registry& registry, const std::string& samples = "128",
+                           const std::string& encoding = "frequency",
+                           const testkit::Settings& encoder_settings = {{"frequencies", "4"}},
+                           const DomainMap& domain = {{0, 0, 0}, 0.2, 0}) {
   PassParts<Real> parts;
   parts.name = "main";
   parts.sampler = make_sampler<Real>(registry, "stratified", {{"samples", samples}});
-  const PluginEntry& encoder = registry.get(PluginKind::encoder, "frequency");
+  const PluginEntry& encoder = registry.get(PluginKind::encoder, encoding);
   parts.position =
-      make_part<Real>(encoder.encoder32, encoder.encoder64, encoder, {{"frequencies", "4"}}, EncoderBuild{}, registry);
+      make_part<Real>(encoder.encoder32, encoder.encoder64, encoder, encoder_settings, EncoderBuild{}, registry);
   FieldBuild build;
   build.position_dims = parts.position->traits().out_dims;
   const PluginEntry& field = registry.get(PluginKind::field, "tiny_mlp");
   parts.field = make_part<Real>(field.field32, field.field64, field, {{"hidden_width", "16"}, {"color_width", "16"}},
                                 build, registry);
   parts.head = std::make_unique<SemanticHead<Real>>(parts.field->traits().feature_dims, 16, 5);
-  parts.domain = {{0, 0, 0}, 0.2, 0};
+  parts.domain = domain;
   return parts;
 }
 
