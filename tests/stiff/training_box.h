@@ -1,0 +1,51 @@
+// A small scene of formulas with its pipeline, rays and trainer, from a configuration in text.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "plugin/registry.h"
+#include "train/session.h"
+#include "train/trainer.h"
+
+namespace semfield::stiff {
+
+/// Two passes of the paper's shape, narrow, on the analytic room; `more` is YAML appended at the top level.
+std::string small_config(const std::string& more = "");
+/// Hash grid behind an occupancy grid on the same room.
+std::string grid_config(const std::string& more = "");
+
+class TrainingBox {
+ public:
+  /// `registry` with the dataset 'analytic_room' added. Throws Error(config).
+  TrainingBox(const Registry& registry, const std::string& yaml);
+  ~TrainingBox();
+  TrainingBox(const TrainingBox&) = delete;
+  TrainingBox& operator=(const TrainingBox&) = delete;
+
+  Session& session() { return session_; }
+  Pipeline<float>& pipeline() { return *session_.pipeline; }
+  Trainer& trainer() { return *trainer_; }
+  const Diagnostics& diagnostics() const { return diagnostics_; }
+  /// Losses and gradients of a step without an update.
+  StepLosses gradients(std::int64_t step);
+
+  /// Every byte that a step may change: values and moments, by tensor.
+  struct Kept {
+    std::string name;
+    std::vector<float> values, moments;
+    bool operator==(const Kept&) const = default;
+  };
+  std::vector<Kept> state();
+
+ private:
+  Registry registry_;
+  Diagnostics diagnostics_;
+  Session session_;
+  std::unique_ptr<RaySource> rays_;
+  std::unique_ptr<Trainer> trainer_;
+  BatchBuffers batch_;
+};
+
+}  // namespace semfield::stiff
