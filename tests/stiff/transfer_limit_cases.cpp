@@ -26,56 +26,69 @@ bool same_bits(View<T> a, View<T> b) {
 
 }  // namespace
 
+namespace {
+
 // What is not looked at behind T < 1e-4 may change a value by at most 1e-4 of the largest one there.
-void early_stop(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    constexpr double kCut = 1e-4;
-    const double rounding = tolerance_of<Real>(2e-6);
-    RenderRules rules;
-    rules.activation = DensityActivation::softplus;
-    rules.density_bias = 3;
-    rules.background = {1, 1, 1};
-    RenderRules cutting = rules, every_logit = rules;
-    cutting.early_stop = kCut;
-    every_logit.deferred_class_layer = false;
-    ModelBench<Real> whole(run.registry(), rules), cut(run.registry(), cutting),
-        sample_by_sample(run.registry(), every_logit);
-    const PassTrace<Real> full = whole.forward(false), part = cut.forward(false),
-                          single = sample_by_sample.forward(false);
-    std::int64_t skipped = 0;
-    for (std::int64_t m = 0; m < full.samples.count; ++m)
-      skipped += part.sigma(m, 0) == 0 && full.sigma(m, 0) > 0 ? 1 : 0;
-    run.expect(skipped > full.samples.count / 10, "a tenth of the samples and more is not evaluated");
-    double worst_colour = 0, worst_logit = 0;
-    for (std::int64_t r = 0; r < ModelBench<Real>::kRays; ++r) {
-      for (int c = 0; c < 3; ++c) {
-        const double error = std::abs(static_cast<double>(full.color(r, c)) - static_cast<double>(part.color(r, c)));
-        run.measure(error, kCut + rounding, "colour");  // no colour exceeds 1
-        worst_colour = std::max(worst_colour, error);
-      }
-      for (std::int32_t c = 0; c < full.logits.cols; ++c) {
-        double largest = 0;
-        for (std::int32_t m = single.samples.first(r, 0); m < single.samples.first(r + 1, 0); ++m)
-          largest = std::max(largest, std::abs(static_cast<double>(single.sample_logits(m, c))));
-        const double error = std::abs(static_cast<double>(full.logits(r, c)) - static_cast<double>(part.logits(r, c)));
-        run.measure(error, (kCut + rounding) * largest, "logit");
-        worst_logit = std::max(worst_logit, error / largest);
-      }
-      run.measure(std::max(0.0, static_cast<double>(part.opacity(r, 0)) - static_cast<double>(full.opacity(r, 0))),
-                  rounding, "what is cut is not made up for: opacity only falls");
-      double sum = 0;
-      for (std::int32_t m = part.samples.first(r, 0); m < part.samples.first(r + 1, 0); ++m)
-        sum += static_cast<double>(part.weight(m, 0));
-      run.measure(std::abs(sum - static_cast<double>(part.opacity(r, 0))), rounding, "opacity is the sum of weights");
+template <class Real>
+void measure_early_stop(CaseRun& run, FarMode far) {
+  constexpr double kCut = 1e-4;
+  const double rounding = tolerance_of<Real>(2e-6);
+  RenderRules rules;
+  rules.activation = DensityActivation::softplus;
+  rules.density_bias = 3;
+  rules.background = {1, 1, 1};
+  rules.far = far;
+  RenderRules cutting = rules, every_logit = rules;
+  cutting.early_stop = kCut;
+  every_logit.deferred_class_layer = false;
+  ModelBench<Real> whole(run.registry(), rules), cut(run.registry(), cutting),
+      sample_by_sample(run.registry(), every_logit);
+  const PassTrace<Real> full = whole.forward(false), part = cut.forward(false),
+                        single = sample_by_sample.forward(false);
+  std::int64_t skipped = 0;
+  for (std::int64_t m = 0; m < full.samples.count; ++m)
+    skipped += part.sigma(m, 0) == 0 && full.sigma(m, 0) > 0 ? 1 : 0;
+  run.expect(skipped > full.samples.count / 10, "a tenth of the samples and more is not evaluated");
+  double worst_colour = 0, worst_logit = 0;
+  for (std::int64_t r = 0; r < ModelBench<Real>::kRays; ++r) {
+    for (int c = 0; c < 3; ++c) {
+      const double error = std::abs(static_cast<double>(full.color(r, c)) - static_cast<double>(part.color(r, c)));
+      run.measure(error, kCut + rounding, "colour");  // no colour exceeds 1
+      worst_colour = std::max(worst_colour, error);
     }
+    for (std::int32_t c = 0; c < full.logits.cols; ++c) {
+      double largest = 0;
+      for (std::int32_t m = single.samples.first(r, 0); m < single.samples.first(r + 1, 0); ++m)
+        largest = std::max(largest, std::abs(static_cast<double>(single.sample_logits(m, c))));
+      const double error = std::abs(static_cast<double>(full.logits(r, c)) - static_cast<double>(part.logits(r, c)));
+      run.measure(error, (kCut + rounding) * largest, "logit");
+      worst_logit = std::max(worst_logit, error / largest);
+    }
+    run.measure(std::max(0.0, static_cast<double>(part.opacity(r, 0)) - static_cast<double>(full.opacity(r, 0))),
+                rounding, "what is cut is not made up for: opacity only falls");
+    double sum = 0;
+    for (std::int32_t m = part.samples.first(r, 0); m < part.samples.first(r + 1, 0); ++m)
+      sum += static_cast<double>(part.weight(m, 0));
+    run.measure(std::abs(sum - static_cast<double>(part.opacity(r, 0))), rounding, "opacity is the sum of weights");
+  }
+  if (far == FarMode::open) {
     run.note(
         "not evaluated: " + figure(100.0 * static_cast<double>(skipped) / static_cast<double>(full.samples.count)) +
         " % of the samples; colour off by " + figure(worst_colour) + ", logits by " + figure(worst_logit) +
         " of the largest");
-    const PassTrace<Real> trained = whole.forward(true), also = cut.forward(true);
-    run.expect(same_bits(trained.color, also.color) && same_bits(trained.opacity, also.opacity) &&
-                   same_bits(trained.logits, also.logits) && same_bits(trained.weight, also.weight),
-               "training knows no early stop");
+  }
+  const PassTrace<Real> trained = whole.forward(true), also = cut.forward(true);
+  run.expect(same_bits(trained.color, also.color) && same_bits(trained.opacity, also.opacity) &&
+                 same_bits(trained.logits, also.logits) && same_bits(trained.weight, also.weight),
+             "training knows no early stop");
+}
+
+}  // namespace
+
+void early_stop(CaseRun& run) {
+  in_both_precisions(run, [&]<class Real>(Real) {
+    measure_early_stop<Real>(run, FarMode::background);
+    measure_early_stop<Real>(run, FarMode::open);
   });
 }
 
