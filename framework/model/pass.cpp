@@ -227,7 +227,8 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
 
 // Front to back in rounds of kRound samples a ray; a ray whose transmittance fell below early_stop asks no further.
 // Samples that were not evaluated keep sigma = 0, so they take no weight: |error| <= early_stop * max|value| (numerics:
-// certified).
+// certified). Under far: background the last sample takes the rest, black and with the logits of no feature, which
+// count as values too.
 template <class Real>
 void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace) const {
   Workspace& arena = *ctx.workspace;

@@ -28,7 +28,8 @@ bool same_bits(View<T> a, View<T> b) {
 
 namespace {
 
-// What is not looked at behind T < 1e-4 may change a value by at most 1e-4 of the largest one there.
+// What is not looked at behind T < 1e-4 may change a value by at most 1e-4 of the largest one there. Where the last
+// sample takes the rest, it takes it with the class layer's bias, which counts as a value.
 template <class Real>
 void measure_early_stop(CaseRun& run, FarMode far) {
   constexpr double kCut = 1e-4;
@@ -45,6 +46,9 @@ void measure_early_stop(CaseRun& run, FarMode far) {
       sample_by_sample(run.registry(), every_logit);
   const PassTrace<Real> full = whole.forward(false), part = cut.forward(false),
                         single = sample_by_sample.forward(false);
+  const Tensor<Real>* bias = cut.store.find("main/semantic/class/bias");
+  run.expect(bias != nullptr && bias->size() == full.logits.cols, "the class layer has a bias a class");
+  if (bias == nullptr) return;
   std::int64_t skipped = 0;
   for (std::int64_t m = 0; m < full.samples.count; ++m)
     skipped += part.sigma(m, 0) == 0 && full.sigma(m, 0) > 0 ? 1 : 0;
@@ -61,7 +65,8 @@ void measure_early_stop(CaseRun& run, FarMode far) {
       for (std::int32_t m = single.samples.first(r, 0); m < single.samples.first(r + 1, 0); ++m)
         largest = std::max(largest, std::abs(static_cast<double>(single.sample_logits(m, c))));
       const double error = std::abs(static_cast<double>(full.logits(r, c)) - static_cast<double>(part.logits(r, c)));
-      run.measure(error, (kCut + rounding) * largest, "logit");
+      const double rest = far == FarMode::background ? std::abs(static_cast<double>(bias->value.data()[c])) : 0.0;
+      run.measure(error, (kCut + rounding) * (largest + rest), "logit");
       worst_logit = std::max(worst_logit, error / largest);
     }
     run.measure(std::max(0.0, static_cast<double>(part.opacity(r, 0)) - static_cast<double>(full.opacity(r, 0))),
@@ -124,6 +129,24 @@ void bad_density(CaseRun& run) {
     edge.sigma = {Real(-0.0)};
     check_density<Real>(edge.samples, edge.col(edge.sigma), 0);
     run.expect(true, "the largest number and -0 are densities");
+    // The same of a whole pass, whose raw densities become infinite.
+    RenderRules rules;
+    rules.density_bias = infinity;
+    ModelBench<Real> model(run.registry(), rules);
+    const auto values = [&] {
+      std::vector<Real> all;
+      for (const Tensor<Real>& tensor : model.store.all())
+        all.insert(all.end(), tensor.value.data(), tensor.value.data() + tensor.value.size());
+      return all;
+    };
+    const std::vector<Real> before = values();
+    for (const bool training : {false, true}) {
+      run.expect_error(ErrorKind::failure, {"density", "ray 100", "sample 0"}, [&] {
+        model.ctx.first_ray = 100;
+        model.forward(training);
+      });
+    }
+    run.expect(before == values(), "parameters are as before the error");
   });
 }
 
