@@ -98,7 +98,7 @@ std::string help_of(const std::string& verb) {
   std::string help = output_of(std::string(SEMFIELD_PROGRAM) + " " + verb + " --help");
   const std::size_t list = help.find("Subcommands:");
   if (list == std::string::npos) return help;
-  for (const std::string& word : matches(help.substr(list), R"(\n  ([a-z]+) )"))
+  for (const std::string& word : matches(help.substr(list), R"(\n  ([a-z-]+) )"))
     help += output_of(std::string(SEMFIELD_PROGRAM) + " " + verb + " " + word + " --help");
   return help;
 }
@@ -107,12 +107,12 @@ TEST(Readme, TableOfVerbsIsThatOfTheProgram) {
   const std::string help = output_of(SEMFIELD_PROGRAM " --help");
   const std::size_t list = help.find("Subcommands:");
   ASSERT_NE(list, std::string::npos) << help;
-  const std::set<std::string> have = matches(help.substr(list), R"(\n  ([a-z]+) )");
+  const std::set<std::string> have = matches(help.substr(list), R"(\n  ([a-z-]+) )");
   const std::string readme = page("README.md");
   const std::size_t begin = readme.find("## Verbs");
   ASSERT_NE(begin, std::string::npos);
   const std::string section = readme.substr(begin, readme.find("\n## ", begin + 1) - begin);
-  EXPECT_EQ(matches(section, R"(\n\| `([a-z]+)[ `])"), have);
+  EXPECT_EQ(matches(section, R"(\n\| `([a-z-]+)[ `])"), have);
   for (const std::string& verb : have) {
     const std::string options = help_of(verb) + help;
     const std::set<std::string> rows = matches(section, "(\n\\| `" + verb + "[ `][^\n]*)");
@@ -139,7 +139,7 @@ TEST(Pages, ShellBlocksUseRealOptions) {
     for (const Block& block : blocks_of(page(path))) {
       if (block.info != "sh") continue;
       for (const std::string& line : matches("\n" + block.text, "\n(semfield [^\n#]*)")) {
-        const std::string verb = *matches(line, "^semfield ([a-z]+)").begin();
+        const std::string verb = *matches(line, "^semfield ([a-z-]+)").begin();
         if (!help.contains(verb)) help[verb] = help_of(verb) + root_help;
         EXPECT_NE(help[verb].find("Usage: semfield " + verb), std::string::npos) << path << ": " << line;
         for (const std::string& option : matches(line, R"((--[a-z][a-z-]*))")) {
