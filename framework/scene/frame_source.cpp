@@ -50,6 +50,19 @@ std::vector<std::int64_t> class_pixels_of(const std::vector<std::int16_t>& label
   return counts;
 }
 
+// A label that is no class would be counted, trained on and scored as one.
+void check_labels(const FrameBuffer& b, int classes) {
+  const auto bad = std::find_if(b.label.begin(), b.label.end(),
+                                [classes](std::int16_t c) { return c != kVoid && (c < 0 || c >= classes); });
+  if (bad == b.label.end()) return;
+  const auto at = bad - b.label.begin();
+  throw Error(ErrorKind::data,
+              "label " + std::to_string(*bad) + " at x " + std::to_string(at % b.width_px) + ", y " +
+                  std::to_string(at / b.width_px) + " is no class; classes are 0 to " + std::to_string(classes - 1) +
+                  " and void is " + std::to_string(kVoid),
+              "this is a defect of the dataset plugin: it maps ids to classes");
+}
+
 void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
   const std::size_t pixels = static_cast<std::size_t>(f.camera.width_px) * static_cast<std::size_t>(f.camera.height_px);
   const auto fits = [pixels](std::size_t size, bool wanted) { return size == (wanted ? pixels : 0); };
@@ -133,6 +146,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   SEMFIELD_CHECK(options.pixels || (options.bounds.size() == 6 && options.near_m > 0 && options.far_m > 0),
                  "without pixels, bounds and distances must be given");
   scene.info = reader.open(diagnostics);
+  check_manifest_numbers(scene.info, diagnostics);
   std::vector<FrameInfo>& frames = scene.info.frames;
   if (frames.empty() && !diagnostics.has_errors())
     diagnostics.error(scene.info.name, "the scene has no frames", "check the path");
@@ -189,6 +203,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
       FrameBuffer frame;
       reader.read(static_cast<int>(i), frame);
       check_buffer(frame, frames[i]);
+      check_labels(frame, classes);
       // A vector assigned {} keeps its memory; one that is moved from another does not.
       if (!options.with_instances) frame.instance = std::vector<std::int32_t>();
       const bool same = cameras[i].width_px == frame.width_px && cameras[i].height_px == frame.height_px;

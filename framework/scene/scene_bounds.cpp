@@ -95,7 +95,7 @@ SurveyPoints survey_frame(const Camera& camera, const Pose& world_from_camera, c
       ++out.looked_at;
       const float depth = frame.depth_m[static_cast<std::size_t>(y) * static_cast<std::size_t>(frame.width_px) +
                                         static_cast<std::size_t>(x)];
-      if (!(depth > 0)) continue;
+      if (!(depth > 0) || !std::isfinite(depth)) continue;
       const Vec3d d = camera.direction(x + 0.5, y + 0.5);
       if (!(d.z > 0)) continue;
       const double t = depth / d.z;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <set>
 
 #include "core/check.h"
 
@@ -24,6 +25,19 @@ bool finite(const Pose& pose) {
     }
   }
   return std::isfinite(pose.t.x) && std::isfinite(pose.t.y) && std::isfinite(pose.t.z);
+}
+
+bool finite(const Camera& camera) {
+  const double all[] = {camera.fx, camera.fy, camera.cx, camera.cy, camera.k1,
+                        camera.k2, camera.k3, camera.k4, camera.p1, camera.p2};
+  return std::all_of(std::begin(all), std::end(all), [](double v) { return std::isfinite(v); });
+}
+
+bool finite(const Box& box) {
+  for (int a = 0; a < 3; ++a) {
+    if (!std::isfinite(box.lo[a]) || !std::isfinite(box.hi[a])) return false;
+  }
+  return true;
 }
 
 // max |R^T R - I|
@@ -111,6 +125,32 @@ void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, c
                                   " frames skipped: their poses are not finite (" + join(shown) + ")");
 }
 
+void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics) {
+  std::set<std::string> named;
+  for (const Diagnostic& d : diagnostics.all()) named.insert(d.where);
+  for (const FrameInfo& frame : info.frames) {
+    const std::string place = frame_place(frame);
+    if (named.count(place) > 0) continue;
+    if (!finite(frame.world_from_camera)) {
+      diagnostics.error(place, "pose has a number that is not finite", "the dataset must leave such frames out");
+    } else if (!finite(frame.camera)) {
+      diagnostics.error(place, "camera has an intrinsic that is not finite", "calibrate again");
+    } else if (!(frame.camera.fx > 0) || !(frame.camera.fy > 0)) {
+      diagnostics.error(place,
+                        "focal length is " + number(frame.camera.fx) + " x " + number(frame.camera.fy) +
+                            " pixels; it must be positive",
+                        "check the intrinsics");
+    }
+  }
+  if (!std::isfinite(info.near_hint_m) || !std::isfinite(info.far_hint_m)) {
+    diagnostics.error(info.name,
+                      "near and far distance of the dataset are " + number(info.near_hint_m) + " and " +
+                          number(info.far_hint_m) + " m; they must be finite",
+                      "set scene.near_m and scene.far_m");
+  }
+  if (!finite(info.bounds)) diagnostics.error(info.name, "the dataset's bounds are not finite", "set scene.bounds");
+}
+
 bool check_camera(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
   const int before = diagnostics.error_count();
   if (camera.width_px <= 0 || camera.height_px <= 0) {
@@ -119,9 +159,7 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
                       "state the size in pixels");
     return false;
   }
-  const double all[] = {camera.fx, camera.fy, camera.cx, camera.cy, camera.k1,
-                        camera.k2, camera.k3, camera.k4, camera.p1, camera.p2};
-  if (!std::all_of(std::begin(all), std::end(all), [](double v) { return std::isfinite(v); })) {
+  if (!finite(camera)) {
     diagnostics.error(place, "camera has an intrinsic that is not finite", "calibrate again");
     return false;
   }

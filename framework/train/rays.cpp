@@ -1,6 +1,7 @@
 #include "train/rays.h"
 
 #include <algorithm>
+#include <cmath>
 
 namespace semfield {
 
@@ -19,8 +20,10 @@ double cast_ray(const RayCamera& camera, const RayLimits& limits, std::int32_t c
   near_far[0] = near_far[1] = 0;
   if (cosine <= 0) {
     // No direction: a unit vector keeps the direction encoder's contract, the empty interval keeps the ray dark.
+    // A camera that is not finite is no such case: its rays must be seen by who checks them.
+    const bool is_finite = std::isfinite(c.fx) && std::isfinite(c.fy) && std::isfinite(c.cx) && std::isfinite(c.cy);
     const Vec3d forward = camera.world_from_camera.axis(2);
-    for (int i = 0; i < 3; ++i) direction[i] = forward[i];
+    for (int i = 0; i < 3; ++i) direction[i] = is_finite ? forward[i] : NAN;
     return 0;
   }
   double near_t = limits.z_depth ? limits.near_m / cosine : limits.near_m;
