@@ -23,6 +23,7 @@ constexpr Case kCases[] = {
     {"D15", "hdr-target", "targets 1e4, -1, NaN, infinite", "long double", hdr_target},
     {"D16", "density-act", "raw densities -1e4 .. 1e4, three activations", "long double", density_activations},
     {"D17", "exp-88/89", "raw densities 88, 89, 1e4, 1e30", "long double", large_exponents},
+    {"D18", "dead-start", "100 seeds from almost no density", "moves or stops", dead_start},
 
 };
 

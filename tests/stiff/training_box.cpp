@@ -1,53 +1,8 @@
 #include "training_box.h"
 
-#include "testkit/analytic_scene.h"
+#include "stiff_room.h"
 
-namespace semfield {
-
-struct FormulaRoomParams {
-  int frames = 6;
-  int width_px = 32;
-  int height_px = 24;
-};
-static void describe(ParamVisitor& visit, FormulaRoomParams& p) {
-  SEMFIELD_PARAM(visit, p, frames, "frames", {1, 1000});
-  SEMFIELD_PARAM(visit, p, width_px, "width", {1, 1000});
-  SEMFIELD_PARAM(visit, p, height_px, "height", {1, 1000});
-}
-static void validate(const FormulaRoomParams&, Diagnostics&) {}
-
-namespace stiff {
-namespace {
-
-class FormulaRoom final : public Dataset {
- public:
-  FormulaRoom(const FormulaRoomParams& p, const DatasetBuild&) {
-    testkit::AnalyticSceneOptions options;
-    options.frames = p.frames;
-    options.width_px = p.width_px;
-    options.height_px = p.height_px;
-    inner_ = testkit::make_analytic_scene(options);
-  }
-  SceneInfo open(Diagnostics& diagnostics) override { return inner_->open(diagnostics); }
-  void read(int frame, FrameBuffer& out) const override { inner_->read(frame, out); }
-
- private:
-  std::unique_ptr<Dataset> inner_;
-};
-
-Registry with_room(const Registry& registry) {
-  Registry all = registry;
-  all.add_dataset<FormulaRoom, FormulaRoomParams>("analytic_room", "a room of formulas");
-  return all;
-}
-
-Session opened(const std::string& yaml, Registry& registry, Diagnostics& diagnostics) {
-  RunConfig config = read_run_config(parse_config_text(yaml, "case.yaml"), registry, diagnostics);
-  diagnostics.throw_if_errors(ErrorKind::config, "");
-  return open_session(std::move(config), registry, {}, diagnostics);
-}
-
-}  // namespace
+namespace semfield::stiff {
 
 std::string small_config(const std::string& more) {
   const std::string network =
@@ -56,12 +11,12 @@ std::string small_config(const std::string& more) {
       "    field: {type: nerf_mlp, depth: 4, width: 24, skip_at: 2, view_width: 12}\n";
   return "passes:\n  - name: coarse\n    sampler: {type: stratified, samples: 8}\n" + network +
          "  - name: fine\n    sampler: {type: importance, samples: 8}\n" + network + more +
-         (more.find("scene:") == std::string::npos ? "scene: {type: analytic_room}\n" : "") +
+         (more.find("scene:") == std::string::npos ? "scene: {type: stiff_room}\n" : "") +
          (more.find("train:") == std::string::npos ? "train: {steps: 50, rays: 64}\n" : "");
 }
 
 std::string grid_config(const std::string& more) {
-  return "scene: {type: analytic_room}\n"
+  return "scene: {type: stiff_room}\n"
          "rendering: {density_activation: softplus, far: background}\n"
          "semantics: {hidden_width: 16, weight: 0.1}\n"
          "passes:\n"
@@ -76,7 +31,7 @@ std::string grid_config(const std::string& more) {
 
 TrainingBox::TrainingBox(const Registry& registry, const std::string& yaml)
     : registry_(with_room(registry)),
-      session_(opened(yaml, registry_, diagnostics_)),
+      session_(open_room(yaml, registry_)),
       rays_(session_.make_ray_source()),
       trainer_(std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule)) {}
 
@@ -100,5 +55,4 @@ std::vector<TrainingBox::Kept> TrainingBox::state() {
   return out;
 }
 
-}  // namespace stiff
-}  // namespace semfield
+}  // namespace semfield::stiff

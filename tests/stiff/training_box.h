@@ -11,14 +11,15 @@
 
 namespace semfield::stiff {
 
-/// Two passes of the paper's shape, narrow, on the analytic room; `more` is YAML appended at the top level.
+/// Two passes of the paper's shape, narrow, on the analytic room (stiff_room.h); `more` is YAML appended at the top
+/// level.
 std::string small_config(const std::string& more = "");
 /// Hash grid behind an occupancy grid on the same room.
 std::string grid_config(const std::string& more = "");
 
 class TrainingBox {
  public:
-  /// `registry` with the dataset 'analytic_room' added. Throws Error(config).
+  /// `registry` with the dataset 'stiff_room' added. Throws Error(config).
   TrainingBox(const Registry& registry, const std::string& yaml);
   ~TrainingBox();
   TrainingBox(const TrainingBox&) = delete;
@@ -27,7 +28,6 @@ class TrainingBox {
   Session& session() { return session_; }
   Pipeline<float>& pipeline() { return *session_.pipeline; }
   Trainer& trainer() { return *trainer_; }
-  const Diagnostics& diagnostics() const { return diagnostics_; }
   /// Losses and gradients of a step without an update.
   StepLosses gradients(std::int64_t step);
 
@@ -41,7 +41,6 @@ class TrainingBox {
 
  private:
   Registry registry_;
-  Diagnostics diagnostics_;
   Session session_;
   std::unique_ptr<RaySource> rays_;
   std::unique_ptr<Trainer> trainer_;
