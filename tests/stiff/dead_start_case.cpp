@@ -1,7 +1,6 @@
 // Case D18: runs that begin with no density at any sample.
 #include <fmt/format.h>
 
-#include "core/parallel.h"
 #include "loss_cases.h"
 #include "training_box.h"
 
@@ -40,10 +39,11 @@ End outcome(CaseRun& run, int seed, const char* bias, std::int64_t& last) {
 
 void dead_start(CaseRun& run) {
   run.row("fp32");
-  for (const char* bias : {"0", "-0.3", "-0.6", "-3"}) {
+  // With -0.3 about half of the runs begin dead; the others show that a run that learns is left alone.
+  for (const auto& [bias, seeds] : {std::pair{"-0.3", 100}, std::pair{"0", 20}, std::pair{"-3", 20}}) {
     int counts[3] = {};
     std::int64_t latest = 0;
-    for (int seed = 0; seed < 100; ++seed) {
+    for (int seed = 0; seed < seeds; ++seed) {
       std::int64_t last = 0;
       const End end = outcome(run, seed, bias, last);
       ++counts[static_cast<int>(end)];

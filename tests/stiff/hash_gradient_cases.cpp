@@ -4,24 +4,12 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/parallel.h"
 #include "hash_reference.h"
+#include "thread_scope.h"
 
 namespace semfield::stiff {
 
 namespace {
-
-/// Sets the thread count for one scope.
-class Threads {
- public:
-  explicit Threads(int count) : before_(thread_count()) { set_thread_count(count); }
-  ~Threads() { set_thread_count(before_); }
-  Threads(const Threads&) = delete;
-  Threads& operator=(const Threads&) = delete;
-
- private:
-  int before_;
-};
 
 /// Half precision, round to nearest: what is left of a positive value below 2^-14.
 double in_half(double value) { return std::ldexp(std::nearbyint(std::ldexp(value, 24)), -24); }
@@ -82,7 +70,7 @@ void hash_one_entry(CaseRun& run) {
     StepContext ctx;
     ctx.workspace = &workspace;
     for (int repeat = 0; repeat < 100; ++repeat) {
-      const Threads threads(1 + repeat % 2);
+      const ThreadScope threads(1 + repeat % 2);
       box.tensors().fill_grads(Real(0));
       box.encoder().backward(ctx, box.tensors().tensors(), {x.data(), kRows, 3}, {dy.data(), kRows, 2}, {});
       const View<Real> grad = box.tensors().grad(0);

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "plugin/registry.h"
+#include "thread_scope.h"
 #include "train/session.h"
 #include "train/trainer.h"
 
@@ -40,6 +41,7 @@ class TrainingBox {
   std::vector<Kept> state();
 
  private:
+  ThreadScope one_thread_{1};  // results do not depend on it, and tiny steps are faster
   Registry registry_;
   Session session_;
   std::unique_ptr<RaySource> rays_;
