@@ -4,6 +4,7 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <type_traits>
 
 #include "core/cpu_kernels.h"
@@ -134,8 +135,10 @@ constexpr std::int64_t kApart = 16;
 
 template <class Real>
 Real largest_of(const Real* x, std::int64_t n) {
+  // From below every number, so that a NaN at the beginning does not stay.
+  constexpr Real kLeast = -std::numeric_limits<Real>::infinity();
   Real most[kApart];
-  for (std::int64_t i = 0; i < kApart; ++i) most[i] = x[0];
+  for (Real& value : most) value = kLeast;
   std::int64_t k = 0;
   for (; k + kApart <= n; k += kApart) {
     for (std::int64_t i = 0; i < kApart; ++i) most[i] = x[k + i] > most[i] ? x[k + i] : most[i];
@@ -143,7 +146,11 @@ Real largest_of(const Real* x, std::int64_t n) {
   for (; k < n; ++k) most[k % kApart] = x[k] > most[k % kApart] ? x[k] : most[k % kApart];
   Real result = most[0];
   for (std::int64_t i = 1; i < kApart; ++i) result = most[i] > result ? most[i] : result;
-  return result;
+  if (result > kLeast) return result;
+  for (k = 0; k < n; ++k) {
+    if (x[k] == kLeast) return kLeast;
+  }
+  return x[0];  // NaN throughout
 }
 
 template <class Real>

@@ -2,8 +2,13 @@
 #include "plugin/loader.h"
 
 #include <dlfcn.h>
+#include <elf.h>
+#include <link.h>
 
+#include <cstring>
 #include <filesystem>
+
+#include "core/files.h"
 
 namespace semfield {
 
@@ -52,6 +57,45 @@ void register_whole(Registry& registry, const PluginModule& module) {
   registry = std::move(trial);
 }
 
+// Throws Error(unavailable) for a library of another processor, and for one whose file ends before what it says must be
+// mapped: a copy that was interrupted would end the program at the first touch of a page that is not there. Anything
+// that is no ELF file is left to dlopen to refuse.
+void check_library_file(const std::string& path, const std::string& doing) {
+  constexpr std::size_t kLooked = std::size_t{1} << 16;
+  std::string start;
+  try {
+    start = read_file_start(path, kLooked);
+  } catch (const Error&) {
+    return;  // dlopen tells why it cannot be read
+  }
+  ElfW(Ehdr) header{};
+  if (start.size() < sizeof header || std::memcmp(start.data(), ELFMAG, SELFMAG) != 0) return;
+  std::memcpy(&header, start.data(), sizeof header);
+  ElfW(Ehdr) own{};
+  const std::string self = read_file_start("/proc/self/exe", sizeof own);
+  if (self.size() == sizeof own) std::memcpy(&own, self.data(), sizeof own);
+  if (self.size() == sizeof own &&
+      (header.e_ident[EI_CLASS] != own.e_ident[EI_CLASS] || header.e_machine != own.e_machine)) {
+    throw Error(ErrorKind::unavailable,
+                doing + ": it was built for another processor (ELF class " + std::to_string(header.e_ident[EI_CLASS]) +
+                    ", machine " + std::to_string(header.e_machine) + "; this program: " +
+                    std::to_string(own.e_ident[EI_CLASS]) + ", " + std::to_string(own.e_machine) + ")",
+                "build it on this kind of machine");
+  }
+  const std::uintmax_t size = std::filesystem::file_size(path);
+  for (std::size_t i = 0; i < header.e_phnum; ++i) {
+    ElfW(Phdr) part{};
+    const std::size_t at = header.e_phoff + i * sizeof part;
+    if (at + sizeof part > start.size()) break;
+    std::memcpy(&part, start.data() + at, sizeof part);
+    if (part.p_type != PT_LOAD || part.p_offset + part.p_filesz <= size) continue;
+    throw Error(ErrorKind::unavailable,
+                doing + ": the file is cut short: it ends at byte " + std::to_string(size) + " of " +
+                    std::to_string(part.p_offset + part.p_filesz),
+                "copy or build it again");
+  }
+}
+
 }  // namespace
 
 const char* abi_tag_of_framework() { return SEMFIELD_ABI_TAG; }
@@ -70,6 +114,7 @@ void load_module(Registry& registry, const std::string& path) {
   }
   // A name without a slash would be searched in the library path, which is not what was asked for.
   const std::string absolute = std::filesystem::absolute(path).string();
+  check_library_file(absolute, doing);
   void* library = dlopen(absolute.c_str(), RTLD_NOW | RTLD_LOCAL);
   if (library == nullptr) {
     const char* cause = dlerror();

@@ -7,10 +7,10 @@
 #include <limits>
 
 #include "geometry_parts.h"
+#include "input_parts.h"
 #include "scene/camera_path.h"
 #include "scene/frame_source.h"
 #include "scene/scene_checks.h"
-#include "testkit/settings.h"
 #include "tests/scene/room_files.h"
 #include "train/rays.h"
 
@@ -54,17 +54,6 @@ Pose pose_of(const Matrix& m) {
     for (std::size_t j = 0; j < 3; ++j) pose.r[i][j] = static_cast<double>(m[i][j]);
   }
   return pose;
-}
-
-bool told(const Diagnostics& diagnostics, Severity severity, std::string_view words) {
-  return std::any_of(diagnostics.all().begin(), diagnostics.all().end(), [&](const Diagnostic& d) {
-    return d.severity == severity && d.text().find(words) != std::string::npos;
-  });
-}
-
-std::unique_ptr<Dataset> dataset_of(const CaseRun& run, const char* name, const testkit::Settings& settings) {
-  const PluginEntry& entry = run.registry().get(PluginKind::dataset, name);
-  return entry.dataset(*testkit::make_params(entry, settings), {});
 }
 
 }  // namespace

@@ -1,0 +1,58 @@
+// What the files of group I give its list of cases, and the kernels of every instruction set side by side.
+#pragma once
+
+#include <vector>
+
+#include "core/cpu_kernels.h"
+#include "core/isa.h"
+#include "isa_list.h"
+#include "stiff_case.h"
+
+namespace semfield {
+
+// The makers that core/cpu_kernels.cpp chooses from; the suite calls each of them.
+#define SEMFIELD_DECLARE(name)              \
+  namespace isa_##name {                    \
+    void gemm_kernels(CpuKernels<float>&);  \
+    void gemm_kernels(CpuKernels<double>&); \
+    void loop_kernels(CpuKernels<float>&);  \
+    void loop_kernels(CpuKernels<double>&); \
+  }
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
+#undef SEMFIELD_DECLARE
+
+namespace stiff {
+
+void min_max_nan(CaseRun& run);
+void fused_or_not(CaseRun& run);
+void flush_to_zero(CaseRun& run);
+void ulp_table(CaseRun& run);
+void long_index(CaseRun& run);
+void whole_step(CaseRun& run);
+void finite_checks(CaseRun& run);
+
+template <class Real>
+struct IsaTable {
+  Isa isa = Isa::generic;
+  CpuKernels<Real> kernels{};
+};
+
+/// Kernels of every instruction set of this build up to the one in use, weakest first.
+template <class Real>
+std::vector<IsaTable<Real>> isa_tables() {
+  std::vector<IsaTable<Real>> out;
+  const auto add = [&](Isa which, void (*gemm)(CpuKernels<Real>&), void (*loops)(CpuKernels<Real>&)) {
+    if (which > isa()) return;
+    IsaTable<Real> table{which, {}};
+    gemm(table.kernels);
+    loops(table.kernels);
+    out.push_back(table);
+  };
+#define SEMFIELD_LIST(name) add(Isa::name, isa_##name::gemm_kernels, isa_##name::loop_kernels);
+  SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
+#undef SEMFIELD_LIST
+  return out;
+}
+
+}  // namespace stiff
+}  // namespace semfield
