@@ -1,25 +1,26 @@
 // The room, moved; configurations of small networks in it.
 #include "stiff_room.h"
 
-#include "testkit/analytic_scene.h"
-
 namespace semfield {
 
 namespace {
 
-struct StiffRoomParams {
-  double x_m = 0, y_m = 0, z_m = 0;
+struct RoomParams {
+  int frames = 6;
+  int width_px = 32;
+  int height_px = 24;
 };
-void describe(ParamVisitor& visit, StiffRoomParams& p) {
-  SEMFIELD_PARAM(visit, p, x_m, "shift", {-1e9, 1e9});
-  SEMFIELD_PARAM(visit, p, y_m, "shift", {-1e9, 1e9});
-  SEMFIELD_PARAM(visit, p, z_m, "shift", {-1e9, 1e9});
+void describe(ParamVisitor& visit, RoomParams& p) {
+  SEMFIELD_PARAM(visit, p, frames, "frames", {1, 1000});
+  SEMFIELD_PARAM(visit, p, width_px, "width", {1, 1000});
+  SEMFIELD_PARAM(visit, p, height_px, "height", {1, 1000});
 }
-void validate(const StiffRoomParams&, Diagnostics&) {}
+void validate(const RoomParams&, Diagnostics&) {}
 
 class ShiftedRoom final : public Dataset {
  public:
-  explicit ShiftedRoom(Vec3d shift_m) : shift_m_(shift_m), inner_(testkit::make_analytic_scene()) {}
+  ShiftedRoom(Vec3d shift_m, const testkit::AnalyticSceneOptions& options)
+      : shift_m_(shift_m), inner_(testkit::make_analytic_scene(options)) {}
 
   SceneInfo open(Diagnostics& diagnostics) override {
     SceneInfo info = inner_->open(diagnostics);
@@ -65,28 +66,38 @@ const char* const kFrequencyPass =
     "    field: {type: nerf_mlp, depth: 4, width: 32, skip_at: 2, view_width: 16}\n"
     "train: {steps: 200, rays: 128}\n";
 
-std::unique_ptr<Dataset> shifted_room(Vec3d shift_m) { return std::make_unique<ShiftedRoom>(shift_m); }
+std::unique_ptr<Dataset> shifted_room(Vec3d shift_m, const testkit::AnalyticSceneOptions& options) {
+  return std::make_unique<ShiftedRoom>(shift_m, options);
+}
 
 Registry with_room(const Registry& known, Vec3d shift_m) {
   Registry registry = known;
   PluginEntry entry;
   entry.kind = PluginKind::dataset;
-  entry.name = "stiff_room";
-  entry.summary = "The analytic room.";
-  entry.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<StiffRoomParams>>()); };
-  entry.dataset = [shift_m](const PluginParams& params, const DatasetBuild&) -> std::unique_ptr<Dataset> {
-    const StiffRoomParams& p = static_cast<const ParamsOf<StiffRoomParams>&>(params).value;
-    return shifted_room(shift_m + Vec3d{p.x_m, p.y_m, p.z_m});
+  entry.name = "analytic_room";
+  entry.summary = "A room of formulas.";
+  entry.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<RoomParams>>()); };
+  entry.dataset = [shift_m](const PluginParams& params, const DatasetBuild&) {
+    const RoomParams& p = static_cast<const ParamsOf<RoomParams>&>(params).value;
+    testkit::AnalyticSceneOptions options;
+    options.frames = p.frames;
+    options.width_px = p.width_px;
+    options.height_px = p.height_px;
+    return shifted_room(shift_m, options);
   };
   registry.add(std::move(entry));
   return registry;
 }
 
-Session open_room(const std::string& yaml, Registry& registry) {
-  Diagnostics diagnostics;
-  RunConfig config = read_run_config(parse_config_text(yaml, "stiff.yaml"), registry, diagnostics);
+Session open_room(const std::string& yaml, Registry& registry, Diagnostics& diagnostics) {
+  RunConfig config = read_run_config(parse_config_text(yaml, "case.yaml"), registry, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::config, "");
   return open_session(std::move(config), registry, {}, diagnostics);
+}
+
+Session open_room(const std::string& yaml, Registry& registry) {
+  Diagnostics diagnostics;
+  return open_room(yaml, registry, diagnostics);
 }
 
 std::vector<float> render_room_frame(const Registry& known, const std::string& yaml, Vec3d shift_m) {
