@@ -44,6 +44,7 @@ struct Child {
   pid_t pid = 0;
   const Cell* cell = nullptr;
   Clock::time_point start;
+  bool resumed = false;  // went on from a checkpoint: what it used is not all that the cell took
 };
 
 class Pool {
@@ -134,7 +135,8 @@ class Pool {
       _exit(127);
     }
     if (pid < 0) throw Error(ErrorKind::unavailable, "cannot start a process for a cell", "give fewer --jobs");
-    running_.push_back({pid, &cell, Clock::now()});
+    const bool resumed = std::find(words.begin(), words.end(), "--resume") != words.end();
+    running_.push_back({pid, &cell, Clock::now(), resumed});
   }
 
   // Waits until a child ends or a moment has passed.
@@ -152,10 +154,12 @@ class Pool {
     ++ended_;
     const Cell& cell = *child->cell;
     CellOutcome outcome{&cell, false, {}, std::chrono::duration<double>(Clock::now() - child->start).count()};
+    CellValues used{{"peak_mb", static_cast<double>(usage.ru_maxrss) / 1024}};
+    if (!child->resumed) used.emplace_back("processor_s", seconds_of(usage.ru_utime) + seconds_of(usage.ru_stime));
     running_.erase(child);
     const fs::path folder = cell_folder(options_, cell.id);
     if (WIFEXITED(status) && WEXITSTATUS(status) == 0) {
-      take_result(cell, folder, outcome);
+      take_result(cell, folder, used, outcome);
     } else if (stop_signal() == 0) {
       outcome.failure = failure_text(status, folder);
     } else {
@@ -164,11 +168,17 @@ class Pool {
     finished_(outcome);
   }
 
-  void take_result(const Cell& cell, const fs::path& folder, CellOutcome& outcome) {
+  static double seconds_of(const timeval& t) {
+    return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
+  }
+
+  // `used`: what the process took, beside what it measured.
+  void take_result(const Cell& cell, const fs::path& folder, const CellValues& used, CellOutcome& outcome) {
     try {
       CellValues values = cell.fuse.method.empty()
                               ? values_of_run((folder / "run" / "metrics.jsonl").string(), cell.split)
                               : values_of_fusion(read_text_file((folder / "output.txt").string()), cell.fuse.method);
+      values.insert(values.end(), used.begin(), used.end());
       write_cell_result((folder / "result.json").string(), values);
       results_[cell.id] = std::move(values);
       outcome.done = true;

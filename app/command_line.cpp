@@ -229,9 +229,22 @@ void add_plugins_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   bind(group->add_subcommand("matrix", "plugins by device"), [&context] { return run_plugins_matrix(context); });
 }
 
+void add_bench_quadrature(CLI::App& group, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<BenchQuadratureOptions>();
+  CLI::App* verb = group.add_subcommand(
+      "quadrature", "error of the rendering integral against evaluations and time, for every rule of the samplers");
+  verb->add_option("--rays", options->rays, "for rules with jitter and media with jumps (default: 1024)")
+      ->check(CLI::Range(16, 1000000));
+  verb->add_option("--out", options->out, "folder for plots (SVG), tables.md and quadrature.json");
+  verb->callback([&context, &choice, options] {
+    choice = [&context, options] { return run_bench_quadrature(*options, context); };
+  });
+}
+
 void add_bench_verbs(CLI::App& root, AppContext& context, Choice& choice) {
-  CLI::App* group = root.add_subcommand("bench", "how fast training steps are on this machine");
+  CLI::App* group = root.add_subcommand("bench", "how fast training steps are, how exact rules of integration");
   group->require_subcommand(1);
+  add_bench_quadrature(*group, context, choice);
   auto options = std::make_shared<BenchStepOptions>();
   CLI::App* step = group->add_subcommand("step", "whole training steps beside the machine's limits");
   step->add_flag("--peers", options->peers, "alternate with the same steps in PyTorch and print ratios");

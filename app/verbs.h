@@ -126,6 +126,12 @@ int run_plugins_docs(const std::string& out, AppContext& context);
 int run_plugins_matrix(AppContext& context);
 
 struct BenchStepOptions;
+struct BenchQuadratureOptions {
+  long long rays = 1024;  ///< for rules with jitter and media with jumps
+  std::string out;        ///< folder for plots, tables and quadrature.json; "": none
+};
+int run_bench_quadrature(const BenchQuadratureOptions& options, AppContext& context);
+
 int run_bench_step(const BenchStepOptions& options, AppContext& context);
 
 struct CheckNumericsOptions {

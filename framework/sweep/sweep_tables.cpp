@@ -4,12 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <map>
 
 #include "config/params_read.h"
 #include "core/check.h"
-#include "train/html.h"
 #include "train/report_svg.h"
 
 namespace semfield {
@@ -35,38 +33,18 @@ std::string cell_text(const MeanInterval& m) {
   return fmt::format("{:.3f}", m.mean);
 }
 
-// A plot as a file of its own: the page's style, and a legend above it.
-std::string standalone_svg(const PlotSpec& spec) {
-  const std::string plot = line_plot(spec);
-  double width = 0, height = 0;
-  SEMFIELD_CHECK(std::sscanf(plot.c_str(), "<svg viewBox=\"0 0 %lf %lf\"", &width, &height) == 2,
-                 "plot without a size");
-  constexpr double kHead = 46;
-  std::string out = fmt::format(
-      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {0:.0f} {1:.0f}\" width=\"{0:.0f}\" height=\"{1:.0f}\" "
-      "font-family=\"sans-serif\">\n<style>{2}</style>\n<rect width=\"100%\" height=\"100%\" "
-      "fill=\"var(--card)\"/>\n<text x=\"12\" y=\"18\" font-size=\"14\" fill=\"var(--ink)\">{3}</text>\n",
-      width, height + kHead, report_style(), html_escape(spec.title));
-  double x = 12;
-  for (const PlotSeries& series : spec.series) {
-    const std::string sample = line_sample(series.color);
-    out += sample.substr(0, 4) + fmt::format(" x=\"{:.0f}\" y=\"28\" width=\"34\" height=\"10\"", x) + sample.substr(4);
-    out += fmt::format("<text x=\"{:.0f}\" y=\"38\" font-size=\"12\" fill=\"var(--ink)\">{}</text>\n", x + 40,
-                       html_escape(series.name));
-    x += 60 + 7.5 * static_cast<double>(series.name.size());
-  }
-  out += fmt::format("<g transform=\"translate(0 {:.0f})\">\n", kHead);
-  return out + plot.substr(0, 4) + fmt::format(" width=\"{:.0f}\" height=\"{:.0f}\"", width, height) + plot.substr(4) +
-         "</g></svg>\n";
-}
-
 // What a reader calls a metric of metrics.jsonl.
 std::string metric_label(const std::string& metric) {
-  static const std::map<std::string, std::string> labels{
-      {"miou_present", "mIoU"},       {"given_miou_present", "mIoU of the labels given"},
-      {"total_accuracy", "accuracy"}, {"given_total_accuracy", "accuracy of the labels given"},
-      {"psnr", "PSNR, dB"},           {"absrel", "AbsRel"},
-      {"rmse", "RMSE of depth, m"},   {"train_s", "seconds of training"}};
+  static const std::map<std::string, std::string> labels{{"miou_present", "mIoU"},
+                                                         {"given_miou_present", "mIoU of the labels given"},
+                                                         {"total_accuracy", "accuracy"},
+                                                         {"given_total_accuracy", "accuracy of the labels given"},
+                                                         {"psnr", "PSNR, dB"},
+                                                         {"absrel", "AbsRel"},
+                                                         {"rmse", "RMSE of depth, m"},
+                                                         {"train_s", "seconds of training"},
+                                                         {"processor_s", "processor seconds"},
+                                                         {"peak_mb", "peak memory, MB"}};
   const auto found = labels.find(metric);
   return found == labels.end() ? metric : found->second;
 }
@@ -228,7 +206,7 @@ std::string ExperimentTable::svg() const {
     places = std::max(places, series.points.size());
     if (!series.points.empty()) spec.series.push_back(std::move(series));
   }
-  return places < 2 ? std::string() : standalone_svg(spec);
+  return places < 2 ? std::string() : figure_svg(spec.title, {spec}, 1);
 }
 
 }  // namespace semfield

@@ -325,6 +325,50 @@ std::string line_sample(int color) {
       stroke(color));
 }
 
+std::string figure_svg(const std::string& title, const std::vector<PlotSpec>& panels, int columns) {
+  constexpr double kTitle = 28, kLegendLine = 18, kPanelTitle = 22;
+  const int rows = (static_cast<int>(panels.size()) + columns - 1) / columns;
+  const double width = kWidth * columns;
+  std::string legend;
+  std::vector<std::string> named;
+  double x = 12, y = kTitle;
+  for (const PlotSpec& panel : panels) {
+    for (const PlotSeries& series : panel.series) {
+      if (std::find(named.begin(), named.end(), series.name) != named.end()) continue;
+      named.push_back(series.name);
+      const double wide = 60 + 6.6 * static_cast<double>(series.name.size());
+      if (x > 12 && x + wide > width) {
+        x = 12;
+        y += kLegendLine;
+      }
+      legend += series.reference ? line(x + 1, y + 5, x + 33, y + 5, "class=\"rf\"")
+                                 : line(x + 1, y + 5, x + 33, y + 5, "class=\"ln\" " + stroke(series.color));
+      legend += text_at(x + 40, y + 9, "start", series.name, " style=\"font-size:12px;fill:var(--ink)\"");
+      x += wide;
+    }
+  }
+  const double head = y + kLegendLine, panel_head = panels.size() > 1 ? kPanelTitle : 0;
+  const double height = head + rows * (kHeight + panel_head);
+  std::string out = fmt::format(
+      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {0:.0f} {1:.0f}\" width=\"{0:.0f}\" height=\"{1:.0f}\" "
+      "font-family=\"sans-serif\">\n<style>{2}</style>\n<rect width=\"100%\" height=\"100%\" "
+      "fill=\"var(--card)\"/>\n",
+      width, height, report_style());
+  out += text_at(12, 18, "start", title, " style=\"font-size:14px;fill:var(--ink)\"") + legend;
+  for (std::size_t i = 0; i < panels.size(); ++i) {
+    const double left = kWidth * static_cast<double>(i % static_cast<std::size_t>(columns));
+    const double top = head + (kHeight + panel_head) * static_cast<double>(i / static_cast<std::size_t>(columns));
+    if (panel_head > 0)
+      out += text_at(left + kLeft, top + 15, "start", panels[i].title, " style=\"font-size:13px;fill:var(--ink)\"");
+    // A group and no <svg> of its own: the page's style gives those the width of what holds them.
+    const std::string plot = line_plot(panels[i]);
+    const std::size_t attributes = plot.find(" role="), end = plot.rfind("</svg>");
+    out += fmt::format("<g transform=\"translate({:.0f} {:.0f})\"", left, top + panel_head) +
+           plot.substr(attributes, end - attributes) + "</g>\n";
+  }
+  return out + "</svg>\n";
+}
+
 std::string line_plot(const PlotSpec& spec) {
   std::vector<PlotSeries> drawn = spec.series;
   for (PlotSeries& series : drawn) {

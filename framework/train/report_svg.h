@@ -69,4 +69,8 @@ std::string line_plot(const PlotSpec& spec);
 /// A short horizontal sample of a series' line, for a legend.
 std::string line_sample(int color);
 
+/// A file of its own: a title, one legend of the series' names in all panels, and the panels row by row under their
+/// titles (a single one goes without, as the figure's title says it).
+std::string figure_svg(const std::string& title, const std::vector<PlotSpec>& panels, int columns);
+
 }  // namespace semfield
