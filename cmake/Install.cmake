@@ -21,6 +21,10 @@ foreach(companion semfield_images semfield_onednn semfield_numerics)  # beside t
     install(TARGETS ${companion} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
   endif()
 endforeach()
+if(TARGET semfield_step_probe)  # started by semfield_numerics, which looks for it beside itself
+  set_target_properties(semfield_step_probe PROPERTIES INSTALL_RPATH "$ORIGIN")
+  install(TARGETS semfield_step_probe RUNTIME DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
+endif()
 install(EXPORT semfieldTargets NAMESPACE semfield:: DESTINATION ${semfield_package_dir} COMPONENT sdk)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/framework/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/semfield COMPONENT sdk
         FILES_MATCHING PATTERN "*.h")

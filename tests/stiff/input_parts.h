@@ -34,8 +34,11 @@ class ResourceUse {
     begin_kib_ = status_kib("VmRSS:");
   }
   double seconds() const { return cpu_s() - begin_s_; }
-  /// None where the system does not tell.
+  /// 0 where the system does not tell, and under a sanitizer, whose own memory would be counted.
   double grown_mib() const {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+    return 0;
+#endif
     const double most = status_kib("VmHWM:");
     return begin_kib_ > 0 && most > begin_kib_ ? (most - begin_kib_) / 1024 : 0;
   }
