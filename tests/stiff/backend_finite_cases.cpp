@@ -73,7 +73,7 @@ void kernel_guards(CaseRun& run) {
 // Every dense tensor in turn gets one NaN: the step says so and changes nothing.
 void trainer_guards(CaseRun& run) {
   Registry registry = with_room(run.registry());
-  Session session = open_room(std::string("scene: {type: analytic_room}\n") + kHashPass, registry);
+  Session session = open_room(std::string("scene: {type: stiff_room}\n") + kHashPass, registry);
   const auto rays = session.make_ray_source();
   int poisoned = 0;
   for (std::size_t i = 0; i < session.pipeline->store().all().size(); ++i) {
@@ -147,7 +147,7 @@ void finite_checks(CaseRun& run) {
   }
   Registry registry = with_room(run.registry());
   run.expect_error(ErrorKind::config, {".nan"}, [&] {
-    (void)open_room(std::string("scene: {type: analytic_room}\n") + kHashPass + "report: {eval_every_s: .nan}\n",
+    (void)open_room(std::string("scene: {type: stiff_room}\n") + kHashPass + "report: {eval_every_s: .nan}\n",
                     registry);
   });
   trainer_guards(run);

@@ -57,7 +57,7 @@ void whole_step(CaseRun& run) {
   const std::string program = probe_path();
   if (program.empty())
     return run.absent("the program that steps under another instruction set is not beside this library");
-  const std::string scene = "scene: {type: analytic_room}\n";
+  const std::string scene = "scene: {type: stiff_room}\n";
   const auto runtime = [](const char* what) { return "runtime: {" + std::string(what) + "}\n"; };
   constexpr int kSteps = 100, kDeepSteps = 20;
   struct Measured {

@@ -48,7 +48,7 @@ void far_origin(CaseRun& run) {
   }
   // Rendering: positions are float64 up to the encoder, so a room 2^20 m away gives the picture of the room itself.
   for (const char* passes : {kHashPass, kFrequencyPass}) {
-    const std::string yaml = std::string("scene: {type: analytic_room}\n") + passes;
+    const std::string yaml = std::string("scene: {type: stiff_room}\n") + passes;
     const std::vector<float> near = render_room_frame(run.registry(), yaml, {0, 0, 0});
     const std::vector<float> far = render_room_frame(run.registry(), yaml, {0x1p20, -0x1p20, 0x1p19});
     run.expect(near.size() == far.size() && !near.empty(), "two pictures");

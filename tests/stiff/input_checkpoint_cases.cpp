@@ -23,7 +23,7 @@ namespace {
 std::string small_checkpoint(const Registry& known) {
   Registry registry = with_room(known);
   Session session = open_room(
-      "scene: {type: analytic_room}\nrendering: {density_activation: softplus}\npasses:\n"
+      "scene: {type: stiff_room}\nrendering: {density_activation: softplus}\npasses:\n"
       "  - sampler: {type: stratified, samples: 4}\n    position: {type: frequency, frequencies: 1}\n"
       "    direction: {type: spherical_harmonics, degree: 1}\n"
       "    field: {type: tiny_mlp, hidden_width: 8, color_width: 8, color_layers: 1}\ntrain: {rays: 16}\n",

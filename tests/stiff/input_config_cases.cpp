@@ -70,7 +70,7 @@ void alias_bombs(CaseRun& run) {
 void yaml_mistakes(CaseRun& run) {
   run.row("-");
   Registry registry = with_room(run.registry());
-  const std::string good = std::string("scene: {type: analytic_room}\n") + kHashPass;
+  const std::string good = std::string("scene: {type: stiff_room}\n") + kHashPass;
   const auto findings = [&](const std::string& yaml) {
     Diagnostics found;
     (void)read_run_config(parse_config_text(yaml, "room.yaml"), registry, found);

@@ -6,9 +6,9 @@ namespace semfield {
 namespace {
 
 struct RoomParams {
-  int frames = 6;
-  int width_px = 32;
-  int height_px = 24;
+  int frames = 12;
+  int width_px = 48;
+  int height_px = 36;
 };
 void describe(ParamVisitor& visit, RoomParams& p) {
   SEMFIELD_PARAM(visit, p, frames, "frames", {1, 1000});
@@ -74,7 +74,7 @@ Registry with_room(const Registry& known, Vec3d shift_m) {
   Registry registry = known;
   PluginEntry entry;
   entry.kind = PluginKind::dataset;
-  entry.name = "analytic_room";
+  entry.name = "stiff_room";
   entry.summary = "A room of formulas.";
   entry.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<RoomParams>>()); };
   entry.dataset = [shift_m](const PluginParams& params, const DatasetBuild&) {

@@ -11,7 +11,7 @@
 
 namespace semfield::stiff {
 
-/// Passes and rendering of two kinds of network; to be put behind "scene: {type: analytic_room}\n". The hash grid
+/// Passes and rendering of two kinds of network; to be put behind "scene: {type: stiff_room}\n". The hash grid
 /// learns its encoding behind an occupancy grid; the frequency kind has the shape of [Zhi21], two passes.
 extern const char* const kHashPass;
 extern const char* const kFrequencyPass;
@@ -19,7 +19,7 @@ extern const char* const kFrequencyPass;
 /// The analytic room (4 m x 3 m x 2 m) moved by `shift_m`.
 std::unique_ptr<Dataset> shifted_room(Vec3d shift_m, const testkit::AnalyticSceneOptions& options = {});
 
-/// `known` and the dataset 'analytic_room', moved by `shift_m`: 6 frames of 32 x 24 pixels unless told otherwise.
+/// `known` and the dataset 'stiff_room', moved by `shift_m`: 12 frames of 48 x 36 pixels unless told otherwise.
 Registry with_room(const Registry& known, Vec3d shift_m = {});
 
 /// Reads and opens a configuration. Throws Error with every problem; what does not stop goes into `diagnostics`.
