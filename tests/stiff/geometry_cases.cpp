@@ -18,7 +18,7 @@ constexpr Case kCases[] = {
     {"F07", "so3-exp", "turns of 0, 1e-12, 1e-8, pi - 1e-9 and pi between two poses", "long double", rotation_between},
     {"F08", "bad-pose", "trajectory rows of NaN and -inf", "exact", bad_pose},
     {"F09", "intrinsics", "focal lengths <= 0, principal point outside, a lens that folds", "long double", intrinsics},
-    {"F10", "utm", "scenes 1e3 to 1e6 m from the origin", "the same scene at the origin", far_origin},
+    {"F10", "utm", "scenes 1e3 to 1e6 m from the origin", "scene at the origin", far_origin},
     {"F11", "sliver", "triangles of no area, area 1e-12, given twice", "exact", slivers},
     {"F12", "mesh-bad", "OBJ files with wrong indices, NaN, no faces; a PLY file", "exact", bad_meshes},
 };

@@ -1,26 +1,19 @@
 // The room, moved; configurations of small networks in it.
 #include "stiff_room.h"
 
+#include "testkit/analytic_scene.h"
+
 namespace semfield {
 
 namespace {
 
-struct RoomParams {
-  int frames = 12;
-  int width_px = 48;
-  int height_px = 36;
-};
-void describe(ParamVisitor& visit, RoomParams& p) {
-  SEMFIELD_PARAM(visit, p, frames, "frames", {1, 1000});
-  SEMFIELD_PARAM(visit, p, width_px, "width", {1, 1000});
-  SEMFIELD_PARAM(visit, p, height_px, "height", {1, 1000});
-}
-void validate(const RoomParams&, Diagnostics&) {}
+struct NoParams {};
+void describe(ParamVisitor&, NoParams&) {}
+void validate(const NoParams&, Diagnostics&) {}
 
 class ShiftedRoom final : public Dataset {
  public:
-  ShiftedRoom(Vec3d shift_m, const testkit::AnalyticSceneOptions& options)
-      : shift_m_(shift_m), inner_(testkit::make_analytic_scene(options)) {}
+  explicit ShiftedRoom(Vec3d shift_m) : shift_m_(shift_m), inner_(testkit::make_analytic_scene()) {}
 
   SceneInfo open(Diagnostics& diagnostics) override {
     SceneInfo info = inner_->open(diagnostics);
@@ -66,9 +59,7 @@ const char* const kFrequencyPass =
     "    field: {type: nerf_mlp, depth: 4, width: 32, skip_at: 2, view_width: 16}\n"
     "train: {steps: 200, rays: 128}\n";
 
-std::unique_ptr<Dataset> shifted_room(Vec3d shift_m, const testkit::AnalyticSceneOptions& options) {
-  return std::make_unique<ShiftedRoom>(shift_m, options);
-}
+std::unique_ptr<Dataset> shifted_room(Vec3d shift_m) { return std::make_unique<ShiftedRoom>(shift_m); }
 
 Registry with_room(const Registry& known, Vec3d shift_m) {
   Registry registry = known;
@@ -76,28 +67,17 @@ Registry with_room(const Registry& known, Vec3d shift_m) {
   entry.kind = PluginKind::dataset;
   entry.name = "stiff_room";
   entry.summary = "A room of formulas.";
-  entry.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<RoomParams>>()); };
-  entry.dataset = [shift_m](const PluginParams& params, const DatasetBuild&) {
-    const RoomParams& p = static_cast<const ParamsOf<RoomParams>&>(params).value;
-    testkit::AnalyticSceneOptions options;
-    options.frames = p.frames;
-    options.width_px = p.width_px;
-    options.height_px = p.height_px;
-    return shifted_room(shift_m, options);
-  };
+  entry.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<NoParams>>()); };
+  entry.dataset = [shift_m](const PluginParams&, const DatasetBuild&) { return shifted_room(shift_m); };
   registry.add(std::move(entry));
   return registry;
 }
 
-Session open_room(const std::string& yaml, Registry& registry, Diagnostics& diagnostics) {
+Session open_room(const std::string& yaml, Registry& registry) {
+  Diagnostics diagnostics;
   RunConfig config = read_run_config(parse_config_text(yaml, "case.yaml"), registry, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::config, "");
   return open_session(std::move(config), registry, {}, diagnostics);
-}
-
-Session open_room(const std::string& yaml, Registry& registry) {
-  Diagnostics diagnostics;
-  return open_room(yaml, registry, diagnostics);
 }
 
 std::vector<float> render_room_frame(const Registry& known, const std::string& yaml, Vec3d shift_m) {

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "plugin/registry.h"
-#include "testkit/analytic_scene.h"
 #include "train/session.h"
 
 namespace semfield::stiff {
@@ -17,13 +16,12 @@ extern const char* const kHashPass;
 extern const char* const kFrequencyPass;
 
 /// The analytic room (4 m x 3 m x 2 m) moved by `shift_m`.
-std::unique_ptr<Dataset> shifted_room(Vec3d shift_m, const testkit::AnalyticSceneOptions& options = {});
+std::unique_ptr<Dataset> shifted_room(Vec3d shift_m);
 
-/// `known` and the dataset 'stiff_room', moved by `shift_m`: 12 frames of 48 x 36 pixels unless told otherwise.
+/// `known` and the dataset 'stiff_room', moved by `shift_m`: 12 frames of 48 x 36 pixels.
 Registry with_room(const Registry& known, Vec3d shift_m = {});
 
-/// Reads and opens a configuration. Throws Error with every problem; what does not stop goes into `diagnostics`.
-Session open_room(const std::string& yaml, Registry& registry, Diagnostics& diagnostics);
+/// Reads and opens a configuration. Throws Error with every problem.
 Session open_room(const std::string& yaml, Registry& registry);
 
 /// Colours of the first frame before any training.
