@@ -8,6 +8,7 @@
 #include "model/density_activation.h"
 #include "scene/stored_frame.h"
 #include "tests/model_compositor/rays_of_slabs.h"
+#include "training_box.h"
 
 namespace semfield::stiff {
 
@@ -178,6 +179,17 @@ void hdr_target(CaseRun& run) {
     run.expect(std::is_same_v<decltype(StoredFrame::rgb)::value_type, std::uint8_t>,
                "frames in memory hold 8 bits a channel: training cannot meet such targets");
   });
+  run.row("fp32");
+  // Were one in a batch all the same, the ray is found and named, and no other.
+  for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
+    TrainingBox box(run.registry(), small_config());
+    box.gradients(0);
+    const RayBatch batch = box.batch().view(box.pipeline().has_semantics());
+    run.expect(!box.pipeline().find_fault(0, batch).has_value(), "a sound batch has no fault");
+    box.batch().target[3 * 37 + 1] = bad;
+    const std::optional<RayFault> fault = box.pipeline().find_fault(0, batch);
+    run.expect(fault.has_value() && fault->ray() == 37, "the ray of a bad target is found");
+  }
 }
 
 void density_activations(CaseRun& run) {

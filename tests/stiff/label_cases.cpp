@@ -115,6 +115,27 @@ void label_range(CaseRun& run) {
     read_frame_files(frame, files, lenient, classes, buffer);
     run.expect(buffer.label[15] == kVoid && buffer.label[14] == 4, "unknown_labels: void makes it void, and it alone");
   }
+  // Where a batch is made: a label that got into memory by another way.
+  for (const int bad : {28, -2, 255, 32767}) {
+    StoredFrame pixels;
+    pixels.width_px = 6;
+    pixels.height_px = 4;
+    pixels.rgb.assign(72, 100);
+    std::vector<std::int16_t> label(24, 5);
+    label[15] = static_cast<std::int16_t>(bad);
+    TrainingLabels::Frame labels;
+    labels.hard = LabelMap(label);
+    TrainFrame train{{frame.camera, Pose{}, false}, &pixels, &labels, frame.name};
+    train.camera.camera.fx = train.camera.camera.fy = 5;
+    std::vector<std::int16_t> logit_of_class;
+    for (std::int16_t c = 0; c < 28; ++c) logit_of_class.push_back(c);
+    RaySourceOptions options;
+    options.rays = 256;  // of 24 pixels: the bad one is among them
+    const RaySource source({train}, logit_of_class, {}, options);
+    BatchBuffers batch;
+    run.expect_error(ErrorKind::data, {"frame 'view_7'", "x 3, y 2", fmt::format("label {} ", bad)},
+                     [&] { source.fill(0, batch); });
+  }
 }
 
 }  // namespace semfield::stiff

@@ -31,6 +31,8 @@ class TrainingBox {
   Trainer& trainer() { return *trainer_; }
   /// Losses and gradients of a step without an update.
   StepLosses gradients(std::int64_t step);
+  /// The batch of the last call of gradients.
+  BatchBuffers& batch() { return batch_; }
 
   /// Every byte that a step may change: values and moments, by tensor.
   struct Kept {
