@@ -13,7 +13,7 @@ constexpr Case kCases[] = {
     {"D05", "all-void", "1,024 void rays; training steps without a label", "0", all_void},
     {"D06", "one-labelled", "1 labelled ray of 1,024, each normalisation", "long double", one_labelled},
     {"D07", "label-range", "labels C, -2, 255, 65535", "named error", label_range},
-    {"D08", "empty-ray", "density 0 along the ray", "1/C, ln C, differences", empty_ray},
+    {"D08", "empty-ray", "density 0 along the ray", "1/C, ln C", empty_ray},
     {"D09", "half-opacity", "margin 10 at opacity 1/2, 28 classes", "closed form", half_opacity},
     {"D10", "soft-labels", "sums 0.9, 1.1, 1e-20, 1e20; negative, NaN", "long double", soft_labels},
     {"D11", "detach", "stop_gradient_to_density", "0", detached},
