@@ -66,7 +66,7 @@ void check(CaseRun& run, const Parameters<Real>& got, std::size_t i, const Refer
 void adam_sizes(CaseRun& run) {
   in_both_precisions(run, [&]<class Real>(Real) {
     const AdamParams params;
-    constexpr int kSizes = 31;
+    constexpr int kSizes = 39;  // 1e-20 .. 1e18: from 1e19 on a step is refused (E08)
     for (const bool sparse : {false, true}) {
       Parameters<Real> state(kSizes);
       std::vector<Reference> want(kSizes);
