@@ -20,7 +20,8 @@ constexpr std::string_view kPrefix = "step_";
 constexpr std::string_view kSuffix = ".safetensors";
 
 std::optional<std::int64_t> step_of(const std::string& name) {
-  if (!name.starts_with(kPrefix) || !name.ends_with(kSuffix) || name.size() <= kPrefix.size() + kSuffix.size()) return std::nullopt;
+  if (!name.starts_with(kPrefix) || !name.ends_with(kSuffix) || name.size() <= kPrefix.size() + kSuffix.size())
+    return std::nullopt;
   const char* begin = name.data() + kPrefix.size();
   const char* end = name.data() + name.size() - kSuffix.size();
   std::int64_t step = 0;
@@ -35,42 +36,41 @@ std::string CheckpointStore::file_name(std::int64_t step) { return fmt::format("
 
 CheckpointStore::CheckpointStore(std::string folder, int keep) : folder_(std::move(folder)), keep_(keep) {
   SEMFIELD_CHECK(keep >= 2, "at least two checkpoints are kept");
-  std::error_code error;
-  fs::create_directories(folder_, error);
-  if (error) {
-    throw Error(ErrorKind::cannot_create, fmt::format("cannot create the folder '{}': {}", folder_, error.message()),
-                "choose another run folder with --out");
-  }
-  std::vector<fs::path> stale;
-  for (const fs::directory_entry& entry : fs::directory_iterator(folder_, error)) {
-    if (entry.path().filename().string().find(".tmp") != std::string::npos && entry.is_regular_file()) stale.push_back(entry.path());
-  }
-  for (const fs::path& path : stale) fs::remove(path, error);
+  create_folders(folder_);
+  remove_stale_temporaries(folder_);
 }
+
+CheckpointStore CheckpointStore::read(std::string folder) { return CheckpointStore(std::move(folder), Reading{}); }
 
 std::vector<CheckpointStore::Entry> CheckpointStore::list() const {
   std::vector<Entry> entries;
-  std::error_code error;
-  for (const fs::directory_entry& entry : fs::directory_iterator(folder_, error)) {
-    const std::optional<std::int64_t> step = step_of(entry.path().filename().string());
-    if (step && entry.is_regular_file()) entries.push_back({*step, entry.path().string()});
+  std::error_code error, ignored;
+  do {
+    entries.clear();
+    for (fs::directory_iterator entry(folder_, error), end; !error && entry != end; entry.increment(error)) {
+      const std::optional<std::int64_t> step = step_of(entry->path().filename().string());
+      if (step && entry->is_regular_file(ignored)) entries.push_back({*step, entry->path().string()});
+    }
+  } while (error == std::errc::interrupted);
+  // Not the same as no checkpoints: a run that took it for that would start over.
+  if (error && error != std::errc::no_such_file_or_directory) {
+    throw Error(ErrorKind::io, fmt::format("cannot read the folder '{}': {}", folder_, error.message()),
+                "check the permissions and the disk");
   }
   std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.step > b.step; });
   return entries;
 }
 
-std::string CheckpointStore::save(std::int64_t step, const std::vector<TensorRef>& tensors, const TensorMetadata& metadata) {
+std::string CheckpointStore::save(std::int64_t step, const std::vector<TensorRef>& tensors,
+                                  const TensorMetadata& metadata) {
   SEMFIELD_CHECK(step >= 0, "a step is not negative");
   const std::vector<Entry> before = list();
   const std::string path = (fs::path(folder_) / file_name(step)).string();
   try {
     write_safetensors(path, tensors, metadata);
-    (void)TensorFile::read(path);  // what was written is what a resume would read
     write_file_atomic((fs::path(folder_) / "latest").string(), file_name(step) + "\n");
   } catch (Error& error) {
-    const std::string kept = before.empty() ? "no earlier checkpoint exists"
-                                            : fmt::format("the checkpoint of step {} is kept", before.front().step);
-    error.while_doing(fmt::format("while saving the checkpoint of step {} ({})", step, kept));
+    error.while_doing(fmt::format("while saving the checkpoint of step {} ({})", step, kept_text()));
     throw;
   }
   int kept = 1;
@@ -83,6 +83,16 @@ std::string CheckpointStore::save(std::int64_t step, const std::vector<TensorRef
     }
   }
   return path;
+}
+
+std::string CheckpointStore::kept_text() const {
+  try {
+    Diagnostics ignored;
+    const std::optional<Found> found = find_latest(ignored);
+    return found ? fmt::format("the checkpoint of step {} is kept", found->step) : "there is no checkpoint yet";
+  } catch (const std::exception& error) {
+    return error.what();  // of another failure beside the one that is told
+  }
 }
 
 std::optional<CheckpointStore::Found> CheckpointStore::find_latest(Diagnostics& diagnostics) const {

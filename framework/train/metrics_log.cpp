@@ -123,7 +123,8 @@ MetricsLog MetricsLog::open(const std::string& path) {
 MetricsLog MetricsLog::create(const std::string& path) {
   std::error_code ignored;
   if (std::filesystem::exists(path, ignored) && std::filesystem::file_size(path, ignored) > 0) {
-    throw Error(ErrorKind::cannot_create, fmt::format("'{}' holds rows already", path), "resume the run, or choose another folder with --out");
+    throw Error(ErrorKind::cannot_create, fmt::format("'{}' holds rows already", path),
+                "resume the run, or choose another folder with --out");
   }
   return open(path);
 }
@@ -132,8 +133,16 @@ MetricsLog MetricsLog::resume(const std::string& path, std::int64_t step) {
   if (std::filesystem::exists(path)) {
     const std::string text = read_text_file(path);
     std::string kept;
+    std::optional<Error> unreadable;
     each_line(text, [&](std::string_view line, int number_of_line) {
-      if (parse_row(line, fmt::format("{}:{}", path, number_of_line)).step > step) return;
+      try {
+        if (parse_row(line, fmt::format("{}:{}", path, number_of_line)).step > step) return;
+      } catch (const Error& error) {
+        if (!unreadable) unreadable = error;
+        return;
+      }
+      // Rows up to the checkpoint were synced before it, so a bad line ahead of one is no trace of a power cut.
+      if (unreadable) throw *unreadable;
       kept += line;
       kept += '\n';
     });
@@ -150,18 +159,8 @@ MetricsLog::~MetricsLog() {
   if (descriptor_ >= 0) ::close(descriptor_);
 }
 
-void MetricsLog::append(const MetricsRow& row) {
-  const std::string line = metrics_line(row) + "\n";
-  std::size_t done = 0;
-  while (done < line.size()) {
-    const ssize_t written = ::write(descriptor_, line.data() + done, line.size() - done);
-    if (written < 0 && errno == EINTR) continue;
-    if (written <= 0) {
-      throw Error(ErrorKind::io, fmt::format("cannot append to '{}': {}", path_, std::strerror(errno)),
-                  "free space on the disk, then resume the run");
-    }
-    done += static_cast<std::size_t>(written);
-  }
-}
+void MetricsLog::append(const MetricsRow& row) { append_all(descriptor_, path_, metrics_line(row) + "\n"); }
+
+void MetricsLog::sync() { sync_file(descriptor_, path_); }
 
 }  // namespace semfield

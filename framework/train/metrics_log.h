@@ -36,18 +36,21 @@ std::string metrics_line(const MetricsRow& row);
 std::vector<MetricsRow> read_metrics(const std::string& path);
 std::vector<MetricsRow> parse_metrics(std::string_view text, const std::string& name);
 
-/// Appends rows; each is on its way to the disk when append returns.
+/// Appends rows; each is with the system when append returns, so a killed process loses none.
 class MetricsLog {
  public:
   /// Opens an empty or absent file. Throws Error(cannot_create).
   static MetricsLog create(const std::string& path);
-  /// Drops a torn last line and every row after `step`, then opens for appending.
+  /// Drops every row after `step` and what a power cut left of lines behind the last row kept, then opens for
+  /// appending. Throws Error(data) for an unreadable line ahead of a row that is kept.
   static MetricsLog resume(const std::string& path, std::int64_t step);
 
   MetricsLog(MetricsLog&& other) noexcept;
   MetricsLog& operator=(MetricsLog&&) = delete;
   ~MetricsLog();
   void append(const MetricsRow& row);
+  /// Makes the rows so far outlive a power cut; a checkpoint is written only after its rows.
+  void sync();
 
  private:
   MetricsLog(std::string path, int descriptor) : path_(std::move(path)), descriptor_(descriptor) {}

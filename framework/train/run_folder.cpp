@@ -12,6 +12,7 @@
 #include <filesystem>
 
 #include "core/error.h"
+#include "core/files.h"
 
 namespace semfield {
 
@@ -32,9 +33,20 @@ Error cannot_write(const std::string& path, int cause) {
   const bool closed = cause == EACCES || cause == EROFS || cause == EPERM;
   return Error(ErrorKind::cannot_create,
                fmt::format("cannot write in the run folder '{}': {}", path,
-                           full ? "the disk is full" : closed ? "it is read-only for this user" : std::strerror(cause)),
+                           full     ? "the disk is full"
+                           : closed ? "it is read-only for this user"
+                                    : std::strerror(cause)),
                full ? "free space, or choose a folder on another disk with --out"
                     : "choose a folder that you may write to with --out");
+}
+
+// What killed processes left in the folder and those below; the caller holds the folder's lock.
+void remove_stale(const std::string& path) {
+  remove_stale_temporaries(path);
+  std::error_code error, ignored;
+  for (fs::recursive_directory_iterator entry(path, error), end; !error && entry != end; entry.increment(error)) {
+    if (entry->is_directory(ignored) && !entry->is_symlink(ignored)) remove_stale_temporaries(entry->path().string());
+  }
 }
 
 }  // namespace
@@ -56,11 +68,13 @@ bool RunFolder::lock(bool may_create) {
     if (cause != EWOULDBLOCK) throw cannot_write(path_, cause);
     std::string pid(text, size > 0 ? static_cast<std::size_t>(size) : 0);
     pid.erase(std::remove_if(pid.begin(), pid.end(), [](char c) { return c < '0' || c > '9'; }), pid.end());
-    throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' is in use by process {}", path_, pid.empty() ? "?" : pid),
+    throw Error(ErrorKind::cannot_create,
+                fmt::format("the run folder '{}' is in use by process {}", path_, pid.empty() ? "?" : pid),
                 "wait for it to end, stop it, or choose another folder with --out");
   }
   const std::string pid = fmt::format("{}\n", ::getpid());
-  if (::ftruncate(descriptor, 0) != 0 || ::pwrite(descriptor, pid.data(), pid.size(), 0) != static_cast<ssize_t>(pid.size())) {
+  if (::ftruncate(descriptor, 0) != 0 ||
+      ::pwrite(descriptor, pid.data(), pid.size(), 0) != static_cast<ssize_t>(pid.size())) {
     const int cause = errno;
     ::close(descriptor);
     throw cannot_write(path_, cause);
@@ -71,18 +85,24 @@ bool RunFolder::lock(bool may_create) {
 
 RunFolder RunFolder::create(const std::string& path) {
   RunFolder folder(path);
-  std::error_code error;
-  fs::create_directories(path, error);
-  if (error && !fs::is_directory(path)) throw cannot_write(path, error.value());
-  // An existing lock first: "in use by process 17" says more than "holds files". No lock file is left in a folder of others.
+  try {
+    create_folders(path);
+  } catch (const Error& error) {
+    throw Error(ErrorKind::cannot_create, error.message(), "choose a folder that you may write to with --out");
+  }
+  // An existing lock first: "in use by process 17" says more than "holds files". No lock file is left in a folder of
+  // others.
   const bool locked = folder.lock(false);
+  if (locked) remove_stale_temporaries(path);  // of a run killed before its run.yaml was there
   if (holds_files(path)) {
     throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' holds files already", path),
                 fmt::format("go on with that run by --resume {}, or choose another folder with --out", path));
   }
   if (!locked) {
     folder.lock(true);
-    if (holds_files(path)) throw Error(ErrorKind::cannot_create, fmt::format("another process has just used '{}'", path), "choose another folder with --out");
+    if (holds_files(path))
+      throw Error(ErrorKind::cannot_create, fmt::format("another process has just used '{}'", path),
+                  "choose another folder with --out");
   }
   return folder;
 }
@@ -90,13 +110,15 @@ RunFolder RunFolder::create(const std::string& path) {
 RunFolder RunFolder::resume(const std::string& path) {
   RunFolder folder = read(path);
   folder.lock(true);
+  remove_stale(path);
   return folder;
 }
 
 RunFolder RunFolder::read(const std::string& path) {
   RunFolder folder(path);
   if (!fs::is_directory(path)) {
-    throw Error(ErrorKind::no_input, fmt::format("there is no run folder '{}'", path), "give the folder that `train` printed");
+    throw Error(ErrorKind::no_input, fmt::format("there is no run folder '{}'", path),
+                "give the folder that `train` printed");
   }
   if (!fs::exists(folder.config_path())) {
     throw Error(ErrorKind::no_input, fmt::format("'{}' holds no run.yaml: it is not a run folder", path),
@@ -105,7 +127,8 @@ RunFolder RunFolder::read(const std::string& path) {
   return folder;
 }
 
-RunFolder::RunFolder(RunFolder&& other) noexcept : path_(std::move(other.path_)), lock_descriptor_(other.lock_descriptor_) {
+RunFolder::RunFolder(RunFolder&& other) noexcept
+    : path_(std::move(other.path_)), lock_descriptor_(other.lock_descriptor_) {
   other.lock_descriptor_ = -1;
 }
 

@@ -132,7 +132,17 @@ std::string encode_safetensors(const std::vector<TensorRef>& tensors, const Tens
 }
 
 void write_safetensors(const std::string& path, const std::vector<TensorRef>& tensors, const TensorMetadata& metadata) {
-  write_file_atomic(path, encode_safetensors(tensors, metadata));
+  const std::string image = encode_safetensors(tensors, metadata);
+  AtomicFile file(path);
+  file.append(std::as_bytes(std::span(image)));
+  file.commit([&](const std::string& written) {
+    try {
+      (void)TensorFile::read(written);  // what was written is what a resume would read
+    } catch (const Error& error) {
+      throw Error(ErrorKind::io, fmt::format("cannot write '{}': it does not read back ({})", path, error.message()),
+                  "check the disk; training again from the last checkpoint may help");
+    }
+  });
 }
 
 /// One reading of one file: parse, check the layout, check the sums.

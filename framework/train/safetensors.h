@@ -38,7 +38,8 @@ using TensorMetadata = std::map<std::string, std::string>;
 /// shape.
 std::string encode_safetensors(const std::vector<TensorRef>& tensors, const TensorMetadata& metadata);
 
-/// encode_safetensors, then written atomically. Throws Error(io).
+/// encode_safetensors, then written atomically; read back and verified before it takes the name. Throws Error(io or
+/// cannot_create).
 void write_safetensors(const std::string& path, const std::vector<TensorRef>& tensors, const TensorMetadata& metadata);
 
 /// A verified file in memory; the tensors borrow from it.

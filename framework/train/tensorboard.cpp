@@ -12,6 +12,7 @@
 
 #include "core/checksum.h"
 #include "core/error.h"
+#include "core/files.h"
 
 namespace semfield {
 
@@ -99,17 +100,7 @@ void EventWriter::scalar(std::string_view tag, std::int64_t step, double value, 
 }
 
 void EventWriter::write(const std::string& event) {
-  const std::string frame = record_frame(event);
-  std::size_t done = 0;
-  while (done < frame.size()) {
-    const ssize_t written = ::write(descriptor_, frame.data() + done, frame.size() - done);
-    if (written < 0 && errno == EINTR) continue;
-    if (written <= 0) {
-      throw Error(ErrorKind::io, fmt::format("cannot append to '{}': {}", path_, std::strerror(errno)),
-                  "free space on the disk, then resume the run");
-    }
-    done += static_cast<std::size_t>(written);
-  }
+  append_all(descriptor_, path_, record_frame(event));
 }
 
 }  // namespace semfield

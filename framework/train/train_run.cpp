@@ -33,8 +33,9 @@ double unix_seconds() {
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
 constexpr const char* kFormat = "semfield-checkpoint-1";
-// A step is well under this; SIGTERM leaves ten seconds at least, so the loop looks at the signal after each step.
 constexpr double kProgressEvery_s = 0.2;
+// A process that is asked to end gets at least this before it is killed; the loop looks at the signal after each step.
+constexpr double kStopDeadline_s = 10;
 
 // The run's moving parts while it trains.
 class Run {
@@ -69,7 +70,22 @@ class Run {
     note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", found->step, train_s_, found->path));
   }
 
+  /// A write that fails ends the run; the message then tells what is left of it.
   TrainOutcome train() {
+    try {
+      return train_to_the_end();
+    } catch (Error& error) {
+      const bool writing = error.kind() == ErrorKind::io || error.kind() == ErrorKind::cannot_create;
+      if (writing && error.message().starts_with("cannot ")) {
+        error.while_doing(fmt::format("training ended at step {} ({}; go on with `semfield train --resume {}`)",
+                                      trainer_->step(), checkpoints_.kept_text(), folder_.path()));
+      }
+      throw;
+    }
+  }
+
+ private:
+  TrainOutcome train_to_the_end() {
     // Rows past the step taken up (all of them, for a run killed before its first checkpoint) are dropped.
     MetricsLog log = MetricsLog::resume(folder_.metrics_path(), trainer_->step());
     EventWriter events(folder_.path(), unix_seconds());
@@ -82,11 +98,20 @@ class Run {
                        : INFINITY;
     int signal = 0;
     saved_step_ = trainer_->step();
+    if (hooks_.stop_waits) hooks_.stop_waits(true);
     while (trainer_->step() < config.train.steps &&
            (config.train.time_limit_s <= 0 || train_s_ < config.train.time_limit_s)) {
       const Clock::time_point start = Clock::now();
       const StepLosses losses = trainer_->advance();
-      train_s_ += seconds_since(start);
+      const double step_s = seconds_since(start);
+      train_s_ += step_s;
+      if (step_s > kStopDeadline_s && !warned_of_slow_steps_) {
+        warned_of_slow_steps_ = true;
+        note(
+            fmt::format("a step takes {:.0f} s: SIGINT and SIGTERM are answered after it, later than the {:.0f} s "
+                        "promised; fewer train.rays make steps shorter",
+                        step_s, kStopDeadline_s));
+      }
       record(losses);
       if (train_s_ >= next_eval_s_) {
         next_eval_s_ += config.report.eval_every_s;
@@ -94,9 +119,15 @@ class Run {
       }
       if (config.report.checkpoint_every_s > 0 && seconds_since(last_checkpoint_) >= config.report.checkpoint_every_s)
         save();
+      if (hooks_.save_request && hooks_.save_request()) {
+        save();
+        note(fmt::format("checkpoint of step {} saved as asked", saved_step_));
+      }
       if (hooks_.stop_signal && (signal = hooks_.stop_signal()) != 0) break;
     }
     if (trainer_->step() != saved_step_ || trainer_->step() == 0) save();
+    if (hooks_.stop_waits) hooks_.stop_waits(false);
+    if (hooks_.stop_signal) signal = hooks_.stop_signal();  // one that came during the save
     TrainOutcome outcome;
     if (signal == 0) {
       if (config.report.eval_every_s > 0) evaluate_now(config.report.eval_frames, false);  // the curve's last point
@@ -112,13 +143,13 @@ class Run {
     return outcome;
   }
 
- private:
   void note(const std::string& text) const {
     if (hooks_.note) hooks_.note(text);
   }
 
   void save() {
     trainer_->check_storable();
+    if (log_ != nullptr) log_->sync();  // a checkpoint that outlives a power cut has its rows
     TensorMetadata metadata;
     metadata["format"] = kFormat;
     metadata["step"] = std::to_string(trainer_->step());
@@ -204,6 +235,7 @@ class Run {
       row.per_class_iou.emplace_back(session_.scene.info.classes.valid(static_cast<int>(c)).name, per_class[c].iou);
     }
     log_->append(row);
+    log_->sync();
     for (const auto& [name, value] : row.values) {
       if (value) events_->scalar("eval/" + name, row.step, *value, unix_seconds());
     }
@@ -236,6 +268,7 @@ class Run {
     row.set("given_total_accuracy", given.total_accuracy());
     row.set("given_px", static_cast<double>(given.scored_px()));
     log_->append(row);
+    log_->sync();
   }
 
   void write_left_out() {
@@ -280,6 +313,7 @@ class Run {
   double mse_sum_ = 0, window_start_s_ = 0;
   std::int64_t mse_steps_ = 0, saved_step_ = 0;
   Clock::time_point last_checkpoint_, last_progress_;
+  bool warned_of_slow_steps_ = false;
   std::optional<double> last_miou_;
   ReportFrames report_frames_;
 };
@@ -315,7 +349,7 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   OpenedRun run;
   const RunFolder folder = RunFolder::read(run_dir);
   run.run_dir = folder.path();
-  CheckpointStore store(folder.checkpoints_path());
+  const CheckpointStore store = CheckpointStore::read(folder.checkpoints_path());
   std::optional<CheckpointStore::Found> found = store.find_latest(diagnostics);
   if (!found) {
     throw Error(ErrorKind::no_input, run_dir + ": the run has no checkpoint yet",

@@ -25,7 +25,11 @@ struct TrainProgress {
 struct TrainHooks {
   std::function<void(const TrainProgress&)> progress;
   std::function<void(const std::string&)> note;
-  std::function<int()> stop_signal;  ///< 0, or the number of the signal that asks for an orderly end
+  std::function<int()> stop_signal;    ///< 0, or the number of the signal that asks for an orderly end
+  std::function<bool()> save_request;  ///< whether a checkpoint was asked for since the last call
+  /// true: from now on a stop waits for the step under way and its checkpoint; false: nothing is left to save, so the
+  /// process may end at once.
+  std::function<void(bool)> stop_waits;
 };
 
 struct TrainRequest {

@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <csignal>
 
@@ -14,6 +16,7 @@ namespace {
 namespace fs = std::filesystem;
 using testing_room::error_of;
 using testing_room::fresh_folder;
+using testing_room::plain_write;
 
 std::size_t entries(const std::string& folder) {
   std::size_t count = 0;
@@ -69,7 +72,7 @@ TEST(Files, ErrorsNamePathCauseAndRemedy) {
             "'" + folder + "/big' is larger than 100 bytes; check that it is the right file");
   fs::create_directories(folder + "/taken/inside");
   EXPECT_EQ(error_of([&] { write_file_atomic(folder + "/taken", std::string_view("x")); }),
-            "cannot replace '" + folder + "/taken': Is a directory");
+            "cannot replace '" + folder + "/taken': Is a directory; choose another name");
   EXPECT_EQ(entries(folder), 2u);
 }
 
@@ -85,9 +88,75 @@ TEST(Files, FailedWriteKeepsTheOldFileAndCleansUp) {
   const std::string message = error_of([&] { write_file_atomic(folder + "/a", std::string(100000, 'x')); });
   ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &before), 0);
   std::signal(SIGXFSZ, old_handler);
-  EXPECT_EQ(message, "cannot write '" + folder + "/a': File too large");
+  EXPECT_EQ(message, "cannot write '" + folder +
+                         "/a': the limit of a file's size is reached: need 100000 bytes, the process may write 65536; "
+                         "raise it with `ulimit -f`, or choose a file system for larger files");
   EXPECT_EQ(read_text_file(folder + "/a"), "old");
   EXPECT_EQ(entries(folder), 1u);
+}
+
+// A process that is killed between append and commit leaves its file; one that lives keeps it.
+TEST(Files, TemporariesOfTheDeadGoAndThoseOfTheLivingStay) {
+  const std::string folder = fresh_folder("f");
+  const pid_t child = ::fork();
+  if (child == 0) {
+    AtomicFile file(folder + "/a.bin");
+    file.append(std::vector<std::byte>(10));
+    ::raise(SIGKILL);
+  }
+  ASSERT_EQ(::waitpid(child, nullptr, 0), child);
+  EXPECT_EQ(entries(folder), 1u) << "the child left nothing: the test tries nothing";
+  plain_write(folder + "/.notes.tmp", "no number, so not ours");
+  AtomicFile living(folder + "/b.bin");
+  EXPECT_EQ(remove_stale_temporaries(folder), 1);
+  EXPECT_EQ(remove_stale_temporaries(folder), 0);
+  living.commit();
+  EXPECT_TRUE(fs::exists(folder + "/b.bin"));
+  EXPECT_TRUE(fs::exists(folder + "/.notes.tmp"));
+  EXPECT_EQ(entries(folder), 2u);
+  EXPECT_EQ(remove_stale_temporaries(folder + "/none"), 0);
+}
+
+TEST(Files, TheNextWriteOfATargetRemovesWhatTheLastOneLeft) {
+  const std::string folder = fresh_folder("f");
+  plain_write(folder + "/.a.bin.0.tmp", "left by a killed writer");
+  write_file_atomic(folder + "/a.bin", std::string_view("new"));
+  EXPECT_EQ(entries(folder), 1u);
+  // Two writers of one target at a time: each has its own file, the last to commit wins.
+  AtomicFile first(folder + "/a.bin"), second(folder + "/a.bin");
+  EXPECT_EQ(entries(folder), 3u);
+  second.append(std::as_bytes(std::span<const char>("second", 6)));
+  second.commit();
+  first.append(std::as_bytes(std::span<const char>("first", 5)));
+  first.commit();
+  EXPECT_EQ(read_text_file(folder + "/a.bin"), "first");
+  EXPECT_EQ(entries(folder), 1u);
+}
+
+TEST(Files, WhatDoesNotVerifyTakesNoName) {
+  const std::string folder = fresh_folder("f");
+  write_file_atomic(folder + "/a", std::string_view("old"));
+  EXPECT_EQ(error_of([&] {
+              AtomicFile file(folder + "/a");
+              file.append(std::as_bytes(std::span<const char>("bad", 3)));
+              file.commit([](const std::string& written) {
+                EXPECT_EQ(read_text_file(written), "bad");
+                throw Error(ErrorKind::io, "it is bad");
+              });
+            }),
+            "it is bad");
+  EXPECT_EQ(read_text_file(folder + "/a"), "old");
+  EXPECT_EQ(entries(folder), 1u);
+}
+
+TEST(Files, FoldersAreMadeWithThoseAbove) {
+  const std::string folder = fresh_folder("f");
+  create_folders(folder + "/a/b/c/");
+  create_folders(folder + "/a/b");
+  EXPECT_TRUE(fs::is_directory(folder + "/a/b/c"));
+  write_file_atomic(folder + "/file", std::string_view("x"));
+  EXPECT_EQ(error_of([&] { create_folders(folder + "/file/under"); }),
+            "cannot create the folder '" + folder + "/file/under': Not a directory; choose another name");
 }
 
 }  // namespace

@@ -107,6 +107,27 @@ TEST_F(LogTest, ResumeDropsLaterRowsAndTheTornLine) {
   EXPECT_EQ(rows[2].step, 25);
 }
 
+// After a power cut lines behind the last sync may be anything; ahead of a row that is kept they may not.
+TEST_F(LogTest, ResumeDropsWhatAPowerCutLeftAndRefusesOtherDamage) {
+  const std::string good = metrics_line(train_row(10)) + "\n" + metrics_line(train_row(20)) + "\n";
+  const std::string zeros(50, '\0'), later = metrics_line(train_row(30)) + "\n";
+  std::ofstream(in("m")) << good << zeros << "\n" << later << zeros;
+  {
+    MetricsLog log = MetricsLog::resume(in("m"), 20);
+    log.append(train_row(25));
+    log.sync();
+  }
+  EXPECT_EQ(read_text_file(in("m")), good + metrics_line(train_row(25)) + "\n");
+  std::ofstream(in("n")) << "half a row}\n" << good;
+  try {
+    (void)MetricsLog::resume(in("n"), 20);
+    ADD_FAILURE() << "a bad line ahead of rows that count was dropped";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::data);
+    EXPECT_NE(std::string(error.what()).find(in("n") + ":1: not a JSON object"), std::string::npos) << error.what();
+  }
+}
+
 // --- an independent reader of records and of the few protobuf fields in them ---
 
 std::uint32_t slow_crc32c(const std::string& bytes) {

@@ -223,6 +223,28 @@ TEST_F(CheckpointTest, StaleTemporaryFilesGoAndOtherFilesStay) {
   EXPECT_TRUE(fs::exists(in("c/notes.txt")));
 }
 
+// What evaluation uses, beside a run that trains.
+TEST_F(CheckpointTest, ReadingChangesNothing) {
+  {
+    CheckpointStore store(in("c"));
+    save(store, 100);
+  }
+  std::ofstream(in("c/.step_00000200.safetensors.0.tmp")) << "being written";
+  const CheckpointStore reader = CheckpointStore::read(in("c"));
+  Diagnostics diagnostics;
+  EXPECT_EQ(reader.find_latest(diagnostics)->step, 100);
+  EXPECT_TRUE(fs::exists(in("c/.step_00000200.safetensors.0.tmp")));
+  EXPECT_FALSE(CheckpointStore::read(in("none")).find_latest(diagnostics).has_value());
+  EXPECT_FALSE(fs::exists(in("none")));
+}
+
+// Taken for an empty one, the run would start over and put its own checkpoints aside.
+TEST_F(CheckpointTest, AFolderThatCannotBeReadIsNoEmptyFolder) {
+  std::ofstream(in("c")) << "a file where the folder should be";
+  const std::string message = error_of([&] { (void)CheckpointStore::read(in("c")).list(); }, ErrorKind::io);
+  EXPECT_NE(message.find("cannot read the folder '" + in("c") + "': Not a directory"), std::string::npos) << message;
+}
+
 TEST_F(CheckpointTest, FailedSaveLeavesTheOldOneAndNamesIt) {
   CheckpointStore store(in("c"));
   save(store, 100);
@@ -266,6 +288,23 @@ TEST_F(CheckpointTest, KilledWhileSavingAlwaysLeavesAGoodOne) {
 }
 
 using RunFolderTest = Folder;
+
+TEST_F(RunFolderTest, WhatKilledRunsLeftIsRemoved) {
+  // Killed before run.yaml was there: the same command works again.
+  fs::create_directories(in("run"));
+  std::ofstream(in("run/.lock")) << "77\n";
+  std::ofstream(in("run/.run.yaml.0.tmp")) << "torn";
+  {
+    const RunFolder run = RunFolder::create(in("run"));
+    EXPECT_FALSE(fs::exists(in("run/.run.yaml.0.tmp")));
+    write_file_atomic(run.config_path(), "a: 1\n");
+    fs::create_directories(in("run/render/test"));
+  }
+  for (const char* name : {"run/.report.html.0.tmp", "run/render/test/.0017_rgb.png.1.tmp", "run/.classes.yaml.77.3.tmp"})
+    std::ofstream(in(name)) << "torn";
+  const RunFolder run = RunFolder::resume(in("run"));
+  for (const auto& entry : fs::recursive_directory_iterator(in("run"))) EXPECT_NE(entry.path().extension(), ".tmp") << entry.path();
+}
 
 TEST_F(RunFolderTest, CreateRefusesFilesAndResumeNeedsARun) {
   {
