@@ -1,7 +1,6 @@
 // semfield: one binary, verbs. Only this folder prints and exits.
 #include <unistd.h>
 
-#include <csignal>
 #include <cstdio>
 #include <exception>
 
@@ -9,13 +8,13 @@
 #include "core/error.h"
 #include "core/log.h"
 #include "plugin/linked_plugins.h"
+#include "signals.h"
 #include "verbs.h"
 
 int main(int argc, char** argv) {
   using namespace semfield;
   app::AppContext context;
-  std::signal(SIGPIPE, SIG_IGN);
-  std::signal(SIGXFSZ, SIG_IGN);  // a file limit then shows as a failed write, which is handled
+  app::prepare_process();
   context.terminal = isatty(STDERR_FILENO) != 0;
   set_log_sink([&](Severity severity, const std::string& text) {
     if (context.quiet && severity == Severity::note) return;
@@ -23,7 +22,7 @@ int main(int argc, char** argv) {
   });
   try {
     register_linked_plugins(context.registry);
-    return app::run_command_line(argc, argv, context);
+    return app::finish_stdout(app::run_command_line(argc, argv, context));
   } catch (const Error& error) {
     std::fprintf(stderr, "semfield: %s\n", error.what());
     return static_cast<int>(error.kind());

@@ -1,30 +1,95 @@
 #include "signals.h"
 
+#include <fcntl.h>
+#include <poll.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cerrno>
 #include <csignal>
+#include <cstdio>
+#include <cstring>
+
+#include "core/error.h"
 
 namespace semfield::app {
 
 namespace {
+
 volatile std::sig_atomic_t g_signal = 0;
+volatile std::sig_atomic_t g_waits = 1;
+volatile std::sig_atomic_t g_save = 0;
+// Read by the handler; written only while g_waits is 1, when the handler does not look at it.
+std::array<char, 512> g_farewell{};
+std::size_t g_farewell_size = 0;
 
 extern "C" void on_stop(int number) {
   // The checkpoint on disk is whole at every moment, so a second request may end the process here.
   if (g_signal != 0) _exit(128 + number);
   g_signal = number;
+  if (g_waits != 0) return;
+  [[maybe_unused]] const ssize_t told = write(STDERR_FILENO, g_farewell.data(), g_farewell_size);
+  _exit(128 + number);
 }
-}  // namespace
 
-void install_stop_signals() {
+extern "C" void on_hang_up(int) { g_save = 1; }
+
+void handle(int number, void (*handler)(int)) {
   struct sigaction action {};
-  action.sa_handler = on_stop;
+  action.sa_handler = handler;
   sigemptyset(&action.sa_mask);
   action.sa_flags = SA_RESTART;
-  sigaction(SIGINT, &action, nullptr);
-  sigaction(SIGTERM, &action, nullptr);
+  sigaction(number, &action, nullptr);
+}
+
+}  // namespace
+
+void prepare_process() {
+  std::signal(SIGPIPE, SIG_IGN);
+  std::signal(SIGXFSZ, SIG_IGN);
+  for (const int stream : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
+    // open() takes the lowest free number, which is this one.
+    if (fcntl(stream, F_GETFD) < 0 && errno == EBADF) {
+      [[maybe_unused]] const int opened = open("/dev/null", stream == STDIN_FILENO ? O_RDONLY : O_WRONLY);
+    }
+  }
+}
+
+void install_stop_signals() {
+  handle(SIGINT, on_stop);
+  handle(SIGTERM, on_stop);
 }
 
 int stop_signal() { return g_signal; }
+
+void stop_waits(bool waits, const std::string& farewell) {
+  g_waits = 1;
+  g_farewell_size = std::min(farewell.size(), g_farewell.size());
+  std::copy_n(farewell.begin(), g_farewell_size, g_farewell.begin());
+  std::atomic_signal_fence(std::memory_order_seq_cst);
+  g_waits = waits ? 1 : 0;
+}
+
+void install_save_signal() { handle(SIGHUP, on_hang_up); }
+
+bool take_save_request() {
+  const bool asked = g_save != 0;
+  if (asked) g_save = 0;
+  return asked;
+}
+
+int finish_stdout(int code) {
+  errno = 0;
+  const bool failed = std::fflush(stdout) != 0 || std::ferror(stdout) != 0;
+  if (!failed) return code;
+  const int cause = errno;
+  pollfd reader{STDOUT_FILENO, POLLOUT, 0};
+  if (cause == EPIPE || (poll(&reader, 1, 0) == 1 && (reader.revents & POLLERR) != 0)) return code;
+  std::fprintf(stderr, "semfield: cannot write the results to stdout%s%s\n", cause != 0 ? ": " : "",
+               cause != 0 ? std::strerror(cause) : "");
+  return code != 0 ? code : static_cast<int>(ErrorKind::io);
+}
 
 }  // namespace semfield::app

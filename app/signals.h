@@ -1,10 +1,31 @@
-// SIGINT and SIGTERM as a flag that the training loop asks; a second SIGINT ends at once.
+// What the program does about signals: stopping in order, saving on request, limits that show as failed calls.
 #pragma once
+
+#include <string>
 
 namespace semfield::app {
 
+/// At the start of the program. SIGPIPE and SIGXFSZ are ignored: a closed pipe and a file limit show as failed writes,
+/// which are handled. Standard streams that the caller closed are opened on /dev/null, so that no file of ours gets
+/// their numbers and no message lands in it.
+void prepare_process();
+
+/// SIGINT and SIGTERM raise a flag; a second one ends the process at once.
 void install_stop_signals();
 /// 0, or the number of the signal received.
 int stop_signal();
+
+/// After install_stop_signals: while a stop does not wait, one signal ends the process at once, with `farewell` on
+/// stderr, because there is nothing that the program would still save.
+void stop_waits(bool waits, const std::string& farewell = {});
+
+/// SIGHUP asks for a checkpoint instead of ending the process.
+void install_save_signal();
+/// Whether SIGHUP came since the last call.
+bool take_save_request();
+
+/// Delivers what stdout still holds; the exit code is `code`, or that of an Error(io) when a result could not be
+/// delivered. A reader that has closed its end (`| head -1`) has what it wanted: no error.
+int finish_stdout(int code);
 
 }  // namespace semfield::app

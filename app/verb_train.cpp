@@ -110,7 +110,16 @@ int run_train(const TrainOptions& options, AppContext& context) {
   hooks.progress = [&](const TrainProgress& p) { print_progress(context, p); };
   hooks.note = [&](const std::string& text) { print_note(context, text); };
   hooks.stop_signal = stop_signal;
+  hooks.save_request = take_save_request;
+  hooks.stop_waits = [&](bool waits) {
+    stop_waits(waits, waits || context.quiet ? std::string()
+                                             : fmt::format("\nstopped; every step is saved, go on with: semfield train "
+                                                           "--resume {}\n",
+                                                           request.out_dir));
+  };
   install_stop_signals();
+  install_save_signal();
+  stop_waits(false, context.quiet ? "" : "\nstopped before the first step\n");
   const TrainOutcome outcome = run_training(std::move(config), context.registry, request, hooks);
   if (context.terminal && !context.quiet) std::fputs("\n", stderr);
   if (outcome.signal != 0) {

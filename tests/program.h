@@ -1,10 +1,17 @@
 // The program as tests of verbs run it: its exit code and what it said.
 #pragma once
 
+#include <fcntl.h>
+#include <signal.h>
 #include <sys/wait.h>
+#include <unistd.h>
 
+#include <chrono>
 #include <cstdlib>
+#include <optional>
 #include <string>
+#include <thread>
+#include <vector>
 
 #include "core/files.h"
 
@@ -13,6 +20,7 @@ namespace semfield::testing_program {
 struct Result {
   int code = -1;  ///< -1: ended by a signal
   std::string out, err;
+  int signal = 0;  ///< that ended it
 };
 
 /// SEMFIELD_BINARY (a definition of the test's target) with `words`, in `folder`, where its output is kept too;
@@ -24,5 +32,68 @@ inline Result semfield_run(const std::string& words, const std::string& folder, 
   return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
           read_text_file(folder + "/stderr")};
 }
+
+/// A program that runs beside the test; its output goes to `folder`/stdout and `folder`/stderr. Killed when it is left.
+class Process {
+ public:
+  Process(const std::string& program, const std::vector<std::string>& words, const std::string& folder,
+          const std::vector<std::string>& environment = {})
+      : out_(folder + "/stdout"), err_(folder + "/stderr") {
+    std::vector<char*> argv{const_cast<char*>(program.c_str())};
+    for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
+    argv.push_back(nullptr);
+    const int out = open(out_.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
+    const int err = open(err_.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
+    pid_ = fork();
+    if (pid_ == 0) {
+      dup2(out, 1);
+      dup2(err, 2);
+      for (const std::string& setting : environment) putenv(const_cast<char*>(setting.c_str()));
+      execv(program.c_str(), argv.data());
+      _exit(127);
+    }
+    close(out);
+    close(err);
+  }
+  Process(const Process&) = delete;
+  Process& operator=(const Process&) = delete;
+  ~Process() {
+    if (pid_ <= 0) return;
+    kill(pid_, SIGKILL);
+    waitpid(pid_, nullptr, 0);
+  }
+
+  int pid() const { return pid_; }
+  void send(int signal) const { kill(pid_, signal); }
+  Result wait() {
+    int status = 0;
+    waitpid(pid_, &status, 0);
+    return result(status);
+  }
+  /// None when it still runs after so long.
+  std::optional<Result> wait_for(double seconds) {
+    const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds);
+    int status = 0;
+    while (waitpid(pid_, &status, WNOHANG) == 0) {
+      if (std::chrono::steady_clock::now() >= end) return std::nullopt;
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    }
+    return result(status);
+  }
+  std::string err_so_far() const { return read_text_file(err_); }
+
+ private:
+  Result result(int status) {
+    pid_ = -1;
+    Result r;
+    if (WIFEXITED(status)) r.code = WEXITSTATUS(status);
+    if (WIFSIGNALED(status)) r.signal = WTERMSIG(status);
+    r.out = read_text_file(out_);
+    r.err = read_text_file(err_);
+    return r;
+  }
+  std::string out_, err_;
+  pid_t pid_ = -1;
+};
 
 }  // namespace semfield::testing_program

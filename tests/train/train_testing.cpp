@@ -1,11 +1,16 @@
 #include "tests/train/train_testing.h"
 
+#include <gtest/gtest.h>
+
 #include <cstdlib>
 #include <filesystem>
 
 #include "core/checksum.h"
+#include "core/files.h"
 #include "plugin/linked_plugins.h"
+#include "scene/packed_scene.h"
 #include "testkit/analytic_scene.h"
+#include "train/checkpoint_store.h"
 
 namespace semfield {
 
@@ -98,6 +103,32 @@ std::uint32_t fingerprint(const ParamStore<float>& store) {
       if (buffer->size() > 0) crc = crc32c(std::as_bytes(std::span(buffer->data(), buffer->size())), crc);
     }
   }
+  return crc;
+}
+
+std::string write_packed_config(const TempDir& dir, int steps, double checkpoint_every_s) {
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
+  Diagnostics diagnostics;
+  const SceneInfo info = scene->open(diagnostics);
+  write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
+  std::string yaml = hash_config("report: {eval_every_s: 0, strips: 0, log_every_steps: 5, checkpoint_every_s: " +
+                                 std::to_string(checkpoint_every_s) + "}\n");
+  yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: packed, file: room.sfpack}");
+  yaml.replace(yaml.find("steps: 200"), 10, "steps: " + std::to_string(steps));
+  write_file_atomic(dir / "config.yaml", yaml);
+  return dir / "config.yaml";
+}
+
+std::uint32_t checkpoint_fingerprint(const std::string& run_dir, std::int64_t expected_step) {
+  Diagnostics diagnostics;
+  const CheckpointStore store = CheckpointStore::read(run_dir + "/checkpoints");
+  auto found = store.find_latest(diagnostics);
+  EXPECT_TRUE(found.has_value());
+  EXPECT_TRUE(diagnostics.all().empty()) << diagnostics.all().front().text();
+  if (!found) return 0;
+  EXPECT_EQ(found->step, expected_step);
+  std::uint32_t crc = 0;
+  for (const TensorRef& t : found->file.tensors()) crc = crc32c(t.bytes, crc32c(std::as_bytes(std::span(t.name)), crc));
   return crc;
 }
 

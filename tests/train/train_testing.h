@@ -24,6 +24,15 @@ Session open_text(const std::string& yaml, Registry& registry, const std::vector
 /// CRC-32C over every tensor's values and moments, by name.
 std::uint32_t fingerprint(const ParamStore<float>& store);
 
+class TempDir;
+/// Packs the analytic room into `dir` and writes config.yaml, which trains on it with `hash_config` and saves so often.
+/// Returns its path.
+std::string write_packed_config(const TempDir& dir, int steps, double checkpoint_every_s);
+
+/// CRC-32C over names and values of the newest checkpoint of a run; fails the test when that is not of
+/// `expected_step`, or when any newer one is damaged.
+std::uint32_t checkpoint_fingerprint(const std::string& run_dir, std::int64_t expected_step);
+
 /// A temporary folder, removed at the end.
 class TempDir {
  public:

@@ -1,0 +1,295 @@
+// The real program among faults: two processes on one run, full disks, limits, closed pipes and streams, signals, kills
+// at its file calls. A run that is gone on with ends in the bits of the run left alone.
+#include "tests/program.h"
+
+#include <fmt/format.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include <algorithm>
+#include <chrono>
+#include <filesystem>
+#include <functional>
+#include <thread>
+
+#include "core/files.h"
+#include "tests/crash/victim_runs.h"
+#include "tests/train/train_testing.h"
+#include "train/checkpoint_store.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+using namespace testing_train;
+using testing_crash::Fault;
+using testing_crash::FileCall;
+using testing_program::Process;
+using testing_program::Result;
+using testing_program::semfield_run;
+using Words = std::vector<std::string>;
+
+constexpr int kSteps = 80;
+constexpr double kStop_s = 10;  // what is promised for SIGINT and SIGTERM
+
+Result run(const Words& words, const TempDir& dir, const std::vector<std::string>& environment = {}) {
+  return Process(SEMFIELD_BINARY, words, dir.path(), environment).wait();
+}
+
+// The checkpoint that kSteps end in, however often they are saved.
+std::uint32_t whole_fingerprint() {
+  static const std::uint32_t made = [] {
+    const TempDir dir;
+    const std::string config = write_packed_config(dir, kSteps, 0);
+    EXPECT_EQ(run({"train", config, "--out", dir / "run"}, dir).code, 0);
+    return checkpoint_fingerprint(dir / "run", kSteps);
+  }();
+  return made;
+}
+
+bool wait_until(const std::function<bool()>& is_true, double seconds = 60) {
+  const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds);
+  while (!is_true()) {
+    if (std::chrono::steady_clock::now() >= end) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+  return true;
+}
+
+// Rows are there, so steps are under way and stop signals wait for them.
+bool wait_for_steps(const std::string& run_dir) {
+  return wait_until(
+      [&] { return fs::exists(run_dir + "/metrics.jsonl") && fs::file_size(run_dir + "/metrics.jsonl") > 0; });
+}
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+void expect_goes_on_to_the_same_bits(const std::string& config, const std::string& run_dir, const TempDir& dir) {
+  const bool begun = fs::exists(run_dir + "/run.yaml");
+  const Result r = run(begun ? Words{"train", "--resume", run_dir} : Words{"train", config, "--out", run_dir}, dir);
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_EQ(checkpoint_fingerprint(run_dir, kSteps), whole_fingerprint());
+}
+
+TEST(Program, ASecondProcessOnARunIsRefusedAndReadersAreNot) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 1'000'000, 0.05);
+  const std::string run_dir = dir / "run";
+  Process first(SEMFIELD_BINARY, {"train", config, "--out", run_dir}, dir.path());
+  ASSERT_TRUE(wait_until([&] { return fs::exists(run_dir + "/checkpoints/latest"); }));
+  const TempDir other;
+  for (const Words& words : {Words{"train", "--resume", run_dir}, Words{"train", config, "--out", run_dir}}) {
+    const Result r = run(words, other);
+    EXPECT_EQ(r.code, 73) << r.err;
+    EXPECT_TRUE(has(r.err, fmt::format("the run folder '{}' is in use by process {}", run_dir, first.pid()))) << r.err;
+    EXPECT_TRUE(has(r.err, "wait for it to end, stop it, or choose another folder with --out")) << r.err;
+  }
+  // Evaluation reads the newest checkpoint between two saves and takes none of the files that are being written.
+  for (int i = 0; i < 3; ++i) {
+    const Result read = run({"eval", run_dir}, other);
+    EXPECT_EQ(read.code, 0) << read.err;
+  }
+  first.send(SIGTERM);
+  const std::optional<Result> stopped = first.wait_for(kStop_s);
+  ASSERT_TRUE(stopped.has_value());
+  EXPECT_EQ(stopped->code, 143) << stopped->err;
+}
+
+TEST(Program, AFullDiskEndsTheRunAndSpaceLetsItGoOn) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, kSteps, 0.001);
+  const std::string disk = dir / "disk", script = dir / "script.sh", copy = dir / "copy";
+  fs::create_directories(disk);
+  const std::string probe = "unshare -rm mount -t tmpfs tmpfs '" + disk + "' 2>/dev/null";
+  if (std::system(probe.c_str()) != 0)
+    GTEST_SKIP() << "this system lets nobody mount a tmpfs in a namespace of its own";
+  // Three checkpoints fit (about 0.3 MB each): two that are kept, one being written; the fourth finds no room left by
+  // a file of somebody else's.
+  write_file_atomic(script,
+                    fmt::format("mount -t tmpfs -o size=4m tmpfs '{0}' || exit 99\n"
+                                "dd if=/dev/zero of='{0}/other' bs=1k count=3300 2>/dev/null\n"
+                                "'{1}' train '{2}' --out '{0}/run' >'{3}/out1' 2>'{3}/err1'; echo $? >'{3}/code1'\n"
+                                "cp -r '{0}/run' '{4}'\n"
+                                "rm '{0}/other'\n"
+                                "'{1}' train --resume '{0}/run' >'{3}/out2' 2>'{3}/err2'; echo $? >'{3}/code2'\n"
+                                "cp -r '{0}/run' '{4}_end'\n",
+                                disk, SEMFIELD_BINARY, config, dir.path(), copy));
+  ASSERT_EQ(std::system(("unshare -rm sh '" + script + "'").c_str()), 0);
+  const std::string full = read_text_file(dir / "err1");
+  EXPECT_EQ(read_text_file(dir / "code1"), "74\n") << full;
+  EXPECT_TRUE(has(full, "disk full: need ")) << full;
+  EXPECT_TRUE(has(full, " bytes, have ")) << full;
+  EXPECT_TRUE(has(full, "; free some space or choose another disk")) << full;
+  EXPECT_TRUE(has(full, "go on with `semfield train --resume " + disk + "/run`")) << full;
+  // What is said to be kept is there and whole.
+  Diagnostics diagnostics;
+  const auto kept = CheckpointStore::read(copy + "/checkpoints").find_latest(diagnostics);
+  ASSERT_TRUE(kept.has_value()) << full;
+  EXPECT_TRUE(diagnostics.all().empty());
+  EXPECT_TRUE(has(full, fmt::format("the checkpoint of step {} is kept", kept->step))) << full;
+  for (const auto& entry : fs::recursive_directory_iterator(copy)) EXPECT_NE(entry.path().extension(), ".tmp");
+
+  EXPECT_EQ(read_text_file(dir / "code2"), "0\n") << read_text_file(dir / "err2");
+  EXPECT_TRUE(has(read_text_file(dir / "err2"), fmt::format("resuming at step {} ", kept->step)));
+  EXPECT_EQ(checkpoint_fingerprint(copy + "_end", kSteps), whole_fingerprint());
+}
+
+TEST(Program, AFileSizeLimitIsAFailedWriteAndNoSignal) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, kSteps, 0);
+  const Result r = semfield_run("train '" + config + "' --out run", dir.path(), "ulimit -f 64; ");
+  EXPECT_EQ(r.code, 74) << r.err;
+  EXPECT_TRUE(has(r.err, "the limit of a file's size is reached: need ")) << r.err;
+  EXPECT_TRUE(has(r.err, "raise it with `ulimit -f`")) << r.err;
+  EXPECT_TRUE(has(r.err, "there is no checkpoint yet")) << r.err;
+  expect_goes_on_to_the_same_bits(config, dir / "run", dir);
+}
+
+TEST(Program, ADiskThatFillsUnderTheLogNamesTheCheckpointKept) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, kSteps, 0), run_dir = dir / "run", log = dir / "log";
+  ASSERT_EQ(run({"train", config, "--out", run_dir}, dir, testing_crash::fault_environment(run_dir, log, {})).code, 0);
+  std::vector<int> rows;
+  for (const FileCall& call : testing_crash::read_calls(log)) {
+    if (call.name == "write" && call.path.ends_with("metrics.jsonl")) rows.push_back(call.number);
+  }
+  ASSERT_GE(rows.size(), 10u);
+  fs::remove_all(run_dir);
+  const Fault full{rows[5], std::to_string(ENOSPC), true};
+  const Result r =
+      run({"train", config, "--out", run_dir}, dir, testing_crash::fault_environment(run_dir, dir / "l", full));
+  EXPECT_EQ(r.code, 74) << r.err;
+  EXPECT_TRUE(has(r.err, "training ended at step 30 (there is no checkpoint yet; go on with `semfield train --resume " +
+                             run_dir + "`): cannot append to '" + run_dir + "/metrics.jsonl': disk full: need "))
+      << r.err;
+  expect_goes_on_to_the_same_bits(config, run_dir, dir);
+}
+
+TEST(Program, KilledAtItsFileCallsItGoesOn) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, kSteps, 0.01), run_dir = dir / "run", log = dir / "log";
+  ASSERT_EQ(run({"train", config, "--out", run_dir}, dir, testing_crash::fault_environment(run_dir, log, {})).code, 0);
+  const auto calls = static_cast<int>(testing_crash::read_calls(log).size());
+  ASSERT_GT(calls, 100);
+  const char* wanted = std::getenv("SEMFIELD_TORTURE_CALLS");  // 0: every call
+  const int places = wanted == nullptr ? 6 : std::atoi(wanted) == 0 ? calls : std::atoi(wanted);
+  int kills = 0;
+  for (int i = 0; i < places; ++i) {
+    fs::remove_all(run_dir);
+    const Fault fault{1 + static_cast<int>(static_cast<std::int64_t>(calls) * i / places),
+                      i % 2 == 0 ? "kill_before" : "kill_after", false};
+    const Result r =
+        run({"train", config, "--out", run_dir}, dir, testing_crash::fault_environment(run_dir, dir / "l", fault));
+    kills += r.signal == SIGKILL ? 1 : 0;
+    expect_goes_on_to_the_same_bits(config, run_dir, dir);
+    for (const auto& entry : fs::recursive_directory_iterator(run_dir))
+      EXPECT_NE(entry.path().extension(), ".tmp") << "left by a kill at call " << fault.call << ": " << entry.path();
+  }
+  EXPECT_GE(kills, places * 3 / 4);
+  std::printf("a run of %d file calls, killed at %d of them\n", calls, kills);
+}
+
+TEST(Program, AReaderThatLeavesIsNoErrorAndAFullStdoutIs) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, kSteps, 0);
+  const auto code_of = [&](const std::string& words, const std::string& reader) {
+    const std::string command = "cd '" + dir.path() + "' && (sleep 0.1; '" SEMFIELD_BINARY "' " + words +
+                                " 2>&1; echo $? >code) | " + reader + " >/dev/null";
+    EXPECT_EQ(std::system(command.c_str()), 0);
+    EXPECT_TRUE(wait_until([&] { return fs::exists(dir / "code") && fs::file_size(dir / "code") > 0; }));
+    const std::string code = read_text_file(dir / "code");
+    fs::remove(dir / "code");
+    return code;
+  };
+  EXPECT_EQ(code_of("config schema", "head -1"), "0\n");
+  EXPECT_EQ(code_of("config schema", "true"), "0\n");
+  EXPECT_EQ(code_of("train config.yaml --out run", "true"), "0\n") << "training goes on without its reader";
+  EXPECT_EQ(checkpoint_fingerprint(dir / "run", kSteps), whole_fingerprint());
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here: a full stdout was not tried";
+  const int status = std::system(("'" SEMFIELD_BINARY "' config schema >/dev/full 2>'" + (dir / "err") + "'").c_str());
+  EXPECT_EQ(WEXITSTATUS(status), 74);
+  EXPECT_TRUE(has(read_text_file(dir / "err"), "cannot write the results to stdout")) << read_text_file(dir / "err");
+}
+
+TEST(Program, ClosedStreamsPutNoMessageIntoAFile) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, kSteps, 0.01);
+  const int status =
+      std::system(("'" SEMFIELD_BINARY "' train '" + config + "' --out '" + (dir / "run") + "' <&- >&- 2>&-").c_str());
+  EXPECT_EQ(WEXITSTATUS(status), 0);
+  EXPECT_EQ(checkpoint_fingerprint(dir / "run", kSteps), whole_fingerprint());
+  for (const auto& entry : fs::recursive_directory_iterator(dir / "run")) {
+    if (entry.is_regular_file())
+      EXPECT_FALSE(has(read_text_file(entry.path().string()), "miou_present=")) << entry.path();
+  }
+}
+
+TEST(Program, SighupSavesAndGoesOn) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 1'000'000, 0), run_dir = dir / "run";
+  Process process(SEMFIELD_BINARY, {"train", config, "--out", run_dir}, dir.path());
+  ASSERT_TRUE(wait_for_steps(run_dir));
+  EXPECT_FALSE(fs::exists(run_dir + "/checkpoints/latest"));
+  process.send(SIGHUP);
+  ASSERT_TRUE(wait_until([&] { return has(process.err_so_far(), "saved as asked"); }));
+  const std::string first = read_text_file(run_dir + "/checkpoints/latest");
+  EXPECT_FALSE(process.wait_for(0.3).has_value()) << "it goes on";
+  process.send(SIGHUP);
+  ASSERT_TRUE(wait_until([&] { return read_text_file(run_dir + "/checkpoints/latest") != first; }));
+  process.send(SIGTERM);
+  const std::optional<Result> r = process.wait_for(kStop_s);
+  ASSERT_TRUE(r.has_value());
+  EXPECT_EQ(r->code, 143) << r->err;
+}
+
+// Sent at any moment from the start on: the program ends in time, with the signal's code, and the run can be gone on
+// with.
+TEST(Program, StopSignalsAreAnsweredInTimeAtAnyMoment) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, kSteps, 0.05), run_dir = dir / "run";
+  int orderly = 0, before_steps = 0;
+  for (int i = 0; i < 16; ++i) {
+    const int signal = i % 2 == 0 ? SIGTERM : SIGINT;
+    const bool begun = fs::exists(run_dir + "/run.yaml");
+    Process process(SEMFIELD_BINARY,
+                    begun ? Words{"train", "--resume", run_dir} : Words{"train", config, "--out", run_dir}, dir.path());
+    std::this_thread::sleep_for(std::chrono::milliseconds(15 * i));
+    process.send(signal);
+    const std::optional<Result> r = process.wait_for(kStop_s);
+    ASSERT_TRUE(r.has_value()) << "no end within " << kStop_s << " s";
+    if (r->signal == signal) continue;  // it came before the program's first line
+    if (r->code == 0) {                 // it came behind its last
+      fs::remove_all(run_dir);
+      continue;
+    }
+    EXPECT_EQ(r->code, 128 + signal) << r->err;
+    EXPECT_TRUE(has(r->err, "stopped")) << r->err;
+    (has(r->err, "stopped before the first step") ? before_steps : orderly) += 1;
+  }
+  EXPECT_GT(orderly, 0);
+  expect_goes_on_to_the_same_bits(config, run_dir, dir);
+}
+
+TEST(Program, ASecondSigintEndsAtOnceAndTheOldCheckpointStays) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 20, 0), run_dir = dir / "run";
+  ASSERT_EQ(run({"train", config, "--out", run_dir}, dir).code, 0);
+  const std::uint32_t old = checkpoint_fingerprint(run_dir, 20);
+  // Steps of seconds, so that the first signal is still waiting when the second comes.
+  Process process(SEMFIELD_BINARY, {"train", "--resume", run_dir, "--steps", "1000", "--set", "train.rays=200000"},
+                  dir.path());
+  ASSERT_TRUE(wait_until([&] { return has(process.err_so_far(), "resuming at step 20"); }));
+  std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  process.send(SIGINT);
+  EXPECT_FALSE(process.wait_for(0.2).has_value()) << "a step was to be under way";
+  const auto sent = std::chrono::steady_clock::now();
+  process.send(SIGINT);
+  const std::optional<Result> r = process.wait_for(kStop_s);
+  ASSERT_TRUE(r.has_value());
+  EXPECT_EQ(r->code, 130) << r->err;
+  EXPECT_LT(std::chrono::duration<double>(std::chrono::steady_clock::now() - sent).count(), 2.0);
+  EXPECT_EQ(checkpoint_fingerprint(run_dir, 20), old);
+}
+
+}  // namespace
+}  // namespace semfield

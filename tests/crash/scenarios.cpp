@@ -1,0 +1,143 @@
+#include "tests/crash/scenarios.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <vector>
+
+#include "core/checksum.h"
+#include "core/files.h"
+#include "scene/packed_scene.h"
+#include "tests/scene/tiny_scene.h"
+#include "train/checkpoint_store.h"
+#include "train/run_folder.h"
+
+namespace semfield::testing_crash {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string checkpoints(const std::string& folder) { return folder + "/checkpoints"; }
+
+void save_step(CheckpointStore& store, int step) {
+  std::vector<float> values(700);
+  for (std::size_t i = 0; i < values.size(); ++i) values[i] = static_cast<float>(step) + 0.25F * static_cast<float>(i);
+  store.save(step, {tensor_ref("main/field/hidden_0/weight", {700}, values)}, {{"step", std::to_string(step)}});
+}
+
+void write_scene(const std::string& folder, int version) {
+  SceneInfo info;
+  info.name = "room " + std::to_string(version);
+  info.classes = ClassTable({{0, "void", {}, true},
+                             {1, "west", {}, false},
+                             {2, "east", {}, false},
+                             {3, "up", {}, false},
+                             {4, "down", {}, false},
+                             {5, "south", {}, false},
+                             {6, "north", {}, false}});
+  for (int i = 0; i < 2; ++i) {
+    FrameInfo frame;
+    frame.name = "frame_" + std::to_string(i);
+    frame.camera = testing_room::room_camera(8, 6);
+    frame.world_from_camera = testing_room::room_pose(i + version);
+    info.frames.push_back(frame);
+  }
+  write_packed_scene(folder + "/room.sfpack", info, [&](int i, FrameBuffer& out) {
+    const FrameInfo& frame = info.frames[static_cast<std::size_t>(i)];
+    out = testing_room::render_room(frame.camera, frame.world_from_camera);
+  });
+}
+
+std::string text_of(int version) {
+  return "name: version_" + std::to_string(version) + "\n" + std::string(9000, static_cast<char>('a' + version)) + "\n";
+}
+
+int count_temporaries(const std::string& folder) {
+  int count = 0;
+  std::error_code error;
+  for (fs::recursive_directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error))
+    count += entry->path().extension() == ".tmp" ? 1 : 0;
+  return count;
+}
+
+std::uint32_t crc_of(const std::string& path) {
+  const std::string bytes = read_text_file(path);
+  return crc32c(std::as_bytes(std::span(bytes)));
+}
+
+void look_at_checkpoints(const std::string& folder, Look& out) {
+  const CheckpointStore store(checkpoints(folder));
+  Diagnostics diagnostics;
+  const auto found = store.find_latest(diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) {
+    if (finding.where.find("step_00000400") == std::string::npos) out.bad += finding.text() + "\n";
+  }
+  if (!found) return;
+  out.crc = crc_of(found->path);
+  // `latest` is for people and other programs: what it names must be there and whole.
+  const std::string latest = checkpoints(folder) + "/latest";
+  if (!fs::exists(latest)) return;
+  std::string name = read_text_file(latest);
+  name.erase(std::remove(name.begin(), name.end(), '\n'), name.end());
+  (void)TensorFile::read(checkpoints(folder) + "/" + name);
+}
+
+void look_at_scene(const std::string& folder, Look& out) {
+  const PackedScene scene(folder + "/room.sfpack");
+  FrameBuffer buffer;
+  for (std::size_t i = 0; i < scene.info().frames.size(); ++i) scene.read(static_cast<int>(i), buffer);
+  out.crc = crc_of(folder + "/room.sfpack");
+  // Nobody starts up in a folder of scenes: what is left goes when the same file is packed again.
+  remove_stale_temporaries(folder);
+}
+
+}  // namespace
+
+const char* name_of(Save what) {
+  return what == Save::checkpoint ? "checkpoint"
+         : what == Save::first    ? "first"
+         : what == Save::scene    ? "scene"
+                                  : "text";
+}
+
+Save save_of(const std::string& name) {
+  return *std::find_if(std::begin(kSaves), std::end(kSaves), [&](Save what) { return name == name_of(what); });
+}
+
+void prepare(Save what, const std::string& folder) {
+  if (what == Save::scene) write_scene(folder, 0);
+  if (what == Save::text) write_file_atomic(folder + "/run.yaml", text_of(0));
+  if (what != Save::checkpoint) return;
+  CheckpointStore store(checkpoints(folder));
+  save_step(store, 100);
+  save_step(store, 200);
+  testing_room::plain_write(checkpoints(folder) + "/" + CheckpointStore::file_name(400), "damaged");
+}
+
+void perform(Save what, const std::string& folder) {
+  if (what == Save::scene) write_scene(folder, 1);
+  if (what == Save::text) write_file_atomic(folder + "/run.yaml", text_of(1));
+  if (what == Save::scene || what == Save::text) return;
+  CheckpointStore store(checkpoints(folder));
+  save_step(store, 300);
+}
+
+Look look(Save what, const std::string& folder) {
+  Look out;
+  try {
+    if (what == Save::scene) {
+      look_at_scene(folder, out);
+    } else if (what == Save::text) {
+      const RunFolder run = RunFolder::resume(folder);
+      out.crc = crc_of(run.config_path());
+    } else {
+      look_at_checkpoints(folder, out);
+    }
+  } catch (const std::exception& error) {
+    out.bad += error.what();
+  }
+  out.temporaries = count_temporaries(folder);
+  return out;
+}
+
+}  // namespace semfield::testing_crash

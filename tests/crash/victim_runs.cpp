@@ -1,0 +1,106 @@
+#include "tests/crash/victim_runs.h"
+
+#include <fmt/format.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <sstream>
+
+namespace semfield::testing_crash {
+
+namespace fs = std::filesystem;
+using testing_program::Process;
+using testing_program::Result;
+
+std::vector<FileCall> read_calls(const std::string& log) {
+  std::vector<FileCall> calls;
+  if (!fs::exists(log)) return calls;
+  std::ifstream lines(log);
+  const std::string data = read_text_file(log + ".data");
+  std::size_t taken = 0;
+  for (std::string line; std::getline(lines, line);) {
+    std::vector<std::string> fields;
+    std::istringstream split(line);
+    for (std::string field; std::getline(split, field, '\t');) fields.push_back(field);
+    if (fields.size() != 9) throw Error(ErrorKind::internal, "a line of the log is not whole: " + line);
+    FileCall c{std::stoi(fields[0]),
+               fields[1],
+               std::stoi(fields[2]),
+               fields[3],
+               fields[4],
+               std::stoll(fields[5]),
+               std::stoll(fields[6]),
+               std::stoll(fields[7]),
+               std::stoi(fields[8]),
+               {}};
+    if (c.name == "write" && c.result > 0) {
+      c.data = data.substr(taken, static_cast<std::size_t>(c.result));
+      taken += c.data.size();
+    }
+    calls.push_back(std::move(c));
+  }
+  return calls;
+}
+
+std::vector<std::string> fault_environment(const std::string& folder, const std::string& log, const Fault& fault) {
+  return {"LD_PRELOAD=" SEMFIELD_FAULT_SHIM,
+          "ASAN_OPTIONS=verify_asan_link_order=0",
+          "SEMFIELD_FAULT_BELOW=" + folder,
+          "SEMFIELD_FAULT_LOG=" + log,
+          fmt::format("SEMFIELD_FAULT_CALL={}", fault.call),
+          "SEMFIELD_FAULT=" + fault.kind,
+          fmt::format("SEMFIELD_FAULT_STICKY={}", fault.sticky ? 1 : 0)};
+}
+
+Trial::Trial(Save what) : what_(what) {
+  root_ = (fs::temp_directory_path() / "semfield_crash_XXXXXX").string();
+  if (mkdtemp(root_.data()) == nullptr) throw Error(ErrorKind::io, "cannot make " + root_);
+  folder_ = root_ + "/work";
+  log_ = root_ + "/log";
+  fs::create_directories(folder_);
+  prepare(what, folder_);
+}
+
+Trial::~Trial() {
+  std::error_code ignored;
+  fs::remove_all(root_, ignored);
+}
+
+Result Trial::save(const Fault& fault) {
+  fs::remove(log_);
+  fs::remove(log_ + ".data");
+  return Process(SEMFIELD_VICTIM, {"save", name_of(what_), folder_}, root_, fault_environment(folder_, log_, fault))
+      .wait();
+}
+
+Look Trial::look() const {
+  const Result r = Process(SEMFIELD_VICTIM, {"look", name_of(what_), folder_}, root_).wait();
+  std::istringstream words(r.out);
+  Look found;
+  words >> std::hex >> found.crc >> std::dec >> found.temporaries;
+  std::getline(words >> std::ws, found.bad);
+  if (r.code != 0 || r.out.empty()) found.bad += "the process that looked ended with " + std::to_string(r.code) + r.err;
+  return found;
+}
+
+const Undisturbed& undisturbed(Save what) {
+  static std::map<Save, Undisturbed> made;
+  const auto present = made.find(what);
+  if (present != made.end()) return present->second;
+  Undisturbed& u = made[what];
+  u.old_crc = Trial(what).look().crc;
+  Trial trial(what);
+  const Result r = trial.save();
+  EXPECT_EQ(r.code, 0) << r.err;
+  u.calls = trial.calls();
+  const Look after = trial.look();
+  u.new_crc = after.crc;
+  EXPECT_EQ(after.bad, "");
+  EXPECT_NE(u.new_crc, u.old_crc);
+  EXPECT_GE(u.calls.size(), 8u) << "the shim saw no save: is it preloaded?";
+  return u;
+}
+
+}  // namespace semfield::testing_crash
