@@ -3,6 +3,7 @@
 
 #include <fcntl.h>
 #include <signal.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -23,21 +24,34 @@ struct Result {
   int signal = 0;  ///< that ended it
 };
 
-/// SEMFIELD_BINARY (a definition of the test's target) with `words`, in `folder`, where its output is kept too;
+/// The program under test: SEMFIELD_BINARY, a definition of the test's target, or what the environment variable
+/// SEMFIELD_PROGRAM names (a copy, for long runs beside rebuilds).
+inline std::string program() {
+  const char* other = std::getenv("SEMFIELD_PROGRAM");
+  return other != nullptr ? other : SEMFIELD_BINARY;
+}
+
+/// program() with `words`, in `folder`, where its output is kept too;
 /// `before` is shell text in front of it.
 inline Result semfield_run(const std::string& words, const std::string& folder, const std::string& before = "") {
-  const std::string command = "cd '" + folder + "' && " + before + "'" + SEMFIELD_BINARY + "' " + words + " >'" +
-                              folder + "/stdout' 2>'" + folder + "/stderr' </dev/null";
+  const std::string command = "cd '" + folder + "' && " + before + "'" + program() + "' " + words + " >'" + folder +
+                              "/stdout' 2>'" + folder + "/stderr' </dev/null";
   const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of a test
   return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
           read_text_file(folder + "/stderr")};
 }
 
+struct Limit {
+  __rlimit_resource_t kind = RLIMIT_NOFILE;
+  rlim_t most = 0;
+};
+
 /// A program that runs beside the test; its output goes to `folder`/stdout and `folder`/stderr. Killed when it is left.
+/// `limit` of the kind RLIMIT_NOFILE, when given, holds for it alone.
 class Process {
  public:
   Process(const std::string& program, const std::vector<std::string>& words, const std::string& folder,
-          const std::vector<std::string>& environment = {})
+          const std::vector<std::string>& environment = {}, const std::optional<Limit>& limit = {})
       : out_(folder + "/stdout"), err_(folder + "/stderr") {
     std::vector<char*> argv{const_cast<char*>(program.c_str())};
     for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
@@ -49,6 +63,10 @@ class Process {
       dup2(out, 1);
       dup2(err, 2);
       for (const std::string& setting : environment) putenv(const_cast<char*>(setting.c_str()));
+      if (limit) {
+        const rlimit both{limit->most, limit->most};
+        setrlimit(limit->kind, &both);
+      }
       execv(program.c_str(), argv.data());
       _exit(127);
     }

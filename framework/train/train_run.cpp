@@ -77,8 +77,9 @@ class Run {
     } catch (Error& error) {
       const bool writing = error.kind() == ErrorKind::io || error.kind() == ErrorKind::cannot_create;
       if (writing && error.message().starts_with("cannot ")) {
-        error.while_doing(fmt::format("training ended at step {} ({}; go on with `semfield train --resume {}`)",
-                                      trainer_->step(), checkpoints_.kept_text(), folder_.path()));
+        const std::string kept = error.context().empty() ? checkpoints_.kept_text() + "; " : "";  // a save has said it
+        error.while_doing(fmt::format("training ended at step {} ({}go on with `semfield train --resume {}`)",
+                                      trainer_->step(), kept, folder_.path()));
       }
       throw;
     }

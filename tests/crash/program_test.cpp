@@ -24,7 +24,9 @@ namespace fs = std::filesystem;
 using namespace testing_train;
 using testing_crash::Fault;
 using testing_crash::FileCall;
+using testing_program::Limit;
 using testing_program::Process;
+using testing_program::program;
 using testing_program::Result;
 using testing_program::semfield_run;
 using Words = std::vector<std::string>;
@@ -33,7 +35,7 @@ constexpr int kSteps = 80;
 constexpr double kStop_s = 10;  // what is promised for SIGINT and SIGTERM
 
 Result run(const Words& words, const TempDir& dir, const std::vector<std::string>& environment = {}) {
-  return Process(SEMFIELD_BINARY, words, dir.path(), environment).wait();
+  return Process(program(), words, dir.path(), environment).wait();
 }
 
 // The checkpoint that kSteps end in, however often they are saved.
@@ -75,7 +77,7 @@ TEST(Program, ASecondProcessOnARunIsRefusedAndReadersAreNot) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 1'000'000, 0.05);
   const std::string run_dir = dir / "run";
-  Process first(SEMFIELD_BINARY, {"train", config, "--out", run_dir}, dir.path());
+  Process first(program(), {"train", config, "--out", run_dir}, dir.path());
   ASSERT_TRUE(wait_until([&] { return fs::exists(run_dir + "/checkpoints/latest"); }));
   const TempDir other;
   for (const Words& words : {Words{"train", "--resume", run_dir}, Words{"train", config, "--out", run_dir}}) {
@@ -113,7 +115,7 @@ TEST(Program, AFullDiskEndsTheRunAndSpaceLetsItGoOn) {
                                 "rm '{0}/other'\n"
                                 "'{1}' train --resume '{0}/run' >'{3}/out2' 2>'{3}/err2'; echo $? >'{3}/code2'\n"
                                 "cp -r '{0}/run' '{4}_end'\n",
-                                disk, SEMFIELD_BINARY, config, dir.path(), copy));
+                                disk, program(), config, dir.path(), copy));
   ASSERT_EQ(std::system(("unshare -rm sh '" + script + "'").c_str()), 0);
   const std::string full = read_text_file(dir / "err1");
   EXPECT_EQ(read_text_file(dir / "code1"), "74\n") << full;
@@ -143,6 +145,51 @@ TEST(Program, AFileSizeLimitIsAFailedWriteAndNoSignal) {
   EXPECT_TRUE(has(r.err, "raise it with `ulimit -f`")) << r.err;
   EXPECT_TRUE(has(r.err, "there is no checkpoint yet")) << r.err;
   expect_goes_on_to_the_same_bits(config, dir / "run", dir);
+}
+
+// The call that opens one file too many, wherever it is: each limit moves it.
+TEST(Program, TooFewOpenFilesAreAnErrorAtEveryPlace) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, kSteps, 0), run_dir = dir / "run";
+  int refused = 0, done = 0;
+  for (rlim_t most = 4; done == 0 && most < 64; ++most) {
+    fs::remove_all(run_dir);
+    const Result r = Process(program(), {"train", config, "--out", run_dir, "--steps", "2"}, dir.path(), {},
+                             Limit{RLIMIT_NOFILE, most})
+                         .wait();
+    EXPECT_EQ(r.signal, 0) << r.err;
+    done += r.code == 0 ? 1 : 0;
+    if (r.code == 0 || !has(r.err, "semfield: "))
+      continue;  // without a sentence of ours: the loader found no libraries
+    ++refused;
+    EXPECT_TRUE(r.code == 74 || r.code == 66)
+        << r.code << ": " << r.err;  // 66: when it is the scene that cannot be read
+    EXPECT_TRUE(has(r.err, "Too many open files")) << r.err;
+  }
+  EXPECT_EQ(done, 1);
+  EXPECT_GE(refused, 2);
+}
+
+TEST(Program, TooLittleMemoryIsASentence) {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+  GTEST_SKIP() << "a sanitizer reserves more address space than any limit allows";
+#endif
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, kSteps, 0), run_dir = dir / "run";
+  const Words words{"train", config, "--out", run_dir, "--steps", "2", "--threads", "1"};
+  int refused = 0, done = 0;
+  for (rlim_t most = rlim_t{30} << 20; done == 0 && most < (rlim_t{4} << 30); most += most / 8) {
+    fs::remove_all(run_dir);
+    const Result r = Process(program(), words, dir.path(), {"OMP_NUM_THREADS=1"}, Limit{RLIMIT_AS, most}).wait();
+    EXPECT_EQ(r.signal, 0) << r.err;
+    done += r.code == 0 ? 1 : 0;
+    if (r.code == 0 || r.code == 127) continue;
+    ++refused;
+    EXPECT_EQ(r.code, 1) << r.err;
+    EXPECT_TRUE(has(r.err, "out of memory")) << r.err;
+  }
+  EXPECT_EQ(done, 1);
+  EXPECT_GE(refused, 1);
 }
 
 TEST(Program, ADiskThatFillsUnderTheLogNamesTheCheckpointKept) {
@@ -193,7 +240,7 @@ TEST(Program, AReaderThatLeavesIsNoErrorAndAFullStdoutIs) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, kSteps, 0);
   const auto code_of = [&](const std::string& words, const std::string& reader) {
-    const std::string command = "cd '" + dir.path() + "' && (sleep 0.1; '" SEMFIELD_BINARY "' " + words +
+    const std::string command = "cd '" + dir.path() + "' && (sleep 0.1; '" + program() + "' " + words +
                                 " 2>&1; echo $? >code) | " + reader + " >/dev/null";
     EXPECT_EQ(std::system(command.c_str()), 0);
     EXPECT_TRUE(wait_until([&] { return fs::exists(dir / "code") && fs::file_size(dir / "code") > 0; }));
@@ -206,7 +253,7 @@ TEST(Program, AReaderThatLeavesIsNoErrorAndAFullStdoutIs) {
   EXPECT_EQ(code_of("train config.yaml --out run", "true"), "0\n") << "training goes on without its reader";
   EXPECT_EQ(checkpoint_fingerprint(dir / "run", kSteps), whole_fingerprint());
   if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here: a full stdout was not tried";
-  const int status = std::system(("'" SEMFIELD_BINARY "' config schema >/dev/full 2>'" + (dir / "err") + "'").c_str());
+  const int status = std::system(("'" + program() + "' config schema >/dev/full 2>'" + (dir / "err") + "'").c_str());
   EXPECT_EQ(WEXITSTATUS(status), 74);
   EXPECT_TRUE(has(read_text_file(dir / "err"), "cannot write the results to stdout")) << read_text_file(dir / "err");
 }
@@ -215,7 +262,7 @@ TEST(Program, ClosedStreamsPutNoMessageIntoAFile) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, kSteps, 0.01);
   const int status =
-      std::system(("'" SEMFIELD_BINARY "' train '" + config + "' --out '" + (dir / "run") + "' <&- >&- 2>&-").c_str());
+      std::system(("'" + program() + "' train '" + config + "' --out '" + (dir / "run") + "' <&- >&- 2>&-").c_str());
   EXPECT_EQ(WEXITSTATUS(status), 0);
   EXPECT_EQ(checkpoint_fingerprint(dir / "run", kSteps), whole_fingerprint());
   for (const auto& entry : fs::recursive_directory_iterator(dir / "run")) {
@@ -227,7 +274,7 @@ TEST(Program, ClosedStreamsPutNoMessageIntoAFile) {
 TEST(Program, SighupSavesAndGoesOn) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 1'000'000, 0), run_dir = dir / "run";
-  Process process(SEMFIELD_BINARY, {"train", config, "--out", run_dir}, dir.path());
+  Process process(program(), {"train", config, "--out", run_dir}, dir.path());
   ASSERT_TRUE(wait_for_steps(run_dir));
   EXPECT_FALSE(fs::exists(run_dir + "/checkpoints/latest"));
   process.send(SIGHUP);
@@ -251,8 +298,8 @@ TEST(Program, StopSignalsAreAnsweredInTimeAtAnyMoment) {
   for (int i = 0; i < 16; ++i) {
     const int signal = i % 2 == 0 ? SIGTERM : SIGINT;
     const bool begun = fs::exists(run_dir + "/run.yaml");
-    Process process(SEMFIELD_BINARY,
-                    begun ? Words{"train", "--resume", run_dir} : Words{"train", config, "--out", run_dir}, dir.path());
+    Process process(program(), begun ? Words{"train", "--resume", run_dir} : Words{"train", config, "--out", run_dir},
+                    dir.path());
     std::this_thread::sleep_for(std::chrono::milliseconds(15 * i));
     process.send(signal);
     const std::optional<Result> r = process.wait_for(kStop_s);
@@ -276,7 +323,7 @@ TEST(Program, ASecondSigintEndsAtOnceAndTheOldCheckpointStays) {
   ASSERT_EQ(run({"train", config, "--out", run_dir}, dir).code, 0);
   const std::uint32_t old = checkpoint_fingerprint(run_dir, 20);
   // Steps of seconds, so that the first signal is still waiting when the second comes.
-  Process process(SEMFIELD_BINARY, {"train", "--resume", run_dir, "--steps", "1000", "--set", "train.rays=200000"},
+  Process process(program(), {"train", "--resume", run_dir, "--steps", "1000", "--set", "train.rays=200000"},
                   dir.path());
   ASSERT_TRUE(wait_until([&] { return has(process.err_so_far(), "resuming at step 20"); }));
   std::this_thread::sleep_for(std::chrono::milliseconds(300));

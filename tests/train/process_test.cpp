@@ -18,13 +18,8 @@ namespace semfield {
 namespace {
 
 using namespace testing_train;
+using testing_program::program;
 using testing_program::Result;
-
-// Another build of the program, for long runs beside rebuilds.
-std::string program() {
-  const char* other = std::getenv("SEMFIELD_PROGRAM");
-  return other != nullptr ? other : SEMFIELD_BINARY;
-}
 
 class Process : public testing_program::Process {
  public:
@@ -107,6 +102,10 @@ TEST(Process, RandomKillsLoseNoRunAndChangeNoBit) {
     before_run += left.begun ? 0 : 1;
     before_checkpoint += left.begun && left.step < 0 ? 1 : 0;
     during_write += left.temporaries > 0 ? 1 : 0;
+    if (kills % 100 == 0) {
+      std::printf("%d kills, %d runs ended\n", kills, runs);
+      std::fflush(stdout);
+    }
   }
   EXPECT_EQ(kills, wanted);
   const bool begun = std::filesystem::exists(victim + "/run.yaml");
