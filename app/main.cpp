@@ -3,6 +3,7 @@
 
 #include <cstdio>
 #include <exception>
+#include <filesystem>
 
 #include "command_line.h"
 #include "core/error.h"
@@ -31,6 +32,10 @@ int main(int argc, char** argv) {
         stderr,
         "semfield: out of memory; lower train.rays or scene.load.downscale, or see `semfield train --dry-run`\n");
     return static_cast<int>(ErrorKind::failure);
+  } catch (const std::filesystem::filesystem_error& error) {  // a path of the user's that cannot even be looked at
+    std::fprintf(stderr, "semfield: '%s': %s; check the path and its permissions\n", error.path1().c_str(),
+                 error.code().message().c_str());
+    return static_cast<int>(ErrorKind::no_input);
   } catch (const std::exception& error) {
     std::fprintf(stderr, "semfield: internal error: %s\n", error.what());
     return static_cast<int>(ErrorKind::internal);

@@ -151,7 +151,8 @@ ConfigNode apply_override(const ConfigNode& root, const std::string& key, const 
   for (std::size_t begin = 0; begin <= key.size();) {
     const std::size_t end = std::min(key.find('.', begin), key.size());
     segments.push_back(key.substr(begin, end - begin));
-    if (segments.back().empty()) fail(origin, "empty key in '" + key + "'");
+    if (segments.back().empty())
+      fail(origin, "empty key in '" + key + "'", "write sections and keys with dots between: train.steps");
     begin = end + 1;
   }
   if (segments.size() > 32) fail(origin, "key path longer than 32 levels");

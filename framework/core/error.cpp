@@ -3,10 +3,34 @@
 #include <algorithm>
 #include <numeric>
 
+#include "core/words.h"
+
 namespace semfield {
 
+namespace {
+
+// Messages quote what files hold, and end up on terminals: control characters and what is no UTF-8 are spelled out.
+std::string printable(const std::string& text) {
+  constexpr std::string_view kDigits = "0123456789abcdef";
+  std::string out;
+  for (std::size_t i = 0; i < text.size();) {
+    const auto byte = static_cast<unsigned char>(text[i]);
+    const std::size_t length = utf8_length(text, i);
+    if (length == 0 || (byte < 0x20 && byte != '\n' && byte != '\t') || byte == 0x7F) {
+      out += {'\\', 'x', kDigits[byte >> 4], kDigits[byte & 15]};
+      ++i;
+    } else {
+      out.append(text, i, length);
+      i += length;
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
 Error::Error(ErrorKind kind, std::string message, std::string remedy)
-    : kind_(kind), message_(std::move(message)), remedy_(std::move(remedy)) {
+    : kind_(kind), message_(printable(message)), remedy_(std::move(remedy)) {
   rebuild();
 }
 
@@ -30,12 +54,12 @@ std::string Diagnostic::text() const {
 }
 
 void Diagnostics::error(std::string where, std::string message, std::string remedy) {
-  all_.push_back({Severity::error, std::move(where), std::move(message), std::move(remedy)});
+  all_.push_back({Severity::error, printable(where), printable(message), std::move(remedy)});
   ++errors_;
 }
 
 void Diagnostics::warning(std::string where, std::string message, std::string remedy) {
-  all_.push_back({Severity::warning, std::move(where), std::move(message), std::move(remedy)});
+  all_.push_back({Severity::warning, printable(where), printable(message), std::move(remedy)});
 }
 
 void Diagnostics::note(std::string where, std::string message) {
@@ -75,6 +99,7 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
 
 std::string did_you_mean(std::string_view word, const std::vector<std::string>& known) {
   std::string best;
+  if (word.size() > 200) return best;  // no slip of the keyboard
   std::size_t best_distance = std::max<std::size_t>(1, word.size() / 3) + 1;
   for (const std::string& candidate : known) {
     // A shared prefix of four letters also counts as near ('n_level' is far from 'levels' by edits alone).

@@ -96,8 +96,12 @@ int open_folder(const std::string& folder) {
 }  // namespace
 
 std::string read_text_file(const std::string& path, std::size_t limit_bytes) {
-  std::string out = read_file_start(path, limit_bytes + 1);
-  if (out.size() > limit_bytes) {
+  // Where the size is known, nothing of a file that is too large is read.
+  std::error_code unknown;
+  const auto size = std::filesystem::file_size(path, unknown);
+  std::string out;
+  if (unknown || size <= limit_bytes) out = read_file_start(path, limit_bytes + 1);
+  if ((!unknown && size > limit_bytes) || out.size() > limit_bytes) {
     throw Error(ErrorKind::data, "'" + path + "' is larger than " + std::to_string(limit_bytes) + " bytes",
                 "check that it is the right file");
   }
@@ -118,6 +122,9 @@ std::string read_file_start(const std::string& path, std::size_t bytes) {
     cause = errno;
   } else if (S_ISDIR(about.st_mode)) {
     cause = EISDIR;
+  } else if (!S_ISREG(about.st_mode) && !S_ISFIFO(about.st_mode)) {
+    ::close(file);
+    throw Error(ErrorKind::no_input, "'" + path + "' is a device or a socket, not a file", "check the path");
   } else {
     if (about.st_size > 0) out.reserve(std::min(bytes, static_cast<std::size_t>(about.st_size)));
     std::vector<char> block(std::min(bytes, std::size_t{1} << 16));

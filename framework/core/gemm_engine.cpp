@@ -29,7 +29,7 @@ constexpr bool kBuilt = false;
 #endif
 
 bool has_matrix_tiles() {
-#if defined(__x86_64__)
+#if defined(__x86_64__) && !defined(__clang__)  // clang 14 does not know the name
   return __builtin_cpu_supports("amx-bf16");
 #else
   return false;

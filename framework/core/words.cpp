@@ -54,4 +54,19 @@ std::size_t utf8_length(std::string_view text, std::size_t i) {
   return 0;
 }
 
+bool is_line_of_text(std::string_view text) {
+  for (std::size_t i = 0; i < text.size();) {
+    const auto byte = static_cast<unsigned char>(text[i]);
+    const std::size_t length = utf8_length(text, i);
+    if (byte < 0x20 || byte == 0x7F || length == 0) return false;
+    i += length;
+  }
+  return true;
+}
+
+std::string json_cause(const std::string& message) {
+  const std::size_t end = message.find("] ");
+  return !message.empty() && message[0] == '[' && end != std::string::npos ? message.substr(end + 2) : message;
+}
+
 }  // namespace semfield

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -19,5 +20,12 @@ bool parse_number(std::string_view word, double& out);
 
 /// Bytes of the character that begins at `i`, by well-formed UTF-8 [Unicode, table 3-7]; 0 where none does.
 std::size_t utf8_length(std::string_view text, std::size_t i);
+
+/// True for a text of one line in well-formed UTF-8 without control characters: what names of files and classes are,
+/// which go into messages, tables and names of other files.
+bool is_line_of_text(std::string_view text);
+
+/// A parser's message of nlohmann-json without its number: "parse error at line 1, column 5: ...".
+std::string json_cause(const std::string& message);
 
 }  // namespace semfield

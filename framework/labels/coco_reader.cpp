@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "core/files.h"
+#include "core/words.h"
 #include "labels/label_files.h"
 #include "labels/label_readers.h"
 #include "labels/run_lengths.h"
@@ -141,6 +142,7 @@ class CocoReader : public LabelReader {
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
     const CocoImage* image = entry_of(images_, frame);
     if (image == nullptr) refuse(file, "no image of frame '" + frame.name + "'");
+    check_label_shape(image->width_px, image->height_px, frame.camera);
     LabelRaster raster = void_raster(image->width_px, image->height_px);
     const ClassNames names(classes);
     struct Mask {

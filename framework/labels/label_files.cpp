@@ -84,6 +84,15 @@ bool has_file(const std::string& folder, const std::string& pattern, const Frame
   return !path.empty() && std::filesystem::is_regular_file(path, ignored);
 }
 
+void check_label_shape(std::int64_t width, std::int64_t height, const Camera& frame) {
+  const std::int64_t w = frame.width_px, h = frame.height_px;
+  if (2 * std::abs(width * h - height * w) <= width + height && width <= 64 * w) return;
+  throw Error(ErrorKind::data,
+              "labels are " + std::to_string(width) + " x " + std::to_string(height) + " pixels, the frame is " +
+                  std::to_string(w) + " x " + std::to_string(h) + ": another shape",
+              "label the image of this frame");
+}
+
 bool check_folder(const std::string& folder, Diagnostics& diagnostics) {
   std::error_code ignored;
   if (folder.empty()) {
@@ -142,13 +151,8 @@ ClassTable table_for(const std::map<std::string, std::string>& place_of_name, co
     return built;
   }
   const ClassNames classes(known);
-  for (const auto& [name, place] : place_of_name) problems.collect([&] { (void)classes.index_of(name, place); });
+  for (const auto& entry : place_of_name) problems.collect([&] { (void)classes.index_of(entry.first, entry.second); });
   return known;
-}
-
-std::string json_cause(const std::string& message) {
-  const std::size_t end = message.find("] ");
-  return !message.empty() && message[0] == '[' && end != std::string::npos ? message.substr(end + 2) : message;
 }
 
 }  // namespace semfield

@@ -35,6 +35,11 @@ void check_pattern(const std::string& pattern, Diagnostics& diagnostics);
 std::string path_of(const std::string& folder, const std::string& pattern, const FrameInfo& frame);
 bool has_file(const std::string& folder, const std::string& pattern, const FrameInfo& frame);
 
+/// Throws Error(data) for labels of another shape than the frame's image (half a pixel of rounding an axis is allowed),
+/// or of over 64 times its width, the most that frames are made smaller by: labels of another image. Readers call it
+/// with the size that a file states before they make a raster of that size.
+void check_label_shape(std::int64_t width, std::int64_t height, const Camera& frame);
+
 /// Reports a folder that is not named or is none; true when it is one.
 bool check_folder(const std::string& folder, Diagnostics& diagnostics);
 /// The same, and reports a folder in which no file can belong to the pattern, with a name that is there.
@@ -62,8 +67,5 @@ class ProblemList {
 /// without a known table one is built from the names in sorted order.
 ClassTable table_for(const std::map<std::string, std::string>& place_of_name, const ClassTable& known,
                      ProblemList& problems);
-
-/// A parser's message of nlohmann-json without its number: "parse error at line 1, column 5: ...".
-std::string json_cause(const std::string& message);
 
 }  // namespace semfield

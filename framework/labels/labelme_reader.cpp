@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
+#include "core/words.h"
 #include "labels/label_files.h"
 #include "labels/label_readers.h"
 #include "labels/outline_fill.h"
@@ -152,6 +153,7 @@ class LabelmeReader : public LabelReader {
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
     const LabelmeFile* file = entry_of(files_, frame);
     if (file == nullptr) refuse(folder, "no labelme file of frame '" + frame.name + "'");
+    check_label_shape(file->width_px, file->height_px, frame.camera);
     LabelRaster raster = void_raster(file->width_px, file->height_px);
     const ClassNames names(classes);
     for (const Shape& shape : file->shapes) paint_shape(shape, names.index_of(shape.label, shape.place), raster);

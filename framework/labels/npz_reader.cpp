@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
+#include "core/words.h"
 #include "labels/label_files.h"
 #include "labels/label_readers.h"
 #include "scene/npz.h"

@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "core/parallel.h"
+#include "labels/label_files.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
@@ -14,13 +15,7 @@ namespace {
 FrameLabels scaled(const LabelRaster& raster, const Camera& camera, int classes) {
   const auto source_w = std::int64_t{raster.width_px}, source_h = std::int64_t{raster.height_px};
   const std::int64_t w = camera.width_px, h = camera.height_px;
-  // Equal shapes up to half a pixel of rounding on each axis; anything else is the labels of another image.
-  if (2 * std::abs(source_w * h - source_h * w) > source_w + source_h) {
-    throw Error(ErrorKind::data,
-                "labels are " + std::to_string(source_w) + " x " + std::to_string(source_h) + " pixels, the frame is " +
-                    std::to_string(w) + " x " + std::to_string(h) + ": another shape",
-                "label the image of this frame");
-  }
+  check_label_shape(source_w, source_h, camera);
   FrameLabels out;
   const auto pixels = static_cast<std::size_t>(w * h);
   const auto width = static_cast<std::size_t>(classes);
@@ -119,6 +114,14 @@ void open_label_files(LoadedScene& scene, const LabelConfig& config, Diagnostics
     } else {
       diagnostics.note(where, d.message);
     }
+  }
+  const auto trains = [&](const FrameInfo& frame) {
+    return frame.split == Split::train && config.from.reader->has(frame);
+  };
+  const std::vector<FrameInfo>& frames = scene.info.frames;
+  if (!diagnostics.has_errors() && !frames.empty() && std::none_of(frames.begin(), frames.end(), trains)) {
+    diagnostics.error("scene.labels.from", "there are labels of no training frame",
+                      "call the frames by their names, such as '" + frames.front().name + "'");
   }
   if (scene.info.classes.empty()) scene.info.classes = table;
   if (scene.info.classes.empty() && !diagnostics.has_errors()) {

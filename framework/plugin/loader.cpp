@@ -110,7 +110,7 @@ void load_module(Registry& registry, const std::string& path) {
   std::error_code ignored;
   if (!std::filesystem::is_regular_file(path, ignored)) {
     throw Error(ErrorKind::unavailable, doing + ": there is no such file",
-                "check the path; it is relative to the working directory");
+                "check the path; in a configuration it starts at the file that wrote it");
   }
   // A name without a slash would be searched in the library path, which is not what was asked for.
   const std::string absolute = std::filesystem::absolute(path).string();

@@ -9,6 +9,7 @@
 #include "core/check.h"
 #include "core/files.h"
 #include "core/rng.h"
+#include "scene/input_limits.h"
 
 namespace semfield {
 namespace {
@@ -339,7 +340,7 @@ Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes 
 }  // namespace
 
 std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
-  std::istringstream stream(read_text_file(path));
+  std::istringstream stream(read_pose_file(path));
   std::vector<std::vector<double>> rows;
   std::vector<int> lines;
   std::string line;
@@ -348,24 +349,28 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
     if (first == std::string::npos || line[first] == '#') continue;
     std::istringstream words(line);
     std::vector<double> row;
-    bool good = true;
     for (std::string word; words >> word;) {
       double value = 0;
       const char* begin = word.data() + (word.size() > 1 && word[0] == '+' ? 1 : 0);
       const auto [end, code] = std::from_chars(begin, word.data() + word.size(), value);
       const bool tiny = code == std::errc::result_out_of_range && word.find("e-") != std::string::npos;
-      good = good && end == word.data() + word.size() && (code == std::errc{} || tiny) && std::isfinite(value);
+      if (end != word.data() + word.size() || !(code == std::errc{} || tiny) || !std::isfinite(value)) {
+        throw Error(ErrorKind::data,
+                    path + ":" + std::to_string(number) + ": '" + word.substr(0, 40) + "' is not a finite number",
+                    "write finite numbers, and leave out poses that are lost");
+      }
       row.push_back(tiny ? 0 : value);
     }
-    if (!good || (row.size() != 16 && row.size() != 12 && row.size() != 4)) {
-      throw Error(ErrorKind::data,
-                  path + ":" + std::to_string(number) + ": expected 4, 12 or 16 numbers, got '" + line + "'",
-                  "write one camera-to-world matrix a line, or one matrix row a line");
+    if (row.size() != 16 && row.size() != 12 && row.size() != 4) {
+      throw Error(
+          ErrorKind::data,
+          path + ":" + std::to_string(number) + ": expected 4, 12 or 16 numbers, got '" + line.substr(0, 80) + "'",
+          "write one camera-to-world matrix a line, or one matrix row a line");
     }
     rows.push_back(std::move(row));
     lines.push_back(number);
   }
-  if (rows.empty()) throw Error(ErrorKind::data, path + ": holds no pose");
+  if (rows.empty()) throw Error(ErrorKind::data, path + ": holds no pose", "write one camera-to-world matrix a line");
   std::size_t per_pose = 1;
   if (rows[0].size() == 4) per_pose = rows.size() >= 4 && rows[3] == std::vector<double>{0, 0, 0, 1} ? 4 : 3;
   if (rows.size() % per_pose != 0) {
@@ -378,7 +383,9 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
     std::vector<double> m;
     for (std::size_t k = 0; k < per_pose; ++k) m.insert(m.end(), rows[i + k].begin(), rows[i + k].end());
     const std::string where = path + ":" + std::to_string(lines[i]);
-    if (m.size() != 12 && m.size() != 16) throw Error(ErrorKind::data, where + ": expected 12 or 16 numbers a pose");
+    if (m.size() != 12 && m.size() != 16)
+      throw Error(ErrorKind::data, where + ": expected 12 or 16 numbers a pose",
+                  "write all poses of a file in the same form");
     poses.push_back(pose_of(m, where, axes));
   }
   return poses;

@@ -114,7 +114,7 @@ ClassRules load_class_rules(const std::string& path) {
     out.table = ClassTable::load(path);  // reads the list 'classes' of such a map
   } catch (const Error& e) {
     if (!diagnostics.has_errors()) throw;
-    diagnostics.error("", e.what());
+    diagnostics.error("", e.message(), e.remedy());
   }
   if (const ConfigNode* rules = root.find("rules"); rules != nullptr && !out.table.empty()) {
     if (!rules->is_list()) diagnostics.error(rules->location().text(), "'rules' is a list of rules");

@@ -10,14 +10,15 @@
 
 #include "config/config_tree.h"
 #include "core/files.h"
+#include "core/words.h"
 #include "scene/class_names.h"
+#include "scene/input_limits.h"
 
 namespace semfield {
 
 namespace {
 
 constexpr std::int32_t kMaxId = 65535;  // what a 16-bit label image can hold
-constexpr std::size_t kMaxClasses = 1024;
 
 bool parse_int(std::string_view text, std::int32_t& out) {
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
@@ -34,6 +35,9 @@ std::string trimmed(std::string_view text) {
   throw Error(ErrorKind::data, place + ": " + message, remedy);
 }
 
+constexpr const char* kCsvRemedy = "write one line 'id,name' a class";
+constexpr const char* kYamlRemedy = "write lines such as - {id: 3, name: lamp}";
+
 ClassTable load_csv(const std::string& path) {
   const std::string text = read_text_file(path, std::size_t{4} << 20);
   std::vector<ClassEntry> entries;
@@ -45,16 +49,17 @@ ClassTable load_csv(const std::string& path) {
     if (row.empty() || row[0] == '#') continue;
     const std::string place = path + ":" + std::to_string(line);
     const std::size_t comma = row.find(',');
-    if (comma == std::string::npos) refuse(place, "expected 'class_id,class', got '" + row + "'");
+    if (comma == std::string::npos)
+      refuse(place, "expected 'class_id,class', got '" + row.substr(0, 80) + "'", kCsvRemedy);
     const std::string id_text = trimmed(std::string_view(row).substr(0, comma));
     std::string name = trimmed(std::string_view(row).substr(comma + 1));
     if (name.size() >= 2 && name.front() == '"' && name.back() == '"') name = name.substr(1, name.size() - 2);
     ClassEntry entry;
     if (!parse_int(id_text, entry.id)) {
       if (line == 1) continue;  // the header
-      refuse(place, "expected a class id, got '" + id_text + "'");
+      refuse(place, "expected a class id, got '" + id_text + "'", kCsvRemedy);
     }
-    if (name.empty()) refuse(place, "class " + id_text + " has no name");
+    if (name.empty()) refuse(place, "class " + id_text + " has no name", kCsvRemedy);
     entry.ignore = entry.id == 0 && is_void_name(name);
     entry.color = ClassTable::default_color(entry.id);
     entry.name = std::move(name);
@@ -70,18 +75,20 @@ ClassTable load_json(const std::string& path) {
   try {
     root = nlohmann::json::parse(read_text_file(path));
   } catch (const nlohmann::json::exception& e) {
-    refuse(path, std::string("not valid JSON: ") + e.what());
+    refuse(path, "not valid JSON: " + json_cause(e.what()), "export the table again");
   }
   const nlohmann::json* list = root.is_array()                                ? &root
                                : root.is_object() && root.contains("classes") ? &root["classes"]
                                                                               : nullptr;
-  if (list == nullptr || !list->is_array()) refuse(path, "no list 'classes' in it");
+  if (list == nullptr || !list->is_array())
+    refuse(path, "no list 'classes' in it", "write {\"classes\": [{\"id\": 1, \"name\": \"wall\"}, ...]}");
   std::vector<ClassEntry> entries;
   bool has_zero = false;
   for (const nlohmann::json& item : *list) {
     if (!item.is_object() || !item.contains("id") || !item["id"].is_number_integer() || !item.contains("name") ||
         !item["name"].is_string()) {
-      refuse(path, "class " + std::to_string(entries.size()) + " of the list needs an integer 'id' and a text 'name'");
+      refuse(path, "class " + std::to_string(entries.size()) + " of the list needs an integer 'id' and a text 'name'",
+             "export the table again");
     }
     const auto id = item["id"].get<std::int64_t>();
     if (id < 0) continue;  // Replica writes -1 for "no class"
@@ -107,7 +114,7 @@ std::int32_t scalar_int(const ConfigNode& node, const std::string& what, std::in
 
 ClassEntry yaml_entry(const ConfigNode& item) {
   const std::string place = item.location().text();
-  if (!item.is_map()) refuse(place, "a class is a map {id, name, color, ignore}");
+  if (!item.is_map()) refuse(place, "a class is a map {id, name, color, ignore}", kYamlRemedy);
   ClassEntry entry;
   bool has_color = false;
   static const std::vector<std::string> keys{"id", "name", "color", "ignore"};
@@ -120,10 +127,10 @@ ClassEntry yaml_entry(const ConfigNode& item) {
   }
   const ConfigNode* id = item.find("id");
   const ConfigNode* name = item.find("name");
-  if (id == nullptr) refuse(place, "a class needs an 'id'");
+  if (id == nullptr) refuse(place, "a class needs an 'id'", kYamlRemedy);
   entry.id = scalar_int(*id, "id", 0, kMaxId);
   if (name == nullptr || !name->is_scalar() || name->text().empty())
-    refuse(place, "class " + std::to_string(entry.id) + " needs a 'name'");
+    refuse(place, "class " + std::to_string(entry.id) + " needs a 'name'", kYamlRemedy);
   entry.name = name->text();
   if (const ConfigNode* color = item.find("color"); color != nullptr && !color->is_null()) {
     if (!color->is_list() || color->items().size() != 3) refuse(color->location().text(), "color: expected [r, g, b]");
@@ -143,7 +150,8 @@ ClassEntry yaml_entry(const ConfigNode& item) {
 ClassTable load_yaml(const std::string& path) {
   const ConfigNode root = parse_config_file(path);
   const ConfigNode* list = root.is_list() ? &root : root.find("classes");
-  if (list == nullptr || !list->is_list()) refuse(path, "expected a list of classes {id, name, color, ignore}");
+  if (list == nullptr || !list->is_list())
+    refuse(path, "expected a list of classes {id, name, color, ignore}", kYamlRemedy);
   std::vector<ClassEntry> entries;
   for (const ConfigNode& item : list->items()) entries.push_back(yaml_entry(item));
   return ClassTable(std::move(entries));
@@ -175,6 +183,11 @@ ClassTable::ClassTable(std::vector<ClassEntry> entries) : entries_(std::move(ent
       throw Error(ErrorKind::data, "class '" + e.name + "' has id " + std::to_string(e.id),
                   "ids run from 0 to " + std::to_string(kMaxId));
     }
+    if (!is_line_of_text(e.name)) {
+      throw Error(ErrorKind::data,
+                  "the name of class " + std::to_string(e.id) + " has control characters or is no UTF-8",
+                  "give it a plain name, and save the file as UTF-8");
+    }
     if (i > 0 && entries_[i - 1].id == e.id) {
       throw Error(
           ErrorKind::data,
@@ -183,11 +196,7 @@ ClassTable::ClassTable(std::vector<ClassEntry> entries) : entries_(std::move(ent
     }
     if (!e.ignore) valid_.push_back(static_cast<int>(i));
   }
-  if (valid_.size() > kMaxClasses) {
-    throw Error(ErrorKind::data,
-                std::to_string(valid_.size()) + " classes; at most " + std::to_string(kMaxClasses) + " are possible",
-                "mark the unused ones 'ignore: true'");
-  }
+  check_input_limit(std::ssize(valid_), input_limits().classes, "", "classes", "classes");
   if (!entries_.empty()) index_of_.assign(static_cast<std::size_t>(entries_.back().id) + 1, -2);
   for (const ClassEntry& e : entries_) index_of_[static_cast<std::size_t>(e.id)] = kVoid;
   for (std::size_t c = 0; c < valid_.size(); ++c) {
@@ -216,7 +225,8 @@ ClassTable ClassTable::load(const std::string& path) {
     if (extension == ".json") return load_json(path);
     if (extension == ".yaml" || extension == ".yml") return load_yaml(path);
   } catch (Error& e) {
-    throw e.while_doing("class table '" + path + "'");
+    if (e.message().find(path) != std::string::npos) throw;
+    throw Error(e.kind(), path + ": " + e.message(), e.remedy());
   }
   throw Error(ErrorKind::data, "'" + path + "' is no class table", "give a .yaml, .csv or .json file");
 }

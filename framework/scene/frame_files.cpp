@@ -101,7 +101,8 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
     check_size(color, frame, files.color);
     out.rgb = std::move(color.pixels);
     if (!files.depth.empty()) read_depth(frame, files.depth, rules.depth_unit_m, out.depth_m);
-    if (!files.label.empty()) read_labels(frame, files.label, rules.unknown_labels_void, classes, out.label);
+    if (!files.label.empty() && !classes.empty())
+      read_labels(frame, files.label, rules.unknown_labels_void, classes, out.label);
     if (!files.instance.empty()) {
       const Image<std::uint16_t> image = read_ids(files.instance);
       check_size(image, frame, files.instance);
@@ -127,9 +128,14 @@ ClassTable load_class_file(const std::string& path, const std::vector<std::strin
                            Diagnostics& diagnostics) {
   const std::string found = path.empty() ? find_class_file(folders) : path;
   try {
-    if (!found.empty()) return ClassTable::load(found);
+    if (!found.empty()) {
+      ClassTable table = ClassTable::load(found);
+      if (has_labels && table.empty()) diagnostics.error(found, "no classes in it", "write one {id, name} a class");
+      return table;
+    }
   } catch (const Error& e) {
-    diagnostics.error("", e.message(), e.remedy());
+    const bool named = e.message().find(found) != std::string::npos;
+    diagnostics.error(named ? "" : found, e.message(), e.remedy());
     return {};
   }
   if (has_labels) {

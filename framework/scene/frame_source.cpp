@@ -9,6 +9,7 @@
 #include "core/check.h"
 #include "core/parallel.h"
 #include "scene/image_io.h"
+#include "scene/input_limits.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
@@ -92,17 +93,18 @@ void describe(ParamVisitor& visit, SceneLoadOptions& p) {
 
 void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {
   if (p.downscale != 1 && (p.width_px > 0 || p.height_px > 0)) {
-    diagnostics.error("scene.downscale", "downscale and width_px or height_px exclude each other", "keep one of them");
+    diagnostics.error("scene.load.downscale", "downscale and width_px or height_px exclude each other",
+                      "keep one of them");
   }
   if (p.near_m > 0 && p.far_m > 0 && p.near_m >= p.far_m)
-    diagnostics.error("scene.near_m", "near_m must be below far_m", "swap them");
+    diagnostics.error("scene.load.near_m", "near_m must be below far_m", "swap them");
   if (!p.bounds.empty() && p.bounds.size() != 6) {
-    diagnostics.error("scene.bounds", "expected 6 numbers, got " + std::to_string(p.bounds.size()),
+    diagnostics.error("scene.load.bounds", "expected 6 numbers, got " + std::to_string(p.bounds.size()),
                       "write [x0, y0, z0, x1, y1, z1]");
   }
   for (std::size_t i = 0; i < 3 && p.bounds.size() == 6; ++i) {
     if (!(p.bounds[i] < p.bounds[i + 3]))
-      diagnostics.error("scene.bounds", "the first corner must be below the second on every axis", "swap them");
+      diagnostics.error("scene.load.bounds", "the first corner must be below the second on every axis", "swap them");
   }
 }
 
@@ -148,6 +150,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   scene.info = reader.open(diagnostics);
   check_manifest_numbers(scene.info, diagnostics);
   std::vector<FrameInfo>& frames = scene.info.frames;
+  check_input_limit(std::ssize(frames), input_limits().frames, "scene '" + scene.info.name + "': ", "frames", "frames");
   if (frames.empty() && !diagnostics.has_errors())
     diagnostics.error(scene.info.name, "the scene has no frames", "check the path");
   scene.frames.resize(frames.size());

@@ -18,7 +18,11 @@ std::unique_ptr<OIIO::ImageInput> open_input(const std::string& path) {
   if (!input) {
     throw Error(ErrorKind::data, "not readable as an image: " + OIIO::geterror(), "export it as PNG or JPEG");
   }
-  check_image_limits(input->spec().width, input->spec().height);
+  const OIIO::ImageSpec& spec = input->spec();
+  check_image_limits(spec.width, spec.height, spec.nchannels, static_cast<std::int64_t>(spec.format.basesize()));
+  // Both hold more values than width x height x channels, and would be decoded over the end of our array.
+  if (spec.depth > 1 || spec.deep)
+    throw Error(ErrorKind::data, "is a volume or a deep image, not a picture", "export it as PNG or JPEG");
   return input;
 }
 
@@ -32,8 +36,8 @@ template <class T>
 Image<T> read(const std::string& path, OIIO::TypeDesc type) {
   auto input = open_input(path);
   const OIIO::ImageSpec spec = input->spec();
-  if (spec.nchannels < 1 || spec.nchannels > 64)
-    throw Error(ErrorKind::data, "image has " + std::to_string(spec.nchannels) + " channels");
+  if (spec.nchannels < 1) throw Error(ErrorKind::data, "image has no channels", "export it as PNG or JPEG");
+  check_image_limits(spec.width, spec.height, spec.nchannels, sizeof(T));
   Image<T> out{spec.width, spec.height, spec.nchannels, {}};
   out.pixels.resize(static_cast<std::size_t>(spec.width) * static_cast<std::size_t>(spec.height) *
                     static_cast<std::size_t>(spec.nchannels));

@@ -23,7 +23,7 @@ struct ImageSize {
 };
 
 bool images_available();
-/// Header only. Refuses axes over 16,384 and over 2^28 pixels before allocating. Errors name the path and the cause.
+/// Header only. Refuses what is over input_limits() before allocating. Errors name the path and the cause.
 ImageSize image_size(const std::string& path);
 /// 8-bit colour, always 3 channels (grey replicated, alpha over `white`/dropped as `alpha_background` says: -1 drop,
 /// else 0..255).

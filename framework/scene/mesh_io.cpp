@@ -15,6 +15,7 @@
 #include <string_view>
 
 #include "core/files.h"
+#include "scene/input_limits.h"
 
 namespace semfield {
 
@@ -30,6 +31,15 @@ struct Outline {
   std::vector<std::size_t> bare_groups;  // where a 'g' without a name ends
   bool has_objects = false;
 };
+
+// Names come from the file: one that is too long for this system is no file either.
+bool is_file(const fs::path& path) {
+  std::error_code ignored;
+  return fs::is_regular_file(path, ignored);
+}
+
+// Cutting a polygon may take the third power of its corners; those of rooms have tens.
+constexpr int kMostCorners = 1024;
 
 std::string_view trimmed(std::string_view text) {
   const auto begin = text.find_first_not_of(" \t\r");
@@ -129,7 +139,7 @@ std::string resolved_map(const fs::path& folder, std::string name, const std::st
     if (c == '\\') c = '/';
   }
   const fs::path file = folder / name;
-  if (fs::is_regular_file(file)) return file.string();
+  if (is_file(file)) return file.string();
   diagnostics.warning(owner, "texture '" + file.string() + "' is missing",
                       "the plain colour is used; add the file to see it");
   return {};
@@ -137,19 +147,18 @@ std::string resolved_map(const fs::path& folder, std::string name, const std::st
 
 // A line may name several files, or one whose name has spaces.
 std::vector<std::string> material_names(const fs::path& folder, const std::string& line) {
-  if (fs::is_regular_file(folder / line)) return {line};
+  if (is_file(folder / line)) return {line};
   std::istringstream stream(line);
   std::vector<std::string> words;
   for (std::string word; stream >> word;) words.push_back(word);
-  const bool any =
-      std::any_of(words.begin(), words.end(), [&](const std::string& w) { return fs::is_regular_file(folder / w); });
+  const bool any = std::any_of(words.begin(), words.end(), [&](const std::string& w) { return is_file(folder / w); });
   return any ? words : std::vector<std::string>{line};
 }
 
 void load_materials(const fs::path& folder, const std::string& name, TriangleMesh& mesh,
                     std::map<std::string, int>& index, Diagnostics& diagnostics) {
   const fs::path file = folder / name;
-  if (!fs::is_regular_file(file)) {
+  if (!is_file(file)) {
     diagnostics.warning(file.string(), "material file is missing",
                         "surfaces get a colour by object; put it beside the OBJ file");
     return;
@@ -214,6 +223,8 @@ struct Builder {
 
   void add_face(const tinyobj::index_t* corners, int count) {
     if (count < 3) fail("face has " + std::to_string(count) + " corners, at least 3 are needed");
+    if (count > kMostCorners)
+      fail("face has " + std::to_string(count) + " corners; at most " + std::to_string(kMostCorners) + " are read");
     if (object < 0) object = named(object_index, mesh.objects, "unnamed");
     if (group < 0) group = named(group_index, mesh.groups, "");
     std::vector<Vec3f> polygon;
@@ -226,6 +237,8 @@ struct Builder {
       polygon.push_back(mesh.positions[static_cast<std::size_t>(p)]);
     }
     for (const std::array<int, 3>& t : triangulate_polygon(polygon)) add_triangle(t, index);
+    check_input_limit(3 * std::ssize(mesh.triangles), input_limits().mesh_corners, path + ": ", "corners of triangles",
+                      "mesh_corners");
     ++face;
   }
 
@@ -335,9 +348,10 @@ std::vector<std::array<int, 3>> triangulate_polygon(const std::vector<Vec3f>& co
       const int a = ring[(i + m - 1) % m], b = ring[i], c = ring[(i + 1) % m];
       if (turn(a, b, c) <= 0) continue;
       bool clear = true;
-      for (const int p : ring) {
+      for (std::size_t k = 0; k < m && clear; ++k) {
+        const int p = ring[k];
         if (p == a || p == b || p == c) continue;
-        if (turn(a, b, p) >= 0 && turn(b, c, p) >= 0 && turn(c, a, p) >= 0) clear = false;
+        clear = !(turn(a, b, p) >= 0 && turn(b, c, p) >= 0 && turn(c, a, p) >= 0);
       }
       if (clear) ear = i;
     }

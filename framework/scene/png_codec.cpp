@@ -60,7 +60,7 @@ Header read_header(std::span<const std::uint8_t> file, std::size_t& at) {
   if (chunk.type != "IHDR" || chunk.data.size() != 13) damaged("is damaged: it does not start with a header chunk");
   const std::uint8_t* p = chunk.data.data();
   const Header h{big32(p), big32(p + 4), p[8], p[9], p[12]};
-  check_image_limits(h.width, h.height);
+  check_image_limits(h.width, h.height, h.channels(), h.bits == 16 ? 2 : 1);
   const bool small = h.bits == 1 || h.bits == 2 || h.bits == 4;
   const bool valid = h.color_type == 0   ? small || h.bits == 8 || h.bits == 16
                      : h.color_type == 3 ? small || h.bits == 8
@@ -251,16 +251,6 @@ std::span<const std::uint8_t> as_uint8(std::span<const std::byte> bytes) {
 }
 
 }  // namespace
-
-void check_image_limits(std::int64_t width, std::int64_t height) {
-  const std::string size = std::to_string(width) + " x " + std::to_string(height);
-  if (width <= 0 || height <= 0)
-    throw Error(ErrorKind::data, "image has no pixels (" + size + ")", "export the file again");
-  if (width > 16384 || height > 16384 || width * height > (std::int64_t{1} << 28)) {
-    throw Error(ErrorKind::data, "image states a size of " + size + " pixels; at most 16384 an axis are read",
-                "scale it down, or export it again if the size is wrong");
-  }
-}
 
 bool looks_like_png(std::span<const std::byte> bytes) {
   return bytes.size() >= 8 && std::memcmp(bytes.data(), kSignature.data(), 8) == 0;

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "scene/image_io.h"
+#include "scene/input_limits.h"
 
 namespace semfield {
 
@@ -27,7 +28,7 @@ bool looks_like_png(std::span<const std::byte> bytes);
 /// Dimensions from the first chunk. Throws Error(data) as decode_png does.
 ImageSize png_size(std::span<const std::byte> bytes);
 /// Whole image [PNG3]. Throws Error(data) with the cause (no path: the caller adds it) for a wrong checksum, a missing
-/// end, sizes over the limits of image_size(), and data too short for the stated size - the last before the pixels are
+/// end, sizes over input_limits(), and data too short for the stated size - the last before the pixels are
 /// allocated.
 PngImage decode_png(std::span<const std::byte> bytes);
 
@@ -35,8 +36,5 @@ PngImage decode_png(std::span<const std::byte> bytes);
 std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, int color_type, int bits,
                                      std::span<const std::uint8_t> rows,
                                      std::span<const std::uint8_t> palette_rgb = {});
-
-/// Refuses empty images, axes over 16,384 and over 2^28 pixels.
-void check_image_limits(std::int64_t width, std::int64_t height);
 
 }  // namespace semfield

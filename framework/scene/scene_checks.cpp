@@ -82,6 +82,20 @@ Pose opencv_from_opengl(Pose pose) {
   return pose;
 }
 
+bool check_last_row(std::span<const double> numbers, const std::string& place, Diagnostics& diagnostics) {
+  if (numbers.size() != 16) return true;
+  const std::span<const double> row = numbers.subspan(12);
+  bool finite = true, good = true;
+  for (std::size_t i = 0; i < 4; ++i) {
+    finite = finite && std::isfinite(row[i]);
+    good = good && std::abs(row[i] - (i == 3 ? 1.0 : 0.0)) < 1e-6;
+  }
+  if (good || !finite) return true;
+  diagnostics.error(place, "the last row of the pose is not 0 0 0 1",
+                    "write camera-to-world matrices row by row; a transposed one has its centre there");
+  return false;
+}
+
 PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnostics) {
   if (!finite(pose)) return PoseState::not_finite;
   const double error = orthonormal_error(pose);

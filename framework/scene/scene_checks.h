@@ -17,6 +17,9 @@ Pose pose_from_rows(std::span<const double> numbers);
 /// forward).
 Pose opencv_from_opengl(Pose pose);
 
+/// Of 16 numbers: reports a fourth row that is finite and not 0 0 0 1.
+bool check_last_row(std::span<const double> numbers, const std::string& place, Diagnostics& diagnostics);
+
 enum class PoseState { good, not_finite, refused };
 
 /// Rotation part: an error above 1e-3 off orthonormal or with determinant -1 is reported as an error; above 1e-5 as a

@@ -11,6 +11,8 @@ namespace semfield {
 
 namespace {
 
+constexpr std::size_t kMostVariants = 10'000;
+
 const std::vector<std::string> kExperimentKeys{"name",       "title",   "note",     "split", "metrics",
                                                "paper",      "x_label", "base",     "set",   "scenes",
                                                "use_scenes", "seeds",   "variants", "grid"};
@@ -86,7 +88,8 @@ class Reader {
 
   std::string base_file(const ConfigNode& node) {
     const std::string path = resolve_path(node);
-    if (!std::filesystem::is_regular_file(path))
+    std::error_code ignored;
+    if (!std::filesystem::is_regular_file(path, ignored))
       error(node, "base: no file '" + path + "'", "paths are relative to the file that writes them");
     return path;
   }
@@ -197,6 +200,11 @@ class Reader {
       if (!values.is_list() || values.items().empty()) {
         error(values, "grid." + key + ": expected a list of at least one value");
         continue;
+      }
+      if (rows.size() * values.items().size() > kMostVariants) {
+        error(grid, "grid: more than " + std::to_string(kMostVariants) + " combinations",
+              "split it into several sweeps");
+        return;
       }
       std::vector<SweepVariant> next;
       for (const SweepVariant& row : rows) {

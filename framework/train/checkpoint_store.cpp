@@ -97,15 +97,18 @@ std::string CheckpointStore::kept_text() const {
 
 std::optional<CheckpointStore::Found> CheckpointStore::find_latest(Diagnostics& diagnostics) const {
   const std::vector<Entry> entries = list();
+  std::string causes;
   for (const Entry& entry : entries) {
     try {
       return Found{entry.step, entry.path, TensorFile::read(entry.path)};
     } catch (const Error& error) {
       diagnostics.warning(entry.path, error.message(), "an older checkpoint is tried");
+      causes += "\n" + error.message();
     }
   }
   if (entries.empty()) return std::nullopt;
-  throw Error(ErrorKind::data, fmt::format("none of the {} checkpoints in '{}' can be read", entries.size(), folder_),
+  throw Error(ErrorKind::data,
+              fmt::format("none of the {} checkpoints in '{}' can be read:{}", entries.size(), folder_, causes),
               "train again, or copy a checkpoint from a backup");
 }
 

@@ -83,7 +83,7 @@ void describe(ParamVisitor& visit, ReportParams& p) {
 namespace {
 
 constexpr std::array<std::string_view, 9> kTopKeys{"scene",   "semantics", "rendering", "passes", "train",
-                                                   "runtime", "report",    "fuse",      "plugins"};
+                                                    "runtime", "report",    "fuse",      "plugins"};
 
 // Calls `section(key path, params)` for every fixed section of `config`: the one list that reading, writing and
 // documenting share.
@@ -116,6 +116,21 @@ const ConfigNode* find_path(const ConfigNode& tree, std::string_view path) {
     path = dot == std::string_view::npos ? std::string_view() : path.substr(dot + 1);
   }
   return node;
+}
+
+// Relations between the values of a section; a finding's place is that of its key where the section's map has it.
+template <class Params>
+void validate_section(const ConfigNode& tree, const std::string& path, const Params& params, Diagnostics& diagnostics) {
+  Diagnostics relations;
+  validate(params, relations);
+  for (const Diagnostic& finding : relations.all()) {
+    const ConfigNode* section = find_path(tree, path);
+    const std::string key = finding.where.substr(std::min(finding.where.rfind('.') + 1, finding.where.size()));
+    const ConfigNode* value = section != nullptr && section->is_map() ? section->find(key) : nullptr;
+    const ConfigNode& nearest = value != nullptr ? *value : section != nullptr ? *section : tree;
+    diagnostics.error(nearest.location().text(),
+                      finding.where.empty() ? finding.message : finding.where + ": " + finding.message, finding.remedy);
+  }
 }
 
 PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,
@@ -278,8 +293,10 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
     read_params(
         *node, path, [&](ParamVisitor& visit) { describe(visit, params); }, diagnostics, nested_keys(path));
   });
-  validate(config.rendering, diagnostics);
-  validate(config.fuse, diagnostics);
+  validate_section(tree, "scene.labels", config.labels.selection, diagnostics);
+  validate_section(tree, "scene.load", config.load, diagnostics);
+  validate_section(tree, "rendering", config.rendering, diagnostics);
+  validate_section(tree, "fuse", config.fuse, diagnostics);
   read_passes(tree, registry, config, diagnostics);
   return config;
 }

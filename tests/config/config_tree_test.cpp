@@ -108,7 +108,7 @@ TEST(ConfigTree, RefusesAnchorsAliasesTagsMergeKeysAndDocuments) {
             "room.yaml:1:4: anchors are not allowed ('&x'); use 'include' or write the value out");
   EXPECT_EQ(refused("a: &x [*x]\n"),
             "room.yaml:1:4: anchors are not allowed ('&x'); use 'include' or write the value out");
-  EXPECT_EQ(refused("a: *x\n"), "room.yaml:1:4: aliases are not allowed");
+  EXPECT_EQ(refused("a: *x\n"), "room.yaml:1:4: aliases are not allowed (use 'include' or write the value out)");
   EXPECT_EQ(refused("a: !!int 3\n"),
             "room.yaml:1:4: tags are not allowed ('tag:yaml.org,2002:int'); write the plain value");
   EXPECT_EQ(refused("a: !mine {b: 1}\n"), "room.yaml:1:4: tags are not allowed ('!mine'); write the plain value");

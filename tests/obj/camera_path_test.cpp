@@ -198,23 +198,27 @@ TEST(CameraFile, BadNumbersNameFileAndLine) {
   const auto numbers = [&](const std::string& line, const std::string& got) {
     return ":" + line + ": expected 4, 12 or 16 numbers, got '" + got + "'" + layout;
   };
+  const auto not_finite = [&](const std::string& line, const std::string& word) {
+    return ":" + line + ": '" + word +
+           "' is not a finite number; write finite numbers, and leave out poses that are lost";
+  };
   const std::vector<std::pair<std::string, std::string>> cases{
       {good + "\n1 0 0 0 0 1 0 0 0 0 1\n", numbers("3", "1 0 0 0 0 1 0 0 0 0 1")},
-      {good + "1 0 0 0 0 1 0 0 0 0 1 x\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 x")},
-      {good + "1 0 0 0 0 1 0 0 0 0 1 nan\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 nan")},
-      {good + "1 0 0 0 0 1 0 0 0 0 1 inf\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 inf")},
-      {good + "1 0 0 0 0 1 0 0 0 0 1 1e999\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 1e999")},
-      {good + "1 0 0 0 0 1 0 0 0 0 1 0 -\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 0 -")},
-      {good + "1 0 0 0 0 1 0 0 0 0 1 0 5e\n", numbers("2", "1 0 0 0 0 1 0 0 0 0 1 0 5e")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 x\n", not_finite("2", "x")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 nan\n", not_finite("2", "nan")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 inf\n", not_finite("2", "inf")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 1e999\n", not_finite("2", "1e999")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 0 -\n", not_finite("2", "-")},
+      {good + "1 0 0 0 0 1 0 0 0 0 1 0 5e\n", not_finite("2", "5e")},
       {"90\n" + good, numbers("1", "90")},
       {good + "2 0 0 0 0 2 0 0 0 0 2 0\n", ":2: the 3x3 part is no rotation; give camera-to-world matrices"},
       {good + "-1 0 0 0 0 1 0 0 0 0 1 0\n", ":2: the 3x3 part is no rotation; give camera-to-world matrices"},
       {"1 0 0 0 0 1 0 0 0 0 1 0 3 2 1 1\n",
        ":1: the last row is not 0 0 0 1; give camera-to-world matrices, row by row"},
-      {good + "1 0 0 0\n", ":2: expected 12 or 16 numbers a pose"},
+      {good + "1 0 0 0\n", ":2: expected 12 or 16 numbers a pose; write all poses of a file in the same form"},
       {"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n1 0 0 0\n", ": 5 lines are no multiple of 4; the file was cut short"},
-      {"", ": holds no pose"},
-      {"# nothing\n\n", ": holds no pose"},
+      {"", ": holds no pose; write one camera-to-world matrix a line"},
+      {"# nothing\n\n", ": holds no pose; write one camera-to-world matrix a line"},
   };
   const std::string path = fresh_folder("bad") + "/poses.txt";
   for (const auto& [text, message] : cases) {

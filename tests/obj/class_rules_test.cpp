@@ -159,14 +159,14 @@ TEST(ClassRules, EveryFaultOfATableIsNamedWithItsPlace) {
             head + path + ":6:8: unknown key 'extra'; known: classes, rules\n" + path +
                 ":8:5: the rule names no class; add class: NAME");
   EXPECT_EQ(message("extra: 1\nclasses:\n  - {id: one, name: chair}\n"),
-            head + path + ":1:8: unknown key 'extra'; known: classes, rules\nclass table '" + path + "': " + path +
+            head + path + ":1:8: unknown key 'extra'; known: classes, rules\n" + path +
                 ":3:10: id: expected an integer from 0 to 65535, got 'one'");
-  const std::string table = "class table '" + path + "': ";
   EXPECT_EQ(message("classes:\n  - {id: 1, name: a}\n  - {id: 1, name: b}\n"),
-            table + "class id 1 is given twice ('a' and 'b'); keep one of them");
+            path + ": class id 1 is given twice ('a' and 'b'); keep one of them");
   EXPECT_EQ(message("rules:\n  - {object: a, class: b}\n"),
-            table + path + ": expected a list of classes {id, name, color, ignore}");
-  EXPECT_EQ(message("classes:\n  - {id: 1}\n"), table + path + ":2:5: class 1 needs a 'name'");
+            path + ": expected a list of classes {id, name, color, ignore}; write lines such as - {id: 3, name: lamp}");
+  EXPECT_EQ(message("classes:\n  - {id: 1}\n"),
+            path + ":2:5: class 1 needs a 'name'; write lines such as - {id: 3, name: lamp}");
   EXPECT_NE(message("classes: [\n").find(path), std::string::npos);
 }
 

@@ -200,7 +200,7 @@ TEST(LoadScene, ContradictingOptionsAreRefused) {
   validate(o, d);
   ASSERT_EQ(d.error_count(), 3);
   EXPECT_EQ(d.all()[0].text(),
-            "scene.downscale: downscale and width_px or height_px exclude each other; keep one of them");
+            "scene.load.downscale: downscale and width_px or height_px exclude each other; keep one of them");
 }
 
 }  // namespace

@@ -119,10 +119,11 @@ TEST(Png, EveryFlippedByteIsSeenOrHarmless) {
 TEST(Png, LyingHeaderIsRefusedBeforeAllocation) {
   const std::string path = fresh_folder("i") + "/a.png";
   put_bytes(path, png_of(65535, 65535, 8, 2, 0, {1, 2, 3}));
-  EXPECT_EQ(error_of([&] { (void)read_rgb(path); }),
-            "'" + path +
-                "': image states a size of 65535 x 65535 pixels; at most 16384 an axis are read; "
-                "scale it down, or export it again if the size is wrong");
+  EXPECT_EQ(
+      error_of([&] { (void)read_rgb(path); }),
+      "'" + path +
+          "': image of 65535 x 65535 pixels: 65535 pixels along an axis; at most 16384 are read; check that it is the "
+          "right file, or raise limits.image_axis_px in the configuration");
   put_bytes(path, png_of(16000, 16000, 8, 2, 0, {1, 2, 3}));
   EXPECT_NE(error_of([&] { (void)read_rgb(path); }).find("cannot hold 768016000 bytes of pixels"), std::string::npos);
   put_bytes(path, png_of(0, 7, 8, 2, 0, {1}));

@@ -141,7 +141,8 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
     }
     if (!params_.label_dir.empty()) {
       const fs::path label = (root / params_.label_dir / in.name).replace_extension(".png");
-      if (fs::exists(label)) files.label = label.string();
+      std::error_code ignored;
+      if (fs::exists(label, ignored)) files.label = label.string();
       unlabelled += files.label.empty() ? 1 : 0;
     }
     frame.has_labels = !files.label.empty();

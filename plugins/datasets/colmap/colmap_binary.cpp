@@ -5,14 +5,13 @@
 
 #include "core/files.h"
 #include "datasets/colmap/colmap_model.h"
+#include "scene/input_limits.h"
 
 namespace semfield {
 
 namespace fs = std::filesystem;
 
 namespace {
-
-constexpr std::size_t kLargestFile = std::size_t{8} << 30;
 
 // A lens as the number in cameras.bin, and how many parameters follow.
 struct LensNumber {
@@ -34,7 +33,7 @@ constexpr std::array<LensNumber, 12> kLenses{{{"SIMPLE_PINHOLE", 3},
 
 class BinaryFile {
  public:
-  explicit BinaryFile(std::string path) : path_(std::move(path)), bytes_(read_text_file(path_, kLargestFile)) {}
+  explicit BinaryFile(std::string path) : path_(std::move(path)), bytes_(read_pose_file(path_)) {}
 
   template <class T>
   T take(const std::string& record) {

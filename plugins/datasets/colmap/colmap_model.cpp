@@ -7,6 +7,7 @@
 
 #include "core/files.h"
 #include "core/words.h"
+#include "scene/input_limits.h"
 #include "scene/text_rows.h"
 
 namespace semfield {
@@ -53,20 +54,9 @@ Pose inverse_pose(const double p[7]) {
   return out;
 }
 
-// Names become part of files and reports.
-bool is_text(const std::string& name) {
-  for (std::size_t i = 0; i < name.size();) {
-    const auto byte = static_cast<unsigned char>(name[i]);
-    const std::size_t length = utf8_length(name, i);
-    if (byte < 0x20 || byte == 0x7F || length == 0) return false;
-    i += length;
-  }
-  return !name.empty();
-}
-
 class TextFile {
  public:
-  explicit TextFile(std::string path) : path_(std::move(path)), text_(read_text_file(path_)), rest_(text_) {}
+  explicit TextFile(std::string path) : path_(std::move(path)), text_(read_pose_file(path_)), rest_(text_) {}
 
   // The next line that is neither empty nor a comment.
   bool record(std::string_view& line) {
@@ -191,7 +181,7 @@ void ColmapBuilder::add_camera(std::int64_t id, std::string_view model_name, dou
 }
 
 void ColmapBuilder::add_image(ColmapImage image, const double pose[7]) {
-  if (!is_text(image.name)) {
+  if (image.name.empty() || !is_line_of_text(image.name)) {
     const std::string entry = image.place.substr(0, image.place.find(" ('"));
     return diagnostics_.error(entry, "the name of its image is empty, no UTF-8 or has control characters",
                               "copy the model again, or give the image a plain name");

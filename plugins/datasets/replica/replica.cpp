@@ -11,6 +11,7 @@
 #include "core/files.h"
 #include "plugin/module.h"
 #include "scene/image_io.h"
+#include "scene/input_limits.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
@@ -70,7 +71,7 @@ std::string Replica::sequence_folder() const {
 
 std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diagnostics& diagnostics,
                                                    std::size_t& rows) const {
-  const std::string text = read_text_file(path);
+  const std::string text = read_pose_file(path);
   std::vector<Row> out;
   std::vector<std::string> skipped;
   std::size_t at = 0;
@@ -89,17 +90,21 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
       p = next;
     }
     while (*p == ' ' || *p == '\t' || *p == '\r') ++p;
-    if (numbers.empty() && *p == '\0') continue;
+    const bool whole = p == row.c_str() + row.size();  // a NUL ends the numbers, not the line
+    if (numbers.empty() && whole) continue;
     const std::string place = path + ":" + std::to_string(line);
     Row found{static_cast<int>(rows++), {}};
-    if (numbers.size() != 16 || *p != '\0') {
+    if (numbers.size() != 16 || !whole) {
       diagnostics.error(place,
                         "expected 16 numbers, got " + std::to_string(numbers.size()) +
-                            (*p != '\0' ? " and the text '" + std::string(p) + "'" : ""),
+                            (whole        ? ""
+                             : *p == '\0' ? " and a NUL byte"
+                                          : " and the text '" + std::string(p).substr(0, 40) + "'"),
                         "write one camera-to-world matrix a line, row by row");
       continue;
     }
     if (split_of(found.number) == Split::unused) continue;
+    if (!check_last_row(numbers, place, diagnostics)) continue;
     found.pose = pose_from_rows(numbers);
     const PoseState state = check_pose(found.pose, place, diagnostics);
     if (state == PoseState::not_finite) skipped.push_back(std::to_string(found.number));

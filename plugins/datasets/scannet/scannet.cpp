@@ -157,6 +157,7 @@ std::vector<Scannet::View> Scannet::list_views(Diagnostics& diagnostics) const {
         read_matrix((root / "pose" / (stem + ".txt")).string(), "frame '" + stem + "' (" + path + ")", diagnostics);
     if (!matrix) continue;
     if (std::all_of(matrix->begin(), matrix->end(), [](double v) { return std::isfinite(v); })) {
+      if (!check_last_row(*matrix, "frame '" + stem + "' (" + path + ")", diagnostics)) continue;
       out.push_back({static_cast<int>(number), path, pose_from_rows(*matrix)});
     } else {
       skipped.push_back(stem);

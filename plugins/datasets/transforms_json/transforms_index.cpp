@@ -7,6 +7,8 @@
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
+#include "core/words.h"
+#include "scene/input_limits.h"
 
 namespace semfield {
 
@@ -38,9 +40,10 @@ class FileReader {
   void read() {
     json root;
     try {
-      root = json::parse(read_text_file(path_));
+      root = json::parse(read_pose_file(path_));
     } catch (const json::exception& e) {
-      throw Error(ErrorKind::data, "'" + path_ + "' is not valid JSON: " + e.what(), "export the poses again");
+      throw Error(ErrorKind::data, "'" + path_ + "' is not valid JSON: " + json_cause(e.what()),
+                  "export the poses again");
     }
     if (!root.is_object() || !root.contains("frames") || !root["frames"].is_array()) {
       throw Error(ErrorKind::data, "'" + path_ + "' has no list 'frames'",

@@ -119,6 +119,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
     FrameInfo frame;
     frame.name = unique_frame_name(in->file_path, taken);
     frame.source = in->files.color;
+    if (!check_last_row(in->matrix, frame_place(frame), diagnostics)) continue;
     frame.world_from_camera = opencv_from_opengl(pose_from_rows(in->matrix));
     const PoseState state = check_pose(frame.world_from_camera, frame_place(frame), diagnostics);
     if (state == PoseState::not_finite) skipped.push_back(frame.name);
@@ -147,18 +148,14 @@ void TransformsJson::load_classes(const TransformsIndex& index, bool has_labels,
                            : !index.classes.empty()   ? index.classes
                            : index.class_list.empty() ? find_class_file({folder})
                                                       : "";
+  if (!path.empty() || index.class_list.empty()) {
+    info_.classes = load_class_file(path, {folder}, has_labels, diagnostics);
+    return;
+  }
   try {
-    if (!path.empty()) {
-      info_.classes = ClassTable::load(path);
-    } else if (!index.class_list.empty()) {
-      info_.classes = ClassTable(index.class_list);
-    } else if (has_labels) {
-      diagnostics.error(
-          root_, "labels without a class table: no 'classes' in the file, no classes.yaml or classes.csv beside it",
-          "write classes.yaml with one {id, name} a class, or set scene.classes");
-    }
+    info_.classes = ClassTable(index.class_list);
   } catch (const Error& e) {
-    diagnostics.error("", e.message(), e.remedy());
+    diagnostics.error(root_ + ": 'classes'", e.message(), e.remedy());
   }
 }
 
