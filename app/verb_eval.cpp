@@ -64,6 +64,8 @@ int run_eval(const EvalOptions& options, AppContext& context) {
               options.split.c_str(), static_cast<long long>(run.step), run.train_s);
   for (const auto& [name, value] : score.values())
     std::printf("  %-18s %s\n", name.c_str(), value ? fmt::format("{:.4f}", *value).c_str() : "no data");
+  if (const std::string warning = score.resolution.warning(); !warning.empty())
+    print_note(context, "warning: " + warning);
   if (split == Split::train) {
     const ConfusionMatrix given = score_training_labels(s, frames);
     if (given.scored_px() > 0)

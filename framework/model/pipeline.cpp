@@ -253,6 +253,10 @@ void Pipeline<Real>::render_tile(int lane, const RenderJob<Real>& job, std::int6
     for (int i = 0; i < 3 && !job.color.empty(); ++i) job.color(begin + r, i) = trace.color(r, i);
     if (!job.depth.empty()) job.depth(begin + r, 0) = trace.depth(r, 0);
     if (!job.opacity.empty()) job.opacity(begin + r, 0) = trace.opacity(r, 0);
+    if (!job.resolution.empty()) {
+      job.resolution(begin + r, 0) =
+          opacity_resolution<Real>(trace.samples, trace.weight, options_.rules.far, r, job.footprint_per_m);
+    }
   }
   if (!semantics) return;
   if (!job.entropy.empty()) softmax_entropy<Real>(trace.logits, job.entropy.row_range(begin, count));

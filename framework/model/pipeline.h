@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "losses/semantic_cross_entropy.h"
+#include "model/opacity_resolution.h"
 #include "model/pass.h"
 #include "model/ray_guard.h"
 #include "scene/class_table.h"
@@ -53,14 +54,16 @@ struct StepLosses {
 template <class Real>
 struct RenderJob {
   View<const double> origin, direction, near_far;
-  View<const std::int16_t> truth;  ///< true classes; only to fill truth_probability
-  View<Real> color;                ///< [R, 3]
-  View<Real> depth;                ///< [R, 1] metres along the ray, not divided by opacity
-  View<Real> opacity;              ///< [R, 1]
-  View<std::int16_t> label;        ///< [R, 1] argmax class
-  View<Real> entropy;              ///< [R, 1] nats
-  View<Real> confidence;           ///< [R, 1] largest class probability
-  View<Real> truth_probability;    ///< [R, 1] of the true class; 0 where void
+  View<const std::int16_t> truth;      ///< true classes; only to fill truth_probability
+  View<Real> color;                    ///< [R, 3]
+  View<Real> depth;                    ///< [R, 1] metres along the ray, not divided by opacity
+  View<Real> opacity;                  ///< [R, 1]
+  View<std::int16_t> label;            ///< [R, 1] argmax class
+  View<Real> entropy;                  ///< [R, 1] nats
+  View<Real> confidence;               ///< [R, 1] largest class probability
+  View<Real> truth_probability;        ///< [R, 1] of the true class; 0 where void
+  View<OpacityResolution> resolution;  ///< [R, 1]
+  double footprint_per_m = 0;          ///< width of a pixel at a distance of 1 m, metres; for `resolution`
 };
 
 template <class Real>

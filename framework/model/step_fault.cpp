@@ -42,6 +42,9 @@ std::optional<RayFault> Pipeline<Real>::find_fault(std::int64_t step, const RayB
   store_.clear_gradients();
   for (std::int64_t ray = 0; ray < batch.origin.rows && !fault; ++ray) {
     try {
+      guard_rays<Real>(
+          {batch.origin.row_range(ray, 1), batch.direction.row_range(ray, 1), batch.near_far.row_range(ray, 1)},
+          batch.target.row_range(ray, 1), ray);
       train_tile(step, 0, batch, {ray, 1, kAlone}, normaliser);
     } catch (const RayFault& found) {
       fault = found;

@@ -1,7 +1,6 @@
 // Adam updates as plain vector loops, for one instruction set.
 #include "optim/adam_kernels.h"
 
-#include <algorithm>
 #include <cmath>
 #include <type_traits>
 
@@ -161,20 +160,30 @@ bool all_within(const Real* values, std::int64_t count, Real low, Real high) {
   return bad == 0;
 }
 
+// Elements [at, at + n) of a block: untouched, or all sound. n is a constant for whole blocks, which then vectorise.
+// The limits of the moments hold for NaN too: each comparison is written so that NaN fails it.
+template <class Real>
+inline int unsound_block(const AdamRange<Real>& range, std::int64_t at, std::int64_t n) {
+  constexpr Real kLargest = kLargestSound<Real>, kLargestSquare = kLargest * kLargest;
+  const Real* const g = range.grad + at;
+  if (!any_non_zero(g, n)) return 0;
+  const Real* const x = range.value + at;
+  const Real* const m = range.m + at;
+  const Real* const v = range.v + at;
+  int bad = 0;
+  for (std::int64_t i = 0; i < n; ++i) {
+    bad |= !(std::abs(g[i]) <= kLargest) | !(std::abs(x[i]) <= kLargest) | !(std::abs(m[i]) <= kLargest) |
+           !(v[i] >= 0) | !(v[i] <= kLargestSquare);
+  }
+  return bad;
+}
+
 template <class Real>
 bool touched_sound(const AdamRange<Real>& range) {
-  constexpr Real kLargest = kLargestSound<Real>, kLargestSquare = kLargest * kLargest;
-  const std::int64_t size = range.rows * range.cols;
+  const std::int64_t size = range.rows * range.cols, whole = size / kBlockElements * kBlockElements;
   int bad = 0;
-  for (std::int64_t at = 0; at < size; at += kBlockElements) {
-    const std::int64_t n = std::min(kBlockElements, size - at);
-    if (!any_non_zero(range.grad + at, n)) continue;
-    for (std::int64_t i = at; i < at + n; ++i) {
-      bad |= !(std::abs(range.grad[i]) <= kLargest) | !(std::abs(range.value[i]) <= kLargest) |
-             !(std::abs(range.m[i]) <= kLargest) | !(range.v[i] >= 0) | !(range.v[i] <= kLargestSquare);
-    }
-  }
-  return bad == 0;
+  for (std::int64_t at = 0; at < whole; at += kBlockElements) bad |= unsound_block(range, at, kBlockElements);
+  return (bad | unsound_block(range, whole, size - whole)) == 0;
 }
 
 template <class Real>

@@ -49,9 +49,10 @@ class Encoder : public Parametric<Real> {
 struct EncoderBuild {
   Device device = Device::cpu;
   std::int32_t in_dims = 3;
-  bool is_direction = false;     ///< encodes unit view directions rather than positions
-  double extent_m = 0;           ///< longest side of the scene bounds, 0 = unknown
-  double pixel_footprint_m = 0;  ///< size of a pixel at the mean working distance, 0 = unknown
+  bool is_direction = false;      ///< encodes unit view directions rather than positions
+  double extent_m = 0;            ///< longest side of the scene bounds, 0 = unknown
+  double pixel_footprint_m = 0;   ///< size of a pixel at the mean working distance, 0 = unknown
+  double largest_coordinate = 0;  ///< of the bounds' corners, as an encoder of Domain::metric gets them; 0 = unknown
 };
 
 extern template class Encoder<float>;

@@ -1,6 +1,7 @@
 #include "train/assembly.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "core/error.h"
 #include "core/gemm_engine.h"
@@ -32,8 +33,8 @@ EncoderBuild encoder_build(const SceneExtent& extent, bool is_direction) {
 template <class Real>
 std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Registry& registry, const SceneExtent& extent,
                                             bool is_direction, const std::string& path) {
-  std::unique_ptr<Encoder<Real>> encoder = make<Real>(slot.entry->encoder32, slot.entry->encoder64, slot,
-                                                      encoder_build(extent, is_direction), registry);
+  std::unique_ptr<Encoder<Real>> encoder =
+      make<Real>(slot.entry->encoder32, slot.entry->encoder64, slot, encoder_build(extent, is_direction), registry);
   const EncoderTraits traits = encoder->traits();
   if (traits.in_dims != 3) {
     throw Error(ErrorKind::config, path + ": encoder '" + slot.entry->name + "' reads " +
@@ -104,9 +105,17 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry) {
 
 std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent) {
   std::vector<std::string> lines;
+  EncoderBuild build = encoder_build(extent, false);
+  if (!extent.bounds.empty()) {
+    const DomainMap map = DomainMap::make(Domain::metric, extent.bounds, config.rendering.scene_scale);
+    for (int a = 0; a < 3; ++a) {
+      for (const double corner : {extent.bounds.lo[a], extent.bounds.hi[a]})
+        build.largest_coordinate = std::max(build.largest_coordinate, std::abs(corner - map.center[a]) * map.scale);
+    }
+  }
   for (PassConfig& pass : config.passes) {
     std::vector<std::string> chosen;
-    pass.position.params->choose(encoder_build(extent, false), chosen);
+    pass.position.params->choose(build, chosen);
     for (const std::string& sentence : chosen) lines.push_back("passes." + pass.name + ".position: " + sentence);
   }
   return lines;

@@ -39,6 +39,7 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
       }
     }
   }
+  std::vector<OpacityResolution> resolution(kChunkRays);
   std::vector<double> origin(3 * kChunkRays), direction(3 * kChunkRays), near_far(2 * kChunkRays), cosine(kChunkRays);
   for (std::int64_t begin = 0; begin < pixels; begin += kChunkRays) {
     const std::int64_t count = std::min(kChunkRays, pixels - begin);
@@ -55,6 +56,8 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
     job.color = {frame.rgb.data() + 3 * begin, count, 3};
     job.depth = {frame.depth_m.data() + begin, count, 1};
     job.opacity = {frame.opacity.data() + begin, count, 1};
+    job.resolution = {resolution.data(), count, 1};
+    job.footprint_per_m = 1 / std::max(camera.camera.fx, camera.camera.fy);
     if (semantics) {
       job.label = {frame.label.data() + begin, count, 1};
       job.entropy = {frame.entropy.data() + begin, count, 1};
@@ -74,6 +77,9 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
     }
     for (std::int64_t i = 0; i < count; ++i) {
       frame.depth_m[static_cast<std::size_t>(begin + i)] *= static_cast<float>(cosine[static_cast<std::size_t>(i)]);
+      const OpacityResolution found = resolution[static_cast<std::size_t>(i)];
+      frame.resolution.opaque_px += found == OpacityResolution::clear ? 0 : 1;
+      frame.resolution.under_resolved_px += found == OpacityResolution::under_resolved ? 1 : 0;
     }
   }
   for (float& value : frame.rgb) value = std::clamp(value, 0.0F, 1.0F);
@@ -95,6 +101,15 @@ RenderedFrame render_named_frame(Pipeline<float>& pipeline, const std::string& n
 bool FrameScore::worse_than(const FrameScore& other) const {
   if (miou_present && other.miou_present) return *miou_present < *other.miou_present;
   return psnr_db && other.psnr_db && *psnr_db < *other.psnr_db;
+}
+
+std::string OpacityCounts::warning() const {
+  if (share().value_or(0) <= kTold) return {};
+  return fmt::format(
+      "{:.0f} % of the pixels that meet something take 90 % of their opacity from one or two steps longer than a pixel "
+      "is wide there (under_resolved): thin matter can be missed and surfaces lie anywhere within a step; raise the "
+      "sampler's samples (max_samples, or a smaller step_m, for an occupancy grid), or add an importance pass",
+      100 * *share());
 }
 
 std::optional<double> SplitScore::ssim() const {
@@ -124,6 +139,7 @@ std::vector<std::pair<std::string, std::optional<double>>> SplitScore::values() 
     out.emplace_back("delta3", depth.delta(3));
     out.emplace_back("depth_coverage", depth.coverage());
   }
+  out.emplace_back("under_resolved", resolution.share());
   return out;
 }
 
@@ -160,6 +176,8 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
                                                   depth.add(stored.depth_m.expand(), frame.depth_m);
                                               }};
     parallel_for(std::ssize(measures), [&](std::int64_t i) { measures[i](); });
+    score.resolution.opaque_px += frame.resolution.opaque_px;
+    score.resolution.under_resolved_px += frame.resolution.under_resolved_px;
     FrameScore row;
     row.frame = index;
     row.name = info.name;

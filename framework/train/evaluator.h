@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -11,6 +12,20 @@
 #include "train/rays.h"
 
 namespace semfield {
+
+/// Pixels that met something, and those of them whose opacity came in too few, too long steps
+/// (model/opacity_resolution.h).
+struct OpacityCounts {
+  std::int64_t opaque_px = 0, under_resolved_px = 0;
+  /// Above this share a run is told so.
+  static constexpr double kTold = 0.1;
+  std::optional<double> share() const {
+    if (opaque_px == 0) return std::nullopt;
+    return static_cast<double>(under_resolved_px) / static_cast<double>(opaque_px);
+  }
+  /// A sentence with a remedy when the share is above kTold, else "".
+  std::string warning() const;
+};
 
 /// Maps of one frame, row-major. Label, entropy and confidence are empty without semantics.
 struct RenderedFrame {
@@ -22,6 +37,7 @@ struct RenderedFrame {
   std::vector<float> entropy;            ///< [H * W] nats
   std::vector<float> confidence;         ///< [H * W]
   std::vector<float> truth_probability;  ///< [H * W], when truth was given
+  OpacityCounts resolution;
 };
 
 /// Which class each logit stands for; empty without semantics.
@@ -52,6 +68,7 @@ struct SplitScore {
   Calibration calibration;
   double ssim_sum = 0;
   std::int64_t ssim_frames = 0;
+  OpacityCounts resolution;
   std::vector<FrameScore> frames;
 
   std::optional<double> ssim() const;

@@ -116,6 +116,7 @@ FinalEval final_eval(const SplitScore& score, const ClassTable& table, std::stri
       eval.bins.push_back({bin.pixels, bin.confidence / pixels, static_cast<double>(bin.correct) / pixels});
     }
   }
+  eval.resolution = score.resolution;
   eval.frames = score.frames;
   return eval;
 }
@@ -130,6 +131,8 @@ std::string final_eval_json(const FinalEval& eval) {
     classes.push_back({{"id", c.id}, {"name", c.name}, {"color", c.color}});
   out["confusion"] = confusion_json(eval);
   out["reliability"] = reliability_json(eval);
+  out["opacity"] = {{"opaque_pixels", eval.resolution.opaque_px},
+                    {"under_resolved_pixels", eval.resolution.under_resolved_px}};
   Json& frames = out["per_frame"] = Json::array();
   for (const FrameScore& frame : eval.frames) {
     frames.push_back({{"frame", frame.name},
@@ -171,6 +174,10 @@ FinalEval parse_final_eval(std::string_view text, const std::string& name) {
       eval.bins.push_back({pixels_of(bin.at("pixels")), share_of(bin.at("confidence")), share_of(bin.at("accuracy"))});
     }
     eval.nonfinite_px = pixels_of(reliability.at("nonfinite_pixels"));
+    if (json.contains("opacity")) {
+      eval.resolution.opaque_px = pixels_of(json.at("opacity").at("opaque_pixels"));
+      eval.resolution.under_resolved_px = pixels_of(json.at("opacity").at("under_resolved_pixels"));
+    }
     for (const Json& row : json.at("per_frame")) {
       FrameScore& frame = eval.frames.emplace_back();
       frame.name = row.at("frame").get<std::string>();

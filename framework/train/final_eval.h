@@ -38,6 +38,7 @@ struct FinalEval {
   };
   std::vector<Bin> bins;           ///< equal widths over [0, 1]; empty without scored pixels
   std::int64_t nonfinite_px = 0;   ///< scored pixels whose probabilities were not finite, in no bin
+  OpacityCounts resolution;        ///< all 0 in files of versions that did not count it
   std::vector<FrameScore> frames;  ///< in order of evaluation; FrameScore::frame is not kept
 
   std::int64_t count(std::size_t truth, std::size_t predicted) const {

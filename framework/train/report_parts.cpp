@@ -14,7 +14,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::array<ReportMetric, 19> kMetrics{{
+constexpr std::array<ReportMetric, 20> kMetrics{{
     {"miou", "mIoU", "", 4, 1, "mean over classes with a non-empty union"},
     {"miou_present", "mIoU, present classes", "", 4, 1, "mean over classes that occur in truth"},
     {"total_accuracy", "Total accuracy", "", 4, 1, "share of pixels with the right class"},
@@ -29,6 +29,8 @@ constexpr std::array<ReportMetric, 19> kMetrics{{
     {"delta2", "δ < 1.25²", "", 4, 1, "depth: share of pixels within that factor"},
     {"delta3", "δ < 1.25³", "", 4, 1, "depth: share of pixels within that factor"},
     {"depth_coverage", "Depth coverage", "", 4, 1, "share of valid truth with a prediction"},
+    {"under_resolved", "Under-resolved", "", 3, -1,
+     "share of opaque pixels whose opacity came in one or two long steps"},
     {"ece", "ECE", "", 3, -1, "expected calibration error, 15 bins"},
     {"nll", "NLL", "nats", 3, -1, "of the true class, a pixel"},
     {"rays_per_s", "Rays a second", "", 3, 1, "last training row"},

@@ -242,6 +242,7 @@ class Run {
     }
     last_miou_ = score.confusion.miou_present();
     if (last) {
+      if (const std::string warning = score.resolution.warning(); !warning.empty()) note("warning: " + warning);
       FinalEval detail = final_eval(score, session_.scene.info.classes, row.split);
       detail.step = row.step;
       detail.train_s = row.train_s;

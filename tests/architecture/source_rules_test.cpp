@@ -2,6 +2,8 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <fstream>
+#include <iterator>
 
 #include "tests/architecture/include_rules.h"
 
@@ -53,18 +55,60 @@ TEST(SourceRules, AHeaderOpensWithASentence) {
   }
 }
 
+// Flags that let the compiler believe that there is no NaN: they would delete every finite check.
+std::vector<std::string> fast_math_in(const std::string& text) {
+  std::vector<std::string> found;
+  for (const char* flag :
+       {"-ffast-math", "-Ofast", "-funsafe-math", "-fassociative-math", "-freciprocal-math", "-ffinite-math-only",
+        "-fno-honor-nans", "-fno-honor-infinities", "-fno-signed-zeros", "-ffp-model=fast", "-fp-model fast",
+        "/fp:fast", "use_fast_math", "-cl-fast-relaxed-math", "optimize(\"fast-math"}) {
+    if (text.find(flag) != std::string::npos) found.emplace_back(flag);
+  }
+  return found;
+}
+
 TEST(SourceRules, NoBuildFileAsksForFastMath) {
   std::vector<SourceFile> files;
-  for (const char* folder : {"cmake", "framework", "plugins", "app", "tests", "bench"}) {
-    for (SourceFile& file : files_under(folder, {"CMakeLists.txt", ".cmake"})) files.push_back(std::move(file));
+  for (const char* folder : {"cmake", "framework", "plugins", "app", "tests", "bench", "scripts", ".ci"}) {
+    for (SourceFile& file :
+         files_under(folder, {"CMakeLists.txt", ".cmake", ".cmake.in", ".json", ".yml", ".yaml", ".sh"}))
+      files.push_back(std::move(file));
+  }
+  for (const char* script : {"scripts/setup", "scripts/test", "scripts/demo", "CMakeLists.txt", "CMakePresets.json"}) {
+    std::ifstream file(std::string(SEMFIELD_SOURCE_DIR) + "/" + script);
+    ASSERT_TRUE(file) << script;
+    files.push_back({script, {std::istreambuf_iterator<char>(file), {}}});
   }
   EXPECT_GT(files.size(), 10u);
   for (const SourceFile& file : files) {
-    for (const char* flag :
-         {"-ffast-math", "-Ofast", "-funsafe-math", "-fassociative-math", "-ffinite-math-only", "--use_fast_math"}) {
-      EXPECT_EQ(file.text.find(flag), std::string::npos) << file.path << " has " << flag;
-    }
+    for (const std::string& flag : fast_math_in(file.text)) ADD_FAILURE() << file.path << " has " << flag;
   }
+}
+
+TEST(SourceRules, NoSourceTurnsFastMathOn) {
+  for (const SourceFile& file : all_sources()) {
+    if (file.path == "tests/architecture/source_rules_test.cpp") continue;
+    for (const std::string& flag : fast_math_in(file.text)) ADD_FAILURE() << file.path << " has " << flag;
+  }
+}
+
+// The commands that this build runs, whatever added to them: presets, the environment's CXXFLAGS, a tool chain file.
+TEST(SourceRules, NoCommandOfThisBuildAsksForFastMath) {
+  std::ifstream file(std::string(SEMFIELD_BINARY_DIR) + "/build.ninja");
+  if (!file) GTEST_SKIP() << "not a Ninja build";
+  int commands = 0;
+  for (std::string line; std::getline(file, line);) {
+    if (line.find("FLAGS = ") == std::string::npos) continue;
+    ++commands;
+    for (const std::string& flag : fast_math_in(line)) FAIL() << flag << " in: " << line;
+  }
+  EXPECT_GT(commands, 50);
+}
+
+TEST(SourceRules, FastMathIsRecognised) {
+  EXPECT_EQ(fast_math_in("add_compile_options(-O3 -ffast-math)").size(), 1u);
+  EXPECT_EQ(fast_math_in("\"CMAKE_CUDA_FLAGS\": \"--use_fast_math\"").size(), 1u);
+  EXPECT_TRUE(fast_math_in("-O3 -ffp-contract=off -fno-math-errno").empty());
 }
 
 }  // namespace

@@ -174,6 +174,54 @@ TEST(Adam, FirstNonFiniteIsFoundAnywhere) {  // E05
   }
 }
 
+// E05: what no update may start from, in every array, whole tensors and touched rows.
+TEST(Adam, UnsoundElementsAreFoundInEveryArray) {
+  constexpr std::size_t kSize = 70003 * 2;  // two parallel ranges and a block that is not whole
+  std::vector<float> arrays[4];
+  for (auto& array : arrays) array.assign(kSize, 0.5F);
+  const auto look = [&](bool touched) {
+    const auto view = [&](int i) { return View<const float>(arrays[i].data(), kSize / 2, 2); };
+    return first_unsound<float>(view(0), view(1), view(2), view(3), touched);
+  };
+  const char* const names[] = {"value", "gradient", "first moment", "second moment"};
+  const float inf = std::numeric_limits<float>::infinity();
+  for (const bool touched : {false, true}) {
+    EXPECT_EQ(look(touched).element, -1);
+    for (int i = 0; i < 4; ++i) {
+      for (const std::size_t at : {std::size_t{0}, std::size_t{65535}, std::size_t{65541}, kSize - 1}) {
+        for (const float bad : {std::nanf(""), inf, -inf, 1e39F, i == 3 ? -1e-30F : -2e19F, i == 3 ? 2e38F : 2e19F}) {
+          arrays[i][at] = bad;
+          const Unsound<float> found = look(touched);
+          EXPECT_EQ(found.element, static_cast<std::int64_t>(at)) << names[i] << ' ' << bad;
+          EXPECT_STREQ(found.array, names[i]);
+          arrays[i][at] = 0.5F;
+        }
+      }
+    }
+  }
+  // A row that no gradient touches is not visited, and not looked at.
+  for (std::size_t i = 0; i < 32; ++i) arrays[1][64 + i] = 0;
+  arrays[2][80] = inf;
+  EXPECT_EQ(look(true).element, -1);
+  EXPECT_EQ(look(false).element, 80);
+}
+
+// Sound numbers stay finite: the update from the corner of what is let through.
+TEST(Adam, AnUpdateFromTheLargestSoundNumbersIsFinite) {
+  for (const double epsilon : {1e-8, 1e-15}) {
+    for (const float m : {-kLargestSound<float>, kLargestSound<float>}) {
+      for (const float v : {0.F, kLargestSound<float> * kLargestSound<float>}) {
+        float x = kLargestSound<float>, g = -m, mean = m, square = v;
+        AdamParams params;
+        params.epsilon = epsilon;
+        adam_dense<float>(adam_step(params, 1.0, 0), {&x, 1, 1}, {&g, 1, 1}, {&mean, 1, 1}, {&square, 1, 1}, 0, 1);
+        EXPECT_TRUE(std::isfinite(x) && std::isfinite(mean) && std::isfinite(square))
+            << x << ' ' << mean << ' ' << square;
+      }
+    }
+  }
+}
+
 TEST(Adam, TheFirstNonFiniteIsTheSameForAnyThreads) {
   std::vector<float> g(700000, 1.f);  // eleven parallel ranges
   g[699999] = g[300001] = g[200003] = std::nanf("");

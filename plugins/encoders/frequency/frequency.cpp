@@ -2,6 +2,8 @@
 #include "encoders/frequency/frequency.h"
 
 #include <algorithm>
+#include <cmath>
+#include <cstdio>
 #include <string>
 
 #include "plugin/module.h"
@@ -32,6 +34,34 @@ int effective_bands(double delta_x, Angular angular) {
   }
   const double a = angular == Angular::pi ? 3.141592653589793 : 1.0;
   return std::max(0, static_cast<int>(std::floor(std::log2(0.1 / (a * delta_x)))));
+}
+
+double coordinate_error(Arithmetic arithmetic, Angular angular, double largest) {
+  switch (arithmetic) {
+    case Arithmetic::float64:
+      return 0x1p-53 * largest;
+    case Arithmetic::float32:
+      return 0x1p-24 * largest;
+    case Arithmetic::naive:
+      return (angular == Angular::pi ? 0x1p-23 : 0x1p-24) * largest;
+  }
+  return largest;
+}
+
+void choose(FrequencyParams& p, const EncoderBuild& build, std::vector<std::string>& chosen) {
+  if (!(build.largest_coordinate > 0)) return;
+  const double error = coordinate_error(p.arithmetic, p.angular, build.largest_coordinate);
+  const int bands = effective_bands(error, p.angular);
+  if (p.frequencies <= bands) return;
+  char text[320];
+  std::snprintf(
+      text, sizeof text,
+      "warning: effective_bands is %d of %d: coordinates up to %.3g are known to within %.2g, so the %d highest "
+      "bands are noise; %s",
+      bands, p.frequencies, build.largest_coordinate, error, p.frequencies - bands,
+      p.arithmetic == Arithmetic::float64 ? "lower frequencies or rendering.scene_scale"
+                                          : "set arithmetic: float64, or lower frequencies");
+  chosen.emplace_back(text);
 }
 
 template <class Real>

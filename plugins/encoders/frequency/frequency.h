@@ -2,7 +2,9 @@
 #pragma once
 
 #include <array>
+#include <string>
 #include <string_view>
+#include <vector>
 
 #include "config/params.h"
 #include "core/error.h"
@@ -37,6 +39,14 @@ void validate(const FrequencyParams& params, Diagnostics& diagnostics);
 /// floor(log2(0.1 / (a delta_x))), a = 1 (radian) or pi; at least 0. About 19 for an fp32 coordinate near 1 with a =
 /// pi, 48 for float64. Bands above are noise. Throws Error(config) unless delta_x is positive and finite.
 int effective_bands(double delta_x, Angular angular);
+
+/// What rounding leaves unknown of a coordinate of magnitude `largest`, in the encoder's units: half a unit in the last
+/// place of the precision that `arithmetic` keeps it in. A naive angle 2^k pi x has its factor and its product rounded
+/// as well, which about doubles the error (2^k x is exact).
+double coordinate_error(Arithmetic arithmetic, Angular angular, double largest);
+
+/// A sentence for a run with more bands than effective_bands(coordinate_error(...), angular): those above are noise.
+void choose(FrequencyParams& params, const EncoderBuild& build, std::vector<std::string>& chosen);
 
 /// Layout of a row of y, D = in_dims: [x (D) when include_input, then for k = 0 .. L-1: sin(a 2^k x) (D), cos(a 2^k x)
 /// (D)]. a = 1 (radian, the paper's) or pi. x [M, D] float64; |x| at most 2^30, else (or NaN) Error(data) naming the

@@ -190,6 +190,58 @@ TEST(Frequency, KnowsItsEffectiveBands) {
   EXPECT_THROW(effective_bands(0, Angular::radian), Error);
 }
 
+TEST(Frequency, SaysHowManyBandsAreEffective) {
+  EncoderBuild build;
+  build.largest_coordinate = 1;
+  const auto said = [&](int bands, Arithmetic arithmetic, Angular angular) {
+    FrequencyParams p;
+    p.frequencies = bands;
+    p.arithmetic = arithmetic;
+    p.angular = angular;
+    std::vector<std::string> lines;
+    choose(p, build, lines);
+    EXPECT_EQ(p.frequencies, bands) << "it only says";
+    return lines.empty() ? std::string() : lines[0];
+  };
+  for (const int bands : {4, 10, 19}) {
+    EXPECT_EQ(said(bands, Arithmetic::float32, Angular::pi), "");
+    EXPECT_EQ(said(bands, Arithmetic::float64, Angular::pi), "");
+  }
+  EXPECT_EQ(said(40, Arithmetic::float64, Angular::pi), "");
+  const std::string warning = said(40, Arithmetic::float32, Angular::pi);
+  EXPECT_EQ(warning.rfind("warning: effective_bands is 19 of 40: ", 0), 0u) << warning;
+  EXPECT_NE(warning.find("set arithmetic: float64"), std::string::npos) << warning;
+  EXPECT_EQ(said(40, Arithmetic::naive, Angular::pi).rfind("warning: effective_bands is 18 of 40", 0), 0u);
+  EXPECT_EQ(said(21, Arithmetic::naive, Angular::radian).rfind("warning: effective_bands is 20 of 21", 0), 0u);
+  build.largest_coordinate = 0x1p20;  // a scene far from the origin, unscaled
+  EXPECT_EQ(said(40, Arithmetic::float64, Angular::pi).rfind("warning: effective_bands is 28 of 40", 0), 0u);
+  build.largest_coordinate = 0;  // unknown
+  EXPECT_EQ(said(40, Arithmetic::naive, Angular::pi), "");
+}
+
+// The count holds: below it a band of the naive program is within 0.1 or so, two above it is not.
+TEST(Frequency, TheCountIsThatOfTheNaiveProgram) {
+  KernelTables tables;
+  frequency_kernels(tables);
+  const Frequency<float> naive({24, false, Angular::pi, Arithmetic::naive}, EncoderBuild{}, tables);
+  std::vector<double> x;
+  for (int i = 0; i < 3000; ++i) x.push_back(0.5 + 0.5 * std::sin(1.7 * i));
+  const auto plain = encode<float>(naive, x), exact = encode<float>(make<float>(24, Angular::pi, false), x);
+  const auto worst = [&](int band) {
+    double apart = 0;
+    for (std::size_t row = 0; row < x.size() / 3; ++row) {
+      for (std::size_t c = 0; c < 6; ++c) {
+        const std::size_t at = row * 144 + 6 * static_cast<std::size_t>(band) + c;
+        apart = std::max(apart, std::fabs(static_cast<double>(plain[at]) - static_cast<double>(exact[at])));
+      }
+    }
+    return apart;
+  };
+  const int bands = effective_bands(coordinate_error(Arithmetic::naive, Angular::pi, 1), Angular::pi);
+  EXPECT_LT(worst(bands - 1), 0.1);
+  EXPECT_GT(worst(bands + 2), 0.1);
+}
+
 // The arms of the rounding experiment: a rounded coordinate reduced exactly, and the plain fp32 program.
 TEST(Frequency, ArmsRoundWhatTheySay) {
   const std::vector<double> x{0.73120349871234, -0.98711112223334, 0.1};
