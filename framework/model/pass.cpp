@@ -210,7 +210,7 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
                         trace.saved);
   guard.per_sample("raw density", trace.out.sigma);
   guard.per_sample("colour", trace.out.rgb);
-  guard.per_sample("feature", trace.out.feature);
+  if (parts_.head) guard.per_sample("feature", trace.out.feature.row_range(0, trace.semantic_samples));
   if (rules_.density_bias != 0) {
     for (std::int64_t m = 0; m < count; ++m) trace.out.sigma(m, 0) += static_cast<Real>(rules_.density_bias);
   }

@@ -21,9 +21,8 @@ View<const T> rows_of(View<const T> view, std::int64_t begin, std::int64_t count
 // Any sample whose density, and with it the slope of its activation, is not 0.
 template <class Real>
 bool any_density(const PassTrace<Real>& trace) {
-  Real most = 0;
-  for (std::int64_t m = 0; m < trace.samples.count; ++m) most = std::max(most, trace.sigma.data[m]);
-  return most > 0;
+  const Real* const sigma = trace.sigma.data;
+  return std::any_of(sigma, sigma + trace.samples.count, [](Real density) { return density > 0; });
 }
 
 }  // namespace

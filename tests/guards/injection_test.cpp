@@ -24,14 +24,23 @@ std::string element_words(const Tensor<float>& t, std::int64_t element) {
   return "row " + std::to_string(element / t.spec.cols) + ", column " + std::to_string(element % t.spec.cols);
 }
 
-// An element of a sparse tensor that the coming step touches, the middle of any other.
-std::int64_t element_of(Subject& subject, const Tensor<float>& t) {
+bool in_window(const Tensor<float>& t, std::int64_t element, std::int64_t step) {
+  const std::int64_t rows = (t.spec.rows + kTableWindows - 1) / kTableWindows;
+  return element / t.spec.cols / rows == step % kTableWindows;
+}
+
+// An element of a sparse tensor that the coming step touches, in the window that it looks at or out of it; the middle
+// of any other.
+std::int64_t element_of(Subject& subject, const Tensor<float>& t, bool windowed = true) {
   if (t.spec.role != TensorRole::sparse) return t.size() / 2;
   BatchBuffers batch;
   subject.rays->fill(subject.trainer->step(), batch);
   subject.session.pipeline->gradients(subject.trainer->step(), batch.view(true));
   std::int64_t element = -1;
-  for (std::int64_t i = 0; i < t.size() && element < 0; ++i) element = t.grad.data()[i] != 0 ? i : -1;
+  for (std::int64_t i = 0; i < t.size() && element < 0; ++i) {
+    const bool touched = t.grad.data()[i] != 0;
+    element = touched && in_window(t, i, subject.trainer->step()) == windowed ? i : -1;
+  }
   subject.store().clear_gradients();
   return element;
 }
@@ -82,6 +91,32 @@ TEST_P(TensorInjection, EveryTensorIsNamed) {
   Subject clean(yaml(), registry, 3);
   subject.trainer->advance();
   EXPECT_TRUE(Snapshot(subject) == Snapshot(clean)) << "a failed step left something behind";
+}
+
+// Moments of a table's rows that are not in the step's window: found when their turn comes or when the value that they
+// spoil is read, whatever comes first; nothing like it is ever saved.
+TEST(TensorInjectionOfTables, MomentsOutOfTheWindowAreFoundInTheirTurn) {
+  Registry registry = testing_train::make_registry();
+  std::vector<std::string> names;
+  for (const Tensor<float>& t : Subject(small(testing_train::hash_config()), registry, 0).store().all()) {
+    if (t.spec.role == TensorRole::sparse) names.push_back(t.name);
+  }
+  ASSERT_EQ(names.size(), 6u);
+  for (const std::string& name : names) {
+    for (const bool second : {false, true}) {
+      Subject subject(small(testing_train::hash_config()), registry, 2);
+      const Tensor<float>& t = *subject.store().find(name);
+      const std::int64_t at = element_of(subject, t, false);
+      ASSERT_GE(at, 0);
+      (second ? t.moment2 : t.moment1).data()[at] = non_finite_values()[0].value;
+      EXPECT_THROW(subject.trainer->check_storable(), Error);
+      std::string message;
+      for (int i = 0; i < kTableWindows && message.empty(); ++i) message = message_of_step(*subject.trainer);
+      const bool caught = message.find("'" + name + "'") != std::string::npos;
+      EXPECT_TRUE(caught) << name << ": " << message;
+      tally().add("moment out of the window", caught);
+    }
+  }
 }
 
 TEST_P(TensorInjection, NoCheckpointHoldsABadNumber) {
