@@ -98,7 +98,8 @@ TEST_P(TensorInjection, EveryTensorIsNamed) {
 TEST(TensorInjectionOfTables, MomentsOutOfTheWindowAreFoundInTheirTurn) {
   Registry registry = testing_train::make_registry();
   std::vector<std::string> names;
-  for (const Tensor<float>& t : Subject(small(testing_train::hash_config()), registry, 0).store().all()) {
+  Subject any(small(testing_train::hash_config()), registry, 0);
+  for (const Tensor<float>& t : any.store().all()) {
     if (t.spec.role == TensorRole::sparse) names.push_back(t.name);
   }
   ASSERT_EQ(names.size(), 6u);
