@@ -7,6 +7,7 @@
 
 #include "encoder_box.h"
 #include "model_bench.h"
+#include "training_box.h"
 #include "wide_real.h"
 
 namespace semfield::stiff {
@@ -178,6 +179,30 @@ void pe_geometry(CaseRun& run) {
                            bands, off[39]));
     }
   });
+  // A run with more bands than its coordinates carry is told so before it starts; one in float64 has none to be told.
+  run.row("-");
+  for (const char* arithmetic : {"float64", "float32", "naive"}) {
+    TrainingBox box(run.registry(),
+                    fmt::format("scene: {{type: analytic_room, load: {{downscale: 4}}}}\n"
+                                "passes:\n"
+                                "  - sampler: {{type: stratified, samples: 4}}\n"
+                                "    position: {{type: frequency, frequencies: 40, angular: pi, arithmetic: {}}}\n"
+                                "    field: {{type: tiny_mlp, hidden_width: 16, color_width: 16}}\n"
+                                "train: {{steps: 10, rays: 8}}\n",
+                                arithmetic));
+    const std::vector<std::string>& said = box.session().chosen;
+    const auto line = std::find_if(said.begin(), said.end(), [](const std::string& text) {
+      return text.find("effective_bands is ") != std::string::npos;
+    });
+    const bool is_double = std::string(arithmetic) == "float64";
+    run.expect((line == said.end()) == is_double, "a warning where bands are noise, and there alone");
+    if (line == said.end()) continue;
+    run.expect(line->find("passes.main.position: warning: ") == 0 && line->find(" of 40") != std::string::npos,
+               "it names pass and part, and how many of how many bands count");
+    // Bounds fill [-1, 1]; floor(log2(0.1 / (pi dx))) with dx = 2^-24, twice that where factor and product round too.
+    const int bands = std::stoi(line->substr(line->find("effective_bands is ") + 19));
+    run.measure(std::abs(bands - (std::string(arithmetic) == "naive" ? 18 : 19)), 0, "bands that count");
+  }
 }
 
 void pe_gradient(CaseRun& run) {
