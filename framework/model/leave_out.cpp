@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <numeric>
 
 #include "core/error.h"
 
@@ -16,9 +17,16 @@ class Planner {
   Planner(BuildPlan& plan, const std::vector<std::string>& keep) : plan_(plan), keep_(keep) {}
 
   /// True when the component stays out.
-  bool leave(LeftOut row) {
-    seen_.push_back(row.component);
-    if (std::find(keep_.begin(), keep_.end(), row.component) != keep_.end()) {
+  bool leave(bool fires, LeftOut row) {
+    const bool named = std::find(keep_.begin(), keep_.end(), row.component) != keep_.end();
+    if (named && !row.instead.empty()) {
+      throw Error(ErrorKind::usage,
+                  fmt::format("--keep {}: this is not left out by a rule of the scene", row.component), row.instead);
+    }
+    all_.push_back(row.component);
+    if (row.instead.empty()) known_.push_back(row.component);
+    if (!fires) return false;
+    if (named) {
       plan_.kept.push_back(row.component);
       return false;
     }
@@ -27,97 +35,123 @@ class Planner {
   }
   void refuse_unknown() const {
     for (const std::string& name : keep_) {
-      if (std::find(seen_.begin(), seen_.end(), name) != seen_.end()) continue;
-      const std::string near = did_you_mean(name, seen_);
-      throw Error(ErrorKind::usage,
-                  fmt::format("--keep {}: nothing of that name is left out here (left out: {})", name,
-                              seen_.empty() ? "nothing" : join(seen_)),
-                  near.empty() ? "" : "did you mean '" + near + "'?");
+      if (std::find(all_.begin(), all_.end(), name) != all_.end()) continue;
+      const std::string near = did_you_mean(name, known_);
+      throw Error(
+          ErrorKind::usage,
+          fmt::format("--keep {}: no rule leaves out anything of that name (there are: {})", name, join(known_)),
+          near.empty() ? "" : "did you mean '" + near + "'?");
     }
   }
 
  private:
   BuildPlan& plan_;
   const std::vector<std::string>& keep_;
-  std::vector<std::string> seen_;
+  std::vector<std::string> known_, all_;
 };
+
+void plan_semantics(const SceneManifest& manifest, const BuildRequest& request, Planner& planner, BuildPlan& plan) {
+  const std::vector<std::int64_t>& pixels = manifest.train_class_pixels;
+  const std::int64_t labelled = std::accumulate(pixels.begin(), pixels.end(), std::int64_t{0});
+  const auto absent = static_cast<int>(std::count(pixels.begin(), pixels.end(), 0));
+  plan.semantics = !planner.leave(
+      labelled == 0,
+      {"semantics", "no labelled pixel in the training frames",
+       manifest.classes == 0 ? "the scene has no labels"
+                             : fmt::format("0 labelled pixels in {} training frames", manifest.train_frames),
+       ProofClass::bitwise, "head, class layer, logits and cross-entropy", "", ""});
+  if (plan.semantics && manifest.classes == 0) {
+    throw Error(ErrorKind::usage, "--keep semantics: the scene has no class table, so a head has no classes to predict",
+                "give the scene labels and classes.yaml");
+  }
+  const bool absent_out =
+      planner.leave(plan.semantics && absent > 0 && labelled > 0,
+                    {"absent_classes", "classes without a training pixel get no logit",
+                     fmt::format("{} of {} classes have no training pixel", absent, manifest.classes),
+                     ProofClass::statistical, fmt::format("{} of {} logits", absent, manifest.classes), "", ""});
+  for (int c = 0; plan.semantics && c < manifest.classes; ++c) {
+    if (!absent_out || pixels[static_cast<std::size_t>(c)] > 0) plan.class_of_logit.push_back(c);
+  }
+  const double share = 100.0 * (1 - static_cast<double>(labelled) /
+                                        static_cast<double>(std::max<std::int64_t>(manifest.train_pixels, 1)));
+  const bool some = plan.semantics && labelled < manifest.train_pixels;
+  plan.head_on_unlabelled_rays =
+      !planner.leave(
+          some, {"unlabelled_rays", "the head runs on rays with a label alone",
+                 fmt::format("{:.1f} % of training pixels carry no label; their semantic gradient is exactly 0", share),
+                 ProofClass::bitwise, fmt::format("{:.0f} % of the head's work in training", share), "", ""}) &&
+      some;
+  planner.leave(plan.semantics && !request.balance_classes,
+                {"class_weights", "not asked for", "semantics.balance_classes is false", ProofClass::bitwise,
+                 "a factor a labelled ray", "set semantics.balance_classes: true", ""});
+}
+
+void plan_passes(const SceneManifest& manifest, const BuildRequest& request, Planner& planner, BuildPlan& plan) {
+  if (planner.leave(request.passes > 1 && request.last_sampler_single_pass,
+                    {"coarse_passes", "the last pass's sampler reads no earlier pass",
+                     "the last pass's sampler finds the surface by itself", ProofClass::bitwise,
+                     fmt::format("{} of {} networks", request.passes - 1, request.passes), "", ""})) {
+    plan.first_pass = request.passes - 1;
+  }
+  const double spread = manifest.direction_spread_deg;
+  if (!request.direction_encoder) {
+    planner.leave(true, {"view_branch", "not asked for", "the last pass names no direction encoder",
+                         ProofClass::bitwise, "the colour's direction input", "name passes.N.direction", ""});
+    plan.view_branch = false;
+  } else {
+    plan.view_branch = !planner.leave(
+        spread < kDirectionSpreadDeg,
+        {"view_branch", fmt::format("training rays within {:g} degrees of each other", kDirectionSpreadDeg),
+         fmt::format("all training rays lie within {:.3g} degrees", spread),
+         spread == 0 ? ProofClass::bitwise : ProofClass::statistical, "the colour's direction input", "", ""});
+  }
+  const bool certified = request.empty_space == EmptySpace::certified;
+  planner.leave(
+      request.empty_space != EmptySpace::sampled,
+      {"empty_space", "the sampler passes over cells that it knows to be empty",
+       certified ? "its budget bounds what a ray loses by the grid's densities, estimates that lag behind the field"
+                 : "cells below a fixed density count as empty, which bounds no error",
+       ProofClass::statistical, "samples in air", "set the skip rule of passes.N.sampler", ""});
+  plan.late_samples = !planner.leave(
+      request.early_stop > 0,
+      {"late_samples", "rendering ends a ray whose transmittance is below rendering.early_stop",
+       fmt::format("early_stop is {:g}: colours are off by at most that, {} a quarter of an 8-bit step; logits by at "
+                   "most that times the largest of a sample",
+                   request.early_stop, request.early_stop <= kEightBitStop ? "below" : "which is MORE than"),
+       ProofClass::certified, "samples behind surfaces, when rendering", "", ""});
+}
 
 }  // namespace
 
 BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request, const std::vector<std::string>& keep) {
   BuildPlan plan;
   Planner planner(plan, keep);
-  std::int64_t labelled = 0;
-  int present = 0;
-  for (const std::int64_t pixels : manifest.train_class_pixels) {
-    labelled += pixels;
-    present += pixels > 0 ? 1 : 0;
-  }
-
-  if (labelled == 0) {
-    const bool out = planner.leave({"semantics",
-                                    manifest.classes == 0
-                                        ? "the scene has no labels"
-                                        : fmt::format("0 labelled pixels in {} training frames", manifest.train_frames),
-                                    ProofClass::bitwise, "head, class layer, logits and cross-entropy"});
-    if (!out && manifest.classes == 0) {
-      throw Error(ErrorKind::usage,
-                  "--keep semantics: the scene has no class table, so a head has no classes to predict",
-                  "give the scene labels and classes.yaml");
-    }
-    plan.semantics = !out;
-  }
-  if (plan.semantics) {
-    if (present < manifest.classes && labelled > 0 &&
-        planner.leave(
-            {"absent_classes",
-             fmt::format("{} of {} classes have no training pixel", manifest.classes - present, manifest.classes),
-             ProofClass::statistical, fmt::format("{} of {} logits", manifest.classes - present, manifest.classes)})) {
-      for (int c = 0; c < manifest.classes; ++c) {
-        if (manifest.train_class_pixels[static_cast<std::size_t>(c)] > 0) plan.class_of_logit.push_back(c);
-      }
-    } else {
-      for (int c = 0; c < manifest.classes; ++c) plan.class_of_logit.push_back(c);
-    }
-    if (labelled < manifest.train_pixels) {
-      const double share = 100.0 * (1 - static_cast<double>(labelled) / static_cast<double>(manifest.train_pixels));
-      plan.head_on_unlabelled_rays = !planner.leave(
-          {"unlabelled_rays",
-           fmt::format("{:.1f} % of training pixels carry no label; their semantic gradient is exactly 0", share),
-           ProofClass::bitwise, fmt::format("{:.0f} % of the head's work in training", share)});
-    }
-  }
-  if (request.passes > 1 && request.last_sampler_single_pass &&
-      planner.leave({"coarse_passes", "the last pass's sampler finds the surface by itself", ProofClass::bitwise,
-                     fmt::format("{} of {} networks", request.passes - 1, request.passes)})) {
-    plan.first_pass = request.passes - 1;
-  }
-  if (!request.direction_encoder) {
-    // Nothing to keep: without a direction encoder there is no input for the branch.
-    plan.left_out.push_back({"view_branch", "the config asks for no direction encoder", ProofClass::bitwise,
-                             "the colour's direction input"});
-    plan.view_branch = false;
-  }
-  if (!manifest.any_distortion) {
-    plan.undistortion = !planner.leave(
-        {"undistortion", "every distortion coefficient is 0", ProofClass::bitwise, "Newton iterations a ray"});
-  }
-  if (!manifest.any_depth) {
-    plan.depth_metrics = false;
-    plan.left_out.push_back(
-        {"depth_metrics", "the scene has no depth maps", ProofClass::bitwise, "depth buffers and their metrics"});
-  }
-  if (request.density_noise == 0) {
-    plan.left_out.push_back(
-        {"density_noise", "its deviation is 0", ProofClass::bitwise, "one normal variate a sample"});
-  }
-  if (!request.device_cuda_available) {
-    plan.left_out.push_back({"cuda", "this build has no CUDA kernels", ProofClass::bitwise, "start-up of the device"});
-  }
-  if (!request.periodic_evaluation) {
-    plan.left_out.push_back({"periodic_evaluation", "report.eval_every_s is 0", ProofClass::bitwise,
-                             "rendering test frames while training"});
-  }
+  plan_semantics(manifest, request, planner, plan);
+  plan_passes(manifest, request, planner, plan);
+  plan.undistortion = !planner.leave(!manifest.any_distortion,
+                                     {"undistortion", "every distortion coefficient is 0", "0 cameras with distortion",
+                                      ProofClass::bitwise, "Newton iterations a ray", "", ""});
+  plan.depth_metrics = !planner.leave(
+      !manifest.any_depth, {"depth_metrics", "the scene has no depth maps", "0 frames with depth", ProofClass::bitwise,
+                            "depth buffers and their metrics", "give the scene depth maps", ""});
+  const double depth_mb = 2e-6 * static_cast<double>(request.training_depth_px);
+  planner.leave(
+      request.training_depth_px > 0,
+      {kTrainingDepth, "depth of training frames gives bounds and distances and is then dropped",
+       fmt::format("no loss reads it: {} training pixels with depth", request.training_depth_px), ProofClass::bitwise,
+       fmt::format("2 bytes a pixel: {:.1f} MB", depth_mb), "", fmt::format("{:.1f} MB not held", depth_mb)});
+  planner.leave(request.density_noise == 0,
+                {"density_noise", "its deviation is 0", "rendering.density_noise is 0", ProofClass::bitwise,
+                 "one normal variate a sample", "set rendering.density_noise", ""});
+  planner.leave(!request.mixed_precision,
+                {"mixed_precision", "not asked for", "runtime.precision is fp32", ProofClass::bitwise,
+                 "bf16 copies of operands; a second matrix library", "set runtime.precision: bf16", ""});
+  planner.leave(!request.device_cuda_available,
+                {"cuda", "no kernels for it", "this build has no CUDA kernels", ProofClass::bitwise,
+                 "start-up of the device", "build with CUDA kernels", ""});
+  planner.leave(!request.periodic_evaluation,
+                {"periodic_evaluation", "not asked for", "report.eval_every_s is 0", ProofClass::bitwise,
+                 "rendering test frames while training", "set report.eval_every_s", ""});
   planner.refuse_unknown();
   return plan;
 }

@@ -1,10 +1,12 @@
 // The one place that decides what a scene does not need, from its manifest and the config; each decision has its
-// reason.
+// rule and its evidence.
 #pragma once
 
 #include <cstdint>
 #include <string>
 #include <vector>
+
+#include "plugin/sampler.h"
 
 namespace semfield {
 
@@ -18,17 +20,23 @@ struct SceneManifest {
   std::int64_t labelled_frames = 0;
   bool any_depth = false;
   bool any_distortion = false;
+  /// Widest angle in degrees between a training ray and their mean, twice; 360: unknown.
+  double direction_spread_deg = 360;
 };
 
 /// What the config asks for, as far as it can be left out.
 struct BuildRequest {
   int passes = 1;
   bool last_sampler_single_pass = false;
-  bool direction_encoder = true;  ///< the last pass names one
+  EmptySpace empty_space = EmptySpace::sampled;  ///< of the last pass's sampler
+  bool direction_encoder = true;                 ///< the last pass names one
   double density_noise = 0;
   double early_stop = 0;
+  bool balance_classes = false;
+  bool mixed_precision = false;
   bool periodic_evaluation = true;
   bool device_cuda_available = false;
+  std::int64_t training_depth_px = 0;  ///< pixels whose depth was read for the bounds and is needed by nothing later
 };
 
 /// How "same result" is shown: bitwise equal, within a bound that is printed, or statistically over seeds.
@@ -36,9 +44,12 @@ enum class ProofClass : char { bitwise = 'B', certified = 'C', statistical = 'S'
 
 struct LeftOut {
   std::string component;  ///< the NAME of --keep
-  std::string reason;     ///< the evidence, with numbers
+  std::string rule;       ///< when it is left out
+  std::string evidence;   ///< what was found here, with numbers
   ProofClass proof = ProofClass::bitwise;
-  std::string saving;  ///< estimate, in words
+  std::string saving;    ///< estimate, in words
+  std::string instead;   ///< what brings it in where --keep cannot ("set runtime.precision: bf16"); empty: --keep does
+  std::string measured;  ///< by the run itself; empty: not
 };
 
 struct BuildPlan {
@@ -48,13 +59,23 @@ struct BuildPlan {
   bool head_on_unlabelled_rays = false;
   bool undistortion = true;
   bool depth_metrics = true;
+  bool late_samples = false;        ///< rendering evaluates samples behind an opaque surface too
   std::vector<int> class_of_logit;  ///< logit -> class; absent classes have none
   std::vector<LeftOut> left_out;    ///< what is not built
   std::vector<std::string> kept;    ///< forced back by name
 };
 
-/// `keep`: components forced back in. Throws Error(usage) for a name that is not left out here, listing those that are,
-/// and for one that cannot be built (semantics without a class table).
+/// A ray may stop at this transmittance: colours in [0, 1] are then off by at most a quarter of an 8-bit step.
+inline constexpr double kEightBitStop = 1.0 / 1020;
+/// Training rays within this angle of each other cannot tell a surface that shines from one that does not.
+inline constexpr double kDirectionSpreadDeg = 5;
+
+/// Component of the depth of training frames; what keeps it must be known before the scene is loaded.
+inline constexpr const char* kTrainingDepth = "training_depth";
+
+/// `keep`: components forced back in; one that the scene needs anyway is no error, so that one list fits several
+/// scenes. Throws Error(usage) for a name that no rule has, listing those that can be kept, for one that a setting
+/// brings in, and for one that cannot be built (semantics without a class table).
 BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request, const std::vector<std::string>& keep);
 
 }  // namespace semfield

@@ -33,10 +33,18 @@ struct Proposal {
   View<const Real> weight;  ///< [count, 1] compositing weights, no gradient flows through them
 };
 
+/// What becomes of the part of a ray that a sampler takes for empty.
+enum class EmptySpace : std::uint8_t {
+  sampled,    ///< it gets samples like any other
+  certified,  ///< passed over; the opacity that a ray can lose by it is bounded
+  threshold   ///< passed over by a rule that bounds no error
+};
+
 struct SamplerTraits {
   bool needs_previous = false;  ///< reads a Proposal: cannot be the first pass
   bool single_pass = false;     ///< finds the surface itself: no second network is needed after it
   bool observes = false;        ///< wants observe() after each training step
+  EmptySpace empty_space = EmptySpace::sampled;
 };
 
 /// sigma (after activation, 1/m) [N,1] at world positions [N,3]; safe to call from parallel_for bodies.

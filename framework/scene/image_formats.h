@@ -20,6 +20,9 @@ struct ImageFormats {
 /// The table, loaded once. Throws Error(unavailable) in a build without OpenImageIO, and when the library is missing.
 const ImageFormats& image_formats();
 
+/// True once image_formats() has loaded the library.
+bool image_formats_loaded();
+
 /// The library's one exported symbol.
 inline constexpr const char* kImageFormatsSymbol = "semfield_image_formats";
 

@@ -1,4 +1,6 @@
 // Loads the library of image_formats.h when it is first needed.
+#include <atomic>
+
 #include "core/companion.h"
 #include "core/error.h"
 #include "scene/image_formats.h"
@@ -9,15 +11,20 @@ namespace semfield {
 
 namespace {
 
+std::atomic<bool> g_loaded{false};
+
 const ImageFormats& load() {
   void* symbol = companion_symbol(SEMFIELD_IMAGES_LIBRARY, kImageFormatsSymbol, "images other than PNG cannot be read",
                                   "install Semfield again, or convert the images to PNG");
+  g_loaded = true;
   return *reinterpret_cast<const ImageFormats* (*)()>(symbol)();
 }
 
 }  // namespace
 
 bool images_available() { return true; }
+
+bool image_formats_loaded() { return g_loaded; }
 
 const ImageFormats& image_formats() {
   static const ImageFormats& formats = load();  // tried again where it failed
@@ -27,6 +34,8 @@ const ImageFormats& image_formats() {
 #else
 
 bool images_available() { return false; }
+
+bool image_formats_loaded() { return false; }
 
 const ImageFormats& image_formats() {
   throw Error(ErrorKind::unavailable, "this build reads PNG images only",

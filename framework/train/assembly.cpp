@@ -93,12 +93,15 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry) {
   build.bounds = {{-1, -1, -1}, {1, 1, 1}};
   build.near_m = 0.1;
   build.far_m = 1;
-  request.last_sampler_single_pass =
-      sampler.entry->sampler32(*sampler.params, build, registry.kernels())->traits().single_pass;
+  const SamplerTraits traits = sampler.entry->sampler32(*sampler.params, build, registry.kernels())->traits();
+  request.last_sampler_single_pass = traits.single_pass;
+  request.empty_space = traits.empty_space;
   request.passes = static_cast<int>(config.passes.size());
   request.direction_encoder = config.passes.back().direction.entry != nullptr;
   request.density_noise = config.rendering.density_noise;
   request.early_stop = config.rendering.early_stop;
+  request.balance_classes = config.semantics.balance_classes;
+  request.mixed_precision = config.runtime.precision != Precision::fp32;
   request.periodic_evaluation = config.report.eval_every_s > 0;
   return request;
 }
@@ -153,7 +156,7 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
   options.rules.far = config.rendering.far;
   options.rules.density_noise = config.rendering.density_noise;
   for (std::size_t i = 0; i < 3; ++i) options.rules.background[i] = config.rendering.background[i];
-  options.rules.early_stop = config.rendering.early_stop;
+  options.rules.early_stop = plan.late_samples ? 0 : config.rendering.early_stop;
   options.rules.stop_gradient_to_density = config.semantics.stop_gradient_to_density;
   options.rules.deferred_class_layer = config.runtime.deferred_class_layer;
   options.seed = config.runtime.seed;

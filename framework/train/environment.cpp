@@ -133,6 +133,7 @@ std::string left_out_json(const std::vector<LeftOutRow>& rows) {
   for (const LeftOutRow& row : rows) {
     Json& object = json.emplace_back(Json::object());
     for (const auto& [name, field] : kLeftOutFields) object[name] = row.*field;
+    if (row.saving_measured.empty()) object["saving_measured"] = nullptr;  // not measured is no text
   }
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
@@ -146,7 +147,7 @@ std::vector<LeftOutRow> parse_left_out(std::string_view text, const std::string&
     for (const auto& [key, field] : kLeftOutFields) {
       if (!object.is_object() || !object.contains(key)) continue;
       const Json& value = object[key];
-      row.*field = value.is_string() ? value.get<std::string>() : value.dump();
+      row.*field = value.is_string() ? value.get<std::string>() : value.is_null() ? "" : value.dump();
     }
     if (row.component.empty()) {
       throw Error(ErrorKind::data, fmt::format("'{}': row {} names no component", name, rows.size() + 1), "restore the file, or delete it");

@@ -19,6 +19,7 @@ void walk(KnownScene& scene, Field&& field) {
   field("labelled_frames", m.labelled_frames);
   field("any_depth", m.any_depth);
   field("any_distortion", m.any_distortion);
+  field("direction_spread_deg", m.direction_spread_deg);
   field("pixel_footprint_m", scene.pixel_footprint_m);
 }
 
@@ -37,7 +38,11 @@ std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
   KnownScene scene;
   try {
     const nlohmann::json json = nlohmann::json::parse(text->second);
-    walk(scene, [&](const char* name, auto& value) { json.at(name).get_to(value); });
+    walk(scene, [&](const char* name, auto& value) {
+      // Not in checkpoints of before it was counted: then it stays unknown, as in the run that wrote them.
+      if (std::string_view(name) == "direction_spread_deg" && !json.contains(name)) return;
+      json.at(name).get_to(value);
+    });
   } catch (const nlohmann::json::exception& e) {
     throw Error(ErrorKind::data, std::string("checkpoint metadata 'scene' cannot be read: ") + e.what(),
                 "go on from another checkpoint of the run");

@@ -83,6 +83,7 @@ struct RuntimeParams {
   std::uint32_t seed = 1;
   int lanes = 8;
   int tile_rays = 0;
+  std::vector<std::string> keep;
   bool fold_feature_layer = true;
   bool direction_once_per_ray = true;
   bool deferred_class_layer = true;

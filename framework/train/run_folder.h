@@ -66,7 +66,8 @@ std::string environment_json(const Environment& environment);
 /// Name and value of every entry, in file order; lists joined by commas. Throws Error(data).
 std::vector<std::pair<std::string, std::string>> parse_environment(std::string_view json, const std::string& name);
 
-/// A component that was not built because the scene does not need it (one row of left_out.json).
+/// A component that was not built because the scene does not need it (one row of left_out.json). saving_measured is
+/// null in the file, empty here, where nobody measured it.
 struct LeftOutRow {
   std::string component, rule, evidence, proof;
   std::string saving_estimate, saving_measured;

@@ -3,14 +3,41 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 
 #include "core/cpu_kernels.h"
 #include "core/error.h"
+#include "core/gemm_engine.h"
 #include "core/parallel.h"
+#include "scene/image_formats.h"
 
 namespace semfield {
 
 namespace {
+
+// Rays through the corners of all training frames: those of the pixels between lie within their cone.
+double direction_spread_deg(const SceneInfo& info) {
+  std::vector<Vec3d> rays;
+  Vec3d sum;
+  for (const FrameInfo& frame : info.frames) {
+    if (frame.split != Split::train) continue;
+    for (const int corner : {0, 1, 2, 3}) {
+      const Camera& c = frame.camera;
+      const Vec3d local = c.direction(corner & 1 ? c.width_px : 0, corner & 2 ? c.height_px : 0);
+      if (!(local.z > 0)) return 360;  // a corner without an inverse distortion
+      rays.push_back(frame.world_from_camera.rotate(local));
+      sum = sum + rays.back();
+    }
+  }
+  if (rays.empty() || !(dot(sum, sum) > 0)) return 360;
+  const Vec3d mean = normalized(sum);
+  double widest = 0;
+  for (const Vec3d& ray : rays) {
+    const Vec3d off = cross(mean, ray);
+    widest = std::max(widest, std::atan2(std::sqrt(dot(off, off)), dot(mean, ray)));
+  }
+  return 2 * widest * 180 / M_PI;
+}
 
 SceneManifest manifest_of(const LoadedScene& scene, const TrainingLabels& labels) {
   SceneManifest manifest;
@@ -28,7 +55,49 @@ SceneManifest manifest_of(const LoadedScene& scene, const TrainingLabels& labels
     for (std::size_t c = 0; c < manifest.train_class_pixels.size(); ++c)
       manifest.train_class_pixels[c] += labels.class_pixels[f][c];
   }
+  manifest.direction_spread_deg = direction_spread_deg(scene.info);
   return manifest;
+}
+
+bool keeps(const RunConfig& config, std::string_view component) {
+  return std::find(config.runtime.keep.begin(), config.runtime.keep.end(), component) != config.runtime.keep.end();
+}
+
+std::int64_t training_depth_px(const LoadedScene& scene) {
+  std::int64_t pixels = 0;
+  for (const FrameInfo& frame : scene.info.frames) {
+    if (frame.split == Split::train && frame.has_depth)
+      pixels += std::int64_t{frame.camera.width_px} * frame.camera.height_px;
+  }
+  return pixels;
+}
+
+// Components that the parts themselves leave out, and know the size of once they are built.
+void add_owned_rows(Session& s) {
+  std::vector<LeftOut>& rows = s.plan.left_out;
+  for (const std::string& choice : s.chosen) {
+    rows.push_back({"table_size", "a size that the configuration leaves open is the least that the scene needs", choice,
+                    ProofClass::statistical, "memory, and reads that miss the cache",
+                    "write the size into the configuration", ""});
+  }
+  std::int64_t sparse = 0;
+  for (const Tensor<float>& t : s.pipeline->store().all()) sparse += t.spec.role == TensorRole::sparse ? t.size() : 0;
+  if (sparse > 0) {
+    rows.push_back({"untouched_rows", "a table's row is updated in the steps that give it a gradient",
+                    fmt::format("{} of {} parameters are in tables", sparse, s.pipeline->store().learned_count()),
+                    ProofClass::bitwise, "zeroing, checking and updating rows that no ray met",
+                    "it is Adam's rule for tables", ""});
+  }
+  if (!image_formats_loaded()) {
+    rows.push_back({"image_library", "loaded when the first image other than PNG is met",
+                    "no image of this scene needed it", ProofClass::bitwise,
+                    "about 250 shared libraries, a quarter of a second", "it is loaded by itself", ""});
+  }
+  if (foreign_gemm() == nullptr) {
+    rows.push_back({"matrix_library", "loaded where it is faster, or asked for",
+                    "matrix products are " + gemm_engine_text(), ProofClass::bitwise, "one shared library",
+                    "set runtime.gemm: onednn", ""});
+  }
 }
 
 }  // namespace
@@ -36,6 +105,10 @@ SceneManifest manifest_of(const LoadedScene& scene, const TrainingLabels& labels
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
   Session s;
   s.config = std::move(config);
+  // Part of the resolved configuration: whoever opens the run again must build the same network.
+  for (const std::string& component : options.keep) {
+    if (!keeps(s.config, component)) s.config.runtime.keep.push_back(component);
+  }
   set_thread_count(s.config.runtime.threads);
   if (s.config.runtime.device == DeviceChoice::cuda) {
     throw Error(ErrorKind::unavailable, "runtime.device: this build has no CUDA kernels (has: cpu)",
@@ -48,7 +121,8 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   const bool make_labels = !options.known || options.labels;
   load.pixels = options.pixels || !options.known;
   load.with_instances = make_labels && s.config.labels.needs_instances();
-  load.depth = make_labels && s.config.labels.wants_depth() ? DepthKept::all : options.depth;
+  const bool needs_depth = options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
+  load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
   s.scene = load_scene(*dataset, load, diagnostics);
   open_label_files(s.scene, s.config.labels, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
@@ -63,7 +137,9 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   }
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
-  s.plan = plan_build(s.manifest, build_request(s.config, registry), options.keep);
+  BuildRequest request = build_request(s.config, registry);
+  request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
+  s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
 
   s.extent = {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m};
   s.limits.near_m = s.scene.near_m;
@@ -90,6 +166,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
     class_weight = inverse_log_frequency_weights(pixels);
   }
   s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
+  add_owned_rows(s);
   return s;
 }
 
@@ -199,7 +276,7 @@ std::string describe_session(const Session& s) {
   }
   for (const std::string& line : s.chosen) add("chosen    " + line);
   for (const LeftOut& row : s.plan.left_out) {
-    add(fmt::format("left out  {} [{}]: {} (saves {})", row.component, static_cast<char>(row.proof), row.reason,
+    add(fmt::format("left out  {} [{}]: {} (saves {})", row.component, static_cast<char>(row.proof), row.evidence,
                     row.saving));
   }
   for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");

@@ -14,6 +14,7 @@
 #include "core/parallel.h"
 #include "train/checkpoint_store.h"
 #include "train/final_eval.h"
+#include "train/leave_out_proofs.h"
 #include "train/metrics_log.h"
 #include "train/run_folder.h"
 #include "train/run_report.h"
@@ -276,8 +277,8 @@ class Run {
   void write_left_out() {
     std::vector<LeftOutRow> rows;
     for (const LeftOut& out : session_.plan.left_out) {
-      rows.push_back(
-          {out.component, out.component, out.reason, std::string(1, static_cast<char>(out.proof)), out.saving, ""});
+      rows.push_back({out.component, out.rule, out.evidence, std::string(1, static_cast<char>(out.proof)), out.saving,
+                      out.measured.empty() ? shipped_saving(out.component) : out.measured});
     }
     write_file_atomic(folder_.left_out_path(), left_out_json(rows));
   }

@@ -3,8 +3,12 @@
 
 #include <cstring>
 
+#include "core/files.h"
 #include "core/parallel.h"
 #include "tests/train/train_testing.h"
+#include "train/leave_out_proofs.h"
+#include "train/run_folder.h"
+#include "train/train_run.h"
 #include "train/trainer.h"
 
 namespace semfield {
@@ -30,6 +34,7 @@ Trained train(const std::string& yaml, Registry& registry, const std::vector<std
 
 bool left_out(const Session& s, const std::string& component) {
   for (const LeftOut& row : s.plan.left_out) {
+    EXPECT_FALSE(row.rule.empty() || row.evidence.empty() || row.saving.empty()) << row.component;
     if (row.component == component) return true;
   }
   return false;
@@ -115,12 +120,191 @@ TEST(LeaveOut, SemanticsWithNoSelectedLabelIsBitwiseTheRunWithAHead) {
 TEST(LeaveOut, AbsentClassesGetNoLogit) {
   Registry registry = make_registry();
   std::string yaml = hash_config();
-  yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: analytic_room, frames: 4, labels: {frames: 1}}");
+  yaml.replace(yaml.find("{type: analytic_room}"), 21,
+               "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
   Session s = open_text(yaml, registry);
   int present = 0;
   for (const std::int64_t pixels : s.manifest.train_class_pixels) present += pixels > 0 ? 1 : 0;
+  EXPECT_LT(present, s.classes());
   EXPECT_EQ(static_cast<int>(s.plan.class_of_logit.size()), present);
   EXPECT_EQ(s.pipeline->passes().back().parts().head->classes(), present);
+}
+
+// The other model of the same claim: all classes, those without a pixel masked by a bias that no exponential survives.
+TEST(LeaveOut, AbsentClassesAreBitwiseTheModelThatMasksThem) {
+  Registry registry = make_registry();
+  std::string yaml = hash_config();
+  yaml.replace(yaml.find("{type: analytic_room}"), 21,
+               "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
+  Trained out = train(yaml, registry, {}, 0), kept = train(yaml, registry, {"absent_classes"}, 0);
+  const std::vector<int>& present = out.session.plan.class_of_logit;
+  const std::size_t all = kept.session.plan.class_of_logit.size();
+  ASSERT_LT(present.size(), all);
+  const auto tensor = [](Trained& run, const char* name) -> Tensor<float>& {
+    return *run.session.pipeline->store().find(std::string("main/semantic/class/") + name);
+  };
+  const auto masked_from = [&](const char* name, float absent) {
+    Tensor<float>&narrow = tensor(out, name), &wide = tensor(kept, name);
+    for (std::int64_t r = 0; r < wide.spec.rows; ++r) {
+      float* row = wide.value.data() + r * wide.spec.cols;
+      std::fill_n(row, wide.spec.cols, absent);
+      for (std::size_t l = 0; l < present.size(); ++l)
+        row[present[l]] = narrow.value.data()[r * narrow.spec.cols + static_cast<std::int64_t>(l)];
+    }
+  };
+  masked_from("weight", 0);
+  masked_from("bias", -1e30F);
+  kept.session.pipeline->derive(0);
+  for (int i = 0; i < 30; ++i) {
+    const StepLosses a = out.trainer->advance(), b = kept.trainer->advance();
+    ASSERT_EQ(a.semantic, b.semantic) << "step " << i;
+  }
+  for (const Tensor<float>& t : out.session.pipeline->store().all()) {
+    if (!t.learned() || t.name.find("semantic/class") != std::string::npos) continue;
+    const Tensor<float>& other = *kept.session.pipeline->store().find(t.name);
+    EXPECT_EQ(0, std::memcmp(t.value.data(), other.value.data(), sizeof(float) * static_cast<std::size_t>(t.size())))
+        << t.name;
+  }
+  for (const char* name : {"weight", "bias"}) {
+    const Tensor<float>&narrow = tensor(out, name), &wide = tensor(kept, name);
+    for (std::int64_t r = 0; r < wide.spec.rows; ++r) {
+      for (std::size_t l = 0; l < present.size(); ++l) {
+        EXPECT_EQ(narrow.value.data()[r * narrow.spec.cols + static_cast<std::int64_t>(l)],
+                  wide.value.data()[r * wide.spec.cols + present[l]])
+            << name << " " << r << " " << l;
+      }
+    }
+  }
+}
+
+BuildPlan plan_of(const SceneManifest& manifest, const BuildRequest& request,
+                  const std::vector<std::string>& keep = {}) {
+  return plan_build(manifest, request, keep);
+}
+
+bool leaves(const BuildPlan& plan, const std::string& component, ProofClass* proof = nullptr) {
+  for (const LeftOut& row : plan.left_out) {
+    if (row.component != component) continue;
+    if (proof != nullptr) *proof = row.proof;
+    return true;
+  }
+  return false;
+}
+
+TEST(LeaveOut, TheViewBranchGoesWhereAllRaysAreAlmostParallel) {
+  SceneManifest manifest;
+  manifest.direction_spread_deg = 4.9;
+  ProofClass proof{};
+  EXPECT_TRUE(leaves(plan_of(manifest, {}), "view_branch", &proof));
+  EXPECT_EQ(proof, ProofClass::statistical);
+  EXPECT_FALSE(plan_of(manifest, {}).view_branch);
+  EXPECT_TRUE(plan_of(manifest, {}, {"view_branch"}).view_branch);
+  manifest.direction_spread_deg = 0;
+  EXPECT_TRUE(leaves(plan_of(manifest, {}), "view_branch", &proof));
+  EXPECT_EQ(proof, ProofClass::bitwise);
+  manifest.direction_spread_deg = 5.1;
+  EXPECT_TRUE(plan_of(manifest, {}).view_branch);
+
+  Registry registry = make_registry();
+  const Session s = open_text(hash_config(), registry);
+  EXPECT_GT(s.manifest.direction_spread_deg, 60) << "cameras inside a room look around";
+  EXPECT_LE(s.manifest.direction_spread_deg, 360);
+  EXPECT_TRUE(s.plan.view_branch);
+}
+
+TEST(LeaveOut, RowsOfSamplerAndEarlyStopNameTheirProof) {
+  BuildRequest request;
+  request.early_stop = 1e-4;
+  request.empty_space = EmptySpace::certified;
+  ProofClass proof{};
+  EXPECT_TRUE(leaves(plan_of({}, request), "late_samples", &proof));
+  EXPECT_EQ(proof, ProofClass::certified);
+  EXPECT_TRUE(leaves(plan_of({}, request), "empty_space", &proof));
+  EXPECT_EQ(proof, ProofClass::statistical) << "the grid's densities are estimates";
+  EXPECT_FALSE(plan_of({}, request).late_samples);
+  EXPECT_TRUE(plan_of({}, request, {"late_samples"}).late_samples);
+  request.empty_space = EmptySpace::threshold;
+  EXPECT_TRUE(leaves(plan_of({}, request), "empty_space", &proof));
+  EXPECT_EQ(proof, ProofClass::statistical);
+  request.empty_space = EmptySpace::sampled;
+  request.early_stop = 0;
+  EXPECT_FALSE(leaves(plan_of({}, request), "empty_space"));
+  EXPECT_FALSE(leaves(plan_of({}, request), "late_samples"));
+
+  Registry registry = make_registry();
+  EXPECT_GT(open_text(hash_config(), registry).pipeline->options().rules.early_stop, 0);
+  EXPECT_EQ(open_text(hash_config(), registry, {"late_samples"}).pipeline->options().rules.early_stop, 0);
+}
+
+TEST(LeaveOut, KeepTakesWhatIsNeededAnywayAndRefusesSettings) {
+  BuildRequest request;
+  request.training_depth_px = 10;
+  EXPECT_EQ(plan_of({}, request, {"training_depth"}).kept, std::vector<std::string>{"training_depth"});
+  request.training_depth_px = 0;  // the labels need it: one list of names fits several scenes
+  EXPECT_TRUE(plan_of({}, request, {"training_depth"}).kept.empty());
+  try {
+    plan_of({}, request, {"mixed_precision"});
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::usage);
+    EXPECT_NE(std::string(error.what()).find("runtime.precision: bf16"), std::string::npos) << error.what();
+  }
+}
+
+TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
+  Registry registry = make_registry();
+  const auto open_for_training = [&](const std::vector<std::string>& keep) {
+    Diagnostics diagnostics;
+    SessionOptions options;
+    options.keep = keep;
+    options.depth = DepthKept::test;
+    return open_session(read_run_config(parse_config_text(hash_config(), "test.yaml"), registry, diagnostics), registry,
+                        options, diagnostics);
+  };
+  const Session out = open_for_training({}), kept = open_for_training({"training_depth"});
+  ASSERT_TRUE(left_out(out, "training_depth"));
+  EXPECT_FALSE(left_out(kept, "training_depth"));
+  const int frame = out.scene.frames_of(Split::train).front();
+  EXPECT_TRUE(out.scene.frames[static_cast<std::size_t>(frame)].depth_m.empty());
+  EXPECT_FALSE(kept.scene.frames[static_cast<std::size_t>(frame)].depth_m.empty());
+  EXPECT_GT(plan_memory(kept).scene, plan_memory(out).scene);
+}
+
+// What is kept belongs to the run: it is in run.yaml, and whoever opens the run builds the same network.
+TEST(LeaveOut, ARunIsOpenedWithWhatItKept) {
+  Registry registry = make_registry();
+  const TempDir dir;
+  std::string yaml = hash_config("report: {eval_every_s: 0, strips: 0}\n");
+  yaml.replace(yaml.find("{type: analytic_room}"), 21,
+               "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
+  yaml.replace(yaml.find("steps: 200"), 10, "steps: 4");
+  Diagnostics diagnostics;
+  TrainRequest request;
+  request.out_dir = dir / "run";
+  request.keep = {"absent_classes", "late_samples"};
+  run_training(read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics), registry, request, {});
+  const OpenedRun opened = open_run(request.out_dir, {}, registry, diagnostics);
+  EXPECT_EQ(opened.step, 4);
+  EXPECT_EQ(opened.session.plan.kept, (std::vector<std::string>{"absent_classes", "late_samples"}));
+
+  request.resume = true;
+  request.keep = {};
+  RunConfig again = load_run_config(RunFolder::read(request.out_dir).config_path(), {"train.steps=6"}, registry);
+  EXPECT_EQ(run_training(std::move(again), registry, request, {}).step, 6);
+
+  // Its own list: a rule and evidence a row, and a measured saving or none, never an empty text.
+  const std::string text = read_text_file(RunFolder::read(request.out_dir).left_out_path());
+  EXPECT_EQ(text.find("\"saving_measured\": \"\""), std::string::npos);
+  bool undistortion = false;
+  for (const LeftOutRow& row : parse_left_out(text, "left_out.json")) {
+    EXPECT_NE(row.rule, row.component);
+    if (row.component == "undistortion") {
+      undistortion = true;
+      EXPECT_EQ(row.saving_measured, shipped_saving("undistortion"));
+    }
+    EXPECT_NE(row.component, "absent_classes");
+  }
+  EXPECT_TRUE(undistortion);
 }
 
 TEST(LeaveOut, KeepRefusesAnUnknownName) {

@@ -19,18 +19,20 @@ struct AnalyticRoomParams {
   int width_px = 48;
   int height_px = 36;
   bool with_labels = true;
+  int absent_class = -1;  // of the table, but void in every frame
 };
 void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
   SEMFIELD_PARAM(visit, p, frames, "frames", {1, 1000});
   SEMFIELD_PARAM(visit, p, width_px, "width", {1, 1000});
   SEMFIELD_PARAM(visit, p, height_px, "height", {1, 1000});
   SEMFIELD_PARAM(visit, p, with_labels, "with labels");
+  SEMFIELD_PARAM(visit, p, absent_class, "a class without pixels", {-1, 1000});
 }
 void validate(const AnalyticRoomParams&, Diagnostics&) {}
 
 class AnalyticRoom final : public Dataset {
  public:
-  AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&) {
+  AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&) : absent_class_(p.absent_class) {
     testkit::AnalyticSceneOptions options;
     options.frames = p.frames;
     options.width_px = p.width_px;
@@ -39,9 +41,15 @@ class AnalyticRoom final : public Dataset {
     inner_ = testkit::make_analytic_scene(options);
   }
   SceneInfo open(Diagnostics& diagnostics) override { return inner_->open(diagnostics); }
-  void read(int frame, FrameBuffer& out) const override { inner_->read(frame, out); }
+  void read(int frame, FrameBuffer& out) const override {
+    inner_->read(frame, out);
+    for (std::int16_t& label : out.label) {
+      if (label == absent_class_) label = kVoid;
+    }
+  }
 
  private:
+  int absent_class_;
   std::unique_ptr<Dataset> inner_;
 };
 

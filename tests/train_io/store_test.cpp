@@ -365,6 +365,8 @@ TEST_F(RunFolderTest, EnvironmentAndLeftOutRoundTrip) {
   const auto read = parse_left_out(left_out_json(rows), "left_out.json");
   ASSERT_EQ(read.size(), 1u);
   EXPECT_EQ(read[0].evidence, "0 label files");
+  EXPECT_EQ(read[0].saving_measured, "");
+  EXPECT_NE(left_out_json(rows).find("\"saving_measured\": null"), std::string::npos);
   error_of([] { (void)parse_left_out("[{}]", "left_out.json"); });
   error_of([] { (void)parse_environment("{", "environment.json"); });
 }

@@ -63,7 +63,7 @@ void describe(ParamVisitor& visit, OccupancyGridParams& params) {
                  {1, 65536});
   SEMFIELD_PARAM(visit, params, step_m, "Step along the ray in metres; 0 = sqrt(3) / 1024 of the scene's longest side",
                  {0, 1e9});
-  SEMFIELD_PARAM(visit, params, skip, "How empty cells are passed over: certified (bounded error) or threshold");
+  SEMFIELD_PARAM(visit, params, skip, "How empty cells are passed over: certified (bounded error), threshold or never");
   SEMFIELD_PARAM(visit, params, skip_budget, "Optical depth a ray may lose to skipping when rendering (certified)",
                  {0, 1});
   SEMFIELD_PARAM(visit, params, training_skip_budget, "The same when training", {0, 1});
@@ -99,6 +99,9 @@ SamplerTraits OccupancyGrid<Real>::traits() const noexcept {
   SamplerTraits traits;
   traits.single_pass = true;
   traits.observes = true;
+  traits.empty_space = params_.skip == SkipRule::certified   ? EmptySpace::certified
+                       : params_.skip == SkipRule::threshold ? EmptySpace::threshold
+                                                             : EmptySpace::sampled;
   return traits;
 }
 
@@ -123,6 +126,7 @@ void OccupancyGrid<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&
   args.max_samples = params_.max_samples;
   args.keep_last = params_.keep_last;
   args.skip_budget = params_.skip == SkipRule::threshold ? std::numeric_limits<double>::infinity()
+                     : params_.skip == SkipRule::never   ? -1  // affords nothing, not even exact vacuum
                      : ctx.training                      ? params_.training_skip_budget
                                                          : params_.skip_budget;
   args.jitter = ctx.training;

@@ -19,11 +19,12 @@ namespace semfield {
 ///              opacity are off by at most the budget. A fixed threshold a step has no such bound: 64 steps of 0.01
 ///              hide 47 %.
 ///   threshold  every cell below the threshold is passed over.
-enum class SkipRule : std::uint8_t { certified, threshold };
+///   never      every step is evaluated: what the other two are compared with.
+enum class SkipRule : std::uint8_t { certified, threshold, never };
 
 template <>
 struct ChoiceNames<SkipRule> {
-  static constexpr std::array<std::string_view, 2> names{"certified", "threshold"};
+  static constexpr std::array<std::string_view, 3> names{"certified", "threshold", "never"};
 };
 
 struct OccupancyGridParams {
