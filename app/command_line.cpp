@@ -269,6 +269,26 @@ void add_check_numerics(CLI::App& root, AppContext& context, Choice& choice) {
       [&context, &choice, options] { choice = [&context, options] { return run_check_numerics(*options, context); }; });
 }
 
+void add_bench_leave_out(CLI::App& root, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<LeaveOutOptions>();
+  CLI::App* verb = root.get_subcommand("bench")->add_subcommand(
+      "pairs", "what is left out of a run against the run that keeps it: the proof, and what it saves");
+  verb->add_option("--only", options->only, "pairs to run (default: all)")->expected(1)->take_all();
+  verb->add_option("--rounds", options->rounds, "alternating rounds that are timed (default: 9)")
+      ->check(CLI::Range(1, 1000));
+  verb->add_option("--seeds", options->seeds, "runs a side of statistical pairs (default: 5)")
+      ->check(CLI::Range(2, 1000));
+  verb->add_option("--steps", options->seed_steps, "steps of each of them (default: 400)")
+      ->check(CLI::Range(20, 1000000));
+  verb->add_option("--set", options->set, "override a value of all pairs: --set scene.frames=200")
+      ->expected(1)
+      ->take_all();
+  verb->add_option("--write-docs", options->write_docs, "folder in which leave_out.json and leave_out.md are renewed");
+  verb->callback([&context, &choice, options] {
+    choice = [&context, options] { return run_bench_leave_out(*options, context); };
+  });
+}
+
 }  // namespace
 
 int run_command_line(int argc, char** argv, AppContext& context) {
@@ -290,6 +310,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   add_plugins_verbs(root, context, choice);
   add_bench_verbs(root, context, choice);
   add_check_numerics(root, context, choice);
+  add_bench_leave_out(root, context, choice);
   CLI::App* version = root.add_subcommand("version", "version, build and plugins");
   version->callback([&context, &choice] { choice = [&context] { return run_version(context); }; });
   try {

@@ -141,6 +141,16 @@ struct CheckNumericsOptions {
 /// 0 when no case failed, else 1.
 int run_check_numerics(const CheckNumericsOptions& options, AppContext& context);
 
+struct LeaveOutOptions {
+  std::vector<std::string> only;  ///< names of pairs; empty: all
+  std::vector<std::string> set;
+  std::string write_docs;  ///< folder of leave_out.json and leave_out.md
+  int rounds = 9;
+  int seeds = 5;
+  int seed_steps = 400;
+};
+int run_bench_leave_out(const LeaveOutOptions& options, AppContext& context);
+
 int run_version(AppContext& context);
 
 /// Loads the modules of `--plugin`.

@@ -1,0 +1,77 @@
+// bench pairs: every left-out component against the run that keeps it; --write-docs renews the shipped table.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <ctime>
+#include <filesystem>
+
+#include "core/files.h"
+#include "core/parallel.h"
+#include "shared_files.h"
+#include "sweep/leave_out_page.h"
+#include "train/run_folder.h"
+#include "verbs.h"
+
+namespace semfield::app {
+
+namespace {
+
+std::string about(const LeaveOutOptions& options, const PairOptions& pairs) {
+  const Environment e = this_environment();
+  const std::time_t now = std::time(nullptr);
+  std::tm utc{};
+  ::gmtime_r(&now, &utc);
+  return fmt::format("`semfield bench pairs{}` on one core of {}, {}, {:04}-{:02}-{:02}; {} rounds; scene: {}.",
+                     options.only.empty() ? "" : " --only ...", e.cpu, e.compiler, utc.tm_year + 1900, utc.tm_mon + 1,
+                     utc.tm_mday, pairs.rounds, join(pairs.set));
+}
+
+}  // namespace
+
+int run_bench_leave_out(const LeaveOutOptions& options, AppContext& context) {
+  PairOptions pairs;
+  pairs.rounds = options.rounds;
+  pairs.seeds = options.seeds;
+  pairs.seed_steps = options.seed_steps;
+  pairs.set = {"scene.frames=30", "scene.test_frames=5", "scene.width_px=80", "scene.height_px=60", "train.rays=256"};
+  pairs.set.insert(pairs.set.end(), options.set.begin(), options.set.end());
+  std::vector<std::string> names;
+  for (const LeaveOutPair& pair : leave_out_pairs()) names.push_back(pair.name);
+  for (const std::string& name : options.only) {
+    if (std::find(names.begin(), names.end(), name) == names.end())
+      throw Error(ErrorKind::usage, "--only " + name + ": there is no such pair", "choose of " + join(names));
+  }
+  const int threads = thread_count();
+  LeaveOutFindings findings;
+  bool all_hold = true;
+  // Whatever loads libraries comes last, as it is in the list.
+  for (const LeaveOutPair& pair : leave_out_pairs()) {
+    if (!options.only.empty() && std::find(options.only.begin(), options.only.end(), pair.name) == options.only.end())
+      continue;
+    const PairResult result =
+        run_pair(pair, pairs, context.registry, [](const std::string& file) { return shared_file(file); });
+    findings.rows.push_back(finding_of(pair, result));
+    const LeaveOutFinding& row = findings.rows.back();
+    const bool counts = pair.but.empty();
+    all_hold = all_hold && (row.holds || !counts);
+    std::printf("%-22s %s  %-14s %s\n%26s saves %s  [%.1f s]\n", row.name.c_str(), row.proof.c_str(),
+                !counts     ? "kept"
+                : row.holds ? "holds"
+                            : "DOES NOT HOLD",
+                row.result.c_str(), "", row.saving.c_str(), result.seconds);
+    std::fflush(stdout);
+  }
+  set_thread_count(threads);
+  findings.about = about(options, pairs);
+  if (!options.write_docs.empty()) {
+    namespace fs = std::filesystem;
+    const std::string json = (fs::path(options.write_docs) / "leave_out.json").string();
+    if (fs::exists(json)) findings = merged(parse_findings(read_text_file(json), json), findings);
+    write_file_atomic(json, findings_json(findings));
+    write_file_atomic((fs::path(options.write_docs) / "leave_out.md").string(), findings_markdown(findings));
+  }
+  return all_hold ? 0 : static_cast<int>(ErrorKind::failure);
+}
+
+}  // namespace semfield::app

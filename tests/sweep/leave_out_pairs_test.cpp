@@ -1,0 +1,119 @@
+// Every bitwise and certified leave-out pair on a small room, and the page that is made of what pairs find.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+#include "core/error.h"
+#include "core/files.h"
+#include "plugin/linked_plugins.h"
+#include "sweep/leave_out_page.h"
+#include "sweep/leave_out_side.h"
+#include "train/leave_out_proofs.h"
+
+namespace semfield {
+namespace {
+
+std::string in_source(const std::string& file) { return std::string(SEMFIELD_SOURCE_DIR) + "/" + file; }
+
+// Statistical pairs need seeds and minutes: `semfield bench pairs`.
+std::vector<LeaveOutPair> quick_pairs() {
+  std::vector<LeaveOutPair> out;
+  for (const LeaveOutPair& pair : leave_out_pairs()) {
+    if (pair.kind != PairKind::quality && pair.name != "empty_space_lagging") out.push_back(pair);
+  }
+  return out;
+}
+
+class Pairs : public testing::TestWithParam<LeaveOutPair> {};
+
+TEST_P(Pairs, Holds) {
+  Registry registry;
+  register_linked_plugins(registry);
+  const std::vector<std::string> datasets = registry.names(PluginKind::dataset);
+  if (std::find(datasets.begin(), datasets.end(), "obj_room") == datasets.end())
+    GTEST_SKIP() << "this build has no obj_room";
+  LeaveOutPair pair = GetParam();
+  pair.steps = std::min(pair.steps, 40);
+  PairOptions options;
+  options.set = {"scene.frames=10", "scene.test_frames=2", "scene.width_px=40", "scene.height_px=30", "train.rays=96"};
+  options.rounds = 2;
+  options.steps_a_round = 4;
+  options.frames = 1;
+  const PairResult result = run_pair(pair, options, registry, in_source);
+  if (pair.kind == PairKind::library && result.result == "this build has none") GTEST_SKIP() << result.result;
+  EXPECT_TRUE(result.holds) << result.result;
+  EXPECT_TRUE(!result.idle || pair.name == "late_samples_room") << result.result;
+  EXPECT_GT(result.cost.kept_s, 0);
+  RecordProperty("result", result.result);
+}
+
+INSTANTIATE_TEST_SUITE_P(LeaveOut, Pairs, testing::ValuesIn(quick_pairs()),
+                         [](const auto& param) { return param.param.name; });
+
+LeaveOutFindings two_findings() {
+  LeaveOutFindings f;
+  f.about = "a machine";
+  f.rows = {{"undistortion", "undistortion", "a rule", "B", "`--keep`", "", true, "hash", "1 % of a step"},
+            {"semantics", "semantics", "a | rule", "B", "`--keep`", "", false, "hash", "2 % of a step"}};
+  return f;
+}
+
+TEST(LeaveOutPage, TheTableSurvivesWritingAndMerging) {
+  const LeaveOutFindings f = two_findings();
+  const LeaveOutFindings read = parse_findings(findings_json(f), "leave_out.json");
+  EXPECT_EQ(read.about, f.about);
+  ASSERT_EQ(read.rows.size(), 2U);
+  EXPECT_EQ(read.rows[0].saving, "1 % of a step");
+  EXPECT_FALSE(read.rows[1].holds);
+  LeaveOutFindings fresh = two_findings();
+  fresh.rows.erase(fresh.rows.begin());
+  fresh.rows[0].result = "anew";
+  const LeaveOutFindings both = merged(f, fresh);
+  ASSERT_EQ(both.rows.size(), 2U);
+  EXPECT_EQ(both.rows[0].name, "semantics") << "in the order of the pairs";
+  EXPECT_EQ(both.rows[0].result, "anew");
+  EXPECT_EQ(both.rows[1].result, "hash");
+  EXPECT_THROW(parse_findings("[]", "leave_out.json"), Error);
+  EXPECT_THROW(parse_findings("{\"about\": 1, \"rows\": []}", "leave_out.json"), Error);
+  const std::string page = findings_markdown(f);
+  EXPECT_NE(page.find("a \\| rule"), std::string::npos) << "a bar would end the cell";
+  EXPECT_NE(page.find("**does not hold**"), std::string::npos);
+}
+
+TEST(LeaveOutPage, ASavingBelowItsNoiseIsSaidToBeNone) {
+  PairCost cost;
+  cost.of = "step";
+  cost.out_s = 1e-3;
+  cost.kept_s = 1.01e-3;
+  cost.share = 0.01;
+  cost.noise = 0.02;
+  EXPECT_EQ(saving_text(cost), "no more than its noise: +1.0 ± 2.0 % of a step (1 ms)");
+  cost.noise = 0.002;
+  cost.kept_bytes = 2000000;
+  EXPECT_EQ(saving_text(cost), "1.0 ± 0.2 % of a step (1 ms against 1.01 ms), 2.0 MB");
+}
+
+// The shipped page is that of the shipped table, and has a row for every pair.
+TEST(LeaveOutPage, TheShippedPageIsThatOfItsTable) {
+  const std::string json = in_source("docs/leave_out.json");
+  const LeaveOutFindings shipped = parse_findings(read_text_file(json), json);
+  EXPECT_EQ(read_text_file(in_source("docs/leave_out.md")), findings_markdown(shipped))
+      << "renew it: semfield bench pairs --write-docs docs";
+  for (const LeaveOutPair& pair : leave_out_pairs()) {
+    const auto row = std::find_if(shipped.rows.begin(), shipped.rows.end(),
+                                  [&](const LeaveOutFinding& r) { return r.name == pair.name; });
+    if (row == shipped.rows.end()) continue;
+    EXPECT_EQ(row->proof, std::string(1, static_cast<char>(pair.proof)));
+    EXPECT_FALSE(row->saving.empty());
+  }
+  EXPECT_NE(shipped_saving("undistortion").find("docs/leave_out.md"), std::string::npos);
+  EXPECT_EQ(shipped_saving("no such component"), "");
+}
+
+TEST(LeaveOutPage, MappedFilesAreSeen) {
+  EXPECT_TRUE(is_mapped("libc.so") || is_mapped("libc-"));
+  EXPECT_FALSE(is_mapped("no_such_library"));
+}
+
+}  // namespace
+}  // namespace semfield
