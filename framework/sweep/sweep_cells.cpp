@@ -43,6 +43,11 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
   return text;
 }
 
+// Limits of inputs change no result, so they are no part of what a cell is.
+std::string identity_of(const std::string& config) {
+  return write_config(parse_config_text(config, "cell").without("limits"));
+}
+
 // The dataset and its parameters: what a packed file depends on.
 std::string scene_section(const std::string& config) {
   const ConfigNode root = parse_config_text(config, "cell");
@@ -90,8 +95,8 @@ std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry) {
               cell.fuse = *variant.fuse;
               cell.field_cell = id_of_variant[variant.fuse->field];
             }
-            cell.id =
-                hex64(fnv1a64(cell.config + "\n" + cell.split + "\n" + cell.fuse.method + "\n" + cell.field_cell));
+            cell.id = hex64(fnv1a64(identity_of(cell.config) + "\n" + cell.split + "\n" + cell.fuse.method + "\n" +
+                                    cell.field_cell));
             id_of_variant[variant.name] = cell.id;
             const auto [place, is_new] = known.emplace(cell.id, cells.size());
             if (is_new) cells.push_back(std::move(cell));

@@ -84,8 +84,8 @@ void describe(ParamVisitor& visit, ReportParams& p) {
 
 namespace {
 
-constexpr std::array<std::string_view, 9> kTopKeys{"scene",   "semantics", "rendering", "passes", "train",
-                                                    "runtime", "report",    "fuse",      "plugins"};
+constexpr std::array<std::string_view, 10> kTopKeys{"scene",   "semantics", "rendering", "passes", "train",
+                                                    "runtime", "report",    "fuse",      "limits", "plugins"};
 
 // Calls `section(key path, params)` for every fixed section of `config`: the one list that reading, writing and
 // documenting share.
@@ -101,6 +101,7 @@ void each_section(Config& config, Fn&& section) {
   section("runtime", "device, threads, seed and exact savings", config.runtime);
   section("report", "what is measured and kept while training", config.report);
   section("fuse", "labels of several views combined by `semfield fuse`", config.fuse);
+  section("limits", "how large inputs may be; what is larger is refused", config.limits);
 }
 
 // Sub-sections of a section, which are keys of its map but no parameters.

@@ -19,6 +19,7 @@
 #include "optim/schedule.h"
 #include "plugin/registry.h"
 #include "scene/frame_source.h"
+#include "scene/input_limits.h"
 #include "train/fusion_params.h"
 
 namespace semfield {
@@ -128,6 +129,7 @@ struct RunConfig {
   RuntimeParams runtime;
   ReportParams report;
   FusionParams fuse;
+  InputLimits limits;
   std::vector<std::string> plugins;  ///< loadable modules, absolute paths
 };
 

@@ -110,6 +110,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
     if (!keeps(s.config, component)) s.config.runtime.keep.push_back(component);
   }
   set_thread_count(s.config.runtime.threads);
+  set_input_limits(s.config.limits);
   if (s.config.runtime.device == DeviceChoice::cuda) {
     throw Error(ErrorKind::unavailable, "runtime.device: this build has no CUDA kernels (has: cpu)",
                 "set runtime.device: cpu, or auto");
