@@ -243,6 +243,8 @@ PairResult compare_quality(const LeaveOutPair& pair, const PairOptions& options,
   result.result =
       fmt::format("{} seeds, {} steps: PSNR {}", options.seeds, options.seed_steps, interval_text(psnr, 1, "dB"));
   if (classes.n > 0) result.result += ", mIoU " + interval_text(classes, 100, "points");
+  result.idle = std::all_of(psnr_db.begin(), psnr_db.end(), [](double d) { return d == 0; });
+  if (result.idle) result.result += "; nothing was left out";
   return result;
 }
 
