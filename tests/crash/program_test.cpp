@@ -105,8 +105,8 @@ TEST(Program, AFullDiskEndsTheRunAndSpaceLetsItGoOn) {
   const std::string probe = "unshare -rm mount -t tmpfs tmpfs '" + disk + "' 2>/dev/null";
   if (std::system(probe.c_str()) != 0)
     GTEST_SKIP() << "this system lets nobody mount a tmpfs in a namespace of its own";
-  // Three checkpoints fit (about 0.3 MB each): two that are kept, one being written; the fourth finds no room left by
-  // a file of somebody else's.
+  // Two checkpoints fit (about 0.3 MB each) beside a file of somebody else's; the third, before one of them may go,
+  // does not.
   write_file_atomic(script,
                     fmt::format("mount -t tmpfs -o size=4m tmpfs '{0}' || exit 99\n"
                                 "dd if=/dev/zero of='{0}/other' bs=1k count=3300 2>/dev/null\n"
