@@ -15,6 +15,7 @@
 #include <thread>
 
 #include "core/files.h"
+#include "core/memory_limit.h"
 #include "signals.h"
 #include "train/run_config.h"
 #include "verb_pack.h"
@@ -30,9 +31,8 @@ using Clock = std::chrono::steady_clock;
 constexpr double kFirstGuess_gb = 1;  // of a cell, until one has ended
 
 double available_memory_gb() {
-  const std::string text = read_text_file("/proc/meminfo");
-  const std::size_t at = text.find("MemAvailable:");
-  return at == std::string::npos ? 4 : std::strtod(text.c_str() + at + 13, nullptr) / (1 << 20);
+  const std::size_t bytes = available_memory();
+  return bytes == kNoMemoryLimit ? 4 : static_cast<double>(bytes) / (1 << 30);
 }
 
 // Absolute: a run's configuration must hold from any working folder.

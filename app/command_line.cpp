@@ -28,6 +28,8 @@ void add_train(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("--time", options->time, "end after this much training: 90s, 5m, 1h");
   verb->add_option("--steps", options->steps, "end after this many steps");
   verb->add_option("--threads", options->threads, "CPU threads (results do not depend on it)");
+  verb->add_option("--memory", options->memory_gb, "GB that the run may take; more is refused (default: what is free)")
+      ->check(CLI::PositiveNumber);
   verb->add_option("--device", options->device, "auto, cpu or cuda");
   verb->add_option("--keep", options->keep, "force a component back in that would be left out")
       ->expected(1)

@@ -60,6 +60,7 @@ void apply_limits(const TrainOptions& options, RunConfig& config) {
   if (!options.time.empty()) config.train.time_limit_s = parse_seconds(options.time);
   if (options.steps) config.train.steps = *options.steps;
   if (options.threads) config.runtime.threads = *options.threads;
+  if (options.memory_gb) config.runtime.memory_gb = *options.memory_gb;
   if (options.device == "cpu") config.runtime.device = DeviceChoice::cpu;
   if (options.device == "auto") config.runtime.device = DeviceChoice::automatic;
   if (options.device == "cuda") config.runtime.device = DeviceChoice::cuda;

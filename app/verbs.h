@@ -31,6 +31,7 @@ struct TrainOptions {
   std::string time;  ///< "90s", "5m", "1h"
   std::optional<long long> steps;
   std::optional<int> threads;
+  std::optional<double> memory_gb;
   std::string device;
   std::vector<std::string> keep;
   bool dry_run = false;

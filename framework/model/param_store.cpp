@@ -34,6 +34,38 @@ constexpr std::int64_t kChunk = 1 << 14;  // elements a parallel task; sums are 
 
 }  // namespace
 
+TensorBytes& TensorBytes::operator+=(const TensorBytes& other) {
+  values += other.values;
+  gradients += other.gradients;
+  moments += other.moments;
+  lanes += other.lanes;
+  stored += other.stored;
+  learns = learns || other.learns;
+  return *this;
+}
+
+template <class Real>
+TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainable) {
+  Collector collector;
+  part.declare(collector);
+  TensorBytes sum;
+  for (const TensorSpec& spec : collector.specs) {
+    const auto bytes = static_cast<std::size_t>(spec.rows) * static_cast<std::size_t>(spec.cols) * sizeof(Real);
+    const bool learned = spec.role == TensorRole::dense || spec.role == TensorRole::sparse;
+    TensorBytes one;
+    one.values = bytes;
+    one.learns = learned;
+    if (trainable && spec.role != TensorRole::state) {
+      one.gradients = bytes;
+      if (learned) one.moments = 2 * bytes;
+      if (spec.role != TensorRole::sparse) one.lanes = bytes * static_cast<std::size_t>(lanes);
+    }
+    if (spec.role != TensorRole::derived) one.stored = one.values + one.moments;
+    sum += one;
+  }
+  return sum;
+}
+
 template <class Real>
 int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& part) {
   Collector collector;
@@ -153,6 +185,8 @@ std::size_t ParamStore<Real>::bytes() const {
 
 template class AlignedBuffer<float>;
 template class AlignedBuffer<double>;
+template TensorBytes declared_bytes<float>(const Parametric<float>&, int, bool);
+template TensorBytes declared_bytes<double>(const Parametric<double>&, int, bool);
 template class ParamStore<float>;
 template class ParamStore<double>;
 

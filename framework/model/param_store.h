@@ -45,6 +45,17 @@ struct Tensor {
   }
 };
 
+/// What the tensors of a part will take, known before they are allocated.
+struct TensorBytes {
+  std::size_t values = 0, gradients = 0, moments = 0, lanes = 0;
+  std::size_t stored = 0;  ///< in a checkpoint: values and moments of what is not derived
+  bool learns = false;
+  std::size_t total() const { return values + gradients + moments + lanes; }
+  TensorBytes& operator+=(const TensorBytes& other);
+};
+template <class Real>
+TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainable);
+
 /// Where the gradients of a call go.
 inline constexpr int kMainGradient = -1;
 
@@ -95,6 +106,8 @@ class ParamStore {
 
 extern template class AlignedBuffer<float>;
 extern template class AlignedBuffer<double>;
+extern template TensorBytes declared_bytes<float>(const Parametric<float>&, int, bool);
+extern template TensorBytes declared_bytes<double>(const Parametric<double>&, int, bool);
 extern template class ParamStore<float>;
 extern template class ParamStore<double>;
 

@@ -6,13 +6,11 @@
 #include "core/check.h"
 #include "core/parallel.h"
 #include "losses/photometric.h"
+#include "model/network_plan.h"
 
 namespace semfield {
 
 namespace {
-constexpr std::int64_t kTileRows = 1024;        // samples a tile aims at: activations of a 64-wide net stay in L2
-constexpr std::int64_t kExpectedOccupied = 32;  // samples a ray that a single-pass sampler is expected to keep
-
 template <class T>
 View<const T> rows_of(View<const T> view, std::int64_t begin, std::int64_t count) {
   return view.empty() ? view : view.row_range(begin, count);
@@ -31,20 +29,13 @@ template <class Real>
 Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
     : options_(std::move(options)), store_(options_.seed, options_.lanes, trainable) {
   SEMFIELD_CHECK(!passes.empty(), "a pipeline needs a pass");
-  std::int64_t per_ray = 0;
-  bool single = false;
+  std::vector<const PassParts<Real>*> parts_of;
   passes_.reserve(passes.size());
   for (PassParts<Real>& parts : passes) {
     passes_.emplace_back(std::move(parts), options_.rules, store_);
-    per_ray = passes_.back().capacity_per_ray(per_ray);
-    per_ray_.push_back(per_ray);
-    single = passes_.back().parts().sampler->traits().single_pass;
+    parts_of.push_back(&passes_.back().parts());
   }
-  const std::int64_t expected =
-      single ? std::min(per_ray, kExpectedOccupied) : *std::max_element(per_ray_.begin(), per_ray_.end());
-  tile_rays_ = options_.tile_rays > 0
-                   ? options_.tile_rays
-                   : std::clamp<std::int64_t>(kTileRows / std::max<std::int64_t>(expected, 1), 4, 64);
+  tile_rays_ = tile_rays_of(parts_of, options_, per_ray_);
   for (int lane = 0; lane < options_.lanes; ++lane) {
     lanes_.push_back(std::make_unique<Lane>());
     lanes_.back()->inbox.resize(passes_.size());
@@ -274,30 +265,9 @@ void Pipeline<Real>::render_tile(int lane, const RenderJob<Real>& job, std::int6
 
 template <class Real>
 std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
-  // A tile's arena holds every pass's trace and the gradients of one backward; the inboxes hold a step's encoder
-  // gradients, and one arena the scratch of an encoder that gets a step's rows at once.
-  std::size_t arena = 0, inbox = 0;
-  const auto lanes = static_cast<std::size_t>(options_.lanes);
-  for (std::size_t p = 0; p < passes_.size(); ++p) {
-    const PassParts<Real>& parts = passes_[p].parts();
-    const std::int64_t previous = p == 0 ? 0 : per_ray_[p - 1];
-    const auto samples = static_cast<std::size_t>(parts.sampler->capacity(tile_rays_, previous));
-    const auto encoded = static_cast<std::size_t>(parts.position->traits().out_dims);
-    std::size_t reals = 12 + encoded * (passes_[p].scatters() ? 2 : 1);
-    if (parts.head) {
-      reals += 2 * static_cast<std::size_t>(parts.field->traits().feature_dims) +
-               2 * static_cast<std::size_t>(parts.head->hidden_width());
-    }
-    arena += samples * (reals * sizeof(Real) + 3 * sizeof(double)) +
-             2 * parts.field->saved_bytes(static_cast<std::int64_t>(samples), tile_rays_);
-    if (passes_[p].scatters()) {
-      // Twice: a growing array takes up to twice what it needs.
-      const auto all = static_cast<std::size_t>(parts.sampler->capacity(rays, previous));
-      inbox +=
-          2 * all * (3 * sizeof(double) + 3 * encoded * sizeof(Real) + 2 * sizeof(Real) + 2 * sizeof(std::int32_t));
-    }
-  }
-  return arena * lanes + inbox;
+  std::vector<const PassParts<Real>*> parts;
+  for (const Pass<Real>& pass : passes_) parts.push_back(&pass.parts());
+  return plan_network(parts, options_, rays, 1, true).workspace();
 }
 
 template <class Real>

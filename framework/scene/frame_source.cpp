@@ -64,6 +64,21 @@ void check_labels(const FrameBuffer& b, int classes) {
               "this is a defect of the dataset plugin: it maps ids to classes");
 }
 
+// Whether a frame's depth stays in memory.
+bool keeps_depth(const SceneLoadOptions& options, Split split) {
+  return options.depth == DepthKept::all || (options.depth == DepthKept::test && split == Split::test);
+}
+
+// What StoredFrame will hold of a frame, if its depth is in whole millimetres.
+std::size_t stored_bytes(const FrameInfo& f, const Camera& camera, const SceneLoadOptions& options, int classes) {
+  const std::size_t pixels = static_cast<std::size_t>(camera.width_px) * static_cast<std::size_t>(camera.height_px);
+  std::size_t each = 3;
+  if (f.has_labels) each += classes > 254 ? 2 : 1;
+  if (f.has_depth && keeps_depth(options, f.split)) each += 2;
+  if (f.has_instances && options.with_instances) each += 4;
+  return pixels * each;
+}
+
 void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
   const std::size_t pixels = static_cast<std::size_t>(f.camera.width_px) * static_cast<std::size_t>(f.camera.height_px);
   const auto fits = [pixels](std::size_t size, bool wanted) { return size == (wanted ? pixels : 0); };
@@ -195,6 +210,15 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   for (std::size_t i = 0; i < frames.size(); ++i) {
     if (frames[i].split == Split::train) train_pixels += std::int64_t{cameras[i].width_px} * cameras[i].height_px;
   }
+  if (options.before_pixels) {
+    std::size_t bytes = 0;
+    std::int32_t width_px = 0;
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      bytes += stored_bytes(frames[i], cameras[i], options, scene.info.classes.valid_count());
+      width_px = std::max(width_px, cameras[i].width_px);
+    }
+    options.before_pixels(bytes, frames.size(), width_px);
+  }
   const std::int32_t step = survey_step(train_pixels);
   std::vector<SurveyPoints> surveyed(frames.size());
   const int classes = scene.info.classes.valid_count();
@@ -214,9 +238,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
       scene.class_pixels[i] = class_pixels_of(frame.label, classes);
       if (frames[i].split == Split::train && !frame.depth_m.empty())
         surveyed[i] = survey_frame(cameras[i], frames[i].world_from_camera, frame, step);
-      const bool keep_depth =
-          options.depth == DepthKept::all || (options.depth == DepthKept::test && frames[i].split == Split::test);
-      if (!keep_depth) frame.depth_m = std::vector<float>();
+      if (!keeps_depth(options, frames[i].split)) frame.depth_m = std::vector<float>();
       scene.frames[i] = StoredFrame(std::move(frame));
     } catch (const Error& e) {
       errors[i] = e;

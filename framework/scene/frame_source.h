@@ -26,7 +26,9 @@ struct SceneLoadOptions {
   std::vector<double> bounds;
   DepthKept depth = DepthKept::all;  ///< not a key
   bool with_instances = false;       ///< not a key
-  bool pixels = true;                ///< not a key; false: cameras and classes only, bounds and distances as given here
+  /// Not a key: told what all frames will take in memory before the first is read; may throw.
+  std::function<void(std::size_t bytes, std::size_t frames, std::int32_t width_px)> before_pixels = {};
+  bool pixels = true;  ///< not a key; false: cameras and classes only, bounds and distances as given here
 };
 void describe(ParamVisitor& visit, SceneLoadOptions& options);
 void validate(const SceneLoadOptions& options, Diagnostics& diagnostics);

@@ -5,6 +5,7 @@
 
 #include "core/error.h"
 #include "core/gemm_engine.h"
+#include "core/parallel.h"
 
 namespace semfield {
 
@@ -84,6 +85,43 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
   return parts;
 }
 
+template <class Real>
+std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                                         const SceneExtent& extent) {
+  std::vector<PassParts<Real>> passes;
+  for (std::size_t p = static_cast<std::size_t>(plan.first_pass); p < config.passes.size(); ++p) {
+    const PassConfig& pass = config.passes[p];
+    passes.push_back(make_pass<Real>(pass, config, registry, plan, extent));
+    passes.back().number = static_cast<std::uint32_t>(p);
+    if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
+      throw Error(ErrorKind::config,
+                  "passes." + pass.name + ".sampler: '" + pass.sampler.entry->name +
+                      "' refines the weights of an earlier pass, but this is the first",
+                  "put a pass with another sampler before it");
+    }
+  }
+  return passes;
+}
+
+PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan) {
+  PipelineOptions options;
+  options.rules.activation = config.rendering.density_activation;
+  options.rules.density_bias = config.rendering.density_bias;
+  options.rules.far = config.rendering.far;
+  options.rules.density_noise = config.rendering.density_noise;
+  for (std::size_t i = 0; i < 3; ++i) options.rules.background[i] = config.rendering.background[i];
+  options.rules.early_stop = plan.late_samples ? 0 : config.rendering.early_stop;
+  options.rules.stop_gradient_to_density = config.semantics.stop_gradient_to_density;
+  options.rules.deferred_class_layer = config.runtime.deferred_class_layer;
+  options.seed = config.runtime.seed;
+  options.lanes = config.runtime.lanes;
+  options.tile_rays = config.runtime.tile_rays;
+  options.semantic_weight = config.semantics.weight;
+  options.normalisation = config.semantics.normalisation;
+  options.head_on_all_rays = plan.head_on_unlabelled_rays;
+  return options;
+}
+
 }  // namespace
 
 BuildRequest build_request(const RunConfig& config, const Registry& registry) {
@@ -134,39 +172,22 @@ bool needs_bounds(const RunConfig& config, const Registry& registry) {
   return false;
 }
 
+NetworkPlan plan_network(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                         const SceneExtent& extent, bool trainable) {
+  const std::vector<PassParts<float>> passes = make_passes<float>(config, registry, plan, extent);
+  std::vector<const PassParts<float>*> parts;
+  for (const PassParts<float>& pass : passes) parts.push_back(&pass);
+  return plan_network<float>(parts, pipeline_options(config, plan), config.train.rays, thread_count(), trainable);
+}
+
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable) {
   choose_gemm_engine(config.runtime.gemm, config.runtime.precision);
-  std::vector<PassParts<Real>> passes;
-  for (std::size_t p = static_cast<std::size_t>(plan.first_pass); p < config.passes.size(); ++p) {
-    const PassConfig& pass = config.passes[p];
-    passes.push_back(make_pass<Real>(pass, config, registry, plan, extent));
-    passes.back().number = static_cast<std::uint32_t>(p);
-    if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
-      throw Error(ErrorKind::config,
-                  "passes." + pass.name + ".sampler: '" + pass.sampler.entry->name +
-                      "' refines the weights of an earlier pass, but this is the first",
-                  "put a pass with another sampler before it");
-    }
-  }
-  PipelineOptions options;
-  options.rules.activation = config.rendering.density_activation;
-  options.rules.density_bias = config.rendering.density_bias;
-  options.rules.far = config.rendering.far;
-  options.rules.density_noise = config.rendering.density_noise;
-  for (std::size_t i = 0; i < 3; ++i) options.rules.background[i] = config.rendering.background[i];
-  options.rules.early_stop = plan.late_samples ? 0 : config.rendering.early_stop;
-  options.rules.stop_gradient_to_density = config.semantics.stop_gradient_to_density;
-  options.rules.deferred_class_layer = config.runtime.deferred_class_layer;
-  options.seed = config.runtime.seed;
-  options.lanes = config.runtime.lanes;
-  options.tile_rays = config.runtime.tile_rays;
-  options.semantic_weight = config.semantics.weight;
-  options.normalisation = config.semantics.normalisation;
+  PipelineOptions options = pipeline_options(config, plan);
   options.class_weight = std::move(class_weight);
-  options.head_on_all_rays = plan.head_on_unlabelled_rays;
-  return std::make_unique<Pipeline<Real>>(std::move(passes), std::move(options), trainable);
+  return std::make_unique<Pipeline<Real>>(make_passes<Real>(config, registry, plan, extent), std::move(options),
+                                          trainable);
 }
 
 template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,

@@ -4,6 +4,7 @@
 #include <memory>
 
 #include "model/leave_out.h"
+#include "model/network_plan.h"
 #include "model/pipeline.h"
 #include "train/run_config.h"
 
@@ -24,6 +25,10 @@ std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent&
 
 /// True when a position encoder of the plan's passes lives in the unit cube: rays must then be clipped to the bounds.
 bool needs_bounds(const RunConfig& config, const Registry& registry);
+
+/// What the pipeline will hold, before it is assembled: steps of train.rays rays on thread_count() threads.
+NetworkPlan plan_network(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                         const SceneExtent& extent, bool trainable);
 
 /// Real = float trains and renders; double is the oracle of the tests. `class_weight` [C logits] or empty.
 template <class Real>

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <new>
 
 #include "core/parallel.h"
 
@@ -11,7 +12,35 @@ namespace semfield {
 
 namespace {
 constexpr std::int64_t kChunkRays = 8192;  // rays a render call; results do not depend on it
+constexpr std::int64_t kLeastRays = 64;    // below it a call that gets no memory is given up
+
+// Rays of some pixels on their way into a call.
+struct RayBuffers {
+  explicit RayBuffers(std::int64_t rays)
+      : origin(3 * static_cast<std::size_t>(rays)),
+        direction(3 * static_cast<std::size_t>(rays)),
+        near_far(2 * static_cast<std::size_t>(rays)),
+        cosine(static_cast<std::size_t>(rays)),
+        resolution(static_cast<std::size_t>(rays)) {}
+  std::vector<double> origin, direction, near_far, cosine;
+  std::vector<OpacityResolution> resolution;
+};
+
+// Calls render(begin, end, buffers) over all pixels, chunk by chunk; without memory for a chunk, by half of it.
+template <class Render>
+void in_chunks(std::int64_t pixels, const Render& render) {
+  std::int64_t chunk = kChunkRays;
+  for (std::int64_t begin = 0; begin < pixels;) {
+    try {
+      RayBuffers buffers(chunk);
+      for (; begin < pixels; begin += chunk) render(begin, std::min(begin + chunk, pixels), buffers);
+    } catch (const std::bad_alloc&) {
+      if (chunk / 2 < kLeastRays) throw;
+      chunk /= 2;
+    }
+  }
 }
+}  // namespace
 
 RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
                            const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth) {
@@ -39,24 +68,23 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
       }
     }
   }
-  std::vector<OpacityResolution> resolution(kChunkRays);
-  std::vector<double> origin(3 * kChunkRays), direction(3 * kChunkRays), near_far(2 * kChunkRays), cosine(kChunkRays);
-  for (std::int64_t begin = 0; begin < pixels; begin += kChunkRays) {
-    const std::int64_t count = std::min(kChunkRays, pixels - begin);
+  in_chunks(pixels, [&](std::int64_t begin, std::int64_t end, RayBuffers& rays) {
+    const std::int64_t count = end - begin;
     for (std::int64_t i = 0; i < count; ++i) {
       const auto column = static_cast<std::int32_t>((begin + i) % frame.width_px);
       const auto row = static_cast<std::int32_t>((begin + i) / frame.width_px);
       const auto k = static_cast<std::size_t>(i);
-      cosine[k] = cast_ray(camera, limits, column, row, &origin[3 * k], &direction[3 * k], &near_far[2 * k]);
+      rays.cosine[k] =
+          cast_ray(camera, limits, column, row, &rays.origin[3 * k], &rays.direction[3 * k], &rays.near_far[2 * k]);
     }
     RenderJob<float> job;
-    job.origin = {origin.data(), count, 3};
-    job.direction = {direction.data(), count, 3};
-    job.near_far = {near_far.data(), count, 2};
+    job.origin = {rays.origin.data(), count, 3};
+    job.direction = {rays.direction.data(), count, 3};
+    job.near_far = {rays.near_far.data(), count, 2};
     job.color = {frame.rgb.data() + 3 * begin, count, 3};
     job.depth = {frame.depth_m.data() + begin, count, 1};
     job.opacity = {frame.opacity.data() + begin, count, 1};
-    job.resolution = {resolution.data(), count, 1};
+    job.resolution = {rays.resolution.data(), count, 1};
     job.footprint_per_m = 1 / std::max(camera.camera.fx, camera.camera.fy);
     if (semantics) {
       job.label = {frame.label.data() + begin, count, 1};
@@ -76,12 +104,13 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
                   fault.remedy());
     }
     for (std::int64_t i = 0; i < count; ++i) {
-      frame.depth_m[static_cast<std::size_t>(begin + i)] *= static_cast<float>(cosine[static_cast<std::size_t>(i)]);
-      const OpacityResolution found = resolution[static_cast<std::size_t>(i)];
+      frame.depth_m[static_cast<std::size_t>(begin + i)] *=
+          static_cast<float>(rays.cosine[static_cast<std::size_t>(i)]);
+      const OpacityResolution found = rays.resolution[static_cast<std::size_t>(i)];
       frame.resolution.opaque_px += found == OpacityResolution::clear ? 0 : 1;
       frame.resolution.under_resolved_px += found == OpacityResolution::under_resolved ? 1 : 0;
     }
-  }
+  });
   for (float& value : frame.rgb) value = std::clamp(value, 0.0F, 1.0F);
   for (std::int16_t& label : frame.label)
     label = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(label)]);

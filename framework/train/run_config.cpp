@@ -61,6 +61,10 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
   SEMFIELD_PARAM(visit, p, tile_rays, "rays a tile, 0: from the samplers; changes the order of sums", {0, 1 << 16});
   SEMFIELD_PARAM(visit, p, keep,
                  "components built although the scene does not need them, as --keep; `train --dry-run` names them");
+  SEMFIELD_PARAM(
+      visit, p, memory_gb,
+      "most memory that training may take, GB; 0: what the system has available; more is refused at the start",
+      {0, 1e6});
   SEMFIELD_PARAM(visit, p, fold_feature_layer, "multiply a field's feature and view layer once a step (exact)");
   SEMFIELD_PARAM(visit, p, direction_once_per_ray, "compute the view layer's direction term once a ray (exact)");
   SEMFIELD_PARAM(visit, p, deferred_class_layer, "apply the class layer once a ray, after compositing (exact)");

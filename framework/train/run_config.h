@@ -85,6 +85,7 @@ struct RuntimeParams {
   int lanes = 8;
   int tile_rays = 0;
   std::vector<std::string> keep;
+  double memory_gb = 0;
   bool fold_feature_layer = true;
   bool direction_once_per_ray = true;
   bool deferred_class_layer = true;

@@ -149,7 +149,7 @@ void write_safetensors(const std::string& path, const std::vector<TensorRef>& te
 class TensorFileReader {
  public:
   TensorFileReader(std::string bytes, const std::string& name, const TensorFile::Limits& limits) : limits_(limits) {
-    file_.bytes_.assign(bytes.begin(), bytes.end());
+    file_.bytes_ = std::make_unique<std::string>(std::move(bytes));
     file_.name_ = name;
   }
 
@@ -168,7 +168,7 @@ class TensorFileReader {
   }
 
   std::size_t find_header() {
-    const std::vector<char>& bytes = file_.bytes_;
+    const std::string& bytes = *file_.bytes_;
     if (bytes.size() < 8) fail(fmt::format("{} bytes are too few for a header", bytes.size()));
     std::uint64_t length = 0;
     std::memcpy(&length, bytes.data(), 8);
@@ -257,7 +257,7 @@ class TensorFileReader {
     std::stable_sort(placed.begin(), placed.end(), [](const Placed& a, const Placed& b) {
       return a.begin != b.begin ? a.begin < b.begin : a.end < b.end;
     });
-    const std::uint64_t data_size = file_.bytes_.size() - data_begin;
+    const std::uint64_t data_size = file_.bytes_->size() - data_begin;
     std::uint64_t expected = 0;
     for (Placed& p : placed) {
       if (p.begin != expected) {
@@ -267,7 +267,7 @@ class TensorFileReader {
       if (p.end > data_size) {
         fail(fmt::format("tensor '{}' ends at byte {} of {} that are there: the file is cut short", p.tensor.name, p.end, data_size));
       }
-      p.tensor.bytes = as_byte_span(file_.bytes_.data() + data_begin + p.begin, static_cast<std::size_t>(p.end - p.begin));
+      p.tensor.bytes = as_byte_span(file_.bytes_->data() + data_begin + p.begin, static_cast<std::size_t>(p.end - p.begin));
       expected = p.end;
       file_.tensors_.push_back(std::move(p.tensor));
     }
@@ -303,7 +303,7 @@ class TensorFileReader {
     if (mark == std::string_view::npos || stored->second.size() != kNoDigits.size()) fail("the file's checksum is not readable");
     const std::size_t digits = 8 + mark + kChecksumMark.size();
     const std::size_t rest = digits + kNoDigits.size();
-    const std::vector<char>& bytes = file_.bytes_;
+    const std::string& bytes = *file_.bytes_;
     if (rest > bytes.size()) fail("the file's checksum is not readable");
     std::uint32_t sum = crc32c(as_byte_span(bytes.data(), digits));
     sum = crc32c(as_byte_span(kNoDigits.data(), kNoDigits.size()), sum);

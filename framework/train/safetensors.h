@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <span>
 #include <string>
 #include <string_view>
@@ -76,7 +77,7 @@ class TensorFile {
  private:
   friend class TensorFileReader;
   const TensorRef& require(std::string_view name, TensorType type, std::int64_t count) const;
-  std::vector<char> bytes_;  // a vector's buffer stays where it is when the file is moved
+  std::unique_ptr<std::string> bytes_;  // held by pointer: tensors point into it, and the file may be moved
   std::string name_;
   TensorMetadata metadata_;
   std::vector<TensorRef> tensors_;  // in the order of their data

@@ -8,6 +8,7 @@
 #include "core/cpu_kernels.h"
 #include "core/error.h"
 #include "core/gemm_engine.h"
+#include "core/memory_limit.h"
 #include "core/parallel.h"
 #include "scene/image_formats.h"
 
@@ -100,10 +101,25 @@ void add_owned_rows(Session& s) {
   }
 }
 
+// What the process holds once the scene is in memory.
+void measure_scene(Session& s) {
+  MemoryFacts& facts = s.memory_facts;
+  release_freed_memory();
+  facts.loaded = resident_bytes();
+  facts.loading = peak_resident_bytes();
+  for (const StoredFrame& frame : s.scene.frames) {
+    facts.frames += frame.bytes();
+    facts.pixels =
+        std::max(facts.pixels, static_cast<std::size_t>(frame.width_px) * static_cast<std::size_t>(frame.height_px));
+  }
+  for (const TrainingLabels::Frame& frame : s.labels.frames) facts.frames += frame.bytes();
+}
+
 }  // namespace
 
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
   Session s;
+  s.memory_facts.program = resident_bytes();
   s.config = std::move(config);
   // Part of the resolved configuration: whoever opens the run again must build the same network.
   for (const std::string& component : options.keep) {
@@ -117,13 +133,16 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   }
   DatasetBuild dataset_build;
   dataset_build.config_dir = s.config.base_dir;
-  const std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
+  std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
   SceneLoadOptions load = s.config.load;
   const bool make_labels = !options.known || options.labels;
   load.pixels = options.pixels || !options.known;
   load.with_instances = make_labels && s.config.labels.needs_instances();
   const bool needs_depth = options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
   load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
+  load.before_pixels = [&](std::size_t bytes, std::size_t frames, std::int32_t width_px) {
+    require_frame_memory(s.config, bytes, frames, width_px);
+  };
   s.scene = load_scene(*dataset, load, diagnostics);
   open_label_files(s.scene, s.config.labels, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
@@ -158,6 +177,12 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
                      "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
   }
   if (!options.build) return s;
+  dataset.reset();  // what it keeps for reading is not needed any more
+  if (options.trainable) {
+    measure_scene(s);
+    s.memory = plan_memory(s.config, s.memory_facts, plan_network(s.config, registry, s.plan, s.extent, true));
+    require_memory(s.config, registry, s.plan, s.extent, s.memory_facts, s.memory);
+  }
 
   std::vector<float> class_weight;
   if (s.plan.semantics && s.config.semantics.balance_classes) {
@@ -222,19 +247,7 @@ ConfusionMatrix score_training_labels(const Session& s, const std::vector<int>& 
   return score;
 }
 
-MemoryPlan plan_memory(const Session& s) {
-  MemoryPlan plan;
-  for (const StoredFrame& frame : s.scene.frames) plan.scene += frame.bytes();
-  for (const TrainingLabels::Frame& frame : s.labels.frames) plan.scene += frame.bytes();
-  if (s.pipeline) {
-    plan.parameters = s.pipeline->store().bytes();
-    plan.activations = s.pipeline->predicted_workspace_bytes(s.config.train.rays);
-  }
-  return plan;
-}
-
 std::string describe_session(const Session& s) {
-  const double mb = 1.0 / (1 << 20);
   std::string out;
   const auto add = [&](const std::string& line) { out += line + "\n"; };
   const std::vector<int> train = s.scene.frames_of(Split::train), test = s.scene.frames_of(Split::test);
@@ -269,11 +282,7 @@ std::string describe_session(const Session& s) {
     add(fmt::format("learned   {} parameters; {} steps of {} rays, tiles of {}, {} lanes, {} threads",
                     s.pipeline->store().learned_count(), s.config.train.steps, s.config.train.rays,
                     s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
-    const MemoryPlan memory = plan_memory(s);
-    add(fmt::format(
-        "memory    {:.0f} MB: scene {:.0f}, parameters with gradients and moments {:.0f}, activations {:.0f}",
-        static_cast<double>(memory.total()) * mb, static_cast<double>(memory.scene) * mb,
-        static_cast<double>(memory.parameters) * mb, static_cast<double>(memory.activations) * mb));
+    out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
   }
   for (const std::string& line : s.chosen) add("chosen    " + line);
   for (const LeftOut& row : s.plan.left_out) {

@@ -10,6 +10,7 @@
 #include "train/assembly.h"
 #include "train/evaluator.h"
 #include "train/manifest_text.h"
+#include "train/memory_plan.h"
 #include "train/ray_source.h"
 #include "train/run_config.h"
 
@@ -24,6 +25,8 @@ struct Session {
   SceneExtent extent;
   std::vector<std::string> chosen;  ///< a line for each parameter that was chosen from the scene
   RayLimits limits;
+  MemoryFacts memory_facts;
+  MemoryPlan memory;  ///< of training; empty for sessions that do not train
   std::unique_ptr<Pipeline<float>> pipeline;
 
   int classes() const { return scene.info.classes.valid_count(); }
@@ -44,19 +47,13 @@ struct SessionOptions {
   bool labels = false;  ///< make the training labels although `known` is given
 };
 
-/// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, assembles.
+/// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, plans memory
+/// and assembles; what does not fit is refused before it is allocated (memory_plan.h).
 /// Problems that do not stop go into `diagnostics`; those that do are thrown together.
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics);
 
 /// The labels that train, scored against the scene's own on `frames`; void labels are dropped and counted.
 ConfusionMatrix score_training_labels(const Session& session, const std::vector<int>& frames);
-
-/// Bytes that training will hold, by part.
-struct MemoryPlan {
-  std::size_t scene = 0, parameters = 0, activations = 0;
-  std::size_t total() const { return scene + parameters + activations; }
-};
-MemoryPlan plan_memory(const Session& session);
 
 /// `train --dry-run`: scene, network, memory, and every component left out with its reason.
 std::string describe_session(const Session& session);

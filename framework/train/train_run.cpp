@@ -1,7 +1,6 @@
 #include "train/train_run.h"
 
 #include <fmt/format.h>
-#include <sys/resource.h>
 
 #include <algorithm>
 #include <chrono>
@@ -11,6 +10,7 @@
 #include "core/checksum.h"
 #include "core/files.h"
 #include "core/gemm_engine.h"
+#include "core/memory_limit.h"
 #include "core/parallel.h"
 #include "train/checkpoint_store.h"
 #include "train/final_eval.h"
@@ -372,12 +372,6 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   run.step = found->step;
   run.train_s = std::stod(found->file.metadata().at("train_s"));
   return run;
-}
-
-std::size_t peak_resident_bytes() {
-  rusage usage{};
-  if (getrusage(RUSAGE_SELF, &usage) != 0) return 0;
-  return static_cast<std::size_t>(usage.ru_maxrss) * 1024;
 }
 
 }  // namespace semfield

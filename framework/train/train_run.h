@@ -61,7 +61,4 @@ enum class OpenFor { evaluation, evaluation_of_training_frames, rendering };
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
                    Diagnostics& diagnostics, OpenFor purpose = OpenFor::evaluation);
 
-/// Peak resident memory of this process in bytes; 0 where the system does not tell.
-std::size_t peak_resident_bytes();
-
 }  // namespace semfield

@@ -1,0 +1,30 @@
+// How much memory this process holds and may still take: the system's, and that of its control groups.
+#pragma once
+
+#include <cstddef>
+#include <limits>
+#include <string>
+
+namespace semfield {
+
+inline constexpr std::size_t kNoMemoryLimit = std::numeric_limits<std::size_t>::max();
+
+/// Bytes that can still be taken: the least of MemAvailable in `meminfo` (text of /proc/meminfo) and, for every control
+/// group of the process and those above it, its limit less what it uses, version 2 (memory.max, memory.current) or 1
+/// (memory.limit_in_bytes, memory.usage_in_bytes); file caches that a group can drop count as free. kNoMemoryLimit
+/// where nothing can be read. `groups` is the text of /proc/self/cgroup, `root` where the groups are mounted.
+std::size_t available_memory(const std::string& meminfo, const std::string& groups, const std::string& root);
+/// Of this process.
+std::size_t available_memory();
+
+/// Resident bytes of this process, now and at most so far; 0 where the system does not tell.
+std::size_t resident_bytes();
+std::size_t peak_resident_bytes();
+
+/// Gives memory that was freed back to the system, so that resident_bytes() is what is held.
+void release_freed_memory();
+
+/// "812 MB", "6.0 GB".
+std::string memory_text(std::size_t bytes);
+
+}  // namespace semfield

@@ -1,0 +1,127 @@
+// Predicted memory against what runs take, and the refusal of what does not fit.
+#include "train/memory_plan.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <regex>
+
+#include "core/memory_limit.h"
+#include "tests/program.h"
+#include "tests/train/train_testing.h"
+#include "train/trainer.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+using testing_program::semfield_run;
+
+TEST(MemoryPlan, TensorsArePredictedToTheByte) {
+  Registry registry = make_registry();
+  for (const std::string& config : {hash_config(), two_pass_config()}) {
+    const Session s = open_text(config, registry);
+    const NetworkPlan plan = plan_network(s.config, registry, s.plan, s.extent, true);
+    EXPECT_EQ(plan.tensors.total(), s.pipeline->store().bytes());
+  }
+}
+
+TEST(MemoryPlan, CheckpointIsPredictedToTheByte) {
+  Registry registry = make_registry();
+  Session s = open_text(hash_config(), registry);
+  const auto rays = s.make_ray_source();
+  const Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+  std::size_t bytes = 0;
+  for (const TensorRef& tensor : trainer.state()) bytes += tensor.bytes.size();
+  EXPECT_EQ(plan_network(s.config, registry, s.plan, s.extent, true).tensors.stored, bytes);
+}
+
+TEST(MemoryPlan, SettingsThatFitLeaveTheConfigurationAsItWas) {
+  Registry registry = make_registry();
+  Session s = open_text(hash_config(), registry);
+  const std::string before = write_config(resolved_config(s.config));
+  const std::size_t peak = s.memory.peak();
+  const std::vector<std::string> settings =
+      settings_that_fit(s.config, registry, s.plan, s.extent, s.memory_facts, s.memory_facts.loaded + 4'000'000);
+  EXPECT_GE(peak, s.memory_facts.loaded);
+  EXPECT_LE(settings.size(), 3u);
+  EXPECT_EQ(write_config(resolved_config(s.config)), before);
+}
+
+// The shipped room, few small frames: what the network takes counts.
+struct RealRun {
+  const char* name;
+  const char* config;
+  const char* set;
+  int steps;  ///< until the largest tiles have been met
+};
+const RealRun kRuns[] = {
+    {"hash", "quickstart.yaml", "", 5},
+    {"hash, 2^19", "quickstart.yaml",
+     "--set passes.0.position.log2_entries=19 --set passes.0.position.finest_resolution=512", 5},
+    {"hash, 32 lanes, 4096 rays", "quickstart.yaml", "--set runtime.lanes=32 --set train.rays=4096", 20},
+    {"frequency", "quickstart_frequency.yaml", "", 3},
+    {"frequency, 8 x 256", "quickstart_frequency.yaml",
+     "--set passes.0.field.width=256 --set passes.1.field.width=256 --set passes.0.field.depth=8 "
+     "--set passes.1.field.depth=8 --set train.rays=64",
+     3},
+};
+
+double number_behind(const std::string& text, const std::string& pattern) {
+  std::smatch match;
+  return std::regex_search(text, match, std::regex(pattern)) ? std::stod(match[1]) : NAN;
+}
+
+std::string words_for(const RealRun& run) {
+  return std::string(" ") + SEMFIELD_SOURCE_DIR + "/configs/" + run.config +
+         " --set scene.frames=10 --set scene.test_frames=1 --set scene.width_px=64 --set scene.height_px=48 " + run.set;
+}
+
+TEST(MemoryPlanOfRuns, PeakIsPredictedWithinATenth) {
+  const TempDir folder;
+  for (const RealRun& run : kRuns) {
+    const auto plan = semfield_run("train" + words_for(run) + " --dry-run", folder.path());
+    ASSERT_EQ(plan.code, 0) << run.name << plan.err;
+    const auto real = semfield_run("train" + words_for(run) + " --steps " + std::to_string(run.steps) + " --out '" +
+                                       folder.path() + "/" + std::to_string(&run - kRuns) + "' -q",
+                                   folder.path());
+    ASSERT_EQ(real.code, 0) << run.name << real.err;
+    const double predicted = number_behind(plan.out, "memory +([0-9.]+) MB at the peak");
+    const double measured = number_behind(real.out, "peak_mb=([0-9]+)");
+    RecordProperty(run.name, std::to_string(predicted) + " " + std::to_string(measured));
+    EXPECT_NEAR(predicted, measured, 0.1 * measured) << run.name << "\n" << plan.out;
+  }
+}
+
+TEST(MemoryPlanOfRuns, WhatDoesNotFitIsRefusedWithSettingsThatFit) {
+  const TempDir folder;
+  const RealRun run{"hash, 2^19", "quickstart.yaml", kRuns[1].set, 0};
+  const std::string words = "train" + words_for(run) + " --dry-run --memory 0.16";
+  const auto refused = semfield_run(words, folder.path());
+  EXPECT_EQ(refused.code, 69);
+  EXPECT_TRUE(std::regex_search(
+      refused.err, std::regex("would take [0-9]+ MB of memory at its peak, 164 MB are available .*the largest part is "
+                              "'model: [a-z A-Z]+' with [0-9]+ MB")))
+      << refused.err;
+  int tried = 0;
+  const std::regex setting("--set ([a-z0-9_.]+=[0-9]+)");
+  for (std::sregex_iterator it(refused.err.begin(), refused.err.end(), setting), end; it != end; ++it, ++tried) {
+    const auto fits = semfield_run(words + " --set " + (*it)[1].str(), folder.path());
+    EXPECT_EQ(fits.code, 0) << (*it)[1] << ": " << fits.err;
+  }
+  EXPECT_EQ(tried, 3) << refused.err;
+}
+
+TEST(MemoryPlanOfRuns, PixelsThatDoNotFitAreRefusedBeforeTheyAreRead) {
+  const TempDir folder;
+  const auto refused = semfield_run(std::string("train ") + SEMFIELD_SOURCE_DIR +
+                                        "/configs/quickstart.yaml --dry-run --memory 0.2 --set scene.frames=900 --set "
+                                        "scene.width_px=1600 --set scene.height_px=1200",
+                                    folder.path());
+  EXPECT_EQ(refused.code, 69);
+  EXPECT_NE(refused.err.find("frames would take"), std::string::npos) << refused.err;
+  EXPECT_NE(refused.err.find("scene.downscale="), std::string::npos) << refused.err;
+}
+
+}  // namespace
+}  // namespace semfield
