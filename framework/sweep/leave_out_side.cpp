@@ -40,8 +40,8 @@ void LeaveOutSide::train(int steps) {
 }
 
 std::int64_t LeaveOutSide::bytes() const {
-  const MemoryPlan plan = plan_memory(session);
-  return static_cast<std::int64_t>(plan.scene + plan.parameters + session.pipeline->workspace_bytes());
+  return static_cast<std::int64_t>(session.memory_facts.frames + session.pipeline->store().bytes() +
+                                   session.pipeline->workspace_bytes());
 }
 
 SplitScore LeaveOutSide::score(int frames) const {
