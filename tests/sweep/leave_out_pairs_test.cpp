@@ -102,7 +102,7 @@ TEST(LeaveOutPage, TheShippedPageIsThatOfItsTable) {
   for (const LeaveOutPair& pair : leave_out_pairs()) {
     const auto row = std::find_if(shipped.rows.begin(), shipped.rows.end(),
                                   [&](const LeaveOutFinding& r) { return r.name == pair.name; });
-    if (row == shipped.rows.end()) continue;
+    ASSERT_NE(row, shipped.rows.end()) << pair.name;
     EXPECT_EQ(row->proof, std::string(1, static_cast<char>(pair.proof)));
     EXPECT_FALSE(row->saving.empty());
   }
