@@ -13,7 +13,7 @@ enum class End { learns, stopped, unnoticed };
 /// ReLU density with `bias`, 200 steps at most. `last` is the step at which it ended.
 End outcome(CaseRun& run, int seed, const char* bias, std::int64_t& last) {
   TrainingBox box(run.registry(),
-                  fmt::format("scene: {{type: analytic_room, load: {{downscale: 4}}}}\n"
+                  fmt::format("scene: {{type: stiff_room, load: {{downscale: 4}}}}\n"
                               "rendering: {{density_activation: relu, density_bias: {}}}\n"
                               "passes:\n"
                               "  - sampler: {{type: stratified, samples: 8}}\n"

@@ -183,7 +183,7 @@ void pe_geometry(CaseRun& run) {
   run.row("-");
   for (const char* arithmetic : {"float64", "float32", "naive"}) {
     TrainingBox box(run.registry(),
-                    fmt::format("scene: {{type: analytic_room, load: {{downscale: 4}}}}\n"
+                    fmt::format("scene: {{type: stiff_room, load: {{downscale: 4}}}}\n"
                                 "passes:\n"
                                 "  - sampler: {{type: stratified, samples: 4}}\n"
                                 "    position: {{type: frequency, frequencies: 40, angular: pi, arithmetic: {}}}\n"

@@ -11,12 +11,12 @@ std::string small_config(const std::string& more) {
       "    field: {type: nerf_mlp, depth: 4, width: 24, skip_at: 2, view_width: 12}\n";
   return "passes:\n  - name: coarse\n    sampler: {type: stratified, samples: 8}\n" + network +
          "  - name: fine\n    sampler: {type: importance, samples: 8}\n" + network + more +
-         (more.find("scene:") == std::string::npos ? "scene: {type: analytic_room}\n" : "") +
+         (more.find("scene:") == std::string::npos ? "scene: {type: stiff_room}\n" : "") +
          (more.find("train:") == std::string::npos ? "train: {steps: 50, rays: 64}\n" : "");
 }
 
 std::string grid_config(const std::string& more) {
-  return "scene: {type: analytic_room}\n"
+  return "scene: {type: stiff_room}\n"
          "rendering: {density_activation: softplus, far: background}\n"
          "semantics: {hidden_width: 16, weight: 0.1}\n"
          "passes:\n"

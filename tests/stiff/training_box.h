@@ -20,7 +20,7 @@ std::string grid_config(const std::string& more = "");
 
 class TrainingBox {
  public:
-  /// `registry` with the dataset 'analytic_room' added. Throws Error(config).
+  /// `registry` with the dataset 'stiff_room' added. Throws Error(config).
   TrainingBox(const Registry& registry, const std::string& yaml);
   ~TrainingBox();
   TrainingBox(const TrainingBox&) = delete;
