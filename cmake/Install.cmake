@@ -15,7 +15,7 @@ target_compile_features(semfield INTERFACE cxx_std_20)
 install(TARGETS semfield semfield_testkit semfield_plugins EXPORT semfieldTargets
         LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk NAMELINK_COMPONENT sdk
         ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
-foreach(companion semfield_images semfield_onednn semfield_numerics)  # beside the framework's library, which looks for them there
+foreach(companion semfield_images semfield_onednn semfield_numerics semfield_cuda)  # beside the framework's library, which looks for them there
   if(TARGET ${companion})
     set_target_properties(${companion} PROPERTIES INSTALL_RPATH "$ORIGIN")
     install(TARGETS ${companion} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
@@ -27,7 +27,7 @@ if(TARGET semfield_step_probe)  # started by semfield_numerics, which looks for 
 endif()
 install(EXPORT semfieldTargets NAMESPACE semfield:: DESTINATION ${semfield_package_dir} COMPONENT sdk)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/framework/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/semfield COMPONENT sdk
-        FILES_MATCHING PATTERN "*.h")
+        FILES_MATCHING PATTERN "*.h" PATTERN "*.cuh")
 
 configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/semfieldConfig.cmake.in ${PROJECT_BINARY_DIR}/semfieldConfig.cmake
                               INSTALL_DESTINATION ${semfield_package_dir} NO_SET_AND_CHECK_MACRO)

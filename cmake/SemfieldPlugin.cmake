@@ -2,8 +2,8 @@
 #                     [LIBRARIES ...])
 # One line a plugin. Adds its sources to semfield_plugins, its `*_test.cpp` to the test suite, and its module to the
 # generated table of linked plugins. With CPU: compiles those files once per instruction set (cmake/Isa.cmake) and generates
-# `void <name>_kernels(KernelTables&)`, which calls <name>_cpu_kernels of the instruction set in use and, in a build with CUDA,
-# <name>_cuda_kernels. With SAME_BITS multiplications and additions are never fused, so that every instruction set gives the same values: for
+# `void <name>_kernels(KernelTables&)`, which calls <name>_cpu_kernels of the instruction set in use. With CUDA: those files go into the library
+# semfield_cuda, which is loaded when a run asks for the device, and `void cuda::<name>_cuda_kernels(KernelTables&)` of them is called then. With SAME_BITS multiplications and additions are never fused, so that every instruction set gives the same values: for
 # kernels whose results decide where something lies.
 function(semfield_add_plugin)
   cmake_parse_arguments(ARG "SAME_BITS" "NAME" "SOURCES;CPU;CUDA;LIBRARIES" ${ARGN})
@@ -41,6 +41,14 @@ void ${ARG_NAME}_kernels(KernelTables& tables) {
 ")
     target_sources(${target} PRIVATE ${generated})
     target_include_directories(${target} PRIVATE ${PROJECT_BINARY_DIR}/generated)
+  endif()
+  if(ARG_CUDA)
+    list(TRANSFORM ARG_CUDA PREPEND "${CMAKE_CURRENT_SOURCE_DIR}/")
+    set_property(GLOBAL APPEND PROPERTY SEMFIELD_PLUGIN_CUDA_SOURCES ${ARG_CUDA})
+    set_property(GLOBAL APPEND PROPERTY SEMFIELD_CUDA_PLUGINS ${ARG_NAME})
+    if(ARG_SAME_BITS)
+      set_property(GLOBAL APPEND PROPERTY SEMFIELD_CUDA_SAME_BITS ${ARG_CUDA})
+    endif()
   endif()
   target_link_libraries(${target} PUBLIC semfield PRIVATE semfield_warnings ${ARG_LIBRARIES})
   target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR}/plugins)

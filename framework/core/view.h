@@ -6,6 +6,8 @@
 #include <span>
 #include <type_traits>
 
+#include "core/host_device.h"
+
 namespace semfield {
 
 enum class Device : std::uint8_t { cpu, cuda };
@@ -21,23 +23,24 @@ struct View {
   Device device = Device::cpu;
 
   View() = default;
-  View(T* data_in, std::int64_t rows_in, std::int32_t cols_in, std::int64_t stride_in = -1, Device where = Device::cpu)
+  SEMFIELD_HD View(T* data_in, std::int64_t rows_in, std::int32_t cols_in, std::int64_t stride_in = -1,
+                   Device where = Device::cpu)
       : data(data_in), rows(rows_in), cols(cols_in), row_stride(stride_in < 0 ? cols_in : stride_in), device(where) {}
 
   /// A view of mutable elements is also a view of constant ones.
   template <class U, std::enable_if_t<std::is_same_v<const U, T> && !std::is_const_v<U>, int> = 0>
-  View(const View<U>& other)  // NOLINT(google-explicit-constructor): borrowing as const is always safe
+  SEMFIELD_HD View(const View<U>& other)  // NOLINT(google-explicit-constructor): borrowing as const is always safe
       : data(other.data), rows(other.rows), cols(other.cols), row_stride(other.row_stride), device(other.device) {}
 
-  T& operator()(std::int64_t r, std::int32_t c) const { return data[r * row_stride + c]; }
-  T* row(std::int64_t r) const { return data + r * row_stride; }
-  bool empty() const { return data == nullptr; }
-  bool contiguous() const { return row_stride == cols; }
-  std::int64_t size() const { return rows * cols; }
-  View row_range(std::int64_t begin, std::int64_t count) const {
+  SEMFIELD_HD T& operator()(std::int64_t r, std::int32_t c) const { return data[r * row_stride + c]; }
+  SEMFIELD_HD T* row(std::int64_t r) const { return data + r * row_stride; }
+  SEMFIELD_HD bool empty() const { return data == nullptr; }
+  SEMFIELD_HD bool contiguous() const { return row_stride == cols; }
+  SEMFIELD_HD std::int64_t size() const { return rows * cols; }
+  SEMFIELD_HD View row_range(std::int64_t begin, std::int64_t count) const {
     return View(empty() ? nullptr : data + begin * row_stride, count, cols, row_stride, device);
   }
-  View col_range(std::int32_t begin, std::int32_t count) const {
+  SEMFIELD_HD View col_range(std::int32_t begin, std::int32_t count) const {
     return View(empty() ? nullptr : data + begin, rows, count, row_stride, device);
   }
 };

@@ -6,13 +6,29 @@ namespace semfield {
 
 namespace {
 constexpr std::size_t kAlign = 64;
+constexpr std::size_t kSourceAlign = 256;
 constexpr std::size_t kMinBlock = std::size_t{1} << 20;
-std::size_t rounded(std::size_t bytes) { return (bytes + kAlign - 1) / kAlign * kAlign; }
+std::size_t rounded(std::size_t bytes, std::size_t align) { return (bytes + align - 1) / align * align; }
 }  // namespace
+
+Workspace::~Workspace() { clear_blocks(); }
+
+void Workspace::clear_blocks() {
+  if (source_.release != nullptr) {
+    for (const Block& block : blocks_) source_.release(block.begin);
+  }
+  blocks_.clear();
+}
 
 void Workspace::add_block(std::size_t bytes) {
   Block block;
-  block.bytes = rounded(bytes);
+  block.bytes = rounded(bytes, kSourceAlign);
+  if (source_.allocate != nullptr) {
+    block.begin = source_.allocate(block.bytes);
+    blocks_.push_back(std::move(block));
+    ++growths_;
+    return;
+  }
   block.memory = std::make_unique_for_overwrite<std::byte[]>(block.bytes + kAlign);
   const auto address = reinterpret_cast<std::uintptr_t>(block.memory.get());
   block.begin = block.memory.get() + (kAlign - address % kAlign) % kAlign;
@@ -21,7 +37,8 @@ void Workspace::add_block(std::size_t bytes) {
 }
 
 std::byte* Workspace::take_bytes(std::size_t bytes) {
-  const std::size_t need = rounded(std::max<std::size_t>(bytes, 1));
+  const std::size_t need =
+      rounded(std::max<std::size_t>(bytes, 1), source_.allocate != nullptr ? kSourceAlign : kAlign);
   if (blocks_.empty()) add_block(std::max(need, kMinBlock));
   while (used_ + need > blocks_[block_].bytes) {
     if (block_ + 1 == blocks_.size()) add_block(std::max(need, 2 * blocks_[block_].bytes));
@@ -41,7 +58,7 @@ void Workspace::release(std::size_t block, std::size_t used, std::size_t total) 
   total_ = total;
   if (total_ == 0 && blocks_.size() > 1) {
     // One block of the whole high-water mark replaces the chain, with room for the waste at block ends.
-    blocks_.clear();
+    clear_blocks();
     add_block(high_water_ + high_water_ / 8);
     block_ = 0;
     used_ = 0;

@@ -10,15 +10,26 @@
 
 namespace semfield {
 
+/// Where an arena's blocks come from when it is not the process's own heap. `allocate` throws Error when there is no
+/// memory; its blocks start on a 256-byte boundary.
+struct BlockSource {
+  Device device = Device::cpu;
+  std::byte* (*allocate)(std::size_t bytes) = nullptr;
+  void (*release)(std::byte* block) = nullptr;
+};
+
 /// Bump allocator with a high-water mark. Grows by whole blocks when it must (only in the first step of a shape), and
 /// merges them at the next full release, so a steady state allocates nothing. Not thread-safe: one a lane.
 class Workspace {
  public:
   Workspace() = default;
+  explicit Workspace(const BlockSource& source) : source_(source) {}
+  ~Workspace();
   Workspace(const Workspace&) = delete;
   Workspace& operator=(const Workspace&) = delete;
 
-  /// `bytes` of uninitialised memory, 64-byte aligned, valid until the enclosing Scope ends.
+  /// `bytes` of uninitialised memory of the source's device, 64-byte aligned (256 where blocks have a source), valid
+  /// until the enclosing Scope ends.
   std::byte* take_bytes(std::size_t bytes);
 
   /// Uninitialised [rows, cols] matrix, rows contiguous.
@@ -26,7 +37,7 @@ class Workspace {
   View<T> take(std::int64_t rows, std::int32_t cols) {
     return View<T>(
         reinterpret_cast<T*>(take_bytes(sizeof(T) * static_cast<std::size_t>(rows) * static_cast<std::size_t>(cols))),
-        rows, cols);
+        rows, cols, cols, source_.device);
   }
 
   std::size_t high_water_bytes() const noexcept { return high_water_; }
@@ -49,13 +60,15 @@ class Workspace {
 
  private:
   struct Block {
-    std::unique_ptr<std::byte[]> memory;
-    std::byte* begin = nullptr;  // first 64-byte boundary
+    std::unique_ptr<std::byte[]> memory;  // null where the source gave the block
+    std::byte* begin = nullptr;           // first aligned byte
     std::size_t bytes = 0;
   };
   void add_block(std::size_t bytes);
   void release(std::size_t block, std::size_t used, std::size_t total);
+  void clear_blocks();
 
+  BlockSource source_;
   std::vector<Block> blocks_;
   std::size_t block_ = 0;  // block in use
   std::size_t used_ = 0;   // bytes used in it

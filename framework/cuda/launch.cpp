@@ -1,0 +1,46 @@
+#include "cuda/launch.h"
+
+#include <string>
+
+#include "core/error.h"
+
+namespace semfield::cuda {
+
+namespace {
+thread_local Launch t_launch;
+}
+
+const Launch& launch() { return t_launch; }
+
+LaunchScope::LaunchScope(const Launch& next) : before_(t_launch) { t_launch = next; }
+LaunchScope::~LaunchScope() { t_launch = before_; }
+
+void check(cudaError_t status, const char* what) {
+  if (status == cudaSuccess) return;
+  const bool no_device = status == cudaErrorNoDevice || status == cudaErrorInsufficientDriver;
+  throw Error(no_device ? ErrorKind::unavailable : ErrorKind::failure,
+              std::string("CUDA: ") + what + ": " + cudaGetErrorString(status) + " (" + cudaGetErrorName(status) + ")",
+              no_device ? "set runtime.device: cpu, or install the driver of the graphics processor" : "");
+}
+
+std::int64_t first_fault_row(Stage stage) {
+  if (!t_launch.check_at_once || t_launch.fault == nullptr) return -1;
+  FaultKey key = kNoFault;
+  check(cudaMemcpyAsync(&key, t_launch.fault, sizeof key, cudaMemcpyDeviceToHost, t_launch.stream), "reading a fault");
+  check(cudaStreamSynchronize(t_launch.stream), "waiting for a kernel");
+  if (key == kNoFault || static_cast<Stage>(key >> kFaultRowBits) != stage) return -1;
+  check(cudaMemsetAsync(t_launch.fault, 0xFF, sizeof key, t_launch.stream), "resetting a fault");
+  return static_cast<std::int64_t>(key & ((FaultKey{1} << kFaultRowBits) - 1));
+}
+
+int multiprocessors() {
+  static const int count = [] {
+    int device = 0, value = 0;
+    check(cudaGetDevice(&device), "asking for the device");
+    check(cudaDeviceGetAttribute(&value, cudaDevAttrMultiProcessorCount, device), "asking for multiprocessors");
+    return value;
+  }();
+  return count;
+}
+
+}  // namespace semfield::cuda

@@ -1,0 +1,88 @@
+// What every kernel launch of this thread shares: stream, the step's numbers in device memory, and where a fault is
+// noted.
+#pragma once
+
+#include <cuda_runtime_api.h>
+
+#include <cstdint>
+
+#include "core/rng.h"
+#include "core/view.h"
+
+namespace semfield::cuda {
+
+/// What changes from step to step. Kernels read it from device memory, so that a captured graph of a step stays valid.
+struct StepCell {
+  std::uint64_t step = 0;
+  float adam_step_size = 0;   ///< AdamStep::step_size
+  float adam_root_scale = 1;  ///< AdamStep::root_scale
+  double semantic_normaliser = 0;
+  std::int32_t labelled = 0;  ///< rays with a label; 0: the semantic head is not updated
+};
+
+/// Which stage met a value that no later stage may see.
+enum class Stage : std::uint8_t {
+  rays,
+  samples,
+  encoded_position,
+  encoded_direction,
+  raw_density,
+  density,
+  color,
+  feature,
+  proposal_weight,
+  occupancy_density,
+  logits,
+  label,
+  loss,
+  gradient,
+};
+
+/// A fault is a 64-bit key, stage above row; the cell keeps the smallest. No update happens once there is one.
+using FaultKey = unsigned long long;
+inline constexpr FaultKey kNoFault = ~FaultKey{0};
+inline constexpr int kFaultRowBits = 48;
+
+struct Launch {
+  cudaStream_t stream = nullptr;
+  const StepCell* cell = nullptr;  ///< device memory; null: RandomAddress::step counts as it is
+  FaultKey* fault = nullptr;       ///< device memory, kNoFault at first
+  /// Rows of the batch that are in use, in device memory (a sampler's count); null: all. Rows behind it hold finite
+  /// numbers and get gradient 0, so a kernel may compute or leave them.
+  const std::int32_t* live_rows = nullptr;
+  bool check_at_once = false;  ///< first_fault_row waits for the device and tells; false: it says -1 at once
+  bool deterministic = false;  ///< sums in a fixed order, whatever it costs
+};
+
+/// The launch of the calling thread.
+const Launch& launch();
+/// Sets it while it lives.
+class LaunchScope {
+ public:
+  explicit LaunchScope(const Launch& next);
+  ~LaunchScope();
+  LaunchScope(const LaunchScope&) = delete;
+  LaunchScope& operator=(const LaunchScope&) = delete;
+
+ private:
+  Launch before_;
+};
+
+/// Throws Error for a call or launch that failed, with `what` and CUDA's own words.
+void check(cudaError_t status, const char* what);
+/// After a launch: throws for one that could not start.
+inline void check_launch(const char* kernel) { check(cudaGetLastError(), kernel); }
+
+/// With launch().check_at_once: waits, and gives the row of the fault of `stage` noted since the cell was reset, which
+/// it resets, or -1. Else -1: whoever owns the fault cell looks later.
+std::int64_t first_fault_row(Stage stage);
+
+/// Blocks of `threads` for `count` items.
+inline unsigned blocks_of(std::int64_t count, int threads) {
+  return static_cast<unsigned>((count + threads - 1) / threads);
+}
+
+/// Multiprocessors of the current device.
+int multiprocessors();
+
+}  // namespace semfield::cuda

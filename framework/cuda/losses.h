@@ -1,0 +1,40 @@
+// Losses on the device, twins of losses/: gradients a ray, and sums of a step in a fixed order.
+#pragma once
+
+#include "cuda/launch.h"
+#include "losses/semantic_cross_entropy.h"
+
+namespace semfield::cuda {
+
+/// Sums of one pass over a batch.
+struct LossSums {
+  double squares = 0;   ///< sum of squared colour errors over rays and channels
+  double semantic = 0;  ///< weighted cross-entropy in nats, before division
+  std::int64_t labelled = 0;
+  std::int64_t correct = 0;
+  std::int64_t samples = 0;  ///< in use
+  std::int32_t dense = 0;    ///< 1: some sample has density
+};
+
+/// d_color = 2 (color - target) / normaliser [R, 3], and sums->squares in a fixed order (sums: device memory).
+void photometric_loss(View<const float> color, View<const float> target, double normaliser, View<float> d_color,
+                      LossSums* sums);
+
+/// As semfield::semantic_cross_entropy with the normaliser read from launch().cell: d_logits [N, C], sums->semantic,
+/// labelled and correct. hard [N, 1] or soft [N, C] (device); class_weight [1, C] (device) or empty. A logit that is
+/// not finite is a fault of Stage::logits, a label outside -1..C-1 one of Stage::label.
+void semantic_cross_entropy(View<const float> logits, const SemanticTargets& targets, View<const float> class_weight,
+                            double scale, View<float> d_logits, LossSums* sums);
+
+/// sums->samples = first[R], sums->dense = any sigma > 0.
+void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums);
+
+/// What rendering asks of logits [R, C]; R rows each, empty: not wanted. As in Pipeline::render.
+struct ClassResults {
+  View<const std::int16_t> truth;
+  View<std::int16_t> label;
+  View<float> entropy, confidence, truth_probability;
+};
+void class_results(View<const float> logits, const ClassResults& results);
+
+}  // namespace semfield::cuda
