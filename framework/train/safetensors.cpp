@@ -132,9 +132,10 @@ std::string encode_safetensors(const std::vector<TensorRef>& tensors, const Tens
 }
 
 void write_safetensors(const std::string& path, const std::vector<TensorRef>& tensors, const TensorMetadata& metadata) {
-  const std::string image = encode_safetensors(tensors, metadata);
+  std::string image = encode_safetensors(tensors, metadata);
   AtomicFile file(path);
   file.append(std::as_bytes(std::span(image)));
+  std::string().swap(image);  // the file is read back without a second copy in memory
   file.commit([&](const std::string& written) {
     try {
       (void)TensorFile::read(written);  // what was written is what a resume would read

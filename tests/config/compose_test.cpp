@@ -158,12 +158,13 @@ TEST_F(Overrides, RefusesPathsThatLeadNowhere) {
   EXPECT_EQ(refused("none.0=x"),
             "--set none.0=x: 'none' is a list (" + path_ + ":6:7): expected an item's index, it is empty, got '0'");
   EXPECT_EQ(refused("train"), "--set train: expected KEY=VALUE; for example --set train.steps=1000");
-  EXPECT_EQ(refused("=1"), "--set =1: empty key in ''");
-  EXPECT_EQ(refused("train..x=1"), "--set train..x=1: empty key in 'train..x'");
-  EXPECT_EQ(refused("train.=1"), "--set train.=1: empty key in 'train.'");
+  const std::string dots = "; write sections and keys with dots between: train.steps";
+  EXPECT_EQ(refused("=1"), "--set =1: empty key in ''" + dots);
+  EXPECT_EQ(refused("train..x=1"), "--set train..x=1: empty key in 'train..x'" + dots);
+  EXPECT_EQ(refused("train.=1"), "--set train.=1: empty key in 'train.'" + dots);
   EXPECT_EQ(refused("include=x.yaml"),
             "--set include=x.yaml: include: files are included by a config, not by an override");
-  EXPECT_EQ(refused("a=*x"), "--set a=*x: aliases are not allowed");
+  EXPECT_EQ(refused("a=*x"), "--set a=*x: aliases are not allowed (use 'include' or write the value out)");
 }
 
 TEST(Like, OwnKeysWinOverTheNamedPass) {

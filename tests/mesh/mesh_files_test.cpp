@@ -26,7 +26,7 @@ ClassTable classes() {
   return ClassTable({{7, "void", {0, 0, 0}, true},
                      {3, "wall", {200, 100, 50}, false},
                      {300, "dining table", {10, 20, 30}, false},
-                     {65535, "dining\ttable", {255, 255, 255}, false}});
+                     {65535, "dining_table", {255, 255, 255}, false}});
 }
 
 // A ball at coordinates that 32 bits cannot hold, labelled by height.

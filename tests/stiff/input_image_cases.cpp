@@ -86,14 +86,19 @@ void lying_images(CaseRun& run) {
   const ResourceUse use;
   const struct {
     std::uint32_t width, height;
-    const char* words;
-  } kSizes[] = {{65535, 65535, "at most 16384 an axis"}, {4294967295U, 4294967295U, ""}, {16384, 16385, "16384"},
-                {16384, 16384, "cannot hold"},           {2147483648U, 1, ""},           {16000, 16000, "cannot hold"}};
+    const char *words, *words_16;  // with 8 and with 16 bits a value
+  } kSizes[] = {{65535, 65535, "65535 pixels along an axis; at most 16384 are read", "at most 16384 are read"},
+                {4294967295U, 4294967295U, "", ""},
+                {2147483648U, 1, "", ""},
+                {16384, 16385, "16384", "16384"},
+                {16384, 16384, "cannot hold", "1610612736 bytes once decoded; at most 1073741824 are read"},
+                {13000, 13000, "cannot hold", "cannot hold"}};
   for (const auto& size : kSizes) {
     for (const std::uint8_t bits : {std::uint8_t{8}, std::uint8_t{16}}) {
       for (const std::uint8_t interlace : {std::uint8_t{0}, std::uint8_t{1}}) {
         put_bytes(path, png_of(size.width, size.height, bits, 2, interlace, body));
-        run.expect_error(ErrorKind::data, {path, size.words}, [&] { (void)read_rgb(path); });
+        run.expect_error(ErrorKind::data, {path, bits == 8 ? size.words : size.words_16},
+                         [&] { (void)read_rgb(path); });
         run.expect_error(ErrorKind::data, {path}, [&] { (void)read_ids(path); });
       }
     }
