@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -15,7 +16,12 @@ namespace semfield {
 /// References are computed in it: 64 binary digits where the processor has them.
 using Exact = long double;
 
-constexpr int kBenchClasses = 3;  ///< logits of every medium are s(t) = (3 sin t, 3 cos(t / 2), 1)
+constexpr int kBenchClasses = 3;
+/// Logits of every medium, s(t).
+template <class T>
+std::array<T, kBenchClasses> bench_logits(T t) {
+  return {3 * std::sin(t), 3 * std::cos(t / 2), T(1)};
+}
 
 /// What a ray shows: colour (one channel), opacity, expected depth in metres, probability of class 0.
 constexpr int kQuantities = 4;
