@@ -18,7 +18,7 @@ struct AdamTensor {
 
 /// Notes a fault of Stage::gradient (row: number of the tensor) for a value, gradient or moment from which no update
 /// may start, over all tensors; rules as first_unsound. Nothing is changed.
-void check_gradients(const AdamTensor* tensors, int count);
+void check_gradients(const AdamTensor* tensors, int count, std::int64_t total);
 
 /// Updates all tensors with the step's rule (beta1, beta2 and epsilon by value; step size and root scale from
 /// launch().cell) and zeroes gradients, unless a fault is noted: then nothing is written. `tensors` is device memory,

@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <type_traits>
 
 #include "core/check.h"
 #include "core/parallel.h"
 #include "losses/photometric.h"
+#include "model/device_backend.h"
 #include "model/network_plan.h"
 
 namespace semfield {
@@ -196,6 +198,9 @@ template <class Real>
 void Pipeline<Real>::render(const RenderJob<Real>& job) {
   const std::int64_t rays = job.origin.rows;
   guard_rays<Real>({job.origin, job.direction, job.near_far}, {}, 0);
+  if constexpr (std::is_same_v<Real, float>) {
+    if (device_ != nullptr) return device_->render(job);
+  }
   const std::int64_t tiles = (rays + tile_rays_ - 1) / tile_rays_;
   parallel_for(options_.lanes, [&](std::int64_t lane) {
     for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
@@ -207,6 +212,9 @@ void Pipeline<Real>::render(const RenderJob<Real>& job) {
 
 template <class Real>
 void Pipeline<Real>::density(View<const double> positions, View<Real> sigma) const {
+  if constexpr (std::is_same_v<Real, float>) {
+    if (device_ != nullptr) return device_->density(positions, sigma);
+  }
   const Pass<Real>& pass = passes_.back();
   parallel_for(options_.lanes, [&](std::int64_t lane) {
     const std::int64_t share = (positions.rows + options_.lanes - 1) / options_.lanes;

@@ -66,6 +66,8 @@ struct RenderJob {
   double footprint_per_m = 0;          ///< width of a pixel at a distance of 1 m, metres; for `resolution`
 };
 
+class DeviceBackend;
+
 template <class Real>
 class Pipeline {
  public:
@@ -86,6 +88,10 @@ class Pipeline {
   /// After a step that failed: takes its rays one by one and gives the first that throws, or whose own gradient is not
   /// finite, with its number in the batch; none when only their sum fails. Leaves every gradient zero.
   std::optional<RayFault> find_fault(std::int64_t step, const RayBatch& batch);
+  /// What the summed semantic loss of the batch is divided by; 0: the batch has no label.
+  double batch_normaliser(const RayBatch& batch) const;
+  /// From now on render and density are the device's work (null: this processor's). Borrowed.
+  void attach(DeviceBackend* device) { device_ = device; }
   /// Tensors of a semantic head.
   bool is_semantic(const Tensor<Real>& tensor) const;
   /// Lets samplers refresh their state; calls derive() first.
@@ -131,7 +137,6 @@ class Pipeline {
   };
   StepLosses train_tile(std::int64_t step, int lane, const RayBatch& batch, const TileRange& tile,
                         double semantic_normaliser);
-  double batch_normaliser(const RayBatch& batch) const;
   void render_tile(int lane, const RenderJob<Real>& job, std::int64_t begin, std::int64_t count);
 
   PipelineOptions options_;
@@ -142,6 +147,7 @@ class Pipeline {
   std::vector<std::unique_ptr<Lane>> lanes_;
   std::vector<StepLosses> tile_losses_;
   Ahead ahead_;
+  DeviceBackend* device_ = nullptr;
 };
 
 extern template class Pipeline<float>;

@@ -50,7 +50,9 @@ void Sampler<Real>::sample(const StepContext& ctx, const Tensors<Real>& tensors,
     view_checks::require_room(kCall, "previous.first", previous->samples->first, count + 1, 1, device);
     view_checks::require_room(kCall, "previous.t", previous->samples->t, previous->samples->count, 1, device);
     view_checks::require_room(kCall, "previous.weight", previous->weight, previous->samples->count, 1, device);
-    if (device == Device::cpu) previous_per_ray = most_samples_a_ray(*previous->samples, count);
+    // On a device the number of samples in use is not known here: the rows of all rays are.
+    previous_per_ray =
+        device == Device::cpu ? most_samples_a_ray(*previous->samples, count) : previous->samples->count / count;
   } else if (traits().needs_previous) {
     view_checks::fail(kCall, "this sampler needs the samples of an earlier pass");
   }

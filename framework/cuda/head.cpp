@@ -1,0 +1,94 @@
+#include "cuda/head.h"
+
+#include "cuda/layers.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+enum Index : std::size_t { kHiddenWeight, kHiddenBias, kClassWeight, kClassBias };
+
+// The same matrix in bf16, in the arena.
+View<__nv_bfloat16> rounded(Workspace& arena, View<const float> in) {
+  const View<__nv_bfloat16> out = arena.take<__nv_bfloat16>(in.rows, in.cols);
+  convert<float, __nv_bfloat16>(in, out);
+  return out;
+}
+
+}  // namespace
+
+void Head::hidden_forward(Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
+                          View<float> hidden) const {
+  if (feature.rows == 0) return;
+  const Workspace::Scope scope(arena);
+  const View<const float> weight = tensors.value[kHiddenWeight], bias = tensors.value[kHiddenBias];
+  if (precision_ == Precision::bf16) {
+    linear_forward<__nv_bfloat16, float>(
+        {rounded(arena, feature), rounded(arena, weight), bias, hidden, Activation::relu, false});
+  } else {
+    linear_forward<float, float>({feature, weight, bias, hidden, Activation::relu, false});
+  }
+}
+
+void Head::hidden_backward(Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
+                           View<const float> hidden, View<float> d_hidden, View<float> d_feature) const {
+  if (feature.rows == 0) return;
+  const Workspace::Scope scope(arena);
+  const View<const float> weight = tensors.value[kHiddenWeight];
+  cuda::relu_backward<float>(hidden, d_hidden);
+  if (precision_ == Precision::bf16) {
+    LinearBackward<__nv_bfloat16, float> call;
+    call.x = rounded(arena, feature);
+    call.dz = rounded(arena, d_hidden);
+    call.weight = rounded(arena, weight);
+    call.d_weight = tensors.grad[kHiddenWeight];
+    call.d_bias = tensors.grad[kHiddenBias];
+    call.dx = d_feature;
+    linear_backward<__nv_bfloat16, float>(call, arena);
+  } else {
+    LinearBackward<float, float> call;
+    call.x = feature;
+    call.dz = d_hidden;
+    call.weight = weight;
+    call.d_weight = tensors.grad[kHiddenWeight];
+    call.d_bias = tensors.grad[kHiddenBias];
+    call.dx = d_feature;
+    linear_backward<float, float>(call, arena);
+  }
+}
+
+void Head::class_forward(const Tensors<float>& tensors, View<const float> h, View<const float> share,
+                         View<float> logits) const {
+  if (h.rows == 0) return;
+  const View<const float> weight = tensors.value[kClassWeight], bias = tensors.value[kClassBias];
+  if (share.empty()) {
+    linear_forward<float, float>({h, weight, bias, logits, Activation::none, false});
+    return;
+  }
+  linear_forward<float, float>({share, bias, {}, logits, Activation::none, false});
+  linear_forward<float, float>({h, weight, {}, logits, Activation::none, true});
+}
+
+void Head::class_backward(Workspace& arena, const Tensors<float>& tensors, View<const float> h, View<const float> share,
+                          View<const float> d_logits, View<float> d_h, View<float> d_share) const {
+  if (h.rows == 0) return;
+  LinearBackward<float, float> call;
+  call.x = h;
+  call.dz = d_logits;
+  call.weight = tensors.value[kClassWeight];
+  call.d_weight = tensors.grad[kClassWeight];
+  if (share.empty()) call.d_bias = tensors.grad[kClassBias];
+  call.dx = d_h;
+  linear_backward<float, float>(call, arena);
+  if (share.empty()) return;
+  // The bias enters as share times its row: a layer of one input.
+  LinearBackward<float, float> bias;
+  bias.x = share;
+  bias.dz = d_logits;
+  bias.weight = tensors.value[kClassBias];
+  bias.d_weight = tensors.grad[kClassBias];
+  bias.dx = d_share;
+  linear_backward<float, float>(bias, arena);
+}
+
+}  // namespace semfield::cuda

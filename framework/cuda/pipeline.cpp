@@ -1,0 +1,291 @@
+#include "cuda/pipeline.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/check.h"
+#include "core/error.h"
+#include "cuda/device.h"
+#include "cuda/kernel_tables.h"
+#include "model/ray_guard.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+// Position of the last ray with a label, plus one.
+std::int64_t labelled_rays(const RayBatch& batch) {
+  std::int64_t n = batch.label.empty() ? 0 : batch.label.rows;
+  while (n > 0 && batch.label(n - 1, 0) == kVoid) --n;
+  return n;
+}
+
+std::int64_t count_labels(const RayBatch& batch) {
+  std::int64_t n = 0;
+  for (std::int64_t r = 0; !batch.label.empty() && r < batch.label.rows; ++r) n += batch.label(r, 0) != kVoid ? 1 : 0;
+  return n;
+}
+
+}  // namespace
+
+DevicePipeline::DevicePipeline(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options)
+    : host_(host), options_(options), train_arena_(arena_source()), render_arena_(arena_source()) {
+  SEMFIELD_CHECK(parts.size() <= static_cast<std::size_t>(kMostPasses), "a device runs at most 4 passes");
+  check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "making a stream");
+  const LaunchScope scope(step_launch());
+  store_ = std::make_unique<Store>(host, options.trainable);
+  std::int64_t per_ray = 0;
+  passes_.reserve(parts.size());
+  for (PassParts<float>& part : parts) {
+    passes_.emplace_back(std::move(part), host.options().rules, options.head_precision, *store_);
+    per_ray = passes_.back().capacity_per_ray(per_ray);
+    per_ray_.push_back(per_ray);
+  }
+  render_fault_ = Buffer<FaultKey>(1, "fault of a call");
+  const std::vector<float>& weight = host.options().class_weight;
+  class_weight_ = Buffer<float>(weight.size(), "class weights");
+  cuda::upload<float>(weight, class_weight_.data());
+  upload();
+}
+
+DevicePipeline::~DevicePipeline() {
+  (void)cudaStreamSynchronize(stream_);
+  forget_graphs();
+  (void)cudaStreamDestroy(stream_);
+}
+
+std::string DevicePipeline::description() const { return describe_device(); }
+
+std::size_t DevicePipeline::bytes() const {
+  return store_->bytes() + train_arena_.reserved_bytes() + render_arena_.reserved_bytes() +
+         (staging_ ? staging_->bytes() : 0);
+}
+
+Launch DevicePipeline::step_launch() const {
+  Launch next;
+  next.stream = stream_;
+  next.deterministic = options_.deterministic;
+  if (staging_) {
+    next.cell = staging_->cell();
+    next.fault = &staging_->device_sums()->fault;
+  }
+  return next;
+}
+
+StepContext DevicePipeline::context(std::int64_t step, bool training, Workspace& arena) const {
+  StepContext ctx;
+  ctx.seed = host_.options().seed;
+  ctx.step = step;
+  ctx.training = training;
+  ctx.workspace = &arena;
+  return ctx;
+}
+
+void DevicePipeline::upload() {
+  const LaunchScope scope(step_launch());
+  store_->upload();
+  StepContext ctx = context(0, false, render_arena_);
+  for (const Pass& pass : passes_) pass.derive(ctx);
+  synchronize();
+}
+
+void DevicePipeline::download() {
+  const LaunchScope scope(step_launch());
+  store_->download();
+}
+
+void DevicePipeline::forget_graphs() {
+  for (Shape& shape : shapes_) {
+    if (shape.graph != nullptr) (void)cudaGraphExecDestroy(shape.graph);
+    shape.graph = nullptr;
+    shape.runs = 0;
+  }
+}
+
+void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const DeviceUpdate& update) {
+  SEMFIELD_CHECK(std::ssize(queued_) < kSlots, "too many steps wait on the device");
+  guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
+  if (!staging_ || !staging_->fits(batch)) {
+    SEMFIELD_CHECK(queued_.empty(), "batches of one size are queued together");
+    forget_graphs();
+    shapes_.clear();
+    staging_ = std::make_unique<Staging>(kSlots, batch.origin.rows, !batch.label.empty(),
+                                         batch.soft.empty() ? 0 : batch.soft.cols);
+  }
+  const LaunchScope scope(step_launch());
+  StepCell cell;
+  cell.step = static_cast<std::uint64_t>(step);
+  cell.adam_step_size = static_cast<float>(update.step_size);
+  cell.adam_root_scale = static_cast<float>(update.root_scale);
+  cell.semantic_normaliser = host_.batch_normaliser(batch);
+  cell.labelled = static_cast<std::int32_t>(count_labels(batch));
+  const int slot = static_cast<int>(queued_.size());
+  staging_->send(slot, cell, batch);
+
+  const std::int64_t rays = batch.origin.rows, group = std::max<std::int64_t>(1, rays / kGroups);
+  std::int64_t semantic_rays = host_.has_semantics() ? labelled_rays(batch) : 0;
+  if (host_.options().head_on_all_rays && host_.has_semantics()) semantic_rays = rays;
+  semantic_rays = std::min(rays, (semantic_rays + group - 1) / group * group);
+  auto shape =
+      std::find_if(shapes_.begin(), shapes_.end(), [&](const Shape& s) { return s.semantic_rays == semantic_rays; });
+  if (shape == shapes_.end()) shape = shapes_.insert(shapes_.end(), {semantic_rays, 0, nullptr});
+  run(*shape, step);
+  const Launch observing = [&] {  // these launches are no part of a graph: the step's number comes by value
+    Launch next = launch();
+    next.cell = nullptr;
+    return next;
+  }();
+  {
+    const LaunchScope by_value(observing);
+    StepContext ctx = context(step + 1, true, train_arena_);
+    for (const Pass& pass : passes_) {
+      ctx.pass = pass.parts().number;
+      pass.observe(ctx);
+    }
+  }
+  staging_->fetch(slot);
+  queued_.push_back({step, cell.semantic_normaliser, rays});
+}
+
+void DevicePipeline::run(Shape& shape, std::int64_t step) {
+  if (shape.graph != nullptr) {
+    check(cudaGraphLaunch(shape.graph, stream_), "starting a step");
+    return;
+  }
+  if (shape.runs < 2) {
+    const std::int64_t growths = train_arena_.growth_count();
+    step_body(shape, step);
+    ++shape.runs;
+    if (train_arena_.growth_count() != growths) {  // graphs hold addresses of the arena
+      const int runs = shape.runs;
+      forget_graphs();
+      shape.runs = runs > 1 ? 1 : runs;
+    }
+    return;
+  }
+  cudaGraph_t graph = nullptr;
+  check(cudaStreamBeginCapture(stream_, cudaStreamCaptureModeThreadLocal), "capturing a step");
+  step_body(shape, step);
+  check(cudaStreamEndCapture(stream_, &graph), "capturing a step");
+  check(cudaGraphInstantiate(&shape.graph, graph, 0), "making a graph of a step");
+  check(cudaGraphDestroy(graph), "making a graph of a step");
+  check(cudaGraphLaunch(shape.graph, stream_), "starting a step");
+}
+
+void DevicePipeline::step_body(const Shape& shape, std::int64_t step) {
+  const Workspace::Scope scope(train_arena_);
+  StepSums* const sums = staging_->device_sums();
+  check(cudaMemsetAsync(sums->pass, 0, sizeof sums->pass, stream_), "clearing sums");
+  store_->zero_derived_gradients();
+  StepContext ctx = context(step, true, train_arena_);
+  train_passes(shape, ctx);
+  for (const Pass& pass : passes_) pass.derive_backward(ctx);
+  check_gradients(store_->learned(), store_->learned_count(), store_->learned_elements());
+  AdamParams rule;
+  rule.beta1 = options_.adam.beta1;
+  rule.beta2 = options_.adam.beta2;
+  rule.epsilon = options_.adam.epsilon;
+  adam_update(rule, store_->learned(), store_->learned_count(), store_->learned_elements());
+  for (const Pass& pass : passes_) pass.derive(ctx);
+}
+
+void DevicePipeline::train_passes(const Shape& shape, const StepContext& step_ctx) {
+  StepContext ctx = step_ctx;
+  Workspace& arena = *ctx.workspace;
+  const RayBatch batch = staging_->batch();
+  const std::int64_t rays = batch.origin.rows, semantic_rays = shape.semantic_rays;
+  const PipelineOptions& options = host_.options();
+  const View<const float> class_weight = options.class_weight.empty()
+                                             ? View<const float>()
+                                             : class_weight_.view(1, static_cast<std::int32_t>(class_weight_.size()));
+  Proposal<float> proposal;
+  PassTrace<float> previous;
+  for (std::size_t p = 0; p < passes_.size(); ++p) {
+    const Pass& pass = passes_[p];
+    ctx.pass = pass.parts().number;
+    LossSums* const sums = &staging_->device_sums()->pass[p];
+    PassTrace<float> trace = pass.forward(ctx, {batch.origin, batch.direction, batch.near_far},
+                                          p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
+    const View<float> d_color = arena.take<float>(rays, 3);
+    photometric_loss(trace.color, batch.target, static_cast<double>(3 * rays), d_color, sums);
+    count_samples(trace.samples.first, trace.sigma, sums);
+    View<float> d_logits;
+    if (trace.semantic_rays > 0) {
+      d_logits = arena.take<float>(trace.semantic_rays, trace.logits.cols);
+      SemanticTargets targets;
+      if (batch.soft.empty()) {
+        targets.hard = batch.label.row_range(0, trace.semantic_rays);
+      } else {
+        targets.soft = batch.soft.row_range(0, trace.semantic_rays);
+      }
+      semantic_cross_entropy(trace.logits, targets, class_weight, options.semantic_weight, d_logits, sums);
+    }
+    pass.backward(ctx, trace, d_color, d_logits);
+    previous = trace;
+    proposal.samples = &previous.samples;
+    proposal.weight = previous.weight;
+  }
+}
+
+StepLosses DevicePipeline::losses_of(const StepSums& sums, double normaliser) const {
+  StepLosses out;
+  for (std::size_t p = 0; p < passes_.size(); ++p) {
+    const LossSums& pass = sums.pass[p];
+    out.color += pass.squares;
+    out.semantic += pass.semantic;
+    out.mse = pass.squares;
+    out.samples = pass.samples;
+    out.labelled = pass.labelled;
+    out.correct = pass.correct;
+    if (pass.dense != 0) out.dense_passes |= 1U << p;
+  }
+  const auto values = static_cast<double>(std::max<std::int64_t>(1, 3 * queued_.front().rays));
+  out.color /= values;
+  out.mse /= values;
+  out.semantic = normaliser > 0 ? out.semantic / normaliser : 0;
+  out.total = out.color + host_.options().semantic_weight * out.semantic;
+  return out;
+}
+
+DeviceSteps DevicePipeline::finish() {
+  DeviceSteps out;
+  if (queued_.empty()) return out;
+  const LaunchScope scope(step_launch());
+  synchronize();
+  for (std::size_t slot = 0; slot < queued_.size(); ++slot) {
+    const StepSums& sums = staging_->sums(static_cast<int>(slot));
+    const StepLosses losses = losses_of(sums, queued_[slot].normaliser);
+    if (sums.fault != kNoFault || !std::isfinite(losses.total)) {
+      out.failed = queued_[slot].step;
+      break;
+    }
+    out.losses.push_back(losses);
+  }
+  queued_.clear();
+  if (out.failed) {
+    store_->clear_gradients();
+    check(cudaMemsetAsync(&staging_->device_sums()->fault, 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
+    synchronize();
+  }
+  return out;
+}
+
+}  // namespace semfield::cuda
+
+namespace {
+void add_kernels(semfield::KernelTables& tables) { semfield::cuda::add_plugin_kernels(tables); }
+std::string describe() { return semfield::cuda::describe_device(); }
+std::unique_ptr<semfield::DeviceBackend> make(semfield::Pipeline<float>& host,
+                                              std::vector<semfield::PassParts<float>> parts,
+                                              const semfield::DeviceOptions& options) {
+  return std::make_unique<semfield::cuda::DevicePipeline>(host, std::move(parts), options);
+}
+}  // namespace
+
+extern "C" const semfield::DeviceLibrary* semfield_device_library();
+extern "C" const semfield::DeviceLibrary* semfield_device_library() {
+  static const semfield::DeviceLibrary library{add_kernels, describe, make};
+  return &library;
+}

@@ -1,0 +1,75 @@
+// The whole training step and the renderer on one CUDA device.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "cuda/losses.h"
+#include "cuda/memory.h"
+#include "cuda/pass.h"
+#include "cuda/staging.h"
+#include "model/device_backend.h"
+
+namespace semfield::cuda {
+
+/// A step is: one copy of its batch to the device, one graph of every kernel from sampling to Adam, one copy of its
+/// sums back, all queued without waiting. The graph is captured in the third step of a shape: the first sizes arenas
+/// and chooses algorithms. Rays beyond the last labelled one carry no semantics; a step's number of such rays is
+/// rounded up to an eighth of the batch, so that few shapes occur.
+class DevicePipeline final : public DeviceBackend {
+ public:
+  DevicePipeline(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options);
+  ~DevicePipeline() override;
+
+  std::string description() const override;
+  void upload() override;
+  void download() override;
+  void queue(std::int64_t step, const RayBatch& batch, const DeviceUpdate& update) override;
+  int most_queued() const override { return kSlots; }
+  DeviceSteps finish() override;
+  void render(const RenderJob<float>& job) override;
+  void density(View<const double> positions, View<float> sigma) override;
+  std::size_t bytes() const override;
+
+ private:
+  static constexpr int kSlots = 32;
+  static constexpr int kGroups = 8;  // shapes of a step: eighths of the batch with semantics
+
+  // One shape of a step: how many rays have semantics.
+  struct Shape {
+    std::int64_t semantic_rays = 0;
+    int runs = 0;
+    cudaGraphExec_t graph = nullptr;
+  };
+  Launch step_launch() const;
+  StepContext context(std::int64_t step, bool training, Workspace& arena) const;
+  void run(Shape& shape, std::int64_t step);
+  void step_body(const Shape& shape, std::int64_t step);
+  void train_passes(const Shape& shape, const StepContext& step_ctx);
+  void forget_graphs();
+  StepLosses losses_of(const StepSums& sums, double normaliser) const;
+  Launch render_launch() const;
+  void explain_fault(const std::function<void()>& on_the_host);
+  void render_chunk(const RenderJob<float>& job, std::int64_t begin, std::int64_t count);
+
+  Pipeline<float>& host_;
+  DeviceOptions options_;
+  cudaStream_t stream_ = nullptr;
+  std::unique_ptr<Store> store_;
+  std::vector<Pass> passes_;
+  std::vector<std::int64_t> per_ray_;  // most samples a ray after each pass
+  Workspace train_arena_, render_arena_;
+  std::unique_ptr<Staging> staging_;
+  Buffer<float> class_weight_;
+  Buffer<FaultKey> render_fault_;
+  std::vector<Shape> shapes_;
+  struct Queued {
+    std::int64_t step;
+    double normaliser;
+    std::int64_t rays;
+  };
+  std::vector<Queued> queued_;
+};
+
+}  // namespace semfield::cuda

@@ -1,0 +1,96 @@
+#include "cuda/staging.h"
+
+#include <cstring>
+
+#include "core/check.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+constexpr std::size_t kAlign = 256;
+
+template <class T>
+T* pinned(std::size_t count, const char* what) {
+  void* memory = nullptr;
+  check(cudaMallocHost(&memory, count * sizeof(T)), what);
+  return static_cast<T*>(memory);
+}
+
+// Rows of a contiguous view behind each other.
+template <class T>
+void put(std::byte* to, View<const T> from) {
+  if (from.empty()) return;
+  SEMFIELD_CHECK(from.contiguous(), "rows of a batch lie behind each other");
+  std::memcpy(to, from.data, static_cast<std::size_t>(from.size()) * sizeof(T));
+}
+
+}  // namespace
+
+Staging::Staging(int slots, std::int64_t rays, bool has_labels, std::int32_t soft_classes)
+    : rays_(rays), has_labels_(has_labels), soft_classes_(soft_classes) {
+  std::size_t end = 0;
+  const auto place = [&end](std::size_t bytes) {
+    const std::size_t begin = end;
+    end += (bytes + kAlign - 1) / kAlign * kAlign;
+    return begin;
+  };
+  const auto n = static_cast<std::size_t>(rays);
+  place(sizeof(StepCell));
+  at_.origin = place(3 * n * sizeof(double));
+  at_.direction = place(3 * n * sizeof(double));
+  at_.near_far = place(2 * n * sizeof(double));
+  at_.target = place(3 * n * sizeof(float));
+  at_.label = place(has_labels ? n * sizeof(std::int16_t) : 0);
+  at_.soft = place(n * static_cast<std::size_t>(soft_classes) * sizeof(float));
+  at_.total = end;
+  host_ = pinned<std::byte>(static_cast<std::size_t>(slots) * at_.total, "pinned memory of batches");
+  host_sums_ = pinned<StepSums>(static_cast<std::size_t>(slots), "pinned memory of sums");
+  device_ = Buffer<std::byte>(at_.total, "batch of rays");
+  device_sums_ = Buffer<std::byte>(sizeof(StepSums), "sums of a step");
+  check(cudaMemset(device_sums_.data(), 0xFF, sizeof(FaultKey)), "resetting a fault");
+}
+
+Staging::~Staging() {
+  (void)cudaFreeHost(host_);
+  (void)cudaFreeHost(host_sums_);
+}
+
+bool Staging::fits(const RayBatch& batch) const {
+  return batch.origin.rows == rays_ && batch.label.empty() != has_labels_ &&
+         (batch.soft.empty() ? 0 : batch.soft.cols) == soft_classes_;
+}
+
+void Staging::send(int slot, const StepCell& cell, const RayBatch& batch) {
+  std::byte* const block = host_ + static_cast<std::size_t>(slot) * at_.total;
+  std::memcpy(block, &cell, sizeof cell);
+  put(block + at_.origin, batch.origin);
+  put(block + at_.direction, batch.direction);
+  put(block + at_.near_far, batch.near_far);
+  put(block + at_.target, batch.target);
+  put(block + at_.label, batch.label);
+  put(block + at_.soft, batch.soft);
+  check(cudaMemcpyAsync(device_.data(), block, at_.total, cudaMemcpyHostToDevice, launch().stream), "sending a batch");
+}
+
+void Staging::fetch(int slot) {
+  check(cudaMemcpyAsync(&host_sums_[slot], device_sums_.data(), sizeof(StepSums), cudaMemcpyDeviceToHost,
+                        launch().stream),
+        "fetching sums");
+}
+
+RayBatch Staging::batch() const {
+  const auto view = [&]<class T>(std::size_t at, std::int32_t cols, T*) {
+    return View<const T>(reinterpret_cast<const T*>(device_.data() + at), rays_, cols, cols, Device::cuda);
+  };
+  RayBatch out;
+  out.origin = view(at_.origin, 3, static_cast<double*>(nullptr));
+  out.direction = view(at_.direction, 3, static_cast<double*>(nullptr));
+  out.near_far = view(at_.near_far, 2, static_cast<double*>(nullptr));
+  out.target = view(at_.target, 3, static_cast<float*>(nullptr));
+  if (has_labels_) out.label = view(at_.label, 1, static_cast<std::int16_t*>(nullptr));
+  if (soft_classes_ > 0) out.soft = view(at_.soft, soft_classes_, static_cast<float*>(nullptr));
+  return out;
+}
+
+}  // namespace semfield::cuda

@@ -1,0 +1,58 @@
+// Batches on their way to the device and a step's sums on their way back: pinned host memory in slots, so that queueing
+// a step waits for nothing.
+#pragma once
+
+#include <cstdint>
+
+#include "cuda/launch.h"
+#include "cuda/losses.h"
+#include "cuda/memory.h"
+#include "model/device_backend.h"
+
+namespace semfield::cuda {
+
+inline constexpr int kMostPasses = 4;
+
+/// What a step leaves: read back as one block.
+struct StepSums {
+  FaultKey fault = kNoFault;
+  LossSums pass[kMostPasses];
+};
+
+/// A batch of a step in one block: StepCell, then the rays.
+class Staging {
+ public:
+  /// soft_classes 0: labels are hard; has_labels false: there are none.
+  Staging(int slots, std::int64_t rays, bool has_labels, std::int32_t soft_classes);
+  ~Staging();
+  Staging(const Staging&) = delete;
+  Staging& operator=(const Staging&) = delete;
+
+  bool fits(const RayBatch& batch) const;
+  /// Copies cell and batch into the slot and queues its way to the device.
+  void send(int slot, const StepCell& cell, const RayBatch& batch);
+  /// Queues the copy of the device's sums into the slot.
+  void fetch(int slot);
+  const StepSums& sums(int slot) const { return host_sums_[slot]; }
+
+  /// Device memory.
+  const StepCell* cell() const { return reinterpret_cast<const StepCell*>(device_.data()); }
+  StepSums* device_sums() const { return reinterpret_cast<StepSums*>(device_sums_.data()); }
+  /// The batch on the device.
+  RayBatch batch() const;
+  std::size_t bytes() const { return device_.size() + device_sums_.size(); }
+
+ private:
+  struct Layout {
+    std::size_t origin = 0, direction = 0, near_far = 0, target = 0, label = 0, soft = 0, total = 0;
+  };
+  std::int64_t rays_;
+  bool has_labels_;
+  std::int32_t soft_classes_;
+  Layout at_;
+  std::byte* host_ = nullptr;  // [slots, at_.total]
+  StepSums* host_sums_ = nullptr;
+  Buffer<std::byte> device_, device_sums_;
+};
+
+}  // namespace semfield::cuda

@@ -1,0 +1,58 @@
+// The tensors of a pipeline on the device: the same names and shapes as the host's, in four blocks of memory.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "cuda/adam.h"
+#include "cuda/memory.h"
+#include "model/pipeline.h"
+
+namespace semfield::cuda {
+
+/// Mirrors the store of `host`, which it borrows. Gradients are zero between steps.
+class Store {
+ public:
+  Store(Pipeline<float>& host, bool trainable);
+
+  /// The next component's tensors, in the order in which parts were added to the host's store; throws Error(internal)
+  /// where `part` declares others.
+  int add(const Parametric<float>& part);
+  Tensors<float> tensors(int component) const;
+
+  void upload();
+  void download() const;
+  /// Gradients that no update clears: those of derived tensors.
+  void zero_derived_gradients() const;
+  /// All of them, after a step that failed.
+  void clear_gradients() const;
+
+  /// Learned tensors, in device memory.
+  const AdamTensor* learned() const { return reinterpret_cast<const AdamTensor*>(learned_table_.data()); }
+  int learned_count() const { return learned_count_; }
+  std::int64_t learned_elements() const { return learned_elements_; }
+  std::size_t bytes() const;
+
+ private:
+  struct Component {
+    std::vector<View<float>> values, grads;
+  };
+  struct Place {
+    std::int64_t value = 0;    // offset in values_
+    std::int64_t learned = 0;  // offset in grads_, moment1_ and moment2_; of derived tensors in derived_grads_
+  };
+  View<float> value_of(std::size_t tensor) const;
+  View<float> grad_of(std::size_t tensor) const;
+
+  Pipeline<float>& host_;
+  bool trainable_;
+  std::vector<Place> places_;
+  Buffer<float> values_, grads_, derived_grads_, moment1_, moment2_;
+  Buffer<std::byte> learned_table_;
+  int learned_count_ = 0;
+  std::int64_t learned_elements_ = 0;
+  std::vector<Component> components_;
+  std::size_t next_ = 0;  // tensor of the host's store that the next component begins with
+};
+
+}  // namespace semfield::cuda

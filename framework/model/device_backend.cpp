@@ -1,0 +1,30 @@
+#include "model/device_backend.h"
+
+#include "core/companion.h"
+#include "core/error.h"
+
+namespace semfield {
+
+const DeviceLibrary& cuda_library() {
+#ifdef SEMFIELD_CUDA_LIBRARY
+  static const DeviceLibrary* const loaded = reinterpret_cast<const DeviceLibrary* (*)()>(
+      companion_symbol(SEMFIELD_CUDA_LIBRARY, kDeviceLibrarySymbol, "the CUDA kernels cannot be loaded",
+                       "install the CUDA runtime and cuBLASLt, or set runtime.device: cpu"))();
+  return *loaded;
+#else
+  throw Error(ErrorKind::unavailable, "runtime.device: this build has no CUDA kernels (has: cpu)",
+              "set runtime.device: cpu, or build where a CUDA compiler is found");
+#endif
+}
+
+bool cuda_available(std::string* why_not) {
+  try {
+    (void)cuda_library().describe();
+    return true;
+  } catch (const Error& error) {
+    if (why_not != nullptr) *why_not = error.message();
+    return false;
+  }
+}
+
+}  // namespace semfield
