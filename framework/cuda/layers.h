@@ -1,5 +1,5 @@
 // Linear layers over a batch on the device, for activations kept as fp32 or bf16: what fields and the semantic head are
-// made of. Twins of core/linear.h. Everything is queued on launch().stream; products go through cuBLASLt.
+// made of. Twins of core/linear.h. Everything is queued on launch().stream; products go through cuda/matmul.h.
 #pragma once
 
 #include <cuda_bf16.h>
@@ -11,8 +11,8 @@
 namespace semfield::cuda {
 
 /// Act: float (products in fp32) or __nv_bfloat16 (operands bf16, sums in fp32). Weights of a product have its type.
-/// y = activation(x W + bias), or with `add` activation(y + x W); x [M, in], weight [in, out] (row stride as given),
-/// bias [1, out] fp32 or empty, y [M, out] of Act or float.
+/// y = activation(x W + bias), or with `add` activation(y + x W + bias); x [M, in], weight [in, out] (row stride as
+/// given), bias [1, out] fp32 or empty, y [M, out] of Act or float.
 template <class Act, class Out>
 struct LinearForward {
   View<const Act> x, weight;
@@ -20,18 +20,19 @@ struct LinearForward {
   View<Out> y;
   Activation activation = Activation::none;
   bool add = false;
+  /// The same bias as Out. cuBLASLt adds a bias of the output's type alone: without it, bf16 outputs cost a further
+  /// pass.
+  View<const Out> rounded_bias;
+  /// With relu, if not null: [M] rows of mask_stride_bits(out) bits, y > 0, for LinearBackward.
+  std::uint32_t* mask = nullptr;
 };
 template <class Act, class Out>
 void linear_forward(const LinearForward<Act, Out>& call);
 
-/// y[m] = activation(x[m] W + ray_term[ray_of_sample[m]]); ray_term [R, out] fp32.
-template <class Act>
-void linear_forward_per_ray(View<const Act> x, View<const Act> weight, View<const float> ray_term,
-                            View<const std::int32_t> ray_of_sample, Activation activation, View<Act> y);
-
 /// From dz [M, out] = dL/d(x W + b): d_weight [in, out] fp32 +=, d_bias [1, out] fp32 +=, dx [M, in] = dz W^T (or +=
-/// with add_to_dx), with relu_input masked by x > 0. weight [in, out], not transposed: cuBLASLt reads either way. Empty
-/// views are not computed. With launch().deterministic, or always, sums have a fixed order.
+/// with add_to_dx), with relu_input masked by x > 0. weight [in, out], not transposed: a product reads either way. x,
+/// dz and weight may have more columns (rows) than d_weight: padding. Empty views are not computed. Sums have a fixed
+/// order.
 template <class Act, class Dx>
 struct LinearBackward {
   View<const Act> x, dz, weight;
@@ -39,11 +40,13 @@ struct LinearBackward {
   View<Dx> dx;
   bool add_to_dx = false;
   bool relu_input = false;
+  /// x > 0 as bits, if forward wrote them: saves a pass over dx.
+  std::uint32_t* mask = nullptr;
 };
 template <class Act, class Dx>
 void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena);
 
-/// out = in, with conversion; shapes equal, strides as given. Columns of `out` beyond in.cols are set to 0 when out is
+/// out = in, with conversion; as many rows, strides as given. Columns of `out` beyond in.cols are set to 0 when out is
 /// wider.
 template <class From, class To>
 void convert(View<const From> in, View<To> out);
@@ -54,14 +57,22 @@ void fill(View<float> out, float value);
 template <class From, class To>
 void add_rows(View<const From> in, View<To> out);
 /// dz = y > 0 ? dy : 0.
+template <class Act, class Grad>
+void relu_backward(View<const Act> y, View<Grad> dy);
 template <class Act>
-void relu_backward(View<const Act> y, View<Act> dy);
-/// d_ray_term [R, out] = sum of dz over each ray's samples, rays in order; ray_of_sample ascending.
+void relu_backward(View<const Act> y, View<Act> dy) {
+  relu_backward<Act, Act>(y, dy);
+}
+/// y = activation(y + bias), mask as in LinearForward: the pass behind a product that cuBLASLt cannot finish itself.
+/// bias [1, out] or empty.
+template <class Act>
+void finish_layer(View<const float> bias, Activation activation, View<Act> y, std::uint32_t* mask);
+/// sums [1, cols] += column sums of dz, rows in an order that depends on their number alone.
+template <class Act>
+void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena);
+/// d_ray_term [R, out] = sum of dz over each ray's samples, rays in order; ray_of_sample ascending. Rows that are not
+/// in use are not added. dz may have more columns: padding.
 template <class Act>
 void per_ray_backward(View<const Act> dz, View<const std::int32_t> ray_of_sample, View<float> d_ray_term);
-/// rgb = 1 / (1 + e^-z) in place; dz = d_rgb rgb (1 - rgb).
-void sigmoid(View<float> rgb);
-template <class Act>
-void sigmoid_backward(View<const float> rgb, View<const float> d_rgb, View<Act> dz);
 
 }  // namespace semfield::cuda

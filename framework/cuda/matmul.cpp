@@ -1,0 +1,191 @@
+#include "cuda/matmul.h"
+
+#include <cublasLt.h>
+
+#include <algorithm>
+#include <compare>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <string>
+
+#include "core/error.h"
+#include "cuda/launch.h"
+#include "cuda/memory.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+constexpr std::size_t kWorkspaceBytes = std::size_t{64} << 20;
+constexpr std::uint32_t kMostAlignment = 256;
+
+void check_lt(cublasStatus_t status, const char* what) {
+  if (status == CUBLAS_STATUS_SUCCESS) return;
+  throw Error(ErrorKind::failure,
+              std::string("cuBLASLt: ") + what + ": " + cublasLtGetStatusString(status) + " (" +
+                  cublasLtGetStatusName(status) + ")",
+              "");
+}
+
+std::uint32_t alignment_of(const void* pointer) {
+  const auto address = reinterpret_cast<std::uintptr_t>(pointer);
+  return address == 0 ? kMostAlignment
+                      : static_cast<std::uint32_t>(std::min<std::uintptr_t>(kMostAlignment, address & (~address + 1)));
+}
+
+cudaDataType_t type_of(Element element) { return element == Element::fp32 ? CUDA_R_32F : CUDA_R_16BF; }
+
+cublasLtEpilogue_t epilogue_of(Epilogue epilogue) {
+  switch (epilogue) {
+    case Epilogue::none:
+      break;
+    case Epilogue::bias:
+      return CUBLASLT_EPILOGUE_BIAS;
+    case Epilogue::relu:
+      return CUBLASLT_EPILOGUE_RELU;
+    case Epilogue::bias_relu:
+      return CUBLASLT_EPILOGUE_RELU_BIAS;
+    case Epilogue::relu_mask:
+      return CUBLASLT_EPILOGUE_RELU_AUX;
+    case Epilogue::bias_relu_mask:
+      return CUBLASLT_EPILOGUE_RELU_AUX_BIAS;
+    case Epilogue::masked:
+      return CUBLASLT_EPILOGUE_DRELU;
+    case Epilogue::column_sums:
+      return CUBLASLT_EPILOGUE_BGRADA;
+  }
+  return CUBLASLT_EPILOGUE_DEFAULT;
+}
+
+// cuBLASLt thinks in columns: our row-major D = A B is its D^T = B^T A^T, so its first operand is our B.
+struct Problem {
+  cublasLtMatmulDescOpaque_t call;
+  cublasLtMatrixLayoutOpaque_t first, second, result;
+
+  explicit Problem(const Product& p) {
+    const auto layout = [](cublasLtMatrixLayoutOpaque_t& l, const Matrix& m) {
+      check_lt(cublasLtMatrixLayoutInit(&l, type_of(m.type), static_cast<std::uint64_t>(m.cols),
+                                        static_cast<std::uint64_t>(m.rows), m.stride),
+               "describing a matrix");
+    };
+    layout(first, p.b);
+    layout(second, p.a);
+    layout(result, p.d);
+    check_lt(cublasLtMatmulDescInit(&call, CUBLAS_COMPUTE_32F, CUDA_R_32F), "describing a product");
+    set(CUBLASLT_MATMUL_DESC_TRANSA, p.b.transposed ? CUBLAS_OP_T : CUBLAS_OP_N);
+    set(CUBLASLT_MATMUL_DESC_TRANSB, p.a.transposed ? CUBLAS_OP_T : CUBLAS_OP_N);
+    set(CUBLASLT_MATMUL_DESC_EPILOGUE, epilogue_of(p.epilogue));
+    const void* vector = p.epilogue == Epilogue::column_sums ? p.sums : p.bias;
+    if (vector != nullptr) set(CUBLASLT_MATMUL_DESC_BIAS_POINTER, vector);
+    if (p.mask != nullptr) {
+      set(CUBLASLT_MATMUL_DESC_EPILOGUE_AUX_POINTER, p.mask);
+      set(CUBLASLT_MATMUL_DESC_EPILOGUE_AUX_LD, mask_stride_bits(p.d.cols));
+    }
+  }
+
+ private:
+  template <class T>
+  void set(cublasLtMatmulDescAttributes_t attribute, const T& value) {
+    check_lt(cublasLtMatmulDescSetAttribute(&call, attribute, &value, sizeof value), "describing a product");
+  }
+};
+
+struct MatrixKey {
+  std::int64_t rows, cols, stride;
+  Element type;
+  bool transposed;
+  std::uint32_t alignment;
+  auto operator<=>(const MatrixKey&) const = default;
+};
+MatrixKey key_of(const Matrix& m) { return {m.rows, m.cols, m.stride, m.type, m.transposed, alignment_of(m.data)}; }
+
+/// All that the choice of an algorithm depends on.
+struct ProductKey {
+  MatrixKey a, b, d;
+  bool add;
+  Epilogue epilogue;
+  std::uint32_t vector_alignment, mask_alignment;
+  auto operator<=>(const ProductKey&) const = default;
+};
+
+class Library {
+ public:
+  Library() : workspace_(kWorkspaceBytes, "workspace of matrix products") {
+    check_lt(cublasLtCreate(&handle_), "starting");
+  }
+
+  /// The algorithm of a product, found at its first call; none: there is no kernel.
+  std::optional<cublasLtMatmulAlgo_t> algorithm(const Product& p, Problem& problem) {
+    const ProductKey key{key_of(p.a),         key_of(p.b),
+                         key_of(p.d),         p.add,
+                         p.epilogue,          alignment_of(p.epilogue == Epilogue::column_sums ? p.sums : p.bias),
+                         alignment_of(p.mask)};
+    const std::lock_guard lock(mutex_);
+    const auto known = algorithms_.find(key);
+    if (known != algorithms_.end()) return known->second;
+    return algorithms_.emplace(key, choose(key, problem)).first->second;
+  }
+
+  cublasLtHandle_t handle() const { return handle_; }
+  std::byte* workspace() const { return workspace_.data(); }
+
+ private:
+  std::optional<cublasLtMatmulAlgo_t> choose(const ProductKey& key, Problem& problem) const {
+    cublasLtMatmulPreferenceOpaque_t preference;
+    check_lt(cublasLtMatmulPreferenceInit(&preference), "stating a preference");
+    const auto set = [&](cublasLtMatmulPreferenceAttributes_t attribute, const auto& value) {
+      check_lt(cublasLtMatmulPreferenceSetAttribute(&preference, attribute, &value, sizeof value),
+               "stating a preference");
+    };
+    set(CUBLASLT_MATMUL_PREF_MAX_WORKSPACE_BYTES, kWorkspaceBytes);
+    // Of the ways to split a sum over blocks, only those that add the parts in order, in fp32.
+    set(CUBLASLT_MATMUL_PREF_REDUCTION_SCHEME_MASK, static_cast<std::uint32_t>(CUBLASLT_REDUCTION_SCHEME_COMPUTE_TYPE));
+    set(CUBLASLT_MATMUL_PREF_MIN_ALIGNMENT_A_BYTES, key.b.alignment);
+    set(CUBLASLT_MATMUL_PREF_MIN_ALIGNMENT_B_BYTES, key.a.alignment);
+    set(CUBLASLT_MATMUL_PREF_MIN_ALIGNMENT_C_BYTES, key.d.alignment);
+    set(CUBLASLT_MATMUL_PREF_MIN_ALIGNMENT_D_BYTES, key.d.alignment);
+    cublasLtMatmulHeuristicResult_t best{};
+    int found = 0;
+    const cublasStatus_t status =
+        cublasLtMatmulAlgoGetHeuristic(handle_, &problem.call, &problem.first, &problem.second, &problem.result,
+                                       &problem.result, &preference, 1, &best, &found);
+    if (status != CUBLAS_STATUS_SUCCESS || found == 0 || best.state != CUBLAS_STATUS_SUCCESS) return std::nullopt;
+    return best.algo;
+  }
+
+  cublasLtHandle_t handle_ = nullptr;
+  Buffer<std::byte> workspace_;
+  std::mutex mutex_;
+  std::map<ProductKey, std::optional<cublasLtMatmulAlgo_t>> algorithms_;
+};
+
+// Never destroyed: at the end of a process the driver may be gone before it.
+Library& library() {
+  static Library* const only = new Library;
+  return *only;
+}
+
+}  // namespace
+
+bool product(const Product& p) {
+  if (p.d.rows == 0 || p.d.cols == 0) return true;
+  const std::int64_t terms = p.a.transposed ? p.a.rows : p.a.cols;
+  if (terms > 0) {
+    Problem problem(p);
+    Library& lt = library();
+    if (const std::optional<cublasLtMatmulAlgo_t> algorithm = lt.algorithm(p, problem)) {
+      const float one = 1, start = p.add ? 1 : 0;
+      check_lt(cublasLtMatmul(lt.handle(), &problem.call, &one, p.b.data, &problem.first, p.a.data, &problem.second,
+                              &start, p.d.data, &problem.result, p.d.data, &problem.result, &*algorithm, lt.workspace(),
+                              kWorkspaceBytes, launch().stream),
+               "a product");
+      return true;
+    }
+  }
+  if (p.epilogue != Epilogue::none) return false;
+  simple_product(p);
+  return true;
+}
+
+}  // namespace semfield::cuda

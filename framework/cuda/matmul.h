@@ -1,0 +1,75 @@
+// Matrix products on the device by cuBLASLt, with what may follow them in the same kernel.
+#pragma once
+
+#include <cuda_bf16.h>
+
+#include <cstdint>
+#include <type_traits>
+
+#include "core/view.h"
+
+namespace semfield::cuda {
+
+enum class Element : std::uint8_t { fp32, bf16 };
+
+template <class T>
+constexpr Element element_of() {
+  using Plain = std::remove_const_t<T>;
+  static_assert(std::is_same_v<Plain, float> || std::is_same_v<Plain, __nv_bfloat16>);
+  return std::is_same_v<Plain, float> ? Element::fp32 : Element::bf16;
+}
+
+/// A row-major matrix in device memory as an operand; `transposed`: its transpose is meant.
+struct Matrix {
+  void* data = nullptr;
+  std::int64_t rows = 0, cols = 0, stride = 0;  ///< as stored
+  Element type = Element::fp32;
+  bool transposed = false;
+
+  Matrix() = default;
+  template <class T>
+  explicit Matrix(View<T> view, bool transpose = false)
+      : data(const_cast<std::remove_const_t<T>*>(view.data)),
+        rows(view.rows),
+        cols(view.cols),
+        stride(view.row_stride),
+        type(element_of<T>()),
+        transposed(transpose) {}
+};
+
+/// What happens to D = A B (+ D) before it is written.
+enum class Epilogue : std::uint8_t {
+  none,
+  bias,            ///< D + bias
+  relu,            ///< max(D, 0)
+  bias_relu,       ///< max(D + bias, 0)
+  relu_mask,       ///< relu, and mask = D > 0
+  bias_relu_mask,  ///< bias_relu, and mask = D > 0
+  masked,          ///< D where mask is set, else 0: the gradient of a ReLU
+  column_sums,     ///< D unchanged; sums = column sums of B
+};
+
+/// Bits of a row of a ReLU's mask: one a column, rows start at multiples of 128 bits.
+constexpr std::int64_t mask_stride_bits(std::int64_t cols) { return (cols + 127) / 128 * 128; }
+
+/// D = A B, or D + A B with `add`. Operands fp32: products and sums in fp32 (never TF32), D fp32; operands bf16: sums
+/// in fp32, D fp32 or bf16.
+struct Product {
+  Matrix a, b, d;
+  bool add = false;
+  Epilogue epilogue = Epilogue::none;
+  const void* bias = nullptr;     ///< [columns of D], of D's type
+  std::uint32_t* mask = nullptr;  ///< [rows of D] of mask_stride_bits(columns of D), 16-byte aligned
+  float* sums = nullptr;          ///< [columns of B]; D is fp32 then
+};
+
+/// Queues the product on launch().stream. false, and nothing is queued: cuBLASLt has no kernel with this epilogue
+/// (Epilogue::none always has one: ours, where cuBLASLt has none). Which algorithm a shape gets is decided once, among
+/// those whose sums have a fixed order, so results repeat bit for bit. All products of a process share one workspace:
+/// streams that compute products at the same time are not supported.
+bool product(const Product& p);
+
+/// The same by a plain kernel of ours, Epilogue::none: one thread an element, terms in order.
+void simple_product(const Product& p);
+
+}  // namespace semfield::cuda
