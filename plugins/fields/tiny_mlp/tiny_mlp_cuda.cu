@@ -1,0 +1,40 @@
+// CUDA kernels of the small network.
+#include "core/check.h"
+#include "fields/tiny_mlp/tiny_mlp_kernels.h"
+#include "fields/tiny_mlp/tiny_mlp_layers.cuh"
+#include "plugin/kernels.h"
+
+namespace semfield::cuda {
+
+void tiny_mlp_cuda_kernels(KernelTables& tables);
+
+namespace {
+
+void forward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<float>& t, const FieldIn<float>& in,
+             const FieldOut<float>& out, Saved saved) {
+  SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
+  tiny::layers_forward(s, ctx, t, in, out, saved);
+}
+
+void backward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<float>& t, const FieldIn<float>& in,
+              const FieldOut<float>& out, const FieldGrad<float>& grad, Saved saved, View<float> d_position) {
+  SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
+  SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
+  tiny::layers_backward(s, ctx, t, in, out, grad, saved, d_position);
+}
+
+/// Nothing here reads the transposes.
+void derive(const TinyMlpShape&, const Tensors<float>&) {}
+
+std::size_t saved_bytes(const TinyMlpShape& s, std::int64_t samples) { return tiny::layers_saved_bytes(s, samples); }
+
+constexpr TinyMlpKernels<float> kTable{forward, backward, derive, saved_bytes};
+
+}  // namespace
+
+void tiny_mlp_cuda_kernels(KernelTables& tables) {
+  tables.add(Device::cuda, "field 'tiny_mlp'", &kTable);
+  tables.add(Device::cuda, "field 'tiny_mlp'", &kTable, Precision::bf16);
+}
+
+}  // namespace semfield::cuda

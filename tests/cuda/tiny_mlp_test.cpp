@@ -1,0 +1,396 @@
+// The small network on the device: against the CPU's in float64 for every switch, width and output; fused kernels
+// against the layers one by one; and what a device adds: unused rows, and the same bits in every run.
+#include "fields/tiny_mlp/tiny_mlp.h"
+
+#include <algorithm>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "cuda/kernel_tables.h"
+#include "device_fixture.h"
+#include "fields/tiny_mlp/tiny_mlp_layers.cuh"
+#include "testkit/compare.h"
+#include "testkit/field_bench.h"
+
+namespace semfield {
+namespace {
+
+using testing::DeviceLaunch;
+using testing::DeviceMatrix;
+using testkit::FieldBench;
+using testkit::Wanted;
+
+const KernelTables& cpu_tables() {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    tiny_mlp_kernels(t);
+    return t;
+  }();
+  return tables;
+}
+const KernelTables& device_tables() {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    cuda::add_plugin_kernels(t);
+    return t;
+  }();
+  return tables;
+}
+/// Layer by layer whatever the widths.
+const KernelTables& layer_tables() {
+  static const TinyMlpKernels<float> table{cuda::tiny::layers_forward, cuda::tiny::layers_backward,
+                                           [](const TinyMlpShape&, const Tensors<float>&) {},
+                                           cuda::tiny::layers_saved_bytes};
+  static const KernelTables tables = [] {
+    KernelTables t;
+    t.add(Device::cuda, "field 'tiny_mlp'", &table);
+    t.add(Device::cuda, "field 'tiny_mlp'", &table, Precision::bf16);
+    return t;
+  }();
+  return tables;
+}
+
+struct Network {
+  TinyMlpParams params;
+  std::int32_t position_dims = 32, direction_dims = 16;
+  bool once = true;
+  Precision precision = Precision::fp32;
+
+  FieldBuild build(Device device) const {
+    FieldBuild b;
+    b.device = device;
+    b.position_dims = position_dims;
+    b.direction_dims = direction_dims;
+    b.savings.direction_once_per_ray = once;
+    b.precision = device == Device::cpu ? Precision::fp32 : precision;
+    return b;
+  }
+  std::string text() const {
+    return "hidden " + std::to_string(params.hidden_layers) + " x " + std::to_string(params.hidden_width) +
+           ", geometry " + std::to_string(params.geometry_features) + ", colour " +
+           std::to_string(params.color_layers) + " x " + std::to_string(params.color_width) + ", feature " +
+           std::to_string(static_cast<int>(params.feature)) + ", position " + std::to_string(position_dims) +
+           ", direction " + std::to_string(direction_dims) + ", once " + std::to_string(once) + ", bf16 " +
+           std::to_string(precision == Precision::bf16);
+  }
+};
+
+std::vector<float> flat(View<const double> view) {
+  std::vector<float> values;
+  for (std::int64_t r = 0; r < view.rows; ++r) {
+    for (std::int32_t c = 0; c < view.cols; ++c) values.push_back(static_cast<float>(view(r, c)));
+  }
+  return values;
+}
+
+/// Inputs, tensors and outputs of a float64 bench, in device memory.
+class OnDevice {
+ public:
+  OnDevice(const Network& network, const KernelTables& tables, FieldBench<double>& bench, std::int32_t padding)
+      : field(network.params, network.build(Device::cuda), tables) {
+    const std::int64_t rows = bench.position.rows();
+    const auto copy = [&](const testkit::Guarded<double>& from) {
+      return std::make_unique<DeviceMatrix<float>>(flat(from.view()), from.cols(), from.cols() + padding);
+    };
+    const auto space = [&](std::int32_t cols) {
+      return std::make_unique<DeviceMatrix<float>>(rows, cols, cols + padding);
+    };
+    position = copy(bench.position);
+    if (bench.direction.cols() > 0) direction = copy(bench.direction);
+    std::vector<std::int32_t> rays;
+    for (std::int64_t m = 0; m < rows; ++m) rays.push_back(bench.ray_of_sample(m, 0));
+    ray_of_sample = std::make_unique<DeviceMatrix<std::int32_t>>(rays, 1);
+    w_sigma = copy(bench.w_sigma), w_rgb = copy(bench.w_rgb), w_feature = copy(bench.w_feature);
+    sigma = space(1), rgb = space(3), feature = space(bench.feature.cols()), d_position = space(network.position_dims);
+    for (std::size_t i = 0; i < bench.box.count(); ++i) {
+      const View<double> value = bench.box.value(i);
+      values.push_back(std::make_unique<DeviceMatrix<float>>(flat(value), value.cols));
+      grads.push_back(std::make_unique<DeviceMatrix<float>>(std::vector<float>(static_cast<std::size_t>(value.size())),
+                                                            value.cols));
+      value_views.push_back(values.back()->view());
+      grad_views.push_back(grads.back()->view());
+    }
+    saved = std::make_unique<DeviceMatrix<std::byte>>(
+        static_cast<std::int64_t>(field.saved_bytes(rows, direction ? direction->view().rows : 0)), 1);
+    ctx.training = true;
+    ctx.workspace = &launch.arena();
+  }
+
+  FieldIn<float> in() const {
+    FieldIn<float> inputs;
+    inputs.position = position->view();
+    if (direction) inputs.direction = direction->view();
+    inputs.ray_of_sample = ray_of_sample->view();
+    return inputs;
+  }
+  FieldOut<float> out(Wanted wanted = {}) const {
+    FieldOut<float> outputs;
+    if (wanted.sigma) outputs.sigma = sigma->view();
+    if (wanted.rgb) outputs.rgb = rgb->view();
+    if (wanted.feature) outputs.feature = feature->view();
+    return outputs;
+  }
+  FieldGrad<float> weights(Wanted wanted = {}) const {
+    FieldGrad<float> w;
+    if (wanted.sigma) w.sigma = w_sigma->view();
+    if (wanted.rgb) w.rgb = w_rgb->view();
+    if (wanted.feature) w.feature = w_feature->view();
+    return w;
+  }
+  Tensors<float> tensors() const { return {value_views, grad_views}; }
+  Saved space() const { return Saved(saved->data(), static_cast<std::size_t>(saved->view().rows)); }
+  void forward(Wanted wanted = {}) const { field.forward(ctx, tensors(), in(), out(wanted), space()); }
+  void backward(Wanted wanted = {}, bool with_d_position = true) const {
+    field.backward(ctx, tensors(), in(), out(), weights(wanted), space(),
+                   with_d_position ? d_position->view() : View<float>());
+  }
+
+  DeviceLaunch launch;
+  TinyMlp<float> field;
+  StepContext ctx;
+  std::unique_ptr<DeviceMatrix<float>> position, direction, w_sigma, w_rgb, w_feature, sigma, rgb, feature, d_position;
+  std::unique_ptr<DeviceMatrix<std::int32_t>> ray_of_sample;
+  std::unique_ptr<DeviceMatrix<std::byte>> saved;
+  std::vector<std::unique_ptr<DeviceMatrix<float>>> values, grads;
+  std::vector<View<float>> value_views, grad_views;
+};
+
+/// A float64 network on the CPU with its inputs.
+struct Oracle {
+  Oracle(const Network& network, std::int64_t samples)
+      : field(network.params, network.build(Device::cpu), cpu_tables()),
+        bench(field, network.build(Device::cpu), samples, 0, {}) {}
+  TinyMlp<double> field;
+  FieldBench<double> bench;
+};
+
+std::string near(const DeviceMatrix<float>& got, View<const double> want, double tolerance) {
+  const std::vector<float> values = got.read();
+  return testkit::compare<float, double>(testing::host_view(values, want.cols), want, tolerance);
+}
+std::string near_norm(const DeviceMatrix<float>& got, View<const double> want, double tolerance) {
+  const std::vector<float> values = got.read();
+  return testkit::compare_norms<float, double>(testing::host_view(values, want.cols), want, tolerance);
+}
+
+std::string near_norm(const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance) {
+  const std::vector<double> values = testing::widen(want.read());
+  return near_norm(got, testing::host_view(values, want.view().cols), tolerance);
+}
+
+struct Tolerances {
+  double output, gradient;
+};
+// bf16: as the field laws of the CPU, whose reasons testkit/laws.h gives.
+Tolerances tolerances(Precision precision) {
+  return precision == Precision::bf16 ? Tolerances{0.02, 0.25} : Tolerances{1e-5, 1e-4};
+}
+
+void expect_oracle(const OnDevice& device, FieldBench<double>& bench, const Tolerances& t, bool with_d_position) {
+  EXPECT_EQ(near(*device.sigma, bench.sigma.view(), t.output), "") << "sigma";
+  EXPECT_EQ(near(*device.rgb, bench.rgb.view(), t.output), "") << "rgb";
+  EXPECT_EQ(near(*device.feature, bench.feature.view(), t.output), "") << "feature";
+  if (with_d_position) {
+    EXPECT_EQ(near_norm(*device.d_position, bench.d_position.view(), t.gradient), "") << "d_position";
+  }
+  for (std::size_t i = 0; i < bench.box.count(); ++i) {
+    if (!bench.box.learned(i)) continue;
+    EXPECT_EQ(near_norm(*device.grads[i], bench.box.grad(i), t.gradient), "") << bench.box.specs()[i].name;
+  }
+  for (const auto* matrix : {&device.sigma, &device.rgb, &device.feature, &device.d_position})
+    EXPECT_EQ((*matrix)->surroundings(), "");
+}
+
+void expect_like_the_oracle(const Network& network, std::int64_t samples, std::int32_t padding, Wanted gradients = {},
+                            bool with_d_position = true) {
+  SCOPED_TRACE(network.text() + ", samples " + std::to_string(samples) + ", padding " + std::to_string(padding));
+  Oracle oracle(network, samples);
+  oracle.bench.forward();
+  oracle.bench.backward(gradients, with_d_position);
+  const OnDevice device(network, device_tables(), oracle.bench, padding);
+  device.forward();
+  device.backward(gradients, with_d_position);
+  expect_oracle(device, oracle.bench, tolerances(network.precision), with_d_position);
+}
+
+constexpr TinyFeature kHidden = TinyFeature::hidden, kGeometry = TinyFeature::geometry;
+
+class CudaTinyMlp : public ::testing::TestWithParam<Precision> {};
+INSTANTIATE_TEST_SUITE_P(Precisions, CudaTinyMlp, ::testing::Values(Precision::fp32, Precision::bf16),
+                         [](const auto& info) { return info.param == Precision::bf16 ? "bf16" : "fp32"; });
+
+TEST_P(CudaTinyMlp, IsTheCpuNetworkAtEverySizeAndStride) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const std::int64_t samples : {0, 1, 31, 33, 4097}) {
+    for (const std::int32_t padding : {0, 1, 4}) {
+      expect_like_the_oracle({{}, 32, 16, true, GetParam()}, samples, padding);
+      expect_like_the_oracle({{12, 2, 5, 10, 2, kGeometry}, 7, 4, true, GetParam()}, samples, padding);
+    }
+  }
+}
+
+TEST_P(CudaTinyMlp, IsTheCpuNetworkForEverySwitchAndWidth) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const TinyFeature feature : {kHidden, kGeometry}) {
+    for (const std::int32_t direction_dims : {16, 9, 0}) {
+      for (const bool once : {true, false}) {
+        expect_like_the_oracle({{64, 1, 15, 64, 2, feature}, 32, direction_dims, once, GetParam()}, 333, 0);
+        expect_like_the_oracle({{24, 1, 7, 40, 2, feature}, 13, direction_dims, once, GetParam()}, 333, 3);
+      }
+    }
+    for (const std::int32_t position_dims : {1, 16, 17, 48, 64, 65, 128})
+      expect_like_the_oracle({{64, 1, 15, 64, 2, feature}, position_dims, 16, true, GetParam()}, 333, 0);
+    expect_like_the_oracle({{128, 2, 31, 128, 3, feature}, 32, 27, true, GetParam()}, 333, 0);
+    expect_like_the_oracle({{32, 3, 15, 70, 1, feature}, 20, 16, true, GetParam()}, 333, 0);
+    expect_like_the_oracle({{200, 1, 1, 130, 2, feature}, 32, 16, false, GetParam()}, 333, 0);
+  }
+}
+
+TEST_P(CudaTinyMlp, AbsentGradientsCountAsZero) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const TinyFeature feature : {kHidden, kGeometry}) {
+    for (const Wanted gradients : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{false, false, true},
+                                   Wanted{true, false, true}, Wanted{false, false, false}}) {
+      for (const bool with_d_position : {true, false}) {
+        expect_like_the_oracle({{64, 1, 15, 64, 2, feature}, 32, 16, true, GetParam()}, 333, 0, gradients,
+                               with_d_position);
+        expect_like_the_oracle({{12, 2, 5, 10, 2, feature}, 7, 4, true, GetParam()}, 333, 0, gradients,
+                               with_d_position);
+      }
+    }
+  }
+}
+
+TEST_P(CudaTinyMlp, AnOutputThatIsNotWantedChangesNoOther) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const TinyFeature feature : {kHidden, kGeometry}) {
+    for (const Network& network : {Network{{64, 1, 15, 64, 2, feature}, 32, 16, true, GetParam()},
+                                   Network{{12, 2, 5, 10, 2, feature}, 7, 4, true, GetParam()}}) {
+      SCOPED_TRACE(network.text());
+      Oracle oracle(network, 333);
+      const OnDevice whole(network, device_tables(), oracle.bench, 0);
+      whole.forward();
+      for (const Wanted wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{true, false, true},
+                                  Wanted{true, true, false}, Wanted{false, false, true}}) {
+        const OnDevice part(network, device_tables(), oracle.bench, 0);
+        part.field.forward(part.ctx, {part.value_views, {}}, part.in(), part.out(wanted), {});
+        if (wanted.sigma) {
+          EXPECT_EQ(part.sigma->read(), whole.sigma->read());
+        }
+        if (wanted.rgb) {
+          EXPECT_EQ(part.rgb->read(), whole.rgb->read());
+        }
+        if (wanted.feature) {
+          EXPECT_EQ(part.feature->read(), whole.feature->read());
+        }
+      }
+    }
+  }
+}
+
+TEST_P(CudaTinyMlp, RowsDoNotDependOnTheirBatch) {
+  SEMFIELD_NEEDS_DEVICE();
+  const Network network{{}, 32, 16, true, GetParam()};
+  Oracle oracle(network, 333);
+  const OnDevice whole(network, device_tables(), oracle.bench, 0), split(network, device_tables(), oracle.bench, 0);
+  whole.forward();
+  whole.backward();
+  for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 101}, {101, 232}}) {
+    const auto part = [begin = begin, count = count](auto view) { return view.row_range(begin, count); };
+    const FieldIn<float> in{part(split.in().position), split.in().direction, part(split.in().ray_of_sample)};
+    const FieldOut<float> out{part(split.out().sigma), part(split.out().rgb), part(split.out().feature)};
+    const FieldGrad<float> w{part(split.weights().sigma), part(split.weights().rgb), part(split.weights().feature)};
+    split.field.forward(split.ctx, split.tensors(), in, out, split.space());
+    split.field.backward(split.ctx, split.tensors(), in, out, w, split.space(), part(split.d_position->view()));
+  }
+  EXPECT_EQ(split.sigma->read(), whole.sigma->read());
+  EXPECT_EQ(split.rgb->read(), whole.rgb->read());
+  EXPECT_EQ(split.feature->read(), whole.feature->read());
+  EXPECT_EQ(split.d_position->read(), whole.d_position->read());
+}
+
+TEST_P(CudaTinyMlp, GradientsAreAddedAndHaveTheSameBitsInEveryRun) {
+  SEMFIELD_NEEDS_DEVICE();
+  const Network network{{}, 32, 16, true, GetParam()};
+  Oracle oracle(network, 50001);
+  const OnDevice once(network, device_tables(), oracle.bench, 0), twice(network, device_tables(), oracle.bench, 0);
+  for (const OnDevice* device : {&once, &twice}) {
+    device->forward();
+    device->backward();
+  }
+  for (std::size_t i = 0; i < once.grads.size(); ++i) EXPECT_EQ(once.grads[i]->read(), twice.grads[i]->read());
+  twice.backward();
+  for (std::size_t i = 0; i < once.grads.size(); ++i) {
+    std::vector<float> doubled = once.grads[i]->read();
+    for (float& value : doubled) value += value;
+    EXPECT_EQ(twice.grads[i]->read(), doubled) << oracle.bench.box.specs()[i].name;
+  }
+}
+
+TEST_P(CudaTinyMlp, RowsBehindTheLiveOnesAreZero) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const Network& network :
+       {Network{{}, 32, 16, true, GetParam()}, Network{{12, 2, 5, 10, 2, kHidden}, 7, 4, true, GetParam()}}) {
+    for (const std::int64_t live : {0, 1, 64, 200, 333}) {
+      SCOPED_TRACE(network.text() + ", live " + std::to_string(live));
+      Oracle oracle(network, 333);
+      OnDevice some(network, device_tables(), oracle.bench, 0), all(network, device_tables(), oracle.bench, 0);
+      const DeviceMatrix<std::int32_t> count(std::vector<std::int32_t>{static_cast<std::int32_t>(live)}, 1);
+      some.launch.set_live_rows(count.data());
+      some.forward();
+      some.backward();
+      some.launch.set_live_rows(nullptr);
+      // The same gradient from all rows when those behind have none.
+      for (const auto* weight : {&all.w_sigma, &all.w_rgb, &all.w_feature}) {
+        std::vector<float> w = (*weight)->read();
+        std::fill(w.begin() + live * (*weight)->view().cols, w.end(), 0.0f);
+        (*weight)->write(w);
+      }
+      all.forward();
+      all.backward();
+      using Output = std::unique_ptr<DeviceMatrix<float>> OnDevice::*;
+      for (const Output output : {&OnDevice::sigma, &OnDevice::rgb, &OnDevice::feature, &OnDevice::d_position}) {
+        const auto &got = some.*output, &want = all.*output;
+        std::vector<float> expected = want->read();
+        std::fill(expected.begin() + live * want->view().cols, expected.end(), 0.0f);
+        EXPECT_EQ(got->read(), expected);
+      }
+      for (std::size_t i = 0; i < some.grads.size(); ++i) {
+        EXPECT_EQ(near_norm(*some.grads[i], *all.grads[i], 1e-6), "") << oracle.bench.box.specs()[i].name;
+      }
+    }
+  }
+}
+
+// The same operands rounded alike and summed in another order: far closer than to float64, so that a wrong element
+// shows which the tolerance of bf16 would hide.
+TEST(CudaTinyMlpFused, AgreesWithTheLayersOneByOne) {
+  SEMFIELD_NEEDS_DEVICE();
+  constexpr double kOutput = 5e-3, kGradient = 2e-2;
+  for (const TinyFeature feature : {kHidden, kGeometry}) {
+    for (const Network& network : {Network{{64, 1, 15, 64, 2, feature}, 32, 16, true, Precision::bf16},
+                                   Network{{64, 1, 15, 64, 2, feature}, 16, 9, true, Precision::bf16},
+                                   Network{{64, 1, 15, 64, 2, feature}, 64, 0, true, Precision::bf16},
+                                   Network{{24, 1, 7, 40, 2, feature}, 13, 5, false, Precision::bf16}}) {
+      SCOPED_TRACE(network.text());
+      Oracle oracle(network, 4097);
+      const OnDevice fused(network, device_tables(), oracle.bench, 0), layers(network, layer_tables(), oracle.bench, 0);
+      for (const OnDevice* device : {&fused, &layers}) {
+        device->forward();
+        device->backward();
+      }
+      const auto expect_near = [&](const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance,
+                                   const std::string& name) { EXPECT_EQ(near_norm(got, want, tolerance), "") << name; };
+      expect_near(*fused.sigma, *layers.sigma, kOutput, "sigma");
+      expect_near(*fused.rgb, *layers.rgb, kOutput, "rgb");
+      expect_near(*fused.feature, *layers.feature, kOutput, "feature");
+      expect_near(*fused.d_position, *layers.d_position, kGradient, "d_position");
+      for (std::size_t i = 0; i < fused.grads.size(); ++i)
+        expect_near(*fused.grads[i], *layers.grads[i], kGradient, oracle.bench.box.specs()[i].name);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace semfield
