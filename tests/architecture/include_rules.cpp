@@ -19,8 +19,8 @@ bool ends_with(const std::string& text, const std::string& end) {
   return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
-const Folders kFrameworkFolders{"core",  "config", "scene", "plugin", "labels", "losses",
-                                "model", "optim",  "train", "fuse",   "mesh",   "sweep",  "testkit"};
+const Folders kFrameworkFolders{"core",  "config", "scene", "plugin", "labels", "losses", "model",
+                                "optim", "cuda",   "train", "fuse",   "mesh",   "sweep",  "testkit"};
 
 // app -> train, fuse, mesh -> model, losses, optim, labels -> plugin -> config, scene -> core. Folders of one floor may
 // use each other where the table says so: scene reads class tables through config's tree; model and labels are told
@@ -37,6 +37,7 @@ const std::map<std::string, Folders>& floors() {
       {"losses", {"core", "config", "losses"}},
       {"optim", {"core", "config", "plugin", "model", "optim"}},
       {"model", {"core", "config", "scene", "plugin", "losses", "model"}},
+      {"cuda", {"core", "config", "scene", "plugin", "losses", "model", "optim", "cuda"}},
       {"train", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train"}},
       {"fuse", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "fuse"}},
       {"mesh", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "mesh"}},
@@ -101,6 +102,7 @@ std::string forbidden_in_plugin(const std::string& inside, const std::string& ta
   if (!kFrameworkFolders.contains(other) || target.find('/') == std::string::npos) return {};
   if (other == "core" || other == "plugin" || target == "config/params.h") return {};
   if (other == "scene" && kind == "datasets") return {};
+  if (other == "cuda" && ends_with(inside, ".cu")) return {};
   if (kind == "fused" && target == "model/encoded_field.h") return {};
   return "a plugin sees core, config/params.h, plugin" + std::string(kind == "datasets" ? " and scene" : "") + " alone";
 }
