@@ -31,11 +31,11 @@ json parsed(const std::string& line) {
 
 }  // namespace
 
-Peer::Peer(const std::string& script, const std::string& python, int threads, bool tuned) {
-  std::vector<std::string> words{python_with_torch(python), script, "--serve"};
+Peer::Peer(const std::string& script, const std::string& python, int threads, bool tuned, const std::string& device) {
+  std::vector<std::string> words{python_with_torch(python), script, "--serve", "--device", device};
   if (tuned) {
     words.insert(words.end(), {"--tuned", "--threads", std::to_string(threads)});
-  } else {
+  } else if (device == "cpu") {
     words.push_back("--plain");
   }
   process_ = std::make_unique<PeerProcess>(words);
@@ -44,7 +44,7 @@ Peer::Peer(const std::string& script, const std::string& python, int threads, bo
                              about.value("threads", 0), about.value("blas", "?"),
                              about.value("preload", "").empty() ? "of the C library" : about.value("preload", ""),
                              about.value("capability", "?"));
-  if (about.value("blas", "") == "reference") {
+  if (device == "cpu" && about.value("blas", "") == "reference") {
     throw Error(ErrorKind::unavailable,
                 "PyTorch here multiplies matrices with the reference BLAS, 50 times too slow to compare",
                 "install libopenblas0-openmp");

@@ -145,6 +145,7 @@ class Bench {
   }
 
   void add_settings(const std::string& precision, StepCaseOptions& o) const {
+    o.set.push_back("runtime.device=cpu");
     o.set.insert(o.set.end(), options_.set.begin(), options_.set.end());
     if (precision != "fp32") o.set.push_back("runtime.precision=" + precision);
   }

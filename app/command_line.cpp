@@ -243,10 +243,21 @@ void add_bench_quadrature(CLI::App& group, AppContext& context, Choice& choice) 
   });
 }
 
+void add_bench_gpu(CLI::App& group, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<BenchGpuOptions>();
+  CLI::App* verb = group.add_subcommand("gpu", "training steps and frames on a graphics processor");
+  verb->add_flag("--peers", options->peers, "alternate with the same steps in PyTorch and print ratios");
+  verb->add_option("--repeats", options->repeats, "rounds; medians are of so many")->check(CLI::Range(1, 1000));
+  verb->add_option("--python", options->python, "interpreter with torch (default: python3)");
+  verb->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_bench_gpu(*options, context); }; });
+}
+
 void add_bench_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* group = root.add_subcommand("bench", "how fast training steps are, how exact rules of integration");
   group->require_subcommand(1);
   add_bench_quadrature(*group, context, choice);
+  add_bench_gpu(*group, context, choice);
   auto options = std::make_shared<BenchStepOptions>();
   CLI::App* step = group->add_subcommand("step", "whole training steps beside the machine's limits");
   step->add_flag("--peers", options->peers, "alternate with the same steps in PyTorch and print ratios");

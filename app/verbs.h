@@ -135,6 +135,13 @@ int run_bench_quadrature(const BenchQuadratureOptions& options, AppContext& cont
 
 int run_bench_step(const BenchStepOptions& options, AppContext& context);
 
+struct BenchGpuOptions {
+  bool peers = false;
+  int repeats = 5;
+  std::string python;
+};
+int run_bench_gpu(const BenchGpuOptions& options, AppContext& context);
+
 struct CheckNumericsOptions {
   std::vector<std::string> only;  ///< beginnings of ids; empty: every case
   std::string page;               ///< Markdown page whose marked part the table replaces; "" = none

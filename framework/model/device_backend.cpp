@@ -1,5 +1,7 @@
 #include "model/device_backend.h"
 
+#include <dlfcn.h>
+
 #include "core/companion.h"
 #include "core/error.h"
 
@@ -18,6 +20,12 @@ const DeviceLibrary& cuda_library() {
 }
 
 bool cuda_available(std::string* why_not) {
+  // Asked before our library, which brings half a gigabyte of products along.
+  static const bool has_driver = ::dlopen("libcuda.so.1", RTLD_LAZY | RTLD_LOCAL) != nullptr;
+  if (!has_driver) {
+    if (why_not != nullptr) *why_not = "this machine has no NVIDIA driver";
+    return false;
+  }
   try {
     (void)cuda_library().describe();
     return true;

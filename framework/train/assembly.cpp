@@ -22,8 +22,9 @@ auto make(const Kind32& maker32, const Kind64& maker64, const PluginSlot& slot, 
   }
 }
 
-EncoderBuild encoder_build(const SceneExtent& extent, bool is_direction) {
+EncoderBuild encoder_build(const SceneExtent& extent, bool is_direction, Device device) {
   EncoderBuild build;
+  build.device = device;
   build.is_direction = is_direction;
   const Vec3d size = extent.bounds.empty() ? Vec3d{} : extent.bounds.size();
   build.extent_m = std::max({size.x, size.y, size.z});
@@ -33,9 +34,9 @@ EncoderBuild encoder_build(const SceneExtent& extent, bool is_direction) {
 
 template <class Real>
 std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Registry& registry, const SceneExtent& extent,
-                                            bool is_direction, const std::string& path) {
-  std::unique_ptr<Encoder<Real>> encoder =
-      make<Real>(slot.entry->encoder32, slot.entry->encoder64, slot, encoder_build(extent, is_direction), registry);
+                                            bool is_direction, Device device, const std::string& path) {
+  std::unique_ptr<Encoder<Real>> encoder = make<Real>(slot.entry->encoder32, slot.entry->encoder64, slot,
+                                                      encoder_build(extent, is_direction, device), registry);
   const EncoderTraits traits = encoder->traits();
   if (traits.in_dims != 3) {
     throw Error(ErrorKind::config, path + ": encoder '" + slot.entry->name + "' reads " +
@@ -55,21 +56,25 @@ std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Regist
 
 template <class Real>
 PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const Registry& registry,
-                          const BuildPlan& plan, const SceneExtent& extent) {
+                          const BuildPlan& plan, const SceneExtent& extent, Device device) {
   PassParts<Real> parts;
   parts.name = pass.name;
   SamplerBuild sampler_build;
+  sampler_build.device = device;
   sampler_build.bounds = extent.bounds;
   sampler_build.near_m = extent.near_m;
   sampler_build.far_m = extent.far_m;
   parts.sampler =
       make<Real>(pass.sampler.entry->sampler32, pass.sampler.entry->sampler64, pass.sampler, sampler_build, registry);
-  parts.position = make_encoder<Real>(pass.position, registry, extent, false, "passes." + pass.name + ".position");
+  parts.position =
+      make_encoder<Real>(pass.position, registry, extent, false, device, "passes." + pass.name + ".position");
   parts.domain = DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale);
   FieldBuild field_build;
+  field_build.device = device;
   field_build.position_dims = parts.position->traits().out_dims;
   if (plan.view_branch && pass.direction.entry != nullptr) {
-    parts.direction = make_encoder<Real>(pass.direction, registry, extent, true, "passes." + pass.name + ".direction");
+    parts.direction =
+        make_encoder<Real>(pass.direction, registry, extent, true, device, "passes." + pass.name + ".direction");
     field_build.direction_dims = parts.direction->traits().out_dims;
   }
   field_build.wants_feature = plan.semantics;
@@ -87,11 +92,11 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
 
 template <class Real>
 std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-                                         const SceneExtent& extent) {
+                                         const SceneExtent& extent, Device device = Device::cpu) {
   std::vector<PassParts<Real>> passes;
   for (std::size_t p = static_cast<std::size_t>(plan.first_pass); p < config.passes.size(); ++p) {
     const PassConfig& pass = config.passes[p];
-    passes.push_back(make_pass<Real>(pass, config, registry, plan, extent));
+    passes.push_back(make_pass<Real>(pass, config, registry, plan, extent, device));
     passes.back().number = static_cast<std::uint32_t>(p);
     if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
       throw Error(ErrorKind::config,
@@ -144,9 +149,9 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry) {
   return request;
 }
 
-std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent) {
+std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent, Device device) {
   std::vector<std::string> lines;
-  EncoderBuild build = encoder_build(extent, false);
+  EncoderBuild build = encoder_build(extent, false, device);
   if (!extent.bounds.empty()) {
     const DomainMap map = DomainMap::make(Domain::metric, extent.bounds, config.rendering.scene_scale);
     for (int a = 0; a < 3; ++a) {
@@ -188,6 +193,32 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
   options.class_weight = std::move(class_weight);
   return std::make_unique<Pipeline<Real>>(make_passes<Real>(config, registry, plan, extent), std::move(options),
                                           trainable);
+}
+
+Device chosen_device(DeviceChoice choice, Registry& registry) {
+  if (choice == DeviceChoice::cpu) return Device::cpu;
+  std::string why_not;
+  if (cuda_available(&why_not)) {
+    cuda_library().add_kernels(registry.kernels());
+    return Device::cuda;
+  }
+  if (choice == DeviceChoice::automatic) return Device::cpu;
+  throw Error(ErrorKind::unavailable, "runtime.device: cuda: " + why_not, "set runtime.device: cpu, or auto");
+}
+
+std::unique_ptr<DeviceBackend> attach_device(const RunConfig& config, Registry& registry, const BuildPlan& plan,
+                                             const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable) {
+  const Device device = chosen_device(config.runtime.device, registry);
+  if (device == Device::cpu) return nullptr;
+  DeviceOptions options;
+  options.adam = {config.adam.beta1, config.adam.beta2, config.adam.epsilon};
+  options.head_precision = config.runtime.precision;
+  options.trainable = trainable;
+  options.deterministic = config.runtime.deterministic;
+  std::unique_ptr<DeviceBackend> backend =
+      cuda_library().make(pipeline, make_passes<float>(config, registry, plan, extent, device), options);
+  pipeline.attach(backend.get());
+  return backend;
 }
 
 template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,

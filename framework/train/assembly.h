@@ -3,6 +3,7 @@
 
 #include <memory>
 
+#include "model/device_backend.h"
 #include "model/leave_out.h"
 #include "model/network_plan.h"
 #include "model/pipeline.h"
@@ -21,7 +22,7 @@ struct SceneExtent {
 };
 
 /// Lets position encoders replace what they choose from the scene by numbers; "passes.NAME.position: sentence" each.
-std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent);
+std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent, Device device);
 
 /// True when a position encoder of the plan's passes lives in the unit cube: rays must then be clipped to the bounds.
 bool needs_bounds(const RunConfig& config, const Registry& registry);
@@ -34,6 +35,15 @@ NetworkPlan plan_network(const RunConfig& config, const Registry& registry, cons
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
+
+/// The device that a run asks for; its kernels are then in the registry's tables. Throws Error(unavailable) with the
+/// reason when cuda is asked for and cannot be had.
+Device chosen_device(DeviceChoice choice, Registry& registry);
+
+/// The backend of the chosen device with the same parts as `pipeline`, which from now on renders there; null for the
+/// processor. Throws Error(unavailable) naming a part without kernels for the device.
+std::unique_ptr<DeviceBackend> attach_device(const RunConfig& config, Registry& registry, const BuildPlan& plan,
+                                             const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable);
 
 extern template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
                                                                  const SceneExtent&, std::vector<float>, bool);

@@ -54,6 +54,9 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
                  "of the networks' matrix products: fp32, or bf16 operands with fp32 sums, weights and gradients");
   SEMFIELD_PARAM(visit, p, gemm,
                  "who computes matrix products on the CPU; auto: oneDNN for bf16 on processors with matrix tiles");
+  SEMFIELD_PARAM(
+      visit, p, deterministic,
+      "on a graphics processor: sums in a fixed order, so that every run gives the same bits; the CPU always does");
   SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
   SEMFIELD_PARAM(visit, p, seed, "seed of every random value");
   SEMFIELD_PARAM(visit, p, lanes,

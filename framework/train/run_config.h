@@ -80,6 +80,7 @@ struct RuntimeParams {
   DeviceChoice device = DeviceChoice::automatic;
   Precision precision = Precision::fp32;
   GemmEngine gemm = GemmEngine::automatic;
+  bool deterministic = false;
   int threads = 0;
   std::uint32_t seed = 1;
   int lanes = 8;

@@ -127,10 +127,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   }
   set_thread_count(s.config.runtime.threads);
   set_input_limits(s.config.limits);
-  if (s.config.runtime.device == DeviceChoice::cuda) {
-    throw Error(ErrorKind::unavailable, "runtime.device: this build has no CUDA kernels (has: cpu)",
-                "set runtime.device: cpu, or auto");
-  }
+  const Device device = chosen_device(s.config.runtime.device, registry);
   DatasetBuild dataset_build;
   dataset_build.config_dir = s.config.base_dir;
   std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
@@ -158,6 +155,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
   BuildRequest request = build_request(s.config, registry);
+  request.device_cuda_available = device == Device::cuda;
   request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
   s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
 
@@ -171,8 +169,8 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   s.config.load.near_m = s.scene.near_m;
   s.config.load.far_m = s.scene.far_m;
   s.config.load.bounds = {b.lo.x, b.lo.y, b.lo.z, b.hi.x, b.hi.y, b.hi.z};
-  s.chosen = choose_from_scene(s.config, s.extent);
-  if (s.config.runtime.precision == Precision::bf16 && !bf16_is_native()) {
+  s.chosen = choose_from_scene(s.config, s.extent, device);
+  if (device == Device::cpu && s.config.runtime.precision == Precision::bf16 && !bf16_is_native()) {
     diagnostics.note("runtime.precision",
                      "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
   }
@@ -180,7 +178,10 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   dataset.reset();  // what it keeps for reading is not needed any more
   if (options.trainable) {
     measure_scene(s);
-    s.memory = plan_memory(s.config, s.memory_facts, plan_network(s.config, registry, s.plan, s.extent, true));
+    NetworkPlan network = plan_network(s.config, registry, s.plan, s.extent, true);
+    // The host then holds the tensors alone.
+    if (device != Device::cpu) network.activations = network.logits = network.step_rows = network.density = 0;
+    s.memory = plan_memory(s.config, s.memory_facts, network);
     require_memory(s.config, registry, s.plan, s.extent, s.memory_facts, s.memory);
   }
 
@@ -193,6 +194,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   }
   s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
   add_owned_rows(s);
+  s.device = attach_device(s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
   return s;
 }
 
@@ -227,7 +229,8 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   options.labelled_share = config.train.labelled_share;
   options.seed = config.runtime.seed;
   options.rays = config.train.rays;
-  options.tile_rays = pipeline->tile_rays();
+  // A device takes the batch as one tile: labelled rays come first in all of it.
+  options.tile_rays = device ? config.train.rays : pipeline->tile_rays();
   return std::make_unique<RaySource>(std::move(frames), plan.semantics ? logit_of_class() : std::vector<std::int16_t>{},
                                      limits, options);
 }

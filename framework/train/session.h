@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "model/device_backend.h"
 #include "model/leave_out.h"
 #include "train/assembly.h"
 #include "train/evaluator.h"
@@ -28,6 +29,7 @@ struct Session {
   MemoryFacts memory_facts;
   MemoryPlan memory;  ///< of training; empty for sessions that do not train
   std::unique_ptr<Pipeline<float>> pipeline;
+  std::unique_ptr<DeviceBackend> device;  ///< of `pipeline`; null: the processor does everything
 
   int classes() const { return scene.info.classes.valid_count(); }
   EvalJob eval_job(std::vector<int> frames) const;

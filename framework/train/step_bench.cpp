@@ -66,6 +66,7 @@ struct StepCase::Impl {
   std::vector<StoredFrame> pixels;
   std::vector<TrainingLabels::Frame> labels;
   std::unique_ptr<Pipeline<float>> pipeline;
+  std::unique_ptr<DeviceBackend> device;
   std::unique_ptr<RaySource> rays;
   std::unique_ptr<Trainer> trainer;
   GemmEngine engine = GemmEngine::automatic;
@@ -87,6 +88,7 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   impl_->precision = config.runtime.precision;
   const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry), {});
   impl_->pipeline = assemble<float>(config, registry, plan, extent, {}, true);
+  impl_->device = attach_device(config, registry, plan, extent, *impl_->pipeline, true);
 
   std::int64_t per_ray = 0, all = 0;
   for (const Pass<float>& pass : impl_->pipeline->passes()) {
@@ -120,9 +122,10 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   RaySourceOptions source;
   source.seed = config.runtime.seed;
   source.rays = options.rays;
-  source.tile_rays = impl_->pipeline->tile_rays();
+  source.tile_rays = impl_->device ? options.rays : impl_->pipeline->tile_rays();
   impl_->rays = std::make_unique<RaySource>(std::move(frames), std::move(logit_of_class), limits, source);
-  impl_->trainer = std::make_unique<Trainer>(*impl_->pipeline, *impl_->rays, config.adam, config.schedule);
+  impl_->trainer =
+      std::make_unique<Trainer>(*impl_->pipeline, *impl_->rays, config.adam, config.schedule, impl_->device.get());
 }
 
 StepCase::~StepCase() = default;
@@ -133,7 +136,11 @@ double StepCase::seconds(int threads, int steps) {
   set_thread_count(threads);
   choose_gemm_engine(impl_->engine, impl_->precision);  // of the process; cases of the other precision take turns
   const auto begin = std::chrono::steady_clock::now();
-  for (int i = 0; i < steps; ++i) impl_->losses = impl_->trainer->advance();
+  for (std::int64_t done = 0; done < steps;) {
+    const std::span<const StepLosses> made = impl_->trainer->advance_many(steps - done);
+    impl_->losses = made.back();
+    done += std::ssize(made);
+  }
   const double elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   set_thread_count(before);
   SEMFIELD_CHECK(impl_->losses.samples == impl_->samples_last, "every ray has all its samples, or the count is wrong");
@@ -142,6 +149,32 @@ double StepCase::seconds(int threads, int steps) {
 
 std::int64_t StepCase::samples_per_step() const { return impl_->samples_all; }
 std::int64_t StepCase::learned_count() const { return impl_->pipeline->store().learned_count(); }
+double StepCase::render_seconds(std::int64_t rays) {
+  std::vector<double> origin, direction, near_far;
+  BatchBuffers batch;
+  for (std::int64_t step = 0; std::ssize(near_far) < 2 * rays; ++step) {
+    impl_->rays->fill(step, batch);
+    origin.insert(origin.end(), batch.origin.begin(), batch.origin.end());
+    direction.insert(direction.end(), batch.direction.begin(), batch.direction.end());
+    near_far.insert(near_far.end(), batch.near_far.begin(), batch.near_far.end());
+  }
+  const auto n = static_cast<std::size_t>(rays);
+  std::vector<float> color(3 * n), depth(n), entropy(n);
+  std::vector<std::int16_t> label(n);
+  RenderJob<float> job;
+  job.origin = {origin.data(), rays, 3};
+  job.direction = {direction.data(), rays, 3};
+  job.near_far = {near_far.data(), rays, 2};
+  job.color = {color.data(), rays, 3};
+  job.depth = {depth.data(), rays, 1};
+  if (impl_->pipeline->has_semantics()) {
+    job.label = {label.data(), rays, 1};
+    job.entropy = {entropy.data(), rays, 1};
+  }
+  const auto begin = std::chrono::steady_clock::now();
+  impl_->pipeline->render(job);
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
 double StepCase::loss() const { return impl_->losses.total; }
 
 Spread spread_of(std::vector<double> values) {

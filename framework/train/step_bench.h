@@ -30,6 +30,8 @@ class StepCase {
 
   /// Mean seconds of `steps` steps on `threads` threads.
   double seconds(int threads, int steps);
+  /// Seconds in which `rays` rays are rendered: colour, depth, label and entropy.
+  double render_seconds(std::int64_t rays);
   /// Samples that the networks of all passes evaluate in a step.
   std::int64_t samples_per_step() const;
   std::int64_t learned_count() const;

@@ -54,7 +54,8 @@ class Run {
         label_counts_json(label_counts(session_.manifest, session_.scene.info.classes, session_.labels.steps)));
     write_environment(registry);
     rays_ = session_.make_ray_source();
-    trainer_ = std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule);
+    trainer_ = std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule,
+                                         session_.device.get());
   }
 
   /// Takes up the newest checkpoint that verifies; without one the run starts at step 0.
@@ -104,9 +105,9 @@ class Run {
     while (trainer_->step() < config.train.steps &&
            (config.train.time_limit_s <= 0 || train_s_ < config.train.time_limit_s)) {
       const Clock::time_point start = Clock::now();
-      const StepLosses losses = trainer_->advance();
-      const double step_s = seconds_since(start);
-      train_s_ += step_s;
+      const std::span<const StepLosses> steps = trainer_->advance_many(steps_until_row());
+      const double spent_s = seconds_since(start), step_s = spent_s / static_cast<double>(steps.size());
+      train_s_ += spent_s;
       if (step_s > kStopDeadline_s && !warned_of_slow_steps_) {
         warned_of_slow_steps_ = true;
         note(
@@ -114,7 +115,9 @@ class Run {
                         "promised; fewer train.rays make steps shorter",
                         step_s, kStopDeadline_s));
       }
-      record(losses);
+      for (std::size_t i = 0; i < steps.size(); ++i) {
+        record(steps[i], trainer_->step() - std::ssize(steps) + 1 + static_cast<std::int64_t>(i));
+      }
       if (train_s_ >= next_eval_s_) {
         next_eval_s_ += config.report.eval_every_s;
         evaluate_now(config.report.eval_frames, false);
@@ -149,7 +152,14 @@ class Run {
     if (hooks_.note) hooks_.note(text);
   }
 
+  // Steps to the next row of the log, or to the end.
+  std::int64_t steps_until_row() const {
+    const std::int64_t step = trainer_->step(), every = session_.config.report.log_every_steps;
+    return std::min(every - step % every, session_.config.train.steps - step);
+  }
+
   void save() {
+    trainer_->collect();
     trainer_->check_storable();
     if (log_ != nullptr) log_->sync();  // a checkpoint that outlives a power cut has its rows
     TensorMetadata metadata;
@@ -166,11 +176,10 @@ class Run {
     last_checkpoint_ = Clock::now();
   }
 
-  void record(const StepLosses& losses) {
+  void record(const StepLosses& losses, std::int64_t step) {
     const RunConfig& config = session_.config;
     mse_sum_ += losses.mse;
     ++mse_steps_;
-    const std::int64_t step = trainer_->step();
     const double psnr = -10 * std::log10(mse_sum_ / static_cast<double>(mse_steps_));
     const double span = std::max(train_s_ - window_start_s_, 1e-9);
     const double rays_per_s = static_cast<double>(mse_steps_ * config.train.rays) / span;
@@ -299,7 +308,8 @@ class Run {
     for (const std::uint32_t checksum : checksums) manifest += hex64(checksum);
     environment.input_hash = hex64(fnv1a64(manifest));
     for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
-    environment.more.emplace_back("matrix products", gemm_engine_text());
+    environment.more.emplace_back("device", session_.device ? session_.device->description() : "cpu");
+    environment.more.emplace_back("matrix products", session_.device ? "cuBLASLt and our own" : gemm_engine_text());
     environment.more.emplace_back("precision", std::string(precision_name(session_.config.runtime.precision)));
     write_file_atomic(folder_.environment_path(), environment_json(environment));
   }
@@ -369,6 +379,7 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   options.labels = purpose == OpenFor::evaluation_of_training_frames;
   run.session = open_session(std::move(config), registry, options, diagnostics);
   load_pipeline(*run.session.pipeline, found->file);
+  if (run.session.device) run.session.device->upload();
   run.step = found->step;
   run.train_s = std::stod(found->file.metadata().at("train_s"));
   return run;

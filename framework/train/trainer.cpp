@@ -70,10 +70,69 @@ void copy_into(const TensorRef& from, const AlignedBuffer<float>& to) {
 }  // namespace
 
 Trainer::Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam,
-                 const ScheduleParams& schedule)
-    : pipeline_(pipeline), rays_(rays), adam_(adam), schedule_(schedule) {}
+                 const ScheduleParams& schedule, DeviceBackend* device)
+    : pipeline_(pipeline), rays_(rays), adam_(adam), schedule_(schedule), device_(device) {}
 
-StepLosses Trainer::advance() {
+StepLosses Trainer::advance() { return advance_many(1).back(); }
+
+std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
+  done_.clear();
+  if (device_ == nullptr) {
+    done_.push_back(advance_on_processor());
+    return done_;
+  }
+  const std::int64_t count = std::min<std::int64_t>(most, device_->most_queued());
+  std::optional<Error> refused;  // of a batch that the device was not given
+  for (std::int64_t i = 0; i < count && !refused; ++i) {
+    const std::int64_t step = step_ + i;
+    const AdamStep rule = rule_of(step);
+    try {
+      rays_.fill(step, batch_);
+      device_->queue(step, batch_.view(pipeline_.has_semantics()), {rule.step_size, rule.root_scale});
+    } catch (const Error& error) {
+      refused = error;
+    }
+  }
+  const DeviceSteps steps = device_->finish();
+  for (const StepLosses& losses : steps.losses) {
+    check_alive(losses);
+    ++step_;
+    done_.push_back(losses);
+  }
+  if (steps.failed) explain_device_fault();
+  if (refused) {
+    collect();
+    fail(*refused);
+  }
+  return done_;
+}
+
+void Trainer::collect() {
+  if (device_ == nullptr) return;
+  device_->download();
+  pipeline_.derive(step_);
+}
+
+// The processor makes the step again, from the same tensors: it names ray, pixel and tensor.
+void Trainer::explain_device_fault() {
+  collect();
+  rays_.fill(step_, batch_);
+  pipeline_.store().zero_gradients();
+  try {
+    check_step(pipeline_.gradients(step_, batch_.view(pipeline_.has_semantics())));
+  } catch (const Error& error) {
+    fail(error);
+  }
+  pipeline_.store().clear_gradients();
+  throw Error(
+      ErrorKind::failure,
+      fmt::format("step {}: the device met a value that is not finite where the processor meets none; nothing was "
+                  "changed in this step",
+                  step_),
+      "set runtime.precision: fp32, or lower train.adam.learning_rate");
+}
+
+StepLosses Trainer::advance_on_processor() {
   rays_.fill(step_, batch_);
   pipeline_.store().zero_gradients();
   StepLosses losses;
@@ -189,7 +248,7 @@ void Trainer::check_alive(const StepLosses& losses) {
 // A step without a labelled ray says nothing about the semantic head: its tensors and their moments stay, as the rows
 // of a table do that no ray touched. (Adam would move them along their old moments.)
 void Trainer::update(const StepLosses& losses) {
-  const AdamStep rule = adam_step(adam_, adam_.learning_rate * schedule_factor(schedule_, step_), step_);
+  const AdamStep rule = rule_of(step_);
   for (Tensor<float>& t : pipeline_.store().all()) {
     if (!t.learned() || (losses.labelled == 0 && pipeline_.is_semantic(t))) continue;
     if (t.spec.role == TensorRole::dense) {
@@ -198,6 +257,10 @@ void Trainer::update(const StepLosses& losses) {
     }
     adam_touched_parallel<float>(rule, t.view(t.value), t.view(t.grad), t.view(t.moment1), t.view(t.moment2));
   }
+}
+
+AdamStep Trainer::rule_of(std::int64_t step) const {
+  return adam_step(adam_, adam_.learning_rate * schedule_factor(schedule_, step), step);
 }
 
 void Trainer::check_storable() const {
@@ -257,6 +320,7 @@ void Trainer::load(const TensorFile& file, std::int64_t step) {
   }
   step_ = step;
   pipeline_.derive(step_);
+  if (device_ != nullptr) device_->upload();
 }
 
 void load_pipeline(Pipeline<float>& pipeline, const TensorFile& file) {

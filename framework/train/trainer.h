@@ -2,9 +2,11 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
+#include "model/device_backend.h"
 #include "model/pipeline.h"
 #include "optim/adam.h"
 #include "optim/schedule.h"
@@ -20,8 +22,9 @@ inline constexpr std::int64_t kTableWindows = 16;
 
 class Trainer {
  public:
-  /// Borrows both; the pipeline must be trainable.
-  Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam, const ScheduleParams& schedule);
+  /// Borrows all; the pipeline must be trainable. With `device`, steps run there.
+  Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam, const ScheduleParams& schedule,
+          DeviceBackend* device = nullptr);
 
   /// Steps done so far.
   std::int64_t step() const { return step_; }
@@ -34,6 +37,11 @@ class Trainer {
   /// pass whose density is 0 at every sample for kDeadSteps steps, while colours are not explained, is an Error too:
   /// nothing of it can learn.
   StepLosses advance();
+  /// Up to `most` steps, as many as run without waiting in between: 1 on the processor. Their losses, in order, valid
+  /// until the next call.
+  std::span<const StepLosses> advance_many(std::int64_t most);
+  /// Brings values, moments and states from the device; before any of them is read, stored or checked.
+  void collect();
 
   /// Throws Error(failure) naming the tensor for a value, moment or state that is not finite: such a state is no
   /// checkpoint.
@@ -52,6 +60,9 @@ class Trainer {
   std::string bad_tensor() const;
   [[noreturn]] void fail(const Error& error);
   void update(const StepLosses& losses);
+  StepLosses advance_on_processor();
+  AdamStep rule_of(std::int64_t step) const;
+  [[noreturn]] void explain_device_fault();
   void check_alive(const StepLosses& losses);
 
   Pipeline<float>& pipeline_;
@@ -61,6 +72,8 @@ class Trainer {
   std::int64_t step_ = 0;
   BatchBuffers batch_;
   std::int64_t dead_steps_ = 0;  // in a row
+  DeviceBackend* device_ = nullptr;
+  std::vector<StepLosses> done_;
 };
 
 /// Tensors of a pipeline alone (no moments), for rendering: strict for those, moments are ignored.
