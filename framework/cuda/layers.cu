@@ -1,6 +1,9 @@
 // Passes over matrices that are not products. All are bound by memory: a thread moves 4 numbers where rows allow it.
 #include <cuda_bf16.h>
 
+#include <algorithm>
+#include <type_traits>
+
 #include "cuda/device_code.cuh"
 #include "cuda/layers.h"
 #include "cuda/matmul.h"
@@ -159,14 +162,22 @@ __global__ void partial_sums_kernel(View<const Act> dz, std::int64_t rows_each, 
     partial(blockIdx.x, col) = sum;
   }
 }
-// A thread one column: parts in order.
+// A block of 32 x 32 threads sums 32 columns: thread (x, y) the parts y, y + 32, ..., then those 32 sums in order.
 __global__ void add_partials_kernel(View<const float> partial, View<float> sums) {
-  const std::int64_t col = thread_index();
-  if (col >= sums.cols) return;
+  __shared__ float share[kWarp][kWarp + 1];
+  const auto x = static_cast<std::int32_t>(threadIdx.x), y = static_cast<std::int32_t>(threadIdx.y);
+  const std::int32_t col = static_cast<std::int32_t>(blockIdx.x) * kWarp + x;
   float sum = 0;
+  if (col < sums.cols) {
 #pragma unroll 8
-  for (std::int64_t part = 0; part < partial.rows; ++part) sum += partial(part, static_cast<std::int32_t>(col));
-  sums(0, static_cast<std::int32_t>(col)) += sum;
+    for (std::int64_t part = y; part < partial.rows; part += kWarp) sum += partial(part, col);
+  }
+  share[y][x] = sum;
+  __syncthreads();
+  if (y > 0 || col >= sums.cols) return;
+  float total = 0;
+  for (int k = 0; k < kWarp; ++k) total += share[k][x];
+  sums(0, col) += total;
 }
 
 // First of `count` ascending numbers that is not below `value`.
@@ -253,8 +264,14 @@ void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
   const Workspace::Scope scope(arena);
   const View<float> partial = arena.take<float>(parts, dz.cols);
   partial_sums_kernel<Act><<<static_cast<unsigned>(parts), kThreads, 0, launch().stream>>>(dz, rows_each, partial);
-  add_partials_kernel<<<blocks_of(dz.cols, kThreads), kThreads, 0, launch().stream>>>(partial, sums);
   check_launch("column sums");
+  add_partials(partial, sums);
+}
+
+void add_partials(View<const float> partial, View<float> sums) {
+  if (sums.size() == 0) return;
+  add_partials_kernel<<<blocks_of(sums.cols, kWarp), dim3(kWarp, kWarp), 0, launch().stream>>>(partial, sums);
+  check_launch("sums of parts");
 }
 
 template <class Act>

@@ -70,6 +70,8 @@ void finish_layer(View<const float> bias, Activation activation, View<Act> y, st
 /// sums [1, cols] += column sums of dz, rows in an order that depends on their number alone.
 template <class Act>
 void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena);
+/// sums [1, cols] += sums over the rows of partial [any, cols], in a fixed order.
+void add_partials(View<const float> partial, View<float> sums);
 /// d_ray_term [R, out] = sum of dz over each ray's samples, rays in order; ray_of_sample ascending. Rows that are not
 /// in use are not added. dz may have more columns: padding.
 template <class Act>

@@ -1,0 +1,69 @@
+// CUDA kernels of the NeRF network: tables, and the derived product of feature and view layer.
+#include <cuda_bf16.h>
+
+#include "cuda/layers.h"
+#include "cuda/matmul.h"
+#include "fields/nerf_mlp/nerf_mlp_layered.h"
+#include "plugin/kernels.h"
+
+namespace semfield::cuda {
+
+void nerf_mlp_cuda_kernels(KernelTables& tables);
+
+namespace {
+
+View<const float> value(const Tensors<float>& t, int index) { return t.value[static_cast<std::size_t>(index)]; }
+View<float> grad_of(const Tensors<float>& t, int index) { return t.grad[static_cast<std::size_t>(index)]; }
+
+// [f, d] W_v + b_v with f = h W_f + b_f: h (W_f W_vf) + d W_vd + (b_f W_vf + b_v), W_vf the first `width` rows of W_v.
+// The stored transposes stay as they are: products read a matrix either way.
+void derive(const NerfMlpShape& s, const Tensors<float>& t) {
+  if (!s.folds()) return;
+  const auto derived = [&](int index) { return t.value[static_cast<std::size_t>(index)]; };
+  LinearForward<float, float> call;
+  call.weight = value(t, s.view.weight).row_range(0, s.width);
+  call.x = value(t, s.feature.weight);
+  call.y = derived(s.folded.weight);
+  linear_forward(call);
+  call.x = value(t, s.feature.bias);
+  call.bias = value(t, s.view.bias);
+  call.y = derived(s.folded.bias);
+  linear_forward(call);
+}
+
+// left right, added to sum.
+void add_product(const Matrix& left, const Matrix& right, View<float> sum) {
+  Product p;
+  p.a = left;
+  p.b = right;
+  p.d = Matrix(sum);
+  p.add = true;
+  product(p);
+}
+
+/// Gradients of the product and its bias become those of the factors: dW_f += dP W_vf^T, dW_vf += W_f^T dP + b_f^T dp,
+/// db_f += dp W_vf^T, db_v += dp.
+void derive_backward(const NerfMlpShape& s, const Tensors<float>& t) {
+  if (!s.folds() || t.grad.empty()) return;
+  const View<float> d_product = grad_of(t, s.folded.weight), d_bias = grad_of(t, s.folded.bias);
+  const View<const float> view_weight = value(t, s.view.weight).row_range(0, s.width);
+  const View<float> d_view_weight = grad_of(t, s.view.weight).row_range(0, s.width);
+  add_product(Matrix(d_product), Matrix(view_weight, true), grad_of(t, s.feature.weight));
+  add_product(Matrix(value(t, s.feature.weight), true), Matrix(d_product), d_view_weight);
+  add_product(Matrix(value(t, s.feature.bias), true), Matrix(d_bias), d_view_weight);
+  add_product(Matrix(d_bias), Matrix(view_weight, true), grad_of(t, s.feature.bias));
+  add_rows<float, float>(d_bias, grad_of(t, s.view.bias));
+}
+
+template <class Act>
+constexpr NerfMlpKernels<float> kTable{LayeredNerfMlp<Act>::forward, LayeredNerfMlp<Act>::backward, derive,
+                                       derive_backward, LayeredNerfMlp<Act>::saved_bytes};
+
+}  // namespace
+
+void nerf_mlp_cuda_kernels(KernelTables& tables) {
+  tables.add(Device::cuda, "field 'nerf_mlp'", &kTable<float>);
+  tables.add(Device::cuda, "field 'nerf_mlp'", &kTable<__nv_bfloat16>, Precision::bf16);
+}
+
+}  // namespace semfield::cuda
