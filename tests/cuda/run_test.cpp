@@ -1,0 +1,247 @@
+// Whole steps and runs on the device against those of the processor: one step's losses and gradients, training,
+// checkpoints both ways, rendering, faults.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "core/error.h"
+#include "tests/cuda/device_fixture.h"
+#include "tests/train/train_testing.h"
+#include "train/evaluator.h"
+#include "train/trainer.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+
+// A session with its trainer; both devices take the batch as one tile, so that rays have the same numbers.
+struct Training {
+  Training(Registry& registry, std::string yaml, const std::string& runtime)
+      : session(open_text(yaml + "runtime: {" + runtime + "}\n", registry)),
+        rays(session.make_ray_source()),
+        trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.device.get()) {}
+  StepLosses train(std::int64_t steps) {
+    StepLosses last;
+    while (trainer.step() < steps) last = trainer.advance_many(steps - trainer.step()).back();
+    trainer.collect();
+    return last;
+  }
+  Session session;
+  std::unique_ptr<RaySource> rays;
+  Trainer trainer;
+};
+
+void expect_near(double cuda, double cpu, double relative, const std::string& what) {
+  EXPECT_NEAR(cuda, cpu, relative * std::max(1e-6, std::abs(cpu))) << what;
+}
+
+// The first moment after the first step is (1 - beta1) times the gradient.
+void expect_equal_gradients(const Training& cuda, const Training& cpu, double tolerance, const std::string& what) {
+  const auto& a = cuda.session.pipeline->store().all();
+  const auto& b = cpu.session.pipeline->store().all();
+  ASSERT_EQ(a.size(), b.size());
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    if (!b[i].learned()) continue;
+    double largest = 0, off = 0;
+    for (std::int64_t e = 0; e < b[i].size(); ++e) {
+      largest = std::max(largest, std::abs(static_cast<double>(b[i].moment1.data()[e])));
+      off = std::max(
+          off, std::abs(static_cast<double>(a[i].moment1.data()[e]) - static_cast<double>(b[i].moment1.data()[e])));
+    }
+    EXPECT_LE(off, tolerance * largest + 1e-12) << what << ": gradient of " << b[i].name << ", largest " << largest;
+  }
+}
+
+struct StepCaseRow {
+  const char* name;
+  std::string (*config)(const std::string&);
+  const char* more;
+};
+const StepCaseRow kSteps[] = {
+    {"two_pass", two_pass_config, ""},
+    {"hash", hash_config, ""},
+    {"closed", two_pass_config, "rendering: {far: closed, background: [0.2, 0.5, 0.9]}\n"},
+    {"background", two_pass_config, "rendering: {far: background, density_activation: softplus}\n"},
+    {"trunc_exp", two_pass_config, "rendering: {density_activation: trunc_exp, density_bias: -1}\n"},
+    {"noise", two_pass_config, "rendering: {density_noise: 1}\n"},
+    {"sum", two_pass_config, "labels: {frames: 50%}\n"},
+};
+
+class CudaStep : public ::testing::TestWithParam<StepCaseRow> {};
+
+TEST_P(CudaStep, LossesAndGradientsAreTheProcessors) {
+  SEMFIELD_NEEDS_DEVICE();
+  const StepCaseRow& row = GetParam();
+  Registry registry = make_registry();
+  const std::string yaml = row.config(row.more);
+  for (const char* savings :
+       {"", ", deferred_class_layer: false, fold_feature_layer: false, direction_once_per_ray: false"}) {
+    const std::string tile = std::string("tile_rays: 192") + savings;
+    Training cuda(registry, yaml, "device: cuda, " + tile), cpu(registry, yaml, "device: cpu, " + tile);
+    ASSERT_NE(cuda.session.device, nullptr);
+    ASSERT_EQ(cpu.session.device, nullptr);
+    const StepLosses a = cuda.train(1), b = cpu.train(1);
+    const std::string what = std::string(row.name) + savings;
+    EXPECT_EQ(a.samples, b.samples) << what;
+    EXPECT_EQ(a.labelled, b.labelled) << what;
+    EXPECT_EQ(a.dense_passes, b.dense_passes) << what;
+    expect_near(a.color, b.color, 1e-4, what + " colour");
+    expect_near(a.semantic, b.semantic, 1e-4, what + " semantic");
+    expect_near(a.total, b.total, 1e-4, what + " total");
+    expect_equal_gradients(cuda, cpu, 2e-3, what);
+  }
+}
+INSTANTIATE_TEST_SUITE_P(All, CudaStep, ::testing::ValuesIn(kSteps),
+                         [](const ::testing::TestParamInfo<StepCaseRow>& info) { return info.param.name; });
+
+struct Quality {
+  double psnr = 0, accuracy = 0;
+};
+Quality quality(Session& session) {
+  const SplitScore score = evaluate(*session.pipeline, session.eval_job(session.scene.frames_of(Split::train)),
+                                    session.limits, session.plan.class_of_logit);
+  return {score.color.psnr_db().value_or(0), score.confusion.total_accuracy().value_or(0)};
+}
+
+// Different roundings part ways after some hundred steps; what is learned must not.
+TEST(CudaRun, FiveHundredStepsReachTheProcessorsQuality) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  Training cpu(registry, hash_config(), "device: cpu");
+  cpu.train(500);
+  const Quality expected = quality(cpu.session);
+  for (const char* runtime : {"device: cuda", "device: cuda, precision: bf16", "device: cuda, deterministic: true"}) {
+    Training cuda(registry, hash_config(), runtime);
+    cuda.train(500);
+    const Quality found = quality(cuda.session);
+    EXPECT_NEAR(found.psnr, expected.psnr, 1.0) << runtime;
+    EXPECT_NEAR(found.accuracy, expected.accuracy, 0.03) << runtime;
+    std::printf("%s: PSNR %.2f (cpu %.2f), accuracy %.4f (cpu %.4f)\n", runtime, found.psnr, expected.psnr,
+                found.accuracy, expected.accuracy);
+  }
+}
+
+TEST(CudaRun, DeterministicRunsHaveTheSameBits) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  for (const auto& config : {hash_config(), two_pass_config()}) {
+    for (const char* precision : {"fp32", "bf16"}) {
+      const std::string runtime = std::string("device: cuda, deterministic: true, precision: ") + precision;
+      Training one(registry, config, runtime), two(registry, config, runtime);
+      one.train(60);
+      two.train(23);  // the grouping of steps changes nothing either
+      two.train(60);
+      EXPECT_EQ(fingerprint(one.session.pipeline->store()), fingerprint(two.session.pipeline->store())) << runtime;
+    }
+  }
+}
+
+TEST(CudaRun, CheckpointsGoBothWays) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  const auto exchange = [&](const std::string& first, const std::string& second) {
+    const TempDir dir;
+    Training a(registry, hash_config(), first);
+    a.train(40);
+    a.trainer.check_storable();
+    write_safetensors(dir / "state.safetensors", a.trainer.state(), {});
+    Training b(registry, hash_config(), second);
+    b.trainer.load(TensorFile::read(dir / "state.safetensors"), 40);
+    EXPECT_EQ(fingerprint(a.session.pipeline->store()), fingerprint(b.session.pipeline->store()));
+    const StepLosses next_a = a.train(41), next_b = b.train(41);
+    expect_near(next_b.total, next_a.total, 1e-3, first + " to " + second);
+    b.train(120);
+    EXPECT_GT(quality(b.session).psnr, 14) << first << " to " << second;
+  };
+  exchange("device: cuda, tile_rays: 192", "device: cpu, tile_rays: 192");
+  exchange("device: cpu, tile_rays: 192", "device: cuda, tile_rays: 192");
+}
+
+TEST(CudaRun, RendersWhatTheProcessorRenders) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  for (const auto& config : {hash_config(), two_pass_config()}) {
+    Training cuda(registry, config, "device: cuda");
+    cuda.train(100);
+    const int frame = cuda.session.scene.frames_of(Split::train).front();
+    const FrameInfo& info = cuda.session.scene.info.frames[static_cast<std::size_t>(frame)];
+    const RayCamera camera{info.camera, info.world_from_camera, false};
+    const std::vector<std::int16_t> truth;
+    const auto draw = [&] {
+      return render_frame(*cuda.session.pipeline, camera, cuda.session.limits, cuda.session.plan.class_of_logit, truth);
+    };
+    const RenderedFrame a = draw();
+    cuda.session.pipeline->attach(nullptr);
+    cuda.session.pipeline->derive(0);
+    const RenderedFrame b = draw();
+    cuda.session.pipeline->attach(cuda.session.device.get());
+    double worst = 0, worst_depth = 0;
+    std::size_t other_label = 0;
+    for (std::size_t i = 0; i < a.rgb.size(); ++i) worst = std::max(worst, std::abs(double{a.rgb[i]} - b.rgb[i]));
+    for (std::size_t i = 0; i < a.depth_m.size(); ++i) {
+      worst_depth = std::max(worst_depth, std::abs(double{a.depth_m[i]} - b.depth_m[i]));
+      other_label += a.label[i] != b.label[i] ? 1 : 0;
+    }
+    EXPECT_LT(worst, 2e-2);  // the processor stops rays early, the device does not
+    EXPECT_LT(worst_depth, 5e-2);
+    EXPECT_LE(other_label, a.label.size() / 200);
+  }
+}
+
+TEST(CudaRun, AFaultNamesTensorAndPixelAndChangesNothing) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  for (const auto& config : {hash_config(), two_pass_config()}) {
+    Training cuda(registry, config, "device: cuda");
+    cuda.train(40);
+    Tensor<float>* weight = nullptr;
+    for (Tensor<float>& t : cuda.session.pipeline->store().all()) {
+      if (t.spec.role == TensorRole::dense && t.name.find("color") != std::string::npos) weight = &t;
+    }
+    ASSERT_NE(weight, nullptr);
+    weight->value.data()[0] = std::numeric_limits<float>::quiet_NaN();
+    cuda.session.device->upload();
+    const std::uint32_t before = fingerprint(cuda.session.pipeline->store());
+    try {
+      cuda.trainer.advance_many(8);
+      FAIL() << "a NaN was not noticed";
+    } catch (const Error& error) {
+      EXPECT_NE(error.message().find(weight->name), std::string::npos) << error.message();
+      EXPECT_NE(error.message().find("pixel"), std::string::npos) << error.message();
+    }
+    EXPECT_EQ(cuda.trainer.step(), 40);
+    cuda.trainer.collect();
+    EXPECT_EQ(before, fingerprint(cuda.session.pipeline->store()));
+  }
+}
+
+TEST(CudaRun, MemoryThatIsNotThereIsAnErrorWithFiguresAndRemedies) {
+  SEMFIELD_NEEDS_DEVICE();
+  try {
+    cuda::release(cuda::allocate(std::size_t{1} << 50, "a test"));
+    FAIL() << "a petabyte was given";
+  } catch (const Error& error) {
+    EXPECT_NE(error.message().find("'a test': requested"), std::string::npos) << error.message();
+    EXPECT_NE(error.remedy().find("train.rays"), std::string::npos) << error.remedy();
+  }
+  EXPECT_EQ(cudaGetLastError(), cudaSuccess);
+}
+
+TEST(CudaBuild, WithoutADeviceTheReasonIsSaid) {
+  if (testing::has_device()) GTEST_SKIP() << "this machine has a device";
+  Registry registry = make_registry();
+  try {
+    open_text(hash_config("runtime: {device: cuda}\n"), registry);
+    FAIL() << "cuda was taken without a device";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::unavailable);
+    EXPECT_NE(std::string(error.what()).find("runtime.device"), std::string::npos) << error.what();
+  }
+  EXPECT_EQ(open_text(hash_config("runtime: {device: auto}\n"), registry).device, nullptr);
+}
+
+}  // namespace
+}  // namespace semfield
