@@ -1,0 +1,327 @@
+// CUDA kernels of the hash grid: gradient of the tables, added by vector reductions, or in fixed point where sums must
+// not depend on their order.
+#include <algorithm>
+#include <bit>
+#include <nv/target>
+
+#include "core/workspace.h"
+#include "encoders/hash_grid/hash_grid_device.cuh"
+
+namespace semfield::cuda {
+
+namespace {
+
+constexpr int kThreads = 256;
+constexpr int kWarps = kThreads / kWarp;
+constexpr int kVertices = 8;
+constexpr int kSegments = kWarp / kVertices;  // of a warp: 8 lanes each, one a vertex
+constexpr int kSegmentRows = 16;              // consecutive; runs of them within one cell are summed in registers
+constexpr int kWarpRows = kSegments * kSegmentRows;
+constexpr int kBlockRows = kWarps * kWarpRows;
+constexpr int kGroupCols = 8;  // columns of dy that a warp works on: a sector of 32 bytes
+constexpr int kMostGroupLevels = 8;
+constexpr std::uint32_t kNoEntry = 0xFFFFFFFFU;
+
+/// 8 words of each of 32 rows in shared memory, 8 rows a segment. The halves of every other 4 rows are swapped and
+/// segments lie 8 words apart, so that neither 8 rows written in 16-byte pieces by 8 lanes nor one row a segment read
+/// by all lanes meet in a bank.
+template <class T>
+struct RowTable {
+  alignas(16) T word[kSegments][8 * kVertices + 8];
+  __device__ inline T* at(int segment, int i, int col) { return word[segment] + i * 8 + (col ^ (i & 4)); }
+  __device__ inline void write(int segment, int i, const T (&row)[8]) {
+    struct alignas(16) Piece {
+      T word[4];
+    };
+    *reinterpret_cast<Piece*>(at(segment, i, 0)) = {row[0], row[1], row[2], row[3]};
+    *reinterpret_cast<Piece*>(at(segment, i, 4)) = {row[4], row[5], row[6], row[7]};
+  }
+};
+struct WarpTables {
+  RowTable<std::uint32_t> entry;  // by vertex
+  RowTable<float> weight;         // by vertex
+  RowTable<float> dy;             // by column
+};
+
+/// grad[0 .. kCount) += sum, in whatever order: one reduction of 8 or 16 bytes where the chip has it (sm_90).
+template <int kCount>
+__device__ inline void reduce(float* grad, const float* sum) {
+  if constexpr (kCount == 8) {
+    reduce<4>(grad, sum);
+    reduce<4>(grad + 4, sum + 4);
+  } else if constexpr (kCount == 1) {
+    atomicAdd(grad, sum[0]);
+  } else if constexpr (kCount == 2) {
+    NV_IF_ELSE_TARGET(
+        NV_PROVIDES_SM_90,
+        (asm volatile("red.relaxed.gpu.global.add.v2.f32 [%0], {%1, %2};" ::"l"(grad), "f"(sum[0]), "f"(sum[1]));),
+        (atomicAdd(grad, sum[0]); atomicAdd(grad + 1, sum[1]);))
+  } else {
+    NV_IF_ELSE_TARGET(NV_PROVIDES_SM_90,
+                      (asm volatile("red.relaxed.gpu.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(grad),
+                                    "f"(sum[0]), "f"(sum[1]), "f"(sum[2]), "f"(sum[3]));),
+                      (for (int f = 0; f < 4; ++f) atomicAdd(grad + f, sum[f]);))
+  }
+}
+
+/// Adds to the tables' gradients. The order of sums, and so their last bits, change from run to run.
+struct FloatSums {
+  __device__ inline void prepare() {}
+  template <int kF>
+  __device__ inline void add(const GridLevel& level, int, std::uint32_t entry, const float* sum) const {
+    reduce<kF>(level.table + static_cast<std::size_t>(entry) * kF, sum);
+  }
+};
+
+/// Adds whole multiples of 2^-k to 64-bit sums: whole numbers add up to the same in any order. With a the largest |dy|
+/// of the call and M rows, |dy| < 2^(e+1) for e = floor(log2 a) (at least -127) and M <= 2^m; weights of a row sum to
+/// 1, so a sum stays below M 2^(e+1) and k = 61 - m - e leaves it below 2^62. Each addend is rounded by at most
+/// 2^-(k+1) <= M a 2^-61, 2^-43 a for 2^18 rows; an entry's n addends (at most 8 M) by n times that. Runs within one
+/// cell are summed in fp32 before, in the order of rows.
+struct FixedSums {
+  const std::uint32_t* largest = nullptr;  ///< bits of a
+  unsigned long long* sums = nullptr;      ///< of a group's levels
+  std::int64_t offset[kMostGroupLevels] = {};
+  int rows_log2 = 0;  ///< m
+  double scale = 0;   ///< 2^k, once prepared
+
+  /// 2^k for sign 1, 2^-k for sign -1.
+  __device__ inline double power(int sign) const {
+    const int e = static_cast<int>(*largest >> 23) - 127;
+    return __longlong_as_double(static_cast<long long>(1023 + sign * (61 - rows_log2 - e)) << 52);
+  }
+  __device__ inline void prepare() { scale = power(1); }
+  template <int kF>
+  __device__ inline void add(const GridLevel&, int l, std::uint32_t entry, const float* sum) const {
+    unsigned long long* const to = sums + offset[l] + static_cast<std::int64_t>(entry) * kF;
+#pragma unroll
+    for (int f = 0; f < kF; ++f) {
+      const long long whole = __double2ll_rn(static_cast<double>(sum[f]) * scale);
+      if (whole != 0) atomicAdd(to + f, static_cast<unsigned long long>(whole));
+    }
+  }
+};
+
+/// A row's 8 columns of dy from `col` on; 0 behind the last.
+__device__ inline void load_columns(View<const float> dy, std::int64_t row, int col, bool aligned, float (&d)[8]) {
+  const float* const from = dy.row(row) + col;
+  if (aligned && col + kGroupCols <= dy.cols) {
+    const float4 a = __ldg(reinterpret_cast<const float4*>(from)), b = __ldg(reinterpret_cast<const float4*>(from) + 1);
+    d[0] = a.x, d[1] = a.y, d[2] = a.z, d[3] = a.w;
+    d[4] = b.x, d[5] = b.y, d[6] = b.z, d[7] = b.w;
+    return;
+  }
+#pragma unroll
+  for (int c = 0; c < kGroupCols; ++c) d[c] = col + c < dy.cols ? __ldg(from + c) : 0.F;
+}
+
+/// Numbers and weights of the 8 vertices around u into row i of the tables; vertex v is far along x, y, z where bit 0,
+/// 1, 2 of v is set.
+template <Interpolation kI>
+__device__ inline void write_vertices(WarpTables& tables, int segment, int i, const GridLevel& level,
+                                      const double (&u)[3]) {
+  const Cell cell = find_cell<kI>(level, u);
+  std::uint32_t entry[8];
+  float weight[8];
+#pragma unroll
+  for (int e = 0; e < 4; ++e) {
+    const Edge edge = edge_of(level, cell, e);
+    const float w = edge_weight(cell, e);
+    entry[2 * e] = edge.near;
+    entry[2 * e + 1] = edge.far;
+    weight[2 * e] = w * (1.F - cell.far[0]);
+    weight[2 * e + 1] = w * cell.far[0];
+  }
+  tables.entry.write(segment, i, entry);
+  tables.weight.write(segment, i, weight);
+}
+
+/// What a lane has summed of one level and not yet added: its vertex of the cell in which the last rows lay.
+template <int kF>
+struct Run {
+  std::uint32_t entry = kNoEntry;
+  float sum[kF] = {};
+};
+
+/// One level, 8 rows of each segment: lane v walks through its segment's rows (bit i of `rows`: dy of row i is not all
+/// zero) with vertex v, and adds what it has summed whenever the vertex changes.
+template <int kF, class Sums>
+__device__ inline void walk(WarpTables& tables, int segment, int v, unsigned rows, int col, const GridLevel& level,
+                            int l, const Sums& sums, Run<kF>& run) {
+  std::uint32_t entry[kVertices];
+  float weight[kVertices];
+#pragma unroll
+  for (int i = 0; i < kVertices; ++i) {
+    entry[i] = *tables.entry.at(segment, i, v);
+    weight[i] = *tables.weight.at(segment, i, v);
+  }
+#pragma unroll
+  for (int i = 0; i < kVertices; ++i) {
+    const std::uint32_t next = (rows >> i & 1) != 0 ? entry[i] : run.entry;
+    if (next != run.entry) {
+      if (run.entry != kNoEntry) sums.template add<kF>(level, l, run.entry, run.sum);
+      run = {next, {}};
+    }
+#pragma unroll
+    for (int f = 0; f < kF; ++f) run.sum[f] += weight[i] * *tables.dy.at(segment, i, col + f);
+  }
+}
+
+/// A warp 64 rows and 8 columns of dy, 8 / F levels. Its 4 segments take 16 consecutive rows each, 8 at a time: first
+/// lane i finds the vertices of the segment's row i, then lane v sums vertex v over the rows. Rows come along rays, so
+/// on coarse levels runs of them share a cell and cost one addition, which is what those levels' few entries can take;
+/// on fine levels neighbouring lanes' vertices are neighbours along x, whose additions fall into one 32-byte sector in
+/// 3 of 4 hashed cells. Groups of levels follow each other, finest first. A row: 24 bytes of x once in 8 columns, 4 L F
+/// of dy, and 5 sectors of a table a fine level. Rows whose dy is zero cost their reading.
+template <int kF, Interpolation kI, class Sums>
+__global__ void __launch_bounds__(kThreads)
+    scatter_kernel(const __grid_constant__ Grid grid, View<const double> x, View<const float> dy, int first_group,
+                   bool aligned, Sums sums, const std::int32_t* live_rows) {
+  __shared__ WarpTables shared[kWarps];
+  const int warp = static_cast<int>(threadIdx.x) / kWarp, lane = static_cast<int>(threadIdx.x) % kWarp;
+  const int segment = lane / kVertices, v = lane % kVertices;
+  WarpTables& tables = shared[warp];
+  const std::int64_t rows = live_count(live_rows, x.rows);
+  const std::int64_t begin = (static_cast<std::int64_t>(blockIdx.x) * kWarps + warp) * kWarpRows;
+  if (begin >= rows) return;  // a whole warp; nothing here waits for the block
+  const int group = first_group + static_cast<int>(gridDim.y - 1 - blockIdx.y);
+  constexpr int kLevels = kGroupCols / kF;
+  sums.prepare();
+  Run<kF> run[kLevels];
+  for (int chunk = 0; chunk < kSegmentRows; chunk += kVertices) {
+    const std::int64_t row = begin + segment * kSegmentRows + chunk + v;
+    float d[kGroupCols] = {};
+    double u[3] = {};
+    if (row < rows) {
+      load_columns(dy, row, group * kGroupCols, aligned, d);
+#pragma unroll
+      for (int a = 0; a < 3; ++a) u[a] = clamp_unit(__ldg(x.row(row) + a));
+    }
+    tables.dy.write(segment, v, d);
+#pragma unroll
+    for (int l = 0; l < kLevels; ++l) {
+      if (group * kLevels + l >= grid.levels) break;
+      bool any = false;
+#pragma unroll
+      for (int f = 0; f < kF; ++f) any = any || d[l * kF + f] != 0;  // NaN is not 0
+      const unsigned wanted = __ballot_sync(kFullMask, any);
+      if (wanted == 0) continue;
+      const GridLevel& level = grid.level[group * kLevels + l];
+      write_vertices<kI>(tables, segment, v, level, u);
+      __syncwarp();
+      walk<kF>(tables, segment, v, wanted >> (segment * kVertices) & 0xFF, l * kF, level, l, sums, run[l]);
+      __syncwarp();
+    }
+    __syncwarp();
+  }
+#pragma unroll
+  for (int l = 0; l < kLevels; ++l) {
+    if (run[l].entry != kNoEntry) sums.template add<kF>(grid.level[group * kLevels + l], l, run[l].entry, run[l].sum);
+  }
+}
+
+/// *largest = bits of the largest |dy|; those of a NaN are larger than any number's. A warp a row at a time, its lanes
+/// consecutive columns.
+__global__ void __launch_bounds__(kThreads)
+    largest_kernel(View<const float> dy, const std::int32_t* live_rows, std::uint32_t* largest) {
+  const int lane = static_cast<int>(threadIdx.x) % kWarp;
+  const std::int64_t rows = live_count(live_rows, dy.rows), warps = static_cast<std::int64_t>(gridDim.x) * kWarps;
+  std::uint32_t most = 0;
+#pragma unroll 4
+  for (std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kWarps + threadIdx.x / kWarp; r < rows; r += warps) {
+    for (int c = lane; c < dy.cols; c += kWarp) most = max(most, __float_as_uint(fabsf(__ldg(dy.row(r) + c))));
+  }
+  most = __reduce_max_sync(kFullMask, most);
+  if (lane == 0 && most != 0) atomicMax(largest, most);
+}
+
+/// Gradients of a group's levels += their sums; blockIdx.y is the level within the group, one thread two numbers at a
+/// time. Where dy is not finite sums mean nothing: every level's first gradient becomes NaN, which the check before the
+/// update finds. 16 bytes read a pair of numbers, 16 more where one is not 0.
+__global__ void __launch_bounds__(kThreads) add_sums_kernel(const __grid_constant__ Grid grid, std::int32_t features,
+                                                            int first_level, const __grid_constant__ FixedSums sums) {
+  const int l = static_cast<int>(blockIdx.y);
+  const GridLevel& level = grid.level[first_level + l];
+  const double unit = sums.power(-1);
+  const bool finite = *sums.largest < 0x7F800000U;
+  const std::int64_t pairs = (static_cast<std::int64_t>(level.entries) * features + 1) / 2;
+  const auto* const from = reinterpret_cast<const longlong2*>(sums.sums + sums.offset[l]);
+  const std::int64_t step = static_cast<std::int64_t>(gridDim.x) * kThreads;
+  for (std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x; i < pairs; i += step) {
+    const longlong2 sum = from[i];
+    if (i == 0 && !finite) level.table[0] = __int_as_float(0x7FC00000);
+    if ((sum.x | sum.y) == 0 || !finite) continue;
+    level.table[2 * i] += static_cast<float>(static_cast<double>(sum.x) * unit);
+    if (sum.y != 0) level.table[2 * i + 1] += static_cast<float>(static_cast<double>(sum.y) * unit);
+  }
+}
+
+/// One launch for groups [first, first + count).
+template <class Sums>
+void scatter(const HashGridShape& shape, const Grid& grid, View<const double> x, View<const float> dy, int first_group,
+             unsigned groups, const Sums& sums) {
+  const dim3 blocks(blocks_of(x.rows, kBlockRows), groups);
+  with_kind(shape, [&]<int kF, Interpolation kI>() {
+    scatter_kernel<kF, kI><<<blocks, kThreads, 0, launch().stream>>>(grid, x, dy, first_group, rows_aligned(dy), sums,
+                                                                     launch().live_rows);
+  });
+  check_launch("hash grid scatter");
+}
+
+/// Group after group, so that 64-bit sums take 8 bytes an entry and feature of the largest group alone, and are still
+/// in the L2 cache when they are added.
+void scatter_fixed(const HashGridShape& shape, const Grid& grid, View<const double> x, View<const float> dy,
+                   Workspace& workspace) {
+  constexpr std::int64_t kAlign = 32;  // sums: 256 bytes
+  const int group_levels = kGroupCols / shape.features;
+  const auto padded = [&](int l) { return (shape.level[l].entries * shape.features + kAlign - 1) / kAlign * kAlign; };
+  std::int64_t most = 0;
+  for (int begin = 0; begin < shape.levels; begin += group_levels) {
+    std::int64_t values = 0;
+    for (int l = begin; l < std::min(begin + group_levels, shape.levels); ++l) values += padded(l);
+    most = std::max(most, values);
+  }
+  const Workspace::Scope scope(workspace);
+  auto* const largest = workspace.take<std::uint32_t>(1, 1).data;
+  FixedSums sums;
+  sums.largest = largest;
+  sums.sums = reinterpret_cast<unsigned long long*>(
+      workspace.take_bytes(static_cast<std::size_t>(most) * sizeof(unsigned long long)));
+  sums.rows_log2 = std::bit_width(static_cast<std::uint64_t>(x.rows - 1));
+  const cudaStream_t stream = launch().stream;
+  check(cudaMemsetAsync(largest, 0, sizeof *largest, stream), "hash grid: largest gradient");
+  largest_kernel<<<std::min(blocks_of(x.rows, 4 * kWarps), 8U * static_cast<unsigned>(multiprocessors())), kThreads, 0,
+                   stream>>>(dy, launch().live_rows, largest);
+  check_launch("hash grid largest gradient");
+  for (int begin = 0; begin < shape.levels; begin += group_levels) {
+    const int levels = std::min(group_levels, shape.levels - begin);
+    std::int64_t values = 0, largest_level = 0;
+    for (int l = 0; l < levels; ++l) {
+      sums.offset[l] = values;
+      values += padded(begin + l);
+      largest_level = std::max(largest_level, padded(begin + l));
+    }
+    check(cudaMemsetAsync(sums.sums, 0, static_cast<std::size_t>(values) * sizeof(unsigned long long), stream),
+          "hash grid: clearing sums");
+    scatter(shape, grid, x, dy, begin / group_levels, 1, sums);
+    const dim3 blocks(std::min(blocks_of(largest_level, 2 * kThreads), 8U * static_cast<unsigned>(multiprocessors())),
+                      static_cast<unsigned>(levels));
+    add_sums_kernel<<<blocks, kThreads, 0, stream>>>(grid, shape.features, begin, sums);
+    check_launch("hash grid sums");
+  }
+}
+
+}  // namespace
+
+void hash_grid_scatter(const HashGridShape& shape, const View<float>* grads, View<const double> x, View<const float> dy,
+                       Workspace& workspace) {
+  if (x.rows == 0) return;
+  const Grid grid = make_grid(shape, grads);
+  if (launch().deterministic) {
+    scatter_fixed(shape, grid, x, dy, workspace);
+  } else {
+    scatter(shape, grid, x, dy, 0, blocks_of(dy.cols, kGroupCols), FloatSums{});
+  }
+}
+
+}  // namespace semfield::cuda

@@ -1,0 +1,310 @@
+// The hash grid on the device against its float64 twin on the CPU: values, gradients of tables in any order and in
+// fixed point, gradients of positions, rows out of use, faults.
+#include "plugins/encoders/hash_grid/hash_grid.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+#include "core/error.h"
+#include "cuda/kernel_tables.h"
+#include "device_fixture.h"
+#include "testkit/compare.h"
+#include "testkit/tensor_box.h"
+
+namespace semfield {
+namespace {
+
+using cuda::Stage;
+using testing::DeviceLaunch;
+using testing::DeviceMatrix;
+using testing::NotedFault;
+
+template <class Real>
+HashGrid<Real> make(const HashGridParams& params, Device device) {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    hash_grid_kernels(t);
+    cuda::add_plugin_kernels(t);
+    return t;
+  }();
+  EncoderBuild build;
+  build.device = device;
+  return HashGrid<Real>(params, build, tables);
+}
+
+HashGridParams params_of(int levels, int features, int log2_entries, int base, int finest,
+                         Interpolation interpolation = Interpolation::linear) {
+  HashGridParams p;
+  p.levels = levels;
+  p.features = features;
+  p.log2_entries = log2_entries;
+  p.base_resolution = base;
+  p.finest_resolution = finest;
+  p.interpolation = interpolation;
+  return p;
+}
+
+/// Dense and hashed levels, every entry width, groups of 8 columns that are full and that are not.
+std::vector<HashGridParams> grids() {
+  std::vector<HashGridParams> all;
+  for (const Interpolation interpolation : {Interpolation::linear, Interpolation::smoothstep}) {
+    for (const int features : {1, 2, 4, 8}) {
+      all.push_back(params_of(5, features, 10, 4, 64, interpolation));
+      all.push_back(params_of(16, features, 12, 8, 512, interpolation));
+    }
+    all.push_back(params_of(1, 1, 1, 3, 3, interpolation));            // two entries
+    all.push_back(params_of(2, 2, 20, 1, 60, interpolation));          // one cell; dense alone
+    all.push_back(params_of(3, 2, 14, 1000, 1048576, interpolation));  // hashed alone
+  }
+  return all;
+}
+
+std::string name_of(const HashGridParams& p) {
+  return std::to_string(p.levels) + " levels of " + std::to_string(p.features) + " features, 2^" +
+         std::to_string(p.log2_entries) + " entries, " + std::to_string(p.base_resolution) + " to " +
+         std::to_string(p.finest_resolution) + " cells" +
+         (p.interpolation == Interpolation::linear ? "" : ", smoothstep");
+}
+
+/// Rows along rays of 24 samples, so that neighbours share coarse cells; every 7th row lies on the border of the cube
+/// or outside, every 11th on vertices.
+std::vector<double> points(std::int64_t rows, std::uint64_t seed) {
+  std::vector<double> x(static_cast<std::size_t>(3 * rows));
+  for (std::int64_t r = 0; r < rows; ++r) {
+    const std::int64_t ray = r / 24;
+    for (int d = 0; d < 3; ++d) {
+      const auto number = static_cast<std::uint64_t>(6 * ray + 2 * d);
+      const double from = static_cast<double>(uniform01({seed, 0, 1}, number));
+      const double to = static_cast<double>(uniform01({seed, 0, 1}, number + 1));
+      double at = from + (to - from) * (static_cast<double>(r % 24) + 0.3) / 24 + 1e-10 * static_cast<double>(d);
+      if (r % 7 == 6 && d == r % 3) at = std::vector<double>{0, 1, -0.5, 1.25}[static_cast<std::size_t>(r % 4)];
+      if (r % 11 == 10) at = std::round(8 * at) / 8;
+      x[static_cast<std::size_t>(3 * r + d)] = at;
+    }
+  }
+  return x;
+}
+
+/// Gradients over ten orders of magnitude; every 5th row is zero.
+std::vector<float> gradients(std::int64_t rows, std::int32_t cols, std::uint64_t seed) {
+  std::vector<float> dy = testing::random_floats(rows * cols, seed, -1, 1);
+  for (std::int64_t r = 0; r < rows; ++r) {
+    const float scale = r % 5 == 4 ? 0.F : std::pow(10.F, static_cast<float>(-(r % 11)));
+    for (std::int32_t c = 0; c < cols; ++c) dy[static_cast<std::size_t>(r * cols + c)] *= scale;
+  }
+  return dy;
+}
+
+/// A grid's tables and gradients in device memory.
+struct DeviceTables {
+  explicit DeviceTables(const testkit::TensorBox<float>& box) {
+    for (std::size_t l = 0; l < box.count(); ++l) {
+      const auto count = static_cast<std::size_t>(box.value(l).size());
+      const float* const data = box.value(l).data;
+      value.push_back(std::make_unique<DeviceMatrix<float>>(std::vector<float>(data, data + count), box.value(l).cols));
+      grad.push_back(std::make_unique<DeviceMatrix<float>>(std::vector<float>(count, 0), box.value(l).cols));
+      values.push_back(value.back()->view());
+      grads.push_back(grad.back()->view());
+    }
+  }
+  Tensors<float> tensors() const { return {values, grads}; }
+  void clear_gradients() {
+    for (auto& g : grad) g->write(std::vector<float>(static_cast<std::size_t>(g->view().size()), 0));
+  }
+  std::vector<std::vector<float>> gradients() const {
+    std::vector<std::vector<float>> all;
+    for (const auto& g : grad) all.push_back(g->read());
+    return all;
+  }
+  std::string surroundings() const {
+    std::string all;
+    for (const auto& g : grad) all += g->surroundings();
+    for (const auto& v : value) all += v->surroundings();
+    return all;
+  }
+  std::vector<std::unique_ptr<DeviceMatrix<float>>> value, grad;
+  std::vector<View<float>> values, grads;
+};
+
+StepContext context(DeviceLaunch& launch) {
+  StepContext ctx;
+  ctx.workspace = &launch.arena();
+  return ctx;
+}
+
+/// Both twins over the same rows. `y_stride`: beyond the columns, 0: 16-byte accesses are possible.
+void expect_twins(const HashGridParams& params, std::int64_t rows, std::int32_t y_stride) {
+  const HashGrid<float> device = make<float>(params, Device::cuda);
+  const HashGrid<double> host = make<double>(params, Device::cpu);
+  const std::int32_t cols = host.traits().out_dims;
+  const testkit::TensorBox<float> box(device, 3, 1);
+  const testkit::TensorBox<double> oracle(host, 3, 1);
+  const std::vector<double> x = points(rows, 5);
+  const std::vector<float> dy = gradients(rows, cols, 6);
+  const std::vector<double> dy64 = testing::widen(dy);
+  std::vector<double> y64(dy.size()), dx64(x.size());
+  Workspace workspace;
+  StepContext host_ctx;
+  host_ctx.workspace = &workspace;
+  host.forward(host_ctx, oracle.tensors(), testing::host_view(x, 3), testing::host_view(y64, cols));
+  host.backward(host_ctx, oracle.tensors(), testing::host_view(x, 3), testing::host_view(dy64, cols),
+                testing::host_view(dx64, 3));
+
+  DeviceLaunch launch(true);
+  DeviceTables tables(box);
+  const DeviceMatrix<double> x_device(x, 3, 3 + y_stride);
+  const DeviceMatrix<float> dy_device(dy, cols, cols + y_stride);
+  const DeviceMatrix<float> y(rows, cols, cols + y_stride);
+  const DeviceMatrix<float> dx(rows, 3, 3 + y_stride);
+  device.forward(context(launch), tables.tensors(), x_device.read_only(), y.view());
+  const std::vector<float> y32 = y.read();
+  // Entries below 1.0001 in magnitude; weights and sums err by a few units in the last place.
+  EXPECT_EQ(testkit::compare(testing::host_view(y32, cols), testing::host_view(std::as_const(y64), cols), 1e-6, 1), "");
+  for (const bool deterministic : {false, true}) {
+    SCOPED_TRACE(deterministic ? "fixed point" : "any order");
+    launch.set_deterministic(deterministic);
+    tables.clear_gradients();
+    device.backward(context(launch), tables.tensors(), x_device.read_only(), dy_device.read_only(), dx.view());
+    for (std::size_t l = 0; l < tables.grad.size(); ++l) {
+      const std::vector<float> got = tables.grad[l]->read();
+      const View<const double> want = oracle.grad(l);
+      // Sums of up to 8 rows' worth of addends an entry in fp32.
+      EXPECT_EQ(testkit::compare(testing::host_view(got, want.cols), want, 1e-5), "") << "level " << l;
+      if (!deterministic) continue;  // entries that only tiny gradients reach keep their own accuracy
+      for (std::int64_t i = 0; i < want.size(); ++i) {
+        const double error = std::abs(static_cast<double>(got[static_cast<std::size_t>(i)]) - want.data[i]);
+        ASSERT_LE(error, 1e-4 * std::abs(want.data[i]) + 1e-6 * (want.data[i] != 0)) << "level " << l << " value " << i;
+      }
+    }
+    const std::vector<float> dx32 = dx.read();
+    EXPECT_EQ(testkit::compare(testing::host_view(dx32, 3), testing::host_view(std::as_const(dx64), 3), 1e-5), "");
+  }
+  EXPECT_EQ(y.surroundings() + dx.surroundings() + tables.surroundings(), "");
+  EXPECT_EQ(launch.take_fault(), std::nullopt);
+}
+
+TEST(CudaHashGrid, FollowsItsTwinOnTheCpu) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const HashGridParams& params : grids()) {
+    for (const std::int64_t rows : {1, 31, 33, 700}) {
+      SCOPED_TRACE(name_of(params) + ", " + std::to_string(rows) + " rows");
+      expect_twins(params, rows, rows == 33 ? 3 : 0);
+    }
+  }
+  expect_twins(params_of(16, 2, 14, 16, 2048), 4097, 0);
+  expect_twins(params_of(16, 2, 14, 16, 2048), 4097, 1);
+}
+
+TEST(CudaHashGrid, NoRowsDoNothing) {
+  SEMFIELD_NEEDS_DEVICE();
+  const HashGrid<float> encoder = make<float>(params_of(4, 2, 8, 4, 16), Device::cuda);
+  DeviceLaunch launch(true, true);
+  DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
+  const DeviceMatrix<double> x(0, 3);
+  const DeviceMatrix<float> y(0, 8), dx(0, 3);
+  encoder.forward(context(launch), tables.tensors(), x.read_only(), y.view());
+  encoder.backward(context(launch), tables.tensors(), x.read_only(), y.read_only(), dx.view());
+  for (const std::vector<float>& grad : tables.gradients()) EXPECT_EQ(grad, std::vector<float>(grad.size(), 0));
+}
+
+TEST(CudaHashGrid, FixedPointGivesTheSameBitsEveryTimeAndAddsToWhatIsThere) {
+  SEMFIELD_NEEDS_DEVICE();
+  constexpr std::int64_t kRows = 100'000;  // many blocks meet in the coarse levels' few entries
+  const HashGridParams params = params_of(8, 2, 12, 8, 256);
+  const HashGrid<float> encoder = make<float>(params, Device::cuda);
+  DeviceLaunch launch(false, true);
+  DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
+  const DeviceMatrix<double> x(points(kRows, 9), 3);
+  const DeviceMatrix<float> dy(gradients(kRows, 16, 8), 16);
+  std::vector<std::vector<float>> first;
+  for (int turn = 0; turn < 4; ++turn) {
+    tables.clear_gradients();
+    encoder.backward(context(launch), tables.tensors(), x.read_only(), dy.read_only(), {});
+    if (turn == 0) first = tables.gradients();
+    EXPECT_EQ(tables.gradients(), first) << "turn " << turn;
+  }
+  encoder.backward(context(launch), tables.tensors(), x.read_only(), dy.read_only(), {});
+  const std::vector<std::vector<float>> twice = tables.gradients();
+  for (std::size_t l = 0; l < first.size(); ++l) {
+    for (std::size_t i = 0; i < first[l].size(); ++i) ASSERT_EQ(twice[l][i], 2 * first[l][i]);
+  }
+}
+
+TEST(CudaHashGrid, RowsOutOfUseAreLeftOut) {
+  SEMFIELD_NEEDS_DEVICE();
+  constexpr std::int64_t kRows = 1000, kLive = 333;
+  const HashGrid<float> encoder = make<float>(params_of(5, 2, 10, 4, 64), Device::cuda);
+  const testkit::TensorBox<float> box(encoder, 1, 1);
+  DeviceTables tables(box), live_tables(box);
+  const std::vector<double> x = points(kRows, 2);
+  const std::vector<float> dy = gradients(kRows, 10, 3);
+  const DeviceMatrix<double> x_all(x, 3);
+  const DeviceMatrix<float> dy_all(dy, 10), y_all(kRows, 10), y_live(kLive, 10);
+  const DeviceMatrix<std::int32_t> live(std::vector<std::int32_t>{static_cast<std::int32_t>(kLive)}, 1);
+  for (const bool deterministic : {false, true}) {
+    DeviceLaunch launch(false, deterministic);
+    encoder.forward(context(launch), live_tables.tensors(), x_all.read_only().row_range(0, kLive), y_live.view());
+    launch.set_live_rows(live.data());
+    encoder.forward(context(launch), tables.tensors(), x_all.read_only(), y_all.view());
+    std::vector<float> want = y_live.read();
+    want.resize(kRows * 10, 0);
+    EXPECT_EQ(y_all.read(), want);
+    tables.clear_gradients();
+    live_tables.clear_gradients();
+    encoder.backward(context(launch), tables.tensors(), x_all.read_only(), dy_all.read_only(), {});
+    launch.set_live_rows(nullptr);
+    encoder.backward(context(launch), live_tables.tensors(), x_all.read_only().row_range(0, kLive),
+                     dy_all.read_only().row_range(0, kLive), {});
+    for (std::size_t l = 0; l < tables.grad.size(); ++l) {
+      const std::vector<float> a = tables.grad[l]->read(), b = live_tables.grad[l]->read();
+      EXPECT_EQ(testkit::compare(testing::host_view(a, 2), testing::host_view(b, 2), 1e-5), "");
+    }
+  }
+}
+
+TEST(CudaHashGrid, PositionsThatAreNotFiniteAreFaultsAndStayInsideTheTables) {
+  SEMFIELD_NEEDS_DEVICE();
+  const HashGrid<float> encoder = make<float>(params_of(16, 2, 12, 8, 1048576), Device::cuda);
+  DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
+  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL}) {
+    std::vector<double> x = points(500, 2), clamped = x;
+    for (const std::size_t i : {3 * 411, 3 * 122 + 2}) x[i] = bad, clamped[i] = bad > 0 ? 1 : 0;
+    const DeviceMatrix<double> x_device(x, 3), clamped_device(clamped, 3);
+    const DeviceMatrix<float> y(500, 32), want(500, 32), dy(gradients(500, 32, 1), 32), dx(500, 3);
+    {
+      DeviceLaunch launch;
+      encoder.forward(context(launch), tables.tensors(), clamped_device.read_only(), want.view());
+      EXPECT_EQ(launch.take_fault(), std::nullopt);
+      encoder.forward(context(launch), tables.tensors(), x_device.read_only(), y.view());
+      EXPECT_EQ(launch.take_fault(), (NotedFault{Stage::encoded_position, 122}));
+      EXPECT_EQ(y.read(), want.read());
+      encoder.backward(context(launch), tables.tensors(), x_device.read_only(), dy.read_only(), dx.view());
+      for (const float v : dx.read()) ASSERT_TRUE(std::isfinite(v));
+      EXPECT_EQ(tables.surroundings(), "");
+    }
+    DeviceLaunch at_once(true);
+    EXPECT_THROW(encoder.forward(context(at_once), tables.tensors(), x_device.read_only(), y.view()), Error);
+  }
+}
+
+TEST(CudaHashGrid, GradientsThatAreNotFiniteReachEveryLevel) {
+  SEMFIELD_NEEDS_DEVICE();
+  const HashGrid<float> encoder = make<float>(params_of(5, 2, 10, 4, 64), Device::cuda);
+  DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
+  const DeviceMatrix<double> x(points(100, 2), 3);
+  std::vector<float> rows = gradients(100, 10, 3);
+  for (int c = 0; c < 10; ++c) rows[static_cast<std::size_t>(10 * 60 + c)] = c % 2 == 0 ? NAN : -HUGE_VALF;
+  const DeviceMatrix<float> dy(rows, 10);
+  for (const bool deterministic : {false, true}) {
+    DeviceLaunch launch(false, deterministic);
+    tables.clear_gradients();
+    encoder.backward(context(launch), tables.tensors(), x.read_only(), dy.read_only(), {});
+    for (const std::vector<float>& grad : tables.gradients()) {
+      EXPECT_TRUE(std::any_of(grad.begin(), grad.end(), [](float v) { return !std::isfinite(v); }));
+    }
+  }
+}
+
+}  // namespace
+}  // namespace semfield
