@@ -4,18 +4,20 @@
 #include <cmath>
 #include <cstdint>
 
+#include "core/host_device.h"
+
 namespace semfield {
 
 /// 1 / (1 + e^-x), from e^-|x| so that nothing overflows.
 template <class Real>
-inline Real sigmoid(Real x) {
+SEMFIELD_HD inline Real sigmoid(Real x) {
   const Real e = std::exp(-std::abs(x));
   return (x < Real(0) ? e : Real(1)) / (Real(1) + e);
 }
 
 /// log(1 + e^x) = max(x, 0) + log1p(e^-|x|).
 template <class Real>
-inline Real softplus(Real x) {
+SEMFIELD_HD inline Real softplus(Real x) {
   return (x > Real(0) ? x : Real(0)) + std::log1p(std::exp(-std::abs(x)));
 }
 

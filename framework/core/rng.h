@@ -66,7 +66,7 @@ SEMFIELD_HD inline std::uint64_t uniform_below(const RandomAddress& a, std::uint
 }
 
 /// Standard normal by Box-Muller; the first uniform is shifted off zero.
-inline double normal01(const RandomAddress& a, std::uint64_t index) {
+SEMFIELD_HD inline double normal01(const RandomAddress& a, std::uint64_t index) {
   const PhiloxBlock b = random_block(a, index);
   const double u = (static_cast<double>(b.v[0]) + 0.5) * 0x1p-32;
   const double v = static_cast<double>(b.v[1]) * 0x1p-32;

@@ -17,12 +17,15 @@ struct AdamTensor {
 };
 
 /// Notes a fault of Stage::gradient (row: number of the tensor) for a value, gradient or moment from which no update
-/// may start, over all tensors; rules as first_unsound. Nothing is changed.
+/// may start, over all tensors; limits as first_unsound. Of a touched_only tensor all gradients, and values and moments
+/// of the touched rows of one of kTableWindows windows a step, as Trainer does. Nothing is changed. `total`: rows *
+/// cols of all tensors summed.
 void check_gradients(const AdamTensor* tensors, int count, std::int64_t total);
 
 /// Updates all tensors with the step's rule (beta1, beta2 and epsilon by value; step size and root scale from
 /// launch().cell) and zeroes gradients, unless a fault is noted: then nothing is written. `tensors` is device memory,
-/// so that one launch serves all of them; `total` their rows * cols summed.
+/// so that one launch serves all of them. The bits of a processor with fused multiply-add; arrays that start on 16
+/// bytes, and tables of 1, 2, 4 or 8 columns, are the fast case.
 void adam_update(const AdamParams& rule, const AdamTensor* tensors, int count, std::int64_t total);
 
 }  // namespace semfield::cuda

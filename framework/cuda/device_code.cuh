@@ -34,4 +34,29 @@ __device__ inline T warp_sum(T value) {
   return value;
 }
 
+/// Sum over a block of kThreads in a fixed tree; thread 0 gets it. All threads call it.
+template <int kThreads, class T>
+__device__ inline T block_sum(T value) {
+  __shared__ T of_warp[kThreads / kWarp];
+  value = warp_sum(value);
+  __syncthreads();  // an earlier sum may still be read
+  if (threadIdx.x % kWarp == 0) of_warp[threadIdx.x / kWarp] = value;
+  __syncthreads();
+  T sum = 0;
+  for (int w = 0; threadIdx.x == 0 && w < kThreads / kWarp; ++w) sum += of_warp[w];
+  return sum;
+}
+
+/// Zeroes rows [begin, rows) of a view, by `threads` threads of which this is number `thread`.
+__device__ inline void clear_rows(View<float> view, std::int64_t begin, std::int64_t thread, std::int64_t threads) {
+  const std::int64_t end = view.rows * view.cols;
+  for (std::int64_t i = begin * view.cols + thread; i < end; i += threads) {
+    if (view.contiguous()) {
+      view.data[i] = 0;
+    } else {
+      view(i / view.cols, static_cast<std::int32_t>(i % view.cols)) = 0;
+    }
+  }
+}
+
 }  // namespace semfield::cuda

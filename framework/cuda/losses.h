@@ -1,6 +1,7 @@
 // Losses on the device, twins of losses/: gradients a ray, and sums of a step in a fixed order.
 #pragma once
 
+#include "core/workspace.h"
 #include "cuda/launch.h"
 #include "losses/semantic_cross_entropy.h"
 
@@ -16,15 +17,17 @@ struct LossSums {
   std::int32_t dense = 0;    ///< 1: some sample has density
 };
 
-/// d_color = 2 (color - target) / normaliser [R, 3], and sums->squares in a fixed order (sums: device memory).
-void photometric_loss(View<const float> color, View<const float> target, double normaliser, View<float> d_color,
-                      LossSums* sums);
+/// d_color = 2 (color - target) / normaliser [R, 3], and sums->squares in a fixed order (sums: device memory). Sums of
+/// blocks go through `arena`.
+void photometric_loss(Workspace& arena, View<const float> color, View<const float> target, double normaliser,
+                      View<float> d_color, LossSums* sums);
 
 /// As semfield::semantic_cross_entropy with the normaliser read from launch().cell: d_logits [N, C], sums->semantic,
-/// labelled and correct. hard [N, 1] or soft [N, C] (device); class_weight [1, C] (device) or empty. A logit that is
-/// not finite is a fault of Stage::logits, a label outside -1..C-1 one of Stage::label.
-void semantic_cross_entropy(View<const float> logits, const SemanticTargets& targets, View<const float> class_weight,
-                            double scale, View<float> d_logits, LossSums* sums);
+/// labelled and correct. hard [N, 1] or soft [N, C] (device); class_weight [1, C] (device) or empty. A logit of a
+/// labelled ray that is not finite is a fault of Stage::logits, a label outside -1..C-1 or a soft value that is no
+/// probability one of Stage::label; such a ray counts as unlabelled.
+void semantic_cross_entropy(Workspace& arena, View<const float> logits, const SemanticTargets& targets,
+                            View<const float> class_weight, double scale, View<float> d_logits, LossSums* sums);
 
 /// sums->samples = first[R], sums->dense = any sigma > 0.
 void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums);

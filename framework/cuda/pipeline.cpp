@@ -209,7 +209,7 @@ void DevicePipeline::train_passes(const Shape& shape, const StepContext& step_ct
     PassTrace<float> trace = pass.forward(ctx, {batch.origin, batch.direction, batch.near_far},
                                           p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
     const View<float> d_color = arena.take<float>(rays, 3);
-    photometric_loss(trace.color, batch.target, static_cast<double>(3 * rays), d_color, sums);
+    photometric_loss(arena, trace.color, batch.target, static_cast<double>(3 * rays), d_color, sums);
     count_samples(trace.samples.first, trace.sigma, sums);
     View<float> d_logits;
     if (trace.semantic_rays > 0) {
@@ -220,7 +220,7 @@ void DevicePipeline::train_passes(const Shape& shape, const StepContext& step_ct
       } else {
         targets.soft = batch.soft.row_range(0, trace.semantic_rays);
       }
-      semantic_cross_entropy(trace.logits, targets, class_weight, options.semantic_weight, d_logits, sums);
+      semantic_cross_entropy(arena, trace.logits, targets, class_weight, options.semantic_weight, d_logits, sums);
     }
     pass.backward(ctx, trace, d_color, d_logits);
     previous = trace;

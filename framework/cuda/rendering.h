@@ -37,10 +37,11 @@ void density_backward(DensityActivation activation, View<const float> raw, View<
                       View<float> d_raw);
 
 /// As semfield::composite_forward; `in.hidden` and `out.hidden` cover the first out.hidden.rows rays. One warp a ray;
-/// scalars of a ray in float64. Weights of unused rows are 0.
+/// scalars of a ray in float64. Weights of unused rows are 0. A colour of a sample that is not finite is a fault of
+/// Stage::color with its row.
 void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& out);
 /// As semfield::composite_backward. Gradients of unused rows, and of samples behind the first grad.hidden.rows rays in
-/// d_hidden, are 0.
+/// d_hidden, are 0. d_sigma is scratch on the way.
 void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
                         View<float> d_sigma, View<float> d_rgb, View<float> d_hidden);
 

@@ -9,16 +9,11 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "core/math_functions.h"
+#include "model/compositor_math.h"
 #include "model/ray_guard.h"
 
 namespace semfield {
 namespace {
-
-// tau = sigma * delta; vacuum is vacuum over any distance, so that 0 * inf does not arise.
-template <class Real>
-double optical_depth(Real sigma, Real delta) {
-  return sigma == Real(0) ? 0.0 : static_cast<double>(sigma) * static_cast<double>(delta);
-}
 
 constexpr std::int32_t kBlock = 64;  // samples whose exponentials are taken together
 

@@ -17,8 +17,6 @@ namespace semfield {
 
 /// Steps in a row without any density after which a pass counts as dead.
 inline constexpr std::int64_t kDeadSteps = 100;
-/// Steps in which the values and moments of a table's touched rows are looked at, a window of rows a step.
-inline constexpr std::int64_t kTableWindows = 16;
 
 class Trainer {
  public:
