@@ -247,6 +247,7 @@ void add_bench_gpu(CLI::App& group, AppContext& context, Choice& choice) {
   auto options = std::make_shared<BenchGpuOptions>();
   CLI::App* verb = group.add_subcommand("gpu", "training steps and frames on a graphics processor");
   verb->add_flag("--peers", options->peers, "alternate with the same steps in PyTorch and print ratios");
+  verb->add_option("--only", options->only, "measurements whose names begin so: --only 'paper bf16'");
   verb->add_option("--repeats", options->repeats, "rounds; medians are of so many")->check(CLI::Range(1, 1000));
   verb->add_option("--python", options->python, "interpreter with torch (default: python3)");
   verb->callback(

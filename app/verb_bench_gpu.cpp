@@ -100,6 +100,7 @@ class GpuBench {
   }
 
   std::shared_ptr<StepCase> make(const std::string& name, StepCaseOptions options) {
+    if (!name.starts_with(options_.only)) return nullptr;
     options.set.push_back("runtime.device=cuda");
     try {
       return std::make_shared<StepCase>(options, context_.registry);

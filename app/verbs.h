@@ -137,6 +137,7 @@ int run_bench_step(const BenchStepOptions& options, AppContext& context);
 
 struct BenchGpuOptions {
   bool peers = false;
+  std::string only;  ///< beginning of the measurements' names; "": all
   int repeats = 5;
   std::string python;
 };
