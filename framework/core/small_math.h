@@ -74,7 +74,7 @@ struct Box {
 
 /// Interval of t >= 0 where origin + t * direction lies in the box; false when the ray misses it. Zero direction
 /// components are handled by containment of the origin, so no 0 * inf occurs.
-inline bool intersect(const Box& box, Vec3d origin, Vec3d direction, double& t_near, double& t_far) {
+SEMFIELD_HD inline bool intersect(const Box& box, Vec3d origin, Vec3d direction, double& t_near, double& t_far) {
   t_near = 0;
   t_far = 1e300;
   for (int i = 0; i < 3; ++i) {

@@ -46,15 +46,16 @@ SEMFIELD_HD inline bool ray_span(View<const double> near_far, std::int64_t ray, 
 template <class Real>
 SEMFIELD_HD inline Real round_inside(double t, double near_m, double far_m) {
   Real rounded = static_cast<Real>(t);
-  if (static_cast<double>(rounded) > far_m) rounded = std::nextafter(rounded, -HUGE_VAL);
-  if (static_cast<double>(rounded) < near_m) rounded = std::nextafter(rounded, HUGE_VAL);
+  // The second argument as Real: with a double the neighbour would be a double, which rounds back to where it was.
+  if (static_cast<double>(rounded) > far_m) rounded = std::nextafter(rounded, static_cast<Real>(-HUGE_VAL));
+  if (static_cast<double>(rounded) < near_m) rounded = std::nextafter(rounded, static_cast<Real>(HUGE_VAL));
   return rounded;
 }
 
 /// Interval lengths of `count` ascending points in [near, far]. paper: to the next point. Else the cells of the points,
 /// whose borders lie midway between neighbours and which together fill [near, far]: the trapezoid rule, order 2.
-inline double interval_of(Quadrature rule, const double* t, std::int64_t count, std::int64_t k, double near_m,
-                          double far_m) {
+SEMFIELD_HD inline double interval_of(Quadrature rule, const double* t, std::int64_t count, std::int64_t k,
+                                      double near_m, double far_m) {
   if (rule == Quadrature::paper) return (k + 1 < count ? t[k + 1] : far_m) - t[k];
   const double begin = k == 0 ? near_m : 0.5 * (t[k - 1] + t[k]);
   const double end = k + 1 == count ? far_m : 0.5 * (t[k] + t[k + 1]);

@@ -15,23 +15,6 @@ void importance_cpu_kernels(KernelTables& tables);
 
 namespace {
 
-// One ray of the previous pass: `count` samples from row `begin`.
-template <class Real>
-struct RayProposal {
-  const Proposal<Real>* previous;
-  std::int64_t begin, count;
-  double near_m, far_m;
-
-  double t(std::int64_t k) const { return static_cast<double>(*previous->samples->t.row(begin + k)); }
-  double weight(std::int64_t k) const { return static_cast<double>(*previous->weight.row(begin + k)); }
-  // Border before cell k; a previous sample outside [near, far] does not move a border out of it.
-  double border(std::int64_t k) const {
-    if (k == 0) return near_m;
-    if (k >= count) return far_m;
-    return std::clamp(0.5 * (t(k - 1) + t(k)), near_m, far_m);
-  }
-};
-
 template <class Real>
 double total_weight(const RayProposal<Real>& ray, std::int64_t ray_number) {
   double total = 0;
@@ -47,16 +30,9 @@ double total_weight(const RayProposal<Real>& ray, std::int64_t ray_number) {
 template <class Real>
 void draw(const ImportanceArgs& args, const RayProposal<Real>& ray, std::int64_t ray_number, double* points) {
   const double total = total_weight(ray, ray_number) + args.floor;
-  const double length = ray.far_m - ray.near_m;
-  const std::int64_t cells = std::max<std::int64_t>(1, ray.count);
   const auto enter = [&](std::int64_t k, double below) {
-    CdfWalk cell;
+    CdfWalk cell = ray.cell(k, ray.count > 0 ? ray.weight(k) : 0.0, args.floor, total);
     cell.below = below;
-    cell.begin = ray.border(k);
-    cell.end = k + 1 == cells ? ray.far_m : ray.border(k + 1);
-    const double weight = ray.count > 0 ? ray.weight(k) : 0.0;
-    cell.mass = (weight + args.floor * (cell.end - cell.begin) / length) / total;
-    cell.is_last = k + 1 == cells;
     return cell;
   };
   std::int64_t k = 0;
@@ -80,7 +56,7 @@ template <class Real>
 std::int64_t merge_previous(const RayProposal<Real>& ray, std::int64_t fresh, double* points) {
   std::int64_t j = fresh - 1, k = ray.count - 1;
   for (std::int64_t to = fresh + ray.count - 1; k >= 0; --to) {
-    const double old = std::clamp(ray.t(k), ray.near_m, ray.far_m);
+    const double old = ray.inside(k);
     if (j >= 0 && points[j] >= old) {
       points[to] = points[j];
       --j;
@@ -105,7 +81,7 @@ void sample(const ImportanceArgs& args, View<const double> near_far, const Propo
   std::int64_t count = 0;
   for (std::int64_t r = 0; r < near_far.rows; ++r) {
     *out.first.row(r) = static_cast<std::int32_t>(count);
-    RayProposal<Real> ray{&previous, *first.row(r), *first.row(r + 1) - *first.row(r), 0, 0};
+    RayProposal<Real> ray{previous.samples->t, previous.weight, *first.row(r), *first.row(r + 1) - *first.row(r)};
     if (!ray_span(near_far, r, args.first_ray, ray.near_m, ray.far_m)) continue;
     draw(args, ray, args.first_ray + r, points);
     const std::int64_t n = args.keep_previous ? merge_previous(ray, args.samples, points) : args.samples;

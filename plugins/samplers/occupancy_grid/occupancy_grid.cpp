@@ -132,6 +132,7 @@ void OccupancyGrid<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&
   args.jitter = ctx.training;
   args.random = ctx.random("sampler/occupancy_grid");
   args.first_ray = ctx.first_ray;
+  args.workspace = ctx.workspace;
   kernels_->sample(args, state_of(tensors), rays, out);
 }
 

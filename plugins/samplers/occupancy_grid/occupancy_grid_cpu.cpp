@@ -22,9 +22,8 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little, "empty_bits keeps its bits in the low bytes");
 
-constexpr std::int64_t kMostSteps = std::int64_t{1} << 20;  // a ray's lattice, however small the step
-constexpr std::int64_t kChunkCells = 4096;                  // cells of one density query
-constexpr std::int64_t kRoundChunks = 64;                   // queries whose buffers are held at once
+constexpr std::int64_t kChunkCells = 4096;  // cells of one density query
+constexpr std::int64_t kRoundChunks = 64;   // queries whose buffers are held at once
 
 // Lattice samples [i, to) that are all passed over, or all evaluated.
 struct Stretch {
@@ -62,19 +61,14 @@ struct GridReader {
 // take turns keep the processor busy.
 constexpr std::int64_t kTogether = 4;
 
-struct March {
-  CellRay ray, steps;  // in metres from the origin; in steps from the lattice's sample 0
-  StepLattice lattice;
-  double span_m = 0, far_m = 0;
+struct March : MarchedRay {
   SkipBudget budget{0, 1};
   std::int64_t row = 0;  // of its first sample
   std::int64_t i = 0, written = 0;
   bool active = false;
 
   void restart(double skip_budget) {
-    lattice.step_m = span_m / static_cast<double>(lattice.count);
-    far_m = lattice.near_m + lattice.step_m * static_cast<double>(lattice.count);
-    steps = ray.in_units(lattice.at(0), lattice.step_m);
+    lay_out();
     budget = SkipBudget(skip_budget, span_m);
     i = written = 0;
   }
@@ -82,24 +76,12 @@ struct March {
 
 template <class Real>
 March begin_march(const OccupancySampleArgs& args, const Box& box, const Rays<Real>& rays, std::int64_t r) {
-  const OccupancyGeometry& geometry = args.geometry;
   March march;
-  double near_m = 0, far_m = 0, enter = 0, leave = 0;
+  double near_m = 0, far_m = 0;
   if (!ray_span(rays.near_far, r, args.first_ray, near_m, far_m)) return march;
-  const double* o = rays.origin.row(r);
-  const double* d = rays.direction.row(r);
-  if (!intersect(box, {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave)) return march;
-  near_m = std::max(near_m, enter);
-  march.span_m = std::min(far_m, leave) - near_m;
-  if (!(march.span_m > 0)) return march;
-  march.ray = CellRay(geometry, o, d);
-  march.lattice.near_m = near_m;
+  if (!march.begin(args.geometry, box, rays.origin.row(r), rays.direction.row(r), near_m, far_m)) return march;
   march.lattice.u =
       args.jitter ? static_cast<double>(uniform01(args.random, static_cast<std::uint64_t>(args.first_ray + r))) : 0.5;
-  const double steps = std::ceil(march.span_m / geometry.step_m);
-  march.lattice.count = steps < static_cast<double>(kMostSteps)
-                            ? std::max<std::int64_t>(1, static_cast<std::int64_t>(steps))
-                            : kMostSteps;
   march.restart(args.skip_budget);
   march.active = true;
   return march;

@@ -27,6 +27,7 @@ struct OccupancySampleArgs {
   bool jitter = false;
   RandomAddress random;
   std::int64_t first_ray = 0;
+  Workspace* workspace = nullptr;  ///< read on devices other than the CPU
 };
 
 struct OccupancyUpdateArgs {

@@ -1,6 +1,7 @@
 // Geometry and layout of the occupancy grid, for host and device.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 
@@ -9,8 +10,9 @@
 
 namespace semfield {
 
-inline constexpr std::int32_t kBlockCells = 8;  ///< a block is 8 x 8 x 8 cells
-inline constexpr double kUnbounded = 1e30;      ///< bound of a block with an occupied cell
+inline constexpr std::int32_t kBlockCells = 8;                     ///< a block is 8 x 8 x 8 cells
+inline constexpr double kUnbounded = 1e30;                         ///< bound of a block with an occupied cell
+inline constexpr std::int64_t kMostSteps = std::int64_t{1} << 20;  ///< a ray's lattice, however small the step
 inline constexpr std::int32_t kBitsPerElement =
     16;  ///< bits ride in the low bytes of 1.0, so every element is a finite number
 
@@ -148,6 +150,36 @@ struct StepLattice {
     if (steps >= static_cast<double>(count)) return count;
     const auto to = static_cast<std::int64_t>(std::floor(steps)) + 1;
     return to > i ? to : i + 1;
+  }
+};
+
+/// The part of a ray inside the grid's box, cut into equal steps.
+struct MarchedRay {
+  CellRay ray, steps;  ///< in metres from the origin; in steps from the lattice's sample 0
+  StepLattice lattice;
+  double span_m = 0, far_m = 0;
+
+  /// False when nothing of [near, far] lies in the box.
+  SEMFIELD_HD bool begin(const OccupancyGeometry& g, const Box& box, const double* origin, const double* direction,
+                         double near_m, double far_limit_m) {
+    double enter = 0, leave = 0;
+    if (!intersect(box, {origin[0], origin[1], origin[2]}, {direction[0], direction[1], direction[2]}, enter, leave))
+      return false;
+    lattice.near_m = std::max(near_m, enter);
+    span_m = std::min(far_limit_m, leave) - lattice.near_m;
+    if (!(span_m > 0)) return false;
+    ray = CellRay(g, origin, direction);
+    const double count = std::ceil(span_m / g.step_m);
+    lattice.count = count < static_cast<double>(kMostSteps)
+                        ? std::max<std::int64_t>(1, static_cast<std::int64_t>(count))
+                        : kMostSteps;
+    return true;
+  }
+  /// After `lattice.count` or `lattice.u` changed.
+  SEMFIELD_HD void lay_out() {
+    lattice.step_m = span_m / static_cast<double>(lattice.count);
+    far_m = lattice.near_m + lattice.step_m * static_cast<double>(lattice.count);
+    steps = ray.in_units(lattice.at(0), lattice.step_m);
   }
 };
 

@@ -1,0 +1,222 @@
+// A sampler on the CPU and on the device, given the same rays, tensors and previous samples.
+#pragma once
+
+#include <cmath>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "cuda/kernel_tables.h"
+#include "device_fixture.h"
+#include "plugin/kernels.h"
+#include "plugin/sampler.h"
+#include "samplers/importance/importance_kernels.h"
+#include "samplers/occupancy_grid/occupancy_grid_kernels.h"
+#include "samplers/stratified/stratified_kernels.h"
+
+namespace semfield::testing {
+
+inline const KernelTables& sampler_tables() {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    stratified_kernels(t);
+    importance_kernels(t);
+    occupancy_grid_kernels(t);
+    cuda::add_plugin_kernels(t);
+    return t;
+  }();
+  return tables;
+}
+
+inline SamplerBuild room_on(Device device) {
+  SamplerBuild build;
+  build.device = device;
+  build.bounds = {{-2, -2, -1}, {3, 2, 2}};
+  build.near_m = 0.05;
+  build.far_m = 12;
+  return build;
+}
+
+/// One sampler with the kernels of both devices.
+template <template <class> class Plugin>
+struct Twins {
+  template <class Params>
+  explicit Twins(const Params& params)
+      : cpu(params, room_on(Device::cpu), sampler_tables()), device(params, room_on(Device::cuda), sampler_tables()) {}
+  Plugin<float> cpu, device;
+};
+
+struct HostRays {
+  std::vector<double> origin, direction, near_far;
+  std::int64_t count() const { return static_cast<std::int64_t>(near_far.size()) / 2; }
+  Rays<float> view() const { return {host_view(origin, 3), host_view(direction, 3), host_view(near_far, 2)}; }
+};
+
+/// Rays from places in the room in all directions; every `empty_every`-th is empty (0: none).
+inline HostRays random_rays(std::int64_t count, std::uint64_t seed, std::int64_t empty_every) {
+  const Box box = room_on(Device::cpu).bounds;
+  HostRays rays;
+  for (std::int64_t r = 0; r < count; ++r) {
+    const auto random = [&](int i) {
+      return static_cast<double>(uniform01({seed, 0, 77}, static_cast<std::uint64_t>(8 * r + i)));
+    };
+    const Vec3d d = normalized(Vec3d{random(0) - 0.5, random(1) - 0.5, random(2) - 0.4999});
+    for (int i = 0; i < 3; ++i) {
+      rays.origin.push_back(box.lo[i] + (0.02 + 0.96 * random(3 + i)) * box.size()[i]);
+      rays.direction.push_back(d[i]);
+    }
+    const double near_m = 0.05 + 0.3 * random(6), far_m = near_m + 0.2 + 12 * random(7);
+    const bool empty = empty_every > 0 && r % empty_every == empty_every - 1;
+    rays.near_far.insert(rays.near_far.end(), {near_m, empty ? near_m : far_m});
+  }
+  return rays;
+}
+
+struct HostSamples {
+  std::vector<float> t, delta;
+  std::vector<std::int32_t> ray, first;
+  std::int64_t live() const { return first.back(); }
+};
+
+/// Samples of a previous pass; no ray has more than per_ray.
+struct HostProposal {
+  HostSamples samples;
+  std::vector<float> weight;
+  std::int64_t per_ray = 0;
+};
+
+/// On the CPU; rows behind the live ones as the device fills them.
+inline HostSamples sample_on_cpu(const Sampler<float>& sampler, const StepContext& ctx, const Tensors<float>& tensors,
+                                 const HostRays& rays, HostProposal* previous = nullptr) {
+  const std::int64_t capacity = sampler.capacity(rays.count(), previous == nullptr ? 0 : previous->per_ray);
+  HostSamples out;
+  out.t.assign(static_cast<std::size_t>(capacity), 0.F);
+  out.delta = out.t;
+  out.ray.assign(out.t.size(), static_cast<std::int32_t>(rays.count() - 1));
+  out.first.assign(static_cast<std::size_t>(rays.count() + 1), 0);
+  Samples<float> old;
+  Proposal<float> proposal;
+  if (previous != nullptr) {
+    HostSamples& s = previous->samples;
+    old = {host_view(s.t, 1), host_view(s.delta, 1), host_view(s.ray, 1), host_view(s.first, 1), s.live()};
+    proposal = {&old, host_view(previous->weight, 1)};
+  }
+  Samples<float> samples{host_view(out.t, 1), host_view(out.delta, 1), host_view(out.ray, 1), host_view(out.first, 1),
+                         0};
+  Workspace workspace;
+  StepContext host = ctx;
+  host.workspace = &workspace;
+  sampler.sample(host, tensors, rays.view(), previous == nullptr ? nullptr : &proposal, samples);
+  // What lies behind the live rows is the CPU's scratch.
+  for (auto i = static_cast<std::size_t>(out.live()); i < out.t.size(); ++i) {
+    out.t[i] = out.delta[i] = 0;
+    out.ray[i] = static_cast<std::int32_t>(rays.count() - 1);
+  }
+  return out;
+}
+
+/// Inputs and outputs of a sampler in device memory; rows of a stride of `gap` more than their columns.
+class DeviceBatch {
+ public:
+  DeviceBatch(const Sampler<float>& sampler, const HostRays& rays, const HostProposal* previous, std::int64_t gap)
+      : sampler_(sampler),
+        capacity_(sampler.capacity(rays.count(), previous == nullptr ? 0 : previous->per_ray)),
+        origin_(rays.origin, 3, 3 + gap),
+        direction_(rays.direction, 3, 3 + gap),
+        near_far_(rays.near_far, 2, 2 + gap),
+        t_(capacity_, 1, 1 + gap),
+        delta_(capacity_, 1, 1 + gap),
+        ray_(capacity_, 1, 1 + gap),
+        first_(rays.count() + 1, 1, 1 + gap) {
+    if (previous == nullptr) return;
+    const std::int64_t rows = rays.count() * previous->per_ray;
+    old_t_ = std::make_unique<DeviceMatrix<float>>(padded(previous->samples.t, rows), 1, 1 + gap);
+    weight_ = std::make_unique<DeviceMatrix<float>>(padded(previous->weight, rows), 1, 1 + gap);
+    old_first_ = std::make_unique<DeviceMatrix<std::int32_t>>(previous->samples.first, 1, 1 + gap);
+    old_ = {old_t_->view(), old_t_->view(), {}, old_first_->view(), rows};
+    proposal_ = {&old_, weight_->view()};
+  }
+
+  void sample(const StepContext& ctx, const Tensors<float>& tensors) {
+    Samples<float> out{t_.view(), delta_.view(), ray_.view(), first_.view(), 0};
+    sampler_.sample(ctx, tensors, {origin_.read_only(), direction_.read_only(), near_far_.read_only()},
+                    old_t_ ? &proposal_ : nullptr, out);
+    EXPECT_EQ(out.count, capacity_);
+  }
+  HostSamples read() const {
+    for (const std::string& where :
+         {t_.surroundings(), delta_.surroundings(), ray_.surroundings(), first_.surroundings()})
+      EXPECT_EQ(where, "");
+    return {t_.read(), delta_.read(), ray_.read(), first_.read()};
+  }
+
+ private:
+  static std::vector<float> padded(std::vector<float> values, std::int64_t rows) {
+    values.resize(static_cast<std::size_t>(rows), NAN);  // nobody may read behind the live rows
+    return values;
+  }
+  const Sampler<float>& sampler_;
+  std::int64_t capacity_;
+  DeviceMatrix<double> origin_, direction_, near_far_;
+  DeviceMatrix<float> t_, delta_;
+  DeviceMatrix<std::int32_t> ray_, first_;
+  std::unique_ptr<DeviceMatrix<float>> old_t_, weight_;
+  std::unique_ptr<DeviceMatrix<std::int32_t>> old_first_;
+  Samples<float> old_;
+  Proposal<float> proposal_;
+};
+
+/// A context whose step stands in the launch's cell alone, as in a captured step.
+inline StepContext device_context(const StepContext& ctx, DeviceLaunch& launch) {
+  cuda::StepCell cell;
+  cell.step = static_cast<std::uint64_t>(ctx.step);
+  launch.set_cell(cell);
+  StepContext on_device = ctx;
+  on_device.step = 0;
+  on_device.workspace = &launch.arena();
+  return on_device;
+}
+
+/// "" for equal bits, else the first difference.
+inline std::string difference(const HostSamples& cpu, const HostSamples& device) {
+  const auto at = [](std::size_t i) { return " " + std::to_string(i) + ": "; };
+  for (std::size_t r = 0; r < cpu.first.size(); ++r) {
+    if (cpu.first[r] != device.first[r])
+      return "first" + at(r) + std::to_string(cpu.first[r]) + " on the CPU, " + std::to_string(device.first[r]);
+  }
+  const auto live = static_cast<std::size_t>(cpu.live());
+  for (std::size_t i = 0; i < cpu.t.size(); ++i) {
+    const std::string row = (i < live ? "sample" : "unused row") + at(i);
+    const bool same_t = std::memcmp(&cpu.t[i], &device.t[i], sizeof(float)) == 0;
+    if (!same_t) return row + "t " + std::to_string(cpu.t[i]) + " on the CPU, " + std::to_string(device.t[i]);
+    const bool same_delta = std::memcmp(&cpu.delta[i], &device.delta[i], sizeof(float)) == 0;
+    if (!same_delta)
+      return row + "delta " + std::to_string(cpu.delta[i]) + " on the CPU, " + std::to_string(device.delta[i]);
+    if (cpu.ray[i] != device.ray[i])
+      return row + "ray " + std::to_string(cpu.ray[i]) + " on the CPU, " + std::to_string(device.ray[i]);
+  }
+  return "";
+}
+
+inline StepContext context_at(std::int64_t step, bool training) {
+  StepContext ctx;
+  ctx.seed = 11;
+  ctx.step = step;
+  ctx.training = training;
+  ctx.first_ray = 5;
+  ctx.pass = 1;
+  return ctx;
+}
+
+/// The message of the Error that `body` throws.
+template <class Body>
+std::string error_of(const Body& body) {
+  try {
+    body();
+  } catch (const Error& e) {
+    return e.message();
+  }
+  return "no error";
+}
+
+}  // namespace semfield::testing
