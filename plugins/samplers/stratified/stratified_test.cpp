@@ -173,6 +173,14 @@ TEST(Stratified, FloatStaysInsideTheLimits) {
   }
 }
 
+TEST(Stratified, RoundingDoesNotLeaveTheLimits) {
+  // The limits lie just inside the float that is nearest to them: rounding alone would leave them.
+  const float up = 0.1F, down = 0.3F;
+  EXPECT_EQ(round_inside<float>(0.0999999999, 0, 0.0999999999), std::nextafterf(up, 0));
+  EXPECT_EQ(round_inside<float>(0.3000000119, 0.3000000120, 1), std::nextafterf(down, 1));
+  EXPECT_EQ(round_inside<double>(0.1, 0, 1), 0.1);
+}
+
 TEST(Stratified, Laws) {
   for (const auto rule : {Quadrature::paper, Quadrature::midpoint, Quadrature::stratified_bin}) {
     const auto failures = testkit::sampler_laws(make<float>(24, rule), make<double>(24, rule), room());
