@@ -102,7 +102,7 @@ std::string forbidden_in_plugin(const std::string& inside, const std::string& ta
   if (!kFrameworkFolders.contains(other) || target.find('/') == std::string::npos) return {};
   if (other == "core" || other == "plugin" || target == "config/params.h") return {};
   if (other == "scene" && kind == "datasets") return {};
-  if (other == "cuda" && ends_with(inside, ".cu")) return {};
+  if (other == "cuda" && (ends_with(inside, ".cu") || ends_with(inside, ".cuh"))) return {};
   if (kind == "fused" && target == "model/encoded_field.h") return {};
   return "a plugin sees core, config/params.h, plugin" + std::string(kind == "datasets" ? " and scene" : "") + " alone";
 }

@@ -117,7 +117,7 @@ TEST(CudaFrequency, FollowsItsTwinOnTheCpu) {
   for (const FrequencyCase& c : frequency_cases()) {
     const auto device = make<Frequency<float>>(c.params, c.dims, Device::cuda);
     const auto host = make<Frequency<double>>(c.params, c.dims, Device::cpu);
-    for (const std::int64_t rows : {0, 1, 31, 33, 64, 4097}) {
+    for (const std::int64_t rows : {0, 1, 31, 33, 64, c.dims == 3 ? 4097 : 137}) {
       for (const Strides strides : kStrides) {
         SCOPED_TRACE(std::to_string(c.dims) + " coordinates, " + std::to_string(c.params.frequencies) + " bands, " +
                      std::to_string(rows) + " rows, stride +" + std::to_string(strides.y) + ", arithmetic " +

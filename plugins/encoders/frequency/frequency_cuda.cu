@@ -30,7 +30,7 @@ Tile tile_for(View<T> y) {
   tile.stride = y.cols | 1;
   tile.rows_log2 = kMostRowsLog2;
   while ((tile.stride << tile.rows_log2) > kTileFloats) --tile.rows_log2;
-  tile.flat = y.row_stride == tile.stride && reinterpret_cast<std::uintptr_t>(y.data) % 16 == 0;
+  tile.flat = y.contiguous() && y.cols == tile.stride && reinterpret_cast<std::uintptr_t>(y.data) % 16 == 0;
   return tile;
 }
 

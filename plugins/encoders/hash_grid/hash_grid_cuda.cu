@@ -1,6 +1,6 @@
 // CUDA kernels of the hash grid: forward, and the gradient of positions. The gradient of tables is in
 // hash_grid_scatter_cuda.cu.
-#include "encoders/hash_grid/hash_grid_device.cuh"
+#include "encoders/hash_grid/hash_grid_cuda.cuh"
 #include "plugin/kernels.h"
 
 namespace semfield::cuda {

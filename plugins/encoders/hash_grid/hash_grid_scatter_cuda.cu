@@ -5,7 +5,7 @@
 #include <nv/target>
 
 #include "core/workspace.h"
-#include "encoders/hash_grid/hash_grid_device.cuh"
+#include "encoders/hash_grid/hash_grid_cuda.cuh"
 
 namespace semfield::cuda {
 
