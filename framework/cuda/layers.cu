@@ -180,6 +180,43 @@ __global__ void add_partials_kernel(View<const float> partial, View<float> sums)
   sums(0, col) += total;
 }
 
+// A block masks and sums `rows_each` rows: 32 threads a row of 256 columns, 8 columns (16 bytes, a byte of the mask) a
+// thread, so a warp moves 512 bytes at a time; groups of threads that share columns are added in order at the end.
+// partial [blocks, cols].
+constexpr int kMaskedColumns = 8;
+__global__ void mask_and_sum_kernel(const std::uint8_t* mask, std::int64_t mask_stride, View<__nv_bfloat16> dx,
+                                    std::int64_t rows_each, View<float> partial) {
+  extern __shared__ float share[];  // [groups][cols]
+  const auto threads_a_row = static_cast<int>(dx.cols / kMaskedColumns);
+  const int groups = static_cast<int>(blockDim.x) / threads_a_row;
+  const int group = static_cast<int>(threadIdx.x) / threads_a_row, at = static_cast<int>(threadIdx.x) % threads_a_row;
+  const std::int64_t begin = static_cast<std::int64_t>(blockIdx.x) * rows_each;
+  const std::int64_t end = begin + rows_each < dx.rows ? begin + rows_each : dx.rows;
+  float sum[kMaskedColumns] = {};
+  if (group < groups) {
+#pragma unroll 4
+    for (std::int64_t row = begin + group; row < end; row += groups) {
+      auto* const place = reinterpret_cast<Pack<__nv_bfloat16, kMaskedColumns>*>(dx.row(row) + at * kMaskedColumns);
+      Pack<__nv_bfloat16, kMaskedColumns> value = *place;
+      const unsigned bits = mask[row * mask_stride + at];
+#pragma unroll
+      for (int k = 0; k < kMaskedColumns; ++k) {
+        if ((bits >> k & 1u) == 0) value.v[k] = from_float<__nv_bfloat16>(0);
+        sum[k] += to_float(value.v[k]);
+      }
+      *place = value;
+    }
+#pragma unroll
+    for (int k = 0; k < kMaskedColumns; ++k) share[group * dx.cols + at * kMaskedColumns + k] = sum[k];
+  }
+  __syncthreads();
+  for (std::int32_t col = static_cast<std::int32_t>(threadIdx.x); col < dx.cols; col += blockDim.x) {
+    float total = 0;
+    for (int g = 0; g < groups; ++g) total += share[g * dx.cols + col];
+    partial(blockIdx.x, col) = total;
+  }
+}
+
 // First of `count` ascending numbers that is not below `value`.
 __device__ inline std::int64_t lower_bound(const View<const std::int32_t>& numbers, std::int64_t count,
                                            std::int64_t value) {
@@ -266,6 +303,22 @@ void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
   partial_sums_kernel<Act><<<static_cast<unsigned>(parts), kThreads, 0, launch().stream>>>(dz, rows_each, partial);
   check_launch("column sums");
   add_partials(partial, sums);
+}
+
+void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
+  if (dx.size() == 0) return;
+  constexpr std::int64_t kLeastRows = 64;
+  const std::int64_t parts = std::min<std::int64_t>(8 * multiprocessors(), (dx.rows + kLeastRows - 1) / kLeastRows);
+  const std::int64_t rows_each = (dx.rows + parts - 1) / parts;
+  const int threads_a_row = dx.cols / kMaskedColumns;
+  const int threads = std::max(kThreads, threads_a_row) / threads_a_row * threads_a_row;
+  const std::size_t shared = sizeof(float) * static_cast<std::size_t>(threads) * kMaskedColumns;
+  const Workspace::Scope scope(arena);
+  const View<float> partial = arena.take<float>(parts, dx.cols);
+  mask_and_sum_kernel<<<static_cast<unsigned>(parts), static_cast<unsigned>(threads), shared, launch().stream>>>(
+      reinterpret_cast<const std::uint8_t*>(mask), mask_stride_bits(dx.cols) / 8, dx, rows_each, partial);
+  check_launch("mask and column sums");
+  if (!sums.empty()) add_partials(partial.col_range(0, sums.cols), sums);
 }
 
 void add_partials(View<const float> partial, View<float> sums) {

@@ -40,8 +40,10 @@ struct LinearBackward {
   View<Dx> dx;
   bool add_to_dx = false;
   bool relu_input = false;
-  /// x > 0 as bits, if forward wrote them: saves a pass over dx.
+  /// x > 0 as bits, if forward wrote them: an eighth of x's bytes to read.
   std::uint32_t* mask = nullptr;
+  /// [1, in] += column sums of dx with relu_input: the bias gradient of the layer that made x, in the same pass.
+  View<float> dx_sums;
 };
 template <class Act, class Dx>
 void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena);
@@ -70,6 +72,9 @@ void finish_layer(View<const float> bias, Activation activation, View<Act> y, st
 /// sums [1, cols] += column sums of dz, rows in an order that depends on their number alone.
 template <class Act>
 void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena);
+/// dx = x > 0 ? dx : 0 by mask (LinearForward::mask), and sums [1, dx.cols] += its column sums; dx.cols a multiple of
+/// 8, rows of dx on 16-byte boundaries.
+void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena);
 /// sums [1, cols] += sums over the rows of partial [any, cols], in a fixed order.
 void add_partials(View<const float> partial, View<float> sums);
 /// d_ray_term [R, out] = sum of dz over each ray's samples, rays in order; ray_of_sample ascending. Rows that are not

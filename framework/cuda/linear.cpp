@@ -1,4 +1,6 @@
 // Layers as products with epilogues; where cuBLASLt has no such epilogue, as a product and a pass behind it.
+#include <type_traits>
+
 #include "cuda/launch.h"
 #include "cuda/layers.h"
 #include "cuda/matmul.h"
@@ -48,42 +50,33 @@ template <class Act, class Dx>
 void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena) {
   if (call.dz.rows == 0) return;
   const Workspace::Scope scope(arena);
-  bool summed = call.d_bias.empty();
   if (!call.d_weight.empty()) {
     Product p;
     p.a = Matrix(call.x.col_range(0, static_cast<std::int32_t>(call.d_weight.rows)), true);
     p.b = Matrix(call.dz.col_range(0, call.d_weight.cols));
     p.d = Matrix(call.d_weight);
     p.add = true;
-    if (!summed) {
-      const View<float> sums = arena.take<float>(1, call.d_weight.cols);
-      p.epilogue = Epilogue::column_sums;
-      p.sums = sums.data;
-      summed = product(p);
-      if (summed) add_rows<float, float>(sums, call.d_bias);
-    }
-    if (p.sums == nullptr || !summed) {
-      p.epilogue = Epilogue::none;
-      p.sums = nullptr;
-      product(p);
-    }
+    product(p);
   }
-  if (!summed) add_column_sums<Act>(call.dz.col_range(0, call.d_bias.cols), call.d_bias, arena);
+  // Own passes: cuBLASLt's epilogues for the sums and for the gradient of a ReLU are kernels of their own on Hopper,
+  // and take more than twice as long.
+  if (!call.d_bias.empty()) add_column_sums<Act>(call.dz.col_range(0, call.d_bias.cols), call.d_bias, arena);
   if (call.dx.empty()) return;
   Product p;
   p.a = Matrix(call.dz);
   p.b = Matrix(call.weight, true);
   p.d = Matrix(call.dx);
   p.add = call.add_to_dx;
-  if (call.relu_input && call.mask != nullptr) {
-    p.epilogue = Epilogue::masked;
-    p.mask = call.mask;
-    if (product(p)) return;
-    p.epilogue = Epilogue::none;
-    p.mask = nullptr;
-  }
   product(p);
-  if (call.relu_input) relu_backward<Act, Dx>(call.x, call.dx);
+  if (!call.relu_input) return;
+  if constexpr (std::is_same_v<Dx, __nv_bfloat16>) {
+    if (call.mask != nullptr && call.dx.cols % 8 == 0 && call.dx.row_stride % 8 == 0) {
+      mask_and_sum(call.mask, call.dx, call.dx_sums, arena);
+      return;
+    }
+  }
+  relu_backward<Act, Dx>(call.x, call.dx);
+  if (!call.dx_sums.empty()) add_column_sums<Dx>(call.dx.col_range(0, call.dx_sums.cols), call.dx_sums, arena);
 }
 
 #define SEMFIELD_INSTANTIATE(Act, Out)                                    \

@@ -60,6 +60,11 @@ struct StepCaseRow {
   std::string (*config)(const std::string&);
   const char* more;
 };
+std::string few_labels_config(const std::string& more) {
+  std::string yaml = two_pass_config(more);
+  const std::string scene = "{type: analytic_room}";
+  return yaml.replace(yaml.find(scene), scene.size(), "{type: analytic_room, labels: {frames: 50%}}");
+}
 const StepCaseRow kSteps[] = {
     {"two_pass", two_pass_config, ""},
     {"hash", hash_config, ""},
@@ -67,7 +72,7 @@ const StepCaseRow kSteps[] = {
     {"background", two_pass_config, "rendering: {far: background, density_activation: softplus}\n"},
     {"trunc_exp", two_pass_config, "rendering: {density_activation: trunc_exp, density_bias: -1}\n"},
     {"noise", two_pass_config, "rendering: {density_noise: 1}\n"},
-    {"sum", two_pass_config, "labels: {frames: 50%}\n"},
+    {"few_labels", few_labels_config, ""},
 };
 
 class CudaStep : public ::testing::TestWithParam<StepCaseRow> {};

@@ -206,6 +206,7 @@ void view_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeights
   of_view.add_to_dx = false;
   of_view.relu_input = false;
   of_view.mask = nullptr;
+  of_view.dx_sums = {};
   linear_backward(of_view, arena);
   to_h.dz = d_feature;
   to_h.weight = w.feature;
@@ -234,7 +235,10 @@ void heads_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeight
     density.masked = grad.rgb.empty();
     density_backward(density, arena);
   }
-  if (grad.rgb.empty()) return;
+  if (grad.rgb.empty()) {
+    add_column_sums<Act>(dh.col_range(0, s.width), grad_of(t, s.trunk[last].bias), arena);
+    return;
+  }
   const View<Act> dv = arena.take<Act>(h.rows, padded_cols<Act>(s.view_width));
   ColorHeadGrad<Act> color;
   color.v = a.hidden;
@@ -251,6 +255,7 @@ void heads_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeight
   to_h.add_to_dx = with_density;
   to_h.relu_input = true;
   to_h.mask = a.mask[last];
+  to_h.dx_sums = grad_of(t, s.trunk[last].bias);
   view_backward<Act>(s, arena, w, t, in, a, dv, to_h);
 }
 
@@ -268,8 +273,8 @@ void trunk_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeight
     layer.dz = dz;
     layer.weight = w.trunk[n];
     layer.d_weight = grad_of(t, s.trunk[n].weight);
-    layer.d_bias = grad_of(t, s.trunk[n].bias);
     layer.dx = spare;
+    layer.dx_sums = grad_of(t, s.trunk[n - 1].bias);
     layer.relu_input = true;
     layer.mask = a.mask[n - 1];
     if (i == s.skip_at) {
@@ -286,7 +291,6 @@ void trunk_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeight
   of_position.dz = dz;
   of_position.weight = w.trunk[0].row_range(0, s.position_dims);
   of_position.d_weight = grad_of(t, s.trunk[0].weight);
-  of_position.d_bias = grad_of(t, s.trunk[0].bias);
   linear_backward(of_position, arena);
 }
 
