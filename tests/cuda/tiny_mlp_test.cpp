@@ -167,7 +167,8 @@ struct Oracle {
 
 std::string near(const DeviceMatrix<float>& got, View<const double> want, double tolerance) {
   const std::vector<float> values = got.read();
-  return testkit::compare<float, double>(testing::host_view(values, want.cols), want, tolerance);
+  constexpr double kSumOfTerms = 0.05;  // a single output may cancel; its terms do not
+  return testkit::compare<float, double>(testing::host_view(values, want.cols), want, tolerance, kSumOfTerms);
 }
 std::string near_norm(const DeviceMatrix<float>& got, View<const double> want, double tolerance) {
   const std::vector<float> values = got.read();

@@ -39,10 +39,12 @@ void SphericalHarmonics<Real>::do_forward(const StepContext&, const Tensors<Real
                                           View<Real> y) const {
   const std::int64_t bad = kernels_->forward(norms_, degree_, x, y);
   if (bad >= 0) {
+    const std::string vector = x.device == Device::cpu
+                                   ? " (" + std::to_string(x(bad, 0)) + ", " + std::to_string(x(bad, 1)) + ", " +
+                                         std::to_string(x(bad, 2)) + ")"
+                                   : "";
     throw Error(ErrorKind::data,
-                "encoder 'spherical_harmonics': row " + std::to_string(bad) + " is no unit vector (" +
-                    std::to_string(x(bad, 0)) + ", " + std::to_string(x(bad, 1)) + ", " + std::to_string(x(bad, 2)) +
-                    ")",
+                "encoder 'spherical_harmonics': row " + std::to_string(bad) + " is no unit vector" + vector,
                 "this encoder is for view directions; use frequency or hash_grid for positions");
   }
 }
