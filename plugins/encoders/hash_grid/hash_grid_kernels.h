@@ -31,7 +31,9 @@ struct HashGridKernels {
   /// Parallel over levels where the caller is not. Scratch: at most M + 64 rows of y.
   std::int64_t (*forward)(const HashGridShape& shape, const View<Real>* tables, View<const double> x,
                           View<Real> y, Workspace& workspace) = nullptr;
-  /// grads += dL/dtables; one thread a level, rows in order, so any thread count gives the same bits. Scratch as above.
+  /// grads += dL/dtables. CPU: one thread a level, rows in order, so any thread count gives the same bits; scratch as
+  /// above. CUDA: in any order without scratch, or with launch().deterministic in fixed point: the same bits every time,
+  /// with 8 bytes of scratch an entry and feature of the largest 8 / F neighbouring levels.
   void (*backward_tables)(const HashGridShape& shape, const View<Real>* grads, View<const double> x,
                           View<const Real> dy, Workspace& workspace) = nullptr;
   /// dx = dL/dx [M, 3]; parallel over blocks of rows.
