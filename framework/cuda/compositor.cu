@@ -180,21 +180,22 @@ void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& 
   if (rays == 0 && out.weight.rows == 0) return;
   forward_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(samples, in, out, launch().fault);
   check_launch("compositing");
-  if (!in.hidden.empty() && !out.hidden.empty()) hidden_forward(samples, out.weight, in.hidden, out.hidden);
+  if (!in.hidden.empty() && !out.hidden.empty()) hidden_forward<float>(samples, out.weight, in.hidden, out.hidden);
 }
 
 void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
-                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden) {
+                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden, std::int64_t dotted_rays) {
   const Samples<float>& samples = *in.samples;
   const std::int64_t rays = samples.first.rows - 1;
   const View<const float> d_out = in.hidden.empty() ? View<const float>() : grad.hidden;
   const bool with_dots = !d_sigma.empty() && !d_out.empty() && grad.hidden_moves_density;
   if (with_dots || !d_hidden.empty()) {
-    hidden_backward(samples, out.weight, in.hidden, d_out, with_dots ? d_sigma : View<float>(), d_hidden);
+    hidden_backward<float>(samples,
+                           {out.weight, in.hidden, d_out, with_dots ? d_sigma : View<float>(), d_hidden, false});
   }
   if (!d_sigma.empty() && d_sigma.rows > 0) {
-    density_gradient_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(samples, in, grad,
-                                                                                   with_dots ? d_out.rows : 0, d_sigma);
+    density_gradient_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(
+        samples, in, grad, with_dots ? d_out.rows : dotted_rays, d_sigma);
     check_launch("gradient of density");
   }
   if (!d_rgb.empty() && d_rgb.rows > 0) {

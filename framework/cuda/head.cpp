@@ -15,6 +15,19 @@ View<__nv_bfloat16> rounded(Workspace& arena, View<const float> in) {
   return out;
 }
 
+template <class Act, class Out>
+void layer(View<const Act> x, View<const Act> weight, View<const float> bias, View<Out> y,
+           Activation activation = Activation::none, bool add = false) {
+  LinearForward<Act, Out> call;
+  call.x = x;
+  call.weight = weight;
+  call.bias = bias;
+  call.y = y;
+  call.activation = activation;
+  call.add = add;
+  linear_forward(call);
+}
+
 }  // namespace
 
 void Head::hidden_forward(Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
@@ -23,10 +36,9 @@ void Head::hidden_forward(Workspace& arena, const Tensors<float>& tensors, View<
   const Workspace::Scope scope(arena);
   const View<const float> weight = tensors.value[kHiddenWeight], bias = tensors.value[kHiddenBias];
   if (precision_ == Precision::bf16) {
-    linear_forward<__nv_bfloat16, float>(
-        {rounded(arena, feature), rounded(arena, weight), bias, hidden, Activation::relu, false});
+    layer<__nv_bfloat16, float>(rounded(arena, feature), rounded(arena, weight), bias, hidden, Activation::relu);
   } else {
-    linear_forward<float, float>({feature, weight, bias, hidden, Activation::relu, false});
+    layer<float, float>(feature, weight, bias, hidden, Activation::relu);
   }
 }
 
@@ -57,16 +69,44 @@ void Head::hidden_backward(Workspace& arena, const Tensors<float>& tensors, View
   }
 }
 
+void Head::hidden_forward(Workspace& arena, const Tensors<float>& tensors, View<const __nv_bfloat16> feature,
+                          View<__nv_bfloat16> hidden) const {
+  if (feature.rows == 0) return;
+  const Workspace::Scope scope(arena);
+  LinearForward<__nv_bfloat16, __nv_bfloat16> call;
+  call.x = feature;
+  call.weight = rounded(arena, tensors.value[kHiddenWeight]);
+  call.bias = tensors.value[kHiddenBias];
+  call.rounded_bias = rounded(arena, tensors.value[kHiddenBias]);
+  call.y = hidden;
+  call.activation = Activation::relu;
+  linear_forward(call);
+}
+
+void Head::hidden_backward(Workspace& arena, const Tensors<float>& tensors, View<const __nv_bfloat16> feature,
+                           View<const __nv_bfloat16> d_hidden, View<__nv_bfloat16> d_feature) const {
+  if (feature.rows == 0) return;
+  const Workspace::Scope scope(arena);
+  LinearBackward<__nv_bfloat16, __nv_bfloat16> call;
+  call.x = feature;
+  call.dz = d_hidden;
+  call.weight = rounded(arena, tensors.value[kHiddenWeight]);
+  call.d_weight = tensors.grad[kHiddenWeight];
+  call.d_bias = tensors.grad[kHiddenBias];
+  call.dx = d_feature;
+  linear_backward(call, arena);
+}
+
 void Head::class_forward(const Tensors<float>& tensors, View<const float> h, View<const float> share,
                          View<float> logits) const {
   if (h.rows == 0) return;
   const View<const float> weight = tensors.value[kClassWeight], bias = tensors.value[kClassBias];
   if (share.empty()) {
-    linear_forward<float, float>({h, weight, bias, logits, Activation::none, false});
+    layer<float, float>(h, weight, bias, logits);
     return;
   }
-  linear_forward<float, float>({share, bias, {}, logits, Activation::none, false});
-  linear_forward<float, float>({h, weight, {}, logits, Activation::none, true});
+  layer<float, float>(share, bias, {}, logits);
+  layer<float, float>(h, weight, {}, logits, Activation::none, true);
 }
 
 void Head::class_backward(Workspace& arena, const Tensors<float>& tensors, View<const float> h, View<const float> share,

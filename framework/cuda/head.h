@@ -1,6 +1,8 @@
 // The semantic head on the device, twin of model/semantic_head.
 #pragma once
 
+#include <cuda_bf16.h>
+
 #include "core/gemm.h"
 #include "model/semantic_head.h"
 
@@ -13,6 +15,7 @@ class Head {
   /// precision: of the hidden layer; the class layer stays fp32.
   Head(const SemanticHead<float>& host, Precision precision) : host_(host), precision_(precision) {}
 
+  bool rounds() const { return precision_ == Precision::bf16; }
   std::int32_t hidden_width() const { return host_.hidden_width(); }
   std::int32_t classes() const { return host_.classes(); }
 
@@ -22,6 +25,11 @@ class Head {
   /// d_feature [N, F] = dL/dfeature; d_hidden is overwritten.
   void hidden_backward(Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
                        View<const float> hidden, View<float> d_hidden, View<float> d_feature) const;
+  /// The same in bf16 from end to end, for Precision::bf16; d_hidden is already the gradient before the ReLU.
+  void hidden_forward(Workspace& arena, const Tensors<float>& tensors, View<const __nv_bfloat16> feature,
+                      View<__nv_bfloat16> hidden) const;
+  void hidden_backward(Workspace& arena, const Tensors<float>& tensors, View<const __nv_bfloat16> feature,
+                       View<const __nv_bfloat16> d_hidden, View<__nv_bfloat16> d_feature) const;
   /// logits [N, C] = h W2 + share b2; share empty: 1.
   void class_forward(const Tensors<float>& tensors, View<const float> h, View<const float> share,
                      View<float> logits) const;

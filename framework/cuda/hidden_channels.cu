@@ -20,13 +20,26 @@ struct alignas(sizeof(float) * kVec) Channels {
   float v[kVec];
 };
 
-template <int kVec>
-__device__ Channels<kVec> load(const float* from) {
-  return *reinterpret_cast<const Channels<kVec>*>(from);
+// As they lie in memory.
+template <class Act, int kVec>
+struct alignas(sizeof(Act) * kVec) Stored {
+  Act v[kVec];
+};
+
+template <int kVec, class Act>
+__device__ Channels<kVec> load(const Act* from) {
+  const Stored<Act, kVec> stored = *reinterpret_cast<const Stored<Act, kVec>*>(from);
+  Channels<kVec> values;
+#pragma unroll
+  for (int v = 0; v < kVec; ++v) values.v[v] = static_cast<float>(stored.v[v]);
+  return values;
 }
-template <int kVec>
-__device__ void store(float* to, const Channels<kVec>& values) {
-  *reinterpret_cast<Channels<kVec>*>(to) = values;
+template <int kVec, class Act>
+__device__ void store(Act* to, const Channels<kVec>& values) {
+  Stored<Act, kVec> stored;
+#pragma unroll
+  for (int v = 0; v < kVec; ++v) stored.v[v] = static_cast<Act>(values.v[v]);
+  *reinterpret_cast<Stored<Act, kVec>*>(to) = stored;
 }
 
 // A row is held by kWarp / kBeside lanes of kVec channels each; kBeside rows lie beside each other in a warp, so that
@@ -49,10 +62,9 @@ constexpr unsigned every_bit() {
 
 // A block a ray; its warps take every fourth sample, so that short rays occupy them all, and a warp skips samples
 // without weight. Sample: 4 H + 4 B read. Order of a channel's sum: warp by warp ascending samples, then warps.
-template <int kBeside, int kVec>
+template <int kBeside, int kVec, class Act>
 __global__ void __launch_bounds__(kWarps* kWarp)
-    forward_kernel(View<const std::int32_t> first, View<const float> weight, View<const float> hidden,
-                   View<float> out) {
+    forward_kernel(View<const std::int32_t> first, View<const float> weight, View<const Act> hidden, View<float> out) {
   using Row = Lanes<kBeside, kVec>;
   __shared__ Channels<kVec> of_warp[kWarps][Row::kOfRow];
   const std::int64_t ray = blockIdx.x;
@@ -106,10 +118,12 @@ __global__ void __launch_bounds__(kWarps* kWarp)
 // A warp takes kRowsAtOnce * kBeside consecutive samples of whatever rays. Sample: 4 H + 12 B read, 4 H + 4 B written,
 // each once; dL/d(out) of a ray stays in cache for its samples. Products of a lane's channels in float, sums over lanes
 // in float64 in a fixed tree.
-template <int kBeside, int kVec>
-__global__ void __launch_bounds__(kBackWarps* kWarp)
-    backward_kernel(Samples<float> samples, View<const float> weight, View<const float> hidden, View<const float> d_out,
-                    View<float> dots, View<float> d_hidden) {
+template <int kBeside, int kVec, class Act>
+__global__ void __launch_bounds__(kBackWarps* kWarp) backward_kernel(Samples<float> samples, HiddenBackward<Act> call) {
+  const View<const float> weight = call.weight, d_out = call.d_out;
+  const View<const Act> hidden = call.hidden;
+  const View<float> dots = call.dots;
+  const View<Act> d_hidden = call.d_hidden;
   using Row = Lanes<kBeside, kVec>;
   const Row at;
   const std::int64_t warp = static_cast<std::int64_t>(blockIdx.x) * kBackWarps + threadIdx.x / kWarp;
@@ -117,7 +131,7 @@ __global__ void __launch_bounds__(kBackWarps* kWarp)
   const std::int64_t rays = samples.first.rows - 1;
   const std::int64_t live_rows = samples.first(d_out.rows < rays ? d_out.rows : rays, 0);
   const std::int32_t cols = d_hidden.empty() ? hidden.cols : d_hidden.cols;
-  const bool with_dots = !dots.empty();
+  const bool with_dots = !dots.empty(), reads_hidden = with_dots || call.relu_output;
   float w[kRowsAtOnce];
   const float* grad[kRowsAtOnce];
   double dot[kRowsAtOnce] = {};
@@ -138,7 +152,7 @@ __global__ void __launch_bounds__(kBackWarps* kWarp)
     for (int i = 0; i < kRowsAtOnce; ++i) {
       row[i] = slope[i] = {};
       if (grad[i] == nullptr) continue;
-      if (with_dots) row[i] = load<kVec>(hidden.row(first_row + i * kBeside) + column);
+      if (reads_hidden) row[i] = load<kVec>(hidden.row(first_row + i * kBeside) + column);
       slope[i] = load<kVec>(grad[i] + column);
     }
 #pragma unroll
@@ -147,7 +161,9 @@ __global__ void __launch_bounds__(kBackWarps* kWarp)
       float product = 0;
       for (int v = 0; v < kVec; ++v) product += slope[i].v[v] * row[i].v[v];
       dot[i] += static_cast<double>(product);
-      for (int v = 0; v < kVec; ++v) slope[i].v[v] *= w[i];
+      for (int v = 0; v < kVec; ++v) {
+        slope[i].v[v] = call.relu_output && !(row[i].v[v] > 0) ? 0.0F : slope[i].v[v] * w[i];
+      }
       if (m < d_hidden.rows) store<kVec>(d_hidden.row(m) + column, slope[i]);
     }
   }
@@ -160,9 +176,10 @@ __global__ void __launch_bounds__(kBackWarps* kWarp)
 }
 
 // Whether rows of a view can be read four channels at a time.
-bool by_fours(View<const float> view) {
+template <class T>
+bool by_fours(const View<T>& view) {
   return view.empty() || (view.cols % 4 == 0 && view.row_stride % 4 == 0 &&
-                          reinterpret_cast<std::uintptr_t>(view.data) % (4 * sizeof(float)) == 0);
+                          reinterpret_cast<std::uintptr_t>(view.data) % (4 * sizeof(T)) == 0);
 }
 
 // Calls f with the numbers that suit `cols` channels: rows beside each other, channels of a lane.
@@ -177,28 +194,36 @@ void for_width(std::int32_t cols, bool fours, const F& f) {
 
 }  // namespace
 
-void hidden_forward(const Samples<float>& samples, View<const float> weight, View<const float> hidden,
-                    View<float> out) {
+template <class Act>
+void hidden_forward(const Samples<float>& samples, View<const float> weight, View<const Act> hidden, View<float> out) {
   if (out.rows == 0) return;
   for_width(out.cols, by_fours(hidden) && by_fours(out), [&](auto beside, auto vec) {
-    forward_kernel<beside.value, vec.value>
+    forward_kernel<beside.value, vec.value, Act>
         <<<static_cast<unsigned>(out.rows), kWarps * kWarp, 0, launch().stream>>>(samples.first, weight, hidden, out);
   });
   check_launch("compositing hidden channels");
 }
 
-void hidden_backward(const Samples<float>& samples, View<const float> weight, View<const float> hidden,
-                     View<const float> d_out, View<float> dots, View<float> d_hidden) {
-  const std::int64_t rows = std::max(d_hidden.empty() ? 0 : d_hidden.rows, dots.empty() ? 0 : hidden.rows);
+template <class Act>
+void hidden_backward(const Samples<float>& samples, const HiddenBackward<Act>& call) {
+  const std::int64_t rows =
+      std::max(call.d_hidden.empty() ? 0 : call.d_hidden.rows, call.dots.empty() ? 0 : call.hidden.rows);
   if (rows == 0) return;
-  const std::int32_t cols = d_hidden.empty() ? hidden.cols : d_hidden.cols;
-  const bool fours = by_fours(hidden) && by_fours(d_out) && by_fours(d_hidden);
+  const std::int32_t cols = call.d_hidden.empty() ? call.hidden.cols : call.d_hidden.cols;
+  const bool fours = by_fours(call.hidden) && by_fours(call.d_out) && by_fours(call.d_hidden);
   for_width(cols, fours, [&](auto beside, auto vec) {
-    backward_kernel<beside.value, vec.value>
-        <<<blocks_of(rows, kBackWarps * kRowsAtOnce * beside.value), kBackWarps * kWarp, 0, launch().stream>>>(
-            samples, weight, hidden, d_out, dots, d_hidden);
+    backward_kernel<beside.value, vec.value, Act>
+        <<<blocks_of(rows, kBackWarps * kRowsAtOnce * beside.value), kBackWarps * kWarp, 0, launch().stream>>>(samples,
+                                                                                                               call);
   });
   check_launch("gradient of hidden channels");
 }
+
+#define SEMFIELD_INSTANTIATE(Act)                                                                            \
+  template void hidden_forward<Act>(const Samples<float>&, View<const float>, View<const Act>, View<float>); \
+  template void hidden_backward<Act>(const Samples<float>&, const HiddenBackward<Act>&);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(__nv_bfloat16)
+#undef SEMFIELD_INSTANTIATE
 
 }  // namespace semfield::cuda

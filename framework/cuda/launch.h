@@ -11,6 +11,8 @@
 
 namespace semfield::cuda {
 
+struct FeatureExchange;
+
 /// What changes from step to step. Kernels read it from device memory, so that a captured graph of a step stays valid.
 struct StepCell {
   std::uint64_t step = 0;
@@ -50,8 +52,9 @@ struct Launch {
   /// Rows of the batch that are in use, in device memory (a sampler's count); null: all. Rows behind it hold finite
   /// numbers and get gradient 0, so a kernel may compute or leave them.
   const std::int32_t* live_rows = nullptr;
-  bool check_at_once = false;  ///< first_fault_row waits for the device and tells; false: it says -1 at once
-  bool deterministic = false;  ///< sums in a fixed order, whatever it costs
+  FeatureExchange* features = nullptr;  ///< feature_exchange.h; null: features are exchanged in fp32
+  bool check_at_once = false;           ///< first_fault_row waits for the device and tells; false: it says -1 at once
+  bool deterministic = false;           ///< sums in a fixed order, whatever it costs
 };
 
 /// The launch of the calling thread.

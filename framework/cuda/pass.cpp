@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "cuda/hidden_channels.h"
 #include "cuda/layers.h"
 #include "cuda/losses.h"
 
@@ -67,12 +68,12 @@ DensityRule Pass::density_rule(const StepContext& ctx) const {
   return rule;
 }
 
-PassTrace<float> Pass::forward(const StepContext& ctx, const Rays<float>& rays, const Proposal<float>* previous,
-                               std::int64_t previous_per_ray, std::int64_t semantic_rays) const {
+Trace Pass::forward(const StepContext& ctx, const Rays<float>& rays, const Proposal<float>* previous,
+                    std::int64_t previous_per_ray, std::int64_t semantic_rays, bool colors) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t ray_count = rays.origin.rows;
   const std::int64_t rows = parts_.sampler->capacity(ray_count, previous_per_ray);
-  PassTrace<float> trace;
+  Trace trace;
   trace.samples.t = arena.take<float>(rows, 1);
   trace.samples.delta = arena.take<float>(rows, 1);
   trace.samples.ray_of_sample = arena.take<std::int32_t>(rows, 1);
@@ -94,32 +95,44 @@ PassTrace<float> Pass::forward(const StepContext& ctx, const Rays<float>& rays, 
   trace.semantic_rays = head_ ? semantic_rays : 0;
   trace.semantic_samples = std::min(rows, trace.semantic_rays * parts_.sampler->capacity(1, previous_per_ray));
   trace.out.sigma = arena.take<float>(rows, 1);
-  trace.out.rgb = arena.take<float>(rows, 3);
+  if (colors) trace.out.rgb = arena.take<float>(rows, 3);
   trace.sigma = arena.take<float>(rows, 1);
   if (trace.semantic_rays > 0) trace.out.feature = arena.take<float>(rows, parts_.field->traits().feature_dims);
   if (ctx.training) {
     const std::size_t bytes = parts_.field->saved_bytes(rows, ray_count);
     trace.saved = Saved(arena.take_bytes(bytes), bytes);
   }
-  parts_.field->forward(ctx, store_->tensors(field_), {trace.encoded, trace.direction, trace.samples.ray_of_sample},
-                        trace.out, trace.saved);
+  {
+    FeatureExchange features;
+    Launch sharing = launch();
+    if (ctx.training && trace.semantic_rays > 0 && head_->rounds() && rules_.deferred_class_layer)
+      sharing.features = &features;
+    const LaunchScope scope(sharing);
+    parts_.field->forward(ctx, store_->tensors(field_), {trace.encoded, trace.direction, trace.samples.ray_of_sample},
+                          trace.out, trace.saved);
+    trace.rounded_feature = features.feature;
+  }
   density_forward(density_rule(ctx), &trace.samples, trace.out.sigma, trace.sigma);
-  trace.color = arena.take<float>(ray_count, 3);
+  if (colors) trace.color = arena.take<float>(ray_count, 3);
   trace.depth = arena.take<float>(ray_count, 1);
   trace.opacity = arena.take<float>(ray_count, 1);
   composite(ctx, trace);
   return trace;
 }
 
-void Pass::composite(const StepContext& ctx, PassTrace<float>& trace) const {
-  Workspace& arena = *ctx.workspace;
-  const bool deferred = rules_.deferred_class_layer;
+CompositeIn<float> Pass::composite_in(const Trace& trace) const {
   CompositeIn<float> in;
   in.samples = &trace.samples;
   in.sigma = trace.sigma;
   in.rgb = trace.out.rgb;
   in.far = rules_.far;
   in.background = rules_.background;
+  return in;
+}
+
+void Pass::composite(const StepContext& ctx, Trace& trace) const {
+  Workspace& arena = *ctx.workspace;
+  CompositeIn<float> in = composite_in(trace);
   CompositeOut<float> out;
   out.color = trace.color;
   out.depth = trace.depth;
@@ -130,26 +143,35 @@ void Pass::composite(const StepContext& ctx, PassTrace<float>& trace) const {
     return;
   }
   const Tensors<float> tensors = store_->tensors(head_tensors_);
-  trace.hidden = arena.take<float>(trace.semantic_samples, head_->hidden_width());
+  const std::int64_t rows = trace.semantic_samples;
+  const View<const float> share = trace.opacity.row_range(0, trace.semantic_rays);
+  trace.ray_hidden = arena.take<float>(trace.semantic_rays, head_->hidden_width());
   trace.logits = arena.take<float>(trace.semantic_rays, head_->classes());
-  head_->hidden_forward(arena, tensors, trace.out.feature.row_range(0, trace.semantic_samples), trace.hidden);
-  if (deferred) {
-    trace.ray_hidden = arena.take<float>(trace.semantic_rays, head_->hidden_width());
+  if (!trace.rounded_feature.empty()) {
+    trace.rounded_hidden = arena.take<__nv_bfloat16>(rows, head_->hidden_width());
+    head_->hidden_forward(arena, tensors, trace.rounded_feature.row_range(0, rows), trace.rounded_hidden);
+    composite_forward(in, out);
+    hidden_forward<__nv_bfloat16>(trace.samples, trace.weight, trace.rounded_hidden, trace.ray_hidden);
+    head_->class_forward(tensors, trace.ray_hidden, share, trace.logits);
+    return;
+  }
+  trace.hidden = arena.take<float>(rows, head_->hidden_width());
+  head_->hidden_forward(arena, tensors, trace.out.feature.row_range(0, rows), trace.hidden);
+  if (rules_.deferred_class_layer) {
     in.hidden = trace.hidden;
     out.hidden = trace.ray_hidden;
+    composite_forward(in, out);
+    head_->class_forward(tensors, trace.ray_hidden, share, trace.logits);
   } else {
-    trace.sample_logits = arena.take<float>(trace.semantic_samples, head_->classes());
+    trace.sample_logits = arena.take<float>(rows, head_->classes());
     head_->class_forward(tensors, trace.hidden, {}, trace.sample_logits);
     in.hidden = trace.sample_logits;
     out.hidden = trace.logits;
-  }
-  composite_forward(in, out);
-  if (deferred) {
-    head_->class_forward(tensors, trace.ray_hidden, trace.opacity.row_range(0, trace.semantic_rays), trace.logits);
+    composite_forward(in, out);
   }
 }
 
-void Pass::backward(const StepContext& ctx, const PassTrace<float>& trace, View<const float> d_color,
+void Pass::backward(const StepContext& ctx, const Trace& trace, View<const float> d_color,
                     View<const float> d_logits) const {
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
@@ -157,12 +179,8 @@ void Pass::backward(const StepContext& ctx, const PassTrace<float>& trace, View<
   if (rows == 0) return;
   const LaunchScope live(with_live_rows(trace.samples.first.data + ray_count));
   const bool semantic = trace.semantic_rays > 0 && !d_logits.empty(), deferred = rules_.deferred_class_layer;
-  CompositeIn<float> in;
-  in.samples = &trace.samples;
-  in.sigma = trace.sigma;
-  in.rgb = trace.out.rgb;
-  in.far = rules_.far;
-  in.background = rules_.background;
+  if (semantic && !trace.rounded_feature.empty()) return backward_in_bf16(ctx, trace, d_color, d_logits);
+  CompositeIn<float> in = composite_in(trace);
   CompositeOut<float> out;
   out.weight = trace.weight;
   CompositeGrad<float> grad;
@@ -199,12 +217,55 @@ void Pass::backward(const StepContext& ctx, const PassTrace<float>& trace, View<
                            d_hidden, d_feature.row_range(0, trace.semantic_samples));
   }
   density_backward(rules_.activation, trace.out.sigma, d_sigma, d_sigma);
+  field_backward(ctx, trace, {d_sigma, d_rgb, d_feature});
+}
+
+// The same where field and head exchange bf16: a quarter of the bytes between them.
+void Pass::backward_in_bf16(const StepContext& ctx, const Trace& trace, View<const float> d_color,
+                            View<const float> d_logits) const {
+  Workspace& arena = *ctx.workspace;
+  const std::int64_t rows = trace.samples.count;
+  const Tensors<float> tensors = store_->tensors(head_tensors_);
+  const bool moves_density = !rules_.stop_gradient_to_density;
+  const View<float> d_ray_hidden = arena.take<float>(trace.semantic_rays, head_->hidden_width());
+  const View<float> d_opacity = arena.take<float>(trace.semantic_rays, 1);
+  head_->class_backward(arena, tensors, trace.ray_hidden, trace.opacity.row_range(0, trace.semantic_rays), d_logits,
+                        d_ray_hidden, d_opacity);
+  const View<float> d_sigma = arena.take<float>(rows, 1), d_rgb = arena.take<float>(rows, 3);
+  const View<__nv_bfloat16> d_hidden = arena.take<__nv_bfloat16>(trace.semantic_samples, head_->hidden_width());
+  HiddenBackward<__nv_bfloat16> hidden;
+  hidden.weight = trace.weight;
+  hidden.hidden = trace.rounded_hidden;
+  hidden.d_out = d_ray_hidden;
+  if (moves_density) hidden.dots = d_sigma;
+  hidden.d_hidden = d_hidden;
+  hidden.relu_output = true;
+  hidden_backward(trace.samples, hidden);
+  CompositeOut<float> out;
+  out.weight = trace.weight;
+  CompositeGrad<float> grad;
+  grad.color = d_color;
+  if (moves_density) grad.opacity = d_opacity;
+  composite_backward(composite_in(trace), out, grad, d_sigma, d_rgb, {}, moves_density ? trace.semantic_rays : 0);
+  const View<__nv_bfloat16> d_feature = arena.take<__nv_bfloat16>(trace.semantic_samples, trace.rounded_feature.cols);
+  head_->hidden_backward(arena, tensors, trace.rounded_feature.row_range(0, trace.semantic_samples), d_hidden,
+                         d_feature);
+  density_backward(rules_.activation, trace.out.sigma, d_sigma, d_sigma);
+  FeatureExchange features;
+  features.d_feature = d_feature;
+  Launch sharing = launch();
+  sharing.features = &features;
+  const LaunchScope scope(sharing);
+  field_backward(ctx, trace, {d_sigma, d_rgb, {}});
+}
+
+void Pass::field_backward(const StepContext& ctx, const Trace& trace, const FieldGrad<float>& grad) const {
   View<float> d_encoded;
-  if (encoder_learns_) d_encoded = arena.take<float>(rows, trace.encoded.cols);
-  FieldOut<float> field_out = trace.out;
-  if (!semantic) field_out.feature = {};
+  if (encoder_learns_) d_encoded = ctx.workspace->take<float>(trace.encoded.rows, trace.encoded.cols);
+  FieldOut<float> out = trace.out;
+  if (grad.feature.empty()) out.feature = {};
   parts_.field->backward(ctx, store_->tensors(field_), {trace.encoded, trace.direction, trace.samples.ray_of_sample},
-                         field_out, {d_sigma, d_rgb, d_feature}, trace.saved, d_encoded);
+                         out, grad, trace.saved, d_encoded);
   if (encoder_learns_) parts_.position->backward(ctx, store_->tensors(position_), trace.x, d_encoded, {});
 }
 

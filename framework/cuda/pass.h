@@ -5,12 +5,19 @@
 #include <memory>
 #include <optional>
 
+#include "cuda/feature_exchange.h"
 #include "cuda/head.h"
 #include "cuda/rendering.h"
 #include "cuda/store.h"
 #include "model/pass.h"
 
 namespace semfield::cuda {
+
+/// With a field that shares its feature in bf16 (feature_exchange.h) the hidden activations are bf16 too.
+struct Trace : PassTrace<float> {
+  View<const __nv_bfloat16> rounded_feature;  ///< [M, F]; empty: out.feature holds it
+  View<__nv_bfloat16> rounded_hidden;         ///< [semantic_samples, H]
+};
 
 class Pass {
  public:
@@ -23,11 +30,11 @@ class Pass {
   }
 
   /// Everything of a batch, in ctx.workspace. The first `semantic_rays` rays get logits. trace.semantic_samples bounds
-  /// the rows of their samples from above.
-  PassTrace<float> forward(const StepContext& ctx, const Rays<float>& rays, const Proposal<float>* previous,
-                           std::int64_t previous_per_ray, std::int64_t semantic_rays) const;
+  /// the rows of their samples from above. colors false: weights alone are wanted, for a later pass.
+  Trace forward(const StepContext& ctx, const Rays<float>& rays, const Proposal<float>* previous,
+                std::int64_t previous_per_ray, std::int64_t semantic_rays, bool colors = true) const;
   /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero) into the store.
-  void backward(const StepContext& ctx, const PassTrace<float>& trace, View<const float> d_color,
+  void backward(const StepContext& ctx, const Trace& trace, View<const float> d_color,
                 View<const float> d_logits) const;
 
   void derive(const StepContext& ctx) const;
@@ -37,7 +44,11 @@ class Pass {
   void density(const StepContext& ctx, View<const double> positions, View<float> sigma) const;
 
  private:
-  void composite(const StepContext& ctx, PassTrace<float>& trace) const;
+  void composite(const StepContext& ctx, Trace& trace) const;
+  CompositeIn<float> composite_in(const Trace& trace) const;
+  void backward_in_bf16(const StepContext& ctx, const Trace& trace, View<const float> d_color,
+                        View<const float> d_logits) const;
+  void field_backward(const StepContext& ctx, const Trace& trace, const FieldGrad<float>& grad) const;
   DensityRule density_rule(const StepContext& ctx) const;
 
   PassParts<float> parts_;

@@ -201,13 +201,13 @@ void DevicePipeline::train_passes(const Shape& shape, const StepContext& step_ct
                                              ? View<const float>()
                                              : class_weight_.view(1, static_cast<std::int32_t>(class_weight_.size()));
   Proposal<float> proposal;
-  PassTrace<float> previous;
+  Trace previous;
   for (std::size_t p = 0; p < passes_.size(); ++p) {
     const Pass& pass = passes_[p];
     ctx.pass = pass.parts().number;
     LossSums* const sums = &staging_->device_sums()->pass[p];
-    PassTrace<float> trace = pass.forward(ctx, {batch.origin, batch.direction, batch.near_far},
-                                          p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
+    Trace trace = pass.forward(ctx, {batch.origin, batch.direction, batch.near_far}, p == 0 ? nullptr : &proposal,
+                               p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
     const View<float> d_color = arena.take<float>(rays, 3);
     photometric_loss(arena, trace.color, batch.target, static_cast<double>(3 * rays), d_color, sums);
     count_samples(trace.samples.first, trace.sigma, sums);

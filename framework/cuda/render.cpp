@@ -110,12 +110,12 @@ void DevicePipeline::render_chunk(const RenderJob<float>& job, std::int64_t begi
   rays.near_far = sent(arena, job.near_far, begin, count);
   const bool semantics = host_.has_semantics() && !(job.label.empty() && job.entropy.empty() && job.confidence.empty());
   Proposal<float> proposal;
-  PassTrace<float> trace;
+  Trace trace;
   for (std::size_t p = 0; p < passes_.size(); ++p) {
     ctx.pass = passes_[p].parts().number;
     const bool last = p + 1 == passes_.size();
-    const PassTrace<float> next = passes_[p].forward(ctx, rays, p == 0 ? nullptr : &proposal,
-                                                     p == 0 ? 0 : per_ray_[p - 1], last && semantics ? count : 0);
+    const Trace next = passes_[p].forward(ctx, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1],
+                                          last && semantics ? count : 0, last);
     trace = next;
     proposal.samples = &trace.samples;
     proposal.weight = trace.weight;

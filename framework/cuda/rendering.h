@@ -41,9 +41,10 @@ void density_backward(DensityActivation activation, View<const float> raw, View<
 /// Stage::color with its row.
 void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& out);
 /// As semfield::composite_backward. Gradients of unused rows, and of samples behind the first grad.hidden.rows rays in
-/// d_hidden, are 0. d_sigma is scratch on the way.
+/// d_hidden, are 0. d_sigma is scratch on the way. dotted_rays: without in.hidden, d_sigma holds dL/d(hidden) . h of
+/// the samples of the first so many rays on entry (hidden_channels.h).
 void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
-                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden);
+                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden, std::int64_t dotted_rays = 0);
 
 /// As opacity_resolution, for every ray: 0 clear, 1 resolved, 2 under_resolved. result [R, 1].
 void opacity_resolutions(const Samples<float>& samples, View<const float> weight, FarMode far, double footprint_per_m,

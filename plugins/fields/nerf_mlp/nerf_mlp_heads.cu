@@ -125,7 +125,12 @@ __global__ void density_backward_kernel(DensityHeadGrad<Act> call, std::int64_t 
   for (std::int64_t row = own.idle() ? end : begin + own.slot; row < end; row += own.slots) {
     const float d_sigma = with_sigma ? call.d_sigma(row, 0) : 0;
     float value[kV];
-    if (kV == 8 && wide_feature && with_feature) {
+    if (!call.d_rounded_feature.empty()) {
+      Pack<Act> rounded{};
+      if (row < call.d_rounded_feature.rows) rounded = load(call.d_rounded_feature, row, own.group);
+#pragma unroll
+      for (int k = 0; k < kV; ++k) value[k] = to_float(rounded.v[k]);
+    } else if (kV == 8 && wide_feature && with_feature) {
       const auto* from = reinterpret_cast<const float4*>(call.d_feature.row(row) + col);
 #pragma unroll
       for (int k = 0; k < kV; k += 4) {

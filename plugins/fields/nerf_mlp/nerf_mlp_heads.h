@@ -24,6 +24,7 @@ template <class Act>
 struct DensityHeadGrad {
   View<const Act> h;
   View<const float> weight, d_sigma, d_feature;
+  View<const Act> d_rounded_feature;  ///< instead of d_feature; rows behind its last count as 0
   View<float> d_weight, d_bias;
   View<Act> dh;
   bool masked = false;

@@ -5,6 +5,8 @@
 #include <utility>
 
 #include "core/check.h"
+#include "cuda/feature_exchange.h"
+#include "cuda/launch.h"
 #include "cuda/layers.h"
 #include "cuda/matmul.h"
 #include "fields/nerf_mlp/nerf_mlp_heads.h"
@@ -222,13 +224,18 @@ void heads_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeight
                     const Activations<Act>& a, View<Act> dh) {
   const auto last = static_cast<std::size_t>(s.depth - 1);
   const View<const Act> h = a.trunk[last];
-  const bool with_density = !grad.sigma.empty() || !grad.feature.empty();
+  View<const Act> d_rounded_feature;
+  if constexpr (kRounds<Act>) {
+    if (launch().features != nullptr) d_rounded_feature = launch().features->d_feature;
+  }
+  const bool with_density = !grad.sigma.empty() || !grad.feature.empty() || !d_rounded_feature.empty();
   if (with_density) {
     DensityHeadGrad<Act> density;
     density.h = h;
     density.weight = value(t, s.density.weight);
     density.d_sigma = grad.sigma;
     density.d_feature = grad.feature;
+    density.d_rounded_feature = d_rounded_feature;
     density.d_weight = grad_of(t, s.density.weight);
     density.d_bias = grad_of(t, s.density.bias);
     density.dh = dh;
@@ -326,6 +333,12 @@ void LayeredNerfMlp<Act>::forward(const NerfMlpShape& s, const StepContext& ctx,
   density.bias = value(t, s.density.bias);
   density.sigma = out.sigma;
   density.feature = out.feature;
+  if constexpr (kRounds<Act>) {
+    if (launch().features != nullptr && !saved.empty() && density.h.cols == s.width) {
+      launch().features->feature = density.h;
+      density.feature = {};
+    }
+  }
   density_forward(density);
   if (!out.rgb.empty()) color_forward(s, arena, w, t, in, a, out.rgb);
 }
@@ -336,7 +349,8 @@ void LayeredNerfMlp<Act>::backward(const NerfMlpShape& s, const StepContext& ctx
                                    Saved saved, View<float> d_position) {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
-  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty()) {
+  const bool exchanged = launch().features != nullptr && !launch().features->d_feature.empty();
+  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && !exchanged) {
     if (!d_position.empty()) cuda::fill(d_position, 0.0F);
     return;
   }
