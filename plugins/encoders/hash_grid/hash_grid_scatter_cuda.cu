@@ -75,20 +75,20 @@ struct FloatSums {
 
 /// Adds whole multiples of 2^-k to 64-bit sums: whole numbers add up to the same in any order. With a the largest |dy|
 /// of the call and M rows, |dy| < 2^(e+1) for e = floor(log2 a) (at least -127) and M <= 2^m; weights of a row sum to
-/// 1, so a sum stays below M 2^(e+1) and k = 61 - m - e leaves it below 2^62. Each addend is rounded by at most
-/// 2^-(k+1) <= M a 2^-61, 2^-43 a for 2^18 rows; an entry's n addends (at most 8 M) by n times that. Runs within one
-/// cell are summed in fp32 before, in the order of rows.
+/// 1, so a sum stays below M 2^(e+1) and k = 61 - m - e leaves it below 2^62; k is at most 126, whose 2^-k is the
+/// smallest normal number. Each addend is rounded by at most 2^-(k+1) <= M a 2^-61, 2^-43 a for 2^18 rows; an entry's n
+/// addends (at most 8 M) by n times that. Runs within one cell are summed in fp32 before, in the order of rows.
 struct FixedSums {
   const std::uint32_t* largest = nullptr;  ///< bits of a
   unsigned long long* sums = nullptr;      ///< of a group's levels
   std::int64_t offset[kMostGroupLevels] = {};
   int rows_log2 = 0;  ///< m
-  double scale = 0;   ///< 2^k, once prepared
+  float scale = 0;    ///< 2^k, once prepared
 
-  /// 2^k for sign 1, 2^-k for sign -1.
-  __device__ inline double power(int sign) const {
+  /// 2^k for sign 1, 2^-k for sign -1; both are normal fp32 numbers.
+  __device__ inline float power(int sign) const {
     const int e = static_cast<int>(*largest >> 23) - 127;
-    return __longlong_as_double(static_cast<long long>(1023 + sign * (61 - rows_log2 - e)) << 52);
+    return __int_as_float((127 + sign * min(61 - rows_log2 - e, 126)) << 23);
   }
   __device__ inline void prepare() { scale = power(1); }
   template <int kF>
@@ -96,7 +96,7 @@ struct FixedSums {
     unsigned long long* const to = sums + offset[l] + static_cast<std::int64_t>(entry) * kF;
 #pragma unroll
     for (int f = 0; f < kF; ++f) {
-      const long long whole = __double2ll_rn(static_cast<double>(sum[f]) * scale);
+      const long long whole = __float2ll_rn(sum[f] * scale);  // the product is exact
       if (whole != 0) atomicAdd(to + f, static_cast<unsigned long long>(whole));
     }
   }
@@ -242,7 +242,7 @@ __global__ void __launch_bounds__(kThreads) add_sums_kernel(const __grid_constan
                                                             int first_level, const __grid_constant__ FixedSums sums) {
   const int l = static_cast<int>(blockIdx.y);
   const GridLevel& level = grid.level[first_level + l];
-  const double unit = sums.power(-1);
+  const auto unit = static_cast<double>(sums.power(-1));
   const bool finite = *sums.largest < 0x7F800000U;
   const std::int64_t pairs = (static_cast<std::int64_t>(level.entries) * features + 1) / 2;
   const auto* const from = reinterpret_cast<const longlong2*>(sums.sums + sums.offset[l]);
