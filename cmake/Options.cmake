@@ -22,6 +22,7 @@ set(SEMFIELD_SANITIZE "" CACHE STRING "Sanitizers, e.g. address,undefined or thr
 find_program(SEMFIELD_CCACHE ccache)
 if(SEMFIELD_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
   set(CMAKE_CXX_COMPILER_LAUNCHER ${SEMFIELD_CCACHE})
+  set(CMAKE_CUDA_COMPILER_LAUNCHER ${SEMFIELD_CCACHE})
 endif()
 
 # Fast math stays banned: it deletes the finite checks. Contraction to FMA is allowed, and is the same in a loop's vector body and tail.
