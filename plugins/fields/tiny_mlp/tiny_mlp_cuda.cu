@@ -1,6 +1,6 @@
-// CUDA kernels of the small network.
+// CUDA kernels of the small network: fused for the usual widths in bf16, layer by layer for all others.
 #include "core/check.h"
-#include "fields/tiny_mlp/tiny_mlp_kernels.h"
+#include "fields/tiny_mlp/tiny_mlp_fused.cuh"
 #include "fields/tiny_mlp/tiny_mlp_layers.cuh"
 #include "plugin/kernels.h"
 
@@ -13,20 +13,30 @@ namespace {
 void forward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<float>& t, const FieldIn<float>& in,
              const FieldOut<float>& out, Saved saved) {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
-  tiny::layers_forward(s, ctx, t, in, out, saved);
+  if (tiny::fused_applies(s)) {
+    tiny::fused_forward(s, t, in, out);
+  } else {
+    tiny::layers_forward(s, ctx, t, in, out, saved);
+  }
 }
 
 void backward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<float>& t, const FieldIn<float>& in,
               const FieldOut<float>& out, const FieldGrad<float>& grad, Saved saved, View<float> d_position) {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
-  tiny::layers_backward(s, ctx, t, in, out, grad, saved, d_position);
+  if (tiny::fused_applies(s)) {
+    tiny::fused_backward(s, *ctx.workspace, t, in, out.rgb, grad, d_position);
+  } else {
+    tiny::layers_backward(s, ctx, t, in, out, grad, saved, d_position);
+  }
 }
 
 /// Nothing here reads the transposes.
 void derive(const TinyMlpShape&, const Tensors<float>&) {}
 
-std::size_t saved_bytes(const TinyMlpShape& s, std::int64_t samples) { return tiny::layers_saved_bytes(s, samples); }
+std::size_t saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
+  return tiny::fused_applies(s) ? 0 : tiny::layers_saved_bytes(s, samples);
+}
 
 constexpr TinyMlpKernels<float> kTable{forward, backward, derive, saved_bytes};
 

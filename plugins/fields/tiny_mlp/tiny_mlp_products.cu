@@ -6,6 +6,7 @@
 
 #include "cuda/device_code.cuh"
 #include "fields/tiny_mlp/tiny_mlp_math.h"
+#include "fields/tiny_mlp/tiny_mlp_partials.cuh"
 #include "fields/tiny_mlp/tiny_mlp_products.cuh"
 
 namespace semfield::cuda::tiny {
@@ -201,28 +202,14 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-constexpr int kSumColumns = 32, kSumSegments = 8;
-
-/// d_weight and d_bias += sum of the partials in order of their ranges: a warp reads 32 neighbouring elements, eight
-/// warps share the ranges. 4 ranges bytes an element.
+/// d_weight and d_bias += sum of the partials in order of their ranges.
 __global__ void __launch_bounds__(kSumColumns* kSumSegments)
     sum_partials_kernel(const float* __restrict__ partial, int ranges, View<float> d_weight, View<float> d_bias,
                         int inputs, int outputs) {
-  __shared__ float segment_sum[kSumSegments][kSumColumns];
   const std::int64_t size = static_cast<std::int64_t>(inputs + 1) * outputs;
   const std::int64_t element = static_cast<std::int64_t>(blockIdx.x) * kSumColumns + threadIdx.x;
-  const int each = (ranges + kSumSegments - 1) / kSumSegments;
-  const int begin = static_cast<int>(threadIdx.y) * each;
-  const int end = begin + each < ranges ? begin + each : ranges;
-  float sum = 0;
-  if (element < size) {
-#pragma unroll 8
-    for (int r = begin; r < end; ++r) sum += partial[r * size + element];
-  }
-  segment_sum[threadIdx.y][threadIdx.x] = sum;
-  __syncthreads();
+  const float sum = sum_of_partials(partial, ranges, size, element);
   if (threadIdx.y != 0 || element >= size) return;
-  for (int s = 1; s < kSumSegments; ++s) sum += segment_sum[s][threadIdx.x];
   const std::int64_t in = element / outputs;
   const int out = static_cast<int>(element % outputs);
   if (in < inputs) {

@@ -1,0 +1,306 @@
+// What the fused kernels of the small network share: weights of the whole network in shared memory, and its layers for
+// the 16 rows of one warp, whose activations stay in registers.
+//
+// Products are mma.sync.m16n8k16 [PTX ISA 9.7.14] with bf16 operands and fp32 sums. The registers in which a warp holds
+// two neighbouring 8-column results are, rounded and packed, those in which the next product wants its 16 inputs, so a
+// chain of layers moves nothing. Lane 4 g + q holds rows g and g + 8, and in a group of 16 columns those at positions
+// 2q, 2q + 1, 2q + 8, 2q + 9. Columns are numbered so that these are columns 4q .. 4q + 3 (column_of): 16 bytes in
+// memory. Widths are padded with zeros: position to 16 kPositionTiles, hidden and colour to 64, geometry and direction
+// to 16, colour's three outputs to 8.
+#pragma once
+
+#include <cuda_bf16.h>
+
+#include <cstdint>
+
+#include "cuda/device_code.cuh"
+#include "fields/tiny_mlp/tiny_mlp_kernels.h"
+
+namespace semfield::cuda::tiny {
+
+inline constexpr int kWidth = 64;     // of hidden and colour layers, padded
+inline constexpr int kGroup = 16;     // columns that a product takes at a time
+inline constexpr int kTileRows = 16;  // rows of a warp
+inline constexpr int kRgbPitch = 8;
+/// Elements between rows of a matrix in shared memory: 8 rows of 16 bytes lie in different banks.
+constexpr int pitch_of(int cols) { return cols + 8; }
+
+/// Parameters of the network, or their gradients, in device memory, fp32: weights [in, out], biases [1, out].
+template <class T>
+struct NetworkOf {
+  View<T> hidden, geometry, color_0, color_1, rgb;
+  View<T> hidden_bias, geometry_bias, color_0_bias, color_1_bias, rgb_bias;
+};
+using Network = NetworkOf<const float>;
+using NetworkGradient = NetworkOf<float>;
+/// From a shape's tensor numbers; `view` gives the view of one.
+template <class T, class ViewOf>
+NetworkOf<T> network_of(const TinyMlpShape& s, const ViewOf& view) {
+  return {view(s.hidden[0].weight), view(s.geometry.weight), view(s.color[0].weight), view(s.color[1].weight),
+          view(s.rgb.weight),       view(s.hidden[0].bias),  view(s.geometry.bias),   view(s.color[0].bias),
+          view(s.color[1].bias),    view(s.rgb.bias)};
+}
+
+/// One 16 x 16 operand of a lane, or half of a 16 x 16 result rounded: rows g, g + 8, g, g + 8 and positions 2q, 2q,
+/// 2q + 8, 2q + 8.
+struct Fragment {
+  std::uint32_t reg[4];
+};
+/// Sums of 8 columns: rows g, g, g + 8, g + 8 and positions 2q, 2q + 1, 2q, 2q + 1.
+struct Sums {
+  float value[4];
+};
+
+/// The column at a position of a group of 16; larger positions keep their group.
+__host__ __device__ constexpr int column_of(int position) {
+  return (position & ~15) + 4 * ((position & 7) >> 1) + 2 * ((position & 15) >> 3) + (position & 1);
+}
+
+__device__ inline std::uint32_t pack(float low, float high) {
+  const __nv_bfloat162 pair = __floats2bfloat162_rn(low, high);
+  return *reinterpret_cast<const std::uint32_t*>(&pair);
+}
+__device__ inline Fragment pack(const Sums& low, const Sums& high) {
+  return {{pack(low.value[0], low.value[1]), pack(low.value[2], low.value[3]), pack(high.value[0], high.value[1]),
+           pack(high.value[2], high.value[3])}};
+}
+
+__device__ inline void multiply_add(Sums& c, const Fragment& a, std::uint32_t b0, std::uint32_t b1) {
+  asm("mma.sync.aligned.m16n8k16.row.col.f32.bf16.bf16.f32 {%0,%1,%2,%3}, {%4,%5,%6,%7}, {%8,%9}, {%0,%1,%2,%3};\n"
+      : "+f"(c.value[0]), "+f"(c.value[1]), "+f"(c.value[2]), "+f"(c.value[3])
+      : "r"(a.reg[0]), "r"(a.reg[1]), "r"(a.reg[2]), "r"(a.reg[3]), "r"(b0), "r"(b1));
+}
+/// The same over 8 inputs.
+__device__ inline void multiply_add(Sums& c, std::uint32_t a0, std::uint32_t a1, std::uint32_t b) {
+  asm("mma.sync.aligned.m16n8k8.row.col.f32.bf16.bf16.f32 {%0,%1,%2,%3}, {%4,%5}, {%6}, {%0,%1,%2,%3};\n"
+      : "+f"(c.value[0]), "+f"(c.value[1]), "+f"(c.value[2]), "+f"(c.value[3])
+      : "r"(a0), "r"(a1), "r"(b));
+}
+
+/// Four 8 x 8 matrices; lane l gives the address of row l % 8 of matrix l / 8.
+__device__ inline Fragment load_matrices(const __nv_bfloat16* row) {
+  Fragment f;
+  asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0,%1,%2,%3}, [%4];\n"
+               : "=r"(f.reg[0]), "=r"(f.reg[1]), "=r"(f.reg[2]), "=r"(f.reg[3])
+               : "r"(static_cast<std::uint32_t>(__cvta_generic_to_shared(row))));
+  return f;
+}
+__device__ inline Fragment load_transposed(const __nv_bfloat16* row) {
+  Fragment f;
+  asm volatile("ldmatrix.sync.aligned.m8n8.x4.trans.shared.b16 {%0,%1,%2,%3}, [%4];\n"
+               : "=r"(f.reg[0]), "=r"(f.reg[1]), "=r"(f.reg[2]), "=r"(f.reg[3])
+               : "r"(static_cast<std::uint32_t>(__cvta_generic_to_shared(row))));
+  return f;
+}
+
+/// What a lane has to know of itself.
+struct Lane {
+  int g, q;           // rows g and g + 8, columns 4q .. 4q + 3 of a group
+  int row_8, row_16;  // row within matrices 0 and 1, or 0 to 3, that it addresses
+  int low_8, high_8;  // 8 for the lanes of odd matrices, and of matrices 2 and 3
+  __device__ explicit Lane(int lane)
+      : g(lane / 4), q(lane % 4), row_8(lane % 8), row_16(lane), low_8(lane & 8), high_8((lane & 16) / 2) {}
+};
+
+/// y += a W for 8 kSums columns; w [16 kGroups, .] in shared memory.
+template <int kPitch, int kGroups, int kSums>
+__device__ inline void forward_product(const Lane& lane, const Fragment (&a)[kGroups], const __nv_bfloat16* w,
+                                       Sums (&y)[kSums]) {
+  const __nv_bfloat16* at = w + (lane.row_8 + lane.low_8) * kPitch + lane.high_8;
+#pragma unroll
+  for (int k = 0; k < kGroups; ++k) {
+#pragma unroll
+    for (int n = 0; n < kSums; n += 2) {
+      const Fragment b = load_transposed(at + k * kGroup * kPitch + n * 8);
+      multiply_add(y[n], a[k], b.reg[0], b.reg[1]);
+      multiply_add(y[n + 1], a[k], b.reg[2], b.reg[3]);
+    }
+  }
+}
+
+/// dx += dz W^T for 8 kSums inputs; w [8 kSums, .] in shared memory.
+template <int kPitch, int kGroups, int kSums>
+__device__ inline void backward_product(const Lane& lane, const Fragment (&dz)[kGroups], const __nv_bfloat16* w,
+                                        Sums (&dx)[kSums]) {
+  const __nv_bfloat16* at = w + (lane.row_8 + lane.high_8) * kPitch + lane.low_8;
+#pragma unroll
+  for (int k = 0; k < kGroups; ++k) {
+#pragma unroll
+    for (int n = 0; n < kSums; n += 2) {
+      const Fragment b = load_matrices(at + n * 8 * kPitch + k * kGroup);
+      multiply_add(dx[n], dz[k], b.reg[0], b.reg[1]);
+      multiply_add(dx[n + 1], dz[k], b.reg[2], b.reg[3]);
+    }
+  }
+}
+
+template <int kSums>
+__device__ inline void start(const Lane& lane, const float* bias, Sums (&y)[kSums]) {
+#pragma unroll
+  for (int n = 0; n < kSums; ++n) {
+    const float2 b = *reinterpret_cast<const float2*>(bias + n * 8 + 2 * lane.q);
+    y[n] = Sums{{b.x, b.y, b.x, b.y}};
+  }
+}
+template <int kSums>
+__device__ inline void relu(Sums (&y)[kSums]) {
+#pragma unroll
+  for (Sums& sums : y) {
+#pragma unroll
+    for (float& value : sums.value) value = value <= 0.0f ? 0.0f : value;  // NaN stays NaN
+  }
+}
+template <int kSums>
+__device__ inline void pack_all(const Sums (&y)[kSums], Fragment (&a)[kSums / 2]) {
+#pragma unroll
+  for (int k = 0; k < kSums / 2; ++k) a[k] = pack(y[2 * k], y[2 * k + 1]);
+}
+
+/// Numbers 4q .. 4q + 3 of group `group` of a row; 0 outside the columns. `vector`: 16-byte accesses are possible.
+__device__ inline float4 load_four(View<const float> view, std::int64_t row, int col, bool vector) {
+  const float* at = view.row(row) + col;
+  if (vector) return col < view.cols ? *reinterpret_cast<const float4*>(at) : float4{0, 0, 0, 0};
+  return {col < view.cols ? at[0] : 0.0f, col + 1 < view.cols ? at[1] : 0.0f, col + 2 < view.cols ? at[2] : 0.0f,
+          col + 3 < view.cols ? at[3] : 0.0f};
+}
+__device__ inline void store_four(View<float> view, std::int64_t row, int col, bool vector, float4 v) {
+  float* at = view.row(row) + col;
+  if (vector) {
+    if (col < view.cols) *reinterpret_cast<float4*>(at) = v;
+    return;
+  }
+  if (col < view.cols) at[0] = v.x;
+  if (col + 1 < view.cols) at[1] = v.y;
+  if (col + 2 < view.cols) at[2] = v.z;
+  if (col + 3 < view.cols) at[3] = v.w;
+}
+/// Whether rows of a view allow the vector accesses of load_four.
+template <class T>
+bool allows_vectors(const View<T>& view) {
+  return view.cols % 4 == 0 && view.row_stride % 4 == 0 && reinterpret_cast<std::uintptr_t>(view.data) % 16 == 0;
+}
+__device__ inline Fragment pack(const float4& row, const float4& row_8) {
+  return {{pack(row.x, row.y), pack(row_8.x, row_8.y), pack(row.z, row.w), pack(row_8.z, row_8.w)}};
+}
+
+/// The network in shared memory: weights in bf16, rows and columns at their positions; biases in fp32. The first colour
+/// layer reads [1, geometry features, direction]: the slot of sigma holds a one, whose weights are 0 and whose weight
+/// gradient is the bias gradient.
+template <int kPositionTiles, int kDirectionTiles>
+struct alignas(16) Weights {
+  static constexpr int kPosition = kPositionTiles * kGroup, kColorIn = (1 + kDirectionTiles) * kGroup;
+  static constexpr int kPitch = pitch_of(kWidth), kNarrow = pitch_of(kGroup);
+  __nv_bfloat16 hidden[kPosition * kPitch];
+  __nv_bfloat16 geometry[kWidth * kNarrow];
+  __nv_bfloat16 color_0[kColorIn * kPitch];
+  __nv_bfloat16 color_1[kWidth * kPitch];
+  __nv_bfloat16 rgb[kWidth * kRgbPitch];
+  float hidden_bias[kWidth], geometry_bias[kGroup], color_0_bias[kWidth], color_1_bias[kWidth], rgb_bias[kRgbPitch];
+
+  /// By the whole block; a barrier must follow.
+  __device__ void load(const Network& n) {
+    const auto matrix = [](__nv_bfloat16* to, int rows, int cols, int pitch, auto value) {
+      for (int i = static_cast<int>(threadIdx.x); i < rows * cols; i += static_cast<int>(blockDim.x))
+        to[i / cols * pitch + i % cols] = __float2bfloat16_rn(value(i / cols, i % cols));
+    };
+    const auto element = [](View<const float> w, std::int64_t in, int out) {
+      return in >= 0 && in < w.rows && out < w.cols ? w(in, out) : 0.0f;
+    };
+    matrix(hidden, kPosition, kWidth, kPitch,
+           [&](int in, int out) { return element(n.hidden, column_of(in), column_of(out)); });
+    matrix(geometry, kWidth, kGroup, kNarrow,
+           [&](int in, int out) { return element(n.geometry, column_of(in), column_of(out)); });
+    const int features = n.geometry.cols - 1;
+    matrix(color_0, kColorIn, kWidth, kPitch,
+           [&](int in, int out) { return element(n.color_0, color_0_row(in, features), column_of(out)); });
+    matrix(color_1, kWidth, kWidth, kPitch,
+           [&](int in, int out) { return element(n.color_1, column_of(in), column_of(out)); });
+    matrix(rgb, kWidth, kRgbPitch, kRgbPitch, [&](int in, int out) { return element(n.rgb, column_of(in), out); });
+    const auto bias = [&](float* to, int cols, View<const float> from, bool numbered) {
+      for (int i = static_cast<int>(threadIdx.x); i < cols; i += static_cast<int>(blockDim.x))
+        to[i] = element(from, 0, numbered ? column_of(i) : i);
+    };
+    bias(hidden_bias, kWidth, n.hidden_bias, true);
+    bias(geometry_bias, kGroup, n.geometry_bias, true);
+    bias(color_0_bias, kWidth, n.color_0_bias, true);
+    bias(color_1_bias, kWidth, n.color_1_bias, true);
+    bias(rgb_bias, kRgbPitch, n.rgb_bias, false);
+  }
+
+  /// Row of the first colour layer's weight whose input stands at `position`; -1: none.
+  __host__ __device__ static int color_0_row(int position, int features) {
+    const int col = column_of(position);
+    if (col < kGroup) return col >= 1 && col <= features ? col - 1 : -1;
+    return features + col - kGroup;
+  }
+
+  __device__ void hidden_layer(const Lane& lane, const Fragment (&x)[kPositionTiles], Sums (&h)[8]) const {
+    start(lane, hidden_bias, h);
+    forward_product<kPitch>(lane, x, hidden, h);
+    relu(h);
+  }
+  __device__ void geometry_layer(const Lane& lane, const Fragment (&h)[4], Sums (&out)[2]) const {
+    start(lane, geometry_bias, out);
+    forward_product<kNarrow>(lane, h, geometry, out);
+  }
+  __device__ void color_0_layer(const Lane& lane, const Fragment (&in)[1 + kDirectionTiles], Sums (&c)[8]) const {
+    start(lane, color_0_bias, c);
+    forward_product<kPitch>(lane, in, color_0, c);
+    relu(c);
+  }
+  __device__ void color_1_layer(const Lane& lane, const Fragment (&in)[4], Sums (&c)[8]) const {
+    start(lane, color_1_bias, c);
+    forward_product<kPitch>(lane, in, color_1, c);
+    relu(c);
+  }
+  __device__ Sums rgb_layer(const Lane& lane, const Fragment (&in)[4]) const {
+    Sums y[1];
+    start(lane, rgb_bias, y);
+#pragma unroll
+    for (int k = 0; k < 4; k += 2) {
+      const Fragment b = load_transposed(rgb + (k * kGroup + lane.row_16) * kRgbPitch);
+      multiply_add(y[0], in[k], b.reg[0], b.reg[1]);
+      multiply_add(y[0], in[k + 1], b.reg[2], b.reg[3]);
+    }
+    return y[0];
+  }
+};
+
+/// What a lane reads for its rows g and g + 8 of a tile; unused rows are 0.
+template <int kPositionTiles, int kDirectionTiles>
+struct Inputs {
+  float4 position[kPositionTiles][2];
+  std::int32_t ray[2];
+
+  __device__ void load(const FieldIn<float>& in, const Lane& lane, std::int64_t row0, std::int64_t rows, bool vector) {
+#pragma unroll
+    for (int half = 0; half < 2; ++half) {
+      const std::int64_t row = row0 + lane.g + 8 * half;
+      const bool used = row < rows;
+#pragma unroll
+      for (int k = 0; k < kPositionTiles; ++k) {
+        position[k][half] = used ? load_four(in.position, row, k * kGroup + 4 * lane.q, vector) : float4{0, 0, 0, 0};
+      }
+      if constexpr (kDirectionTiles > 0) ray[half] = used && !in.direction.empty() ? in.ray_of_sample(row, 0) : -1;
+    }
+  }
+  __device__ void pack_position(Fragment (&x)[kPositionTiles]) const {
+#pragma unroll
+    for (int k = 0; k < kPositionTiles; ++k) x[k] = pack(position[k][0], position[k][1]);
+  }
+  /// [1, geometry features, direction], the input of the first colour layer.
+  __device__ void color_input(const FieldIn<float>& in, const Lane& lane, bool vector, Sums (&geometry)[2],
+                              Fragment (&to)[1 + kDirectionTiles]) const {
+    if (lane.q == 0) geometry[0].value[0] = geometry[0].value[2] = 1.0f;
+    to[0] = pack(geometry[0], geometry[1]);
+    if constexpr (kDirectionTiles > 0) {
+      float4 d[2];
+#pragma unroll
+      for (int half = 0; half < 2; ++half)
+        d[half] = ray[half] >= 0 ? load_four(in.direction, ray[half], 4 * lane.q, vector) : float4{0, 0, 0, 0};
+      to[1] = pack(d[0], d[1]);
+    }
+  }
+};
+
+}  // namespace semfield::cuda::tiny
