@@ -3,6 +3,7 @@
 
 #include "cuda/layers.h"
 #include "cuda/matmul.h"
+#include "fields/nerf_mlp/nerf_mlp_fused.h"
 #include "fields/nerf_mlp/nerf_mlp_layered.h"
 #include "plugin/kernels.h"
 
@@ -55,15 +56,31 @@ void derive_backward(const NerfMlpShape& s, const Tensors<float>& t) {
   add_rows<float, float>(d_bias, grad_of(t, s.view.bias));
 }
 
-template <class Act>
-constexpr NerfMlpKernels<float> kTable{LayeredNerfMlp<Act>::forward, LayeredNerfMlp<Act>::backward, derive,
-                                       derive_backward, LayeredNerfMlp<Act>::saved_bytes};
+constexpr NerfMlpKernels<float> kFp32{LayeredNerfMlp<float>::forward, LayeredNerfMlp<float>::backward, derive,
+                                      derive_backward, LayeredNerfMlp<float>::saved_bytes};
+
+// bf16: the fused kernels where they serve, else layer by layer. A shape's answer never changes.
+using Layered = LayeredNerfMlp<__nv_bfloat16>;
+
+void forward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t, const FieldIn<float>& in,
+             const FieldOut<float>& out, Saved saved) {
+  (FusedNerfMlp::serves(s) ? FusedNerfMlp::forward : Layered::forward)(s, ctx, t, in, out, saved);
+}
+void backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t, const FieldIn<float>& in,
+              const FieldOut<float>& out, const FieldGrad<float>& grad, Saved saved, View<float> d_position) {
+  (FusedNerfMlp::serves(s) ? FusedNerfMlp::backward : Layered::backward)(s, ctx, t, in, out, grad, saved, d_position);
+}
+std::size_t saved_bytes(const NerfMlpShape& s, std::int64_t samples) {
+  return (FusedNerfMlp::serves(s) ? FusedNerfMlp::saved_bytes : Layered::saved_bytes)(s, samples);
+}
+
+constexpr NerfMlpKernels<float> kBf16{forward, backward, derive, derive_backward, saved_bytes};
 
 }  // namespace
 
 void nerf_mlp_cuda_kernels(KernelTables& tables) {
-  tables.add(Device::cuda, "field 'nerf_mlp'", &kTable<float>);
-  tables.add(Device::cuda, "field 'nerf_mlp'", &kTable<__nv_bfloat16>, Precision::bf16);
+  tables.add(Device::cuda, "field 'nerf_mlp'", &kFp32);
+  tables.add(Device::cuda, "field 'nerf_mlp'", &kBf16, Precision::bf16);
 }
 
 }  // namespace semfield::cuda

@@ -1,0 +1,164 @@
+// Gradients of activations through all layers in one kernel, built as the forward: a warpgroup takes 64 rows from the
+// outputs' gradients to the first layer. Per row: read 28 bytes of heads, 1,024 with a feature, 32 depth + 16 of masks;
+// written 512 depth + 256. 2 (256^2 (depth - 1) + 256 128) operations a row. The same bits in every run and for every
+// batch.
+#include <nv/target>
+
+#include "fields/nerf_mlp/nerf_mlp_fused.cuh"
+#include "fields/nerf_mlp/nerf_mlp_fused_kernels.h"
+#include "fields/nerf_mlp/nerf_mlp_math.h"
+
+namespace semfield::cuda::fused {
+
+namespace {
+
+// Shared memory, in this order from its aligned start.
+struct Shared {
+  std::uint32_t slabs, tiles, barriers;
+  float *density, *color;  // [256], [3, 128]
+  static constexpr std::uint32_t kFloats = kSlabBytes * kStages + kTileBytes * kGroups;
+  static constexpr std::uint32_t kBytes = kFloats + (kWidth + kChannels * kView) * 4 + Ring::kBarrierBytes;
+  __device__ explicit Shared(std::byte* memory) {
+    slabs = hopper::shared_address(memory);
+    tiles = slabs + kSlabBytes * kStages;
+    density = reinterpret_cast<float*>(memory + kFloats);
+    color = density + kWidth;
+    barriers = hopper::shared_address(color + kChannels * kView);
+  }
+  __device__ Ring ring() const { return {slabs, barriers}; }
+};
+
+__device__ void feed(const InputGradient& p, const Shared& sh, const Tiles& tiles) {
+  Ring ring = sh.ring();
+  const int slabs = (p.d_rgb.empty() ? 0 : kView / kTerms) + (p.depth - 1) * (kWidth / kTerms);
+  for (std::int64_t tile = tiles.first; tile < tiles.count; tile += tiles.step) {
+    const std::byte* from = p.weights;
+    for (int s = 0; s < slabs; ++s, from += kSlabBytes) ring.feed(from, kSlabBytes, tiles.rank);
+  }
+}
+
+// dL/d(view layer before its ReLU) of a thread's numbers.
+__device__ inline void from_color(const InputGradient& p, float (&acc)[kView / 2], const float* weight,
+                                  const MaskBits<kView>& mask, std::int64_t row, int quad) {
+  float d_logit[2][kChannels];
+#pragma unroll
+  for (int half = 0; half < 2; ++half) {
+#pragma unroll
+    for (int c = 0; c < kChannels; ++c) {
+      const std::int64_t at = row + 8 * half;
+      d_logit[half][c] = at < p.rows ? p.d_rgb(at, c) * nerf_mlp_sigmoid_slope(p.rgb(at, c)) : 0;
+    }
+  }
+#pragma unroll
+  for (int j = 0; j < kView / 8; ++j) {
+    float sum[4] = {0, 0, 0, 0};
+#pragma unroll
+    for (int c = 0; c < kChannels; ++c) {
+      const float2 w = *reinterpret_cast<const float2*>(weight + c * kView + 8 * j + 2 * quad);
+#pragma unroll
+      for (int e = 0; e < 4; ++e) sum[e] = fmaf(d_logit[e / 2][c], e % 2 == 0 ? w.x : w.y, sum[e]);
+    }
+#pragma unroll
+    for (int e = 0; e < 4; ++e) acc[4 * j + e] = is_set(mask, 4 * j + e) ? sum[e] : 0;
+  }
+}
+
+// acc += d_feature + d_sigma w^T.
+__device__ inline void add_heads(const InputGradient& p, float (&acc)[kWidth / 2], const float* weight,
+                                 std::int64_t row, int quad) {
+#pragma unroll
+  for (int half = 0; half < 2; ++half) {
+    const std::int64_t at = row + 8 * half;
+    if (at >= p.rows) continue;
+    if (!p.d_feature.empty()) {
+      const float* from = p.d_feature.row(at) + 2 * quad;
+#pragma unroll
+      for (int j = 0; j < kWidth / 8; ++j) {
+        const float2 d = *reinterpret_cast<const float2*>(from + 8 * j);
+        acc[4 * j + 2 * half] += d.x;
+        acc[4 * j + 2 * half + 1] += d.y;
+      }
+    }
+    if (p.d_sigma.empty()) continue;
+    const float d_sigma = p.d_sigma(at, 0);
+#pragma unroll
+    for (int j = 0; j < kWidth / 8; ++j) {
+      const float2 w = *reinterpret_cast<const float2*>(weight + 8 * j + 2 * quad);
+      acc[4 * j + 2 * half] = fmaf(d_sigma, w.x, acc[4 * j + 2 * half]);
+      acc[4 * j + 2 * half + 1] = fmaf(d_sigma, w.y, acc[4 * j + 2 * half + 1]);
+    }
+  }
+}
+
+__device__ void compute(const InputGradient& p, const Shared& sh, const Tiles& tiles, int group) {
+  const Lane at;
+  Ring ring = sh.ring();
+  const std::uint32_t tile_at = sh.tiles + static_cast<std::uint32_t>(group) * kTileBytes;
+  for (std::int64_t tile = tiles.first; tile < tiles.count; tile += tiles.step) {
+    const std::int64_t block = tiles.block(tile, group);
+    const std::int64_t row = block * kRows + at.row;
+    float acc[kWidth / 2] = {};  // defined, so that no registers are kept for it across tiles
+    if (!p.d_rgb.empty()) {
+      float view[kView / 2];
+      const uint2 bits = p.hidden_mask[block * hopper::kWarpgroup + at.thread];
+      from_color(p, view, sh.color, MaskBits<kView>{{bits.x, bits.y}}, row, at.quad);
+      tile_is_free(at, group);
+      store_tile<kView>(view, tile_at, at);
+      tile_is_written(at, group, tile_at, p.d_hidden + block * (kRows * kView), kRows * kView * 2);
+    }
+    for (int i = p.depth - 1; i >= 0; --i) {
+      const std::int64_t piece = i * p.blocks + block;
+      const uint4 bits = p.trunk_mask[piece * hopper::kWarpgroup + at.thread];
+      if (i < p.depth - 1) {
+        multiply<kWidth>(acc, tile_at, row_step(kWidth), kWidth / kTerms, ring, true);
+      } else {
+        if (!p.d_rgb.empty()) multiply<kWidth>(acc, tile_at, row_step(kView), kView / kTerms, ring, true);
+        add_heads(p, acc, sh.density, row, at.quad);
+      }
+      const MaskBits<kWidth> mask{{bits.x, bits.y, bits.z, bits.w}};
+#pragma unroll
+      for (int k = 0; k < kWidth / 2; ++k) acc[k] = is_set(mask, k) ? acc[k] : 0;
+      tile_is_free(at, group);
+      store_tile<kWidth>(acc, tile_at, at);
+      tile_is_written(at, group, tile_at, p.d_trunk + piece * (kRows * kWidth), kTileBytes);
+    }
+  }
+  if (at.thread == 0) hopper::bulk_stores_are_done();
+}
+
+[[maybe_unused]] __device__ void run(const InputGradient& p) {
+  extern __shared__ __align__(128) std::byte memory[];
+  const Shared sh(memory);
+  for (int k = static_cast<int>(threadIdx.x); k < kWidth; k += kThreads) sh.density[k] = p.density_weight[k];
+  for (int k = static_cast<int>(threadIdx.x); k < kChannels * kView; k += kThreads) {
+    sh.color[k] = p.color_weight[k % kView * kChannels + k / kView];
+  }
+  if (threadIdx.x == 0) {
+    sh.ring().init();
+    hopper::fence_barrier_init();
+  }
+  __syncthreads();
+  if constexpr (kCluster > 1) hopper::cluster_barrier();
+  const Tiles tiles(p.blocks);
+  const int group = static_cast<int>(threadIdx.x) / hopper::kWarpgroup;
+  if (group == kGroups) {
+    hopper::fewer_registers<24>();
+    if (threadIdx.x % hopper::kWarpgroup == 0) feed(p, sh, tiles);
+  } else {
+    hopper::more_registers<240>();
+    compute(p, sh, tiles, group);
+  }
+  if constexpr (kCluster > 1) hopper::cluster_barrier();  // a block's memory must last while others copy into it
+}
+
+__global__ void __launch_bounds__(kThreads, 1) input_gradient_kernel(const __grid_constant__ InputGradient p) {
+  NV_IF_TARGET(NV_HAS_FEATURE_SM_90a, (run(p);))
+}
+
+}  // namespace
+
+void input_gradient(const InputGradient& call) {
+  launch_in_clusters(input_gradient_kernel, call, Shared::kBytes, call.blocks, "nerf_mlp gradients of activations");
+}
+
+}  // namespace semfield::cuda::fused

@@ -1,0 +1,32 @@
+// When tests of the fused kernels of the big network run.
+#pragma once
+
+#include "device_fixture.h"
+#include "fields/nerf_mlp/nerf_mlp_fused.h"
+
+namespace semfield::testing {
+
+inline NerfMlpShape usual_shape() {
+  NerfMlpShape shape;
+  shape.position_dims = 63;
+  shape.direction_dims = 27;
+  shape.precision = Precision::bf16;
+  return shape;
+}
+
+struct UseFused {
+  explicit UseFused(bool on) : before(::semfield::cuda::FusedNerfMlp::enabled()) {
+    ::semfield::cuda::FusedNerfMlp::enabled() = on;
+  }
+  ~UseFused() { ::semfield::cuda::FusedNerfMlp::enabled() = before; }
+  bool before;
+};
+
+/// First line of every test that launches them.
+#define SEMFIELD_NEEDS_FUSED()                                                     \
+  SEMFIELD_NEEDS_DEVICE();                                                         \
+  const ::semfield::testing::UseFused use(true);                                   \
+  if (!::semfield::cuda::FusedNerfMlp::serves(::semfield::testing::usual_shape())) \
+  GTEST_SKIP() << "the processor is not of compute capability 9.0"
+
+}  // namespace semfield::testing
