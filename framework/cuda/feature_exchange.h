@@ -11,6 +11,7 @@ namespace semfield::cuda {
 /// The pass puts one of these into the launch of a training step; fields that know nothing of it use FieldOut and
 /// FieldGrad.
 struct FeatureExchange {
+  View<__nv_bfloat16> room;           ///< [M, F] for fields that do not keep their feature as a matrix
   View<const __nv_bfloat16> feature;  ///< [M, F], set by the field's forward, which then leaves FieldOut::feature alone
   View<const __nv_bfloat16> d_feature;  ///< [N <= M, F], set before the field's backward, instead of
                                         ///< FieldGrad::feature; 0 for the rows behind it

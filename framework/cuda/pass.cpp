@@ -105,8 +105,10 @@ Trace Pass::forward(const StepContext& ctx, const Rays<float>& rays, const Propo
   {
     FeatureExchange features;
     Launch sharing = launch();
-    if (ctx.training && trace.semantic_rays > 0 && head_->rounds() && rules_.deferred_class_layer)
+    if (trace.semantic_rays > 0 && head_->rounds() && rules_.deferred_class_layer) {
+      features.room = arena.take<__nv_bfloat16>(rows, trace.out.feature.cols);
       sharing.features = &features;
+    }
     const LaunchScope scope(sharing);
     parts_.field->forward(ctx, store_->tensors(field_), {trace.encoded, trace.direction, trace.samples.ray_of_sample},
                           trace.out, trace.saved);

@@ -15,27 +15,32 @@ namespace {
 constexpr std::int64_t kChunkRays = 16384;
 constexpr std::int64_t kChunkPositions = std::int64_t{1} << 20;
 
+// Rows with gaps go one by one, which takes many times longer.
+template <class T>
+void copy(View<const T> from, View<T> to, cudaMemcpyKind direction, const char* what) {
+  const auto bytes = [](std::int64_t elements) { return sizeof(T) * static_cast<std::size_t>(elements); };
+  if (from.contiguous() && to.contiguous()) {
+    check(cudaMemcpyAsync(to.data, from.data, bytes(from.size()), direction, launch().stream), what);
+  } else {
+    check(cudaMemcpy2DAsync(to.data, bytes(to.row_stride), from.data, bytes(from.row_stride), bytes(from.cols),
+                            static_cast<std::size_t>(from.rows), direction, launch().stream),
+          what);
+  }
+}
+
 // Rows [begin, begin + count) of a host matrix on the device; an empty view stays empty.
 template <class T>
 View<T> sent(Workspace& arena, View<const T> from, std::int64_t begin, std::int64_t count) {
   if (from.empty()) return {};
   const View<T> to = arena.take<T>(count, from.cols);
-  check(cudaMemcpy2DAsync(to.data, sizeof(T) * static_cast<std::size_t>(to.cols), from.row(begin),
-                          sizeof(T) * static_cast<std::size_t>(from.row_stride),
-                          sizeof(T) * static_cast<std::size_t>(from.cols), static_cast<std::size_t>(count),
-                          cudaMemcpyHostToDevice, launch().stream),
-        "sending rays");
+  copy<T>(from.row_range(begin, count), to, cudaMemcpyHostToDevice, "sending rays");
   return to;
 }
 
 template <class T>
 void fetch(View<const T> from, View<T> to, std::int64_t begin) {
   if (to.empty()) return;
-  check(cudaMemcpy2DAsync(to.row(begin), sizeof(T) * static_cast<std::size_t>(to.row_stride), from.data,
-                          sizeof(T) * static_cast<std::size_t>(from.row_stride),
-                          sizeof(T) * static_cast<std::size_t>(from.cols), static_cast<std::size_t>(from.rows),
-                          cudaMemcpyDeviceToHost, launch().stream),
-        "fetching results");
+  copy<T>(from, to.row_range(begin, from.rows), cudaMemcpyDeviceToHost, "fetching results");
 }
 
 template <class T>

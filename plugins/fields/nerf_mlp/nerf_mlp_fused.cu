@@ -1,6 +1,8 @@
 #include <type_traits>
 
 #include "core/check.h"
+#include "cuda/feature_exchange.h"
+#include "cuda/launch.h"
 #include "cuda/layers.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused.h"
@@ -135,7 +137,7 @@ void position_backward(const NerfMlpShape& s, const Tensors<float>& t, std::int6
 }  // namespace
 
 bool& FusedNerfMlp::enabled() {
-  static bool on = false;  // until a processor has run its tests
+  static bool on = true;
   return on;
 }
 
@@ -199,9 +201,16 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
   } else {
     call.view_bias = value(t, s.view.bias).data;
   }
-  if (!out.feature.empty() && !pairs(out.feature)) call.feature = arena.take<float>(call.rows, fused::kWidth);
+  FeatureExchange* const exchange = launch().features;
+  if (exchange != nullptr) {
+    call.feature = {};
+    call.rounded_feature = exchange->room;
+    exchange->feature = exchange->room;
+  } else if (!out.feature.empty() && !pairs(out.feature)) {
+    call.feature = arena.take<float>(call.rows, fused::kWidth);
+  }
   fused::forward(call);
-  if (call.feature.data != out.feature.data) convert<float, float>(call.feature, out.feature);
+  if (exchange == nullptr && call.feature.data != out.feature.data) convert<float, float>(call.feature, out.feature);
 }
 
 void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t,
@@ -209,7 +218,9 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
                             Saved saved, View<float> d_position) {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
-  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty()) {
+  View<const Bf16> d_rounded_feature;
+  if (launch().features != nullptr) d_rounded_feature = launch().features->d_feature;
+  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && d_rounded_feature.empty()) {
     if (!d_position.empty()) cuda::fill(d_position, 0.0F);
     return;
   }
@@ -229,6 +240,7 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
   call.hidden_mask = kept.hidden_mask;
   call.d_sigma = grad.sigma;
   call.d_feature = grad.feature;
+  call.d_rounded_feature = d_rounded_feature;
   if (!grad.feature.empty() && !pairs(grad.feature)) {
     const View<float> copy = arena.take<float>(call.rows, fused::kWidth);
     convert<float, float>(grad.feature, copy);

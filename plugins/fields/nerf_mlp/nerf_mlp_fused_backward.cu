@@ -70,7 +70,15 @@ __device__ inline void add_heads(const InputGradient& p, float (&acc)[kWidth / 2
   for (int half = 0; half < 2; ++half) {
     const std::int64_t at = row + 8 * half;
     if (at >= p.rows) continue;
-    if (!p.d_feature.empty()) {
+    if (at < p.d_rounded_feature.rows) {
+      const __nv_bfloat16* from = p.d_rounded_feature.row(at) + 2 * quad;
+#pragma unroll
+      for (int j = 0; j < kWidth / 8; ++j) {
+        const float2 d = __bfloat1622float2(*reinterpret_cast<const __nv_bfloat162*>(from + 8 * j));
+        acc[4 * j + 2 * half] += d.x;
+        acc[4 * j + 2 * half + 1] += d.y;
+      }
+    } else if (!p.d_feature.empty()) {
       const float* from = p.d_feature.row(at) + 2 * quad;
 #pragma unroll
       for (int j = 0; j < kWidth / 8; ++j) {

@@ -93,10 +93,19 @@ __device__ inline void density_and_feature(const Forward& p, const float (&acc)[
       if (quad == 0 && row + 8 * half < p.rows) p.sigma(row + 8 * half, 0) = total + p.density_bias[0];
     }
   }
-  if (p.feature.empty()) return;
+  if (p.feature.empty() && p.rounded_feature.empty()) return;
 #pragma unroll
   for (int half = 0; half < 2; ++half) {
     if (row + 8 * half >= p.rows) continue;
+    if (!p.rounded_feature.empty()) {
+      __nv_bfloat16* to = p.rounded_feature.row(row + 8 * half) + 2 * quad;
+#pragma unroll
+      for (int j = 0; j < kWidth / 8; ++j) {
+        *reinterpret_cast<__nv_bfloat162*>(to + 8 * j) =
+            __floats2bfloat162_rn(acc[4 * j + 2 * half], acc[4 * j + 2 * half + 1]);
+      }
+      continue;
+    }
     float* to = p.feature.row(row + 8 * half) + 2 * quad;
 #pragma unroll
     for (int j = 0; j < kWidth / 8; ++j) {

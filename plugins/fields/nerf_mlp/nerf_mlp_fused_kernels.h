@@ -30,7 +30,8 @@ struct Forward {
   __nv_bfloat16 *trunk = nullptr, *hidden = nullptr;
   uint4* trunk_mask = nullptr;
   uint2* hidden_mask = nullptr;
-  View<float> sigma, rgb, feature;  ///< empty: not wanted
+  View<float> sigma, rgb, feature;      ///< empty: not wanted
+  View<__nv_bfloat16> rounded_feature;  ///< instead of feature
 };
 void forward(const Forward& call);
 
@@ -42,6 +43,7 @@ struct InputGradient {
   const uint4* trunk_mask = nullptr;
   const uint2* hidden_mask = nullptr;
   View<const float> rgb, d_rgb, d_sigma, d_feature;  ///< gradients may be empty
+  View<const __nv_bfloat16> d_rounded_feature;       ///< instead of d_feature; rows behind its last count as 0
   /// dL/d(layer before its ReLU), blocked [depth][64 blocks, 256] and, with d_rgb, [64 blocks, 128].
   __nv_bfloat16 *d_trunk = nullptr, *d_hidden = nullptr;
 };
