@@ -1,4 +1,5 @@
-// Sums of hidden channels along rays. 4 H bytes a sample, each read once, are most of what compositing moves.
+// Sums of hidden channels along rays. The H channels of a sample (4 B each, in bf16 2 B), read once, are most of what
+// compositing moves.
 #include <algorithm>
 #include <type_traits>
 
@@ -13,6 +14,7 @@ constexpr int kWarps = 4;       // a block of the forward sum: one ray
 constexpr int kInFlight = 8;    // rows that a warp asks for before it adds the first
 constexpr int kRowsAtOnce = 4;  // the same of the backward kernel, which has more warps
 constexpr int kBackWarps = 8;   // a block of the backward kernel
+constexpr int kBackBlocks = 3;  // of a multiprocessor, as many as its registers hold without spills
 
 // kVec consecutive channels of a lane, one access.
 template <int kVec>
@@ -61,7 +63,8 @@ constexpr unsigned every_bit() {
 }
 
 // A block a ray; its warps take every fourth sample, so that short rays occupy them all, and a warp skips samples
-// without weight. Sample: 4 H + 4 B read. Order of a channel's sum: warp by warp ascending samples, then warps.
+// without weight. Sample: its channels and 4 B read. Order of a channel's sum: warp by warp ascending samples, then
+// warps.
 template <int kBeside, int kVec, class Act>
 __global__ void __launch_bounds__(kWarps* kWarp)
     forward_kernel(View<const std::int32_t> first, View<const float> weight, View<const Act> hidden, View<float> out) {
@@ -115,11 +118,12 @@ __global__ void __launch_bounds__(kWarps* kWarp)
   }
 }
 
-// A warp takes kRowsAtOnce * kBeside consecutive samples of whatever rays. Sample: 4 H + 12 B read, 4 H + 4 B written,
-// each once; dL/d(out) of a ray stays in cache for its samples. Products of a lane's channels in float, sums over lanes
-// in float64 in a fixed tree.
+// A warp takes kRowsAtOnce * kBeside consecutive samples of whatever rays. Sample: its channels and 8 B read, as many
+// channels and 4 B written, each once; dL/d(out) of a ray stays in cache for its samples. Products of a lane's channels
+// in float, sums over lanes in float64 in a fixed tree.
 template <int kBeside, int kVec, class Act>
-__global__ void __launch_bounds__(kBackWarps* kWarp) backward_kernel(Samples<float> samples, HiddenBackward<Act> call) {
+__global__ void __launch_bounds__(kBackWarps* kWarp, kBackBlocks)
+    backward_kernel(Samples<float> samples, HiddenBackward<Act> call) {
   const View<const float> weight = call.weight, d_out = call.d_out;
   const View<const Act> hidden = call.hidden;
   const View<float> dots = call.dots;
