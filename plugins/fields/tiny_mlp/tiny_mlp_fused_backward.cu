@@ -2,6 +2,7 @@
 // a block's tiles in registers too.
 #include <algorithm>
 
+#include "cuda/feature_exchange.h"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
 #include "fields/tiny_mlp/tiny_mlp_math.h"
 #include "fields/tiny_mlp/tiny_mlp_weight_sums.cuh"
@@ -14,6 +15,7 @@ constexpr int kResident = 2;  // blocks of a multiprocessor: 65,536 registers / 
 
 struct Gradients {
   FieldGrad<float> of;
+  View<const __nv_bfloat16> shared_feature;  ///< in place of of.feature: its first rows, the others are 0
   View<const float> rgb;
   View<float> d_position;
   bool vector_feature = false, vector_position = false;
@@ -68,22 +70,46 @@ __device__ inline void logit_gradient(const Gradients& grad, const Lane& lane, s
   }
 }
 
-/// dL/d(h) of a lane's rows before the product with the geometry layer: what came back through the feature.
+/// dL/d(h) of a lane's rows before the product with the geometry layer: what came back through the feature. What came
+/// in bf16 stays packed until finish_hidden_gradient, so that nothing waits for it here: group k in dh[k].
 __device__ inline void start_hidden_gradient(const Gradients& grad, bool hidden_feature, const Lane& lane,
                                              std::int64_t row0, std::int64_t rows, Sums (&dh)[8]) {
   clear(dh);
-  if (grad.of.feature.empty() || !hidden_feature) return;
+  const bool shared = !grad.shared_feature.empty();
+  if (!hidden_feature || (grad.of.feature.empty() && !shared)) return;
+  if (shared && grad.shared_feature.rows < rows) rows = grad.shared_feature.rows;
 #pragma unroll
   for (int k = 0; k < 4; ++k) {
 #pragma unroll
     for (int half = 0; half < 2; ++half) {
       const std::int64_t row = row0 + lane.g + 8 * half;
+      const int col = k * kGroup + 4 * lane.q;
       if (row >= rows) continue;
-      const float4 d = load_four(grad.of.feature, row, k * kGroup + 4 * lane.q, grad.vector_feature);
-      dh[2 * k].value[2 * half] = d.x;
-      dh[2 * k].value[2 * half + 1] = d.y;
-      dh[2 * k + 1].value[2 * half] = d.z;
-      dh[2 * k + 1].value[2 * half + 1] = d.w;
+      if (shared) {
+        if (col >= grad.shared_feature.cols) continue;
+        const float2 packed = *reinterpret_cast<const float2*>(grad.shared_feature.row(row) + col);
+        dh[k].value[half] = packed.x;
+        dh[k].value[2 + half] = packed.y;
+      } else {
+        const float4 d = load_four(grad.of.feature, row, col, grad.vector_feature);
+        dh[2 * k].value[2 * half] = d.x;
+        dh[2 * k].value[2 * half + 1] = d.y;
+        dh[2 * k + 1].value[2 * half] = d.z;
+        dh[2 * k + 1].value[2 * half + 1] = d.w;
+      }
+    }
+  }
+}
+__device__ inline void finish_hidden_gradient(const Gradients& grad, Sums (&dh)[8]) {
+  if (grad.shared_feature.empty()) return;
+#pragma unroll
+  for (int k = 3; k >= 0; --k) {  // group k is read before its place is written
+    const Sums packed = dh[k];
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {  // row half i % 2, columns 2 (i / 2) and the next of the lane's four
+      const float2 d = __bfloat1622float2(*reinterpret_cast<const __nv_bfloat162*>(&packed.value[i]));
+      dh[2 * k + i / 2].value[2 * (i % 2)] = d.x;
+      dh[2 * k + i / 2].value[2 * (i % 2) + 1] = d.y;
     }
   }
 }
@@ -200,6 +226,7 @@ __global__ void __launch_bounds__(kBackwardThreads, kResident)
     {
       const Fragment dz_geometry[1] = {pack(dg[0], dg[1])};
       store_rows<kNarrow>(lane, dz_geometry, o.d_geometry + first * kNarrow);
+      finish_hidden_gradient(grad, dh);
       backward_product<kNarrow>(lane, dz_geometry, weights.geometry, dh);
       Fragment dz[4];
       mask_and_pack(dh, h, dz);
@@ -246,7 +273,9 @@ void fused_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<float
   if (in.position.rows == 0) return;
   const Workspace::Scope scope(arena);
   const FusedCall call = fused_call(s, t, in);
-  const Gradients gradients{grad, rgb, d_position, allows_vectors(grad.feature), allows_vectors(d_position)};
+  Gradients gradients{grad, {}, rgb, d_position, allows_vectors(grad.feature), allows_vectors(d_position)};
+  if (launch().features != nullptr && s.feature == TinyFeature::hidden)
+    gradients.shared_feature = launch().features->d_feature;
   const auto d = network_of<float>(s, [&](int index) { return t.grad[static_cast<std::size_t>(index)]; });
   with_tiles(s, [&]<int kPositionTiles, int kDirectionTiles>() {
     const auto kernel = backward_kernel<kPositionTiles, kDirectionTiles>;

@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "core/check.h"
+#include "cuda/feature_exchange.h"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
 
 namespace semfield::cuda::tiny {
@@ -11,16 +12,21 @@ namespace {
 constexpr int kThreads = 128;
 constexpr int kWarps = kThreads / kWarp;
 
+struct Outputs : FieldOut<float> {
+  View<__nv_bfloat16> shared;  ///< the hidden layer, in place of `feature`; whole groups of columns
+};
+
 /// Zeros in the outputs of a tile's rows from `begin` on.
-__device__ void clear_rows(const FieldOut<float>& out, std::int64_t begin, std::int64_t end, int lane) {
-  const auto clear = [&](View<float> view) {
+__device__ void clear_rows(const Outputs& out, std::int64_t begin, std::int64_t end, int lane) {
+  const auto clear = [&]<class T>(View<T> view) {
     if (view.empty()) return;
     for (std::int64_t i = begin * view.cols + lane; i < end * view.cols; i += kWarp)
-      view(i / view.cols, static_cast<std::int32_t>(i % view.cols)) = 0;
+      view(i / view.cols, static_cast<std::int32_t>(i % view.cols)) = T(0.0f);
   };
   clear(out.sigma);
   clear(out.rgb);
   clear(out.feature);
+  clear(out.shared);
 }
 
 __device__ inline float sigmoid(float z) { return 1.0f / (1.0f + expf(-z)); }
@@ -29,7 +35,7 @@ __device__ inline float sigmoid(float z) { return 1.0f / (1.0f + expf(-z)); }
 /// inputs are on their way meanwhile. A row moves 4 D + 4 (ray) bytes in and 4 + 12 + 4 F out (D = 32, F = 64: 404
 /// bytes) and 2 . 9,728 operations (with a direction, padding included). Rows do not depend on each other.
 template <int kPositionTiles, int kDirectionTiles>
-__global__ void __launch_bounds__(kThreads, 3) forward_kernel(const FusedCall call, const FieldOut<float> out) {
+__global__ void __launch_bounds__(kThreads, 3) forward_kernel(const FusedCall call, const Outputs out) {
   extern __shared__ __align__(16) unsigned char shared_memory[];
   auto& weights = *reinterpret_cast<Weights<kPositionTiles, kDirectionTiles>*>(shared_memory);
   weights.load(call.network);
@@ -67,6 +73,18 @@ __global__ void __launch_bounds__(kThreads, 3) forward_kernel(const FusedCall ca
         }
       }
       pack_all(sums, h);
+    }
+    if (!out.shared.empty()) {
+#pragma unroll
+      for (int k = 0; k < 4; ++k) {
+#pragma unroll
+        for (int half = 0; half < 2; ++half) {
+          const std::int64_t row = row0 + lane.g + 8 * half;
+          if (row >= rows || k * kGroup >= out.shared.cols) continue;
+          *reinterpret_cast<uint2*>(out.shared.row(row) + k * kGroup + 4 * lane.q) = {h[k].reg[half],
+                                                                                      h[k].reg[2 + half]};
+        }
+      }
     }
     weights.geometry_layer(lane, h, geometry);
 #pragma unroll
@@ -113,6 +131,9 @@ __global__ void __launch_bounds__(kThreads, 3) forward_kernel(const FusedCall ca
     clear_rows(out, row0, row0 + kTileRows < all ? row0 + kTileRows : all, lane_number);
 }
 
+/// Whether the semantic head may take the feature in bf16.
+bool shares_feature(const TinyMlpShape& s) { return s.feature == TinyFeature::hidden && s.hidden_width % kGroup == 0; }
+
 std::size_t shared_memory_limit() {
   int device = 0, bytes = 0;
   check(cudaGetDevice(&device), "asking for the device");
@@ -149,10 +170,21 @@ unsigned resident_blocks(const void* kernel, int threads, std::size_t bytes) {
   return static_cast<unsigned>(std::max(each, 1) * multiprocessors());
 }
 
+std::size_t fused_saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
+  return shares_feature(s) ? static_cast<std::size_t>(samples) * kWidth * sizeof(__nv_bfloat16) : 0;
+}
+
 void fused_forward(const TinyMlpShape& s, const Tensors<float>& t, const FieldIn<float>& in,
-                   const FieldOut<float>& out) {
+                   const FieldOut<float>& wanted, Saved saved) {
   if (in.position.rows == 0) return;
   FusedCall call = fused_call(s, t, in);
+  Outputs out{wanted, {}};
+  if (launch().features != nullptr && shares_feature(s) && !saved.empty() && !out.feature.empty()) {
+    out.shared = View<__nv_bfloat16>(reinterpret_cast<__nv_bfloat16*>(saved.data()), in.position.rows, s.hidden_width,
+                                     kWidth, Device::cuda);
+    out.feature = {};
+    launch().features->feature = out.shared;
+  }
   call.vector_feature = allows_vectors(out.feature);
   with_tiles(s, [&]<int kPositionTiles, int kDirectionTiles>() {
     const auto kernel = forward_kernel<kPositionTiles, kDirectionTiles>;

@@ -199,9 +199,22 @@ struct alignas(16) Weights {
 
   /// By the whole block; a barrier must follow.
   __device__ void load(const Network& n) {
+    constexpr int kAtOnce = 8;  // loads on their way together
     const auto matrix = [](__nv_bfloat16* to, int rows, int cols, int pitch, auto value) {
-      for (int i = static_cast<int>(threadIdx.x); i < rows * cols; i += static_cast<int>(blockDim.x))
-        to[i / cols * pitch + i % cols] = __float2bfloat16_rn(value(i / cols, i % cols));
+      const int threads = static_cast<int>(blockDim.x), count = rows * cols;
+      for (int first = static_cast<int>(threadIdx.x); first < count; first += kAtOnce * threads) {
+        float loaded[kAtOnce];
+#pragma unroll
+        for (int k = 0; k < kAtOnce; ++k) {
+          const int i = first + k * threads;
+          loaded[k] = i < count ? value(i / cols, i % cols) : 0.0f;
+        }
+#pragma unroll
+        for (int k = 0; k < kAtOnce; ++k) {
+          const int i = first + k * threads;
+          if (i < count) to[i / cols * pitch + i % cols] = __float2bfloat16_rn(loaded[k]);
+        }
+      }
     };
     const auto element = [](View<const float> w, std::int64_t in, int out) {
       return in >= 0 && in < w.rows && out < w.cols ? w(in, out) : 0.0f;
