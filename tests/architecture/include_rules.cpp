@@ -65,7 +65,7 @@ std::string forbidden_library(const std::string& path, const std::string& target
       return std::string(library) + " may be included by .cpp files only";
   }
   const bool gpu = starts_with(target, "cuda") || starts_with(target, "cublas");
-  if (gpu && !ends_with(path, ".cu") && path.find("cuda") == std::string::npos)
+  if (gpu && !ends_with(path, ".cu") && !ends_with(path, ".cuh") && path.find("cuda") == std::string::npos)
     return "CUDA headers belong to CUDA files";
   return {};
 }
