@@ -1,6 +1,6 @@
 // The fused kernels of the big network, one by one: every layer against plain loops over what the layer before left.
 // Only processors of compute capability 9.0 run them.
-#include "fields/nerf_mlp/nerf_mlp_fused_kernels.h"
+#include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 
 #include <array>
 #include <cmath>

@@ -6,7 +6,7 @@
 #include "cuda/layers.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused.h"
-#include "fields/nerf_mlp/nerf_mlp_fused_kernels.h"
+#include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 
 namespace semfield::cuda {
 

@@ -5,7 +5,7 @@
 #include <nv/target>
 
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
-#include "fields/nerf_mlp/nerf_mlp_fused_kernels.h"
+#include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 #include "fields/nerf_mlp/nerf_mlp_math.h"
 
 namespace semfield::cuda::fused {

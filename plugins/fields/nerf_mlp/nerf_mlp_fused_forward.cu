@@ -7,7 +7,7 @@
 #include <nv/target>
 
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
-#include "fields/nerf_mlp/nerf_mlp_fused_kernels.h"
+#include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 
 namespace semfield::cuda::fused {
 

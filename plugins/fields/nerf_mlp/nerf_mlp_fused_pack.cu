@@ -4,7 +4,7 @@
 #include "cuda/device_code.cuh"
 #include "cuda/layers.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
-#include "fields/nerf_mlp/nerf_mlp_fused_kernels.h"
+#include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 #include "fields/nerf_mlp/nerf_mlp_math.h"
 
 namespace semfield::cuda::fused {

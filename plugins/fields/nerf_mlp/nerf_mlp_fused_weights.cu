@@ -8,7 +8,7 @@
 #include "core/error.h"
 #include "cuda/device_code.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
-#include "fields/nerf_mlp/nerf_mlp_fused_kernels.h"
+#include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 
 namespace semfield::cuda::fused {
 

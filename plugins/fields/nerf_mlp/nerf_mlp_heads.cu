@@ -6,7 +6,7 @@
 
 #include "cuda/device_code.cuh"
 #include "cuda/layers.h"
-#include "fields/nerf_mlp/nerf_mlp_heads.h"
+#include "fields/nerf_mlp/nerf_mlp_heads.cuh"
 #include "fields/nerf_mlp/nerf_mlp_math.h"
 
 namespace semfield::cuda {

@@ -9,9 +9,9 @@
 #include "cuda/launch.h"
 #include "cuda/layers.h"
 #include "cuda/matmul.h"
-#include "fields/nerf_mlp/nerf_mlp_heads.h"
+#include "fields/nerf_mlp/nerf_mlp_heads.cuh"
 #include "fields/nerf_mlp/nerf_mlp_layered.h"
-#include "fields/nerf_mlp/nerf_mlp_weights.h"
+#include "fields/nerf_mlp/nerf_mlp_weights.cuh"
 
 namespace semfield::cuda {
 

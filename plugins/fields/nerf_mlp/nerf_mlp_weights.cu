@@ -1,7 +1,7 @@
 #include "core/error.h"
 #include "cuda/device_code.cuh"
 #include "cuda/layers.h"
-#include "fields/nerf_mlp/nerf_mlp_weights.h"
+#include "fields/nerf_mlp/nerf_mlp_weights.cuh"
 
 namespace semfield::cuda {
 
