@@ -14,7 +14,7 @@ void forward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<float>
              const FieldOut<float>& out, Saved saved) {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   if (tiny::fused_applies(s)) {
-    tiny::fused_forward(s, t, in, out, saved);
+    tiny::fused_forward(s, t, in, out);
   } else {
     tiny::layers_forward(s, ctx, t, in, out, saved);
   }
@@ -35,7 +35,7 @@ void backward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<float
 void derive(const TinyMlpShape&, const Tensors<float>&) {}
 
 std::size_t saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
-  return tiny::fused_applies(s) ? tiny::fused_saved_bytes(s, samples) : tiny::layers_saved_bytes(s, samples);
+  return tiny::fused_applies(s) ? 0 : tiny::layers_saved_bytes(s, samples);
 }
 
 constexpr TinyMlpKernels<float> kTable{forward, backward, derive, saved_bytes};

@@ -1,7 +1,6 @@
 // The small network of the usual widths in one kernel a direction: hidden and colour up to 64 wide, one hidden layer,
-// two colour layers, bf16 operands. Backward computes the activations again from the 4 D bytes of an encoded position,
-// where saving them would cost 2 (64 + 16 + 64 + 64) bytes a sample twice. What is saved is the hidden layer in bf16,
-// where the semantic head takes it like that.
+// two colour layers, bf16 operands. Nothing is saved: backward computes the activations again from the 4 D bytes of an
+// encoded position, where saving them would cost 2 (64 + 16 + 64 + 64) bytes a sample twice.
 #pragma once
 
 #include "fields/tiny_mlp/tiny_mlp_kernels.h"
@@ -24,9 +23,8 @@ struct FusedCall {
 };
 FusedCall fused_call(const TinyMlpShape& shape, const Tensors<float>& tensors, const FieldIn<float>& in);
 
-std::size_t fused_saved_bytes(const TinyMlpShape& shape, std::int64_t samples);
 void fused_forward(const TinyMlpShape& shape, const Tensors<float>& tensors, const FieldIn<float>& in,
-                   const FieldOut<float>& out, Saved saved);
+                   const FieldOut<float>& out);
 void fused_backward(const TinyMlpShape& shape, Workspace& arena, const Tensors<float>& tensors,
                     const FieldIn<float>& in, View<const float> rgb, const FieldGrad<float>& grad,
                     View<float> d_position);

@@ -131,9 +131,6 @@ __global__ void __launch_bounds__(kThreads, 3) forward_kernel(const FusedCall ca
     clear_rows(out, row0, row0 + kTileRows < all ? row0 + kTileRows : all, lane_number);
 }
 
-/// Whether the semantic head may take the feature in bf16.
-bool shares_feature(const TinyMlpShape& s) { return s.feature == TinyFeature::hidden && s.hidden_width % kGroup == 0; }
-
 std::size_t shared_memory_limit() {
   int device = 0, bytes = 0;
   check(cudaGetDevice(&device), "asking for the device");
@@ -170,20 +167,17 @@ unsigned resident_blocks(const void* kernel, int threads, std::size_t bytes) {
   return static_cast<unsigned>(std::max(each, 1) * multiprocessors());
 }
 
-std::size_t fused_saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
-  return shares_feature(s) ? static_cast<std::size_t>(samples) * kWidth * sizeof(__nv_bfloat16) : 0;
-}
-
 void fused_forward(const TinyMlpShape& s, const Tensors<float>& t, const FieldIn<float>& in,
-                   const FieldOut<float>& wanted, Saved saved) {
+                   const FieldOut<float>& wanted) {
   if (in.position.rows == 0) return;
   FusedCall call = fused_call(s, t, in);
   Outputs out{wanted, {}};
-  if (launch().features != nullptr && shares_feature(s) && !saved.empty() && !out.feature.empty()) {
-    out.shared = View<__nv_bfloat16>(reinterpret_cast<__nv_bfloat16*>(saved.data()), in.position.rows, s.hidden_width,
-                                     kWidth, Device::cuda);
+  FeatureExchange* const exchange = launch().features;
+  if (exchange != nullptr && !exchange->room.empty() && !out.feature.empty() && call.hidden_feature &&
+      s.hidden_width % kGroup == 0) {
+    out.shared = exchange->room;
     out.feature = {};
-    launch().features->feature = out.shared;
+    exchange->feature = exchange->room;
   }
   call.vector_feature = allows_vectors(out.feature);
   with_tiles(s, [&]<int kPositionTiles, int kDirectionTiles>() {
