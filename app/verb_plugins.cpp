@@ -4,7 +4,9 @@
 #include <nlohmann/json.hpp>
 
 #include "config/params_read.h"
+#include "core/error.h"
 #include "core/files.h"
+#include "model/device_backend.h"
 #include "plugin/reference.h"
 #include "verbs.h"
 
@@ -15,6 +17,17 @@ namespace {
 namespace fs = std::filesystem;
 
 void print(const std::string& text) { std::fwrite(text.data(), 1, text.size(), stdout); }
+
+// What this build has for CUDA, into the registry's tables; no device is needed to tell. Generated pages do without it:
+// they are the same for every build.
+void add_cuda_kernels(AppContext& context) {
+  if (!has_cuda_library()) return;
+  try {
+    cuda_library().add_kernels(context.registry.kernels());
+  } catch (const Error& error) {
+    print_note(context, error.what());
+  }
+}
 
 nlohmann::ordered_json entry_json(const PluginEntry& entry) {
   nlohmann::ordered_json json{
@@ -69,6 +82,7 @@ int run_plugins_list(AppContext& context) {
 }
 
 int run_plugins_show(const std::string& name, AppContext& context) {
+  add_cuda_kernels(context);
   const std::string text = plugin_details_text(context.registry, name);  // refuses an unknown name in either form
   if (context.json) return print_json(context.registry, name);
   print(text);
@@ -89,6 +103,7 @@ int run_plugins_docs(const std::string& out, AppContext& context) {
 }
 
 int run_plugins_matrix(AppContext& context) {
+  add_cuda_kernels(context);
   print(support_matrix_text(context.registry));
   return 0;
 }

@@ -7,6 +7,7 @@
 
 #include "core/check.h"
 #include "core/error.h"
+#include "cuda/calls.h"
 #include "cuda/device.h"
 #include "cuda/kernel_tables.h"
 #include "model/ray_guard.h"
@@ -286,6 +287,6 @@ std::unique_ptr<semfield::DeviceBackend> make(semfield::Pipeline<float>& host,
 
 extern "C" const semfield::DeviceLibrary* semfield_device_library();
 extern "C" const semfield::DeviceLibrary* semfield_device_library() {
-  static const semfield::DeviceLibrary library{add_kernels, describe, make};
+  static const semfield::DeviceLibrary library{add_kernels, describe, make, semfield::cuda::device_calls()};
   return &library;
 }

@@ -7,6 +7,14 @@
 
 namespace semfield {
 
+bool has_cuda_library() noexcept {
+#ifdef SEMFIELD_CUDA_LIBRARY
+  return true;
+#else
+  return false;
+#endif
+}
+
 const DeviceLibrary& cuda_library() {
 #ifdef SEMFIELD_CUDA_LIBRARY
   static const DeviceLibrary* const loaded = reinterpret_cast<const DeviceLibrary* (*)()>(

@@ -2,11 +2,13 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "core/workspace.h"
 #include "model/pipeline.h"
 #include "plugin/kernels.h"
 
@@ -57,6 +59,17 @@ class DeviceBackend {
   virtual std::size_t bytes() const = 0;
 };
 
+/// Single calls of components on a device, and memory for them: what tests of plugins need (testkit/host_twin.h).
+struct DeviceCalls {
+  BlockSource memory;
+  /// Both wait for the device.
+  void (*to_device)(const void* from, std::byte* to, std::size_t bytes) = nullptr;
+  void (*to_host)(const std::byte* from, void* to, std::size_t bytes) = nullptr;
+  /// Calls `body`, whose kernels look for faults at once, and waits. Throws Error(failure) for a fault that `body` left
+  /// behind. `deterministic` as in DeviceOptions.
+  void (*run)(bool deterministic, const std::function<void()>& body) = nullptr;
+};
+
 /// What the library of a device offers; its symbol is kDeviceLibrarySymbol.
 struct DeviceLibrary {
   /// Adds the device's kernel tables of the linked plugins.
@@ -66,10 +79,14 @@ struct DeviceLibrary {
   /// `parts` were built for the device and have the tensors of `host`.
   std::unique_ptr<DeviceBackend> (*make)(Pipeline<float>& host, std::vector<PassParts<float>> parts,
                                          const DeviceOptions& options) = nullptr;
+  DeviceCalls calls;
 };
 inline constexpr const char* kDeviceLibrarySymbol = "semfield_device_library";
 
-/// The CUDA library of this build. Throws Error(unavailable) when the build has none or it cannot be loaded.
+/// Whether this build has CUDA kernels, be there a device or not.
+bool has_cuda_library() noexcept;
+/// They, loaded without asking for a device. Throws Error(unavailable) when the build has none or their library cannot
+/// be loaded.
 const DeviceLibrary& cuda_library();
 /// Whether this build has CUDA kernels and this machine a device for them; `why_not` gets the reason.
 bool cuda_available(std::string* why_not = nullptr);

@@ -99,6 +99,7 @@ template Difference difference(View<const double>, View<const double>);
 template std::string compare(View<const float>, View<const float>, double, double);
 template std::string compare(View<const float>, View<const double>, double, double);
 template std::string compare(View<const double>, View<const double>, double, double);
+template std::string compare_norms(View<const float>, View<const float>, double);
 template std::string compare_norms(View<const float>, View<const double>, double);
 template std::string compare_bits(View<const float>, View<const float>);
 template std::string compare_bits(View<const double>, View<const double>);

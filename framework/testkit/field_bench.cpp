@@ -38,6 +38,7 @@ FieldBench<Real>::FieldBench(const Field<Real>& field_in, const FieldBuild& buil
                              std::int32_t padding, const LawOptions& options)
     : field(field_in),
       shape(field_in.traits()),
+      workspace(scratch_of<Real>(options)),
       box(field_in, options.seed),
       position(samples, build.position_dims, padding),
       direction(samples / kSamplesPerRay + 2, build.direction_dims, padding),

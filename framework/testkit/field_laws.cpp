@@ -1,5 +1,6 @@
 // The laws of fields.
 #include <cmath>
+#include <type_traits>
 
 #include "testkit/compare.h"
 #include "testkit/field_bench.h"
@@ -17,6 +18,35 @@ struct Setup {
   const FieldBuild& build;
   const LawOptions& options;
 };
+
+// Within what the precision of the build allows.
+template <class A, class B>
+std::string close_outputs(const Setup& setup, View<const A> got, View<const B> want) {
+  const bool bf16 = setup.build.precision == Precision::bf16;
+  return compare<A, B>(got, want, bf16 ? setup.options.bf16_tolerance : setup.options.float_tolerance);
+}
+template <class A, class B>
+std::string close_gradients(const Setup& setup, View<const A> got, View<const B> want) {
+  return setup.build.precision == Precision::bf16
+             ? compare_norms<A, B>(got, want, setup.options.bf16_gradient_tolerance)
+             : compare<A, B>(got, want, setup.options.float_tolerance);
+}
+
+// The same numbers from a part of a call (LawOptions::same_bits_in_parts).
+template <class Real>
+std::string same_outputs(const Setup& setup, View<const Real> got, View<const Real> want) {
+  if constexpr (std::is_same_v<Real, float>) {
+    if (!setup.options.same_bits_in_parts) return close_outputs<Real, Real>(setup, got, want);
+  }
+  return compare_bits<Real>(got, want);
+}
+template <class Real>
+std::string same_gradients(const Setup& setup, View<const Real> got, View<const Real> want) {
+  if constexpr (std::is_same_v<Real, float>) {
+    if (!setup.options.same_bits_in_parts) return close_gradients<Real, Real>(setup, got, want);
+  }
+  return compare_bits<Real>(got, want);
+}
 
 template <class Real>
 void check_sizes(const Field<Real>& field, const Setup& setup, std::int64_t samples, std::int32_t padding,
@@ -79,17 +109,19 @@ void check_wanted(const Field<Real>& field, const Setup& setup, Failures& failur
     FieldBench<Real> part(field, setup.build, kFew, 0, setup.options);
     field.forward(part.ctx, part.box.values_only(), part.in(), part.out(wanted), {});
     if (wanted.sigma)
-      note_failure(failures, "sigma with others unwanted", compare_bits<Real>(part.sigma.view(), whole.sigma.view()));
+      note_failure(failures, "sigma with others unwanted",
+                   same_outputs<Real>(setup, part.sigma.view(), whole.sigma.view()));
     if (wanted.rgb)
-      note_failure(failures, "colour with others unwanted", compare_bits<Real>(part.rgb.view(), whole.rgb.view()));
+      note_failure(failures, "colour with others unwanted",
+                   same_outputs<Real>(setup, part.rgb.view(), whole.rgb.view()));
     if (wanted.feature) {
       note_failure(failures, "feature with others unwanted",
-                   compare_bits<Real>(part.feature.view(), whole.feature.view()));
+                   same_outputs<Real>(setup, part.feature.view(), whole.feature.view()));
     }
   }
 }
 
-// A batch cut in two between rays gives the bits of the whole.
+// A batch cut in two between rays gives the numbers of the whole.
 template <class Real>
 void check_split(const Field<Real>& field, const Setup& setup, Failures& failures) {
   FieldBench<Real> whole(field, setup.build, kFew, 0, setup.options);
@@ -110,11 +142,11 @@ void check_split(const Field<Real>& field, const Setup& setup, Failures& failure
     field.backward(split.ctx, split.box.tensors(), part_in, part_out, part_weights, split.saved(),
                    part(split.d_position.view()));
   }
-  note_failure(failures, "split batch, sigma", compare_bits<Real>(split.sigma.view(), whole.sigma.view()));
-  note_failure(failures, "split batch, colour", compare_bits<Real>(split.rgb.view(), whole.rgb.view()));
-  note_failure(failures, "split batch, feature", compare_bits<Real>(split.feature.view(), whole.feature.view()));
+  note_failure(failures, "split batch, sigma", same_outputs<Real>(setup, split.sigma.view(), whole.sigma.view()));
+  note_failure(failures, "split batch, colour", same_outputs<Real>(setup, split.rgb.view(), whole.rgb.view()));
+  note_failure(failures, "split batch, feature", same_outputs<Real>(setup, split.feature.view(), whole.feature.view()));
   note_failure(failures, "split batch, d_position",
-               compare_bits<Real>(split.d_position.view(), whole.d_position.view()));
+               same_gradients<Real>(setup, split.d_position.view(), whole.d_position.view()));
 }
 
 void check_gradients(const Field<double>& field, const Setup& setup, Failures& failures) {
@@ -190,16 +222,12 @@ void check_precision(const Field<float>& field32, const Field<double>& field64, 
   twin.forward();
   single.backward();
   twin.backward();
-  const bool bf16 = setup.build.precision == Precision::bf16;
-  const LawOptions& options = setup.options;
   const auto output = [&](const char* name, View<const float> got, View<const double> want) {
     note_failure(failures, std::string("float against double, ") + name,
-                 compare<float, double>(got, want, bf16 ? options.bf16_tolerance : options.float_tolerance));
+                 close_outputs<float, double>(setup, got, want));
   };
   const auto gradient = [&](const std::string& name, View<const float> got, View<const double> want) {
-    note_failure(failures, "float against double, " + name,
-                 bf16 ? compare_norms<float, double>(got, want, options.bf16_gradient_tolerance)
-                      : compare<float, double>(got, want, options.float_tolerance));
+    note_failure(failures, "float against double, " + name, close_gradients<float, double>(setup, got, want));
   };
   output("sigma", single.sigma.view(), twin.sigma.view());
   output("colour", single.rgb.view(), twin.rgb.view());
@@ -207,6 +235,27 @@ void check_precision(const Field<float>& field32, const Field<double>& field64, 
   gradient("d_position", single.d_position.view(), twin.d_position.view());
   for (std::size_t i = 0; i < twin.box.count(); ++i) {
     if (twin.box.learned(i)) gradient("gradient of " + twin.box.specs()[i].name, single.box.grad(i), twin.box.grad(i));
+  }
+}
+
+// The same call again gives the same bits, sums over rows included.
+void check_repeat(const Field<float>& field, const Setup& setup, Failures& failures) {
+  FieldBench<float> once(field, setup.build, setup.options.many_rows, 0, setup.options);
+  FieldBench<float> again(field, setup.build, setup.options.many_rows, 0, setup.options);
+  for (FieldBench<float>* bench : {&once, &again}) {
+    bench->forward();
+    bench->backward();
+  }
+  note_failure(failures, "again, sigma", compare_bits<float>(again.sigma.view(), once.sigma.view()));
+  note_failure(failures, "again, colour", compare_bits<float>(again.rgb.view(), once.rgb.view()));
+  note_failure(failures, "again, feature", compare_bits<float>(again.feature.view(), once.feature.view()));
+  note_failure(failures, "again, d_position", compare_bits<float>(again.d_position.view(), once.d_position.view()));
+  for (std::size_t i = 0; i < once.box.count(); ++i) {
+    if (!once.box.learned(i)) continue;
+    note_failure(failures, "again, gradient of " + once.box.specs()[i].name,
+                 setup.options.same_bits_of_sums
+                     ? compare_bits<float>(again.box.grad(i), once.box.grad(i))
+                     : compare<float, float>(again.box.grad(i), once.box.grad(i), setup.options.float_tolerance));
   }
 }
 
@@ -250,6 +299,7 @@ Failures field_laws(const Field<float>& field32, const Field<double>& field64, c
   check_accumulation(field64, setup, failures);
   check_absent_gradients(field64, setup, failures);
   check_precision(field32, field64, setup, failures);
+  check_repeat(field32, setup, failures);
   check_steady_state(field32, setup, failures);
   return failures;
 }

@@ -5,7 +5,9 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <type_traits>
 
+#include "core/workspace.h"
 #include "plugin/registry.h"
 #include "testkit/failures.h"
 #include "testkit/settings.h"
@@ -23,7 +25,21 @@ struct LawOptions {
   double bf16_gradient_tolerance = 0.25;
   std::int64_t many_rows = 4097;  ///< the largest batch
   int gradient_elements = 24;     ///< elements of each tensor that central differences check
+  BlockSource scratch;            ///< of the float component's workspace: a device's, for a twin of host_twin.h
+  /// Same bits for a batch that is cut, and for an output beside others that are not wanted. Not so where a library
+  /// chooses the kernel of a product by its shape, and with it the order of its sums: then within float_tolerance, or
+  /// the tolerances of bf16.
+  bool same_bits_in_parts = true;
+  /// Same bits of gradients that are sums over rows, in every run. Not so where rows are added as they come: then
+  /// within float_tolerance.
+  bool same_bits_of_sums = true;
 };
+
+/// Where a component of this precision has its scratch: the oracle in double always computes on the host.
+template <class Real>
+BlockSource scratch_of(const LawOptions& options) {
+  return std::is_same_v<Real, float> ? options.scratch : BlockSource{};
+}
 
 /// Names, sentences, defaults in range and a lossless round trip of the parameters of one entry; a value outside its
 /// range and an unknown name are refused, by the config reader too, with the parameter named.
@@ -38,7 +54,8 @@ Failures encoder_laws(const Registry& registry, const std::string& name, const S
                       const EncoderBuild& build, const LawOptions& options = {});
 
 /// The encoder laws as they apply, and: sigma and feature have the same bits whatever the direction; an output that is
-/// not wanted changes no other; an absent gradient counts as zero; colour lies in (0, 1). `build` gives the widths of
+/// not wanted changes no other; an absent gradient counts as zero; colour lies in (0, 1); the same call again gives the
+/// same bits. `build` gives the widths of
 /// the inputs, and the precision of field32; field64 is the oracle of either.
 Failures field_laws(const Field<float>& field32, const Field<double>& field64, const FieldBuild& build,
                     const LawOptions& options = {});

@@ -89,7 +89,10 @@ struct EarlierPass {
 template <class Real>
 struct Bench {
   Bench(const Sampler<Real>& sampler_in, const LawOptions& options)
-      : sampler(sampler_in), box(sampler_in, options.seed, 0.0), seed(options.seed) {
+      : sampler(sampler_in),
+        workspace(scratch_of<Real>(options)),
+        box(sampler_in, options.seed, 0.0),
+        seed(options.seed) {
     ctx.seed = options.seed;
     ctx.training = true;
     ctx.workspace = &workspace;

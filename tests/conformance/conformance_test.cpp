@@ -1,90 +1,41 @@
-// The laws of its kind for every registered encoder, field and sampler on every device of the build.
+// The laws of its kind for every registered encoder, field and sampler on the CPU.
 #include <gtest/gtest.h>
 
 #include <set>
 
-#include "testkit/laws.h"
-#include "tests/conformance/rows.h"
+#include "tests/conformance/builds.h"
 
 namespace semfield::testkit {
 namespace {
 
 std::string name_of(const testing::TestParamInfo<Row>& info) { return info.param.text(); }
 
-// Ways of building that a factory may refuse with an Error; at least one must be accepted.
-template <class Build, class Laws>
-void hold_for_any_accepted(const std::vector<Build>& builds, const Laws& laws) {
-  int accepted = 0;
-  std::string refusals;
-  for (const Build& build : builds) {
-    Failures failures;
-    try {
-      failures = laws(build);
-    } catch (const Error& error) {
-      refusals += std::string(error.what()) + "\n";
-      continue;
-    }
-    ++accepted;
-    EXPECT_TRUE(failures.empty()) << "variant " << (&build - builds.data()) << ":\n" << to_text(failures);
-  }
-  EXPECT_GT(accepted, 0) << "every way of building was refused:\n" << refusals;
-}
-
 class EncoderConformance : public testing::TestWithParam<Row> {};
 TEST_P(EncoderConformance, Laws) {
-  const Row& row = GetParam();
-  std::vector<EncoderBuild> builds(2);
-  builds[1].is_direction = true;
-  for (EncoderBuild& build : builds) {
-    build.device = row.device;
-    build.extent_m = 6.0;
-    build.pixel_footprint_m = 0.01;
-  }
   LawOptions options;
   options.gradient_elements = 12;
-  hold_for_any_accepted(builds, [&](const EncoderBuild& build) {
-    return encoder_laws(linked_registry(), row.name, row.settings, build, options);
-  });
+  hold_for_any_accepted(linked_registry(), GetParam(), encoder_builds(Device::cpu),
+                        [&](const Encoder<float>& single, const Encoder<double>& oracle, const EncoderBuild&) {
+                          return encoder_laws(single, oracle, options);
+                        });
 }
 
 class FieldConformance : public testing::TestWithParam<Row> {};
 TEST_P(FieldConformance, Laws) {
-  const Row& row = GetParam();
-  FieldBuild all;
-  all.device = row.device;
-  all.position_dims = 39;
-  all.direction_dims = 16;
-  FieldBuild no_direction = all;
-  no_direction.direction_dims = 0;
-  FieldBuild no_feature = all;
-  no_feature.wants_feature = false;
-  FieldBuild no_savings = all;
-  no_savings.savings = {false, false, false};
-  std::vector<FieldBuild> builds{all, no_direction, no_feature, no_savings};
-  const std::string tables = linked_registry().kernels().devices_of("field '" + row.name + "'");
-  if (tables.find(std::string(device_name(row.device)) + " bf16") != std::string::npos) {
-    for (FieldBuild build : {all, no_direction, no_savings}) {
-      build.precision = Precision::bf16;
-      builds.push_back(build);
-    }
-  }
   LawOptions options;
   options.gradient_elements = 6;
-  hold_for_any_accepted(builds, [&](const FieldBuild& build) {
-    return field_laws(linked_registry(), row.name, row.settings, build, options);
-  });
+  hold_for_any_accepted(linked_registry(), GetParam(), field_builds(linked_registry(), GetParam().name, Device::cpu),
+                        [&](const Field<float>& single, const Field<double>& oracle, const FieldBuild& build) {
+                          return field_laws(single, oracle, build, options);
+                        });
 }
 
 class SamplerConformance : public testing::TestWithParam<Row> {};
 TEST_P(SamplerConformance, Laws) {
-  const Row& row = GetParam();
-  SamplerBuild build;
-  build.device = row.device;
-  build.bounds = {{-3, -2, -1.2}, {3, 2, 1.2}};
-  build.near_m = 0.1;
-  build.far_m = 5.0;
-  const Failures failures = sampler_laws(linked_registry(), row.name, row.settings, build);
-  EXPECT_TRUE(failures.empty()) << to_text(failures);
+  hold_for_any_accepted(linked_registry(), GetParam(), std::vector{sampler_build(Device::cpu)},
+                        [](const Sampler<float>& single, const Sampler<double>& oracle, const SamplerBuild& build) {
+                          return sampler_laws(single, oracle, build);
+                        });
 }
 
 INSTANTIATE_TEST_SUITE_P(Linked, EncoderConformance, testing::ValuesIn(rows_of(PluginKind::encoder)), name_of);

@@ -52,12 +52,11 @@ std::string Row::text() const {
 
 std::ostream& operator<<(std::ostream& out, const Row& row) { return out << row.text(); }
 
-std::vector<Row> rows_of(PluginKind kind) {
+std::vector<Row> rows_of(PluginKind kind, Device device) {
   std::vector<Row> rows;
   for (const std::string& name : linked_registry().names(kind)) {
     int number = 0;
-    for (const Settings& settings : settings_for(kind, name))
-      rows.push_back({kind, name, Device::cpu, number++, settings});
+    for (const Settings& settings : settings_for(kind, name)) rows.push_back({kind, name, device, number++, settings});
   }
   return rows;
 }

@@ -1,0 +1,11 @@
+// Single calls of components on the device: what tests of plugins use.
+#pragma once
+
+#include "model/device_backend.h"
+
+namespace semfield::cuda {
+
+/// On the calling thread's device and its default stream.
+DeviceCalls device_calls();
+
+}  // namespace semfield::cuda

@@ -1,0 +1,85 @@
+// Components on a device that look like ones on the host: laws and numerical cases written for host memory run on them.
+#pragma once
+
+#include "model/device_backend.h"
+#include "plugin/encoder.h"
+#include "plugin/field.h"
+#include "plugin/sampler.h"
+
+namespace semfield::testkit {
+
+/// Where a twin's calls run. Each call copies its views to the device, with their strides and what stands between their
+/// rows, so that an element which the kernel leaves alone comes back as it was; then whatever the call may write is
+/// copied back. Throws Error(internal) when a kernel wrote into an input or beside a view. StepContext::workspace is an
+/// arena of `calls.memory` (LawOptions::scratch).
+struct TwinOptions {
+  DeviceCalls calls;
+  bool deterministic = false;
+};
+
+/// `on_device` was built for the device of `options.calls` and outlives the twin; so for the other kinds.
+class HostEncoder final : public Encoder<float> {
+ public:
+  HostEncoder(const Encoder<float>& on_device, TwinOptions options) : device_(on_device), options_(options) {}
+  EncoderTraits traits() const noexcept override { return device_.traits(); }
+  void declare(ParamDeclarer& declarer) const override { device_.declare(declarer); }
+  void derive(const StepContext& ctx, const Tensors<float>& tensors) const override;
+  void derive_backward(const StepContext& ctx, const Tensors<float>& tensors) const override;
+
+ protected:
+  void do_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const double> x,
+                  View<float> y) const override;
+  void do_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const double> x, View<const float> dy,
+                   View<float> dx) const override;
+
+ private:
+  const Encoder<float>& device_;
+  TwinOptions options_;
+};
+
+class HostField final : public Field<float> {
+ public:
+  HostField(const Field<float>& on_device, TwinOptions options) : device_(on_device), options_(options) {}
+  FieldTraits traits() const noexcept override { return device_.traits(); }
+  std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
+    return device_.saved_bytes(samples, rays);
+  }
+  void declare(ParamDeclarer& declarer) const override { device_.declare(declarer); }
+  void derive(const StepContext& ctx, const Tensors<float>& tensors) const override;
+  void derive_backward(const StepContext& ctx, const Tensors<float>& tensors) const override;
+
+ protected:
+  void do_forward(const StepContext& ctx, const Tensors<float>& tensors, const FieldIn<float>& in,
+                  const FieldOut<float>& out, Saved saved) const override;
+  void do_backward(const StepContext& ctx, const Tensors<float>& tensors, const FieldIn<float>& in,
+                   const FieldOut<float>& out, const FieldGrad<float>& grad, Saved saved,
+                   View<float> d_position) const override;
+
+ private:
+  const Field<float>& device_;
+  TwinOptions options_;
+};
+
+/// On a device Samples::count is the capacity; the twin gives the samples in use, as on the host. All rows of a
+/// proposal's views count as its capacity. observe() is not passed on: Error(internal).
+class HostSampler final : public Sampler<float> {
+ public:
+  HostSampler(const Sampler<float>& on_device, TwinOptions options) : device_(on_device), options_(options) {}
+  SamplerTraits traits() const noexcept override { return device_.traits(); }
+  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept override {
+    return device_.capacity(rays, previous_per_ray);
+  }
+  void declare(ParamDeclarer& declarer) const override { device_.declare(declarer); }
+  void derive(const StepContext& ctx, const Tensors<float>& tensors) const override;
+  void observe(const StepContext& ctx, const Tensors<float>& tensors, const DensityQuery<float>& query) const override;
+
+ protected:
+  void do_sample(const StepContext& ctx, const Tensors<float>& tensors, const Rays<float>& rays,
+                 const Proposal<float>* previous, Samples<float>& out) const override;
+
+ private:
+  const Sampler<float>& device_;
+  TwinOptions options_;
+};
+
+}  // namespace semfield::testkit
