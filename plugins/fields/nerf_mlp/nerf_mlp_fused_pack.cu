@@ -27,7 +27,7 @@ struct SlabJob {
   const float* from;
   std::int64_t stride;
   std::byte* to;
-  int terms, columns, slabs;
+  int terms, padded_terms, columns;
   bool transposed;
 };
 struct SlabJobs {
@@ -38,7 +38,7 @@ struct SlabJobs {
 __global__ void pack_slabs_kernel(const __grid_constant__ SlabJobs jobs) {
   const SlabJob& job = jobs.all[blockIdx.y];
   const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (i >= job.slabs * (kTerms / 8) * job.columns) return;
+  if (i >= job.padded_terms / 8 * job.columns) return;
   const int column = i % job.columns, term = i / job.columns * 8;
   Eight eight;
 #pragma unroll
@@ -181,6 +181,12 @@ __global__ void __launch_bounds__(kPackThreads, 2)
   }
 }
 
+int terms_of(const Slabs& s) { return static_cast<int>(s.transposed ? s.weight.cols : s.weight.rows); }
+int padded_terms(const Slabs& s) { return (terms_of(s) + kPackedTerms - 1) / kPackedTerms * kPackedTerms; }
+std::size_t packed_bytes(const Slabs& s) {
+  return static_cast<std::size_t>(padded_terms(s) * s.columns) * sizeof(__nv_bfloat16);
+}
+
 View<float> flat(View<float> m) { return View<float>(m.data, 1, static_cast<std::int32_t>(m.size()), -1, m.device); }
 
 template <int kCols, int kChannelsOf>
@@ -201,10 +207,7 @@ void head_gradient_of(const HeadGradient& call, Workspace& arena) {
 
 std::size_t slab_bytes(const std::array<Slabs, kMostSlabs>& all, int count) {
   std::size_t bytes = 0;
-  for (int i = 0; i < count; ++i) {
-    const Slabs& s = all[static_cast<std::size_t>(i)];
-    bytes += static_cast<std::size_t>(s.slabs * s.columns) * kTerms * sizeof(__nv_bfloat16);
-  }
+  for (int i = 0; i < count; ++i) bytes += packed_bytes(all[static_cast<std::size_t>(i)]);
   return bytes;
 }
 
@@ -213,10 +216,9 @@ void pack_slabs(const std::array<Slabs, kMostSlabs>& all, int count, std::byte* 
   int most = 0;
   for (int i = 0; i < count; ++i) {
     const Slabs& s = all[static_cast<std::size_t>(i)];
-    const auto terms = static_cast<int>(s.transposed ? s.weight.cols : s.weight.rows);
-    jobs.all[i] = {s.weight.data, s.weight.row_stride, to, terms, s.columns, s.slabs, s.transposed};
-    to += static_cast<std::size_t>(s.slabs * s.columns) * kTerms * sizeof(__nv_bfloat16);
-    most = std::max(most, s.slabs * (kTerms / 8) * s.columns);
+    jobs.all[i] = {s.weight.data, s.weight.row_stride, to, terms_of(s), padded_terms(s), s.columns, s.transposed};
+    to += packed_bytes(s);
+    most = std::max(most, padded_terms(s) / 8 * s.columns);
   }
   if (most == 0) return;
   const dim3 grid(blocks_of(most, kPackThreads), static_cast<unsigned>(count));
