@@ -10,9 +10,11 @@ namespace semfield::cuda {
 
 namespace {
 
-constexpr int kWarps = 4;       // a block of the forward sum: one ray
-constexpr int kInFlight = 8;    // rows that a warp asks for before it adds the first
-constexpr int kRowsAtOnce = 4;  // the same of the backward kernel, which has more warps
+constexpr int kWarps = 4;     // a block of the forward sum: one ray
+constexpr int kInFlight = 8;  // rows that a warp asks for before it adds the first
+// The same of the backward kernel, which has more warps: 16 channels of a lane.
+template <int kVec>
+constexpr int kRowsAtOnce = kVec == 8 ? 2 : 4;
 constexpr int kBackWarps = 8;   // a block of the backward kernel
 constexpr int kBackBlocks = 3;  // of a multiprocessor, as many as its registers hold without spills
 
@@ -131,16 +133,16 @@ __global__ void __launch_bounds__(kBackWarps* kWarp, kBackBlocks)
   using Row = Lanes<kBeside, kVec>;
   const Row at;
   const std::int64_t warp = static_cast<std::int64_t>(blockIdx.x) * kBackWarps + threadIdx.x / kWarp;
-  const std::int64_t first_row = warp * kRowsAtOnce * kBeside + at.part;
+  const std::int64_t first_row = warp * kRowsAtOnce<kVec> * kBeside + at.part;
   const std::int64_t rays = samples.first.rows - 1;
   const std::int64_t live_rows = samples.first(d_out.rows < rays ? d_out.rows : rays, 0);
   const std::int32_t cols = d_hidden.empty() ? hidden.cols : d_hidden.cols;
   const bool with_dots = !dots.empty(), reads_hidden = with_dots || call.relu_output;
-  float w[kRowsAtOnce];
-  const float* grad[kRowsAtOnce];
-  double dot[kRowsAtOnce] = {};
+  float w[kRowsAtOnce<kVec>];
+  const float* grad[kRowsAtOnce<kVec>];
+  double dot[kRowsAtOnce<kVec>] = {};
 #pragma unroll
-  for (int i = 0; i < kRowsAtOnce; ++i) {
+  for (int i = 0; i < kRowsAtOnce<kVec>; ++i) {
     const std::int64_t m = first_row + i * kBeside;
     w[i] = 0;
     grad[i] = nullptr;
@@ -151,16 +153,16 @@ __global__ void __launch_bounds__(kBackWarps* kWarp, kBackBlocks)
   for (std::int32_t base = 0; base < cols; base += Row::kColumns) {
     const std::int32_t column = base + at.column;
     if (column >= cols) continue;
-    Channels<kVec> row[kRowsAtOnce], slope[kRowsAtOnce];
+    Channels<kVec> row[kRowsAtOnce<kVec>], slope[kRowsAtOnce<kVec>];
 #pragma unroll
-    for (int i = 0; i < kRowsAtOnce; ++i) {
+    for (int i = 0; i < kRowsAtOnce<kVec>; ++i) {
       row[i] = slope[i] = {};
       if (grad[i] == nullptr) continue;
       if (reads_hidden) row[i] = load<kVec>(hidden.row(first_row + i * kBeside) + column);
       slope[i] = load<kVec>(grad[i] + column);
     }
 #pragma unroll
-    for (int i = 0; i < kRowsAtOnce; ++i) {
+    for (int i = 0; i < kRowsAtOnce<kVec>; ++i) {
       const std::int64_t m = first_row + i * kBeside;
       float product = 0;
       for (int v = 0; v < kVec; ++v) product += slope[i].v[v] * row[i].v[v];
@@ -173,27 +175,43 @@ __global__ void __launch_bounds__(kBackWarps* kWarp, kBackBlocks)
   }
   if (!with_dots) return;
 #pragma unroll
-  for (int i = 0; i < kRowsAtOnce; ++i) {
+  for (int i = 0; i < kRowsAtOnce<kVec>; ++i) {
     for (int offset = Row::kOfRow / 2; offset > 0; offset /= 2) dot[i] += __shfl_xor_sync(kFullMask, dot[i], offset);
     if (at.column == 0 && grad[i] != nullptr) dots(first_row + i * kBeside, 0) = static_cast<float>(dot[i]);
   }
 }
 
-// Whether rows of a view can be read four channels at a time.
+// Whether rows of a view can be read so many channels at a time.
 template <class T>
-bool by_fours(const View<T>& view) {
-  return view.empty() || (view.cols % 4 == 0 && view.row_stride % 4 == 0 &&
-                          reinterpret_cast<std::uintptr_t>(view.data) % (4 * sizeof(T)) == 0);
+bool by(int channels, const View<T>& view) {
+  return view.empty() ||
+         (view.cols % channels == 0 && view.row_stride % channels == 0 &&
+          reinterpret_cast<std::uintptr_t>(view.data) % (static_cast<unsigned>(channels) * sizeof(T)) == 0);
 }
+template <class... Views>
+int channels_at_once(int most, const Views&... views) {
+  for (int channels = most; channels > 1; channels /= 2) {
+    if (channels != 2 && (by(channels, views) && ...)) return channels;
+  }
+  return 1;
+}
+// 16 bytes of the type that most of the bytes have.
+template <class Act>
+constexpr int kMostAtOnce = std::is_same_v<Act, float> ? 4 : 8;
 
 // Calls f with the numbers that suit `cols` channels: rows beside each other, channels of a lane.
 template <class F>
-void for_width(std::int32_t cols, bool fours, const F& f) {
+void for_width(std::int32_t cols, int channels, const F& f) {
   using std::integral_constant;
-  if (!fours) return f(integral_constant<int, 1>(), integral_constant<int, 1>());
-  if (cols <= 32) return f(integral_constant<int, 4>(), integral_constant<int, 4>());
-  if (cols <= 64) return f(integral_constant<int, 2>(), integral_constant<int, 4>());
-  return f(integral_constant<int, 1>(), integral_constant<int, 4>());
+  const auto beside = [&](auto vec) {
+    const int lanes = (cols + vec.value - 1) / vec.value;
+    if (lanes <= 8) return f(integral_constant<int, 4>(), vec);
+    if (lanes <= 16) return f(integral_constant<int, 2>(), vec);
+    return f(integral_constant<int, 1>(), vec);
+  };
+  if (channels == 8) return beside(integral_constant<int, 8>());
+  if (channels == 4) return beside(integral_constant<int, 4>());
+  return f(integral_constant<int, 1>(), integral_constant<int, 1>());
 }
 
 }  // namespace
@@ -201,7 +219,7 @@ void for_width(std::int32_t cols, bool fours, const F& f) {
 template <class Act>
 void hidden_forward(const Samples<float>& samples, View<const float> weight, View<const Act> hidden, View<float> out) {
   if (out.rows == 0) return;
-  for_width(out.cols, by_fours(hidden) && by_fours(out), [&](auto beside, auto vec) {
+  for_width(out.cols, channels_at_once(kMostAtOnce<Act>, hidden, out), [&](auto beside, auto vec) {
     forward_kernel<beside.value, vec.value, Act>
         <<<static_cast<unsigned>(out.rows), kWarps * kWarp, 0, launch().stream>>>(samples.first, weight, hidden, out);
   });
@@ -214,11 +232,10 @@ void hidden_backward(const Samples<float>& samples, const HiddenBackward<Act>& c
       std::max(call.d_hidden.empty() ? 0 : call.d_hidden.rows, call.dots.empty() ? 0 : call.hidden.rows);
   if (rows == 0) return;
   const std::int32_t cols = call.d_hidden.empty() ? call.hidden.cols : call.d_hidden.cols;
-  const bool fours = by_fours(call.hidden) && by_fours(call.d_out) && by_fours(call.d_hidden);
-  for_width(cols, fours, [&](auto beside, auto vec) {
-    backward_kernel<beside.value, vec.value, Act>
-        <<<blocks_of(rows, kBackWarps * kRowsAtOnce * beside.value), kBackWarps * kWarp, 0, launch().stream>>>(samples,
-                                                                                                               call);
+  const int channels = channels_at_once(kMostAtOnce<Act>, call.hidden, call.d_out, call.d_hidden);
+  for_width(cols, channels, [&](auto beside, auto vec) {
+    backward_kernel<beside.value, vec.value, Act><<<blocks_of(rows, kBackWarps * kRowsAtOnce<vec.value> * beside.value),
+                                                    kBackWarps * kWarp, 0, launch().stream>>>(samples, call);
   });
   check_launch("gradient of hidden channels");
 }

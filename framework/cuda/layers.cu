@@ -184,6 +184,7 @@ __global__ void add_partials_kernel(View<const float> partial, View<float> sums)
 // thread, so a warp moves 512 bytes at a time; groups of threads that share columns are added in order at the end.
 // partial [blocks, cols].
 constexpr int kMaskedColumns = 8;
+template <bool kMask>
 __global__ void mask_and_sum_kernel(const std::uint8_t* mask, std::int64_t mask_stride, View<__nv_bfloat16> dx,
                                     std::int64_t rows_each, View<float> partial) {
   extern __shared__ float share[];  // [groups][cols]
@@ -198,13 +199,13 @@ __global__ void mask_and_sum_kernel(const std::uint8_t* mask, std::int64_t mask_
     for (std::int64_t row = begin + group; row < end; row += groups) {
       auto* const place = reinterpret_cast<Pack<__nv_bfloat16, kMaskedColumns>*>(dx.row(row) + at * kMaskedColumns);
       Pack<__nv_bfloat16, kMaskedColumns> value = *place;
-      const unsigned bits = mask[row * mask_stride + at];
+      const unsigned bits = kMask ? mask[row * mask_stride + at] : 0xFFu;
 #pragma unroll
       for (int k = 0; k < kMaskedColumns; ++k) {
         if ((bits >> k & 1u) == 0) value.v[k] = from_float<__nv_bfloat16>(0);
         sum[k] += to_float(value.v[k]);
       }
-      *place = value;
+      if (kMask) *place = value;
     }
 #pragma unroll
     for (int k = 0; k < kMaskedColumns; ++k) share[group * dx.cols + at * kMaskedColumns + k] = sum[k];
@@ -291,9 +292,38 @@ void finish_layer(View<const float> bias, Activation activation, View<Act> y, st
   check_launch("bias and activation");
 }
 
+namespace {
+
+// mask null: sums alone.
+void sum_by_eights(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
+  constexpr std::int64_t kLeastRows = 64;
+  const std::int64_t parts = std::min<std::int64_t>(8 * multiprocessors(), (dx.rows + kLeastRows - 1) / kLeastRows);
+  const std::int64_t rows_each = (dx.rows + parts - 1) / parts;
+  const int threads_a_row = dx.cols / kMaskedColumns;
+  const int threads = std::max(kThreads, threads_a_row) / threads_a_row * threads_a_row;
+  const std::size_t shared = sizeof(float) * static_cast<std::size_t>(threads) * kMaskedColumns;
+  const Workspace::Scope scope(arena);
+  const View<float> partial = arena.take<float>(parts, dx.cols);
+  const auto kernel = mask != nullptr ? mask_and_sum_kernel<true> : mask_and_sum_kernel<false>;
+  kernel<<<static_cast<unsigned>(parts), static_cast<unsigned>(threads), shared, launch().stream>>>(
+      reinterpret_cast<const std::uint8_t*>(mask), mask_stride_bits(dx.cols) / 8, dx, rows_each, partial);
+  check_launch("mask and column sums");
+  if (!sums.empty()) add_partials(partial.col_range(0, sums.cols), sums);
+}
+
+}  // namespace
+
 template <class Act>
 void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
   if (dz.size() == 0) return;
+  if constexpr (std::is_same_v<Act, __nv_bfloat16>) {
+    constexpr int kMostColumns = 1024 * kMaskedColumns;
+    if (dz.cols % kMaskedColumns == 0 && dz.cols <= kMostColumns && dz.row_stride % kMaskedColumns == 0 &&
+        reinterpret_cast<std::uintptr_t>(dz.data) % 16 == 0) {
+      const View<Act> rows(const_cast<Act*>(dz.data), dz.rows, dz.cols, dz.row_stride, dz.device);
+      return sum_by_eights(nullptr, rows, sums, arena);
+    }
+  }
   constexpr std::int64_t kMostParts = 1024;
   constexpr std::int64_t kLeastRows = 64;
   const std::int64_t parts = std::min<std::int64_t>(kMostParts, (dz.rows + kLeastRows - 1) / kLeastRows);
@@ -306,19 +336,7 @@ void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
 }
 
 void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
-  if (dx.size() == 0) return;
-  constexpr std::int64_t kLeastRows = 64;
-  const std::int64_t parts = std::min<std::int64_t>(8 * multiprocessors(), (dx.rows + kLeastRows - 1) / kLeastRows);
-  const std::int64_t rows_each = (dx.rows + parts - 1) / parts;
-  const int threads_a_row = dx.cols / kMaskedColumns;
-  const int threads = std::max(kThreads, threads_a_row) / threads_a_row * threads_a_row;
-  const std::size_t shared = sizeof(float) * static_cast<std::size_t>(threads) * kMaskedColumns;
-  const Workspace::Scope scope(arena);
-  const View<float> partial = arena.take<float>(parts, dx.cols);
-  mask_and_sum_kernel<<<static_cast<unsigned>(parts), static_cast<unsigned>(threads), shared, launch().stream>>>(
-      reinterpret_cast<const std::uint8_t*>(mask), mask_stride_bits(dx.cols) / 8, dx, rows_each, partial);
-  check_launch("mask and column sums");
-  if (!sums.empty()) add_partials(partial.col_range(0, sums.cols), sums);
+  if (dx.size() > 0) sum_by_eights(mask, dx, sums, arena);
 }
 
 void add_partials(View<const float> partial, View<float> sums) {

@@ -223,7 +223,7 @@ TEST_P(CudaTinyMlp, RowsBehindTheLiveOnesAreZero) {
 // shows which the tolerance of bf16 would hide.
 TEST(CudaTinyMlpFused, AgreesWithTheLayersOneByOne) {
   SEMFIELD_NEEDS_DEVICE();
-  constexpr double kOutput = 5e-3, kGradient = 2e-2;
+  constexpr double kOutput = 5e-3, kGradient = 5e-2;  // a bias's sum cancels
   for (const TinyFeature feature : {kHidden, kGeometry}) {
     for (const Network& network : {Network{{64, 1, 15, 64, 2, feature}, 32, 16, true, Precision::bf16},
                                    Network{{64, 1, 15, 64, 2, feature}, 16, 9, true, Precision::bf16},
