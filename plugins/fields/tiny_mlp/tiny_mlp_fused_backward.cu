@@ -135,9 +135,10 @@ __device__ inline void add_geometry_gradient(const Gradients& grad, bool hidden_
 
 /// A block takes 64 rows at a time. First each warp takes 16 of them through the network and back, as forward does, and
 /// leaves in shared memory what weight gradients read; then each warp adds all 64 rows to the tiles of weight gradients
-/// that it owns. At the end the block writes its sums. A row moves 4 D + 4 + 4 F + 4 + 24 bytes in and 4 D out (D = 32,
-/// F = 64: 544 bytes) and 2 . (9,728 + 8,192 + 9,728) operations (with a direction, padding included). Rows go to
-/// blocks by number alone: same bits in every run.
+/// that it owns. At the end the block writes its sums. A row moves 4 D + 4 + 4 F + 4 + 24 bytes in, 2 F where the
+/// feature's gradient comes in bf16, and 4 D out (D = 32, F = 64: 544 bytes, 416 with bf16), and takes 2 . (9,216 again
+/// + 8,704 back + 9,728 weight gradients) operations (with a direction, padding included). Rows go to blocks by number
+/// alone: same bits in every run.
 template <int kPositionTiles, int kDirectionTiles>
 __global__ void __launch_bounds__(kBackwardThreads, kResident)
     backward_kernel(const FusedCall call, const Gradients grad, float* __restrict__ partial) {
