@@ -11,6 +11,7 @@ namespace semfield::cuda {
 namespace {
 
 constexpr int kWarps = 4;     // a block of the forward sum: one ray
+constexpr int kBlocks = 8;    // of a multiprocessor: room in registers for the rows in flight
 constexpr int kInFlight = 8;  // rows that a warp asks for before it adds the first
 // The same of the backward kernel, which has more warps: 16 channels of a lane.
 template <int kVec>
@@ -68,7 +69,7 @@ constexpr unsigned every_bit() {
 // without weight. Sample: its channels and 4 B read. Order of a channel's sum: warp by warp ascending samples, then
 // warps.
 template <int kBeside, int kVec, class Act>
-__global__ void __launch_bounds__(kWarps* kWarp)
+__global__ void __launch_bounds__(kWarps* kWarp, kBlocks)
     forward_kernel(View<const std::int32_t> first, View<const float> weight, View<const Act> hidden, View<float> out) {
   using Row = Lanes<kBeside, kVec>;
   __shared__ Channels<kVec> of_warp[kWarps][Row::kOfRow];
