@@ -246,9 +246,9 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
 
   const DeviceMatrix<float> d_wc(std::vector<float>(128 * 3, 1.0F), 3), d_bc(std::vector<float>(3, 1.0F), 3);
   cuda::fused::HeadGradient color;
-  color.x = net.hidden.data(), color.cols = 128, color.d = d_rgb.view(), color.y = net.rgb.view();
+  color.x = net.hidden.data(), color.d = d_rgb.view(), color.y = net.rgb.view();
   color.d_weight = d_wc.view(), color.d_bias = d_bc.view();
-  cuda::fused::head_gradient(color, net.launch.arena());
+  cuda::fused::head_gradients({}, color, net.launch.arena());
   std::vector<double> weight(128 * 3, 1), bias(3, 1);
   for (std::int64_t m = 0; m < net.kRows; ++m) {
     for (int c = 0; c < 3; ++c) {
@@ -263,9 +263,9 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
 
   const DeviceMatrix<float> d_wd(std::vector<float>(256, 1.0F), 1), d_bd(std::vector<float>(1, 1.0F), 1);
   cuda::fused::HeadGradient density;
-  density.x = net.trunk.data() + 2 * net.kAll * 256, density.cols = 256, density.d = d_sigma.view();
+  density.x = net.trunk.data() + 2 * net.kAll * 256, density.d = d_sigma.view();
   density.d_weight = d_wd.view(), density.d_bias = d_bd.view();
-  cuda::fused::head_gradient(density, net.launch.arena());
+  cuda::fused::head_gradients(density, {}, net.launch.arena());
   const std::vector<double> h = net.layer(net.trunk, 2);
   weight.assign(256, 1);
   bias.assign(1, 1);

@@ -253,34 +253,30 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
   }
   fused::input_gradient(call);
   weights_backward(s, t, call.blocks, kept, call, arena);
+  fused::HeadGradient density, color;
   if (!grad.sigma.empty()) {
-    fused::HeadGradient density;
     density.x = kept.trunk + (s.depth - 1) * rows * fused::kWidth;
-    density.cols = fused::kWidth;
     density.d = grad.sigma;
     density.d_weight = grad_of(t, s.density.weight);
     density.d_bias = grad_of(t, s.density.bias);
-    fused::head_gradient(density, arena);
   }
   if (with_color) {
-    fused::HeadGradient color;
     color.x = kept.hidden;
-    color.cols = fused::kView;
     color.d = grad.rgb;
     color.y = out.rgb;
     color.d_weight = grad_of(t, s.color.weight);
     color.d_bias = grad_of(t, s.color.bias);
-    fused::head_gradient(color, arena);
-    if (s.has_direction()) {
-      const View<float> d_term = arena.take<float>(in.direction.rows, fused::kView);
-      fused::per_ray_sums(call.d_hidden, in.ray_of_sample, d_term);
-      LinearBackward<float, float> of_ray;
-      of_ray.x = in.direction;
-      of_ray.dz = d_term;
-      of_ray.d_weight = grad_of(t, s.view.weight).row_range(s.width, s.direction_dims);
-      of_ray.d_bias = grad_of(t, s.folds() ? s.folded.bias : s.view.bias);
-      linear_backward(of_ray, arena);
-    }
+  }
+  fused::head_gradients(density, color, arena);
+  if (with_color && s.has_direction()) {
+    const View<float> d_term = arena.take<float>(in.direction.rows, fused::kView);
+    fused::per_ray_sums(call.d_hidden, in.ray_of_sample, d_term);
+    LinearBackward<float, float> of_ray;
+    of_ray.x = in.direction;
+    of_ray.dz = d_term;
+    of_ray.d_weight = grad_of(t, s.view.weight).row_range(s.width, s.direction_dims);
+    of_ray.d_bias = grad_of(t, s.folds() ? s.folded.bias : s.view.bias);
+    linear_backward(of_ray, arena);
   }
   if (!d_position.empty()) position_backward(s, t, call.blocks, call.d_trunk, d_position, arena);
 }

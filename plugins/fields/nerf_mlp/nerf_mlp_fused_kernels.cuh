@@ -84,13 +84,14 @@ void unpack(const __nv_bfloat16* blocked, View<float> rows);
 /// d_ray_term [R, 128] = sums of blocked d_hidden over each ray's samples in use.
 void per_ray_sums(const __nv_bfloat16* d_hidden, View<const std::int32_t> ray_of_sample, View<float> d_ray_term);
 
-/// d_weight [cols, 1 or 3], d_bias += X^T g, column sums of g; X blocked; g = d, or d y (1 - y) with y given.
+/// d_weight, d_bias += X^T g, column sums of g; X blocked; g = d, or d y (1 - y) with y given. Weights and biases are
+/// whole tensors.
 struct HeadGradient {
   const __nv_bfloat16* x = nullptr;
-  int cols = 0;
-  View<const float> d, y;
+  View<const float> d, y;  ///< d empty: nothing is added
   View<float> d_weight, d_bias;
 };
-void head_gradient(const HeadGradient& call, Workspace& arena);
+/// density: X [64 blocks, 256], d_weight [256, 1]; color: X [64 blocks, 128], d_weight [128, 3].
+void head_gradients(const HeadGradient& density, const HeadGradient& color, Workspace& arena);
 
 }  // namespace semfield::cuda::fused

@@ -1,8 +1,6 @@
 // What the fused kernels read and leave, in their layouts: weights in slabs, the position in blocks; and the narrow
 // sums over blocked activations.
-#include "core/error.h"
 #include "cuda/device_code.cuh"
-#include "cuda/layers.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 #include "fields/nerf_mlp/nerf_mlp_math.h"
@@ -71,17 +69,17 @@ __global__ void unpack_kernel(const __nv_bfloat16* blocked, View<float> rows) {
   rows(row, col) = __bfloat162float(blocked[blocked_at(row, col, rows.cols)]);
 }
 
-// First of `count` ascending numbers that is not below `value`.
+// First of `count` ascending numbers that is not below `value`: a warp looks at 32 of them at a time.
 __device__ inline std::int64_t lower_bound(const View<const std::int32_t>& numbers, std::int64_t count,
                                            std::int64_t value) {
+  const auto lane = static_cast<std::int64_t>(threadIdx.x % kWarp);
   std::int64_t low = 0, high = count;
   while (low < high) {
-    const std::int64_t middle = (low + high) / 2;
-    if (numbers(middle, 0) < value) {
-      low = middle + 1;
-    } else {
-      high = middle;
-    }
+    const std::int64_t stride = (high - low + kWarp) / (kWarp + 1), probe = low + (lane + 1) * stride - 1;
+    const bool below = probe < high && numbers(probe, 0) < value;
+    const int found = __popc(__ballot_sync(kFullMask, below));
+    if (found < kWarp && low + (found + 1) * stride - 1 < high) high = low + (found + 1) * stride - 1;
+    low += found * stride;
   }
   return low;
 }
@@ -92,12 +90,19 @@ __global__ void per_ray_kernel(const uint4* d_hidden, View<const std::int32_t> r
                                const std::int32_t* live_rows, View<float> d_ray_term) {
   constexpr int kVectors = kView / 8, kSlots = 8;
   __shared__ float share[kSlots][kView];
-  const std::int64_t ray = blockIdx.x, live = live_count(live_rows, rows);
-  const std::int64_t begin = lower_bound(ray_of_sample, live, ray), end = lower_bound(ray_of_sample, live, ray + 1);
+  __shared__ std::int64_t ends[2];
+  const std::int64_t ray = blockIdx.x;
+  const auto warp = static_cast<int>(threadIdx.x) / kWarp;
+  if (warp < 2) {
+    const std::int64_t place = lower_bound(ray_of_sample, live_count(live_rows, rows), ray + warp);
+    if (threadIdx.x % kWarp == 0) ends[warp] = place;
+  }
+  __syncthreads();
+  const std::int64_t begin = ends[0], end = ends[1];
   // Lanes of 8 neighbouring rows read 128 contiguous bytes.
   const int slot = static_cast<int>(threadIdx.x) % kSlots, vector = static_cast<int>(threadIdx.x) / kSlots;
   float sum[8] = {};
-#pragma unroll 4
+#pragma unroll 8
   for (std::int64_t row = begin + slot; row < end; row += kSlots) {
     Eight eight;
     eight.bits = d_hidden[blocked_at(row, vector * 8, kView) / 8];
@@ -181,26 +186,58 @@ __global__ void __launch_bounds__(kPackThreads, 2)
   }
 }
 
+// A head's parts [ranges, cols (1 or 3)] with the bias in the last columns, and where their sums go.
+struct HeadParts {
+  View<float> partial;
+  float *weight = nullptr, *bias = nullptr;
+  std::int32_t weights = 0;
+};
+struct BothHeadParts {
+  HeadParts all[2];
+};
+
+// blockIdx.y: head; a block of 32 x 32 threads 32 columns: thread (x, y) the parts y, y + 32, ..., then those 32 sums
+// in order.
+__global__ void add_head_parts_kernel(const __grid_constant__ BothHeadParts heads) {
+  __shared__ float share[kWarp][kWarp + 1];
+  const HeadParts& head = heads.all[blockIdx.y];
+  const auto x = static_cast<std::int32_t>(threadIdx.x), y = static_cast<std::int32_t>(threadIdx.y);
+  const std::int32_t col = static_cast<std::int32_t>(blockIdx.x) * kWarp + x;
+  float sum = 0;
+  if (col < head.partial.cols) {
+#pragma unroll 8
+    for (std::int64_t part = y; part < head.partial.rows; part += kWarp) sum += head.partial(part, col);
+  }
+  share[y][x] = sum;
+  __syncthreads();
+  if (y > 0 || col >= head.partial.cols) return;
+  float total = 0;
+  for (int k = 0; k < kWarp; ++k) total += share[k][x];
+  (col < head.weights ? head.weight[col] : head.bias[col - head.weights]) += total;
+}
+
 int terms_of(const Slabs& s) { return static_cast<int>(s.transposed ? s.weight.cols : s.weight.rows); }
 int padded_terms(const Slabs& s) { return (terms_of(s) + kPackedTerms - 1) / kPackedTerms * kPackedTerms; }
 std::size_t packed_bytes(const Slabs& s) {
   return static_cast<std::size_t>(padded_terms(s) * s.columns) * sizeof(__nv_bfloat16);
 }
 
-View<float> flat(View<float> m) { return View<float>(m.data, 1, static_cast<std::int32_t>(m.size()), -1, m.device); }
-
 template <int kCols, int kChannelsOf>
-void head_gradient_of(const HeadGradient& call, Workspace& arena) {
-  constexpr std::int64_t kMostBlocks = 1024, kLeastRows = 256;
-  const std::int64_t wanted = std::min<std::int64_t>(kMostBlocks, (call.d.rows + kLeastRows - 1) / kLeastRows);
+HeadParts head_parts(const HeadGradient& call, Workspace& arena) {
+  constexpr std::int64_t kLeastRows = 256;
+  const std::int64_t wanted =
+      std::min<std::int64_t>(2 * multiprocessors(), (call.d.rows + kLeastRows - 1) / kLeastRows);
   const std::int64_t rows_each = ((call.d.rows + wanted - 1) / wanted + 7) / 8 * 8;
-  const std::int64_t blocks = (call.d.rows + rows_each - 1) / rows_each;
-  const View<float> partial = arena.take<float>(blocks, (kCols + 1) * kChannelsOf);
-  head_gradient_kernel<kCols, kChannelsOf><<<static_cast<unsigned>(blocks), kPackThreads, 0, launch().stream>>>(
-      reinterpret_cast<const uint4*>(call.x), call.d, call.y, rows_each, partial);
+  HeadParts parts;
+  parts.partial = arena.take<float>((call.d.rows + rows_each - 1) / rows_each, (kCols + 1) * kChannelsOf);
+  parts.weight = call.d_weight.data;
+  parts.bias = call.d_bias.data;
+  parts.weights = kCols * kChannelsOf;
+  head_gradient_kernel<kCols, kChannelsOf>
+      <<<static_cast<unsigned>(parts.partial.rows), kPackThreads, 0, launch().stream>>>(
+          reinterpret_cast<const uint4*>(call.x), call.d, call.y, rows_each, parts.partial);
   check_launch("nerf_mlp gradients of a head");
-  add_partials(partial.col_range(0, kCols * kChannelsOf), flat(call.d_weight));
-  add_partials(partial.col_range(kCols * kChannelsOf, kChannelsOf), call.d_bias);
+  return parts;
 }
 
 }  // namespace
@@ -246,16 +283,17 @@ void per_ray_sums(const __nv_bfloat16* d_hidden, View<const std::int32_t> ray_of
   check_launch("nerf_mlp sums over rays");
 }
 
-void head_gradient(const HeadGradient& call, Workspace& arena) {
-  if (call.d.rows == 0) return;
+void head_gradients(const HeadGradient& density, const HeadGradient& color, Workspace& arena) {
   const Workspace::Scope scope(arena);
-  if (call.cols == kWidth && call.d.cols == 1) {
-    head_gradient_of<kWidth, 1>(call, arena);
-  } else if (call.cols == kView && call.d.cols == kChannels) {
-    head_gradient_of<kView, kChannels>(call, arena);
-  } else {
-    throw Error(ErrorKind::internal, "a head's gradient of a shape that the fused kernel has not");
-  }
+  BothHeadParts heads;
+  unsigned count = 0;
+  if (density.d.rows > 0) heads.all[count++] = head_parts<kWidth, 1>(density, arena);
+  if (color.d.rows > 0) heads.all[count++] = head_parts<kView, kChannels>(color, arena);
+  if (count == 0) return;
+  const dim3 grid(blocks_of((kView + 1) * kChannels, kWarp), count);
+  static_assert((kView + 1) * kChannels >= kWidth + 1);
+  add_head_parts_kernel<<<grid, dim3(kWarp, kWarp), 0, launch().stream>>>(heads);
+  check_launch("nerf_mlp sums of heads");
 }
 
 }  // namespace semfield::cuda::fused
