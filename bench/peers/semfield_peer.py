@@ -244,7 +244,6 @@ class Step:
             raise ValueError("tf32 is a mode of CUDA devices")
         if mode == "bf16_compile" and not hasattr(torch, "compile"):
             raise ValueError("torch.compile needs PyTorch 2 or later, this is " + torch.__version__)
-        torch.backends.cuda.matmul.allow_tf32 = mode == "tf32"
         self.autocast = mode.startswith("bf16")
         # Activations of a chunk; on a GPU everything at once, on a CPU few enough to stay near the caches.
         self.chunk = chunk or (rays if device == "cuda" or net == "hash" else 128)
@@ -257,7 +256,8 @@ class Step:
         rate = 5e-4 if net == "paper" else 1e-2
         # Few large updates beat one loop over all parameters on a GPU; on a CPU `foreach` saves the overhead of calls.
         self.optimiser = torch.optim.Adam(parameters, lr=rate, foreach=True)
-        self.run = [torch.compile(m) if mode == "bf16_compile" else m for m in self.models]
+        # Each net sees one shape: kernels for just that shape are the fastest.
+        self.run = [torch.compile(m, dynamic=False) if mode == "bf16_compile" else m for m in self.models]
         direction = F.normalize(torch.randn(self.POOL, 3), dim=1)
         origin = torch.rand(self.POOL, 3) * 0.5 - 0.25
         to_wall = ((torch.sign(direction) * 0.5 - origin) / direction).amin(1, keepdim=True)
@@ -309,6 +309,7 @@ class Step:
 
     def seconds(self, steps=1):
         """Mean seconds of `steps` steps."""
+        torch.backends.cuda.matmul.allow_tf32 = self.mode == "tf32"  # of the process: cases take turns
         if self.device.type == "cuda":
             torch.cuda.synchronize()
         begin = time.perf_counter()

@@ -54,17 +54,18 @@ View<const float> view_weight(const NerfMlpShape& s, const Tensors<float>& t) {
 }
 
 std::byte* forward_slabs(const NerfMlpShape& s, const Tensors<float>& t, bool with_color, Workspace& arena) {
+  constexpr int kWhole = fused::kWidth / fused::kTerms;
   std::array<fused::Slabs, fused::kMostSlabs> all;
   int count = 0;
-  const auto add = [&](View<const float> weight, int columns) {
-    all[static_cast<std::size_t>(count++)] = {weight, false, columns};
+  const auto add = [&](View<const float> weight, int columns, int slabs) {
+    all[static_cast<std::size_t>(count++)] = {weight, false, columns, slabs};
   };
   for (int i = 0; i < s.depth; ++i) {
     const View<const float> weight = value(t, s.trunk[static_cast<std::size_t>(i)].weight);
-    if (i == 0 || i == s.skip_at) add(weight.row_range(0, s.position_dims), fused::kWidth);
-    if (i > 0) add(of_layer_below(s, t, i), fused::kWidth);
+    if (i == 0 || i == s.skip_at) add(weight.row_range(0, s.position_dims), fused::kWidth, 1);
+    if (i > 0) add(of_layer_below(s, t, i), fused::kWidth, kWhole);
   }
-  if (with_color) add(view_weight(s, t), fused::kView);
+  if (with_color) add(view_weight(s, t), fused::kView, kWhole);
   std::byte* const slabs = arena.take_bytes(fused::slab_bytes(all, count));
   fused::pack_slabs(all, count, slabs);
   return slabs;
@@ -74,7 +75,7 @@ std::byte* backward_slabs(const NerfMlpShape& s, const Tensors<float>& t, bool w
   std::array<fused::Slabs, fused::kMostSlabs> all;
   int count = 0;
   const auto add = [&](View<const float> weight) {
-    all[static_cast<std::size_t>(count++)] = {weight, true, fused::kWidth};
+    all[static_cast<std::size_t>(count++)] = {weight, true, fused::kWidth, weight.cols / fused::kTerms};
   };
   if (with_color) add(view_weight(s, t));
   for (int i = s.depth - 1; i > 0; --i) add(of_layer_below(s, t, i));

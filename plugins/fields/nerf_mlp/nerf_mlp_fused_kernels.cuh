@@ -65,12 +65,12 @@ struct WeightGradients {
 /// One launch for all, and one that adds the blocks' parts in order.
 void weight_gradients(const WeightGradients& call, Workspace& arena);
 
-/// Weights as the kernels stream them: [terms / 8][columns / 8][8 columns][8 terms] of bf16, terms padded to a multiple
-/// of 64. An element is weight(term, column), or weight(column, term) with `transposed`; terms beyond the matrix are 0.
+/// Slabs of weights: [terms / 8][columns / 8][8 columns][8 terms] of bf16 for 64 terms each. An element is weight(term,
+/// column), or weight(column, term) with `transposed`; terms beyond the matrix are 0.
 struct Slabs {
   View<const float> weight;
   bool transposed = false;
-  int columns = 0;
+  int columns = 0, slabs = 0;
 };
 inline constexpr int kMostSlabs = kMostLayers + 2;
 /// Packs all one behind the other; returns what they take in bytes.

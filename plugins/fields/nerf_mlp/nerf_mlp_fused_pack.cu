@@ -25,7 +25,7 @@ struct SlabJob {
   const float* from;
   std::int64_t stride;
   std::byte* to;
-  int terms, padded_terms, columns;
+  int terms, columns, slabs;
   bool transposed;
 };
 struct SlabJobs {
@@ -36,7 +36,7 @@ struct SlabJobs {
 __global__ void pack_slabs_kernel(const __grid_constant__ SlabJobs jobs) {
   const SlabJob& job = jobs.all[blockIdx.y];
   const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (i >= job.padded_terms / 8 * job.columns) return;
+  if (i >= job.slabs * (kTerms / 8) * job.columns) return;
   const int column = i % job.columns, term = i / job.columns * 8;
   Eight eight;
 #pragma unroll
@@ -216,12 +216,6 @@ __global__ void add_head_parts_kernel(const __grid_constant__ BothHeadParts head
   (col < head.weights ? head.weight[col] : head.bias[col - head.weights]) += total;
 }
 
-int terms_of(const Slabs& s) { return static_cast<int>(s.transposed ? s.weight.cols : s.weight.rows); }
-int padded_terms(const Slabs& s) { return (terms_of(s) + kPackedTerms - 1) / kPackedTerms * kPackedTerms; }
-std::size_t packed_bytes(const Slabs& s) {
-  return static_cast<std::size_t>(padded_terms(s) * s.columns) * sizeof(__nv_bfloat16);
-}
-
 template <int kCols, int kChannelsOf>
 HeadParts head_parts(const HeadGradient& call, Workspace& arena) {
   constexpr std::int64_t kLeastRows = 256;
@@ -244,7 +238,10 @@ HeadParts head_parts(const HeadGradient& call, Workspace& arena) {
 
 std::size_t slab_bytes(const std::array<Slabs, kMostSlabs>& all, int count) {
   std::size_t bytes = 0;
-  for (int i = 0; i < count; ++i) bytes += packed_bytes(all[static_cast<std::size_t>(i)]);
+  for (int i = 0; i < count; ++i) {
+    const Slabs& s = all[static_cast<std::size_t>(i)];
+    bytes += static_cast<std::size_t>(s.slabs * s.columns) * kTerms * sizeof(__nv_bfloat16);
+  }
   return bytes;
 }
 
@@ -253,9 +250,10 @@ void pack_slabs(const std::array<Slabs, kMostSlabs>& all, int count, std::byte* 
   int most = 0;
   for (int i = 0; i < count; ++i) {
     const Slabs& s = all[static_cast<std::size_t>(i)];
-    jobs.all[i] = {s.weight.data, s.weight.row_stride, to, terms_of(s), padded_terms(s), s.columns, s.transposed};
-    to += packed_bytes(s);
-    most = std::max(most, padded_terms(s) / 8 * s.columns);
+    const auto terms = static_cast<int>(s.transposed ? s.weight.cols : s.weight.rows);
+    jobs.all[i] = {s.weight.data, s.weight.row_stride, to, terms, s.columns, s.slabs, s.transposed};
+    to += static_cast<std::size_t>(s.slabs * s.columns) * kTerms * sizeof(__nv_bfloat16);
+    most = std::max(most, s.slabs * (kTerms / 8) * s.columns);
   }
   if (most == 0) return;
   const dim3 grid(blocks_of(most, kPackThreads), static_cast<unsigned>(count));

@@ -15,7 +15,6 @@ namespace semfield::cuda::fused {
 namespace {
 
 constexpr int kHalf = 128;  // columns of B that a warpgroup multiplies
-constexpr int kStages = 4;
 constexpr int kSumWarps = 2;
 constexpr std::uint32_t kStageBytes = kRows * (kWidth + kHalf) * 2;
 constexpr int kMostJobs = 2 * kMostGradients;
@@ -140,9 +139,10 @@ __device__ void sum_columns(const Job& job, float* parts, std::int64_t turns, St
         if (i >= turns_of_columns) break;
 #pragma unroll
         for (std::uint32_t r = 0; r < kRows / 8; ++r) {
-          const uint4 four =
-              hopper::load_shared(b + r * row_step(job.take) + static_cast<std::uint32_t>(i) * 8 * kBlockBytes);
-          const std::uint32_t word[4] = {four.x, four.y, four.z, four.w};
+          std::uint32_t word[4];
+          asm volatile("ld.shared.v4.u32 {%0, %1, %2, %3}, [%4];"
+                       : "=r"(word[0]), "=r"(word[1]), "=r"(word[2]), "=r"(word[3])
+                       : "r"(b + r * row_step(job.take) + static_cast<std::uint32_t>(i) * 8 * kBlockBytes));
 #pragma unroll
           for (int k = 0; k < 4; ++k) {
             sum[i][2 * k] += __uint_as_float(word[k] << 16);
