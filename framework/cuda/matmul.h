@@ -4,6 +4,7 @@
 #include <cuda_bf16.h>
 
 #include <cstdint>
+#include <span>
 #include <type_traits>
 
 #include "core/view.h"
@@ -69,7 +70,19 @@ struct Product {
 /// streams that compute products at the same time are not supported.
 bool product(const Product& p);
 
-/// The same by a plain kernel of ours, Epilogue::none: one thread an element, terms in order.
+/// D = C + A B + A2 B2 (+ D with `add`), all fp32; C, A and B, A2 and B2 may be absent.
+struct SmallProduct {
+  Matrix a, b, a2, b2;
+  View<const float> c;
+  View<float> d;
+  bool add = false;
+};
+/// Products of some hundred rows, columns and terms that do not depend on each other, in one launch: where cuBLASLt's
+/// launches would take longer than the products. Terms in order.
+inline constexpr int kMostSmallProducts = 4;
+void small_products(std::span<const SmallProduct> products);
+
+/// `product` by a plain kernel of ours, Epilogue::none: one thread an element, terms in order.
 void simple_product(const Product& p);
 
 }  // namespace semfield::cuda

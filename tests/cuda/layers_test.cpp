@@ -115,6 +115,30 @@ TEST(CudaProduct, IsTheProductInFp32) {
   expect_products<float, float>(3e-6, true);
 }
 
+TEST(CudaProduct, SmallOnesRunSeveralInALaunch) {
+  SEMFIELD_NEEDS_DEVICE();
+  const DeviceLaunch launch;
+  // D1 = A B; D2 = C + A2^T B2 + u v^T, added to what is there; D3 = C.
+  const Case<float, float> first({70, 33, 65}), second({33, 40, 129, true, false, true, 3});
+  const std::vector<float> u = random_floats(33, 5, -1, 1), v = random_floats(40, 6, -1, 1);
+  const std::vector<float> c = random_floats(33 * 40, 7, -1, 1);
+  const DeviceMatrix<float> column(u, 33), row(v, 40), start(c, 40), copy(33, 40);
+  cuda::SmallProduct products[3];
+  products[0].a = first.product.a, products[0].b = first.product.b, products[0].d = first.d.view();
+  products[1].a = second.product.a, products[1].b = second.product.b, products[1].d = second.d.view();
+  products[1].a2 = Matrix(column.view(), true), products[1].b2 = Matrix(row.view());
+  products[1].c = start.view(), products[1].add = true;
+  products[2].c = start.view(), products[2].d = copy.view();
+  cuda::small_products(products);
+  std::vector<double> want = second.want;
+  for (std::size_t i = 0; i < want.size(); ++i) want[i] += double{c[i]} + double{u[i / 40]} * v[i % 40];
+  const std::vector<double> got_first = read(first.d), got_second = read(second.d);
+  EXPECT_EQ((testkit::compare<double, double>(host_view(got_first, 33), host_view(first.want, 33), 1e-6, 8)), "");
+  EXPECT_EQ((testkit::compare<double, double>(host_view(got_second, 40), host_view(want, 40), 1e-6, 11)), "");
+  EXPECT_EQ(copy.read(), c);
+  for (const DeviceMatrix<float>* m : {&first.d, &second.d, &copy}) EXPECT_EQ(m->surroundings(), "");
+}
+
 TEST(CudaProduct, OfBf16OperandsSumsInFp32) {
   SEMFIELD_NEEDS_DEVICE();
   const DeviceLaunch launch;

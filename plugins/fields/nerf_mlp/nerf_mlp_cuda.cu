@@ -1,7 +1,8 @@
 // CUDA kernels of the NeRF network: tables, and the derived product of feature and view layer.
 #include <cuda_bf16.h>
 
-#include "cuda/layers.h"
+#include <array>
+
 #include "cuda/matmul.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.h"
 #include "fields/nerf_mlp/nerf_mlp_layered.h"
@@ -20,26 +21,17 @@ View<float> grad_of(const Tensors<float>& t, int index) { return t.grad[static_c
 // The stored transposes stay as they are: products read a matrix either way.
 void derive(const NerfMlpShape& s, const Tensors<float>& t) {
   if (!s.folds()) return;
-  const auto derived = [&](int index) { return t.value[static_cast<std::size_t>(index)]; };
-  LinearForward<float, float> call;
-  call.weight = value(t, s.view.weight).row_range(0, s.width);
-  call.x = value(t, s.feature.weight);
-  call.y = derived(s.folded.weight);
-  linear_forward(call);
-  call.x = value(t, s.feature.bias);
-  call.bias = value(t, s.view.bias);
-  call.y = derived(s.folded.bias);
-  linear_forward(call);
-}
-
-// left right, added to sum.
-void add_product(const Matrix& left, const Matrix& right, View<float> sum) {
-  Product p;
-  p.a = left;
-  p.b = right;
-  p.d = Matrix(sum);
-  p.add = true;
-  product(p);
+  const View<const float> view_weight = value(t, s.view.weight).row_range(0, s.width);
+  std::array<SmallProduct, 2> products;
+  auto& [weight, bias] = products;
+  weight.a = Matrix(value(t, s.feature.weight));
+  weight.b = Matrix(view_weight);
+  weight.d = t.value[static_cast<std::size_t>(s.folded.weight)];
+  bias.a = Matrix(value(t, s.feature.bias));
+  bias.b = Matrix(view_weight);
+  bias.c = value(t, s.view.bias);
+  bias.d = t.value[static_cast<std::size_t>(s.folded.bias)];
+  small_products(products);
 }
 
 /// Gradients of the product and its bias become those of the factors: dW_f += dP W_vf^T, dW_vf += W_f^T dP + b_f^T dp,
@@ -48,12 +40,23 @@ void derive_backward(const NerfMlpShape& s, const Tensors<float>& t) {
   if (!s.folds() || t.grad.empty()) return;
   const View<float> d_product = grad_of(t, s.folded.weight), d_bias = grad_of(t, s.folded.bias);
   const View<const float> view_weight = value(t, s.view.weight).row_range(0, s.width);
-  const View<float> d_view_weight = grad_of(t, s.view.weight).row_range(0, s.width);
-  add_product(Matrix(d_product), Matrix(view_weight, true), grad_of(t, s.feature.weight));
-  add_product(Matrix(value(t, s.feature.weight), true), Matrix(d_product), d_view_weight);
-  add_product(Matrix(value(t, s.feature.bias), true), Matrix(d_bias), d_view_weight);
-  add_product(Matrix(d_bias), Matrix(view_weight, true), grad_of(t, s.feature.bias));
-  add_rows<float, float>(d_bias, grad_of(t, s.view.bias));
+  std::array<SmallProduct, 4> products;
+  auto& [feature_weight, view, feature_bias, view_bias] = products;
+  feature_weight.a = Matrix(d_product);
+  feature_weight.b = Matrix(view_weight, true);
+  feature_weight.d = grad_of(t, s.feature.weight);
+  view.a = Matrix(value(t, s.feature.weight), true);
+  view.b = Matrix(d_product);
+  view.a2 = Matrix(value(t, s.feature.bias), true);
+  view.b2 = Matrix(d_bias);
+  view.d = grad_of(t, s.view.weight).row_range(0, s.width);
+  feature_bias.a = Matrix(d_bias);
+  feature_bias.b = Matrix(view_weight, true);
+  feature_bias.d = grad_of(t, s.feature.bias);
+  view_bias.c = d_bias;
+  view_bias.d = grad_of(t, s.view.bias);
+  for (SmallProduct& p : products) p.add = true;
+  small_products(products);
 }
 
 constexpr NerfMlpKernels<float> kFp32{LayeredNerfMlp<float>::forward, LayeredNerfMlp<float>::backward, derive,

@@ -43,9 +43,9 @@ struct Stages {
   __device__ std::uint32_t empty() const { return full() + 8; }
   __device__ std::uint32_t at() const { return memory + count % kStages * kStageBytes; }
   __device__ std::uint32_t parity() const { return count / kStages % 2; }
-  /// This warp will not read the stage any more that was given `ago` turns before the running one.
-  __device__ void release(std::uint32_t ago) const {
-    if (threadIdx.x % 32 == 0) hopper::barrier_arrive(barriers + 16 * ((count - ago) % kStages) + 8);
+  /// This warp's products will not read the stage any more that was given before the running one.
+  __device__ void release_last() const {
+    if (threadIdx.x % kWarp == 0) hopper::barrier_arrive(barriers + 16 * ((count - 1) % kStages) + 8);
   }
 };
 
@@ -90,11 +90,11 @@ __device__ inline void accumulate(float (&acc)[2][kHalf / 2], const Job& job, in
     hopper::wgmma_commit();
     if (turn > 0) {
       hopper::wgmma_wait<1>();
-      stages.release(1);
+      stages.release_last();
     }
   }
   hopper::wgmma_wait<0>();
-  if (turns > 0) stages.release(1);
+  if (turns > 0) stages.release_last();
 }
 
 __device__ void compute(const Job& job, float* parts, std::int64_t turns, int group, Stages& stages) {
@@ -151,8 +151,7 @@ __device__ void sum_columns(const Job& job, float* parts, std::int64_t turns, St
         }
       }
     }
-    __syncwarp();
-    stages.release(0);
+    hopper::barrier_arrive(stages.empty());  // each lane for what it has read itself
   }
   if (job.bias_at < 0) return;
 #pragma unroll
@@ -175,7 +174,7 @@ __device__ void sum_columns(const Job& job, float* parts, std::int64_t turns, St
   if (threadIdx.x == 0) {
     for (std::uint32_t s = 0; s < kStages; ++s) {
       hopper::barrier_init(stages.barriers + 16 * s, 1);
-      hopper::barrier_init(stages.barriers + 16 * s + 8, kGroups * 4 + kSumWarps);
+      hopper::barrier_init(stages.barriers + 16 * s + 8, kGroups * 4 + kSumWarps * kWarp);
     }
     hopper::fence_barrier_init();
   }
