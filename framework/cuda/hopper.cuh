@@ -90,6 +90,14 @@ __device__ inline void bulk_stores_are_done() { asm volatile("cp.async.bulk.wait
 /// This thread's writes to shared memory become visible to bulk copies and matrix products; a barrier must follow.
 __device__ inline void fence_shared_writes() { asm volatile("fence.proxy.async.shared::cta;" ::: "memory"); }
 
+__device__ inline uint4 load_shared(std::uint32_t address) {
+  uint4 value;
+  asm volatile("ld.shared.v4.u32 {%0, %1, %2, %3}, [%4];"
+               : "=r"(value.x), "=r"(value.y), "=r"(value.z), "=r"(value.w)
+               : "r"(address)
+               : "memory");
+  return value;
+}
 /// Four 8 x 8 matrices of bf16 to shared memory: lane l gives the address of row l % 8 of matrix l / 8.
 __device__ inline void store_matrices(std::uint32_t address, std::uint32_t m0, std::uint32_t m1, std::uint32_t m2,
                                       std::uint32_t m3) {
@@ -102,6 +110,19 @@ __device__ inline std::uint32_t pack(float first, float second) {
   const __nv_bfloat162 both = __floats2bfloat162_rn(first, second);
   std::uint32_t bits;
   memcpy(&bits, &both, sizeof bits);
+  return bits;
+}
+
+/// The same of what is above 0, else 0; NaN stays NaN.
+__device__ inline std::uint32_t pack_positive(float first, float second) {
+  std::uint32_t bits;
+  asm("cvt.rn.relu.bf16x2.f32 %0, %1, %2;" : "=r"(bits) : "f"(second), "f"(first));
+  return bits;
+}
+/// Each half of 16 bits full of its highest bit.
+__device__ inline std::uint32_t spread_signs(std::uint32_t halves) {
+  std::uint32_t bits;
+  asm("prmt.b32 %0, %1, 0, 0xBB99;" : "=r"(bits) : "r"(halves));
   return bits;
 }
 

@@ -77,6 +77,7 @@ struct Small {
   DeviceMatrix<Bf16> d_hidden{kAll, 128};
   DeviceMatrix<std::uint32_t> trunk_mask{kDepth * kBlocks * 128, 4}, hidden_mask{kBlocks * 128, 2};
   DeviceMatrix<float> sigma{kRows, 1}, rgb{kRows, 3}, feature{kRows, 256};
+  DeviceMatrix<Bf16> rounded_feature{kRows, 256};
   DeviceMatrix<std::byte> slabs{std::int64_t{1} << 21, 1};
 
   static std::vector<std::int32_t> rays() {
@@ -105,6 +106,7 @@ struct Small {
     call.trunk_mask = reinterpret_cast<uint4*>(trunk_mask.data());
     call.hidden_mask = reinterpret_cast<uint2*>(hidden_mask.data());
     call.sigma = sigma.view(), call.rgb = rgb.view(), call.feature = feature.view();
+    call.rounded_feature = rounded_feature.view();
     cuda::fused::forward(call);
     cuda::check(cudaDeviceSynchronize(), "the fused forward");
   }
@@ -142,6 +144,10 @@ TEST(CudaNerfMlpFused, EveryLayerFollowsFromTheOneBefore) {
   }
   const std::vector<double> feature = testing::widen(net.feature.read()), sigma = testing::widen(net.sigma.read());
   EXPECT_EQ(compare(feature, exact, 256, 1e-5), "") << "feature";
+  std::vector<double> in_rows;
+  for (const Bf16 v : net.rounded_feature.read()) in_rows.push_back(__bfloat162float(v));
+  EXPECT_EQ(in_rows, below);
+  EXPECT_EQ(net.rounded_feature.surroundings(), "");
   std::vector<double> want;
   for (std::int64_t m = 0; m < net.kRows; ++m) {
     want.push_back(net.bd[0]);

@@ -28,8 +28,7 @@ inline constexpr int kGroups = 2;   ///< warpgroups of a block that compute; one
 inline constexpr int kCluster = 2;  ///< blocks that share slabs of weights; 1: none
 inline constexpr int kTileRows = kRows * kGroups * kCluster;
 inline constexpr int kThreads = hopper::kWarpgroup * (kGroups + 1);
-inline constexpr int kTerms = 64;  ///< of a slab: rows of a weight matrix
-inline constexpr int kStages = 4;
+inline constexpr int kTerms = 64;                  ///< of a slab: rows of a weight matrix
 inline constexpr std::uint32_t kBlockBytes = 128;  ///< of an 8 x 8 block
 inline constexpr std::uint32_t kSlabBytes = kTerms * kWidth * 2;
 inline constexpr std::uint32_t kViewSlabBytes = kTerms * kView * 2;
@@ -53,6 +52,7 @@ struct Lane {
 };
 
 /// Slabs of weights on their way through shared memory, in the same order on both sides.
+template <int kStages>
 class Ring {
  public:
   __device__ Ring(std::uint32_t slabs, std::uint32_t barriers)
@@ -101,18 +101,26 @@ class Ring {
   std::uint32_t slabs_, full_, empty_, count_ = 0;
 };
 
-/// acc = (or +=, unless `start`) A B over `slabs` slabs of the ring; A: the warpgroup's blocked tile of 64 rows whose
-/// blocks of 8 rows are a_row_step bytes apart. Ends with everything computed and released.
-template <int kColumns>
-__device__ inline void multiply(float (&acc)[kColumns / 2], std::uint32_t a, std::uint32_t a_row_step, int slabs,
-                                Ring& ring, bool start) {
+/// A warpgroup's blocked operand of 64 rows in shared memory: where it starts, bytes from a block of 8 rows to the
+/// next, and columns.
+struct Rows {
+  std::uint32_t address = 0, step = 0;
+  int cols = 0;
+};
+
+/// acc = (or +=, unless `start`) A B over as many slabs of the ring as A has columns. Ends with everything computed and
+/// released.
+template <int kColumns, int kStages>
+__device__ inline void multiply(float (&acc)[kColumns / 2], const Rows& a, bool start, Ring<kStages>& ring) {
   constexpr std::uint32_t kTermStep = kColumns * 16;  // of a slab: from 8 terms to the next 8
+  const int slabs = a.cols / kTerms;
   for (int s = 0; s < slabs; ++s) {
     const std::uint32_t slab = ring.next();
+    const std::uint32_t terms = a.address + static_cast<std::uint32_t>(s) * (kTerms / 8) * kBlockBytes;
     hopper::wgmma_fence();
 #pragma unroll
     for (int k = 0; k < kTerms / 16; ++k) {
-      hopper::wgmma(acc, hopper::operand(a + (s * (kTerms / 8) + 2 * k) * kBlockBytes, kBlockBytes, a_row_step),
+      hopper::wgmma(acc, hopper::operand(terms + 2 * k * kBlockBytes, kBlockBytes, a.step),
                     hopper::operand(slab + 2 * k * kTermStep, kTermStep, kBlockBytes), !(start && s == 0 && k == 0));
     }
     hopper::wgmma_commit();
@@ -125,18 +133,33 @@ __device__ inline void multiply(float (&acc)[kColumns / 2], std::uint32_t a, std
   ring.release(0);
 }
 
-/// The warpgroup's numbers as bf16 to its blocked tile in shared memory.
+/// For every number whether it is above 0: bit 15 - i % 16 (the first number of pair i) and 31 - i % 16 (the second) of
+/// word i / 16. Pair 2 j: accumulators 4 j and 4 j + 1; pair 2 j + 1: the next two.
 template <int kColumns>
-__device__ inline void store_tile(const float (&acc)[kColumns / 2], std::uint32_t tile, const Lane& at) {
+struct MaskBits {
+  std::uint32_t word[kColumns / 64];
+  /// A pair that is 0 or above, packed.
+  __device__ void add(int pair, std::uint32_t packed) {
+    word[pair / 16] |= ((packed + 0x7FFF7FFFu) & 0x80008000u) >> (pair % 16);
+  }
+  /// The packed pair where its bits are set, else 0.
+  __device__ std::uint32_t apply(int pair, std::uint32_t packed) const {
+    return packed & hopper::spread_signs(word[pair / 16] << (pair % 16));
+  }
+};
+
+/// The warpgroup's numbers as bf16 to its blocked tile in shared memory; packed(i) gives pair i as MaskBits counts
+/// them.
+template <int kColumns, class Packed>
+__device__ inline void store_tile(std::uint32_t tile, const Lane& at, Packed&& packed) {
   const std::uint32_t address =
       tile +
       (2 * static_cast<std::uint32_t>(at.warp) + static_cast<std::uint32_t>(at.lane / 8 % 2)) * row_step(kColumns) +
       static_cast<std::uint32_t>(at.lane / 16) * kBlockBytes + static_cast<std::uint32_t>(at.lane % 8) * 16;
 #pragma unroll
   for (int j = 0; j < kColumns / 8; j += 2) {
-    hopper::store_matrices(address + static_cast<std::uint32_t>(j) * kBlockBytes,
-                           hopper::pack(acc[4 * j], acc[4 * j + 1]), hopper::pack(acc[4 * j + 2], acc[4 * j + 3]),
-                           hopper::pack(acc[4 * j + 4], acc[4 * j + 5]), hopper::pack(acc[4 * j + 6], acc[4 * j + 7]));
+    const std::uint32_t m0 = packed(2 * j), m1 = packed(2 * j + 1), m2 = packed(2 * j + 2), m3 = packed(2 * j + 3);
+    hopper::store_matrices(address + static_cast<std::uint32_t>(j) * kBlockBytes, m0, m1, m2, m3);
   }
 }
 
@@ -172,16 +195,6 @@ struct Tiles {
 __device__ inline float row_sum(float value) {
   value += __shfl_xor_sync(0xFFFFFFFFu, value, 1);
   return value + __shfl_xor_sync(0xFFFFFFFFu, value, 2);
-}
-
-/// Bit 4 (j % 8) + e of word j / 8: accumulator 4 j + e is above 0.
-template <int kColumns>
-struct MaskBits {
-  std::uint32_t word[kColumns / 64];
-};
-template <int kColumns>
-__device__ inline bool is_set(const MaskBits<kColumns>& mask, int accumulator) {
-  return (mask.word[accumulator / 32] >> (accumulator % 32) & 1u) != 0;
 }
 
 /// A persistent launch of a kernel over tiles: as many clusters as run at once.

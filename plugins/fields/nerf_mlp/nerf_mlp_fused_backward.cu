@@ -12,12 +12,14 @@ namespace semfield::cuda::fused {
 
 namespace {
 
+constexpr int kStages = 5;
+
 // Shared memory, in this order from its aligned start.
 struct Shared {
   std::uint32_t slabs, tiles, barriers;
   float *density, *color;  // [256], [3, 128]
   static constexpr std::uint32_t kFloats = kSlabBytes * kStages + kTileBytes * kGroups;
-  static constexpr std::uint32_t kBytes = kFloats + (kWidth + kChannels * kView) * 4 + Ring::kBarrierBytes;
+  static constexpr std::uint32_t kBytes = kFloats + (kWidth + kChannels * kView) * 4 + Ring<kStages>::kBarrierBytes;
   __device__ explicit Shared(std::byte* memory) {
     slabs = hopper::shared_address(memory);
     tiles = slabs + kSlabBytes * kStages;
@@ -25,11 +27,11 @@ struct Shared {
     color = density + kWidth;
     barriers = hopper::shared_address(color + kChannels * kView);
   }
-  __device__ Ring ring() const { return {slabs, barriers}; }
+  __device__ Ring<kStages> ring() const { return {slabs, barriers}; }
 };
 
 __device__ void feed(const InputGradient& p, const Shared& sh, const Tiles& tiles) {
-  Ring ring = sh.ring();
+  Ring<kStages> ring = sh.ring();
   const int slabs = (p.d_rgb.empty() ? 0 : kView / kTerms) + (p.depth - 1) * (kWidth / kTerms);
   for (std::int64_t tile = tiles.first; tile < tiles.count; tile += tiles.step) {
     const std::byte* from = p.weights;
@@ -37,9 +39,9 @@ __device__ void feed(const InputGradient& p, const Shared& sh, const Tiles& tile
   }
 }
 
-// dL/d(view layer before its ReLU) of a thread's numbers.
+// dL/d(view layer) of a thread's numbers.
 __device__ inline void from_color(const InputGradient& p, float (&acc)[kView / 2], const float* weight,
-                                  const MaskBits<kView>& mask, std::int64_t row, int quad) {
+                                  std::int64_t row, int quad) {
   float d_logit[2][kChannels];
 #pragma unroll
   for (int half = 0; half < 2; ++half) {
@@ -59,7 +61,7 @@ __device__ inline void from_color(const InputGradient& p, float (&acc)[kView / 2
       for (int e = 0; e < 4; ++e) sum[e] = fmaf(d_logit[e / 2][c], e % 2 == 0 ? w.x : w.y, sum[e]);
     }
 #pragma unroll
-    for (int e = 0; e < 4; ++e) acc[4 * j + e] = is_set(mask, 4 * j + e) ? sum[e] : 0;
+    for (int e = 0; e < 4; ++e) acc[4 * j + e] = sum[e];
   }
 }
 
@@ -100,8 +102,9 @@ __device__ inline void add_heads(const InputGradient& p, float (&acc)[kWidth / 2
 
 __device__ void compute(const InputGradient& p, const Shared& sh, const Tiles& tiles, int group) {
   const Lane at;
-  Ring ring = sh.ring();
+  Ring<kStages> ring = sh.ring();
   const std::uint32_t tile_at = sh.tiles + static_cast<std::uint32_t>(group) * kTileBytes;
+  const Rows of_view{tile_at, row_step(kView), kView}, above{tile_at, row_step(kWidth), kWidth};
   for (std::int64_t tile = tiles.first; tile < tiles.count; tile += tiles.step) {
     const std::int64_t block = tiles.block(tile, group);
     const std::int64_t row = block * kRows + at.row;
@@ -109,25 +112,26 @@ __device__ void compute(const InputGradient& p, const Shared& sh, const Tiles& t
     if (!p.d_rgb.empty()) {
       float view[kView / 2];
       const uint2 bits = p.hidden_mask[block * hopper::kWarpgroup + at.thread];
-      from_color(p, view, sh.color, MaskBits<kView>{{bits.x, bits.y}}, row, at.quad);
+      const MaskBits<kView> mask{{bits.x, bits.y}};
+      from_color(p, view, sh.color, row, at.quad);
       tile_is_free(at, group);
-      store_tile<kView>(view, tile_at, at);
+      store_tile<kView>(tile_at, at,
+                        [&](int pair) { return mask.apply(pair, hopper::pack(view[2 * pair], view[2 * pair + 1])); });
       tile_is_written(at, group, tile_at, p.d_hidden + block * (kRows * kView), kRows * kView * 2);
     }
     for (int i = p.depth - 1; i >= 0; --i) {
       const std::int64_t piece = i * p.blocks + block;
       const uint4 bits = p.trunk_mask[piece * hopper::kWarpgroup + at.thread];
       if (i < p.depth - 1) {
-        multiply<kWidth>(acc, tile_at, row_step(kWidth), kWidth / kTerms, ring, true);
+        multiply<kWidth>(acc, above, true, ring);
       } else {
-        if (!p.d_rgb.empty()) multiply<kWidth>(acc, tile_at, row_step(kView), kView / kTerms, ring, true);
+        if (!p.d_rgb.empty()) multiply<kWidth>(acc, of_view, true, ring);
         add_heads(p, acc, sh.density, row, at.quad);
       }
       const MaskBits<kWidth> mask{{bits.x, bits.y, bits.z, bits.w}};
-#pragma unroll
-      for (int k = 0; k < kWidth / 2; ++k) acc[k] = is_set(mask, k) ? acc[k] : 0;
       tile_is_free(at, group);
-      store_tile<kWidth>(acc, tile_at, at);
+      store_tile<kWidth>(tile_at, at,
+                         [&](int pair) { return mask.apply(pair, hopper::pack(acc[2 * pair], acc[2 * pair + 1])); });
       tile_is_written(at, group, tile_at, p.d_trunk + piece * (kRows * kWidth), kTileBytes);
     }
   }

@@ -15,12 +15,14 @@ namespace {
 
 using hopper::barrier_wait;
 
+constexpr int kStages = 4;
+
 // Shared memory, in this order from its aligned start.
 struct Shared {
   std::uint32_t slabs, tiles, positions, barriers;
   float *bias, *density, *color, *view_bias;  // [depth, 256], [256], [3, 128], [128]
   static constexpr std::uint32_t kFloats = kSlabBytes * kStages + (kTileBytes + kPositionBytes) * kGroups;
-  static constexpr std::uint32_t kBarrierBytes = Ring::kBarrierBytes + 16 * kGroups;
+  static constexpr std::uint32_t kBarrierBytes = Ring<kStages>::kBarrierBytes + 16 * kGroups;
   static constexpr std::uint32_t bytes(int depth) {
     return kFloats + static_cast<std::uint32_t>(depth * kWidth + kWidth + (kChannels + 1) * kView) * 4 + kBarrierBytes;
   }
@@ -34,16 +36,16 @@ struct Shared {
     view_bias = color + kChannels * kView;
     barriers = hopper::shared_address(view_bias + kView);
   }
-  __device__ Ring ring() const { return {slabs, barriers}; }
+  __device__ Ring<kStages> ring() const { return {slabs, barriers}; }
   __device__ std::uint32_t position_full(int group) const {
-    return barriers + Ring::kBarrierBytes + 16 * static_cast<std::uint32_t>(group);
+    return barriers + Ring<kStages>::kBarrierBytes + 16 * static_cast<std::uint32_t>(group);
   }
   __device__ std::uint32_t position_empty(int group) const { return position_full(group) + 8; }
 };
 
 __device__ void feed(const Forward& p, const Shared& sh, const Tiles& tiles) {
-  Ring ring = sh.ring();
-  const int trunk_slabs = (p.depth - 1) * (kWidth / kTerms) + 1 + (p.skip_at > 0 ? 1 : 0);
+  Ring<kStages> ring = sh.ring();
+  const int trunk_slabs = (p.depth - 1) * (kWidth / kTerms) + (p.skip_at > 0 ? 2 : 1) * (kPosition / kTerms);
   const int view_slabs = p.rgb.empty() ? 0 : kWidth / kTerms;
   std::uint32_t turn = 0;
   for (std::int64_t tile = tiles.first; tile < tiles.count; tile += tiles.step, ++turn) {
@@ -60,32 +62,25 @@ __device__ void feed(const Forward& p, const Shared& sh, const Tiles& tiles) {
   }
 }
 
-// acc = max(acc + bias, 0) with the bits of what stays above 0; NaN stays NaN.
-template <int kColumns>
-__device__ inline MaskBits<kColumns> rectify(float (&acc)[kColumns / 2], const float* bias, int quad) {
-  MaskBits<kColumns> mask{};
-#pragma unroll
-  for (int j = 0; j < kColumns / 8; ++j) {
-    const float2 b = *reinterpret_cast<const float2*>(bias + 8 * j + 2 * quad);
-#pragma unroll
-    for (int e = 0; e < 4; ++e) {
-      const float value = acc[4 * j + e] + (e % 2 == 0 ? b.x : b.y);
-      acc[4 * j + e] = value < 0 ? 0.0F : value;
-      if (value > 0) mask.word[j / 8] |= 1u << (j % 8 * 4 + e);
-    }
-  }
-  return mask;
+__device__ inline float2 pair_of(const float* row, int j, int quad) {
+  return *reinterpret_cast<const float2*>(row + 8 * j + 2 * quad);
 }
 
-__device__ inline void density_and_feature(const Forward& p, const float (&acc)[kWidth / 2], const float* weight,
-                                           std::int64_t row, int quad) {
+// From the last layer before its bias and ReLU.
+__device__ inline void density_and_feature(const Forward& p, const float (&acc)[kWidth / 2], const float* bias,
+                                           const float* weight, std::int64_t row, int quad) {
+  const auto h = [&](int j, int e) {
+    const float2 b = pair_of(bias, j, quad);
+    const float value = acc[4 * j + e] + (e % 2 == 0 ? b.x : b.y);
+    return value < 0 ? 0.0F : value;  // NaN stays NaN
+  };
   if (!p.sigma.empty()) {
     float sum[2] = {0, 0};
 #pragma unroll
     for (int j = 0; j < kWidth / 8; ++j) {
-      const float2 w = *reinterpret_cast<const float2*>(weight + 8 * j + 2 * quad);
-      sum[0] = fmaf(acc[4 * j + 1], w.y, fmaf(acc[4 * j], w.x, sum[0]));
-      sum[1] = fmaf(acc[4 * j + 3], w.y, fmaf(acc[4 * j + 2], w.x, sum[1]));
+      const float2 w = pair_of(weight, j, quad);
+      sum[0] = fmaf(h(j, 1), w.y, fmaf(h(j, 0), w.x, sum[0]));
+      sum[1] = fmaf(h(j, 3), w.y, fmaf(h(j, 2), w.x, sum[1]));
     }
 #pragma unroll
     for (int half = 0; half < 2; ++half) {
@@ -93,30 +88,35 @@ __device__ inline void density_and_feature(const Forward& p, const float (&acc)[
       if (quad == 0 && row + 8 * half < p.rows) p.sigma(row + 8 * half, 0) = total + p.density_bias[0];
     }
   }
-  if (p.feature.empty() && p.rounded_feature.empty()) return;
+  if (p.feature.empty()) return;
 #pragma unroll
   for (int half = 0; half < 2; ++half) {
     if (row + 8 * half >= p.rows) continue;
-    if (!p.rounded_feature.empty()) {
-      __nv_bfloat16* to = p.rounded_feature.row(row + 8 * half) + 2 * quad;
-#pragma unroll
-      for (int j = 0; j < kWidth / 8; ++j) {
-        *reinterpret_cast<__nv_bfloat162*>(to + 8 * j) =
-            __floats2bfloat162_rn(acc[4 * j + 2 * half], acc[4 * j + 2 * half + 1]);
-      }
-      continue;
-    }
     float* to = p.feature.row(row + 8 * half) + 2 * quad;
 #pragma unroll
     for (int j = 0; j < kWidth / 8; ++j) {
-      *reinterpret_cast<float2*>(to + 8 * j) = make_float2(acc[4 * j + 2 * half], acc[4 * j + 2 * half + 1]);
+      *reinterpret_cast<float2*>(to + 8 * j) = make_float2(h(j, 2 * half), h(j, 2 * half + 1));
     }
   }
 }
 
-// The view layer's ReLU, with the ray's part, and the colour.
-__device__ inline MaskBits<kView> color(const Forward& p, float (&acc)[kView / 2], const float* weight,
-                                        const float* view_bias, std::int64_t row, int quad) {
+// The last layer's tile to rows of memory: a warp moves 8 rows of 64 bytes at a time.
+__device__ inline void copy_feature(const Forward& p, std::uint32_t tile, std::int64_t first_row, const Lane& at) {
+#pragma unroll 2
+  for (int i = at.warp; i < static_cast<int>(kTileBytes / 512); i += 4) {
+    const int rows_of_8 = i / 8, col_block = i % 8 * 4 + at.lane / 8, in_block = at.lane % 8;
+    const std::uint32_t from = tile + static_cast<std::uint32_t>(rows_of_8) * row_step(kWidth) +
+                               static_cast<std::uint32_t>(col_block) * kBlockBytes +
+                               static_cast<std::uint32_t>(in_block) * 16;
+    const std::int64_t row = first_row + rows_of_8 * 8 + in_block;
+    if (row >= p.rows) continue;
+    reinterpret_cast<uint4*>(p.rounded_feature.row(row))[col_block] = hopper::load_shared(from);
+  }
+}
+
+// The view layer's ReLU in place, with the ray's part, and the colour.
+__device__ inline void color(const Forward& p, float (&acc)[kView / 2], const float* weight, const float* view_bias,
+                             std::int64_t row, int quad) {
   const float* term[2] = {view_bias, view_bias};
   if (!p.ray_term.empty()) {
 #pragma unroll
@@ -125,7 +125,6 @@ __device__ inline MaskBits<kView> color(const Forward& p, float (&acc)[kView / 2
       term[half] = p.ray_term.row(p.ray_of_sample(sample, 0));
     }
   }
-  MaskBits<kView> mask{};
   float sum[2][kChannels] = {};
 #pragma unroll
   for (int j = 0; j < kView / 8; ++j) {
@@ -135,8 +134,7 @@ __device__ inline MaskBits<kView> color(const Forward& p, float (&acc)[kView / 2
 #pragma unroll
     for (int e = 0; e < 4; ++e) {
       const float value = acc[4 * j + e] + of[e];
-      acc[4 * j + e] = value < 0 ? 0.0F : value;
-      if (value > 0) mask.word[j / 8] |= 1u << (j % 8 * 4 + e);
+      acc[4 * j + e] = value < 0 ? 0.0F : value;  // NaN stays NaN
     }
 #pragma unroll
     for (int c = 0; c < kChannels; ++c) {
@@ -155,14 +153,15 @@ __device__ inline MaskBits<kView> color(const Forward& p, float (&acc)[kView / 2
       if (quad == 0 && row + 8 * half < p.rows) p.rgb(row + 8 * half, c) = 1 / (1 + expf(-logit));
     }
   }
-  return mask;
 }
 
 __device__ void compute(const Forward& p, const Shared& sh, const Tiles& tiles, int group) {
   const Lane at;
-  Ring ring = sh.ring();
+  Ring<kStages> ring = sh.ring();
   const std::uint32_t tile_at = sh.tiles + static_cast<std::uint32_t>(group) * kTileBytes;
-  const std::uint32_t position_at = sh.positions + static_cast<std::uint32_t>(group) * kPositionBytes;
+  const Rows below{tile_at, row_step(kWidth), kWidth};
+  const Rows position{sh.positions + static_cast<std::uint32_t>(group) * kPositionBytes, row_step(kPosition),
+                      kPosition};
   const bool saves = p.trunk != nullptr;
   std::uint32_t turn = 0;
   for (std::int64_t tile = tiles.first; tile < tiles.count; tile += tiles.step, ++turn) {
@@ -171,30 +170,43 @@ __device__ void compute(const Forward& p, const Shared& sh, const Tiles& tiles, 
     float acc[kWidth / 2] = {};  // defined, so that no registers are kept for it across tiles
     barrier_wait(sh.position_full(group), turn % 2);
     for (int i = 0; i < p.depth; ++i) {
+      const float* const bias = sh.bias + i * kWidth;
       const bool reads_position = i == 0 || i == p.skip_at;
-      if (reads_position) multiply<kWidth>(acc, position_at, row_step(kPosition), 1, ring, true);
-      if (i > 0) multiply<kWidth>(acc, tile_at, row_step(kWidth), kWidth / kTerms, ring, !reads_position);
+      if (reads_position) multiply<kWidth>(acc, position, true, ring);
+      if (i > 0) multiply<kWidth>(acc, below, !reads_position, ring);
       if (i == p.skip_at && at.lane == 0) hopper::barrier_arrive(sh.position_empty(group));
-      const MaskBits<kWidth> mask = rectify<kWidth>(acc, sh.bias + i * kWidth, at.quad);
+      const bool is_last = i == p.depth - 1;
+      if (is_last) density_and_feature(p, acc, bias, sh.density, row, at.quad);
+      MaskBits<kWidth> mask{};
+      tile_is_free(at, group);
+      store_tile<kWidth>(tile_at, at, [&](int pair) {
+        const float2 b = pair_of(bias, pair / 2, at.quad);
+        const std::uint32_t packed = hopper::pack_positive(acc[2 * pair] + b.x, acc[2 * pair + 1] + b.y);
+        mask.add(pair, packed);
+        return packed;
+      });
       const std::int64_t piece = i * p.blocks + block;
+      tile_is_written(at, group, tile_at, saves ? p.trunk + piece * (kRows * kWidth) : nullptr, kTileBytes);
       if (saves) {
         p.trunk_mask[piece * hopper::kWarpgroup + at.thread] =
             make_uint4(mask.word[0], mask.word[1], mask.word[2], mask.word[3]);
       }
-      if (i == p.depth - 1) density_and_feature(p, acc, sh.density, row, at.quad);
-      tile_is_free(at, group);
-      store_tile<kWidth>(acc, tile_at, at);
-      tile_is_written(at, group, tile_at, saves ? p.trunk + piece * (kRows * kWidth) : nullptr, kTileBytes);
+      if (is_last && !p.rounded_feature.empty()) copy_feature(p, tile_at, block * kRows, at);
     }
     if (p.rgb.empty()) continue;
     float view[kView / 2] = {};
-    multiply<kView>(view, tile_at, row_step(kWidth), kWidth / kTerms, ring, true);
-    const MaskBits<kView> mask = color(p, view, sh.color, sh.view_bias, row, at.quad);
+    multiply<kView>(view, below, true, ring);
+    color(p, view, sh.color, sh.view_bias, row, at.quad);
     if (!saves) continue;
-    p.hidden_mask[block * hopper::kWarpgroup + at.thread] = make_uint2(mask.word[0], mask.word[1]);
+    MaskBits<kView> mask{};
     tile_is_free(at, group);
-    store_tile<kView>(view, tile_at, at);
+    store_tile<kView>(tile_at, at, [&](int pair) {
+      const std::uint32_t packed = hopper::pack_positive(view[2 * pair], view[2 * pair + 1]);
+      mask.add(pair, packed);
+      return packed;
+    });
     tile_is_written(at, group, tile_at, p.hidden + block * (kRows * kView), kRows * kView * 2);
+    p.hidden_mask[block * hopper::kWarpgroup + at.thread] = make_uint2(mask.word[0], mask.word[1]);
   }
   if (at.thread == 0) hopper::bulk_stores_are_done();
 }

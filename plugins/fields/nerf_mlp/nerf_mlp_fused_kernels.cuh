@@ -31,7 +31,7 @@ struct Forward {
   uint4* trunk_mask = nullptr;
   uint2* hidden_mask = nullptr;
   View<float> sigma, rgb, feature;      ///< empty: not wanted
-  View<__nv_bfloat16> rounded_feature;  ///< instead of feature
+  View<__nv_bfloat16> rounded_feature;  ///< rows in bf16
 };
 void forward(const Forward& call);
 

@@ -16,6 +16,7 @@ namespace {
 
 constexpr int kHalf = 128;  // columns of B that a warpgroup multiplies
 constexpr int kSumWarps = 2;
+constexpr int kStages = 4;
 constexpr std::uint32_t kStageBytes = kRows * (kWidth + kHalf) * 2;
 constexpr int kMostJobs = 2 * kMostGradients;
 
