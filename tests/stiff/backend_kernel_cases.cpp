@@ -77,6 +77,44 @@ std::string two_digits(double value) {
 
 }  // namespace
 
+const std::map<std::string, std::string>& sine_settings() {
+  static const std::map<std::string, std::string> settings{
+      {"frequencies", "10"}, {"include_input", "false"}, {"angular", "pi"}};
+  return settings;
+}
+
+template <class Real>
+double worst_sine(const Encoder<Real>& encoder) {
+  constexpr int kBands = 10, kRows = 500;
+  std::vector<double> x(3 * kRows);
+  for (std::size_t i = 0; i < x.size(); ++i) x[i] = 2 * number(i) - 1;
+  const std::int32_t width = 6 * kBands;
+  std::vector<Real> y(static_cast<std::size_t>(kRows * width));
+  encoder.forward({}, {}, View<const double>(x.data(), kRows, 3), View<Real>(y.data(), kRows, width));
+  double worst = 0;
+  for (int row = 0; row < kRows; ++row) {
+    // The columns of a row as a set: which stands where is the encoder's matter (group C looks at that).
+    std::vector<long double> truth;
+    for (int k = 0; k < kBands; ++k) {
+      for (int a = 0; a < 3; ++a) {
+        const long double turn =
+            std::remainder(std::ldexp(static_cast<long double>(x[static_cast<std::size_t>(3 * row + a)]), k), 2.0L);
+        truth.push_back(std::sin(3.14159265358979323846264338327950288L * turn));
+        truth.push_back(std::cos(3.14159265358979323846264338327950288L * turn));
+      }
+    }
+    std::vector<Real> got(y.begin() + row * width, y.begin() + (row + 1) * width);
+    std::sort(truth.begin(), truth.end());
+    std::sort(got.begin(), got.end());
+    for (std::size_t i = 0; i < got.size(); ++i)
+      worst = std::max(worst, static_cast<double>(std::abs(static_cast<long double>(got[i]) - truth[i])) /
+                                  std::numeric_limits<Real>::epsilon());
+  }
+  return worst;
+}
+template double worst_sine(const Encoder<float>&);
+template double worst_sine(const Encoder<double>&);
+
 void min_max_nan(CaseRun& run) {
   in_both_precisions(run, [&]<class Real>(Real) {
     const Real nan = std::numeric_limits<Real>::quiet_NaN(), inf = std::numeric_limits<Real>::infinity();
@@ -278,43 +316,15 @@ void ulp_table(CaseRun& run) {
     // sin and cos are those of the frequency encoder: sin(2^k pi x), cos(2^k pi x), from float64 positions.
     const PluginEntry* entry = run.registry().find(PluginKind::encoder, "frequency");
     if (entry != nullptr) {
-      constexpr int kBands = 10, kRows = 500;
-      EncoderBuild build;
-      build.in_dims = 3;
-      const auto params =
-          testkit::make_params(*entry, {{"frequencies", "10"}, {"include_input", "false"}, {"angular", "pi"}});
+      const auto params = testkit::make_params(*entry, sine_settings());
       const auto encoder = [&] {
         if constexpr (std::is_same_v<Real, float>) {
-          return entry->encoder32(*params, build, run.registry().kernels());
+          return entry->encoder32(*params, {}, run.registry().kernels());
         } else {
-          return entry->encoder64(*params, build, run.registry().kernels());
+          return entry->encoder64(*params, {}, run.registry().kernels());
         }
       }();
-      std::vector<double> x(3 * kRows);
-      for (std::size_t i = 0; i < x.size(); ++i) x[i] = 2 * number(i) - 1;
-      const std::int32_t width = 6 * kBands;
-      std::vector<Real> y(static_cast<std::size_t>(kRows * width));
-      encoder->forward({}, {}, View<const double>(x.data(), kRows, 3), View<Real>(y.data(), kRows, width));
-      std::vector<long double> truths;
-      double worst = 0;
-      for (int row = 0; row < kRows; ++row) {
-        // The columns of a row as a set: which stands where is the encoder's matter (group C looks at that).
-        std::vector<long double> truth;
-        for (int k = 0; k < kBands; ++k) {
-          for (int a = 0; a < 3; ++a) {
-            const long double turn =
-                std::remainder(std::ldexp(static_cast<long double>(x[static_cast<std::size_t>(3 * row + a)]), k), 2.0L);
-            truth.push_back(std::sin(3.14159265358979323846264338327950288L * turn));
-            truth.push_back(std::cos(3.14159265358979323846264338327950288L * turn));
-          }
-        }
-        std::vector<Real> got(y.begin() + row * width, y.begin() + (row + 1) * width);
-        std::sort(truth.begin(), truth.end());
-        std::sort(got.begin(), got.end());
-        for (std::size_t i = 0; i < got.size(); ++i)
-          worst = std::max(worst, static_cast<double>(std::abs(static_cast<long double>(got[i]) - truth[i])) /
-                                      std::numeric_limits<Real>::epsilon());
-      }
+      const double worst = worst_sine<Real>(*encoder);
       run.measure(worst, 2, "sin and cos, in units of the last place of 1");
       figures += "; sin and cos of the encoder " + two_digits(worst);
     }

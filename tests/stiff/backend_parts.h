@@ -1,11 +1,16 @@
 // What the files of group I give its list of cases, and the kernels of every instruction set side by side.
 #pragma once
 
+#include <map>
+#include <optional>
+#include <string>
 #include <vector>
 
 #include "core/cpu_kernels.h"
 #include "core/isa.h"
 #include "isa_list.h"
+#include "model/device_backend.h"
+#include "plugin/encoder.h"
 #include "stiff_case.h"
 
 namespace semfield {
@@ -30,6 +35,29 @@ void ulp_table(CaseRun& run);
 void long_index(CaseRun& run);
 void whole_step(CaseRun& run);
 void finite_checks(CaseRun& run);
+
+/// The same cases' rows on a device beside the processor, "fp32 on cuda" (device_cases.cpp, device_step_cases.cpp).
+void nan_on_device(CaseRun& run);
+void fused_on_device(CaseRun& run);
+void subnormals_on_device(CaseRun& run);
+void sines_on_device(CaseRun& run);
+void long_index_on_device(CaseRun& run);
+void whole_step_on_device(CaseRun& run);
+void finite_checks_on_device(CaseRun& run);
+
+struct DeviceUnderTest {
+  Registry registry;  ///< with the device's kernels
+  DeviceCalls calls;
+};
+/// Opens a row; without a device it is absent, with the reason, and nothing is returned.
+std::optional<DeviceUnderTest> device_row(CaseRun& run, std::string_view precision = "fp32 on cuda");
+void encoder_guards_on_device(CaseRun& run, const DeviceUnderTest& device);
+
+/// Frequencies and angle of the encoder whose sines are looked at, and their largest error in units of the last place
+/// of 1.
+const std::map<std::string, std::string>& sine_settings();
+template <class Real>
+double worst_sine(const Encoder<Real>& encoder);
 
 template <class Real>
 struct IsaTable {
