@@ -1,34 +1,99 @@
 // The small network on the device: against the CPU's in float64 for every switch, width and output; fused kernels
 // against the layers one by one; and what a device adds: unused rows, and the same bits in every run.
+#include "fields/tiny_mlp/tiny_mlp.h"
+
 #include <cuda_bf16.h>
 
 #include <algorithm>
+#include <string>
+#include <vector>
 
 #include "cuda/feature_exchange.h"
-#include "testkit/compare.h"
-#include "tiny_mlp_device.h"
+#include "cuda/kernel_tables.h"
+#include "device_field.h"
+#include "fields/tiny_mlp/tiny_mlp_layers.cuh"
 
 namespace semfield {
 namespace {
 
-using testing::device_tables;
+using testing::DeviceField;
 using testing::DeviceMatrix;
-using testing::layer_tables;
-using testing::Network;
-using testing::OnDevice;
-using testing::Oracle;
 using testkit::FieldBench;
 using testkit::Wanted;
 
-std::string near(const DeviceMatrix<float>& got, View<const double> want, double tolerance) {
-  const std::vector<float> values = got.read();
-  constexpr double kSumOfTerms = 0.05;  // a single output may cancel; its terms do not
-  return testkit::compare<float, double>(testing::host_view(values, want.cols), want, tolerance, kSumOfTerms);
+const KernelTables& cpu_tables() {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    tiny_mlp_kernels(t);
+    return t;
+  }();
+  return tables;
 }
-std::string near_norm(const DeviceMatrix<float>& got, View<const double> want, double tolerance) {
-  const std::vector<float> values = got.read();
-  return testkit::compare_norms<float, double>(testing::host_view(values, want.cols), want, tolerance);
+const KernelTables& device_tables() {
+  static const KernelTables tables = [] {
+    KernelTables t;
+    cuda::add_plugin_kernels(t);
+    return t;
+  }();
+  return tables;
 }
+/// Layer by layer whatever the widths.
+const KernelTables& layer_tables() {
+  static const TinyMlpKernels<float> table{cuda::tiny::layers_forward, cuda::tiny::layers_backward,
+                                           [](const TinyMlpShape&, const Tensors<float>&) {},
+                                           cuda::tiny::layers_saved_bytes};
+  static const KernelTables tables = [] {
+    KernelTables t;
+    t.add(Device::cuda, "field 'tiny_mlp'", &table);
+    t.add(Device::cuda, "field 'tiny_mlp'", &table, Precision::bf16);
+    return t;
+  }();
+  return tables;
+}
+
+struct Network {
+  TinyMlpParams params;
+  std::int32_t position_dims = 32, direction_dims = 16;
+  bool once = true;
+  Precision precision = Precision::fp32;
+
+  FieldBuild build(Device device) const {
+    FieldBuild b;
+    b.device = device;
+    b.position_dims = position_dims;
+    b.direction_dims = direction_dims;
+    b.savings.direction_once_per_ray = once;
+    b.precision = device == Device::cpu ? Precision::fp32 : precision;
+    return b;
+  }
+  std::string text() const {
+    return "hidden " + std::to_string(params.hidden_layers) + " x " + std::to_string(params.hidden_width) +
+           ", geometry " + std::to_string(params.geometry_features) + ", colour " +
+           std::to_string(params.color_layers) + " x " + std::to_string(params.color_width) + ", feature " +
+           std::to_string(static_cast<int>(params.feature)) + ", position " + std::to_string(position_dims) +
+           ", direction " + std::to_string(direction_dims) + ", once " + std::to_string(once) + ", bf16 " +
+           std::to_string(precision == Precision::bf16);
+  }
+};
+
+struct Held {
+  TinyMlp<float> network;
+};
+/// The network on the device with a float64 bench's inputs and tensors.
+class OnDevice : private Held, public DeviceField {
+ public:
+  OnDevice(const Network& shape, const KernelTables& tables, FieldBench<double>& bench, std::int32_t padding)
+      : Held{TinyMlp<float>(shape.params, shape.build(Device::cuda), tables)}, DeviceField(network, bench, padding) {}
+};
+
+/// A float64 network on the CPU with its inputs.
+struct Oracle {
+  Oracle(const Network& network, std::int64_t samples)
+      : field(network.params, network.build(Device::cpu), cpu_tables()),
+        bench(field, network.build(Device::cpu), samples, 0, {}) {}
+  TinyMlp<double> field;
+  FieldBench<double> bench;
+};
 
 std::string near_norm(const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance) {
   const std::vector<double> values = testing::widen(want.read());
