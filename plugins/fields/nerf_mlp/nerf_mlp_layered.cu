@@ -217,11 +217,13 @@ void view_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeights
   linear_backward(to_h, arena);
 }
 
-/// The outputs' gradients to dh [M, width] = dL/d(last trunk layer before its ReLU), and to the parameters on the way.
+/// The outputs' gradients to dh [M, width] = dL/d(last trunk layer before its ReLU), which it gives, and to the
+/// parameters on the way.
 template <class Act>
-void heads_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeights<Act>& w, const Tensors<float>& t,
-                    const FieldIn<float>& in, const FieldOut<float>& out, const FieldGrad<float>& grad,
-                    const Activations<Act>& a, View<Act> dh) {
+View<Act> heads_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeights<Act>& w, const Tensors<float>& t,
+                         const FieldIn<float>& in, const FieldOut<float>& out, const FieldGrad<float>& grad,
+                         const Activations<Act>& a) {
+  const View<Act> dh = arena.take<Act>(in.position.rows, padded_cols<Act>(s.width));
   const auto last = static_cast<std::size_t>(s.depth - 1);
   const View<const Act> h = a.trunk[last];
   View<const Act> d_rounded_feature;
@@ -244,7 +246,7 @@ void heads_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeight
   }
   if (grad.rgb.empty()) {
     add_column_sums<Act>(dh.col_range(0, s.width), grad_of(t, s.trunk[last].bias), arena);
-    return;
+    return dh;
   }
   const View<Act> dv = arena.take<Act>(h.rows, padded_cols<Act>(s.view_width));
   ColorHeadGrad<Act> color;
@@ -264,6 +266,7 @@ void heads_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpWeight
   to_h.mask = a.mask[last];
   to_h.dx_sums = grad_of(t, s.trunk[last].bias);
   view_backward<Act>(s, arena, w, t, in, a, dv, to_h);
+  return dh;
 }
 
 template <class Act>
@@ -360,9 +363,8 @@ void LayeredNerfMlp<Act>::backward(const NerfMlpShape& s, const StepContext& ctx
   Activations<Act> a = in_saved<Act>(s, in.position.rows, parts);
   if constexpr (!kRounds<Act>) a.position = in.position;
   const NerfMlpWeights<Act> w = nerf_mlp_weights<Act>(s, t, arena);
-  const View<Act> dh = arena.take<Act>(in.position.rows, padded_cols<Act>(s.width));
-  heads_backward<Act>(s, arena, w, t, in, out, grad, a, dh);
-  trunk_backward<Act>(s, arena, w, t, a, dh, d_position);
+  const View<Act> dz = heads_backward<Act>(s, arena, w, t, in, out, grad, a);
+  trunk_backward<Act>(s, arena, w, t, a, dz, d_position);
 }
 
 template struct LayeredNerfMlp<float>;
