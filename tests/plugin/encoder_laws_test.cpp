@@ -10,11 +10,11 @@ namespace {
 using testkit::Failures;
 using toy::Break;
 
-Failures laws_of(Break broken) {
+Failures laws_of(Break broken, const testkit::LawOptions& options = {}) {
   const KernelTables kernels;
   const toy::ToyEncoder<float> encoder32(toy::ToyParams{}, EncoderBuild{}, kernels, broken);
   const toy::ToyEncoder<double> encoder64(toy::ToyParams{}, EncoderBuild{}, kernels, broken);
-  return testkit::encoder_laws(encoder32, encoder64);
+  return testkit::encoder_laws(encoder32, encoder64, options);
 }
 
 bool mentions(const Failures& failures, const std::string& words) {
@@ -44,7 +44,15 @@ INSTANTIATE_TEST_SUITE_P(
                     Case{Break::wrong_table_gradient, "gradient of table"},
                     Case{Break::assign_gradient, "gradients accumulate"},
                     Case{Break::accumulate_dx, "every dx written"}, Case{Break::skip_dx, "every dx written"},
-                    Case{Break::depend_on_row, "permuted rows"}, Case{Break::float_off, "float against double, y"}));
+                    Case{Break::depend_on_row, "permuted rows"}, Case{Break::float_off, "float against double, y"},
+                    Case{Break::sums_as_they_come, "1 and 3 threads, gradient of table"}));
+
+TEST(EncoderLaws, SumsWithoutSameBitsHaveATolerance) {
+  testkit::LawOptions options;
+  options.same_bits_of_sums = false;
+  const Failures failures = laws_of(Break::sums_as_they_come, options);
+  EXPECT_FALSE(mentions(failures, "1 and 3 threads")) << testkit::to_text(failures);
+}
 
 TEST(DeclarationLaws, HoldForTheToy) {
   Registry registry;

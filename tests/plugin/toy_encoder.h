@@ -18,6 +18,7 @@ enum class Break {
   depend_on_row,
   float_off,
   skip_dx,
+  sums_as_they_come,
 };
 
 struct ToyParams {
@@ -65,6 +66,7 @@ class ToyEncoder final : public Encoder<Real> {
   }
   void do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
                    View<Real> dx) const override {
+    const bool of_this_call = broken_ == Break::sums_as_they_come && sizeof(Real) == 4 && ++calls_ % 2 == 0;
     for (std::int64_t r = 0; r < x.rows; ++r) {
       for (std::int32_t d = 0;
            d < x.cols && !dx.empty() && broken_ != Break::accumulate_dx && broken_ != Break::skip_dx; ++d)
@@ -79,7 +81,8 @@ class ToyEncoder final : public Encoder<Real> {
           if (!dx.empty() && broken_ != Break::skip_dx)
             dx(r, d) += static_cast<Real>(gradient * static_cast<double>(dy(r, b)));
         }
-        const double gain = broken_ == Break::wrong_table_gradient ? 1.001 * params_.gain : params_.gain;
+        double gain = broken_ == Break::wrong_table_gradient ? 1.001 * params_.gain : params_.gain;
+        if (of_this_call) gain *= 1 + 1e-6;
         const auto add = static_cast<Real>(gain * sum * static_cast<double>(dy(r, b)));
         Real& grad = tensors.grad[0](b, 0);
         grad = (broken_ == Break::assign_gradient && r == 0 ? Real(0) : grad) + add;
@@ -91,6 +94,7 @@ class ToyEncoder final : public Encoder<Real> {
   ToyParams params_;
   std::int32_t in_dims_;
   Break broken_;
+  mutable int calls_ = 0;
 };
 
 inline void register_into(Registry& registry) {
