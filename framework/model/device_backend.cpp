@@ -28,6 +28,10 @@ const DeviceLibrary& cuda_library() {
 }
 
 bool cuda_available(std::string* why_not) {
+#ifndef SEMFIELD_CUDA_LIBRARY
+  if (why_not != nullptr) *why_not = "this build has no CUDA kernels (has: cpu)";
+  return false;
+#else
   // Asked before our library, which brings half a gigabyte of products along.
   static const bool has_driver = ::dlopen("libcuda.so.1", RTLD_LAZY | RTLD_LOCAL) != nullptr;
   if (!has_driver) {
@@ -41,6 +45,7 @@ bool cuda_available(std::string* why_not) {
     if (why_not != nullptr) *why_not = error.message();
     return false;
   }
+#endif
 }
 
 }  // namespace semfield
