@@ -1,5 +1,6 @@
 // The dataset laws for every registered dataset, on a tiny scene written in its own format.
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <filesystem>
 
@@ -19,7 +20,8 @@ TEST_P(DatasetConformance, Laws) {
   const auto found = dataset_samples().find(row.name);
   ASSERT_NE(found, dataset_samples().end())
       << "dataset '" << row.name << "' has no " << row.name << "_sample.cpp that writes a tiny scene";
-  const std::filesystem::path folder = std::filesystem::path(testing::TempDir()) / ("semfield_sample_" + row.text());
+  const std::filesystem::path folder =
+      std::filesystem::path(testing::TempDir()) / ("semfield_sample_" + row.text() + "_" + std::to_string(::getpid()));
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
   const DatasetSample sample = found->second(folder.string());

@@ -2,6 +2,7 @@
 #include "core/memory_limit.h"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <filesystem>
 #include <fstream>
@@ -17,9 +18,10 @@ constexpr std::size_t kMB = std::size_t{1} << 20;
 class MemoryLimit : public testing::Test {
  protected:
   void SetUp() override {
-    root_ = testing::TempDir() + "memory_limit";
+    root_ = testing::TempDir() + "memory_limit_" + std::to_string(::getpid());  // tests run beside each other
     fs::remove_all(root_);
   }
+  void TearDown() override { fs::remove_all(root_); }
   void file(const std::string& path, const std::string& text) {
     fs::create_directories(fs::path(root_ + path).parent_path());
     std::ofstream(root_ + path) << text;

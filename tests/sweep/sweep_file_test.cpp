@@ -1,5 +1,6 @@
 // Sweep files: what becomes of grids, variants, scenes and lists of files, and every error with its place.
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <filesystem>
 
@@ -16,7 +17,7 @@ namespace fs = std::filesystem;
 class SweepFile : public testing::Test {
  protected:
   void SetUp() override {
-    folder_ = (fs::path(testing::TempDir()) / "semfield_sweep_file").string();
+    folder_ = (fs::path(testing::TempDir()) / ("semfield_sweep_file_" + std::to_string(::getpid()))).string();
     fs::remove_all(folder_);
     fs::create_directories(folder_);
     write("base.yaml",

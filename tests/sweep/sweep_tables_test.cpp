@@ -2,6 +2,7 @@
 #include "sweep/sweep_tables.h"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <filesystem>
 
@@ -99,7 +100,8 @@ TEST(SweepTables, ThePlotIsAFileOfItsOwn) {
 }
 
 TEST(SweepResults, AreWrittenReadAndTakenFromRunsAndFusions) {
-  const std::string folder = (std::filesystem::path(testing::TempDir()) / "semfield_sweep_results").string();
+  const std::string folder =
+      (std::filesystem::path(testing::TempDir()) / ("semfield_sweep_results_" + std::to_string(::getpid()))).string();
   std::filesystem::create_directories(folder);
   const CellValues values{{"miou", 0.25}, {"psnr", 21.5}};
   write_cell_result(folder + "/result.json", values);
