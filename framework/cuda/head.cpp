@@ -30,6 +30,16 @@ void layer(View<const Act> x, View<const Act> weight, View<const float> bias, Vi
 
 }  // namespace
 
+HiddenLayer Head::hidden_layer(const Tensors<float>& tensors) const {
+  HiddenLayer layer;
+  layer.weight = tensors.value[kHiddenWeight];
+  layer.bias = tensors.value[kHiddenBias];
+  if (tensors.grad.empty()) return layer;
+  layer.d_weight = tensors.grad[kHiddenWeight];
+  layer.d_bias = tensors.grad[kHiddenBias];
+  return layer;
+}
+
 void Head::hidden_forward(Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
                           View<float> hidden) const {
   if (feature.rows == 0) return;

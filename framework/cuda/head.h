@@ -4,6 +4,7 @@
 #include <cuda_bf16.h>
 
 #include "core/gemm.h"
+#include "cuda/feature_exchange.h"
 #include "model/semantic_head.h"
 
 namespace semfield::cuda {
@@ -19,6 +20,8 @@ class Head {
   std::int32_t hidden_width() const { return host_.hidden_width(); }
   std::int32_t classes() const { return host_.classes(); }
 
+  /// What a field needs to compute the hidden layer itself; without room, gradients where the tensors have them.
+  HiddenLayer hidden_layer(const Tensors<float>& tensors) const;
   /// hidden [N, H] = relu(feature [N, F] W1 + b1).
   void hidden_forward(Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
                       View<float> hidden) const;

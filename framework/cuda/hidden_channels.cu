@@ -171,7 +171,10 @@ __global__ void __launch_bounds__(kBackWarps* kWarp, kBackBlocks)
       for (int v = 0; v < kVec; ++v) {
         slope[i].v[v] = call.relu_output && !(row[i].v[v] > 0) ? 0.0F : slope[i].v[v] * w[i];
       }
-      if (m < d_hidden.rows) store<kVec>(d_hidden.row(m) + column, slope[i]);
+      if (m >= d_hidden.rows) continue;
+      Act* const to = call.blocked ? d_hidden.data + (m / 8 * (cols / 8) + column / 8) * 64 + m % 8 * 8 + column % 8
+                                   : d_hidden.row(m) + column;
+      store<kVec>(to, slope[i]);
     }
   }
   if (!with_dots) return;

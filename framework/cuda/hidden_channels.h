@@ -20,8 +20,10 @@ struct HiddenBackward {
   View<const Act> hidden;
   View<const float> d_out;
   View<float> dots;
-  View<Act> d_hidden;
+  View<Act> d_hidden;  ///< may have more rows than `hidden`
   bool relu_output = false;
+  /// d_hidden lies in 8 x 8 blocks (HiddenLayer::d_hidden): contiguous, rows and columns multiples of 8.
+  bool blocked = false;
 };
 template <class Act>
 void hidden_backward(const Samples<float>& samples, const HiddenBackward<Act>& call);

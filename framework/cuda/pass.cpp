@@ -106,13 +106,18 @@ Trace Pass::forward(const StepContext& ctx, const Rays<float>& rays, const Propo
     FeatureExchange features;
     Launch sharing = launch();
     if (trace.semantic_rays > 0 && head_->rounds() && rules_.deferred_class_layer) {
-      features.room = arena.take<__nv_bfloat16>(rows, trace.out.feature.cols);
+      const std::int32_t width = trace.out.feature.cols, hidden = head_->hidden_width();
+      __nv_bfloat16* const room = arena.take<__nv_bfloat16>(rows, std::max(width, hidden)).data;
+      features.room = View<__nv_bfloat16>(room, rows, width, width, trace.sigma.device);
+      features.layer = head_->hidden_layer(store_->tensors(head_tensors_));
+      features.layer.hidden = View<__nv_bfloat16>(room, trace.semantic_samples, hidden, hidden, trace.sigma.device);
       sharing.features = &features;
     }
     const LaunchScope scope(sharing);
     parts_.field->forward(ctx, store_->tensors(field_), {trace.encoded, trace.direction, trace.samples.ray_of_sample},
                           trace.out, trace.saved);
     trace.rounded_feature = features.feature;
+    if (features.hidden_is_done) trace.rounded_hidden = features.layer.hidden;
   }
   density_forward(density_rule(ctx), &trace.samples, trace.out.sigma, trace.sigma);
   if (colors) trace.color = arena.take<float>(ray_count, 3);
@@ -152,6 +157,8 @@ void Pass::composite(const StepContext& ctx, Trace& trace) const {
   if (!trace.rounded_feature.empty()) {
     trace.rounded_hidden = arena.take<__nv_bfloat16>(rows, head_->hidden_width());
     head_->hidden_forward(arena, tensors, trace.rounded_feature.row_range(0, rows), trace.rounded_hidden);
+  }
+  if (!trace.rounded_hidden.empty()) {
     composite_forward(in, out);
     hidden_forward<__nv_bfloat16>(trace.samples, trace.weight, trace.rounded_hidden, trace.ray_hidden);
     head_->class_forward(tensors, trace.ray_hidden, share, trace.logits);
@@ -181,7 +188,7 @@ void Pass::backward(const StepContext& ctx, const Trace& trace, View<const float
   if (rows == 0) return;
   const LaunchScope live(with_live_rows(trace.samples.first.data + ray_count));
   const bool semantic = trace.semantic_rays > 0 && !d_logits.empty(), deferred = rules_.deferred_class_layer;
-  if (semantic && !trace.rounded_feature.empty()) return backward_in_bf16(ctx, trace, d_color, d_logits);
+  if (semantic && !trace.rounded_hidden.empty()) return backward_in_bf16(ctx, trace, d_color, d_logits);
   CompositeIn<float> in = composite_in(trace);
   CompositeOut<float> out;
   out.weight = trace.weight;
@@ -234,13 +241,16 @@ void Pass::backward_in_bf16(const StepContext& ctx, const Trace& trace, View<con
   head_->class_backward(arena, tensors, trace.ray_hidden, trace.opacity.row_range(0, trace.semantic_rays), d_logits,
                         d_ray_hidden, d_opacity);
   const View<float> d_sigma = arena.take<float>(rows, 1), d_rgb = arena.take<float>(rows, 3);
-  const View<__nv_bfloat16> d_hidden = arena.take<__nv_bfloat16>(trace.semantic_samples, head_->hidden_width());
+  const bool by_field = trace.rounded_feature.empty();  // the hidden layer
+  const View<__nv_bfloat16> d_hidden = arena.take<__nv_bfloat16>(
+      by_field ? blocked_rows(trace.semantic_samples) : trace.semantic_samples, head_->hidden_width());
   HiddenBackward<__nv_bfloat16> hidden;
   hidden.weight = trace.weight;
   hidden.hidden = trace.rounded_hidden;
   hidden.d_out = d_ray_hidden;
   if (moves_density) hidden.dots = d_sigma;
   hidden.d_hidden = d_hidden;
+  hidden.blocked = by_field;
   hidden.relu_output = true;
   hidden_backward(trace.samples, hidden);
   CompositeOut<float> out;
@@ -249,12 +259,18 @@ void Pass::backward_in_bf16(const StepContext& ctx, const Trace& trace, View<con
   grad.color = d_color;
   if (moves_density) grad.opacity = d_opacity;
   composite_backward(composite_in(trace), out, grad, d_sigma, d_rgb, {}, moves_density ? trace.semantic_rays : 0);
-  const View<__nv_bfloat16> d_feature = arena.take<__nv_bfloat16>(trace.semantic_samples, trace.rounded_feature.cols);
-  head_->hidden_backward(arena, tensors, trace.rounded_feature.row_range(0, trace.semantic_samples), d_hidden,
-                         d_feature);
-  density_backward(rules_.activation, trace.out.sigma, d_sigma, d_sigma);
   FeatureExchange features;
-  features.d_feature = d_feature;
+  if (by_field) {
+    features.layer = head_->hidden_layer(tensors);
+    features.layer.hidden = trace.rounded_hidden;
+    features.layer.d_hidden = d_hidden.data;
+  } else {
+    const View<__nv_bfloat16> d_feature = arena.take<__nv_bfloat16>(trace.semantic_samples, trace.rounded_feature.cols);
+    head_->hidden_backward(arena, tensors, trace.rounded_feature.row_range(0, trace.semantic_samples), d_hidden,
+                           d_feature);
+    features.d_feature = d_feature;
+  }
+  density_backward(rules_.activation, trace.out.sigma, d_sigma, d_sigma);
   Launch sharing = launch();
   sharing.features = &features;
   const LaunchScope scope(sharing);

@@ -15,7 +15,7 @@ namespace semfield::cuda {
 
 /// With a field that shares its feature in bf16 (feature_exchange.h) the hidden activations are bf16 too.
 struct Trace : PassTrace<float> {
-  View<const __nv_bfloat16> rounded_feature;  ///< [M, F]; empty: out.feature holds it
+  View<const __nv_bfloat16> rounded_feature;  ///< [M, F]; empty: out.feature holds it, or the field kept it for itself
   View<__nv_bfloat16> rounded_hidden;         ///< [semantic_samples, H]
 };
 

@@ -109,9 +109,11 @@ class DeviceField {
   }
 };
 
-inline std::string near(const DeviceMatrix<float>& got, View<const double> want, double tolerance) {
+/// floor: what sums of terms are like whose total may cancel (testkit/compare.h).
+inline std::string near(const DeviceMatrix<float>& got, View<const double> want, double tolerance,
+                        double floor = 1e-30) {
   const std::vector<float> values = got.read();
-  return testkit::compare<float, double>(host_view(values, want.cols), want, tolerance);
+  return testkit::compare<float, double>(host_view(values, want.cols), want, tolerance, floor);
 }
 inline std::string near_norm(const DeviceMatrix<float>& got, View<const double> want, double tolerance) {
   const std::vector<float> values = got.read();

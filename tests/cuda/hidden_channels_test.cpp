@@ -94,7 +94,8 @@ void expect_same(const Rays& rays, std::int32_t channels, int gap, std::int64_t 
   EXPECT_EQ(testkit::compare(testing::host_view(got_out, channels),
                              testing::host_view(std::as_const(want_out), channels), 5e-6),
             "");
-  const double rounding = std::is_same_v<Act, Bf16> ? 1.0 / 256 : 1e-7;  // half of a last bit: 2^-8 of a number just above a power of two
+  const double rounding =
+      std::is_same_v<Act, Bf16> ? 1.0 / 256 : 1e-7;  // half of a last bit: 2^-8 of a number just above a power of two
   for (std::size_t i = 0; i < got_d.size(); ++i)
     ASSERT_NEAR(got_d[i], want_d[i], rounding * std::abs(want_d[i])) << "element " << i;
   EXPECT_EQ(out.surroundings() + dots.surroundings() + d_hidden.surroundings(), "");
@@ -111,6 +112,37 @@ TYPED_TEST(CudaHiddenChannels, SumsAndGradients) {
       }
     }
   }
+}
+
+TYPED_TEST(CudaHiddenChannels, GradientsInBlocksAreTheSame) {
+  SEMFIELD_NEEDS_DEVICE();
+  DeviceLaunch launch;
+  const Rays rays({31, 0, 64, 129, 5, 300});
+  constexpr std::int32_t kChannels = 128;
+  constexpr std::int64_t kLabelled = 4, kMore = 768;  // rows of gradients, more than of samples
+  const DeviceMatrix<std::int32_t> first(rays.first, 1), ray(rays.ray, 1);
+  const DeviceMatrix<float> weight(rays.weight, 1), d_out(random_floats(kLabelled * kChannels, 3, -1, 1), kChannels);
+  const DeviceMatrix<TypeParam> hidden(random_floats(rays.rows * kChannels, 2, -1, 1), kChannels);
+  const DeviceMatrix<TypeParam> in_rows(kMore, kChannels), in_blocks(kMore, kChannels);
+  Samples<float> samples;
+  samples.first = first.view();
+  samples.ray_of_sample = ray.view();
+  samples.count = rays.rows;
+  cuda::HiddenBackward<TypeParam> call{
+      weight.read_only(), hidden.read_only(), d_out.read_only(), {}, in_rows.view(), true};
+  cuda::hidden_backward<TypeParam>(samples, call);
+  call.d_hidden = in_blocks.view();
+  call.blocked = true;
+  cuda::hidden_backward<TypeParam>(samples, call);
+  const std::vector<double> want = widened(in_rows), got = widened(in_blocks);
+  for (std::int64_t m = 0; m < kMore; ++m) {
+    for (std::int32_t c = 0; c < kChannels; ++c) {
+      ASSERT_EQ(got[static_cast<std::size_t>((m / 8 * (kChannels / 8) + c / 8) * 64 + m % 8 * 8 + c % 8)],
+                want[static_cast<std::size_t>(m * kChannels + c)])
+          << m << ", " << c;
+    }
+  }
+  EXPECT_EQ(in_blocks.surroundings(), "");
 }
 
 TYPED_TEST(CudaHiddenChannels, ASampleWithoutWeightIsNotRead) {

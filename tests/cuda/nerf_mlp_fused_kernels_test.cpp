@@ -59,6 +59,7 @@ void add_product(const std::vector<double>& x, int k, const std::vector<float>& 
 struct Small {
   static constexpr int kDepth = 3, kRays = 9;
   static constexpr std::int64_t kRows = 300, kBlocks = 8, kAll = kBlocks * 64;
+  static constexpr std::int64_t kSemantic = 201, kSemanticBlocks = 4;  // rows that have the semantic layer
   std::vector<float> x = random_floats(kRows * 63, 1, -1, 1);
   std::vector<float> w[kDepth] = {random_floats(63 * 256, 2, -0.2, 0.2), random_floats(256 * 256, 3, -0.1, 0.1),
                                   random_floats(319 * 256, 4, -0.1, 0.1)};
@@ -66,13 +67,15 @@ struct Small {
                                   random_floats(256, 7, -0.1, 0.1)};
   std::vector<float> wv = random_floats(256 * 128, 8, -0.1, 0.1), wc = random_floats(128 * 3, 9, -0.2, 0.2);
   std::vector<float> bc = random_floats(3, 10, -1, 1), wd = random_floats(256, 11, -0.1, 0.1);
+  std::vector<float> ws = random_floats(256 * 128, 14, -0.1, 0.1), bs = random_floats(128, 15, -0.3, 0.3);
   std::vector<float> bd = random_floats(1, 12, -1, 1), terms = random_floats(kRays * 128, 13, -0.2, 0.2);
   std::vector<std::int32_t> ray;
 
   DeviceLaunch launch;
   DeviceMatrix<float> d_x{x, 63}, d_w0{w[0], 256}, d_w1{w[1], 256}, d_w2{w[2], 256}, d_wv{wv, 128}, d_wc{wc, 3};
   DeviceMatrix<float> d_b0{b[0], 256}, d_b1{b[1], 256}, d_b2{b[2], 256}, d_bc{bc, 3}, d_wd{wd, 1}, d_bd{bd, 1};
-  DeviceMatrix<float> d_terms{terms, 128};
+  DeviceMatrix<float> d_terms{terms, 128}, d_ws{ws, 128}, d_bs{bs, 128};
+  DeviceMatrix<Bf16> semantic{kSemantic, 128};
   DeviceMatrix<Bf16> position{kAll, 64}, trunk{kDepth * kAll, 256}, hidden{kAll, 128}, d_trunk{kDepth * kAll, 256};
   DeviceMatrix<Bf16> d_hidden{kAll, 128};
   DeviceMatrix<std::uint32_t> trunk_mask{kDepth * kBlocks * 128, 4}, hidden_mask{kBlocks * 128, 2};
@@ -93,8 +96,9 @@ struct Small {
     all[2] = {d_w2.view().row_range(0, 63), false, 256, 1};
     all[3] = {d_w2.view().row_range(63, 256), false, 256, 4};
     all[4] = {d_wv.view(), false, 128, 4};
-    EXPECT_LE(cuda::fused::slab_bytes(all, 5), static_cast<std::size_t>(slabs.view().rows));
-    cuda::fused::pack_slabs(all, 5, slabs.data());
+    all[5] = {d_ws.view(), false, 128, 4};
+    EXPECT_LE(cuda::fused::slab_bytes(all, 6), static_cast<std::size_t>(slabs.view().rows));
+    cuda::fused::pack_slabs(all, 6, slabs.data());
     cuda::fused::Forward call;
     call.rows = kRows, call.blocks = kBlocks, call.depth = kDepth, call.skip_at = 2;
     call.weights = slabs.data(), call.position = position.data();
@@ -107,6 +111,7 @@ struct Small {
     call.hidden_mask = reinterpret_cast<uint2*>(hidden_mask.data());
     call.sigma = sigma.view(), call.rgb = rgb.view(), call.feature = feature.view();
     call.rounded_feature = rounded_feature.view();
+    call.semantic = semantic.view(), call.semantic_bias = d_bs.data();
     cuda::fused::forward(call);
     cuda::check(cudaDeviceSynchronize(), "the fused forward");
   }
@@ -174,6 +179,15 @@ TEST(CudaNerfMlpFused, EveryLayerFollowsFromTheOneBefore) {
     }
   }
   EXPECT_EQ(compare(testing::widen(net.rgb.read()), color, 3, 1e-5), "") << "colour";
+
+  std::vector<double> semantic, in_memory;
+  for (std::int64_t m = 0; m < net.kSemantic; ++m) semantic.insert(semantic.end(), net.bs.begin(), net.bs.end());
+  below.resize(static_cast<std::size_t>(net.kSemantic * 256));
+  add_product(below, 256, net.ws, 128, 0, false, semantic);
+  for (double& v : semantic) v = std::max(v, 0.0);
+  for (const Bf16 v : net.semantic.read()) in_memory.push_back(__bfloat162float(v));
+  EXPECT_EQ(compare(in_memory, semantic, 128, 4e-3), "") << "semantic layer";
+  EXPECT_EQ(net.semantic.surroundings(), "");
 }
 
 TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
@@ -183,11 +197,13 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
                            g_rgb = random_floats(net.kRows * 3, 22, -9, 9);
   const std::vector<float> g_feature = random_floats(net.kRows * 256, 23, -1, 1);
   const DeviceMatrix<float> d_sigma(g_sigma, 1), d_rgb(g_rgb, 3), d_feature(g_feature, 256);
+  const DeviceMatrix<Bf16> d_semantic(random_floats(net.kSemanticBlocks * 64 * 128, 24, -1, 1), 128);
   std::array<cuda::fused::Slabs, cuda::fused::kMostSlabs> all;
-  all[0] = {net.d_wv.view(), true, 256, 2};
-  all[1] = {net.d_w2.view().row_range(63, 256), true, 256, 4};
-  all[2] = {net.d_w1.view(), true, 256, 4};
-  cuda::fused::pack_slabs(all, 3, net.slabs.data());
+  all[0] = {net.d_ws.view(), true, 256, 2};
+  all[1] = {net.d_wv.view(), true, 256, 2};
+  all[2] = {net.d_w2.view().row_range(63, 256), true, 256, 4};
+  all[3] = {net.d_w1.view(), true, 256, 4};
+  cuda::fused::pack_slabs(all, 4, net.slabs.data());
   cuda::fused::InputGradient call;
   call.rows = net.kRows, call.blocks = net.kBlocks, call.depth = net.kDepth, call.weights = net.slabs.data();
   call.density_weight = net.d_wd.data(), call.color_weight = net.d_wc.data();
@@ -195,6 +211,7 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
   call.hidden_mask = reinterpret_cast<const uint2*>(net.hidden_mask.data());
   call.rgb = net.rgb.view(), call.d_rgb = d_rgb.view(), call.d_sigma = d_sigma.view();
   call.d_feature = d_feature.view();
+  call.d_semantic = d_semantic.data(), call.semantic_blocks = net.kSemanticBlocks;
   call.d_trunk = net.d_trunk.data(), call.d_hidden = net.d_hidden.data();
   cuda::fused::input_gradient(call);
 
@@ -219,6 +236,9 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
     want.assign(static_cast<std::size_t>(net.kRows * 256), 0);
     if (i == 2) {
       add_product(above, 128, net.wv, 128, 0, true, want);
+      std::vector<double> of_semantic = rows_of(d_semantic.read(), net.kSemanticBlocks * 64, 128);
+      of_semantic.resize(static_cast<std::size_t>(net.kRows * 128));
+      add_product(of_semantic, 128, net.ws, 128, 0, true, want);
       for (std::size_t k = 0; k < want.size(); ++k)
         want[k] += g_feature[k] + double{g_sigma[k / 256]} * net.wd[k % 256];
     } else {
@@ -298,11 +318,11 @@ TEST(CudaNerfMlpFused, WeightGradientsAreSumsOverAllRows) {
     const DeviceMatrix<float> avw(std::vector<float>(256 * 128, 3.0F), 128), b_sum(std::vector<float>(256), 256);
     const DeviceMatrix<float> p_sum(std::vector<float>(256), 256), v_sum(std::vector<float>(128), 128);
     cuda::fused::WeightGradients call;
-    call.blocks = blocks;
     call.count = 3;
-    call.all[0] = {a.data(), b.data(), 256, 256, ab.view(), b_sum.view()};
-    call.all[1] = {p.data(), b.data(), 64, 256, pb.view(), p_sum.view()};
-    call.all[2] = {a.data(), v.data(), 256, 128, avw.view(), v_sum.view()};
+    const std::int64_t fewer = blocks - 4;  // of the last matrix
+    call.all[0] = {a.data(), b.data(), 256, 256, ab.view(), b_sum.view(), blocks};
+    call.all[1] = {p.data(), b.data(), 64, 256, pb.view(), p_sum.view(), blocks};
+    call.all[2] = {a.data(), v.data(), 256, 128, avw.view(), v_sum.view(), fewer};
     cuda::fused::weight_gradients(call, launch.arena());
     const auto bf16 = [](const std::vector<float>& values) {
       std::vector<Bf16> result;
@@ -312,9 +332,9 @@ TEST(CudaNerfMlpFused, WeightGradientsAreSumsOverAllRows) {
     const std::vector<double> ar = rows_of(bf16(av), rows, 256), pr = rows_of(bf16(pv), rows, 64);
     const std::vector<double> br = rows_of(bf16(bv), rows, 256), vr = rows_of(bf16(vv), rows, 128);
     const auto want = [&](const std::vector<double>& x, int k, int taken, const std::vector<double>& y, int n,
-                          double start) {
+                          double start, std::int64_t count) {
       std::vector<double> sum(static_cast<std::size_t>(taken * n), start);
-      for (std::int64_t m = 0; m < rows; ++m) {
+      for (std::int64_t m = 0; m < count; ++m) {
         for (int i = 0; i < taken; ++i) {
           for (int j = 0; j < n; ++j)
             sum[static_cast<std::size_t>(i * n + j)] +=
@@ -323,13 +343,13 @@ TEST(CudaNerfMlpFused, WeightGradientsAreSumsOverAllRows) {
       }
       return sum;
     };
-    EXPECT_EQ(compare(testing::widen(ab.read()), want(ar, 256, 256, br, 256, 1), 256, 0), "");
-    EXPECT_EQ(compare(testing::widen(pb.read()), want(pr, 64, 63, br, 256, 2), 256, 0), "");
-    EXPECT_EQ(compare(testing::widen(avw.read()), want(ar, 256, 256, vr, 128, 3), 128, 0), "");
+    EXPECT_EQ(compare(testing::widen(ab.read()), want(ar, 256, 256, br, 256, 1, rows), 256, 0), "");
+    EXPECT_EQ(compare(testing::widen(pb.read()), want(pr, 64, 63, br, 256, 2, rows), 256, 0), "");
+    EXPECT_EQ(compare(testing::widen(avw.read()), want(ar, 256, 256, vr, 128, 3, fewer * 64), 128, 0), "");
     const std::vector<double> ones(static_cast<std::size_t>(rows), 1);
-    EXPECT_EQ(compare(testing::widen(b_sum.read()), want(ones, 1, 1, br, 256, 0), 256, 0), "");
-    EXPECT_EQ(compare(testing::widen(p_sum.read()), want(ones, 1, 1, br, 256, 0), 256, 0), "");
-    EXPECT_EQ(compare(testing::widen(v_sum.read()), want(ones, 1, 1, vr, 128, 0), 128, 0), "");
+    EXPECT_EQ(compare(testing::widen(b_sum.read()), want(ones, 1, 1, br, 256, 0, rows), 256, 0), "");
+    EXPECT_EQ(compare(testing::widen(p_sum.read()), want(ones, 1, 1, br, 256, 0, rows), 256, 0), "");
+    EXPECT_EQ(compare(testing::widen(v_sum.read()), want(ones, 1, 1, vr, 128, 0, fewer * 64), 128, 0), "");
     for (const DeviceMatrix<float>* m : {&ab, &pb, &avw, &b_sum, &p_sum, &v_sum}) EXPECT_EQ(m->surroundings(), "");
   }
 }

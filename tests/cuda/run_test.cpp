@@ -8,6 +8,7 @@
 
 #include "core/error.h"
 #include "tests/cuda/device_fixture.h"
+#include "tests/cuda/fused_fixture.h"
 #include "tests/train/train_testing.h"
 #include "train/evaluator.h"
 #include "train/trainer.h"
@@ -101,6 +102,48 @@ TEST_P(CudaStep, LossesAndGradientsAreTheProcessors) {
 }
 INSTANTIATE_TEST_SUITE_P(All, CudaStep, ::testing::ValuesIn(kSteps),
                          [](const ::testing::TestParamInfo<StepCaseRow>& info) { return info.param.name; });
+
+std::string paper_config(const std::string& scene, std::int32_t hidden_width) {
+  const std::string encodings =
+      "    position: {type: frequency, frequencies: 10}\n"
+      "    direction: {type: frequency, frequencies: 4}\n"
+      "    field: {type: nerf_mlp}\n";
+  return "scene: " + scene + "\nsemantics: {hidden_width: " + std::to_string(hidden_width) + ", weight: 0.3}\n" +
+         "passes:\n  - name: coarse\n    sampler: {type: stratified, samples: 8}\n" + encodings +
+         "  - name: fine\n    sampler: {type: importance, samples: 13}\n" + encodings + "train: {steps: 9, rays: 64}\n";
+}
+
+// The network of the paper in bf16: fused with the head's hidden layer, against the layers one by one. Gradients are
+// compared by norm: a unit within rounding of zero may fall on either side of its ReLU.
+TEST(CudaRun, TheFusedNetworkTakesTheSemanticLayerWithIt) {
+  SEMFIELD_NEEDS_FUSED();
+  Registry registry = make_registry();
+  for (const char* scene : {"{type: analytic_room}", "{type: analytic_room, labels: {frames: 50%}}"}) {
+    for (const std::int32_t hidden_width : {128, 64}) {  // 64: the kernels have no such layer
+      SCOPED_TRACE(std::string(scene) + ", hidden " + std::to_string(hidden_width));
+      const std::string yaml = paper_config(scene, hidden_width), runtime = "device: cuda, precision: bf16";
+      Training fused(registry, yaml, runtime);
+      const StepLosses a = fused.train(1);
+      const testing::UseFused layered(false);
+      Training layers(registry, yaml, runtime);
+      const StepLosses b = layers.train(1);
+      expect_near(a.color, b.color, 0.01, "colour");
+      expect_near(a.semantic, b.semantic, 0.01, "semantic");
+      const auto &of_fused = fused.session.pipeline->store().all(), &of_layers = layers.session.pipeline->store().all();
+      for (std::size_t i = 0; i < of_layers.size(); ++i) {
+        if (!of_layers[i].learned()) continue;
+        double off = 0, norm = 0;
+        for (std::int64_t e = 0; e < of_layers[i].size(); ++e) {
+          const double want = of_layers[i].moment1.data()[e], got = of_fused[i].moment1.data()[e];
+          off += (got - want) * (got - want);
+          norm += want * want;
+        }
+        EXPECT_GT(norm, 0) << of_layers[i].name;
+        EXPECT_LE(std::sqrt(off), 0.1 * std::sqrt(norm)) << of_layers[i].name;
+      }
+    }
+  }
+}
 
 struct Quality {
   double psnr = 0, accuracy = 0;

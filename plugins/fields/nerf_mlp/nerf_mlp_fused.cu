@@ -14,6 +14,7 @@ namespace {
 
 using Bf16 = __nv_bfloat16;
 static_assert(fused::kMostLayers == fused::kMaxDepth);
+static_assert(blocked_rows(1) == fused::kTileRows);
 
 View<const float> value(const Tensors<float>& t, int index) { return t.value[static_cast<std::size_t>(index)]; }
 View<float> grad_of(const Tensors<float>& t, int index) { return t.grad[static_cast<std::size_t>(index)]; }
@@ -53,7 +54,9 @@ View<const float> view_weight(const NerfMlpShape& s, const Tensors<float>& t) {
   return s.folds() ? value(t, s.folded.weight) : value(t, s.view.weight);
 }
 
-std::byte* forward_slabs(const NerfMlpShape& s, const Tensors<float>& t, bool with_color, Workspace& arena) {
+/// semantic: weight of the semantic layer, or empty.
+std::byte* forward_slabs(const NerfMlpShape& s, const Tensors<float>& t, bool with_color, View<const float> semantic,
+                         Workspace& arena) {
   constexpr int kWhole = fused::kWidth / fused::kTerms;
   std::array<fused::Slabs, fused::kMostSlabs> all;
   int count = 0;
@@ -66,17 +69,20 @@ std::byte* forward_slabs(const NerfMlpShape& s, const Tensors<float>& t, bool wi
     if (i > 0) add(of_layer_below(s, t, i), fused::kWidth, kWhole);
   }
   if (with_color) add(view_weight(s, t), fused::kView, kWhole);
+  if (!semantic.empty()) add(semantic, fused::kView, kWhole);
   std::byte* const slabs = arena.take_bytes(fused::slab_bytes(all, count));
   fused::pack_slabs(all, count, slabs);
   return slabs;
 }
 
-std::byte* backward_slabs(const NerfMlpShape& s, const Tensors<float>& t, bool with_color, Workspace& arena) {
+std::byte* backward_slabs(const NerfMlpShape& s, const Tensors<float>& t, bool with_color, View<const float> semantic,
+                          Workspace& arena) {
   std::array<fused::Slabs, fused::kMostSlabs> all;
   int count = 0;
   const auto add = [&](View<const float> weight) {
     all[static_cast<std::size_t>(count++)] = {weight, true, fused::kWidth, weight.cols / fused::kTerms};
   };
+  if (!semantic.empty()) add(semantic);
   if (with_color) add(view_weight(s, t));
   for (int i = s.depth - 1; i > 0; --i) add(of_layer_below(s, t, i));
   std::byte* const slabs = arena.take_bytes(fused::slab_bytes(all, count));
@@ -89,12 +95,18 @@ bool pairs(View<const float> m) {
   return m.row_stride % 2 == 0 && reinterpret_cast<std::uintptr_t>(m.data) % (2 * sizeof(float)) == 0;
 }
 
-void weights_backward(const NerfMlpShape& s, const Tensors<float>& t, std::int64_t blocks, const Kept& kept,
-                      const fused::InputGradient& from, Workspace& arena) {
-  const std::int64_t piece = blocks * fused::kRows * fused::kWidth;
+/// Whether the semantic head's hidden layer is one that the kernels have; `needed`: forward's room or backward's
+/// gradient is there.
+bool takes(const HiddenLayer& layer, bool needed) {
+  return needed && layer.weight.rows == fused::kWidth && layer.weight.cols == fused::kView;
+}
+
+void weights_backward(const NerfMlpShape& s, const Tensors<float>& t, const Kept& kept,
+                      const fused::InputGradient& from, const HiddenLayer& semantic, Workspace& arena) {
+  const std::int64_t blocks = from.blocks, piece = blocks * fused::kRows * fused::kWidth;
   fused::WeightGradients call;
-  call.blocks = blocks;
-  const auto add = [&](const fused::WeightGradient& gradient) {
+  const auto add = [&](fused::WeightGradient gradient) {
+    if (gradient.blocks == 0) gradient.blocks = blocks;
     call.all[static_cast<std::size_t>(call.count++)] = gradient;
   };
   for (int i = 0; i < s.depth; ++i) {
@@ -114,6 +126,10 @@ void weights_backward(const NerfMlpShape& s, const Tensors<float>& t, std::int64
     add({kept.trunk + (s.depth - 1) * piece, from.d_hidden, fused::kWidth, fused::kView,
          s.folds() ? grad_of(t, s.folded.weight) : grad_of(t, s.view.weight),
          s.has_direction() ? View<float>() : grad_of(t, s.view.bias)});
+  }
+  if (from.semantic_blocks > 0) {
+    add({kept.trunk + (s.depth - 1) * piece, from.d_semantic, fused::kWidth, fused::kView, semantic.d_weight,
+         semantic.d_bias, from.semantic_blocks});
   }
   fused::weight_gradients(call, arena);
 }
@@ -174,7 +190,14 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
   fused::pack_position(in.position, call.blocks, kept.position);
   call.depth = s.depth;
   call.skip_at = s.skip_at;
-  call.weights = forward_slabs(s, t, with_color, arena);
+  FeatureExchange* const exchange = launch().features;
+  if (exchange != nullptr && takes(exchange->layer, !exchange->layer.hidden.empty())) {
+    call.semantic = exchange->layer.hidden;
+    call.semantic_bias = exchange->layer.bias.data;
+    exchange->hidden_is_done = true;
+  }
+  call.weights =
+      forward_slabs(s, t, with_color, call.semantic.empty() ? View<const float>() : exchange->layer.weight, arena);
   call.position = kept.position;
   for (std::size_t i = 0; i < s.trunk.size(); ++i) call.bias[i] = value(t, s.trunk[i].bias).data;
   call.density_weight = value(t, s.density.weight).data;
@@ -201,8 +224,9 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
   } else {
     call.view_bias = value(t, s.view.bias).data;
   }
-  FeatureExchange* const exchange = launch().features;
-  if (exchange != nullptr) {
+  if (!call.semantic.empty()) {
+    call.feature = {};
+  } else if (exchange != nullptr) {
     call.feature = {};
     call.rounded_feature = exchange->room;
     exchange->feature = exchange->room;
@@ -219,8 +243,13 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
   View<const Bf16> d_rounded_feature;
-  if (launch().features != nullptr) d_rounded_feature = launch().features->d_feature;
-  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && d_rounded_feature.empty()) {
+  HiddenLayer semantic;
+  if (launch().features != nullptr) {
+    d_rounded_feature = launch().features->d_feature;
+    semantic = launch().features->layer;
+  }
+  const bool with_semantic = takes(semantic, semantic.d_hidden != nullptr);
+  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && d_rounded_feature.empty() && !with_semantic) {
     if (!d_position.empty()) cuda::fill(d_position, 0.0F);
     return;
   }
@@ -233,7 +262,7 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
   const std::int64_t rows = call.blocks * fused::kRows;
   const Kept kept(s, call.blocks, saved.data());
   call.depth = s.depth;
-  call.weights = backward_slabs(s, t, with_color, arena);
+  call.weights = backward_slabs(s, t, with_color, with_semantic ? semantic.weight : View<const float>(), arena);
   call.density_weight = value(t, s.density.weight).data;
   call.color_weight = value(t, s.color.weight).data;
   call.trunk_mask = kept.trunk_mask;
@@ -246,6 +275,10 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
     convert<float, float>(grad.feature, copy);
     call.d_feature = copy;
   }
+  if (with_semantic) {
+    call.d_semantic = semantic.d_hidden;
+    call.semantic_blocks = blocked_rows(semantic.hidden.rows) / fused::kRows;
+  }
   call.d_trunk = arena.take<Bf16>(s.depth * rows, fused::kWidth).data;
   if (with_color) {
     call.rgb = out.rgb;
@@ -253,7 +286,7 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
     call.d_hidden = arena.take<Bf16>(rows, fused::kView).data;
   }
   fused::input_gradient(call);
-  weights_backward(s, t, call.blocks, kept, call, arena);
+  weights_backward(s, t, kept, call, semantic, arena);
   fused::HeadGradient density, color;
   if (!grad.sigma.empty()) {
     density.x = kept.trunk + (s.depth - 1) * rows * fused::kWidth;

@@ -1,7 +1,7 @@
 // Gradients of activations through all layers in one kernel, built as the forward: a warpgroup takes 64 rows from the
-// outputs' gradients to the first layer. Per row: read 28 bytes of heads, 1,024 with a feature, 32 depth + 16 of masks;
-// written 512 depth + 256. 2 (256^2 (depth - 1) + 256 128) operations a row. The same bits in every run and for every
-// batch.
+// outputs' gradients to the first layer. Per row: read 28 bytes of heads, 1,024 with a feature (in bf16 512), 256 with
+// the semantic layer, 32 depth + 16 of masks; written 512 depth + 256. 2 (256^2 (depth - 1) + 256 128) operations a
+// row, 2 256 128 more with the semantic layer. The same bits in every run and for every batch.
 #include <nv/target>
 
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
@@ -19,7 +19,8 @@ struct Shared {
   std::uint32_t slabs, tiles, barriers;
   float *density, *color;  // [256], [3, 128]
   static constexpr std::uint32_t kFloats = kSlabBytes * kStages + kTileBytes * kGroups;
-  static constexpr std::uint32_t kBytes = kFloats + (kWidth + kChannels * kView) * 4 + Ring<kStages>::kBarrierBytes;
+  static constexpr std::uint32_t kBytes =
+      kFloats + (kWidth + kChannels * kView) * 4 + Ring<kStages>::kBarrierBytes + 8 * kGroups;
   __device__ explicit Shared(std::byte* memory) {
     slabs = hopper::shared_address(memory);
     tiles = slabs + kSlabBytes * kStages;
@@ -28,13 +29,29 @@ struct Shared {
     barriers = hopper::shared_address(color + kChannels * kView);
   }
   __device__ Ring<kStages> ring() const { return {slabs, barriers}; }
+  __device__ std::uint32_t semantic_full(int group) const {
+    return barriers + Ring<kStages>::kBarrierBytes + 8 * static_cast<std::uint32_t>(group);
+  }
 };
 
+constexpr std::uint32_t kViewTileBytes = kRows * kView * 2;
+
+// Whether a cluster's tile has rows of the semantic layer.
+__device__ inline bool has_semantic(const InputGradient& p, std::int64_t tile) {
+  return tile * (kGroups * kCluster) < p.semantic_blocks;
+}
+
+// Slabs: of the semantic layer, of the view layer, of the trunk from its end.
 __device__ void feed(const InputGradient& p, const Shared& sh, const Tiles& tiles) {
   Ring<kStages> ring = sh.ring();
-  const int slabs = (p.d_rgb.empty() ? 0 : kView / kTerms) + (p.depth - 1) * (kWidth / kTerms);
+  constexpr int kOfView = kView / kTerms;
+  const int slabs = (p.d_rgb.empty() ? 0 : kOfView) + (p.depth - 1) * (kWidth / kTerms);
   for (std::int64_t tile = tiles.first; tile < tiles.count; tile += tiles.step) {
     const std::byte* from = p.weights;
+    if (has_semantic(p, tile)) {
+      for (int s = 0; s < kOfView; ++s) ring.feed(from + s * kSlabBytes, kSlabBytes, tiles.rank);
+    }
+    if (p.semantic_blocks > 0) from += kOfView * kSlabBytes;
     for (int s = 0; s < slabs; ++s, from += kSlabBytes) ring.feed(from, kSlabBytes, tiles.rank);
   }
 }
@@ -105,16 +122,27 @@ __device__ void compute(const InputGradient& p, const Shared& sh, const Tiles& t
   Ring<kStages> ring = sh.ring();
   const std::uint32_t tile_at = sh.tiles + static_cast<std::uint32_t>(group) * kTileBytes;
   const Rows of_view{tile_at, row_step(kView), kView}, above{tile_at, row_step(kWidth), kWidth};
+  const Rows of_semantic{tile_at + kViewTileBytes, row_step(kView), kView};
+  std::uint32_t turn = 0;
   for (std::int64_t tile = tiles.first; tile < tiles.count; tile += tiles.step) {
     const std::int64_t block = tiles.block(tile, group);
     const std::int64_t row = block * kRows + at.row;
     float acc[kWidth / 2] = {};  // defined, so that no registers are kept for it across tiles
+    const bool with_semantic = has_semantic(p, tile);
+    if (with_semantic) {
+      tile_is_free(at, group);
+      if (at.thread == 0) {
+        hopper::barrier_expect(sh.semantic_full(group), kViewTileBytes);
+        hopper::bulk_load(of_semantic.address, p.d_semantic + block * (kRows * kView), kViewTileBytes,
+                          sh.semantic_full(group));
+      }
+    }
     if (!p.d_rgb.empty()) {
       float view[kView / 2];
       const uint2 bits = p.hidden_mask[block * hopper::kWarpgroup + at.thread];
       const MaskBits<kView> mask{{bits.x, bits.y}};
       from_color(p, view, sh.color, row, at.quad);
-      tile_is_free(at, group);
+      if (!with_semantic) tile_is_free(at, group);
       store_tile<kView>(tile_at, at,
                         [&](int pair) { return mask.apply(pair, hopper::pack(view[2 * pair], view[2 * pair + 1])); });
       tile_is_written(at, group, tile_at, p.d_hidden + block * (kRows * kView), kRows * kView * 2);
@@ -125,7 +153,11 @@ __device__ void compute(const InputGradient& p, const Shared& sh, const Tiles& t
       if (i < p.depth - 1) {
         multiply<kWidth>(acc, above, true, ring);
       } else {
-        if (!p.d_rgb.empty()) multiply<kWidth>(acc, of_view, true, ring);
+        if (with_semantic) {
+          hopper::barrier_wait(sh.semantic_full(group), turn++ % 2);
+          multiply<kWidth>(acc, of_semantic, true, ring);
+        }
+        if (!p.d_rgb.empty()) multiply<kWidth>(acc, of_view, !with_semantic, ring);
         add_heads(p, acc, sh.density, row, at.quad);
       }
       const MaskBits<kWidth> mask{{bits.x, bits.y, bits.z, bits.w}};
@@ -147,6 +179,7 @@ __device__ void compute(const InputGradient& p, const Shared& sh, const Tiles& t
   }
   if (threadIdx.x == 0) {
     sh.ring().init();
+    for (int group = 0; group < kGroups; ++group) hopper::barrier_init(sh.semantic_full(group), 1);
     hopper::fence_barrier_init();
   }
   __syncthreads();

@@ -1,8 +1,9 @@
 // Forward through all layers in one kernel. A warpgroup: 64 rows, 64 x 256 sums in registers; the layer's input is read
 // from shared memory, its output goes there (and to memory when a backward follows). Weights stream through a ring that
 // one thread of the third warpgroup fills. Per row: 128 bytes of position read; written with a backward 512 depth + 256
-// + 32 depth + 16, with a feature 1,024, colour and density 16; weights come from the second-level cache, 1 MB for
-// every 256 rows. 2 (64 256 2 + 256^2 (depth - 1) + 256 128) operations a row, padding of the position included.
+// + 32 depth + 16, with a feature 1,024 (in bf16 512), the semantic layer 256, colour and density 16; weights come from
+// the second-level cache, 1 MB for every 256 rows. 2 (64 256 2 + 256^2 (depth - 1) + 256 128) operations a row, 2 256
+// 128 more with the semantic layer; padding of the position included.
 // Results are the same bits in every run and for every batch.
 #include <nv/target>
 
@@ -20,11 +21,11 @@ constexpr int kStages = 4;
 // Shared memory, in this order from its aligned start.
 struct Shared {
   std::uint32_t slabs, tiles, positions, barriers;
-  float *bias, *density, *color, *view_bias;  // [depth, 256], [256], [3, 128], [128]
+  float *bias, *density, *color, *view_bias, *semantic_bias;  // [depth, 256], [256], [3, 128], [128], [128]
   static constexpr std::uint32_t kFloats = kSlabBytes * kStages + (kTileBytes + kPositionBytes) * kGroups;
   static constexpr std::uint32_t kBarrierBytes = Ring<kStages>::kBarrierBytes + 16 * kGroups;
   static constexpr std::uint32_t bytes(int depth) {
-    return kFloats + static_cast<std::uint32_t>(depth * kWidth + kWidth + (kChannels + 1) * kView) * 4 + kBarrierBytes;
+    return kFloats + static_cast<std::uint32_t>(depth * kWidth + kWidth + (kChannels + 2) * kView) * 4 + kBarrierBytes;
   }
   __device__ Shared(std::byte* memory, int depth) {
     slabs = hopper::shared_address(memory);
@@ -34,7 +35,8 @@ struct Shared {
     density = bias + depth * kWidth;
     color = density + kWidth;
     view_bias = color + kChannels * kView;
-    barriers = hopper::shared_address(view_bias + kView);
+    semantic_bias = view_bias + kView;
+    barriers = hopper::shared_address(semantic_bias + kView);
   }
   __device__ Ring<kStages> ring() const { return {slabs, barriers}; }
   __device__ std::uint32_t position_full(int group) const {
@@ -42,6 +44,9 @@ struct Shared {
   }
   __device__ std::uint32_t position_empty(int group) const { return position_full(group) + 8; }
 };
+
+// Whether a cluster's tile has rows of the semantic layer.
+__device__ inline bool has_semantic(const Forward& p, std::int64_t tile) { return tile * kTileRows < p.semantic.rows; }
 
 __device__ void feed(const Forward& p, const Shared& sh, const Tiles& tiles) {
   Ring<kStages> ring = sh.ring();
@@ -58,7 +63,8 @@ __device__ void feed(const Forward& p, const Shared& sh, const Tiles& tiles) {
     }
     const std::byte* from = p.weights;
     for (int s = 0; s < trunk_slabs; ++s, from += kSlabBytes) ring.feed(from, kSlabBytes, tiles.rank);
-    for (int s = 0; s < view_slabs; ++s, from += kViewSlabBytes) ring.feed(from, kViewSlabBytes, tiles.rank);
+    const int last_slabs = view_slabs + (has_semantic(p, tile) ? kWidth / kTerms : 0);
+    for (int s = 0; s < last_slabs; ++s, from += kViewSlabBytes) ring.feed(from, kViewSlabBytes, tiles.rank);
   }
 }
 
@@ -100,17 +106,20 @@ __device__ inline void density_and_feature(const Forward& p, const float (&acc)[
   }
 }
 
-// The last layer's tile to rows of memory: a warp moves 8 rows of 64 bytes at a time.
-__device__ inline void copy_feature(const Forward& p, std::uint32_t tile, std::int64_t first_row, const Lane& at) {
+// A tile to rows of memory: a warp moves 8 rows of 64 bytes at a time.
+template <int kColumns>
+__device__ inline void copy_rows(std::uint32_t tile, const View<__nv_bfloat16>& to, std::int64_t first_row,
+                                 const Lane& at) {
+  constexpr int kMoves = kColumns / 32;  // of 8 rows
 #pragma unroll 2
-  for (int i = at.warp; i < static_cast<int>(kTileBytes / 512); i += 4) {
-    const int rows_of_8 = i / 8, col_block = i % 8 * 4 + at.lane / 8, in_block = at.lane % 8;
-    const std::uint32_t from = tile + static_cast<std::uint32_t>(rows_of_8) * row_step(kWidth) +
+  for (int i = at.warp; i < kRows / 8 * kMoves; i += 4) {
+    const int rows_of_8 = i / kMoves, col_block = i % kMoves * 4 + at.lane / 8, in_block = at.lane % 8;
+    const std::uint32_t from = tile + static_cast<std::uint32_t>(rows_of_8) * row_step(kColumns) +
                                static_cast<std::uint32_t>(col_block) * kBlockBytes +
                                static_cast<std::uint32_t>(in_block) * 16;
     const std::int64_t row = first_row + rows_of_8 * 8 + in_block;
-    if (row >= p.rows) continue;
-    reinterpret_cast<uint4*>(p.rounded_feature.row(row))[col_block] = hopper::load_shared(from);
+    if (row >= to.rows) continue;
+    reinterpret_cast<uint4*>(to.row(row))[col_block] = hopper::load_shared(from);
   }
 }
 
@@ -191,22 +200,34 @@ __device__ void compute(const Forward& p, const Shared& sh, const Tiles& tiles, 
         p.trunk_mask[piece * hopper::kWarpgroup + at.thread] =
             make_uint4(mask.word[0], mask.word[1], mask.word[2], mask.word[3]);
       }
-      if (is_last && !p.rounded_feature.empty()) copy_feature(p, tile_at, block * kRows, at);
+      if (is_last && !p.rounded_feature.empty()) copy_rows<kWidth>(tile_at, p.rounded_feature, block * kRows, at);
     }
-    if (p.rgb.empty()) continue;
-    float view[kView / 2] = {};
-    multiply<kView>(view, below, true, ring);
-    color(p, view, sh.color, sh.view_bias, row, at.quad);
-    if (!saves) continue;
-    MaskBits<kView> mask{};
+    const bool with_color = !p.rgb.empty(), with_semantic = has_semantic(p, tile);
+    float view[kView / 2] = {}, semantic[kView / 2] = {};
+    if (with_color) multiply<kView>(view, below, true, ring);
+    if (with_semantic) multiply<kView>(semantic, below, true, ring);
+    if (with_color) color(p, view, sh.color, sh.view_bias, row, at.quad);
+    const bool saves_view = with_color && saves;
+    if (!saves_view && !with_semantic) continue;
+    const std::uint32_t semantic_at = tile_at + kRows * kView * 2;  // the tile's second half
     tile_is_free(at, group);
-    store_tile<kView>(tile_at, at, [&](int pair) {
-      const std::uint32_t packed = hopper::pack_positive(view[2 * pair], view[2 * pair + 1]);
-      mask.add(pair, packed);
-      return packed;
-    });
-    tile_is_written(at, group, tile_at, p.hidden + block * (kRows * kView), kRows * kView * 2);
-    p.hidden_mask[block * hopper::kWarpgroup + at.thread] = make_uint2(mask.word[0], mask.word[1]);
+    if (saves_view) {
+      MaskBits<kView> mask{};
+      store_tile<kView>(tile_at, at, [&](int pair) {
+        const std::uint32_t packed = hopper::pack_positive(view[2 * pair], view[2 * pair + 1]);
+        mask.add(pair, packed);
+        return packed;
+      });
+      p.hidden_mask[block * hopper::kWarpgroup + at.thread] = make_uint2(mask.word[0], mask.word[1]);
+    }
+    if (with_semantic) {
+      store_tile<kView>(semantic_at, at, [&](int pair) {
+        const float2 b = pair_of(sh.semantic_bias, pair / 2, at.quad);
+        return hopper::pack_positive(semantic[2 * pair] + b.x, semantic[2 * pair + 1] + b.y);
+      });
+    }
+    tile_is_written(at, group, tile_at, saves_view ? p.hidden + block * (kRows * kView) : nullptr, kRows * kView * 2);
+    if (with_semantic) copy_rows<kView>(semantic_at, p.semantic, block * kRows, at);
   }
   if (at.thread == 0) hopper::bulk_stores_are_done();
 }
@@ -223,6 +244,9 @@ __device__ void compute(const Forward& p, const Shared& sh, const Tiles& tiles, 
   }
   for (int k = static_cast<int>(threadIdx.x); p.view_bias != nullptr && k < kView; k += kThreads) {
     sh.view_bias[k] = p.view_bias[k];
+  }
+  for (int k = static_cast<int>(threadIdx.x); !p.semantic.empty() && k < kView; k += kThreads) {
+    sh.semantic_bias[k] = p.semantic_bias[k];
   }
   if (threadIdx.x == 0) {
     sh.ring().init();

@@ -32,6 +32,8 @@ struct Forward {
   uint2* hidden_mask = nullptr;
   View<float> sigma, rgb, feature;      ///< empty: not wanted
   View<__nv_bfloat16> rounded_feature;  ///< rows in bf16
+  View<__nv_bfloat16> semantic;         ///< [N <= rows, 128]: relu(feature W + b) of the first rows; empty: not wanted
+  const float* semantic_bias = nullptr;
 };
 void forward(const Forward& call);
 
@@ -44,6 +46,9 @@ struct InputGradient {
   const uint2* hidden_mask = nullptr;
   View<const float> rgb, d_rgb, d_sigma, d_feature;  ///< gradients may be empty
   View<const __nv_bfloat16> d_rounded_feature;       ///< instead of d_feature; rows behind its last count as 0
+  /// Or dL/d(semantic layer before its ReLU), blocked [64 semantic_blocks, 128] of whole tiles; rows behind count as 0.
+  const __nv_bfloat16* d_semantic = nullptr;
+  std::int64_t semantic_blocks = 0;
   /// dL/d(layer before its ReLU), blocked [depth][64 blocks, 256] and, with d_rgb, [64 blocks, 128].
   __nv_bfloat16 *d_trunk = nullptr, *d_hidden = nullptr;
 };
@@ -53,14 +58,14 @@ void input_gradient(const InputGradient& call);
 struct WeightGradient {
   const __nv_bfloat16 *a = nullptr, *b = nullptr;
   int a_cols = 0, b_cols = 0;
-  View<float> d_weight;  ///< [at most a_cols, b_cols]
-  View<float> d_bias;    ///< [1, b_cols] or empty: column sums of B
+  View<float> d_weight;     ///< [at most a_cols, b_cols]
+  View<float> d_bias;       ///< [1, b_cols] or empty: column sums of B
+  std::int64_t blocks = 0;  ///< as WeightGradients::blocks
 };
-inline constexpr int kMostGradients = kMostLayers + 2;
+inline constexpr int kMostGradients = kMostLayers + 3;
 struct WeightGradients {
   std::array<WeightGradient, kMostGradients> all;
   int count = 0;
-  std::int64_t blocks = 0;
 };
 /// One launch for all, and one that adds the blocks' parts in order.
 void weight_gradients(const WeightGradients& call, Workspace& arena);
@@ -72,7 +77,7 @@ struct Slabs {
   bool transposed = false;
   int columns = 0, slabs = 0;
 };
-inline constexpr int kMostSlabs = kMostLayers + 2;
+inline constexpr int kMostSlabs = kMostLayers + 3;
 /// Packs all one behind the other; returns what they take in bytes.
 std::size_t slab_bytes(const std::array<Slabs, kMostSlabs>& all, int count);
 void pack_slabs(const std::array<Slabs, kMostSlabs>& all, int count, std::byte* to);

@@ -22,15 +22,16 @@ constexpr int kMostJobs = 2 * kMostGradients;
 
 struct Job {
   const __nv_bfloat16 *a, *b;
-  int a_cols, b_cols;               // as stored
-  int first, take;                  // columns of B
+  int a_cols, b_cols;  // as stored
+  int first, take;     // columns of B
+  std::int64_t blocks;
   std::int64_t weight_at, bias_at;  // in a range's parts; bias_at < 0: not wanted
 };
 struct Work {
   Job jobs[kMostJobs];
   int count;
-  std::int64_t blocks, blocks_each, ranges, parts;  // parts: floats of a range
-  float* partial;                                   // [ranges, parts]
+  std::int64_t blocks_each, ranges, parts;  // parts: floats of a range
+  float* partial;                           // [ranges, parts]
 };
 
 __device__ constexpr std::uint32_t tile_bytes(int cols) { return kRows * static_cast<std::uint32_t>(cols) * 2; }
@@ -184,7 +185,8 @@ __device__ void sum_columns(const Job& job, float* parts, std::int64_t turns, St
   for (std::int64_t item = blockIdx.x; item < w.ranges * w.count; item += gridDim.x) {
     const Job& job = w.jobs[item % w.count];
     const std::int64_t range = item / w.count, begin = range * w.blocks_each;
-    const std::int64_t end = begin + w.blocks_each < w.blocks ? begin + w.blocks_each : w.blocks;
+    const std::int64_t behind = begin + w.blocks_each < job.blocks ? begin + w.blocks_each : job.blocks;
+    const std::int64_t end = behind > begin ? behind : begin;
     float* parts = w.partial + range * w.parts;
     if (group < kGroups) {
       compute(job, parts, end - begin, group, stages);
@@ -237,6 +239,7 @@ void weight_gradients(const WeightGradients& call, Workspace& arena) {
   Work w{};
   Sums sums{};
   int most = 0;
+  std::int64_t blocks = 0;
   for (int g = 0; g < call.count; ++g) {
     const WeightGradient& gradient = call.all[static_cast<std::size_t>(g)];
     const bool wide = gradient.a_cols == kWidth;
@@ -245,6 +248,7 @@ void weight_gradients(const WeightGradients& call, Workspace& arena) {
       throw Error(ErrorKind::internal, "a weight gradient of a shape that the fused kernel has not");
     }
     const bool biased = !gradient.d_bias.empty();
+    blocks = std::max(blocks, gradient.blocks);
     Sum& sum = sums.all[g];
     sum.weight = gradient.d_weight.data;
     sum.bias = gradient.d_bias.data;
@@ -263,16 +267,16 @@ void weight_gradients(const WeightGradients& call, Workspace& arena) {
                            gradient.b_cols,
                            first,
                            take,
+                           gradient.blocks,
                            sum.weight_at + static_cast<std::int64_t>(gradient.a_cols) * first,
                            biased ? sum.bias_at + first : -1};
     }
     w.parts = sum.bias_at + gradient.b_cols;
   }
-  if (w.count == 0 || call.blocks == 0) return;
+  if (blocks == 0) return;
   const std::int64_t two_turns = std::max(1, 2 * multiprocessors() / w.count);
-  w.blocks = call.blocks;
-  w.blocks_each = (call.blocks + two_turns - 1) / two_turns;
-  w.ranges = (call.blocks + w.blocks_each - 1) / w.blocks_each;
+  w.blocks_each = (blocks + two_turns - 1) / two_turns;
+  w.ranges = (blocks + w.blocks_each - 1) / w.blocks_each;
   w.partial = arena.take<float>(w.ranges, static_cast<std::int32_t>(w.parts)).data;
   constexpr std::uint32_t kShared = kStages * kStageBytes + Stages::kBarrierBytes;
   check(cudaFuncSetAttribute(weight_gradient_kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
