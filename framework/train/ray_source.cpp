@@ -17,6 +17,7 @@ void BatchBuffers::resize(std::int64_t rays, std::int32_t classes) {
   near_far.resize(2 * n);
   target.resize(3 * n);
   label.resize(n);
+  choices.resize(n);
   soft_classes = classes;
   soft.resize(n * static_cast<std::size_t>(classes));
 }
@@ -172,35 +173,63 @@ void RaySource::soft_label_of(const Pixel& pixel, std::span<float> out) const {
   }
 }
 
+void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const {
+  const TrainFrame& frame = frames_[static_cast<std::size_t>(choice.pixel.frame)];
+  const std::int32_t width = frame.pixels->width_px, index = choice.pixel.index;
+  const auto s = static_cast<std::size_t>(row);
+  cast_ray(frame.camera, limits_, index % width, index / width, &batch.origin[3 * s], &batch.direction[3 * s],
+           &batch.near_far[2 * s]);
+  for (std::size_t i = 0; i < 3; ++i) {
+    batch.target[3 * s + i] = static_cast<float>(frame.pixels->rgb[3 * static_cast<std::size_t>(index) + i]) / 255.0F;
+  }
+  batch.label[s] = choice.label;
+  if (soft_logits_ == 0) return;
+  const auto logits = static_cast<std::size_t>(soft_logits_);
+  soft_label_of(choice.pixel, std::span(batch.soft).subspan(s * logits, logits));
+}
+
+// Pieces of tiles, so that a tile that is the whole batch occupies every thread too: choose and count, then write.
 void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
+  constexpr std::int64_t kPiece = 256;
   batch.resize(options_.rays, soft_logits_);
-  const std::int64_t tile_rays = options_.tile_rays;
+  const std::int64_t tile_rays = std::min(options_.tile_rays, options_.rays);
   const std::int64_t tiles = (options_.rays + tile_rays - 1) / tile_rays;
-  parallel_for(tiles, [&](std::int64_t tile) {
-    const std::int64_t begin = tile * tile_rays;
-    const std::int64_t end = std::min(begin + tile_rays, options_.rays);
-    // Two passes over the tile's addressed choices: labelled rays, then the others.
-    std::int64_t slot = begin;
-    for (const bool labelled : {true, false}) {
-      for (std::int64_t ray = begin; ray < end; ++ray) {
-        const Pixel pixel = choose(step, ray);
-        const std::int16_t label = label_of(pixel);
-        if ((label != kVoid) != labelled) continue;
-        const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
-        const std::int32_t width = frame.pixels->width_px;
-        const auto s = static_cast<std::size_t>(slot++);
-        cast_ray(frame.camera, limits_, pixel.index % width, pixel.index / width, &batch.origin[3 * s],
-                 &batch.direction[3 * s], &batch.near_far[2 * s]);
-        for (std::size_t i = 0; i < 3; ++i) {
-          batch.target[3 * s + i] =
-              static_cast<float>(frame.pixels->rgb[3 * static_cast<std::size_t>(pixel.index) + i]) / 255.0F;
-        }
-        batch.label[s] = label;
-        if (soft_logits_ > 0) {
-          const auto logits = static_cast<std::size_t>(soft_logits_);
-          soft_label_of(pixel, std::span(batch.soft).subspan(s * logits, logits));
-        }
-      }
+  const std::int64_t pieces_each = (tile_rays + kPiece - 1) / kPiece;
+  struct Piece {
+    std::int64_t begin = 0, end = 0, labelled = 0;  // rays
+    std::int64_t labelled_row = 0, other_row = 0;   // where its rays go
+  };
+  std::vector<Piece> pieces(static_cast<std::size_t>(tiles * pieces_each));
+  parallel_for(std::ssize(pieces), [&](std::int64_t i) {
+    Piece& piece = pieces[static_cast<std::size_t>(i)];
+    const std::int64_t tile = i / pieces_each, tile_end = std::min((tile + 1) * tile_rays, options_.rays);
+    piece.begin = std::min(tile * tile_rays + i % pieces_each * kPiece, tile_end);
+    piece.end = std::min(piece.begin + kPiece, tile_end);
+    for (std::int64_t ray = piece.begin; ray < piece.end; ++ray) {
+      const Pixel pixel = choose(step, ray);
+      const std::int16_t label = label_of(pixel);
+      batch.choices[static_cast<std::size_t>(ray)] = {pixel, label};
+      piece.labelled += label != kVoid ? 1 : 0;
+    }
+  });
+  for (std::int64_t tile = 0; tile < tiles; ++tile) {
+    const auto of_tile =
+        std::span(pieces).subspan(static_cast<std::size_t>(tile * pieces_each), static_cast<std::size_t>(pieces_each));
+    std::int64_t row = of_tile.front().begin;
+    for (Piece& piece : of_tile) {
+      piece.labelled_row = row;
+      row += piece.labelled;
+    }
+    for (Piece& piece : of_tile) {
+      piece.other_row = row;
+      row += piece.end - piece.begin - piece.labelled;
+    }
+  }
+  parallel_for(std::ssize(pieces), [&](std::int64_t i) {
+    Piece& piece = pieces[static_cast<std::size_t>(i)];
+    for (std::int64_t ray = piece.begin; ray < piece.end; ++ray) {
+      const BatchBuffers::Choice& choice = batch.choices[static_cast<std::size_t>(ray)];
+      write_row(choice, choice.label != kVoid ? piece.labelled_row++ : piece.other_row++, batch);
     }
   });
 }

@@ -21,6 +21,12 @@ struct TrainFrame {
   std::string name = {};                          ///< for messages
 };
 
+/// A training pixel: frame by its place in the training split, row * width + column.
+struct TrainPixel {
+  std::int32_t frame = 0;
+  std::int32_t index = 0;
+};
+
 /// Buffers of one batch; view() borrows them.
 struct BatchBuffers {
   std::vector<double> origin, direction, near_far;
@@ -28,6 +34,11 @@ struct BatchBuffers {
   std::vector<std::int16_t> label;  ///< the most probable class where labels are soft
   std::vector<float> soft;          ///< [rays * soft_classes]
   std::int32_t soft_classes = 0;    ///< 0: labels are hard
+  struct Choice {
+    TrainPixel pixel;
+    std::int16_t label = 0;
+  };
+  std::vector<Choice> choices;  ///< of the rays in the order of their numbers; scratch of RaySource::fill
   void resize(std::int64_t rays, std::int32_t soft_classes = 0);
   RayBatch view(bool with_labels) const;
 };
@@ -54,10 +65,7 @@ class RaySource {
 
   std::int64_t pixel_count() const { return offsets_.back(); }
   /// Frame and pixel of ray i of a step, before the tile's reordering; for messages and tests.
-  struct Pixel {
-    std::int32_t frame = 0;
-    std::int32_t index = 0;  ///< row * width + column
-  };
+  using Pixel = TrainPixel;
   Pixel choose(std::int64_t step, std::int64_t ray) const;
   /// The pixel behind row `row` of the batch that fill made: "frame 'rgb_12', pixel x 3, y 4".
   std::string place_of_row(std::int64_t step, std::int64_t row) const;
@@ -68,6 +76,7 @@ class RaySource {
   std::int16_t label_of(const Pixel& pixel) const;
   std::string place_of(const Pixel& pixel) const;
   void soft_label_of(const Pixel& pixel, std::span<float> out) const;
+  void write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const;
 
   std::vector<TrainFrame> frames_;
   std::vector<std::int16_t> logit_of_class_;

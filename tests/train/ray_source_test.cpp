@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <numeric>
 #include <set>
 
 #include "core/parallel.h"
@@ -110,6 +112,33 @@ TEST(RaySource, LabelsOfUnselectedFramesAreVoid) {
     }
   }
   EXPECT_GT(ones, 5);
+}
+
+TEST(RaySource, ATileHoldsItsLabelledRaysAndThenTheOthersInTheirOrder) {
+  Fixture f;
+  RaySourceOptions options;
+  options.rays = 1500;
+  options.tile_rays = 1;
+  BatchBuffers single, tiled;
+  f.make(options).fill(4, single);
+  for (const std::int64_t tile_rays : {7, 256, 700, 1500, 4000}) {
+    options.tile_rays = tile_rays;
+    f.make(options).fill(4, tiled);
+    std::vector<std::size_t> order(1500);
+    std::iota(order.begin(), order.end(), 0U);
+    for (std::int64_t begin = 0; begin < 1500; begin += tile_rays) {
+      std::stable_partition(order.begin() + begin, order.begin() + std::min<std::int64_t>(begin + tile_rays, 1500),
+                            [&](std::size_t ray) { return single.label[ray] != kVoid; });
+    }
+    for (std::size_t row = 0; row < order.size(); ++row) {
+      const std::size_t ray = order[row];
+      ASSERT_EQ(tiled.label[row], single.label[ray]) << tile_rays << ", row " << row;
+      for (std::size_t i = 0; i < 3; ++i) {
+        ASSERT_EQ(tiled.direction[3 * row + i], single.direction[3 * ray + i]) << tile_rays << ", row " << row;
+        ASSERT_EQ(tiled.target[3 * row + i], single.target[3 * ray + i]) << tile_rays << ", row " << row;
+      }
+    }
+  }
 }
 
 TEST(RaySource, TheBatchDoesNotDependOnThreads) {
