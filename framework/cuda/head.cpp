@@ -1,6 +1,9 @@
 #include "cuda/head.h"
 
+#include <array>
+
 #include "cuda/layers.h"
+#include "cuda/matmul.h"
 
 namespace semfield::cuda {
 
@@ -17,14 +20,13 @@ View<__nv_bfloat16> rounded(Workspace& arena, View<const float> in) {
 
 template <class Act, class Out>
 void layer(View<const Act> x, View<const Act> weight, View<const float> bias, View<Out> y,
-           Activation activation = Activation::none, bool add = false) {
+           Activation activation = Activation::none) {
   LinearForward<Act, Out> call;
   call.x = x;
   call.weight = weight;
   call.bias = bias;
   call.y = y;
   call.activation = activation;
-  call.add = add;
   linear_forward(call);
 }
 
@@ -107,7 +109,7 @@ void Head::hidden_backward(Workspace& arena, const Tensors<float>& tensors, View
   linear_backward(call, arena);
 }
 
-void Head::class_forward(const Tensors<float>& tensors, View<const float> h, View<const float> share,
+void Head::class_forward(Workspace& arena, const Tensors<float>& tensors, View<const float> h, View<const float> share,
                          View<float> logits) const {
   if (h.rows == 0) return;
   const View<const float> weight = tensors.value[kClassWeight], bias = tensors.value[kClassBias];
@@ -115,30 +117,45 @@ void Head::class_forward(const Tensors<float>& tensors, View<const float> h, Vie
     layer<float, float>(h, weight, bias, logits);
     return;
   }
-  layer<float, float>(share, bias, {}, logits);
-  layer<float, float>(h, weight, {}, logits, Activation::none, true);
+  // The bias enters as share times its row: a second product.
+  SmallProduct product;
+  product.a = Matrix(h);
+  product.b = Matrix(weight);
+  product.a2 = Matrix(share);
+  product.b2 = Matrix(bias);
+  product.d = logits;
+  small_products({&product, 1}, &arena);
 }
 
 void Head::class_backward(Workspace& arena, const Tensors<float>& tensors, View<const float> h, View<const float> share,
                           View<const float> d_logits, View<float> d_h, View<float> d_share) const {
   if (h.rows == 0) return;
-  LinearBackward<float, float> call;
-  call.x = h;
-  call.dz = d_logits;
-  call.weight = tensors.value[kClassWeight];
-  call.d_weight = tensors.grad[kClassWeight];
-  if (share.empty()) call.d_bias = tensors.grad[kClassBias];
-  call.dx = d_h;
-  linear_backward<float, float>(call, arena);
-  if (share.empty()) return;
-  // The bias enters as share times its row: a layer of one input.
-  LinearBackward<float, float> bias;
-  bias.x = share;
-  bias.dz = d_logits;
-  bias.weight = tensors.value[kClassBias];
-  bias.d_weight = tensors.grad[kClassBias];
-  bias.dx = d_share;
-  linear_backward<float, float>(bias, arena);
+  if (share.empty()) {
+    LinearBackward<float, float> call;
+    call.x = h;
+    call.dz = d_logits;
+    call.weight = tensors.value[kClassWeight];
+    call.d_weight = tensors.grad[kClassWeight];
+    call.d_bias = tensors.grad[kClassBias];
+    call.dx = d_h;
+    linear_backward<float, float>(call, arena);
+    return;
+  }
+  const auto times = [](const Matrix& a, const Matrix& b, View<float> d, bool add) {
+    SmallProduct product;
+    product.a = a;
+    product.b = b;
+    product.d = d;
+    product.add = add;
+    return product;
+  };
+  const View<const float> weight = tensors.value[kClassWeight], bias = tensors.value[kClassBias];
+  const std::array<SmallProduct, 4> products = {
+      times(Matrix(d_logits), Matrix(weight, true), d_h, false),
+      times(Matrix(d_logits), Matrix(bias, true), d_share, false),
+      times(Matrix(h, true), Matrix(d_logits), tensors.grad[kClassWeight], true),
+      times(Matrix(share, true), Matrix(d_logits), tensors.grad[kClassBias], true)};
+  small_products(products, &arena);
 }
 
 }  // namespace semfield::cuda

@@ -34,9 +34,9 @@ class Head {
   void hidden_backward(Workspace& arena, const Tensors<float>& tensors, View<const __nv_bfloat16> feature,
                        View<const __nv_bfloat16> d_hidden, View<__nv_bfloat16> d_feature) const;
   /// logits [N, C] = h W2 + share b2; share empty: 1.
-  void class_forward(const Tensors<float>& tensors, View<const float> h, View<const float> share,
+  void class_forward(Workspace& arena, const Tensors<float>& tensors, View<const float> h, View<const float> share,
                      View<float> logits) const;
-  /// d_h, and d_share when not empty.
+  /// d_h, and d_share where share is not empty.
   void class_backward(Workspace& arena, const Tensors<float>& tensors, View<const float> h, View<const float> share,
                       View<const float> d_logits, View<float> d_h, View<float> d_share) const;
 

@@ -8,6 +8,7 @@
 #include <type_traits>
 
 #include "core/view.h"
+#include "core/workspace.h"
 
 namespace semfield::cuda {
 
@@ -77,10 +78,11 @@ struct SmallProduct {
   View<float> d;
   bool add = false;
 };
-/// Products of some hundred rows, columns and terms that do not depend on each other, in one launch: where cuBLASLt's
-/// launches would take longer than the products. Terms in order.
+/// Products that do not depend on each other, in one launch (two where one has many terms and a small D): where
+/// cuBLASLt's launches would take longer than the products. Sums in fp32, in an order that depends on shapes alone;
+/// with an arena, many terms are summed in parts at the same time.
 inline constexpr int kMostSmallProducts = 4;
-void small_products(std::span<const SmallProduct> products);
+void small_products(std::span<const SmallProduct> products, Workspace* arena = nullptr);
 
 /// `product` by a plain kernel of ours, Epilogue::none: one thread an element, terms in order.
 void simple_product(const Product& p);

@@ -161,7 +161,7 @@ void Pass::composite(const StepContext& ctx, Trace& trace) const {
   if (!trace.rounded_hidden.empty()) {
     composite_forward(in, out);
     hidden_forward<__nv_bfloat16>(trace.samples, trace.weight, trace.rounded_hidden, trace.ray_hidden);
-    head_->class_forward(tensors, trace.ray_hidden, share, trace.logits);
+    head_->class_forward(arena, tensors, trace.ray_hidden, share, trace.logits);
     return;
   }
   trace.hidden = arena.take<float>(rows, head_->hidden_width());
@@ -170,10 +170,10 @@ void Pass::composite(const StepContext& ctx, Trace& trace) const {
     in.hidden = trace.hidden;
     out.hidden = trace.ray_hidden;
     composite_forward(in, out);
-    head_->class_forward(tensors, trace.ray_hidden, share, trace.logits);
+    head_->class_forward(arena, tensors, trace.ray_hidden, share, trace.logits);
   } else {
     trace.sample_logits = arena.take<float>(rows, head_->classes());
-    head_->class_forward(tensors, trace.hidden, {}, trace.sample_logits);
+    head_->class_forward(arena, tensors, trace.hidden, {}, trace.sample_logits);
     in.hidden = trace.sample_logits;
     out.hidden = trace.logits;
     composite_forward(in, out);

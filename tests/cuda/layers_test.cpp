@@ -139,6 +139,28 @@ TEST(CudaProduct, SmallOnesRunSeveralInALaunch) {
   for (const DeviceMatrix<float>* m : {&first.d, &second.d, &copy}) EXPECT_EQ(m->surroundings(), "");
 }
 
+TEST(CudaProduct, SmallOnesOfManyTermsAreSummedInParts) {
+  SEMFIELD_NEEDS_DEVICE();
+  DeviceLaunch launch;
+  // D1 += A^T B over 5,000 terms; D2 = A2 B2 over a few.
+  Case<float, float> many({40, 29, 5000, true, false, true, 2}), few({33, 40, 129});
+  cuda::SmallProduct products[2];
+  products[0].a = many.product.a, products[0].b = many.product.b, products[0].d = many.d.view(), products[0].add = true;
+  products[1].a = few.product.a, products[1].b = few.product.b, products[1].d = few.d.view();
+  const std::vector<float> before = many.d.read();
+  std::vector<float> first;
+  for (int run = 0; run < 3; ++run) {
+    many.d.write(before);
+    cuda::small_products(products, &launch.arena());
+    if (run == 0) first = many.d.read();
+    EXPECT_EQ(many.d.read(), first) << "run " << run;
+  }
+  const std::vector<double> got_many = read(many.d), got_few = read(few.d);
+  EXPECT_EQ((testkit::compare<double, double>(host_view(got_many, 29), host_view(many.want, 29), 1e-6, 71)), "");
+  EXPECT_EQ((testkit::compare<double, double>(host_view(got_few, 40), host_view(few.want, 40), 1e-6, 11)), "");
+  EXPECT_EQ(many.d.surroundings() + few.d.surroundings(), "");
+}
+
 TEST(CudaProduct, OfBf16OperandsSumsInFp32) {
   SEMFIELD_NEEDS_DEVICE();
   const DeviceLaunch launch;

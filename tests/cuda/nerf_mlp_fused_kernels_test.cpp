@@ -95,10 +95,9 @@ struct Small {
     all[1] = {d_w1.view(), false, 256, 4};
     all[2] = {d_w2.view().row_range(0, 63), false, 256, 1};
     all[3] = {d_w2.view().row_range(63, 256), false, 256, 4};
-    all[4] = {d_wv.view(), false, 128, 4};
-    all[5] = {d_ws.view(), false, 128, 4};
-    EXPECT_LE(cuda::fused::slab_bytes(all, 6), static_cast<std::size_t>(slabs.view().rows));
-    cuda::fused::pack_slabs(all, 6, slabs.data());
+    all[4] = {d_wv.view(), false, 256, 4, d_ws.view()};
+    EXPECT_LE(cuda::fused::slab_bytes(all, 5), static_cast<std::size_t>(slabs.view().rows));
+    cuda::fused::pack_slabs(all, 5, slabs.data());
     cuda::fused::Forward call;
     call.rows = kRows, call.blocks = kBlocks, call.depth = kDepth, call.skip_at = 2;
     call.weights = slabs.data(), call.position = position.data();

@@ -61,15 +61,17 @@ std::byte* forward_slabs(const NerfMlpShape& s, const Tensors<float>& t, bool wi
   std::array<fused::Slabs, fused::kMostSlabs> all;
   int count = 0;
   const auto add = [&](View<const float> weight, int columns, int slabs) {
-    all[static_cast<std::size_t>(count++)] = {weight, false, columns, slabs};
+    all[static_cast<std::size_t>(count++)] = {weight, false, columns, slabs, {}};
   };
   for (int i = 0; i < s.depth; ++i) {
     const View<const float> weight = value(t, s.trunk[static_cast<std::size_t>(i)].weight);
     if (i == 0 || i == s.skip_at) add(weight.row_range(0, s.position_dims), fused::kWidth, 1);
     if (i > 0) add(of_layer_below(s, t, i), fused::kWidth, kWhole);
   }
-  if (with_color) add(view_weight(s, t), fused::kView, kWhole);
-  if (!semantic.empty()) add(semantic, fused::kView, kWhole);
+  if (with_color) {
+    add(view_weight(s, t), semantic.empty() ? fused::kView : fused::kView * 2, kWhole);
+    all[static_cast<std::size_t>(count - 1)].beside = semantic;
+  }
   std::byte* const slabs = arena.take_bytes(fused::slab_bytes(all, count));
   fused::pack_slabs(all, count, slabs);
   return slabs;
@@ -80,7 +82,7 @@ std::byte* backward_slabs(const NerfMlpShape& s, const Tensors<float>& t, bool w
   std::array<fused::Slabs, fused::kMostSlabs> all;
   int count = 0;
   const auto add = [&](View<const float> weight) {
-    all[static_cast<std::size_t>(count++)] = {weight, true, fused::kWidth, weight.cols / fused::kTerms};
+    all[static_cast<std::size_t>(count++)] = {weight, true, fused::kWidth, weight.cols / fused::kTerms, {}};
   };
   if (!semantic.empty()) add(semantic);
   if (with_color) add(view_weight(s, t));
@@ -95,10 +97,9 @@ bool pairs(View<const float> m) {
   return m.row_stride % 2 == 0 && reinterpret_cast<std::uintptr_t>(m.data) % (2 * sizeof(float)) == 0;
 }
 
-/// Whether the semantic head's hidden layer is one that the kernels have; `needed`: forward's room or backward's
-/// gradient is there.
-bool takes(const HiddenLayer& layer, bool needed) {
-  return needed && layer.weight.rows == fused::kWidth && layer.weight.cols == fused::kView;
+/// Whether the semantic head's hidden layer is one that the kernels have, and `wanted`.
+bool takes(const HiddenLayer& layer, bool wanted) {
+  return wanted && layer.weight.rows == fused::kWidth && layer.weight.cols == fused::kView;
 }
 
 void weights_backward(const NerfMlpShape& s, const Tensors<float>& t, const Kept& kept,
@@ -191,7 +192,7 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
   call.depth = s.depth;
   call.skip_at = s.skip_at;
   FeatureExchange* const exchange = launch().features;
-  if (exchange != nullptr && takes(exchange->layer, !exchange->layer.hidden.empty())) {
+  if (exchange != nullptr && takes(exchange->layer, with_color && !exchange->layer.hidden.empty())) {
     call.semantic = exchange->layer.hidden;
     call.semantic_bias = exchange->layer.bias.data;
     exchange->hidden_is_done = true;

@@ -45,13 +45,12 @@ struct Shared {
   __device__ std::uint32_t position_empty(int group) const { return position_full(group) + 8; }
 };
 
-// Whether a cluster's tile has rows of the semantic layer.
-__device__ inline bool has_semantic(const Forward& p, std::int64_t tile) { return tile * kTileRows < p.semantic.rows; }
-
 __device__ void feed(const Forward& p, const Shared& sh, const Tiles& tiles) {
   Ring<kStages> ring = sh.ring();
   const int trunk_slabs = (p.depth - 1) * (kWidth / kTerms) + (p.skip_at > 0 ? 2 : 1) * (kPosition / kTerms);
+  // View and semantic layer are one product of 256 columns.
   const int view_slabs = p.rgb.empty() ? 0 : kWidth / kTerms;
+  const std::uint32_t view_bytes = p.semantic.empty() ? kViewSlabBytes : kSlabBytes;
   std::uint32_t turn = 0;
   for (std::int64_t tile = tiles.first; tile < tiles.count; tile += tiles.step, ++turn) {
     for (int group = 0; group < kGroups; ++group) {
@@ -63,8 +62,7 @@ __device__ void feed(const Forward& p, const Shared& sh, const Tiles& tiles) {
     }
     const std::byte* from = p.weights;
     for (int s = 0; s < trunk_slabs; ++s, from += kSlabBytes) ring.feed(from, kSlabBytes, tiles.rank);
-    const int last_slabs = view_slabs + (has_semantic(p, tile) ? kWidth / kTerms : 0);
-    for (int s = 0; s < last_slabs; ++s, from += kViewSlabBytes) ring.feed(from, kViewSlabBytes, tiles.rank);
+    for (int s = 0; s < view_slabs; ++s, from += view_bytes) ring.feed(from, view_bytes, tiles.rank);
   }
 }
 
@@ -202,16 +200,21 @@ __device__ void compute(const Forward& p, const Shared& sh, const Tiles& tiles, 
       }
       if (is_last && !p.rounded_feature.empty()) copy_rows<kWidth>(tile_at, p.rounded_feature, block * kRows, at);
     }
-    const bool with_color = !p.rgb.empty(), with_semantic = has_semantic(p, tile);
-    float view[kView / 2] = {}, semantic[kView / 2] = {};
-    if (with_color) multiply<kView>(view, below, true, ring);
-    if (with_semantic) multiply<kView>(semantic, below, true, ring);
-    if (with_color) color(p, view, sh.color, sh.view_bias, row, at.quad);
-    const bool saves_view = with_color && saves;
-    if (!saves_view && !with_semantic) continue;
+    if (p.rgb.empty()) continue;
+    // Columns 0 to 127 are the view layer's, the others the semantic layer's.
+    float(&view)[kView / 2] = *reinterpret_cast<float(*)[kView / 2]>(&acc[0]);
+    const float* const semantic = acc + kView / 2;
+    if (p.semantic.empty()) {
+      multiply<kView>(view, below, true, ring);
+    } else {
+      multiply<kWidth>(acc, below, true, ring);
+    }
+    color(p, view, sh.color, sh.view_bias, row, at.quad);
+    const bool with_semantic = block * kRows < p.semantic.rows;
+    if (!saves && !with_semantic) continue;
     const std::uint32_t semantic_at = tile_at + kRows * kView * 2;  // the tile's second half
     tile_is_free(at, group);
-    if (saves_view) {
+    if (saves) {
       MaskBits<kView> mask{};
       store_tile<kView>(tile_at, at, [&](int pair) {
         const std::uint32_t packed = hopper::pack_positive(view[2 * pair], view[2 * pair + 1]);
@@ -226,7 +229,7 @@ __device__ void compute(const Forward& p, const Shared& sh, const Tiles& tiles, 
         return hopper::pack_positive(semantic[2 * pair] + b.x, semantic[2 * pair + 1] + b.y);
       });
     }
-    tile_is_written(at, group, tile_at, saves_view ? p.hidden + block * (kRows * kView) : nullptr, kRows * kView * 2);
+    tile_is_written(at, group, tile_at, saves ? p.hidden + block * (kRows * kView) : nullptr, kRows * kView * 2);
     if (with_semantic) copy_rows<kView>(semantic_at, p.semantic, block * kRows, at);
   }
   if (at.thread == 0) hopper::bulk_stores_are_done();

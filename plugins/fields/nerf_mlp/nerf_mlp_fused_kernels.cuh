@@ -17,7 +17,7 @@ inline constexpr int kMostLayers = 15;
 struct Forward {
   std::int64_t rows = 0, blocks = 0;
   int depth = 0, skip_at = 0;
-  const std::byte* weights = nullptr;       ///< slabs in the order of use
+  const std::byte* weights = nullptr;       ///< slabs in the order of use; last of view and semantic layer, beside
   const __nv_bfloat16* position = nullptr;  ///< blocked [64 blocks, 64]
   std::array<const float*, kMostLayers> bias{};
   const float *density_weight = nullptr, *density_bias = nullptr;
@@ -32,7 +32,8 @@ struct Forward {
   uint2* hidden_mask = nullptr;
   View<float> sigma, rgb, feature;      ///< empty: not wanted
   View<__nv_bfloat16> rounded_feature;  ///< rows in bf16
-  View<__nv_bfloat16> semantic;         ///< [N <= rows, 128]: relu(feature W + b) of the first rows; empty: not wanted
+  /// [N <= rows, 128]: relu(feature W + b) of the first rows, with rgb; empty: not wanted.
+  View<__nv_bfloat16> semantic;
   const float* semantic_bias = nullptr;
 };
 void forward(const Forward& call);
@@ -71,11 +72,13 @@ struct WeightGradients {
 void weight_gradients(const WeightGradients& call, Workspace& arena);
 
 /// Slabs of weights: [terms / 8][columns / 8][8 columns][8 terms] of bf16 for 64 terms each. An element is weight(term,
-/// column), or weight(column, term) with `transposed`; terms beyond the matrix are 0.
+/// column), or weight(column, term) with `transposed`; terms beyond the matrix are 0. beside, without `transposed`: a
+/// matrix whose columns follow those of the weight.
 struct Slabs {
   View<const float> weight;
   bool transposed = false;
   int columns = 0, slabs = 0;
+  View<const float> beside = {};
 };
 inline constexpr int kMostSlabs = kMostLayers + 3;
 /// Packs all one behind the other; returns what they take in bytes.

@@ -22,10 +22,10 @@ __device__ inline std::int64_t blocked_at(std::int64_t row, int col, int cols) {
 }
 
 struct SlabJob {
-  const float* from;
-  std::int64_t stride;
+  const float *from, *second;
+  std::int64_t stride, second_stride;
   std::byte* to;
-  int terms, columns, slabs;
+  int terms, columns, slabs, second_at;  // columns from second_at on are the second matrix's
   bool transposed;
 };
 struct SlabJobs {
@@ -37,12 +37,15 @@ __global__ void pack_slabs_kernel(const __grid_constant__ SlabJobs jobs) {
   const SlabJob& job = jobs.all[blockIdx.y];
   const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   if (i >= job.slabs * (kTerms / 8) * job.columns) return;
-  const int column = i % job.columns, term = i / job.columns * 8;
+  const bool second = i % job.columns >= job.second_at;
+  const int column = i % job.columns - (second ? job.second_at : 0), term = i / job.columns * 8;
+  const float* const from = second ? job.second : job.from;
+  const std::int64_t stride = second ? job.second_stride : job.stride;
   Eight eight;
 #pragma unroll
   for (int k = 0; k < 8; ++k) {
-    const std::int64_t at = job.transposed ? column * job.stride + term + k : (term + k) * job.stride + column;
-    eight.v[k] = __float2bfloat16_rn(term + k < job.terms ? job.from[at] : 0.0F);
+    const std::int64_t at = job.transposed ? column * stride + term + k : (term + k) * stride + column;
+    eight.v[k] = __float2bfloat16_rn(term + k < job.terms ? from[at] : 0.0F);
   }
   reinterpret_cast<uint4*>(job.to)[i] = eight.bits;
 }
@@ -251,7 +254,17 @@ void pack_slabs(const std::array<Slabs, kMostSlabs>& all, int count, std::byte* 
   for (int i = 0; i < count; ++i) {
     const Slabs& s = all[static_cast<std::size_t>(i)];
     const auto terms = static_cast<int>(s.transposed ? s.weight.cols : s.weight.rows);
-    jobs.all[i] = {s.weight.data, s.weight.row_stride, to, terms, s.columns, s.slabs, s.transposed};
+    SlabJob& job = jobs.all[i];
+    job.from = s.weight.data;
+    job.stride = s.weight.row_stride;
+    job.second = s.beside.data;
+    job.second_stride = s.beside.row_stride;
+    job.to = to;
+    job.terms = terms;
+    job.columns = s.columns;
+    job.slabs = s.slabs;
+    job.second_at = s.beside.empty() ? s.columns : s.weight.cols;
+    job.transposed = s.transposed;
     to += static_cast<std::size_t>(s.slabs * s.columns) * kTerms * sizeof(__nv_bfloat16);
     most = std::max(most, s.slabs * (kTerms / 8) * s.columns);
   }
