@@ -9,6 +9,8 @@ namespace semfield::cuda {
 
 namespace {
 
+constexpr std::int32_t kMostSmallClasses = 128;  // from there on cuBLASLt's kernels are the faster ones
+
 enum Index : std::size_t { kHiddenWeight, kHiddenBias, kClassWeight, kClassBias };
 
 // The same matrix in bf16, in the arena.
@@ -117,7 +119,17 @@ void Head::class_forward(Workspace& arena, const Tensors<float>& tensors, View<c
     layer<float, float>(h, weight, bias, logits);
     return;
   }
-  // The bias enters as share times its row: a second product.
+  // The bias enters as share times its row.
+  if (host_.classes() > kMostSmallClasses) {
+    layer<float, float>(share, bias, {}, logits);
+    LinearForward<float, float> rest;
+    rest.x = h;
+    rest.weight = weight;
+    rest.y = logits;
+    rest.add = true;
+    linear_forward(rest);
+    return;
+  }
   SmallProduct product;
   product.a = Matrix(h);
   product.b = Matrix(weight);
@@ -141,6 +153,22 @@ void Head::class_backward(Workspace& arena, const Tensors<float>& tensors, View<
     linear_backward<float, float>(call, arena);
     return;
   }
+  const View<const float> weight = tensors.value[kClassWeight], bias = tensors.value[kClassBias];
+  const View<float> d_weight = tensors.grad[kClassWeight], d_bias = tensors.grad[kClassBias];
+  if (host_.classes() > kMostSmallClasses) {
+    const auto product = [&](View<const float> x, View<const float> of, View<float> d_of, View<float> dx) {
+      LinearBackward<float, float> call;
+      call.x = x;
+      call.dz = d_logits;
+      call.weight = of;
+      call.d_weight = d_of;
+      call.dx = dx;
+      linear_backward<float, float>(call, arena);
+    };
+    product(h, weight, d_weight, d_h);
+    product(share, bias, d_bias, d_share);
+    return;
+  }
   const auto times = [](const Matrix& a, const Matrix& b, View<float> d, bool add) {
     SmallProduct product;
     product.a = a;
@@ -149,12 +177,10 @@ void Head::class_backward(Workspace& arena, const Tensors<float>& tensors, View<
     product.add = add;
     return product;
   };
-  const View<const float> weight = tensors.value[kClassWeight], bias = tensors.value[kClassBias];
-  const std::array<SmallProduct, 4> products = {
-      times(Matrix(d_logits), Matrix(weight, true), d_h, false),
-      times(Matrix(d_logits), Matrix(bias, true), d_share, false),
-      times(Matrix(h, true), Matrix(d_logits), tensors.grad[kClassWeight], true),
-      times(Matrix(share, true), Matrix(d_logits), tensors.grad[kClassBias], true)};
+  const std::array<SmallProduct, 4> products = {times(Matrix(d_logits), Matrix(weight, true), d_h, false),
+                                                times(Matrix(d_logits), Matrix(bias, true), d_share, false),
+                                                times(Matrix(h, true), Matrix(d_logits), d_weight, true),
+                                                times(Matrix(share, true), Matrix(d_logits), d_bias, true)};
   small_products(products, &arena);
 }
 
