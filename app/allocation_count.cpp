@@ -16,30 +16,49 @@ void count(std::size_t bytes) {
   g_calls.fetch_add(1, std::memory_order_relaxed);
 }
 
-void* counted(std::size_t bytes) {
+void* counted(std::size_t bytes) noexcept {
   count(bytes);
-  void* const memory = std::malloc(std::max<std::size_t>(bytes, 1));
-  if (memory == nullptr) throw std::bad_alloc();
-  return memory;
+  return std::malloc(std::max<std::size_t>(bytes, 1));
 }
 
-void* counted(std::size_t bytes, std::align_val_t alignment) {
+void* counted(std::size_t bytes, std::align_val_t alignment) noexcept {
   count(bytes);
   const auto step = static_cast<std::size_t>(alignment);
-  void* const memory = std::aligned_alloc(step, (std::max<std::size_t>(bytes, 1) + step - 1) / step * step);
+  return std::aligned_alloc(step, (std::max<std::size_t>(bytes, 1) + step - 1) / step * step);
+}
+
+void* or_throw(void* memory) {
   if (memory == nullptr) throw std::bad_alloc();
   return memory;
 }
 
 }  // namespace
 
-// The array and nothrow forms of the standard library call these.
-void* operator new(std::size_t bytes) { return counted(bytes); }
-void* operator new(std::size_t bytes, std::align_val_t alignment) { return counted(bytes, alignment); }
+// Every form: the standard library's others call these, but a sanitizer's would not.
+void* operator new(std::size_t bytes) { return or_throw(counted(bytes)); }
+void* operator new[](std::size_t bytes) { return or_throw(counted(bytes)); }
+void* operator new(std::size_t bytes, const std::nothrow_t&) noexcept { return counted(bytes); }
+void* operator new[](std::size_t bytes, const std::nothrow_t&) noexcept { return counted(bytes); }
+void* operator new(std::size_t bytes, std::align_val_t at) { return or_throw(counted(bytes, at)); }
+void* operator new[](std::size_t bytes, std::align_val_t at) { return or_throw(counted(bytes, at)); }
+void* operator new(std::size_t bytes, std::align_val_t at, const std::nothrow_t&) noexcept {
+  return counted(bytes, at);
+}
+void* operator new[](std::size_t bytes, std::align_val_t at, const std::nothrow_t&) noexcept {
+  return counted(bytes, at);
+}
 void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete[](void* memory) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete(void* memory, const std::nothrow_t&) noexcept { std::free(memory); }
+void operator delete[](void* memory, const std::nothrow_t&) noexcept { std::free(memory); }
 void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::align_val_t) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::align_val_t, const std::nothrow_t&) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::align_val_t, const std::nothrow_t&) noexcept { std::free(memory); }
 
 namespace semfield::app {
 

@@ -20,6 +20,11 @@ void Workspace::clear_blocks() {
   blocks_.clear();
 }
 
+void Workspace::forget() {
+  clear_blocks();
+  block_ = used_ = high_water_ = 0;
+}
+
 void Workspace::add_block(std::size_t bytes) {
   Block block;
   block.bytes = rounded(bytes, kSourceAlign);
@@ -36,12 +41,23 @@ void Workspace::add_block(std::size_t bytes) {
   ++growths_;
 }
 
+// Twice the last block, or where that is not to be had what is needed.
+void Workspace::grow(std::size_t need) {
+  const std::size_t wanted = std::max(need, 2 * blocks_[block_].bytes);
+  try {
+    add_block(wanted);
+  } catch (...) {
+    if (wanted == need) throw;
+    add_block(need);
+  }
+}
+
 std::byte* Workspace::take_bytes(std::size_t bytes) {
   const std::size_t need =
       rounded(std::max<std::size_t>(bytes, 1), source_.allocate != nullptr ? kSourceAlign : kAlign);
-  if (blocks_.empty()) add_block(std::max(need, kMinBlock));
+  if (blocks_.empty()) add_block(std::max({need, kMinBlock, merged_bytes()}));
   while (used_ + need > blocks_[block_].bytes) {
-    if (block_ + 1 == blocks_.size()) add_block(std::max(need, 2 * blocks_[block_].bytes));
+    if (block_ + 1 == blocks_.size()) grow(need);
     ++block_;
     used_ = 0;
   }
@@ -56,14 +72,19 @@ void Workspace::release(std::size_t block, std::size_t used, std::size_t total) 
   block_ = block;
   used_ = used;
   total_ = total;
-  if (total_ == 0 && blocks_.size() > 1) {
-    // One block of the whole high-water mark replaces the chain, with room for the waste at block ends.
-    clear_blocks();
-    add_block(high_water_ + high_water_ / 8);
-    block_ = 0;
-    used_ = 0;
+  if (total_ > 0 || blocks_.size() <= 1) return;
+  clear_blocks();
+  block_ = 0;
+  used_ = 0;
+  try {
+    add_block(merged_bytes());
+  } catch (...) {
+    // The end of a Scope cannot refuse: the next take asks again, and tells.
   }
 }
+
+// One block of the whole high-water mark in place of a chain, with room for the waste at block ends.
+std::size_t Workspace::merged_bytes() const noexcept { return high_water_ + high_water_ / 8; }
 
 std::size_t Workspace::reserved_bytes() const noexcept {
   std::size_t sum = 0;

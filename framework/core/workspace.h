@@ -40,6 +40,8 @@ class Workspace {
         rows, cols, cols, source_.device);
   }
 
+  /// Gives every block back and forgets the high-water mark; nothing may be in use.
+  void forget();
   std::size_t high_water_bytes() const noexcept { return high_water_; }
   std::size_t reserved_bytes() const noexcept;
   /// How often memory was requested from the system; constant in the steady state.
@@ -65,8 +67,10 @@ class Workspace {
     std::size_t bytes = 0;
   };
   void add_block(std::size_t bytes);
+  void grow(std::size_t need);
   void release(std::size_t block, std::size_t used, std::size_t total);
   void clear_blocks();
+  std::size_t merged_bytes() const noexcept;
 
   BlockSource source_;
   std::vector<Block> blocks_;

@@ -23,11 +23,11 @@ std::byte* allocate(std::size_t bytes, const char* what) {
   const cudaError_t status = cudaMalloc(&memory, bytes);
   if (status == cudaErrorMemoryAllocation) {
     (void)cudaGetLastError();  // this error is answered here and must not come back at the next launch
-    std::size_t free_bytes = 0, total = 0;
-    (void)cudaMemGetInfo(&free_bytes, &total);
+    std::size_t unused = 0, total = 0;
+    (void)cudaMemGetInfo(&unused, &total);
     throw Error(ErrorKind::unavailable,
                 fmt::format("CUDA: no device memory for '{}': requested {:.1f} MB, free {:.1f} MB of {:.1f} MB", what,
-                            static_cast<double>(bytes) / kMega, static_cast<double>(free_bytes) / kMega,
+                            static_cast<double>(bytes) / kMega, static_cast<double>(unused) / kMega,
                             static_cast<double>(total) / kMega),
                 "lower train.rays, take fewer samples a ray, or set runtime.precision: bf16");
   }
@@ -72,6 +72,11 @@ void download(const T* from, std::span<T> to) {
   if (to.empty()) return;
   check(cudaMemcpyAsync(to.data(), from, to.size_bytes(), cudaMemcpyDeviceToHost, launch().stream),
         "copying from the device");
+}
+std::size_t free_bytes() {
+  std::size_t unused = 0, total = 0;
+  check(cudaMemGetInfo(&unused, &total), "asking for free memory");
+  return unused;
 }
 void synchronize() { check(cudaStreamSynchronize(launch().stream), "waiting for the device"); }
 

@@ -43,5 +43,7 @@ template <class T>
 void download(const T* from, std::span<T> to);
 /// Waits for the stream.
 void synchronize();
+/// Of the device's memory, what nobody uses.
+std::size_t free_bytes();
 
 }  // namespace semfield::cuda

@@ -132,7 +132,12 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
   auto shape =
       std::find_if(shapes_.begin(), shapes_.end(), [&](const Shape& s) { return s.semantic_rays == semantic_rays; });
   if (shape == shapes_.end()) shape = shapes_.insert(shapes_.end(), {semantic_rays, 0, nullptr});
-  run(*shape, step);
+  try {
+    run(*shape, step);
+  } catch (const Error& error) {
+    if (error.kind() != ErrorKind::unavailable) throw;
+    throw with_settings_that_fit(error, *shape, step);
+  }
   const Launch observing = [&] {  // these launches are no part of a graph: the step's number comes by value
     Launch next = launch();
     next.cell = nullptr;
@@ -151,19 +156,17 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
 }
 
 void DevicePipeline::run(Shape& shape, std::int64_t step) {
+  if (train_arena_.growth_count() != growths_) {  // graphs hold addresses of the arena
+    forget_graphs();
+    growths_ = train_arena_.growth_count();
+  }
   if (shape.graph != nullptr) {
     check(cudaGraphLaunch(shape.graph, stream_), "starting a step");
     return;
   }
-  if (shape.runs < 2) {
-    const std::int64_t growths = train_arena_.growth_count();
+  if (shape.runs < 2) {  // a capture must find the arena grown
     step_body(shape, step);
     ++shape.runs;
-    if (train_arena_.growth_count() != growths) {  // graphs hold addresses of the arena
-      const int runs = shape.runs;
-      forget_graphs();
-      shape.runs = runs > 1 ? 1 : runs;
-    }
     return;
   }
   cudaGraph_t graph = nullptr;
@@ -181,7 +184,7 @@ void DevicePipeline::step_body(const Shape& shape, std::int64_t step) {
   check(cudaMemsetAsync(sums->pass, 0, sizeof sums->pass, stream_), "clearing sums");
   store_->zero_derived_gradients();
   StepContext ctx = context(step, true, train_arena_);
-  train_passes(shape, ctx);
+  train_passes(shape, staging_->batch(), ctx);
   for (const Pass& pass : passes_) pass.derive_backward(ctx);
   check_gradients(store_->learned(), store_->learned_count(), store_->learned_elements());
   AdamParams rule;
@@ -192,10 +195,9 @@ void DevicePipeline::step_body(const Shape& shape, std::int64_t step) {
   for (const Pass& pass : passes_) pass.derive(ctx);
 }
 
-void DevicePipeline::train_passes(const Shape& shape, const StepContext& step_ctx) {
+void DevicePipeline::train_passes(const Shape& shape, const RayBatch& batch, const StepContext& step_ctx) {
   StepContext ctx = step_ctx;
   Workspace& arena = *ctx.workspace;
-  const RayBatch batch = staging_->batch();
   const std::int64_t rays = batch.origin.rows, semantic_rays = shape.semantic_rays;
   const PipelineOptions& options = host_.options();
   const View<const float> class_weight = options.class_weight.empty()

@@ -46,7 +46,10 @@ class DevicePipeline final : public DeviceBackend {
   StepContext context(std::int64_t step, bool training, Workspace& arena) const;
   void run(Shape& shape, std::int64_t step);
   void step_body(const Shape& shape, std::int64_t step);
-  void train_passes(const Shape& shape, const StepContext& step_ctx);
+  void train_passes(const Shape& shape, const RayBatch& batch, const StepContext& step_ctx);
+  /// The error of a step that did not fit, with settings that do (memory_advice.cpp).
+  bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
+  Error with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step);
   void forget_graphs();
   StepLosses losses_of(const StepSums& sums, double normaliser) const;
   Launch render_launch() const;
@@ -60,6 +63,8 @@ class DevicePipeline final : public DeviceBackend {
   std::vector<Pass> passes_;
   std::vector<std::int64_t> per_ray_;  // most samples a ray after each pass
   Workspace train_arena_, render_arena_;
+  std::int64_t chunk_rays_ = 16384;  // rendered at a time; halved where memory is short
+  std::int64_t growths_ = 0;         // of train_arena_ when graphs were last forgotten
   std::unique_ptr<Staging> staging_;
   Buffer<float> class_weight_;
   Buffer<FaultKey> render_fault_;

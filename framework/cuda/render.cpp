@@ -12,7 +12,7 @@ namespace semfield::cuda {
 
 namespace {
 
-constexpr std::int64_t kChunkRays = 16384;
+constexpr std::int64_t kFewestRays = 256;
 constexpr std::int64_t kChunkPositions = std::int64_t{1} << 20;
 
 // Rows with gaps go one by one, which takes many times longer.
@@ -60,8 +60,18 @@ Launch DevicePipeline::render_launch() const {
 void DevicePipeline::render(const RenderJob<float>& job) {
   const LaunchScope scope(render_launch());
   check(cudaMemsetAsync(render_fault_.data(), 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
-  for (std::int64_t begin = 0; begin < job.origin.rows; begin += kChunkRays) {
-    render_chunk(job, begin, std::min(kChunkRays, job.origin.rows - begin));
+  for (std::int64_t begin = 0; begin < job.origin.rows;) {
+    const std::int64_t count = std::min(chunk_rays_, job.origin.rows - begin);
+    try {
+      render_chunk(job, begin, count);
+    } catch (const Error& error) {
+      if (error.kind() != ErrorKind::unavailable || chunk_rays_ <= kFewestRays) throw;
+      chunk_rays_ /= 2;
+      synchronize();
+      render_arena_.forget();
+      continue;
+    }
+    begin += count;
   }
   explain_fault([&] { host_.render(job); });
 }

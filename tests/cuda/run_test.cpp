@@ -278,6 +278,51 @@ TEST(CudaRun, MemoryThatIsNotThereIsAnErrorWithFiguresAndRemedies) {
   EXPECT_EQ(cudaGetLastError(), cudaSuccess);
 }
 
+// All but some of the device's memory, held.
+struct Crowd {
+  explicit Crowd(std::size_t left) {
+    const std::size_t unused = cuda::free_bytes();
+    if (unused > left) memory = cuda::allocate(unused - left, "a test");
+  }
+  ~Crowd() { cuda::release(memory); }
+  std::byte* memory = nullptr;
+};
+
+TEST(CudaRun, AStepThatDoesNotFitNamesRaysThatDo) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  const auto config = [](std::int64_t rays) {
+    std::string yaml = paper_config("{type: analytic_room}", 128);
+    const std::string few = "rays: 64";
+    return yaml.replace(yaml.find(few), few.size(), "rays: " + std::to_string(rays));
+  };
+  constexpr std::int64_t kRays = 16384;
+  Training trained(registry, config(64), "device: cuda");
+  trained.train(4);  // what every process takes once
+  const Crowd crowd(std::size_t{1} << 30);
+  std::int64_t fit = 0;
+  {
+    Training large(registry, config(kRays), "device: cuda");
+    const std::uint32_t before = fingerprint(large.session.pipeline->store());
+    try {
+      large.train(1);
+      FAIL() << "a step of " << kRays << " rays fits into a gigabyte";
+    } catch (const Error& error) {
+      const std::string remedy = error.remedy(), key = "train.rays: ";
+      ASSERT_NE(remedy.find(key), std::string::npos) << error.what();
+      fit = std::stoll(remedy.substr(remedy.find(key) + key.size()));
+      EXPECT_NE(error.message().find("requested"), std::string::npos) << error.message();
+      EXPECT_NE(remedy.find("runtime.device: cpu"), std::string::npos) << remedy;
+    }
+    large.trainer.collect();
+    EXPECT_EQ(before, fingerprint(large.session.pipeline->store()));
+  }
+  EXPECT_GT(fit, kRays / 64);
+  EXPECT_LT(fit, kRays);
+  Training fitting(registry, config(fit), "device: cuda");
+  EXPECT_TRUE(std::isfinite(fitting.train(6).total));
+}
+
 TEST(CudaBuild, WithoutADeviceTheReasonIsSaid) {
   if (testing::has_device()) GTEST_SKIP() << "this machine has a device";
   Registry registry = make_registry();
