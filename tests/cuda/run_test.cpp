@@ -114,9 +114,10 @@ std::string paper_config(const std::string& scene, std::int32_t hidden_width) {
 }
 
 // The network of the paper in bf16: fused with the head's hidden layer, against the layers one by one. Gradients are
-// compared by norm: a unit within rounding of zero may fall on either side of its ReLU.
+// compared by norm: a unit within rounding of zero may fall on either side of its ReLU (testkit/laws.h).
 TEST(CudaRun, TheFusedNetworkTakesTheSemanticLayerWithIt) {
   SEMFIELD_NEEDS_FUSED();
+  constexpr double kGradient = 0.25;
   Registry registry = make_registry();
   for (const char* scene : {"{type: analytic_room}", "{type: analytic_room, labels: {frames: 50%}}"}) {
     for (const std::int32_t hidden_width : {128, 64}) {  // 64: the kernels have no such layer
@@ -139,7 +140,7 @@ TEST(CudaRun, TheFusedNetworkTakesTheSemanticLayerWithIt) {
           norm += want * want;
         }
         EXPECT_GT(norm, 0) << of_layers[i].name;
-        EXPECT_LE(std::sqrt(off), 0.1 * std::sqrt(norm)) << of_layers[i].name;
+        EXPECT_LE(std::sqrt(off), kGradient * std::sqrt(norm)) << of_layers[i].name;
       }
     }
   }
