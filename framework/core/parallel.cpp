@@ -1,6 +1,7 @@
 #include "core/parallel.h"
 
 #include <omp.h>
+#include <sched.h>
 
 #include <algorithm>
 #include <atomic>
@@ -46,6 +47,13 @@ Teams& teams() {
   return all;
 }
 
+// By the system's own call: OpenMP's answer goes through memory that its callers share.
+int cores_of_process() {
+  cpu_set_t set;
+  if (sched_getaffinity(0, sizeof set, &set) == 0) return std::max(1, CPU_COUNT(&set));
+  return std::max(1, static_cast<int>(std::thread::hardware_concurrency()));  // more cores than a set holds
+}
+
 void run_serially(std::int64_t count, IndexBody body) {
   for (std::int64_t i = 0; i < count; ++i) body(i);
 }
@@ -54,7 +62,7 @@ void run_serially(std::int64_t count, IndexBody body) {
 
 int hardware_threads() {
   static const int quota = cpu_quota();
-  const int cores = omp_get_num_procs();
+  const int cores = cores_of_process();
   return quota > 0 ? std::min(quota, cores) : cores;
 }
 void keep_libraries_serial() { omp_set_num_threads(1); }
@@ -62,8 +70,9 @@ void set_thread_count(int threads) { g_threads = threads; }
 int thread_count() { return g_threads > 0 ? g_threads.load() : hardware_threads(); }
 
 void parallel_for(std::int64_t count, IndexBody body) {
+  if (count <= 1 || ThreadTeam::inside_job()) return run_serially(count, body);
   const int workers = thread_count() - 1;
-  if (count <= 1 || workers <= 0 || ThreadTeam::inside_job()) return run_serially(count, body);
+  if (workers <= 0) return run_serially(count, body);
   const std::unique_lock<std::mutex> job(teams().one_job, std::try_to_lock);
   if (!job.owns_lock()) return run_serially(count, body);  // another thread of the caller's has the workers
   std::unique_ptr<ThreadTeam>& team = teams().team;
