@@ -147,7 +147,11 @@ __attribute__((target("avx512f"))) double read_loop_avx512(const std::uint64_t* 
     low = _mm512_add_epi64(low, _mm512_i32gather_epi64(_mm512_castsi512_si256(index), table, 8));
     high = _mm512_add_epi64(high, _mm512_i32gather_epi64(_mm512_extracti64x4_epi64(index, 1), table, 8));
   }
-  return static_cast<double>(_mm512_reduce_add_epi64(_mm512_add_epi64(low, high)));
+  alignas(64) std::uint64_t lanes[8];  // summed without a sign: sums wrap around
+  _mm512_store_si512(lanes, _mm512_add_epi64(low, high));
+  std::uint64_t sum = 0;
+  for (const std::uint64_t lane : lanes) sum += lane;
+  return static_cast<double>(sum);
 }
 #endif
 

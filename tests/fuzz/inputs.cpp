@@ -46,7 +46,7 @@ std::string put(const std::string& name, std::string_view bytes) {
     fs::create_directories(path.parent_path());
     file = std::fopen(path.c_str(), "wb");
   }
-  if (file == nullptr || std::fwrite(bytes.data(), 1, bytes.size(), file) != bytes.size())
+  if (file == nullptr || (!bytes.empty() && std::fwrite(bytes.data(), 1, bytes.size(), file) != bytes.size()))
     throw std::runtime_error("cannot write " + path.string());
   std::fclose(file);
   return path.string();
