@@ -195,11 +195,9 @@ void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
   const std::int64_t tile_rays = std::min(options_.tile_rays, options_.rays);
   const std::int64_t tiles = (options_.rays + tile_rays - 1) / tile_rays;
   const std::int64_t pieces_each = (tile_rays + kPiece - 1) / kPiece;
-  struct Piece {
-    std::int64_t begin = 0, end = 0, labelled = 0;  // rays
-    std::int64_t labelled_row = 0, other_row = 0;   // where its rays go
-  };
-  std::vector<Piece> pieces(static_cast<std::size_t>(tiles * pieces_each));
+  using Piece = BatchBuffers::Piece;
+  std::vector<Piece>& pieces = batch.pieces;
+  pieces.assign(static_cast<std::size_t>(tiles * pieces_each), {});
   parallel_for(std::ssize(pieces), [&](std::int64_t i) {
     Piece& piece = pieces[static_cast<std::size_t>(i)];
     const std::int64_t tile = i / pieces_each, tile_end = std::min((tile + 1) * tile_rays, options_.rays);

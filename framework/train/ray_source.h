@@ -38,7 +38,13 @@ struct BatchBuffers {
     TrainPixel pixel;
     std::int16_t label = 0;
   };
-  std::vector<Choice> choices;  ///< of the rays in the order of their numbers; scratch of RaySource::fill
+  struct Piece {
+    std::int64_t begin = 0, end = 0, labelled = 0;  // rays
+    std::int64_t labelled_row = 0, other_row = 0;   // where its rays go
+  };
+  /// Scratch of RaySource::fill: of the rays in the order of their numbers, and of pieces of tiles.
+  std::vector<Choice> choices;
+  std::vector<Piece> pieces;
   void resize(std::int64_t rays, std::int32_t soft_classes = 0);
   RayBatch view(bool with_labels) const;
 };
