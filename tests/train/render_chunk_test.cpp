@@ -17,7 +17,7 @@ std::atomic<int> g_refused{0};
 
 }  // namespace
 
-// Of this program and the libraries it loads; the array and nothrow forms of the standard library call it.
+// Of this program and the libraries it loads; the standard library's array forms call it.
 void* operator new(std::size_t bytes) {
   if (bytes > g_most) {
     ++g_refused;
@@ -27,6 +27,8 @@ void* operator new(std::size_t bytes) {
   if (memory == nullptr) throw std::bad_alloc();
   return memory;
 }
+// A sanitizer's own would not call the one above.
+void* operator new(std::size_t bytes, const std::nothrow_t&) noexcept { return std::malloc(bytes > 0 ? bytes : 1); }
 void operator delete(void* memory) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 
