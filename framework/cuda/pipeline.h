@@ -47,8 +47,9 @@ class DevicePipeline final : public DeviceBackend {
   void run(Shape& shape, std::int64_t step);
   void step_body(const Shape& shape, std::int64_t step);
   void train_passes(const Shape& shape, const RayBatch& batch, const StepContext& step_ctx);
-  /// The error of a step that did not fit, with settings that do (memory_advice.cpp).
+  /// Whether a step's forward and backward of its first `rays` rays do (memory_advice.cpp).
   bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
+  /// The error of a step that did not fit, with settings that do.
   Error with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step);
   void forget_graphs();
   StepLosses losses_of(const StepSums& sums, double normaliser) const;
