@@ -48,7 +48,7 @@ if(SEMFIELD_WITH_CUDA STREQUAL "ON" OR (SEMFIELD_WITH_CUDA STREQUAL "AUTO" AND N
     set(CMAKE_CUDA_COMPILER /usr/local/cuda/bin/nvcc)
   endif()
   check_language(CUDA)
-  find_package(CUDAToolkit 12 QUIET)
+  find_package(CUDAToolkit 12.1 QUIET)  # reductions of several numbers at once: PTX 8.1
   if(CMAKE_CUDA_COMPILER AND CUDAToolkit_FOUND AND TARGET CUDA::cublasLt)
     set(CMAKE_CUDA_ARCHITECTURES ${SEMFIELD_CUDA_ARCHITECTURES})
     enable_language(CUDA)
@@ -60,7 +60,7 @@ if(SEMFIELD_WITH_CUDA STREQUAL "ON" OR (SEMFIELD_WITH_CUDA STREQUAL "AUTO" AND N
     set(CMAKE_CUDA_STANDARD_REQUIRED ON)
     set(SEMFIELD_CUDA ON)
   elseif(SEMFIELD_WITH_CUDA STREQUAL "ON")
-    message(FATAL_ERROR "SEMFIELD_WITH_CUDA=ON, but no CUDA toolkit of version 12 or later with cuBLASLt was found "
+    message(FATAL_ERROR "SEMFIELD_WITH_CUDA=ON, but no CUDA toolkit of version 12.1 or later with cuBLASLt was found "
                         "(compiler: ${CMAKE_CUDA_COMPILER}); set CMAKE_CUDA_COMPILER and CUDAToolkit_ROOT, or SEMFIELD_WITH_CUDA=OFF")
   endif()
 endif()

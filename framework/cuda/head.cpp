@@ -9,7 +9,7 @@ namespace semfield::cuda {
 
 namespace {
 
-constexpr std::int32_t kMostSmallClasses = 128;  // from there on cuBLASLt's kernels are the faster ones
+constexpr std::int32_t kMostSmallClasses = 128;  // with more, cuBLASLt's kernels are the faster ones
 
 enum Index : std::size_t { kHiddenWeight, kHiddenBias, kClassWeight, kClassBias };
 
@@ -30,6 +30,15 @@ void layer(View<const Act> x, View<const Act> weight, View<const float> bias, Vi
   call.y = y;
   call.activation = activation;
   linear_forward(call);
+}
+
+SmallProduct times(const Matrix& a, const Matrix& b, View<float> d, bool add) {
+  SmallProduct product;
+  product.a = a;
+  product.b = b;
+  product.d = d;
+  product.add = add;
+  return product;
 }
 
 }  // namespace
@@ -121,22 +130,24 @@ void Head::class_forward(Workspace& arena, const Tensors<float>& tensors, View<c
   }
   // The bias enters as share times its row.
   if (host_.classes() > kMostSmallClasses) {
-    layer<float, float>(share, bias, {}, logits);
-    LinearForward<float, float> rest;
-    rest.x = h;
-    rest.weight = weight;
-    rest.y = logits;
-    rest.add = true;
-    linear_forward(rest);
+    shared_bias_forward(share, bias, logits);
+    large_product(Matrix(h), Matrix(weight), logits, true);
     return;
   }
-  SmallProduct product;
-  product.a = Matrix(h);
-  product.b = Matrix(weight);
+  SmallProduct product = times(Matrix(h), Matrix(weight), logits, false);
   product.a2 = Matrix(share);
   product.b2 = Matrix(bias);
-  product.d = logits;
   small_products({&product, 1}, &arena);
+}
+
+void Head::large_product(const Matrix& a, const Matrix& b, View<float> d, bool add) const {
+  Product p;
+  p.a = a;
+  p.b = b;
+  p.d = Matrix(d);
+  p.add = add;
+  p.tf32 = rounds();
+  product(p);
 }
 
 void Head::class_backward(Workspace& arena, const Tensors<float>& tensors, View<const float> h, View<const float> share,
@@ -156,27 +167,11 @@ void Head::class_backward(Workspace& arena, const Tensors<float>& tensors, View<
   const View<const float> weight = tensors.value[kClassWeight], bias = tensors.value[kClassBias];
   const View<float> d_weight = tensors.grad[kClassWeight], d_bias = tensors.grad[kClassBias];
   if (host_.classes() > kMostSmallClasses) {
-    const auto product = [&](View<const float> x, View<const float> of, View<float> d_of, View<float> dx) {
-      LinearBackward<float, float> call;
-      call.x = x;
-      call.dz = d_logits;
-      call.weight = of;
-      call.d_weight = d_of;
-      call.dx = dx;
-      linear_backward<float, float>(call, arena);
-    };
-    product(h, weight, d_weight, d_h);
-    product(share, bias, d_bias, d_share);
+    shared_bias_backward({share, bias, d_logits, d_share, d_bias}, arena);
+    large_product(Matrix(d_logits), Matrix(weight, true), d_h, false);
+    large_product(Matrix(h, true), Matrix(d_logits), d_weight, true);
     return;
   }
-  const auto times = [](const Matrix& a, const Matrix& b, View<float> d, bool add) {
-    SmallProduct product;
-    product.a = a;
-    product.b = b;
-    product.d = d;
-    product.add = add;
-    return product;
-  };
   const std::array<SmallProduct, 4> products = {times(Matrix(d_logits), Matrix(weight, true), d_h, false),
                                                 times(Matrix(d_logits), Matrix(bias, true), d_share, false),
                                                 times(Matrix(h, true), Matrix(d_logits), d_weight, true),

@@ -5,6 +5,7 @@
 
 #include "core/gemm.h"
 #include "cuda/feature_exchange.h"
+#include "cuda/matmul.h"
 #include "model/semantic_head.h"
 
 namespace semfield::cuda {
@@ -13,7 +14,7 @@ namespace semfield::cuda {
 /// launch().stream.
 class Head {
  public:
-  /// precision: of the hidden layer; the class layer stays fp32.
+  /// precision: of the hidden layer; the class layer is fp32, of many classes TF32 with Precision::bf16.
   Head(const SemanticHead<float>& host, Precision precision) : host_(host), precision_(precision) {}
 
   bool rounds() const { return precision_ == Precision::bf16; }
@@ -41,6 +42,9 @@ class Head {
                       View<const float> d_logits, View<float> d_h, View<float> d_share) const;
 
  private:
+  /// d = a b (+ d), a product of the class layer with many classes.
+  void large_product(const Matrix& a, const Matrix& b, View<float> d, bool add) const;
+
   const SemanticHead<float>& host_;
   Precision precision_;
 };

@@ -77,6 +77,14 @@ void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena);
 void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena);
 /// sums [1, cols] += sums over the rows of partial [any, cols], in a fixed order.
 void add_partials(View<const float> partial, View<float> sums);
+/// y [M, out] = share [M, 1] bias [1, out].
+void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y);
+/// From dy [M, out]: d_share [M, 1] = dy bias^T, d_bias [1, out] += share^T dy. Sums have a fixed order.
+struct SharedBiasBackward {
+  View<const float> share, bias, dy;
+  View<float> d_share, d_bias;
+};
+void shared_bias_backward(const SharedBiasBackward& call, Workspace& arena);
 /// d_ray_term [R, out] = sum of dz over each ray's samples, rays in order; ray_of_sample ascending. Rows that are not
 /// in use are not added. dz may have more columns: padding.
 template <class Act>

@@ -72,7 +72,8 @@ struct Problem {
     layout(first, p.b);
     layout(second, p.a);
     layout(result, p.d);
-    check_lt(cublasLtMatmulDescInit(&call, CUBLAS_COMPUTE_32F, CUDA_R_32F), "describing a product");
+    const cublasComputeType_t arithmetic = p.tf32 ? CUBLAS_COMPUTE_32F_FAST_TF32 : CUBLAS_COMPUTE_32F;
+    check_lt(cublasLtMatmulDescInit(&call, arithmetic, CUDA_R_32F), "describing a product");
     set(CUBLASLT_MATMUL_DESC_TRANSA, p.b.transposed ? CUBLAS_OP_T : CUBLAS_OP_N);
     set(CUBLASLT_MATMUL_DESC_TRANSB, p.a.transposed ? CUBLAS_OP_T : CUBLAS_OP_N);
     set(CUBLASLT_MATMUL_DESC_EPILOGUE, epilogue_of(p.epilogue));
@@ -103,7 +104,7 @@ MatrixKey key_of(const Matrix& m) { return {m.rows, m.cols, m.stride, m.type, m.
 /// All that the choice of an algorithm depends on.
 struct ProductKey {
   MatrixKey a, b, d;
-  bool add;
+  bool add, tf32;
   Epilogue epilogue;
   std::uint32_t vector_alignment, mask_alignment;
   auto operator<=>(const ProductKey&) const = default;
@@ -117,10 +118,9 @@ class Library {
 
   /// The algorithm of a product, found at its first call; none: there is no kernel.
   std::optional<cublasLtMatmulAlgo_t> algorithm(const Product& p, Problem& problem) {
-    const ProductKey key{key_of(p.a),         key_of(p.b),
-                         key_of(p.d),         p.add,
-                         p.epilogue,          alignment_of(p.epilogue == Epilogue::column_sums ? p.sums : p.bias),
-                         alignment_of(p.mask)};
+    const void* const vector = p.epilogue == Epilogue::column_sums ? p.sums : p.bias;
+    const ProductKey key{key_of(p.a), key_of(p.b), key_of(p.d),          p.add,
+                         p.tf32,      p.epilogue,  alignment_of(vector), alignment_of(p.mask)};
     const std::lock_guard lock(mutex_);
     const auto known = algorithms_.find(key);
     if (known != algorithms_.end()) return known->second;
@@ -182,6 +182,11 @@ bool product(const Product& p) {
                "a product");
       return true;
     }
+  }
+  if (p.tf32) {
+    Product exact = p;
+    exact.tf32 = false;
+    return product(exact);
   }
   if (p.epilogue != Epilogue::none) return false;
   simple_product(p);

@@ -54,11 +54,12 @@ enum class Epilogue : std::uint8_t {
 /// Bits of a row of a ReLU's mask: one a column, rows start at multiples of 128 bits.
 constexpr std::int64_t mask_stride_bits(std::int64_t cols) { return (cols + 127) / 128 * 128; }
 
-/// D = A B, or D + A B with `add`. Operands fp32: products and sums in fp32 (never TF32), D fp32; operands bf16: sums
-/// in fp32, D fp32 or bf16.
+/// D = A B, or D + A B with `add`. Operands fp32: products and sums in fp32 (with `tf32` operands are cut to TF32's 10
+/// bits of mantissa where cuBLASLt has such a kernel), D fp32; operands bf16: sums in fp32, D fp32 or bf16.
 struct Product {
   Matrix a, b, d;
   bool add = false;
+  bool tf32 = false;
   Epilogue epilogue = Epilogue::none;
   const void* bias = nullptr;     ///< [columns of D], of D's type
   std::uint32_t* mask = nullptr;  ///< [rows of D] of mask_stride_bits(columns of D), 16-byte aligned

@@ -30,11 +30,13 @@ std::vector<double> product(const std::vector<float>& x, const std::vector<float
   return sum;
 }
 
-std::string near(const DeviceMatrix<float>& got, const std::vector<double>& want, std::int64_t terms) {
+// tolerance: 1e-6 for products of fp32 numbers; 2e-3 where they are cut to TF32's 10 bits of mantissa.
+std::string near(const DeviceMatrix<float>& got, const std::vector<double>& want, std::int64_t terms,
+                 double tolerance) {
   const std::vector<float> values = got.read();
   const auto cols = static_cast<std::int32_t>(got.view().cols);
   const double floor = std::sqrt(static_cast<double>(terms));  // terms lie in [-1, 1]
-  return testkit::compare<float, double>(host_view(values, cols), host_view(want, cols), 1e-6, floor) +
+  return testkit::compare<float, double>(host_view(values, cols), host_view(want, cols), tolerance, floor) +
          got.surroundings();
 }
 
@@ -45,12 +47,17 @@ TEST(CudaHead, ClassLayerAndItsGradients) {
   struct Shape {
     std::int64_t rays;
     std::int32_t hidden, classes;
+    Precision precision = Precision::fp32;
   };
-  for (const Shape& s : {Shape{1, 1, 1}, Shape{1000, 128, 29}, Shape{3000, 64, 128}, Shape{700, 64, 129}}) {
+  for (const Shape& s : {Shape{1, 1, 1}, Shape{1000, 128, 29}, Shape{3000, 64, 128}, Shape{700, 64, 129},
+                         Shape{1000, 128, 512}, Shape{1000, 128, 29, Precision::bf16},
+                         Shape{700, 64, 129, Precision::bf16}, Shape{1000, 128, 512, Precision::bf16}}) {
+    const bool cut = s.precision == Precision::bf16 && s.classes > 128;
+    const double tolerance = cut ? 2e-3 : 1e-6;
     SCOPED_TRACE(std::to_string(s.rays) + " rays, hidden " + std::to_string(s.hidden) + ", classes " +
-                 std::to_string(s.classes));
+                 std::to_string(s.classes) + (s.precision == Precision::bf16 ? ", bf16" : ""));
     const SemanticHead<float> host(kFeature, s.hidden, s.classes);
-    const cuda::Head head(host, Precision::fp32);
+    const cuda::Head head(host, s.precision);
     const std::vector<float> h = random_floats(s.rays * s.hidden, 1, -1, 1), share = random_floats(s.rays, 2, 0, 1);
     const std::vector<float> w = random_floats(s.hidden * s.classes, 3, -1, 1), b = random_floats(s.classes, 4, -1, 1);
     const std::vector<float> g = random_floats(s.rays * s.classes, 5, -1, 1);
@@ -71,15 +78,15 @@ TEST(CudaHead, ClassLayerAndItsGradients) {
       const auto classes = static_cast<std::size_t>(s.classes);
       want[i] += double{share[i / classes]} * b[i % classes];
     }
-    EXPECT_EQ(near(logits, want, s.hidden + 1), "") << "logits";
-    EXPECT_EQ(near(of_h, product(g, w, s.rays, s.classes, s.hidden, false, true), s.classes), "") << "d_h";
-    EXPECT_EQ(near(of_share, product(g, b, s.rays, s.classes, 1, false, true), s.classes), "") << "d_share";
+    EXPECT_EQ(near(logits, want, s.hidden + 1, tolerance), "") << "logits";
+    EXPECT_EQ(near(of_h, product(g, w, s.rays, s.classes, s.hidden, false, true), s.classes, tolerance), "") << "d_h";
+    EXPECT_EQ(near(of_share, product(g, b, s.rays, s.classes, 1, false, true), s.classes, 1e-6), "") << "d_share";
     std::vector<double> of_w = product(h, g, s.hidden, s.rays, s.classes, true, false);
     std::vector<double> of_b = product(share, g, 1, s.rays, s.classes, true, false);
     for (double& x : of_w) x += 2;
     for (double& x : of_b) x += 3;
-    EXPECT_EQ(near(grad_w, of_w, s.rays), "") << "class weight";
-    EXPECT_EQ(near(grad_b, of_b, s.rays), "") << "class bias";
+    EXPECT_EQ(near(grad_w, of_w, s.rays, tolerance), "") << "class weight";
+    EXPECT_EQ(near(grad_b, of_b, s.rays, 1e-6), "") << "class bias";
   }
 }
 

@@ -15,7 +15,7 @@ constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / kWarp;
 constexpr int kVertices = 8;
 constexpr int kSegments = kWarp / kVertices;  // of a warp: 8 lanes each, one a vertex
-constexpr int kSegmentRows = 16;              // consecutive; runs of them within one cell are summed in registers
+constexpr int kSegmentRows = kVertices;       // consecutive; runs of them within one cell are summed in registers
 constexpr int kWarpRows = kSegments * kSegmentRows;
 constexpr int kBlockRows = kWarps * kWarpRows;
 constexpr int kGroupCols = 8;  // columns of dy that a warp works on: a sector of 32 bytes
@@ -66,9 +66,10 @@ __device__ inline void reduce(float* grad, const float* sum) {
 
 /// Adds to the tables' gradients. The order of sums, and so their last bits, change from run to run.
 struct FloatSums {
+  static constexpr int kPairedFeatures = 0;  ///< none
   __device__ inline void prepare() {}
   template <int kF>
-  __device__ inline void add(const GridLevel& level, int, std::uint32_t entry, const float* sum) const {
+  __device__ inline void add(const GridLevel& level, int, std::uint32_t entry, const float* sum, unsigned) const {
     reduce<kF>(level.table + static_cast<std::size_t>(entry) * kF, sum);
   }
 };
@@ -91,13 +92,25 @@ struct FixedSums {
     return __int_as_float((127 + sign * min(61 - rows_log2 - e, 126)) << 23);
   }
   __device__ inline void prepare() { scale = power(1); }
+  __device__ inline void put(unsigned long long* to, float sum) const {
+    const long long whole = __float2ll_rn(sum * scale);  // the product is exact
+    if (whole != 0) atomicAdd(to, static_cast<unsigned long long>(whole));
+  }
+  /// Two features: the lanes of an edge's ends, neighbours, add together, one the first feature of both ends and the
+  /// other the second, so that an entry's two sums fall into one sector at once.
+  static constexpr int kPairedFeatures = 2;
   template <int kF>
-  __device__ inline void add(const GridLevel&, int l, std::uint32_t entry, const float* sum) const {
-    unsigned long long* const to = sums + offset[l] + static_cast<std::int64_t>(entry) * kF;
+  __device__ inline void add(const GridLevel&, int l, std::uint32_t entry, const float* sum, unsigned together) const {
+    unsigned long long* const level = sums + offset[l];
+    if constexpr (kF == kPairedFeatures) {
+      const bool far = (threadIdx.x & 1) != 0;
+      const float other = __shfl_xor_sync(together, far ? sum[0] : sum[1], 1);
+      const std::uint32_t other_entry = __shfl_xor_sync(together, entry, 1);
+      put(level + std::int64_t{far ? other_entry : entry} * kF + far, far ? other : sum[0]);
+      put(level + std::int64_t{far ? entry : other_entry} * kF + far, far ? sum[1] : other);
+    } else {
 #pragma unroll
-    for (int f = 0; f < kF; ++f) {
-      const long long whole = __float2ll_rn(sum[f] * scale);  // the product is exact
-      if (whole != 0) atomicAdd(to + f, static_cast<unsigned long long>(whole));
+      for (int f = 0; f < kF; ++f) put(level + std::int64_t{entry} * kF + f, sum[f]);
     }
   }
 };
@@ -143,38 +156,53 @@ struct Run {
   float sum[kF] = {};
 };
 
-/// One level, 8 rows of each segment: lane v walks through its segment's rows (bit i of `rows`: dy of row i is not all
-/// zero) with vertex v, and adds what it has summed whenever the vertex changes.
+/// Adds what lanes have summed whose `flush` is set, and, with Sums that pair lanes, their neighbours'. By all lanes.
+/// Returns whether this lane's sum was added.
+template <int kF, class Sums>
+__device__ inline bool flush_run(bool flush, const GridLevel& level, int l, const Sums& sums, const Run<kF>& run) {
+  unsigned together = 0;
+  if constexpr (kF == Sums::kPairedFeatures) {
+    const unsigned own = __ballot_sync(kFullMask, flush);
+    together = own | (own & 0x55555555U) << 1 | (own & 0xAAAAAAAAU) >> 1;
+    flush = (together >> (threadIdx.x % kWarp) & 1) != 0;
+  }
+  if (flush) sums.template add<kF>(level, l, run.entry, run.sum, together);
+  return flush;
+}
+
+/// One level: lane v walks through its segment's rows (bit i of `rows`: dy of row i is not all zero) with vertex v, and
+/// adds what it has summed whenever the vertex changes.
 template <int kF, class Sums>
 __device__ inline void walk(WarpTables& tables, int segment, int v, unsigned rows, int col, const GridLevel& level,
-                            int l, const Sums& sums, Run<kF>& run) {
-  std::uint32_t entry[kVertices];
-  float weight[kVertices];
+                            int l, const Sums& sums) {
+  std::uint32_t entry[kSegmentRows];
+  float weight[kSegmentRows];
 #pragma unroll
-  for (int i = 0; i < kVertices; ++i) {
+  for (int i = 0; i < kSegmentRows; ++i) {
     entry[i] = *tables.entry.at(segment, i, v);
     weight[i] = *tables.weight.at(segment, i, v);
   }
+  Run<kF> run;
 #pragma unroll
-  for (int i = 0; i < kVertices; ++i) {
+  for (int i = 0; i < kSegmentRows; ++i) {
     const std::uint32_t next = (rows >> i & 1) != 0 ? entry[i] : run.entry;
-    if (next != run.entry) {
-      if (run.entry != kNoEntry) sums.template add<kF>(level, l, run.entry, run.sum);
-      run = {next, {}};
-    }
+    const bool moved = next != run.entry;
+    const bool flushed = flush_run(moved && run.entry != kNoEntry, level, l, sums, run);
+    if (moved || flushed) run = {next, {}};
 #pragma unroll
     for (int f = 0; f < kF; ++f) run.sum[f] += weight[i] * *tables.dy.at(segment, i, col + f);
   }
+  flush_run(run.entry != kNoEntry, level, l, sums, run);
 }
 
-/// A warp 64 rows and 8 columns of dy, 8 / F levels. Its 4 segments take 16 consecutive rows each, 8 at a time: first
-/// lane i finds the vertices of the segment's row i, then lane v sums vertex v over the rows. Rows come along rays, so
-/// on coarse levels runs of them share a cell and cost one addition, which is what those levels' few entries can take;
-/// on fine levels neighbouring lanes' vertices are neighbours along x, whose additions fall into one 32-byte sector in
-/// 3 of 4 hashed cells. Groups of levels follow each other, finest first. A row: 24 bytes of x once in 8 columns, 4 L F
-/// of dy, and 5 sectors of a table a fine level. Rows whose dy is zero cost their reading.
+/// A warp 32 rows and 8 columns of dy, 8 / F levels. Its 4 segments take 8 consecutive rows each: first lane i finds the
+/// vertices of the segment's row i, then lane v sums vertex v over the rows. Rows come along rays, so on coarse levels
+/// runs of them share a cell and cost one addition, which is what those levels' few entries can take; on fine levels
+/// neighbouring lanes' vertices are neighbours along x, whose additions fall into one 32-byte sector in 3 of 4 hashed
+/// cells. Groups of levels follow each other, finest first. A row: 24 bytes of x once in 8 columns, 4 L F of dy, and 5
+/// sectors of a table a fine level. Rows whose dy is zero cost their reading.
 template <int kF, Interpolation kI, class Sums>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kThreads, 4)
     scatter_kernel(const __grid_constant__ Grid grid, View<const double> x, View<const float> dy, int first_group,
                    bool aligned, Sums sums, const std::int32_t* live_rows) {
   __shared__ WarpTables shared[kWarps];
@@ -182,57 +210,56 @@ __global__ void __launch_bounds__(kThreads)
   const int segment = lane / kVertices, v = lane % kVertices;
   WarpTables& tables = shared[warp];
   const std::int64_t rows = live_count(live_rows, x.rows);
-  const std::int64_t begin = (static_cast<std::int64_t>(blockIdx.x) * kWarps + warp) * kWarpRows;
+  const std::int64_t begin = (static_cast<std::int64_t>(blockIdx.x) * kWarps + warp) * kWarpRows, row = begin + lane;
   if (begin >= rows) return;  // a whole warp; nothing here waits for the block
   const int group = first_group + static_cast<int>(gridDim.y - 1 - blockIdx.y);
   constexpr int kLevels = kGroupCols / kF;
   sums.prepare();
-  Run<kF> run[kLevels];
-  for (int chunk = 0; chunk < kSegmentRows; chunk += kVertices) {
-    const std::int64_t row = begin + segment * kSegmentRows + chunk + v;
-    float d[kGroupCols] = {};
-    double u[3] = {};
-    if (row < rows) {
-      load_columns(dy, row, group * kGroupCols, aligned, d);
+  float d[kGroupCols] = {};
+  double u[3] = {};
+  if (row < rows) {
+    load_columns(dy, row, group * kGroupCols, aligned, d);
 #pragma unroll
-      for (int a = 0; a < 3; ++a) u[a] = clamp_unit(__ldg(x.row(row) + a));
-    }
-    tables.dy.write(segment, v, d);
-#pragma unroll
-    for (int l = 0; l < kLevels; ++l) {
-      if (group * kLevels + l >= grid.levels) break;
-      bool any = false;
-#pragma unroll
-      for (int f = 0; f < kF; ++f) any = any || d[l * kF + f] != 0;  // NaN is not 0
-      const unsigned wanted = __ballot_sync(kFullMask, any);
-      if (wanted == 0) continue;
-      const GridLevel& level = grid.level[group * kLevels + l];
-      write_vertices<kI>(tables, segment, v, level, u);
-      __syncwarp();
-      walk<kF>(tables, segment, v, wanted >> (segment * kVertices) & 0xFF, l * kF, level, l, sums, run[l]);
-      __syncwarp();
-    }
-    __syncwarp();
+    for (int a = 0; a < 3; ++a) u[a] = clamp_unit(__ldg(x.row(row) + a));
   }
+  tables.dy.write(segment, v, d);
 #pragma unroll
   for (int l = 0; l < kLevels; ++l) {
-    if (run[l].entry != kNoEntry) sums.template add<kF>(grid.level[group * kLevels + l], l, run[l].entry, run[l].sum);
+    if (group * kLevels + l >= grid.levels) break;
+    bool any = false;
+#pragma unroll
+    for (int f = 0; f < kF; ++f) any = any || d[l * kF + f] != 0;  // NaN is not 0
+    const unsigned wanted = __ballot_sync(kFullMask, any);
+    if (wanted == 0) continue;
+    const GridLevel& level = grid.level[group * kLevels + l];
+    write_vertices<kI>(tables, segment, v, level, u);
+    __syncwarp();
+    walk<kF>(tables, segment, v, wanted >> (segment * kVertices) & 0xFF, l * kF, level, l, sums);
+    __syncwarp();
   }
 }
 
-/// *largest = bits of the largest |dy|; those of a NaN are larger than any number's. A warp a row at a time, its lanes
-/// consecutive columns.
+/// *largest = bits of the largest |dy|; those of a NaN are larger than any number's. One thread 4 consecutive columns
+/// at a time, 4 of them asked for at once. Columns of a row: a multiple of 4, rows on 16-byte boundaries; else one.
+template <int kCols>
 __global__ void __launch_bounds__(kThreads)
     largest_kernel(View<const float> dy, const std::int32_t* live_rows, std::uint32_t* largest) {
-  const int lane = static_cast<int>(threadIdx.x) % kWarp;
-  const std::int64_t rows = live_count(live_rows, dy.rows), warps = static_cast<std::int64_t>(gridDim.x) * kWarps;
+  struct alignas(sizeof(float) * kCols) Piece {
+    float v[kCols];
+  };
+  const auto pieces = static_cast<std::uint32_t>(dy.cols / kCols);
+  const std::int64_t count = live_count(live_rows, dy.rows) * pieces;
+  const std::int64_t step = static_cast<std::int64_t>(gridDim.x) * kThreads;
   std::uint32_t most = 0;
 #pragma unroll 4
-  for (std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kWarps + threadIdx.x / kWarp; r < rows; r += warps) {
-    for (int c = lane; c < dy.cols; c += kWarp) most = max(most, __float_as_uint(fabsf(__ldg(dy.row(r) + c))));
+  for (std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x; i < count; i += step) {
+    const std::int64_t row = i / pieces, piece = i - row * pieces;
+    const Piece d = reinterpret_cast<const Piece*>(dy.row(row))[piece];
+#pragma unroll
+    for (int c = 0; c < kCols; ++c) most = max(most, __float_as_uint(fabsf(d.v[c])));
   }
   most = __reduce_max_sync(kFullMask, most);
-  if (lane == 0 && most != 0) atomicMax(largest, most);
+  if (threadIdx.x % kWarp == 0 && most != 0) atomicMax(largest, most);
 }
 
 /// Gradients of a group's levels += their sums; blockIdx.y is the level within the group, one thread two numbers at a
@@ -290,8 +317,10 @@ void scatter_fixed(const HashGridShape& shape, const Grid& grid, View<const doub
   sums.rows_log2 = std::bit_width(static_cast<std::uint64_t>(x.rows - 1));
   const cudaStream_t stream = launch().stream;
   check(cudaMemsetAsync(largest, 0, sizeof *largest, stream), "hash grid: largest gradient");
-  largest_kernel<<<std::min(blocks_of(x.rows, 4 * kWarps), 8U * static_cast<unsigned>(multiprocessors())), kThreads, 0,
-                   stream>>>(dy, launch().live_rows, largest);
+  const bool by_four = rows_aligned(dy) && dy.cols % 4 == 0;
+  const auto find_largest = by_four ? largest_kernel<4> : largest_kernel<1>;
+  find_largest<<<std::min(blocks_of(x.rows, 4 * kWarps), 8U * static_cast<unsigned>(multiprocessors())), kThreads, 0,
+                 stream>>>(dy, launch().live_rows, largest);
   check_launch("hash grid largest gradient");
   for (int begin = 0; begin < shape.levels; begin += group_levels) {
     const int levels = std::min(group_levels, shape.levels - begin);
