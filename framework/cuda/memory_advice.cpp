@@ -60,6 +60,10 @@ Error DevicePipeline::with_settings_that_fit(const Error& error, const Shape& sh
   train_arena_.forget();
   store_->clear_gradients();
   check(cudaMemsetAsync(&staging_->device_sums()->fault, 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
+  if (fit == rays) {
+    return {error.kind(), error.message(),
+            "other processes held the memory and have freed it: start again; or runtime.device: cpu"};
+  }
   return {error.kind(), error.message(),
           fmt::format("any of these fits: train.rays: {} (now {}); {:.2f} times the samples in every pass; "
                       "runtime.device: cpu",
