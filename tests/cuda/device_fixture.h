@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <cstring>
+#include <initializer_list>
 #include <optional>
 #include <string>
 #include <vector>
@@ -16,6 +17,7 @@
 #include "core/workspace.h"
 #include "cuda/launch.h"
 #include "cuda/memory.h"
+#include "plugin/kernels.h"
 
 namespace semfield::testing {
 
@@ -31,6 +33,13 @@ inline bool has_device() {
 #define SEMFIELD_NEEDS_DEVICE()                                                                                   \
   if (!::semfield::testing::has_device()) GTEST_SKIP() << "this machine has no NVIDIA processor that its driver " \
                                                           "offers"
+
+/// What these functions add: `x_kernels` of plugins, cuda::add_plugin_kernels.
+inline KernelTables tables_of(std::initializer_list<void (*)(KernelTables&)> adders) {
+  KernelTables tables;
+  for (const auto add : adders) add(tables);
+  return tables;
+}
 
 /// A row-major matrix in device memory. Gaps between rows, and some elements behind the last, are filled with one bits
 /// (NaN in float, -1 in integers), and so is a matrix that was given no values: what a kernel must write is seen, and

@@ -17,13 +17,8 @@ using testing::DeviceMatrix;
 using testing::NotedFault;
 
 const KernelTables& all_kernels() {
-  static const KernelTables tables = [] {
-    KernelTables t;
-    frequency_kernels(t);
-    spherical_harmonics_kernels(t);
-    cuda::add_plugin_kernels(t);
-    return t;
-  }();
+  static const KernelTables tables =
+      testing::tables_of({frequency_kernels, spherical_harmonics_kernels, cuda::add_plugin_kernels});
   return tables;
 }
 

@@ -22,12 +22,7 @@ using testing::NotedFault;
 
 template <class Real>
 HashGrid<Real> make(const HashGridParams& params, Device device) {
-  static const KernelTables tables = [] {
-    KernelTables t;
-    hash_grid_kernels(t);
-    cuda::add_plugin_kernels(t);
-    return t;
-  }();
+  static const KernelTables tables = testing::tables_of({hash_grid_kernels, cuda::add_plugin_kernels});
   EncoderBuild build;
   build.device = device;
   return HashGrid<Real>(params, build, tables);

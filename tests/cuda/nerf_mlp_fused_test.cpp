@@ -19,19 +19,11 @@ using testkit::FieldBench;
 using testkit::Wanted;
 
 const KernelTables& cpu_tables() {
-  static const KernelTables tables = [] {
-    KernelTables t;
-    nerf_mlp_kernels(t);
-    return t;
-  }();
+  static const KernelTables tables = testing::tables_of({nerf_mlp_kernels});
   return tables;
 }
 const KernelTables& device_tables() {
-  static const KernelTables tables = [] {
-    KernelTables t;
-    cuda::add_plugin_kernels(t);
-    return t;
-  }();
+  static const KernelTables tables = testing::tables_of({cuda::add_plugin_kernels});
   return tables;
 }
 

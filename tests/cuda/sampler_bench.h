@@ -17,14 +17,8 @@
 namespace semfield::testing {
 
 inline const KernelTables& sampler_tables() {
-  static const KernelTables tables = [] {
-    KernelTables t;
-    stratified_kernels(t);
-    importance_kernels(t);
-    occupancy_grid_kernels(t);
-    cuda::add_plugin_kernels(t);
-    return t;
-  }();
+  static const KernelTables tables =
+      tables_of({stratified_kernels, importance_kernels, occupancy_grid_kernels, cuda::add_plugin_kernels});
   return tables;
 }
 
