@@ -45,7 +45,9 @@ template <class T>
 Buffer<T>::Buffer(std::size_t count, const char* what) : size_(count) {
   if (count == 0) return;
   data_ = reinterpret_cast<T*>(allocate(count * sizeof(T), what));
+  // Queued on the default stream, for which the streams of pipelines do not wait.
   check(cudaMemset(data_, 0, count * sizeof(T)), what);
+  check(cudaStreamSynchronize(nullptr), what);
 }
 template <class T>
 Buffer<T>::~Buffer() {

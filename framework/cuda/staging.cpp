@@ -48,7 +48,7 @@ Staging::Staging(int slots, std::int64_t rays, bool has_labels, std::int32_t sof
   host_sums_ = pinned<StepSums>(static_cast<std::size_t>(slots), "pinned memory of sums");
   device_ = Buffer<std::byte>(at_.total, "batch of rays");
   device_sums_ = Buffer<std::byte>(sizeof(StepSums), "sums of a step");
-  check(cudaMemset(device_sums_.data(), 0xFF, sizeof(FaultKey)), "resetting a fault");
+  check(cudaMemsetAsync(device_sums_.data(), 0xFF, sizeof(FaultKey), launch().stream), "resetting a fault");
 }
 
 Staging::~Staging() {

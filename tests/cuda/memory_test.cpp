@@ -36,6 +36,31 @@ TEST(CudaMemory, BuffersStartAsZerosAndArenasGiveAlignedDeviceMemory) {
   }
 }
 
+TEST(CudaMemory, ABufferIsClearedBeforeOtherStreamsUseIt) {
+  SEMFIELD_NEEDS_DEVICE();
+  constexpr std::size_t kCount = 1001, kBusyBytes = std::size_t{1} << 28;
+  const cuda::Buffer<std::byte> busy(kBusyBytes, "a test");
+  cudaStream_t stream = nullptr;
+  cuda::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "a stream of a test");
+  const std::vector<float> values = testing::random_floats(kCount, 1, -1, 1);
+  std::vector<float> back(kCount);
+  {
+    cuda::Launch own;
+    own.stream = stream;
+    const cuda::LaunchScope scope(own);
+    for (int i = 0; i < 400; ++i) {  // the default stream has work for some 20 ms
+      cuda::check(cudaMemsetAsync(busy.data(), i, kBusyBytes, nullptr), "work of a test");
+    }
+    const cuda::Buffer<float> buffer(kCount, "a test");
+    cuda::upload<float>(values, buffer.data());
+    cuda::check(cudaDeviceSynchronize(), "waiting for both streams");
+    cuda::download<float>(buffer.data(), back);
+    cuda::synchronize();
+  }
+  cuda::check(cudaStreamDestroy(stream), "a stream of a test");
+  EXPECT_EQ(back, values);
+}
+
 TEST(CudaLaunch, AFaultIsTakenOutOfItsCellOnce) {
   SEMFIELD_NEEDS_DEVICE();
   DeviceLaunch launch(true);

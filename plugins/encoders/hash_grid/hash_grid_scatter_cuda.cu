@@ -239,21 +239,21 @@ __global__ void __launch_bounds__(kThreads, 4)
   }
 }
 
-/// *largest = bits of the largest |dy|; those of a NaN are larger than any number's. One thread 4 consecutive columns
-/// at a time, 4 of them asked for at once. Columns of a row: a multiple of 4, rows on 16-byte boundaries; else one.
+/// *largest = bits of the largest |dy|; those of a NaN are larger than any number's. A thread kCols columns of every
+/// n-th row: at most kThreads such pieces a row, with kCols of 4 on 16-byte boundaries.
 template <int kCols>
 __global__ void __launch_bounds__(kThreads)
     largest_kernel(View<const float> dy, const std::int32_t* live_rows, std::uint32_t* largest) {
   struct alignas(sizeof(float) * kCols) Piece {
     float v[kCols];
   };
-  const auto pieces = static_cast<std::uint32_t>(dy.cols / kCols);
-  const std::int64_t count = live_count(live_rows, dy.rows) * pieces;
-  const std::int64_t step = static_cast<std::int64_t>(gridDim.x) * kThreads;
+  const int pieces = dy.cols / kCols, rows_at_once = kThreads / pieces;
+  const int piece = static_cast<int>(threadIdx.x) % pieces, first = static_cast<int>(threadIdx.x) / pieces;
+  const std::int64_t rows = first < rows_at_once ? live_count(live_rows, dy.rows) : 0;
+  const std::int64_t step = static_cast<std::int64_t>(gridDim.x) * rows_at_once;
   std::uint32_t most = 0;
 #pragma unroll 4
-  for (std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x; i < count; i += step) {
-    const std::int64_t row = i / pieces, piece = i - row * pieces;
+  for (std::int64_t row = static_cast<std::int64_t>(blockIdx.x) * rows_at_once + first; row < rows; row += step) {
     const Piece d = reinterpret_cast<const Piece*>(dy.row(row))[piece];
 #pragma unroll
     for (int c = 0; c < kCols; ++c) most = max(most, __float_as_uint(fabsf(d.v[c])));
@@ -271,15 +271,19 @@ __global__ void __launch_bounds__(kThreads) add_sums_kernel(const __grid_constan
   const GridLevel& level = grid.level[first_level + l];
   const auto unit = static_cast<double>(sums.power(-1));
   const bool finite = *sums.largest < 0x7F800000U;
+  if (!finite) {
+    if (blockIdx.x == 0 && threadIdx.x == 0) level.table[0] = __int_as_float(0x7FC00000);
+    return;
+  }
   const std::int64_t pairs = (static_cast<std::int64_t>(level.entries) * features + 1) / 2;
   const auto* const from = reinterpret_cast<const longlong2*>(sums.sums + sums.offset[l]);
   const std::int64_t step = static_cast<std::int64_t>(gridDim.x) * kThreads;
+#pragma unroll 4
   for (std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x; i < pairs; i += step) {
-    const longlong2 sum = from[i];
-    if (i == 0 && !finite) level.table[0] = __int_as_float(0x7FC00000);
-    if ((sum.x | sum.y) == 0 || !finite) continue;
-    level.table[2 * i] += static_cast<float>(static_cast<double>(sum.x) * unit);
-    if (sum.y != 0) level.table[2 * i + 1] += static_cast<float>(static_cast<double>(sum.y) * unit);
+    const longlong2 sum = __ldg(from + i);  // asked for before the pair before is written
+    float* const to = level.table + 2 * i;
+    if (sum.x != 0) to[0] += static_cast<float>(static_cast<double>(sum.x) * unit);
+    if (sum.y != 0) to[1] += static_cast<float>(static_cast<double>(sum.y) * unit);
   }
 }
 
@@ -317,6 +321,7 @@ void scatter_fixed(const HashGridShape& shape, const Grid& grid, View<const doub
   sums.rows_log2 = std::bit_width(static_cast<std::uint64_t>(x.rows - 1));
   const cudaStream_t stream = launch().stream;
   check(cudaMemsetAsync(largest, 0, sizeof *largest, stream), "hash grid: largest gradient");
+  static_assert(kHashGridMaxLevels * kGroupCols <= kThreads);  // at most 8 features
   const bool by_four = rows_aligned(dy) && dy.cols % 4 == 0;
   const auto find_largest = by_four ? largest_kernel<4> : largest_kernel<1>;
   find_largest<<<std::min(blocks_of(x.rows, 4 * kWarps), 8U * static_cast<unsigned>(multiprocessors())), kThreads, 0,
