@@ -11,24 +11,11 @@
 namespace semfield {
 
 namespace {
-constexpr std::int64_t kDensityBatch = 1024;  // positions a density query evaluates at once
-constexpr std::int64_t kRound = 16;           // samples a ray advances before early stop is tested
+constexpr std::int64_t kRound = 16;  // samples a ray advances before early stop is tested
 
 template <class T>
 void fill_zero(View<T> view) {
   for (std::int64_t r = 0; r < view.rows; ++r) std::fill_n(view.row(r), view.cols, T(0));
-}
-
-// Densities asked for by position belong to no ray: the message names the place.
-template <class Real>
-void check_density_at(View<const double> positions, View<const Real> raw, View<const Real> sigma) {
-  for (std::int64_t m = 0; m < sigma.rows; ++m) {
-    if (std::isfinite(raw(m, 0)) && std::isfinite(sigma(m, 0))) continue;
-    throw Error(ErrorKind::failure,
-                "density at (" + std::to_string(positions(m, 0)) + ", " + std::to_string(positions(m, 1)) + ", " +
-                    std::to_string(positions(m, 2)) + ") m is not finite (raw value " + std::to_string(raw(m, 0)) + ")",
-                std::string(fault_remedy()));
-  }
 }
 
 // Rays [begin, begin + count) of the samples: `first` keeps its absolute offsets, so the sample arrays stay whole.
@@ -376,44 +363,6 @@ template <class Real>
 void Pass<Real>::scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const {
   if (x.rows == 0) return;
   parts_.position->backward(ctx, store_->tensors(position_), x, dy, {});
-}
-
-template <class Real>
-void Pass<Real>::density(const StepContext& ctx, View<const double> positions, View<Real> sigma) const {
-  Workspace& arena = *ctx.workspace;
-  for (std::int64_t begin = 0; begin < positions.rows; begin += kDensityBatch) {
-    const std::int64_t count = std::min(kDensityBatch, positions.rows - begin);
-    const Workspace::Scope scope(arena);
-    View<double> x = arena.take<double>(count, 3);
-    for (std::int64_t m = 0; m < count; ++m) {
-      for (int i = 0; i < 3; ++i) {
-        x(m, i) = (positions(begin + m, i) - parts_.domain.center[i]) * parts_.domain.scale + parts_.domain.offset;
-      }
-    }
-    View<Real> encoded = arena.take<Real>(count, parts_.position->traits().out_dims);
-    parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
-    View<Real> raw = arena.take<Real>(count, 1);
-    FieldIn<Real> in;
-    in.position = encoded;
-    FieldOut<Real> out;
-    out.sigma = raw;
-    parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
-    for (std::int64_t m = 0; m < count; ++m) raw(m, 0) += static_cast<Real>(rules_.density_bias);
-    const View<Real> out_rows = sigma.row_range(begin, count);
-    density_forward<Real>(rules_.activation, raw, out_rows);
-    check_density_at(positions.row_range(begin, count), View<const Real>(raw), View<const Real>(out_rows));
-  }
-}
-
-template <class Real>
-void Pass<Real>::observe(const StepContext& ctx) const {
-  if (!parts_.sampler->traits().observes) return;
-  parts_.sampler->observe(ctx, store_->tensors(sampler_), [this, ctx](View<const double> positions, View<Real> sigma) {
-    static thread_local Workspace arena;
-    StepContext local = ctx;
-    local.workspace = &arena;
-    density(local, positions, sigma);
-  });
 }
 
 template class Pass<float>;
