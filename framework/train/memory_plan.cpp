@@ -223,12 +223,18 @@ void require_frame_memory(const RunConfig& config, std::size_t frame_bytes, std:
   const double share = static_cast<double>(room) / static_cast<double>(frame_bytes);
   const auto fitting = static_cast<std::size_t>(share * static_cast<double>(frames));
   const double shrink = std::ceil(10 * std::sqrt(1 / std::max(share, 1e-6))) / 10;
+  const int width = static_cast<int>(width_px / shrink);
+  const std::string settings = fmt::format(
+      "each of these alone fits: scene.downscale={:.1f}, or scene.width_px={} (now {}), or a scene of {} frames",
+      config.load.downscale * shrink, width, width_px, fitting);
+  const std::string none = fmt::format(
+      "the program alone holds {}: raise --memory or runtime.memory_gb where they set the limit, or use a machine with "
+      "more memory",
+      memory_text(held));
   throw Error(ErrorKind::unavailable,
               fmt::format("the pixels of {} frames would take {} of memory, {} are available", frames,
                           memory_text(frame_bytes), memory_text(room)),
-              fmt::format("each of these alone fits: scene.downscale={:.1f}, or scene.width_px={} (now {}), or a scene "
-                          "of {} frames",
-                          config.load.downscale * shrink, static_cast<int>(width_px / shrink), width_px, fitting));
+              width > 0 && fitting > 0 ? settings : none);
 }
 
 std::string memory_table(const MemoryPlan& plan, std::size_t allowed) {
