@@ -1,7 +1,9 @@
 // Group A: early stop, bad and extreme values, units.
 #include <algorithm>
+#include <chrono>
 #include <cstring>
 #include <limits>
+#include <thread>
 
 #if defined(__SSE2__)
 #include <immintrin.h>
@@ -216,12 +218,20 @@ void denormal(CaseRun& run) {
       run.expect(
           static_cast<double>(rays.opacity[0]) >= 0 && static_cast<double>(rays.opacity[0]) <= 2 * least_normal * 4096,
           "and so is its sum");
-      const double ratio = forward_seconds(rays) / forward_seconds(usual);
+      // A processor that assists each subnormal operation takes up to 2.6 times as long on the instruction sets seen,
+      // in compositing alone, which is nothing beside the field. What is excluded is a cliff of 100 times. Another
+      // process that assists at the same time, on the core's other thread, doubles it: the best of either is taken over
+      // a second if need be.
+      constexpr double kMost = 4;
+      double kept = forward_seconds(rays), plain = forward_seconds(usual);
+      for (int again = 0; again < 20 && kept > kMost * plain; ++again) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(50));
+        kept = std::min(kept, forward_seconds(rays));
+        plain = std::min(plain, forward_seconds(usual));
+      }
+      const double ratio = kept / plain;
       run.note(std::string(flush ? "flushed: " : "kept: ") + figure(ratio) + " times the usual time");
-      // A processor that assists each subnormal operation takes 2 to 5 times as long, the more the busier the core's
-      // other thread is, in compositing alone, which is nothing beside the field. What is excluded is a cliff of 100
-      // times; the figure itself is for reading.
-      run.measure(ratio, 32, "time against that of normal numbers");
+      run.measure(ratio, kMost, "time against that of normal numbers");
     }
   });
 }
