@@ -15,10 +15,9 @@
 #include "train/checkpoint_store.h"
 #include "train/final_eval.h"
 #include "train/leave_out_proofs.h"
-#include "train/metrics_log.h"
 #include "train/run_folder.h"
 #include "train/run_report.h"
-#include "train/tensorboard.h"
+#include "train/run_scores.h"
 #include "train/trainer.h"
 
 namespace semfield {
@@ -26,10 +25,6 @@ namespace semfield {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-
-double unix_seconds() {
-  return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
-}
 
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
@@ -94,6 +89,7 @@ class Run {
     EventWriter events(folder_.path(), unix_seconds());
     log_ = &log;
     events_ = &events;
+    scores_.emplace(session_, ScoreFiles{folder_, log, events}, ScoreHooks{hooks_.note, hooks_.stop_signal});
     const RunConfig& config = session_.config;
     last_checkpoint_ = last_progress_ = Clock::now();
     next_eval_s_ = config.report.eval_every_s > 0
@@ -120,7 +116,7 @@ class Run {
       }
       if (train_s_ >= next_eval_s_) {
         next_eval_s_ += config.report.eval_every_s;
-        evaluate_now(config.report.eval_frames, false);
+        scores_->score_sample(moment());
       }
       if (config.report.checkpoint_every_s > 0 && seconds_since(last_checkpoint_) >= config.report.checkpoint_every_s)
         save();
@@ -135,18 +131,20 @@ class Run {
     if (hooks_.stop_signal) signal = hooks_.stop_signal();  // one that came during the save
     TrainOutcome outcome;
     if (signal == 0) {
-      if (config.report.eval_every_s > 0) evaluate_now(config.report.eval_frames, false);  // the curve's last point
-      outcome.values = evaluate_now(1 << 30, true);
-      if (config.report.training_frames > 0) score_training_frames();
+      if (config.report.eval_every_s > 0) scores_->score_sample(moment());  // the curve's last point
+      outcome.values = scores_->score_test_frames(moment());
+      if (config.report.training_frames > 0) scores_->score_training_frames(moment());
     }
     outcome.signal = signal;
     outcome.step = trainer_->step();
     outcome.train_s = train_s_;
     outcome.run_dir = folder_.path();
     outcome.peak_bytes = peak_resident_bytes();
-    if (signal == 0) outcome.report_path = write_run_report(folder_, session_, report_frames_);
+    if (signal == 0) outcome.report_path = write_run_report(folder_, session_, scores_->report_frames());
     return outcome;
   }
+
+  RunScores::Moment moment() const { return {trainer_->step(), train_s_}; }
 
   void note(const std::string& text) const {
     if (hooks_.note) hooks_.note(text);
@@ -213,74 +211,13 @@ class Run {
     p.steps = config.train.steps;
     p.loss = losses.total;
     p.psnr = psnr;
-    p.miou = last_miou_;
+    p.miou = scores_->last_miou();
     p.rays_per_s = rays_per_s;
     p.train_s = train_s_;
     const double per_step = train_s_ / static_cast<double>(std::max<std::int64_t>(p.step, 1));
     p.remaining_s = per_step * static_cast<double>(p.steps - p.step);
     if (config.train.time_limit_s > 0) p.remaining_s = std::min(p.remaining_s, config.train.time_limit_s - train_s_);
     hooks_.progress(p);
-  }
-
-  std::vector<std::pair<std::string, std::optional<double>>> evaluate_now(int most_frames, bool last) {
-    const std::vector<int> test = session_.scene.frames_of(Split::test);
-    if (test.empty()) return {};
-    EvalJob job = session_.eval_job(evenly_spaced(test, most_frames));
-    if (!last && hooks_.stop_signal) job.stop = [this] { return hooks_.stop_signal() != 0; };
-    if (last) {
-      report_frames_ =
-          ReportFrames(evenly_spaced(test, session_.config.report.strips), session_.config.report.worst_frames);
-      job.on_frame = [this](const FrameScore& score, const RenderedFrame& maps) { report_frames_.add(score, maps); };
-    }
-    const SplitScore score = evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);
-    if (score.frames.size() < job.frames.size()) return {};  // stopped between frames: no partial figures
-    MetricsRow row;
-    row.kind = "eval";
-    row.step = trainer_->step();
-    row.train_s = train_s_;
-    row.split = job.frames.size() < test.size() ? std::string("test") + kSampleSuffix : "test";
-    row.values = score.values();
-    row.set("frames", static_cast<double>(score.frames.size()));
-    const std::vector<ClassScore> per_class = score.confusion.per_class();
-    for (std::size_t c = 0; c < per_class.size(); ++c) {
-      row.per_class_iou.emplace_back(session_.scene.info.classes.valid(static_cast<int>(c)).name, per_class[c].iou);
-    }
-    log_->append(row);
-    log_->sync();
-    for (const auto& [name, value] : row.values) {
-      if (value) events_->scalar("eval/" + name, row.step, *value, unix_seconds());
-    }
-    last_miou_ = score.confusion.miou_present();
-    if (last) {
-      if (const std::string warning = score.resolution.warning(); !warning.empty()) note("warning: " + warning);
-      FinalEval detail = final_eval(score, session_.scene.info.classes, row.split);
-      detail.step = row.step;
-      detail.train_s = row.train_s;
-      write_file_atomic(folder_.final_eval_path(), final_eval_json(detail));
-    }
-    return score.values();
-  }
-
-  // A row of split "train": the field at the training poses against the scene's own labels, then the labels given.
-  void score_training_frames() {
-    const std::vector<int> frames =
-        evenly_spaced(session_.scene.frames_of(Split::train), session_.config.report.training_frames);
-    const SplitScore score =
-        evaluate(*session_.pipeline, session_.eval_job(frames), session_.limits, session_.plan.class_of_logit);
-    MetricsRow row;
-    row.kind = "eval";
-    row.step = trainer_->step();
-    row.train_s = train_s_;
-    row.split = "train";
-    row.values = score.values();
-    row.set("frames", static_cast<double>(score.frames.size()));
-    const ConfusionMatrix given = score_training_labels(session_, frames);
-    row.set("given_miou", given.miou());
-    row.set("given_miou_present", given.miou_present());
-    row.set("given_total_accuracy", given.total_accuracy());
-    row.set("given_px", static_cast<double>(given.scored_px()));
-    log_->append(row);
-    log_->sync();
   }
 
   void write_left_out() {
@@ -327,8 +264,7 @@ class Run {
   std::int64_t mse_steps_ = 0, saved_step_ = 0;
   Clock::time_point last_checkpoint_, last_progress_;
   bool warned_of_slow_steps_ = false;
-  std::optional<double> last_miou_;
-  ReportFrames report_frames_;
+  std::optional<RunScores> scores_;
 };
 
 }  // namespace
