@@ -288,7 +288,7 @@ std::string plain_message(const std::string& message) {
   if (message == YAML::ErrorMsg::EOF_IN_SCALAR) return kUnclosedQuote;
   if (message == YAML::ErrorMsg::FLOW_END) return "a closing bracket that nothing opened";
   if (message == YAML::ErrorMsg::BLOCK_ENTRY) return "a '-' where no list item can stand";
-  if (message == YAML::ErrorMsg::UNKNOWN_ANCHOR)
+  if (message.starts_with(YAML::ErrorMsg::UNKNOWN_ANCHOR))  // yaml-cpp 0.8 adds the name
     return "aliases are not allowed (use 'include' or write the value out)";
   if (message == YAML::ErrorMsg::END_OF_MAP || message == YAML::ErrorMsg::END_OF_SEQ)
     return "this line is indented like nothing above it (align it with its neighbours)";

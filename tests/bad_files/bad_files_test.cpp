@@ -13,6 +13,8 @@
 #include <sstream>
 
 #include "core/files.h"
+#include "scene/image_io.h"
+#include "scene/raycast.h"
 #include "tests/bad_files/case_file.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -138,6 +140,8 @@ TEST_P(BadFiles, AreRefusedWithPlaceCauseAndRemedy) {
   const CaseFile file = read_named(GetParam());
   const std::string folder = testing_room::fresh_folder(GetParam());
   Bases bases(file.bases, folder);
+  const bool whole_build = raycast_available() && images_available();
+  std::size_t absent = 0;
   double slowest_s = 0;
   long largest_kib = 0;
   for (const Case& one : file.cases) {
@@ -148,6 +152,10 @@ TEST_P(BadFiles, AreRefusedWithPlaceCauseAndRemedy) {
     const std::string said = with_root(outcome.said, root);
     if (std::getenv("SEMFIELD_SHOW_CASES") != nullptr)
       std::printf("@ %s %d\n%s", one.name.c_str(), outcome.code, said.c_str());
+    if (!whole_build && outcome.code == 69 && said.find("this build cannot read") != std::string::npos) {
+      ++absent;
+      continue;
+    }
     EXPECT_EQ(outcome.code, one.code) << said;
     EXPECT_FALSE(one.says.empty()) << said;
     for (const std::string& part : one.says)
@@ -159,6 +167,10 @@ TEST_P(BadFiles, AreRefusedWithPlaceCauseAndRemedy) {
     slowest_s = std::max(slowest_s, outcome.cpu_s);
     largest_kib = std::max(largest_kib, outcome.peak_kib);
     fs::remove_all(root);
+  }
+  if (absent > 0) {
+    const std::size_t whole = file.cases.size();
+    GTEST_SKIP() << absent << " of " << whole << " cases need formats that this build does not read; the others hold";
   }
   std::printf("%s: %zu cases, slowest %.2f s of the processor, largest %ld MiB\n", GetParam().c_str(),
               file.cases.size(), slowest_s, largest_kib >> 10);

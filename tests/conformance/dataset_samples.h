@@ -12,7 +12,7 @@ namespace semfield::testkit {
 struct DatasetSample {
   Settings settings;  ///< parameters that make the dataset read the scene
   DatasetExpectation expected;
-  bool needs_images = false;  ///< the scene holds PNG files: needs a build that reads images
+  std::string absent;  ///< what this build lacks to read the scene; empty: nothing
 };
 
 /// Writes a tiny scene in the dataset's format into an existing empty folder.

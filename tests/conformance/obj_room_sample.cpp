@@ -4,6 +4,7 @@
 #include <sstream>
 
 #include "core/files.h"
+#include "scene/raycast.h"
 #include "tests/conformance/dataset_samples.h"
 
 namespace semfield::testkit {
@@ -51,6 +52,7 @@ DatasetSample semfield_sample_obj_room(const std::string& folder) {
   sample.settings = {{"root", "."},       {"cameras", "cameras.txt"}, {"width_px", "40"},   {"height_px", "30"},
                      {"frames", "4"},     {"test_frames", "2"},       {"supersample", "1"}, {"occlusion_rays", "2"},
                      {"shadow_rays", "1"}};
+  if (!raycast_available()) sample.absent = "this build reads no meshes (SEMFIELD_WITH_RAYCAST=OFF)";
   sample.expected.frames = 6;
   sample.expected.depth = sample.expected.labels = true;
   return sample;

@@ -64,10 +64,13 @@ TEST_P(Faults, AtEveryCallKeepTheOldDataAndSayWhy) {
            (c.other.ends_with(".safetensors") || c.other.ends_with(".yaml") || c.other.ends_with(".sfpack"));
   });
   ASSERT_NE(replaces, u.calls.end());
-  // A folder of checkpoints is first looked through for leftovers; what cannot be looked at stays.
-  const auto looks = std::find_if(u.calls.begin(), u.calls.end(), [](const FileCall& c) {
+  // A folder of checkpoints is first looked through for leftovers; what cannot be looked at stays. Libraries differ in
+  // whether that opening can be seen; the one after the first file was made belongs to the save.
+  const auto makes = std::find_if(u.calls.begin(), u.calls.end(), creates);
+  const auto found_look = std::find_if(u.calls.begin(), makes, [](const FileCall& c) {
     return c.name == "open" && (c.size & O_DIRECTORY) != 0 && c.path.ends_with("/checkpoints");
   });
+  const long look_number = found_look == makes ? -1 : found_look->number;
   int faults = 0, refused = 0, survived = 0;
   for (const FileCall& call : u.calls) {
     for (const int cause : causes_of(call)) {
@@ -79,7 +82,7 @@ TEST_P(Faults, AtEveryCallKeepTheOldDataAndSayWhy) {
         const testing_program::Result r = trial.save({call.number, std::to_string(cause), sticky});
         const std::vector<FileCall> calls = trial.calls();
         ++faults;
-        if (harmless(call, cause) || (looks != u.calls.end() && call.number == looks->number)) {
+        if (harmless(call, cause) || call.number == look_number) {
           ++survived;
           EXPECT_EQ(r.code, 0) << place << ": " << r.err;
         } else {
