@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "core/cpu_quota.h"
+#include "core/float_mode.h"
 #include "core/thread_team.h"
 
 namespace semfield {
@@ -55,6 +56,7 @@ int cores_of_process() {
 }
 
 void run_serially(std::int64_t count, IndexBody body) {
+  const ComputeFloatMode mode;
   for (std::int64_t i = 0; i < count; ++i) body(i);
 }
 

@@ -3,6 +3,8 @@
 #include <chrono>
 #include <utility>
 
+#include "core/float_mode.h"
+
 namespace semfield {
 
 namespace {
@@ -48,6 +50,7 @@ ThreadTeam::~ThreadTeam() {
 bool ThreadTeam::inside_job() { return t_inside; }
 
 void ThreadTeam::take_indices() {
+  const ComputeFloatMode mode;
   t_inside = true;
   for (;;) {
     const std::int64_t i = next_.fetch_add(1, std::memory_order_relaxed);

@@ -5,6 +5,7 @@
 #include <type_traits>
 
 #include "core/check.h"
+#include "core/float_mode.h"
 #include "core/parallel.h"
 #include "losses/photometric.h"
 #include "model/device_backend.h"
@@ -58,6 +59,7 @@ StepContext Pipeline<Real>::context(std::int64_t step, bool training, int lane, 
 
 template <class Real>
 void Pipeline<Real>::derive(std::int64_t step) {
+  const ComputeFloatMode mode;
   StepContext ctx = context(step, false, 0, 0);
   for (const Pass<Real>& pass : passes_) {
     ctx.pass = pass.parts().number;
@@ -67,6 +69,7 @@ void Pipeline<Real>::derive(std::int64_t step) {
 
 template <class Real>
 void Pipeline<Real>::observe(std::int64_t step) {
+  const ComputeFloatMode mode;
   StepContext ctx = context(step, true, 0, 0);
   for (const Pass<Real>& pass : passes_) {
     ctx.pass = pass.parts().number;
@@ -76,6 +79,7 @@ void Pipeline<Real>::observe(std::int64_t step) {
 
 template <class Real>
 StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
+  const ComputeFloatMode mode;
   const std::int64_t rays = batch.origin.rows;
   const std::int64_t tiles = (rays + tile_rays_ - 1) / tile_rays_;
   guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <string>
 
+#include "core/float_mode.h"
 #include "core/math_functions.h"
 #include "model/pipeline.h"
 
@@ -32,6 +33,7 @@ double Pipeline<Real>::batch_normaliser(const RayBatch& batch) const {
 
 template <class Real>
 std::optional<RayFault> Pipeline<Real>::find_fault(std::int64_t step, const RayBatch& batch) {
+  const ComputeFloatMode mode;
   std::optional<RayFault> fault;
   double normaliser = 1;
   try {

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <new>
 
+#include "core/float_mode.h"
 #include "core/parallel.h"
 
 namespace semfield {
@@ -44,6 +45,7 @@ void in_chunks(std::int64_t pixels, const Render& render) {
 
 RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
                            const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth) {
+  const ComputeFloatMode mode;
   RenderedFrame frame;
   frame.width_px = camera.camera.width_px;
   frame.height_px = camera.camera.height_px;

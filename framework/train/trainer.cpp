@@ -8,6 +8,7 @@
 #include <set>
 
 #include "core/error.h"
+#include "core/float_mode.h"
 
 namespace semfield {
 
@@ -76,6 +77,7 @@ Trainer::Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamPar
 StepLosses Trainer::advance() { return advance_many(1).back(); }
 
 std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
+  const ComputeFloatMode mode;
   done_.clear();
   if (device_ == nullptr) {
     done_.push_back(advance_on_processor());

@@ -1,7 +1,12 @@
 // The same bits for any number of threads and any grouping of rays, on real training runs.
 #include <gtest/gtest.h>
 
+#include <cfenv>
+#include <cmath>
+#include <limits>
+
 #include "core/error.h"
+#include "core/float_mode.h"
 #include "core/gemm_engine.h"
 #include "core/parallel.h"
 #include "tests/train/train_testing.h"
@@ -52,6 +57,60 @@ TEST(Determinism, OnednnRunIsTheSameFor1And2Threads) {
   const std::uint32_t one = train_fingerprint(hash_config(onednn), 1, 40);
   EXPECT_EQ(one, train_fingerprint(hash_config(onednn), 2, 40));
   choose_gemm_engine(GemmEngine::builtin, Precision::fp32);
+}
+
+// Every third value of what a step reads and writes is subnormal.
+void make_subnormal(ParamStore<float>& store) {
+  for (Tensor<float>& t : store.all()) {
+    if (t.spec.role != TensorRole::dense) continue;
+    for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2}) {
+      for (std::size_t i = 0; i < buffer->size(); i += 3) buffer->data()[i] = 1e-39F;
+    }
+  }
+}
+
+int subnormal_count(const ParamStore<float>& store) {
+  int found = 0;
+  for (const Tensor<float>& t : store.all()) {
+    if (t.spec.role != TensorRole::dense) continue;
+    for (const AlignedBuffer<float>* buffer : {&t.value, &t.grad, &t.moment1, &t.moment2}) {
+      for (std::size_t i = 0; i < buffer->size(); ++i)
+        found += std::fpclassify(buffer->data()[i]) == FP_SUBNORMAL ? 1 : 0;
+    }
+  }
+  return found;
+}
+
+TEST(Determinism, AStepLeavesNoSubnormalNumberForAnyThreadCountAndCallersMode) {
+#if !defined(__SSE2__) && !defined(__aarch64__)
+  GTEST_SKIP() << "this processor has no mode that flushes subnormals";
+#endif
+  std::uint32_t first = 0;
+  for (const int rounding : {FE_TONEAREST, FE_UPWARD}) {
+    for (const int threads : {1, 2, 16}) {
+      Registry registry = make_registry();
+      Session s = open_text(two_pass_config(), registry);
+      make_subnormal(s.pipeline->store());
+      const auto rays = s.make_ray_source();
+      Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+      set_thread_count(threads);
+      std::fesetround(rounding);
+      for (int i = 0; i < 2; ++i) trainer.advance();
+      EXPECT_EQ(std::fegetround(), rounding);
+      EXPECT_FALSE(ComputeFloatMode::in_effect());
+      // A step that throws gives the caller's mode back too.
+      const std::uint32_t made = fingerprint(s.pipeline->store());
+      EXPECT_EQ(subnormal_count(s.pipeline->store()), 0) << threads << " threads";
+      s.pipeline->store().all().front().value.data()[0] = std::numeric_limits<float>::quiet_NaN();
+      EXPECT_THROW(trainer.advance(), Error);
+      EXPECT_EQ(std::fegetround(), rounding);
+      EXPECT_FALSE(ComputeFloatMode::in_effect());
+      std::fesetround(FE_TONEAREST);
+      set_thread_count(0);
+      if (first == 0) first = made;
+      EXPECT_EQ(made, first) << threads << " threads";
+    }
+  }
 }
 
 TEST(Determinism, AnotherSeedGivesAnotherRun) {
