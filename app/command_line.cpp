@@ -1,6 +1,7 @@
 #include "command_line.h"
 
 #include <CLI/CLI.hpp>
+#include <cmath>
 
 #include "bench_step.h"
 
@@ -11,10 +12,37 @@ namespace {
 // `choice` is the verb's function, bound when the words were parsed.
 using Choice = std::function<int()>;
 
+// A flag that is a short form of `--set KEY=...`: added behind `--set`, whose values it follows.
+void setting_option(CLI::App* verb, std::vector<std::string>& set, const std::string& flag, const std::string& key,
+                    const std::string& help) {
+  verb->add_option_function<std::string>(
+      flag, [&set, flag, key](const std::string& value) { set.push_back(flag + " " + key + "=" + value); }, help);
+}
+
+void threads_option(CLI::App* verb, std::vector<std::string>& set) {
+  setting_option(verb, set, "--threads", "runtime.threads", "CPU threads (results do not depend on it)");
+}
+
 void config_options(CLI::App* verb, ConfigOptions& options) {
   verb->add_option("config", options.config, "configuration file (YAML)")->required();
   verb->add_option("--set", options.set, "override a value: --set train.rays=2048")->expected(1)->take_all();
   verb->add_option("--plugin", options.plugins, "load a plugin module first")->expected(1)->take_all();
+}
+
+void run_options(CLI::App* verb, std::vector<std::string>& set) {
+  verb->add_option("--set", set, "override a value of run.yaml")->expected(1)->take_all();
+  threads_option(verb, set);
+}
+
+// CLI::PositiveNumber takes "nan".
+CLI::Validator positive_number() {
+  return {[](const std::string& text) {
+            double value = 0;
+            const bool read = CLI::detail::lexical_cast(text, value);
+            return read && value > 0 && std::isfinite(value) ? std::string()
+                                                             : "expected a positive number, got '" + text + "'";
+          },
+          "POSITIVE"};
 }
 
 void add_train(CLI::App& root, AppContext& context, Choice& choice) {
@@ -26,11 +54,12 @@ void add_train(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("--out", options->out, "run folder to create (default: runs/<name>)");
   verb->add_option("--resume", options->resume, "run folder to go on with");
   verb->add_option("--time", options->time, "end after this much training: 90s, 5m, 1h");
-  verb->add_option("--steps", options->steps, "end after this many steps");
-  verb->add_option("--threads", options->threads, "CPU threads (results do not depend on it)");
-  verb->add_option("--memory", options->memory_gb, "GB that the run may take; more is refused (default: what is free)")
-      ->check(CLI::PositiveNumber);
-  verb->add_option("--device", options->device, "auto, cpu or cuda");
+  std::vector<std::string>& set = options->config.set;
+  setting_option(verb, set, "--steps", "train.steps", "end after this many steps");
+  threads_option(verb, set);
+  setting_option(verb, set, "--memory", "runtime.memory_gb",
+                 "GB that the run may take; more is refused (default: what is free)");
+  setting_option(verb, set, "--device", "runtime.device", "auto, cpu or cuda");
   verb->add_option("--keep", options->keep, "force a component back in that would be left out")
       ->expected(1)
       ->take_all();
@@ -45,7 +74,7 @@ void add_run_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("run", eval->run, "run folder")->required();
   verb->add_option("--split", eval->split, "train or test");
   verb->add_option("--out", eval->out, "also write the JSON object to this file");
-  verb->add_option("--set", eval->set, "override a value of run.yaml")->expected(1)->take_all();
+  run_options(verb, eval->set);
   verb->callback([&context, &choice, eval] { choice = [&context, eval] { return run_eval(*eval, context); }; });
 
   auto render = std::make_shared<RenderOptions>();
@@ -63,7 +92,7 @@ void add_run_verbs(CLI::App& root, AppContext& context, Choice& choice) {
       ->needs(video);
   verb->add_option("--fps", render->fps, "frames a second of the video (default: 24)");
   verb->add_flag("--npy", render->npy, "also write depth and entropy as float32 .npy");
-  verb->add_option("--set", render->set, "override a value of run.yaml")->expected(1)->take_all();
+  run_options(verb, render->set);
   verb->callback([&context, &choice, render] { choice = [&context, render] { return run_render(*render, context); }; });
 
   auto runs = std::make_shared<std::vector<std::string>>();
@@ -84,7 +113,7 @@ void add_sweep(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("--jobs", options->jobs, "cells at a time (default: every core)")->check(CLI::Range(1, 4096));
   verb->add_option("--threads", options->threads, "threads of a cell (default: 1)")->check(CLI::Range(1, 4096));
   verb->add_option("--memory", options->memory_gb, "GB that all cells may take (default: 80 % of what is free)")
-      ->check(CLI::PositiveNumber);
+      ->check(positive_number());
   verb->add_flag("--keep-checkpoints", options->keep_checkpoints, "keep the checkpoints of finished cells");
   verb->add_flag("--dry-run", options->dry_run, "list the cells, then stop");
   verb->callback(
@@ -106,7 +135,7 @@ void add_mesh(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("--out", options->out, "file to write (default: mesh.ply in the run folder)");
   verb->add_option("--keep-components", options->keep_components,
                    "keep connected parts with at least this share of all faces (default: 0.01; 0 keeps all)");
-  verb->add_option("--set", options->set, "override a value of run.yaml")->expected(1)->take_all();
+  run_options(verb, options->set);
   verb->callback(
       [&context, &choice, options] { choice = [&context, options] { return run_mesh(*options, context); }; });
 }
@@ -116,6 +145,7 @@ void add_scene_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   auto path = std::make_shared<std::string>();
   CLI::App* verb = root.add_subcommand("inspect", "what the scene holds, and every problem with its remedy");
   config_options(verb, *options);
+  threads_option(verb, options->set);
   verb->add_option("--frusta", *path, "write the cameras as a PLY file");
   verb->callback([&context, &choice, options, path] {
     choice = [&context, options, path] { return run_inspect(*options, *path, context); };
@@ -123,6 +153,7 @@ void add_scene_verbs(CLI::App& root, AppContext& context, Choice& choice) {
 
   verb = root.add_subcommand("capture", "write a scene's frames out in Replica layout");
   config_options(verb, *options);
+  threads_option(verb, options->set);
   verb->add_option("--out", *path, "folder to create")->required();
   verb->callback([&context, &choice, options, path] {
     choice = [&context, options, path] { return run_capture(*options, *path, context); };
@@ -130,6 +161,7 @@ void add_scene_verbs(CLI::App& root, AppContext& context, Choice& choice) {
 
   verb = root.add_subcommand("pack", "write a scene as one file, for machines without image libraries");
   config_options(verb, *options);
+  threads_option(verb, options->set);
   verb->add_option("--out", *path, "file to write (.sfpack)")->required();
   verb->callback([&context, &choice, options, path] {
     choice = [&context, options, path] { return run_pack(*options, *path, context); };
@@ -142,6 +174,7 @@ void add_degrade(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* verb =
       root.add_subcommand("degrade", "write the labels that would train, degraded as the configuration says");
   config_options(verb, *options);
+  threads_option(verb, options->set);
   verb->add_option("--out", *folder, "folder to create")->required();
   verb->callback([&context, &choice, options, folder] {
     choice = [&context, options, folder] { return run_degrade(*options, *folder, context); };
@@ -152,6 +185,7 @@ void add_fuse(CLI::App& root, AppContext& context, Choice& choice) {
   auto options = std::make_shared<FuseOptions>();
   CLI::App* verb = root.add_subcommand("fuse", "combine predictions of several views by depth, and score them");
   config_options(verb, options->config);
+  threads_option(verb, options->config.set);
   verb->add_option("--method", options->method, "monocular, bayesian, average, with commas (default: fuse.methods)");
   verb->add_option("--depth", options->depth, "true or learned (default: fuse.depth)");
   verb->add_option("--depth-from", options->depth_from, "run folder whose field gives the depth, and a row of its own");
@@ -167,7 +201,7 @@ void add_label_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("--split", out->split, "train or test");
   verb->add_option("--format", out->format, "coco (polygons), coco_rle (run lengths) or labelme");
   verb->add_option("--out", out->out, "file to write for COCO, folder for labelme")->required();
-  verb->add_option("--set", out->set, "override a value of run.yaml")->expected(1)->take_all();
+  run_options(verb, out->set);
   verb->callback([&context, &choice, out] { choice = [&context, out] { return run_export(*out, context); }; });
 
   auto classes = std::make_shared<ClassesOptions>();

@@ -38,7 +38,7 @@ std::string json_text(const OpenedRun& run, const SplitScore& score, const std::
   detail.step = run.step;
   detail.train_s = run.train_s;
   out.update(Json::parse(final_eval_json(detail)));
-  return out.dump() + "\n";
+  return out.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";  // a folder's name may be no UTF-8
 }
 
 }  // namespace

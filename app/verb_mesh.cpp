@@ -18,6 +18,7 @@ namespace semfield::app {
 namespace {
 
 namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
 
 constexpr long long kDefaultResolution = 256;
 constexpr int kSightLines = 4096;
@@ -155,16 +156,16 @@ int run_mesh(const MeshOptions& options, AppContext& context) {
     write_ply(files.back(), cloud, s.scene.info.classes);
   }
   if (context.json) {
-    nlohmann::ordered_json out{{"run", options.run},
-                               {"step", run.step},
-                               {"spacing", grid.spacing},
-                               {"level", level},
-                               {"vertices", surface.positions.size()},
-                               {"faces", surface.triangles.size()},
-                               {"components", components},
-                               {"files", files}};
+    Json out{{"run", options.run},
+             {"step", run.step},
+             {"spacing", grid.spacing},
+             {"level", level},
+             {"vertices", surface.positions.size()},
+             {"faces", surface.triangles.size()},
+             {"components", components},
+             {"files", files}};
     if (options.points) out["points"] = points;
-    std::printf("%s\n", out.dump().c_str());
+    std::printf("%s\n", out.dump(-1, ' ', false, Json::error_handler_t::replace).c_str());
     return 0;
   }
   const std::string of_points = options.points ? fmt::format(" points={}", points) : "";

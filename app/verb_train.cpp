@@ -56,19 +56,6 @@ void print_progress(const AppContext& context, const TrainProgress& p) {
   std::fprintf(stderr, "%s\n", line.c_str());
 }
 
-void apply_limits(const TrainOptions& options, RunConfig& config) {
-  if (!options.time.empty()) config.train.time_limit_s = parse_seconds(options.time);
-  if (options.steps) config.train.steps = *options.steps;
-  if (options.threads) config.runtime.threads = *options.threads;
-  if (options.memory_gb) config.runtime.memory_gb = *options.memory_gb;
-  if (options.device == "cpu") config.runtime.device = DeviceChoice::cpu;
-  if (options.device == "auto") config.runtime.device = DeviceChoice::automatic;
-  if (options.device == "cuda") config.runtime.device = DeviceChoice::cuda;
-  if (!options.device.empty() && options.device != "cpu" && options.device != "auto" && options.device != "cuda") {
-    throw Error(ErrorKind::usage, "--device " + options.device + ": expected auto, cpu or cuda");
-  }
-}
-
 std::string number(const std::vector<std::pair<std::string, std::optional<double>>>& values, const std::string& name,
                    const char* format) {
   for (const auto& [key, value] : values) {
@@ -86,14 +73,11 @@ int run_train(const TrainOptions& options, AppContext& context) {
                 "see `semfield train --help`");
   }
   load_modules(options.config.plugins, context);
-  RunConfig config;
-  if (resume) {
-    const RunFolder folder = RunFolder::read(options.resume);
-    config = load_run_config(folder.config_path(), options.config.set, context.registry);
-  } else {
-    config = load_run_config(options.config.config, options.config.set, context.registry);
-  }
-  apply_limits(options, config);
+  std::vector<std::string> settings = options.config.set;
+  if (!options.time.empty())
+    settings.push_back("--time train.time_limit_s=" + shortest_number(parse_seconds(options.time)));
+  RunConfig config = load_run_config(resume ? RunFolder::read(options.resume).config_path() : options.config.config,
+                                     settings, context.registry);
   if (options.dry_run) {
     Diagnostics diagnostics;
     SessionOptions session_options;

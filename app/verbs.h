@@ -17,7 +17,7 @@ struct AppContext {
   bool terminal = false;  ///< stderr is a terminal: one progress line, overwritten
 };
 
-/// An option of the `--set a.b=c` kind, and modules to load first.
+/// A configuration, what `--set a.b=c` and the flags that are short forms of it say, and modules to load first.
 struct ConfigOptions {
   std::string config;
   std::vector<std::string> set;
@@ -29,10 +29,6 @@ struct TrainOptions {
   std::string out;
   std::string resume;
   std::string time;  ///< "90s", "5m", "1h"
-  std::optional<long long> steps;
-  std::optional<int> threads;
-  std::optional<double> memory_gb;
-  std::string device;
   std::vector<std::string> keep;
   bool dry_run = false;
 };

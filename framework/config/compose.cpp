@@ -161,10 +161,12 @@ ConfigNode apply_override(const ConfigNode& root, const std::string& key, const 
 }
 
 ConfigNode apply_override(const ConfigNode& root, const std::string& text) {
-  const Location origin{"--set " + text, 0, 0};
   const std::size_t equals = text.find('=');
+  // "--threads runtime.threads=2" was typed as "--threads 2".
+  const std::size_t key = text.starts_with("--") ? text.find(' ') + 1 : 0;
+  const Location origin{key > 0 ? text.substr(0, key) + text.substr(equals + 1) : "--set " + text, 0, 0};
   if (equals == std::string::npos) fail(origin, "expected KEY=VALUE", "for example --set train.steps=1000");
-  return apply_override(root, text.substr(0, equals),
+  return apply_override(root, text.substr(key, equals - key),
                         parse_config_value(std::string_view(text).substr(equals + 1), origin.file), origin);
 }
 

@@ -44,7 +44,7 @@ bool is_list_of_parts(const ConfigNode& node) {
 }
 
 // Every value that one side alone has, key by key.
-void list_absent(const ConfigNode& node, const std::string& path, bool only_left, std::string& out) {
+void list_absent(const ConfigNode& node, const std::string& path, bool only_left, std::vector<ConfigDifference>& out) {
   if (node.is_map() && has_parts(node)) {
     for (const ConfigNode::Entry& entry : node.entries())
       list_absent(entry.second, below(path, entry.first), only_left, out);
@@ -53,11 +53,11 @@ void list_absent(const ConfigNode& node, const std::string& path, bool only_left
       list_absent(node.items()[i], below(path, std::to_string(i)), only_left, out);
   } else {
     const std::string value = write_config_inline(node);
-    out += path + ": " + (only_left ? value + " -> (absent)" : "(absent) -> " + value) + "\n";
+    out.push_back({path, only_left ? value : "(absent)", only_left ? "(absent)" : value});
   }
 }
 
-void diff(const ConfigNode& a, const ConfigNode& b, const std::string& path, std::string& out) {
+void diff(const ConfigNode& a, const ConfigNode& b, const std::string& path, std::vector<ConfigDifference>& out) {
   if (a.is_map() && b.is_map() && (has_parts(a) || has_parts(b))) {
     for (const ConfigNode::Entry& entry : a.entries()) {
       const ConfigNode* other = b.find(entry.first);
@@ -82,7 +82,7 @@ void diff(const ConfigNode& a, const ConfigNode& b, const std::string& path, std
     return;
   }
   if (equal_config(a, b)) return;
-  out += (path.empty() ? "(top)" : path) + ": " + write_config_inline(a) + " -> " + write_config_inline(b) + "\n";
+  out.push_back({path.empty() ? "(top)" : path, write_config_inline(a), write_config_inline(b)});
 }
 
 }  // namespace
@@ -128,9 +128,15 @@ ConfigNode with_origins(const ConfigNode& resolved, const ConfigNode& written) {
   return written;
 }
 
+std::vector<ConfigDifference> config_differences(const ConfigNode& a, const ConfigNode& b) {
+  std::vector<ConfigDifference> out;
+  diff(a, b, "", out);
+  return out;
+}
+
 std::string diff_config(const ConfigNode& a, const ConfigNode& b) {
   std::string out;
-  diff(a, b, "", out);
+  for (const ConfigDifference& difference : config_differences(a, b)) out += difference.text() + "\n";
   return out;
 }
 

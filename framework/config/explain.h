@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "config/config_tree.h"
 
@@ -14,8 +15,16 @@ std::string explain_config(const ConfigNode& node);
 /// `resolved` (every value, defaults included) with the values and places of `written` where that has them.
 ConfigNode with_origins(const ConfigNode& resolved, const ConfigNode& written);
 
-/// One line a difference, "train.steps: 100 -> 200", in the order of `a` and then of what only `b` has; a value that
-/// one side lacks is "(absent)". Places and the order of keys do not count. Empty when nothing differs.
+/// A value that differs, in one line of YAML on either side; what one side lacks is "(absent)".
+struct ConfigDifference {
+  std::string key;  ///< path; "(top)" for the whole tree
+  std::string left, right;
+  std::string text() const { return key + ": " + left + " -> " + right; }  ///< "train.steps: 100 -> 200"
+};
+
+/// In the order of `a` and then of what only `b` has. Places and the order of keys do not count.
+std::vector<ConfigDifference> config_differences(const ConfigNode& a, const ConfigNode& b);
+/// The same, one a line; empty when nothing differs.
 std::string diff_config(const ConfigNode& a, const ConfigNode& b);
 
 }  // namespace semfield

@@ -33,7 +33,7 @@ struct ParamDoc {
 };
 std::vector<ParamDoc> describe_params(const Describe& describe);
 
-/// Shortest decimal that reads back as the same double, with a '.' or an exponent for whole numbers ("64.0", "1e-05").
+/// Shortest decimal that reads back as the same double, a number to YAML 1.1 too: "64.0", "1.0e-05".
 std::string shortest_number(double value);
 
 /// "[1, 32]", ">= 1", "<= 5" or "" for messages and tables; `hide_type_limits` leaves out a bound that only says what

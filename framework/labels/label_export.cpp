@@ -67,7 +67,7 @@ void CocoExport::add(const LabelledFrame& frame) {
   const std::int64_t image = ++image_count_;
   append(images_,
          Json{{"id", image}, {"file_name", image_name(frame)}, {"width", frame.width_px}, {"height", frame.height_px}}
-             .dump());
+             .dump(-1, ' ', false, Json::error_handler_t::replace));
   const auto entry = [&](int index, Json segmentation, std::int64_t area, const Box2& box) {
     annotate(Json{{"id", annotation_count_ + 1},
                   {"image_id", image},
@@ -130,7 +130,8 @@ std::int64_t write_labelme(const std::string& folder, const LabelledFrame& frame
   const Json root{{"version", "5.0.0"},          {"flags", Json::object()}, {"shapes", std::move(shapes)},
                   {"imagePath", image.string()}, {"imageData", nullptr},    {"imageHeight", frame.height_px},
                   {"imageWidth", frame.width_px}};
-  write_file_atomic((fs::path(folder) / (stem + ".json")).string(), root.dump() + "\n");
+  write_file_atomic((fs::path(folder) / (stem + ".json")).string(),
+                    root.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
   return count;
 }
 

@@ -6,6 +6,7 @@
 #include <optional>
 #include <set>
 
+#include "config/params_read.h"
 #include "core/check.h"
 #include "core/parallel.h"
 #include "scene/image_io.h"
@@ -90,6 +91,35 @@ void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
   }
 }
 
+constexpr double kMostDistance_m = 1e6, kMostCoordinate_m = 1e7;
+
+// What is derived keeps to the limits of what can be written: a run stores it as settings, and reads it again.
+void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
+  if (!std::isfinite(scene.far_m) || scene.bounds.empty()) return;  // reported already
+  double reach = 0, camera_at = 0;
+  for (int a = 0; a < 3; ++a) reach = std::max({reach, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
+  const FrameInfo* farthest = nullptr;
+  for (const FrameInfo& frame : scene.info.frames) {
+    const double at = length(frame.world_from_camera.t);
+    if (frame.split != Split::train || at < camera_at) continue;
+    camera_at = at;
+    farthest = &frame;
+  }
+  if (scene.far_m <= kMostDistance_m && reach <= kMostCoordinate_m) return;
+  const std::string unit = scene.info.metric ? " m" : " units";
+  const std::string found = scene.far_m > kMostDistance_m
+                                ? "far is " + shortest_number(scene.far_m) + unit + " (from " + scene.near_far_from +
+                                      "), at most " + shortest_number(kMostDistance_m) + " are sampled"
+                                : "coordinates reach " + shortest_number(reach) + unit + " (bounds from " +
+                                      scene.bounds_from + "), at most " + shortest_number(kMostCoordinate_m) +
+                                      " are used";
+  diagnostics.error(scene.info.name, found,
+                    (farthest == nullptr ? std::string()
+                                         : "the farthest camera is that of " + frame_place(*farthest) + ", " +
+                                               shortest_number(camera_at) + unit + " from the origin: ") +
+                        "leave a stray pose out, or divide all poses and depths by one factor");
+}
+
 }  // namespace
 
 void describe(ParamVisitor& visit, SceneLoadOptions& p) {
@@ -99,11 +129,13 @@ void describe(ParamVisitor& visit, SceneLoadOptions& p) {
                  {0, 16384});
   SEMFIELD_PARAM(visit, p, downscale, "divides width and height of every frame", {1, 64});
   SEMFIELD_PARAM(visit, p, near_m,
-                 "nearest distance along a ray that is sampled, metres; 0 = from the dataset or derived", {0, 1e6});
+                 "nearest distance along a ray that is sampled, metres; 0 = from the dataset or derived",
+                 {0, kMostDistance_m});
   SEMFIELD_PARAM(visit, p, far_m,
-                 "farthest distance along a ray that is sampled, metres; 0 = from the dataset or derived", {0, 1e6});
+                 "farthest distance along a ray that is sampled, metres; 0 = from the dataset or derived",
+                 {0, kMostDistance_m});
   SEMFIELD_PARAM(visit, p, bounds, "world box of the content, metres: [x0, y0, z0, x1, y1, z1]; empty = derived",
-                 {-1e7, 1e7});
+                 {-kMostCoordinate_m, kMostCoordinate_m});
 }
 
 void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {
@@ -250,6 +282,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     if (!options.with_instances) frames[i].has_instances = false;
   }
   derive_extent(scene, std::move(surveyed), options, diagnostics);
+  check_extent(scene, diagnostics);
   return scene;
 }
 

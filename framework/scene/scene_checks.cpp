@@ -40,6 +40,21 @@ bool finite(const Box& box) {
   return true;
 }
 
+// A lens sees less than 180 degrees: at a thousandth of the image it is 179.9.
+bool is_focal(double focal_px, int size_px) { return focal_px >= 1e-3 * size_px && focal_px <= 1e6 * size_px; }
+
+void check_focal(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
+  const bool positive = camera.fx > 0 && camera.fy > 0;
+  if (is_focal(camera.fx, camera.width_px) && is_focal(camera.fy, camera.height_px)) return;
+  diagnostics.error(
+      place,
+      "focal length is " + number(camera.fx) + " x " + number(camera.fy) + " pixels; it must be " +
+          (positive ? "between a thousandth and a million times the image, which has " +
+                          std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) + " pixels"
+                    : std::string("positive")),
+      positive ? "check that the intrinsics are in pixels" : "check the intrinsics and the axes convention");
+}
+
 // max |R^T R - I|
 double orthonormal_error(const Pose& pose) {
   double worst = 0;
@@ -149,11 +164,8 @@ void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics) {
       diagnostics.error(place, "pose has a number that is not finite", "the dataset must leave such frames out");
     } else if (!finite(frame.camera)) {
       diagnostics.error(place, "camera has an intrinsic that is not finite", "calibrate again");
-    } else if (!(frame.camera.fx > 0) || !(frame.camera.fy > 0)) {
-      diagnostics.error(place,
-                        "focal length is " + number(frame.camera.fx) + " x " + number(frame.camera.fy) +
-                            " pixels; it must be positive",
-                        "check the intrinsics");
+    } else {
+      check_focal(frame.camera, place, diagnostics);
     }
   }
   if (!std::isfinite(info.near_hint_m) || !std::isfinite(info.far_hint_m)) {
@@ -177,11 +189,7 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
     diagnostics.error(place, "camera has an intrinsic that is not finite", "calibrate again");
     return false;
   }
-  if (!(camera.fx > 0) || !(camera.fy > 0)) {
-    diagnostics.error(
-        place, "focal length is " + number(camera.fx) + " x " + number(camera.fy) + " pixels; it must be positive",
-        "check the intrinsics and the axes convention");
-  }
+  check_focal(camera, place, diagnostics);
   const auto outside = [](double c, int size) { return c < -size || c > 2.0 * size; };
   if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
     diagnostics.error(place,

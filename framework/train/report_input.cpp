@@ -75,7 +75,7 @@ std::vector<ReportStrip> read_strips(const fs::path& folder, int most_frames, co
 std::string worst_frames_json(const std::vector<WorstFrame>& frames) {
   nlohmann::ordered_json json = nlohmann::ordered_json::array();
   for (const WorstFrame& frame : frames) json.push_back({{"frame", frame.name}, {"score", frame.note}});
-  return json.dump(2) + "\n";
+  return json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
 std::vector<WorstFrame> parse_worst_frames(std::string_view json, const std::string& name) {

@@ -11,6 +11,7 @@
 #include "core/memory_limit.h"
 #include "core/parallel.h"
 #include "scene/image_formats.h"
+#include "train/run_identity.h"
 
 namespace semfield {
 
@@ -175,6 +176,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
                      "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
   }
   if (!options.build) return s;
+  if (options.trainable) (void)run_config_text(s.config, registry);
   dataset.reset();  // what it keeps for reading is not needed any more
   if (options.trainable) {
     measure_scene(s);

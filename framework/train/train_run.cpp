@@ -16,6 +16,7 @@
 #include "train/final_eval.h"
 #include "train/leave_out_proofs.h"
 #include "train/run_folder.h"
+#include "train/run_identity.h"
 #include "train/run_report.h"
 #include "train/run_scores.h"
 #include "train/trainer.h"
@@ -286,7 +287,7 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   }
   if (!folder) {
     folder.emplace(RunFolder::create(request.out_dir));
-    write_file_atomic(folder->config_path(), write_config(resolved_config(session.config)));
+    write_file_atomic(folder->config_path(), run_config_text(session.config, registry));
   }
   Run run(std::move(*folder), std::move(session), registry, hooks);
   if (request.resume) run.load_checkpoint();

@@ -6,6 +6,7 @@
 #include <cstring>
 #include <limits>
 #include <memory>
+#include <regex>
 
 #include "config/params_read.h"
 #include "config_testing.h"
@@ -236,7 +237,8 @@ TEST(ParamsWrite, ResolvedTreeReadsBackTheSame) {
 TEST(ParamsWrite, DoublesAreShortestAndExact) {
   EXPECT_EQ(shortest_number(0.1), "0.1");
   EXPECT_EQ(shortest_number(64), "64.0");
-  EXPECT_EQ(shortest_number(1e-5), "1e-05");
+  EXPECT_EQ(shortest_number(1e-5), "1.0e-05");
+  EXPECT_EQ(shortest_number(-2e300), "-2.0e+300");
   EXPECT_EQ(shortest_number(-0.0), "-0.0");
   std::uint64_t state = 88172645463325252ull;
   for (int i = 0; i < 2000; ++i) {  // bit patterns from xorshift: all magnitudes
@@ -245,6 +247,9 @@ TEST(ParamsWrite, DoublesAreShortestAndExact) {
     static_assert(sizeof value == sizeof state);
     std::memcpy(&value, &state, sizeof value);
     if (!std::isfinite(value)) continue;
+    // What YAML 1.1, which most readers speak, takes for a number and not for a text.
+    static const std::regex number_of_yaml_1_1("[-+]?[0-9]+\\.[0-9]*([eE][-+][0-9]+)?");
+    ASSERT_TRUE(std::regex_match(shortest_number(value), number_of_yaml_1_1)) << shortest_number(value);
     struct One {
       double x = 0;
     } one{value}, again;
