@@ -8,14 +8,18 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <chrono>
 #include <csignal>
 #include <deque>
 #include <filesystem>
+#include <set>
 #include <thread>
 
 #include "core/files.h"
+#include "core/folder_lock.h"
 #include "core/memory_limit.h"
+#include "scene/packed_scene.h"
 #include "signals.h"
 #include "train/run_config.h"
 #include "verb_pack.h"
@@ -40,7 +44,37 @@ fs::path pack_file(const PoolOptions& options, const Cell& cell) {
   return fs::absolute(fs::path(options.folder) / "scenes" / (cell.pack + ".sfpack"));
 }
 
+// Where a process writes; refused here where it cannot be written, before the process starts.
+class OutputFile {
+ public:
+  explicit OutputFile(const std::string& path)
+      : descriptor_(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0644)) {
+    if (descriptor_ < 0) throw write_error("open", path, errno);
+  }
+  OutputFile(const OutputFile&) = delete;
+  OutputFile& operator=(const OutputFile&) = delete;
+  ~OutputFile() { close(descriptor_); }
+  int descriptor() const { return descriptor_; }
+
+ private:
+  int descriptor_;
+};
+
+// A packed copy whose header and list of frames are whole. Cells check what they read of it.
+bool is_packed(const std::string& file, const PoolHooks& hooks) {
+  if (!fs::exists(file)) return false;
+  try {
+    const PackedScene scene(file);
+    return true;
+  } catch (const Error& error) {
+    if (error.kind() != ErrorKind::data) throw;
+    hooks.note(error.message());
+    return false;
+  }
+}
+
 struct Child {
+  FolderLock lock;  // of the cell's folder; shared with the process, so that it outlives a killed sweep
   pid_t pid = 0;
   const Cell* cell = nullptr;
   Clock::time_point start;
@@ -49,10 +83,10 @@ struct Child {
 
 class Pool {
  public:
-  Pool(const PoolOptions& options, SweepResults& results, const std::function<void(const CellOutcome&)>& finished)
+  Pool(const PoolOptions& options, SweepResults& results, const PoolHooks& hooks)
       : options_(options),
         results_(results),
-        finished_(finished),
+        hooks_(hooks),
         memory_gb_(options.memory_gb > 0 ? options.memory_gb : 0.8 * available_memory_gb()) {}
 
   bool run(const std::vector<Cell>& cells) {
@@ -68,13 +102,7 @@ class Pool {
         for (const Child& child : running_) kill(child.pid, SIGTERM);
       }
       if (stopping) waiting.clear();
-      const auto next = std::find_if(waiting.begin(), waiting.end(), [&](const Cell* c) { return ready(*c, waiting); });
-      if (next != waiting.end() && has_room()) {
-        start(**next);
-        waiting.erase(next);
-        continue;
-      }
-      collect();
+      if (!has_room() || !start_one(waiting)) collect();
     }
     return !stopping;
   }
@@ -107,36 +135,75 @@ class Pool {
     }
     if (fs::exists(fs::path(run) / "checkpoints" / "latest"))
       return {program, "train", "--resume", run, "--set", threads, "-q"};
-    fs::remove_all(run);
     return {program, "train", config, "--out", run, "--set", threads, "-q"};
   }
 
-  void start(const Cell& cell) {
-    const fs::path folder = cell_folder(options_, cell.id);
-    std::error_code failed;
-    fs::create_directories(folder, failed);
-    if (failed)
-      throw Error(ErrorKind::cannot_create, folder.string() + ": cannot create the folder: " + failed.message(),
-                  "choose another --out");
+  // Starts the first cell that may start and that nobody works on. False when there is none. Nothing of a cell is
+  // touched before its lock is held.
+  bool start_one(std::deque<const Cell*>& waiting) {
+    for (auto next = waiting.begin(); next != waiting.end(); ++next) {
+      const Cell& cell = **next;
+      if (!ready(cell, waiting)) continue;
+      const fs::path folder = cell_folder(options_, cell.id);
+      create_folders(folder.string());
+      FolderLock lock, of_run;
+      int cause = lock.take(folder.string());
+      if (cause == 0) cause = of_run.take((folder / "run").string(), false);
+      if (cause == EWOULDBLOCK) {
+        say_waiting(cell, folder, lock.held() ? of_run.holder() : lock.holder());
+        continue;
+      }
+      if (cause != 0 && cause != ENOENT) throw write_error("lock", folder.string(), cause);
+      waiting.erase(next);
+      if (std::optional<CellValues> done = result_of_cell(options_, cell.id)) {
+        results_[cell.id] = std::move(*done);  // since the sweep looked
+        return true;
+      }
+      std::error_code failed;
+      if (!fs::exists(folder / "run" / "checkpoints" / "latest")) fs::remove_all(folder / "run", failed);
+      if (failed) throw write_error("remove", (folder / "run").string(), failed.value());
+      of_run = {};
+      start(cell, folder, std::move(lock));
+      return true;
+    }
+    return false;
+  }
+
+  // Once a cell: an interrupted sweep's processes save before they end.
+  void say_waiting(const Cell& cell, const fs::path& folder, const std::string& holder) {
+    if (waited_for_.insert(cell.id).second)
+      hooks_.note(fmt::format("{}: {} still works there; waiting for it", folder.string(), holder));
+  }
+
+  void start(const Cell& cell, const fs::path& folder, FolderLock lock) {
     const std::string config =
         cell.pack.empty() ? cell.config : with_packed_scene(cell.config, pack_file(options_, cell).string());
     write_file_atomic((folder / "config.yaml").string(), config);
     const std::vector<std::string> words = words_of(cell, folder);
-    const std::string out = (folder / "output.txt").string(), log = (folder / "log.txt").string();
+    const OutputFile out((folder / "output.txt").string()), log((folder / "log.txt").string());
     std::vector<char*> argv;
     for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
     argv.push_back(nullptr);
+    const pid_t sweep = getpid();
     const pid_t pid = fork();
     if (pid == 0) {
+      // At once: our own handlers would swallow a signal that comes before the program starts.
+      signal(SIGINT, SIG_DFL);
+      signal(SIGTERM, SIG_DFL);
+      setpgid(0, 0);                     // Ctrl-C reaches the sweep alone, which asks every cell once
       prctl(PR_SET_PDEATHSIG, SIGTERM);  // a killed sweep leaves no cell behind
-      dup2(open(out.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644), STDOUT_FILENO);
-      dup2(open(log.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644), STDERR_FILENO);
+      if (getppid() != sweep) _exit(128 + SIGTERM);
+      lock.keep_over_exec();
+      dup2(open("/dev/null", O_RDONLY | O_CLOEXEC), STDIN_FILENO);
+      dup2(out.descriptor(), STDOUT_FILENO);
+      dup2(log.descriptor(), STDERR_FILENO);
       execv(argv[0], argv.data());
       _exit(127);
     }
     if (pid < 0) throw Error(ErrorKind::unavailable, "cannot start a process for a cell", "give fewer --jobs");
+    lock.sign(pid);
     const bool resumed = std::find(words.begin(), words.end(), "--resume") != words.end();
-    running_.push_back({pid, &cell, Clock::now(), resumed});
+    running_.push_back({std::move(lock), pid, &cell, Clock::now(), resumed});
   }
 
   // Waits until a child ends or a moment has passed.
@@ -148,15 +215,16 @@ class Pool {
       std::this_thread::sleep_for(std::chrono::milliseconds(20));
       return;
     }
-    const auto child = std::find_if(running_.begin(), running_.end(), [&](const Child& c) { return c.pid == pid; });
-    if (child == running_.end()) return;
+    const auto ended = std::find_if(running_.begin(), running_.end(), [&](const Child& c) { return c.pid == pid; });
+    if (ended == running_.end()) return;
+    const Child child = std::move(*ended);
+    running_.erase(ended);
     cell_gb_ = std::max(ended_ == 0 ? 0 : cell_gb_, static_cast<double>(usage.ru_maxrss) / (1 << 20));
     ++ended_;
-    const Cell& cell = *child->cell;
-    CellOutcome outcome{&cell, false, {}, std::chrono::duration<double>(Clock::now() - child->start).count()};
+    const Cell& cell = *child.cell;
+    CellOutcome outcome{&cell, false, {}, std::chrono::duration<double>(Clock::now() - child.start).count()};
     CellValues used{{"peak_mb", static_cast<double>(usage.ru_maxrss) / 1024}};
-    if (!child->resumed) used.emplace_back("processor_s", seconds_of(usage.ru_utime) + seconds_of(usage.ru_stime));
-    running_.erase(child);
+    if (!child.resumed) used.emplace_back("processor_s", seconds_of(usage.ru_utime) + seconds_of(usage.ru_stime));
     const fs::path folder = cell_folder(options_, cell.id);
     if (WIFEXITED(status) && WEXITSTATUS(status) == 0) {
       take_result(cell, folder, used, outcome);
@@ -165,7 +233,7 @@ class Pool {
     } else {
       return;  // stopped with us
     }
-    finished_(outcome);
+    hooks_.finished(outcome);
   }
 
   static double seconds_of(const timeval& t) {
@@ -203,21 +271,22 @@ class Pool {
 
   const PoolOptions& options_;
   SweepResults& results_;
-  const std::function<void(const CellOutcome&)>& finished_;
+  const PoolHooks& hooks_;
   double memory_gb_;
   double cell_gb_ = kFirstGuess_gb;
   int ended_ = 0;
   std::vector<Child> running_;
   std::vector<std::string> wanted_fields_;
+  std::set<std::string> waited_for_;
 };
 
 }  // namespace
 
 void pack_scenes(const std::vector<Cell>& cells, const PoolOptions& options, Registry& registry,
-                 const std::function<void(const std::string&)>& note) {
+                 const PoolHooks& hooks) {
   for (const Cell& cell : cells) {
     const fs::path file = pack_file(options, cell);
-    if (cell.pack.empty() || fs::exists(file)) continue;
+    if (cell.pack.empty() || is_packed(file.string(), hooks)) continue;
     Diagnostics diagnostics;
     const RunConfig config = read_run_config(parse_config_text(cell.config, "cell"), registry, diagnostics);
     diagnostics.throw_if_errors(ErrorKind::config, "");
@@ -225,8 +294,8 @@ void pack_scenes(const std::vector<Cell>& cells, const PoolOptions& options, Reg
     const std::unique_ptr<Dataset> dataset = config.dataset.entry->dataset(*config.dataset.params, {config.base_dir});
     PackOptions whole;
     whole.depth_as_mm = false;  // the same bits as from the dataset
-    note("packing the scene '" + cell.scene + "'");
-    fs::create_directories(file.parent_path());
+    hooks.note("packing the scene '" + cell.scene + "'");
+    create_folders(file.parent_path().string());
     pack_scene(*dataset, file.string(), SceneLoadOptions{}, whole, diagnostics);
   }
 }
@@ -236,9 +305,13 @@ std::string cell_folder(const PoolOptions& options, const std::string& id) {
 }
 
 bool run_cells(const std::vector<Cell>& cells, const PoolOptions& options, SweepResults& results,
-               const std::function<void(const CellOutcome&)>& finished) {
+               const PoolHooks& hooks) {
   install_stop_signals();
-  return Pool(options, results, finished).run(cells);
+  return Pool(options, results, hooks).run(cells);
+}
+
+std::optional<CellValues> result_of_cell(const PoolOptions& options, const std::string& id) {
+  return read_cell_result((fs::path(cell_folder(options, id)) / "result.json").string());
 }
 
 }  // namespace semfield::app

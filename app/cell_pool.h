@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -17,10 +18,6 @@ struct PoolOptions {
   bool keep_checkpoints = false;
 };
 
-/// Packs the scenes that cells share (Cell::pack) into folder/scenes/, those that are not there yet.
-void pack_scenes(const std::vector<Cell>& cells, const PoolOptions& options, Registry& registry,
-                 const std::function<void(const std::string&)>& note);
-
 struct CellOutcome {
   const Cell* cell = nullptr;
   bool done = false;
@@ -28,13 +25,25 @@ struct CellOutcome {
   double seconds = 0;
 };
 
-/// Runs every cell without a result.json, in order; a cell whose run was stopped goes on from its checkpoint, one that
-/// failed before starts anew. A failed cell does not stop the others. Results are added to `results`; `finished` is
-/// called after each. Ends early, with the children's checkpoints written, when a stop signal comes; returns false
-/// then.
-bool run_cells(const std::vector<Cell>& cells, const PoolOptions& options, SweepResults& results,
-               const std::function<void(const CellOutcome&)>& finished);
+struct PoolHooks {
+  std::function<void(const CellOutcome&)> finished;  ///< after each cell
+  std::function<void(const std::string&)> note;      ///< sentences for the user
+};
 
+/// Packs the scenes that cells share (Cell::pack) into folder/scenes/, those that are not there yet or are damaged.
+/// The caller holds the folder's lock.
+void pack_scenes(const std::vector<Cell>& cells, const PoolOptions& options, Registry& registry,
+                 const PoolHooks& hooks);
+
+/// Runs every cell without a result.json, in order; a cell whose run was stopped goes on from its checkpoint, one that
+/// failed before starts anew. A cell's folder is locked by its process, so one that a killed sweep's process still has
+/// is waited for. A failed cell does not stop the others. Results are added to `results`. Ends early, with the
+/// children's checkpoints written, when a stop signal comes; returns false then. The caller holds the folder's lock.
+bool run_cells(const std::vector<Cell>& cells, const PoolOptions& options, SweepResults& results,
+               const PoolHooks& hooks);
+
+/// Result of a finished cell, from its result.json.
+std::optional<CellValues> result_of_cell(const PoolOptions& options, const std::string& id);
 std::string cell_folder(const PoolOptions& options, const std::string& id);
 
 }  // namespace semfield::app

@@ -2,12 +2,14 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <cstdio>
 #include <filesystem>
 #include <thread>
 
 #include "cell_pool.h"
 #include "core/files.h"
+#include "core/folder_lock.h"
 #include "core/parallel.h"
 #include "signals.h"
 #include "sweep/sweep_tables.h"
@@ -53,6 +55,21 @@ std::string index_csv(const Sweep& sweep, const std::vector<Cell>& cells) {
   return text;
 }
 
+// The folder, created where it is missing, for one sweep at a time.
+FolderLock lock_of(const std::string& folder) {
+  create_folders(folder);
+  remove_stale_temporaries(folder);
+  FolderLock lock;
+  const int cause = lock.take(folder);
+  if (cause == EWOULDBLOCK)
+    throw Error(ErrorKind::cannot_create,
+                fmt::format("the sweep folder '{}' is in use by {}, another sweep", folder, lock.holder()),
+                "wait for it to end, stop it (the next sweep goes on from there), or choose another folder with --out; "
+                "--dry-run tells which cells are done");
+  if (cause != 0) throw write_error("lock", folder, cause);
+  return lock;
+}
+
 }  // namespace
 
 int run_sweep(const SweepOptions& options, AppContext& context) {
@@ -65,10 +82,11 @@ int run_sweep(const SweepOptions& options, AppContext& context) {
   pool.memory_gb = options.memory_gb.value_or(0);
   pool.keep_checkpoints = options.keep_checkpoints;
 
+  FolderLock lock;
+  if (!options.dry_run) lock = lock_of(pool.folder);
   SweepResults results;
   for (const Cell& cell : cells) {
-    const std::string file = (fs::path(cell_folder(pool, cell.id)) / "result.json").string();
-    if (std::optional<CellValues> values = read_cell_result(file)) results[cell.id] = std::move(*values);
+    if (std::optional<CellValues> values = result_of_cell(pool, cell.id)) results[cell.id] = std::move(*values);
   }
   const std::size_t total = cells.size();
   print_note(
@@ -81,19 +99,14 @@ int run_sweep(const SweepOptions& options, AppContext& context) {
                   static_cast<long long>(cell.seed), results.contains(cell.id) ? " (done)" : "");
     return 0;
   }
-  std::error_code failed;
-  fs::create_directories(pool.folder, failed);
-  if (failed)
-    throw Error(ErrorKind::cannot_create, pool.folder + ": cannot create the folder: " + failed.message(),
-                "choose another --out");
   write_file_atomic((fs::path(pool.folder) / "cells.csv").string(), index_csv(sweep, cells));
-  if (results.size() < total)
-    pack_scenes(cells, pool, context.registry, [&](const std::string& text) { print_note(context, text); });
   int failures = 0;
   std::size_t ran = 0;
   const std::size_t to_run = total - results.size();
   double seconds = 0;
-  const bool whole = run_cells(cells, pool, results, [&](const CellOutcome& outcome) {
+  PoolHooks hooks;
+  hooks.note = [&](const std::string& text) { print_note(context, text); };
+  hooks.finished = [&](const CellOutcome& outcome) {
     ++ran;
     seconds += outcome.seconds;
     const Cell& cell = *outcome.cell;
@@ -110,7 +123,9 @@ int run_sweep(const SweepOptions& options, AppContext& context) {
     print_note(context, fmt::format("[{}/{}] {}, {}, seed {}: {} ({:.0f} s, {} left)", results.size(), total,
                                     cell.label, cell.scene, cell.seed, what, outcome.seconds, minutes_text(left)));
     write_tables(pool.folder, sweep, cells, results);
-  });
+  };
+  if (results.size() < total) pack_scenes(cells, pool, context.registry, hooks);
+  const bool whole = run_cells(cells, pool, results, hooks);
   write_tables(pool.folder, sweep, cells, results);
   std::printf("sweep: cells=%zu done=%zu failed=%d folder=%s\n", total, results.size(), failures, pool.folder.c_str());
   if (!whole) {

@@ -1,6 +1,7 @@
 #include "sweep/sweep_cells.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <map>
 #include <set>
 
@@ -22,10 +23,12 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
   set.insert(set.end(), scene.after.begin(), scene.after.end());
   Diagnostics found;
   std::string text;
+  const std::string& base = variant.base.empty() ? scene.base : variant.base;
   try {
-    RunConfig config =
-        read_run_config(compose_config_with(variant.base.empty() ? scene.base : variant.base, set), registry, found);
+    RunConfig config = read_run_config(compose_config_with(base, set), registry, found);
     config.name = scene.name;
+    // Not the working folder: from wherever a sweep is started, its cells are the same.
+    config.base_dir = std::filesystem::path(base).parent_path().string();
     config.runtime.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
     config.labels.selection.seed = e.seeds[use.seed];
     // As many as the configuration says, else all; experiments that score held-out frames need none.

@@ -1,10 +1,7 @@
 // The folder of one run: layout and lock.
 #include "train/run_folder.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/file.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -54,33 +51,12 @@ void remove_stale(const std::string& path) {
 std::string RunFolder::in(std::string_view name) const { return (fs::path(path_) / name).string(); }
 
 bool RunFolder::lock(bool may_create) {
-  const std::string file = in(".lock");
-  const int descriptor = ::open(file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | (may_create ? O_CREAT : 0), 0644);
-  if (descriptor < 0) {
-    if (errno == ENOENT && !may_create) return false;
-    throw cannot_write(path_, errno);
-  }
-  if (::flock(descriptor, LOCK_EX | LOCK_NB) != 0) {
-    const int cause = errno;
-    char text[32] = {};
-    const ssize_t size = ::pread(descriptor, text, sizeof(text) - 1, 0);
-    ::close(descriptor);
-    if (cause != EWOULDBLOCK) throw cannot_write(path_, cause);
-    std::string pid(text, size > 0 ? static_cast<std::size_t>(size) : 0);
-    pid.erase(std::remove_if(pid.begin(), pid.end(), [](char c) { return c < '0' || c > '9'; }), pid.end());
-    throw Error(ErrorKind::cannot_create,
-                fmt::format("the run folder '{}' is in use by process {}", path_, pid.empty() ? "?" : pid),
-                "wait for it to end, stop it, or choose another folder with --out");
-  }
-  const std::string pid = fmt::format("{}\n", ::getpid());
-  if (::ftruncate(descriptor, 0) != 0 ||
-      ::pwrite(descriptor, pid.data(), pid.size(), 0) != static_cast<ssize_t>(pid.size())) {
-    const int cause = errno;
-    ::close(descriptor);
-    throw cannot_write(path_, cause);
-  }
-  lock_descriptor_ = descriptor;
-  return true;
+  const int cause = lock_.take(path_, may_create);
+  if (cause == 0) return true;
+  if (cause == ENOENT && !may_create) return false;
+  if (cause != EWOULDBLOCK) throw cannot_write(path_, cause);
+  throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' is in use by {}", path_, lock_.holder()),
+              "wait for it to end, stop it, or choose another folder with --out");
 }
 
 RunFolder RunFolder::create(const std::string& path) {
@@ -125,16 +101,6 @@ RunFolder RunFolder::read(const std::string& path) {
                 "give the folder that `train` printed");
   }
   return folder;
-}
-
-RunFolder::RunFolder(RunFolder&& other) noexcept
-    : path_(std::move(other.path_)), lock_descriptor_(other.lock_descriptor_) {
-  other.lock_descriptor_ = -1;
-}
-
-RunFolder::~RunFolder() {
-  // The lock file stays: removing it would let two processes lock two files of one name.
-  if (lock_descriptor_ >= 0) ::close(lock_descriptor_);
 }
 
 std::string RunFolder::render_path(std::string_view split, std::string_view frame, std::string_view kind,

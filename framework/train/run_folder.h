@@ -7,6 +7,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/folder_lock.h"
+
 namespace semfield {
 
 /// Layout (all paths relative to the folder, which may be moved as a whole):
@@ -22,10 +24,6 @@ class RunFolder {
   static RunFolder resume(const std::string& path);
   /// For evaluation and reports: no lock, nothing is created.
   static RunFolder read(const std::string& path);
-
-  RunFolder(RunFolder&& other) noexcept;
-  RunFolder& operator=(RunFolder&&) = delete;
-  ~RunFolder();
 
   const std::string& path() const { return path_; }
   std::string config_path() const { return in("run.yaml"); }
@@ -47,7 +45,7 @@ class RunFolder {
   std::string in(std::string_view name) const;
   bool lock(bool may_create);
   std::string path_;
-  int lock_descriptor_ = -1;
+  FolderLock lock_;
 };
 
 /// What a result may depend on beside its configuration.

@@ -1,0 +1,36 @@
+// An exclusive hold on a folder that ends with the processes that have it, however they end.
+#pragma once
+
+#include <sys/types.h>
+
+#include <string>
+
+namespace semfield {
+
+/// flock of `FOLDER/.lock`, which says who holds it. The lock file stays: removing it would let two processes lock two
+/// files of one name.
+class FolderLock {
+ public:
+  FolderLock() = default;
+  FolderLock(FolderLock&& other) noexcept;
+  FolderLock& operator=(FolderLock&& other) noexcept;
+  ~FolderLock();
+
+  /// 0: held from now on. EWOULDBLOCK: another has it, whom holder() names. ENOENT: no lock file is there, and none may
+  /// be created. Any other errno: the folder cannot be written.
+  int take(const std::string& folder, bool may_create = true);
+  bool held() const { return descriptor_ >= 0; }
+  /// Of take() that found another: "process 4711 on HOST", as far as the lock file tells.
+  const std::string& holder() const { return holder_; }
+  /// Writes the process for which it is held into the file. Errno or 0.
+  int sign(pid_t process) const;
+  /// In a forked child: the lock lives until the program that it starts has ended too. Async-signal-safe.
+  void keep_over_exec() const;
+
+ private:
+  void release();
+  int descriptor_ = -1;
+  std::string holder_;
+};
+
+}  // namespace semfield
