@@ -1,4 +1,4 @@
-// Counts what operator new hands out in this process, libraries included.
+// Counts what operator new takes from the heap in this process, libraries included.
 #pragma once
 
 #include <cstdint>

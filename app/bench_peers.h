@@ -1,6 +1,7 @@
 // The PyTorch steps of bench/peers as a program that measures on request.
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <string>
 

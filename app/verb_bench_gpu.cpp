@@ -1,6 +1,7 @@
 // bench gpu: training steps and frames on a graphics processor, beside the same steps in PyTorch.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <functional>
 #include <memory>

@@ -1,6 +1,7 @@
 // train: start, resume, or only say what would be done.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>

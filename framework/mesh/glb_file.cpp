@@ -1,4 +1,5 @@
 // glTF 2.0 binary: a JSON chunk that describes one binary chunk.
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>

@@ -1,5 +1,6 @@
 #include "mesh/surface.h"
 
+#include <algorithm>
 #include <cmath>
 #include <numeric>
 

@@ -5,6 +5,7 @@
 #include <charconv>
 #include <cmath>
 #include <sstream>
+#include <system_error>
 
 #include "core/check.h"
 #include "core/files.h"

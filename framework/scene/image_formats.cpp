@@ -3,6 +3,8 @@
 
 #include <OpenImageIO/imageio.h>
 
+#include <memory>
+
 #include "core/error.h"
 #include "scene/png_codec.h"
 

@@ -1,4 +1,4 @@
-// Embree 3 scene: one geometry for opaque triangles, one with a filter for cut-outs.
+// Embree scene (version 3 or 4): one geometry for opaque triangles, one with a filter for cut-outs.
 #include "scene/raycast.h"
 
 #include <algorithm>
@@ -6,7 +6,11 @@
 #include <limits>
 
 #ifdef SEMFIELD_WITH_RAYCAST
+#if SEMFIELD_EMBREE == 3
 #include <embree3/rtcore.h>
+#else
+#include <embree4/rtcore.h>
+#endif
 #endif
 
 namespace semfield {
@@ -91,6 +95,27 @@ Raycaster::Raycaster(const TriangleMesh& mesh, std::vector<bool> cut_out, Opaque
   }
 }
 
+namespace {
+
+// Embree 4 has no contexts any more.
+#if SEMFIELD_EMBREE == 3
+void intersect(RTCScene scene, RTCRayHit& ray) {
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  rtcIntersect1(scene, &context, &ray);
+}
+void occlude(RTCScene scene, RTCRay& ray) {
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  rtcOccluded1(scene, &context, &ray);
+}
+#else
+void intersect(RTCScene scene, RTCRayHit& ray) { rtcIntersect1(scene, &ray); }
+void occlude(RTCScene scene, RTCRay& ray) { rtcOccluded1(scene, &ray); }
+#endif
+
+}  // namespace
+
 RayHit Raycaster::trace(Vec3d origin, Vec3d direction, double max_m) const {
   RTCRayHit ray{};
   ray.ray.org_x = static_cast<float>(origin.x);
@@ -102,9 +127,7 @@ RayHit Raycaster::trace(Vec3d origin, Vec3d direction, double max_m) const {
   ray.ray.tfar = static_cast<float>(max_m);
   ray.ray.mask = ~0u;
   ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-  RTCIntersectContext context;
-  rtcInitIntersectContext(&context);
-  rtcIntersect1(impl_->scene, &context, &ray);
+  intersect(impl_->scene, ray);
   RayHit hit;
   if (ray.hit.geomID == RTC_INVALID_GEOMETRY_ID) return hit;
   hit.triangle = impl_->triangle_of[ray.hit.geomID][ray.hit.primID];
@@ -135,9 +158,7 @@ bool Raycaster::blocked(Vec3d origin, Vec3d direction, double max_m) const {
   ray.dir_z = static_cast<float>(direction.z);
   ray.tfar = static_cast<float>(max_m);
   ray.mask = ~0u;
-  RTCIntersectContext context;
-  rtcInitIntersectContext(&context);
-  rtcOccluded1(impl_->scene, &context, &ray);
+  occlude(impl_->scene, ray);
   return ray.tfar < 0;
 }
 
@@ -210,7 +231,7 @@ struct Raycaster::Impl {};
 
 Raycaster::Raycaster(const TriangleMesh&, std::vector<bool>, OpaqueTest) {
   throw Error(ErrorKind::unavailable, "this build cannot cast rays",
-              "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs Embree 3)");
+              "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs Embree 3 or 4)");
 }
 RayHit Raycaster::trace(Vec3d, Vec3d, double) const { return {}; }
 bool Raycaster::blocked(Vec3d, Vec3d, double) const { return false; }

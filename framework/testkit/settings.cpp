@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdio>
 #include <set>
+#include <system_error>
 
 namespace semfield::testkit {
 

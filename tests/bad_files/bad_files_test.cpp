@@ -7,10 +7,12 @@
 
 #include <algorithm>
 #include <csignal>
+#include <cstdlib>
 #include <filesystem>
 #include <map>
 #include <set>
 #include <sstream>
+#include <stdexcept>
 
 #include "core/files.h"
 #include "scene/image_io.h"

@@ -46,8 +46,12 @@ TEST(BenchVerb, LastLineHasEveryGoal) {
       << last_line(r.out);
 }
 
-TEST(BenchVerb, StepsAllocateNothingAfterTheFirst) {
-  const Result r = run(std::string("--json ") + kTiny);
+class EveryEngine : public testing::TestWithParam<std::string> {};
+INSTANTIATE_TEST_SUITE_P(BenchVerb, EveryEngine, testing::Values("auto", "builtin" SEMFIELD_ENGINES),
+                         [](const auto& engine) { return engine.param; });
+
+TEST_P(EveryEngine, StepsAllocateNothingAfterTheFirst) {
+  const Result r = run(std::string("--json ") + kTiny + "--set runtime.gemm=" + GetParam());
   ASSERT_EQ(r.code, 0) << r.out;
   const json out = json::parse(r.out);
   int rows = 0;

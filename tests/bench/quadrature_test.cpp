@@ -168,8 +168,12 @@ TEST(QuadratureThinSlabs, JitterMeetsThemByChance) {  // A10
   }
   EXPECT_EQ(compared, 4);
   for (const ThinSlabRow& row : measure_thin_slabs(rule_named("midpoint"), 1, registry())) {
-    if (row.width_m < row.interval_m / 2) EXPECT_EQ(row.opacity, 0) << row.width_m;
-    if (row.width_m > row.interval_m) EXPECT_NEAR(row.opacity, 1, 1e-4) << row.width_m;
+    if (row.width_m < row.interval_m / 2) {
+      EXPECT_EQ(row.opacity, 0) << row.width_m;
+    }
+    if (row.width_m > row.interval_m) {
+      EXPECT_NEAR(row.opacity, 1, 1e-4) << row.width_m;
+    }
   }
 }
 

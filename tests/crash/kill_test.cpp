@@ -1,6 +1,7 @@
 // A save killed before, in and after every one of its file calls: a fresh process finds the old or the new, whole.
 #include <gtest/gtest.h>
 
+#include <cstdio>
 #include <filesystem>
 
 #include "tests/crash/victim_runs.h"

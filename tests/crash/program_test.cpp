@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstdio>
 #include <filesystem>
 #include <functional>
 #include <thread>
@@ -268,8 +269,9 @@ TEST(Program, ClosedStreamsPutNoMessageIntoAFile) {
   EXPECT_EQ(WEXITSTATUS(status), 0);
   EXPECT_EQ(checkpoint_fingerprint(dir / "run", kSteps), whole_fingerprint());
   for (const auto& entry : fs::recursive_directory_iterator(dir / "run")) {
-    if (entry.is_regular_file())
+    if (entry.is_regular_file()) {
       EXPECT_FALSE(has(read_text_file(entry.path().string()), "miou_present=")) << entry.path();
+    }
   }
 }
 

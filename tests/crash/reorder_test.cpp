@@ -2,6 +2,7 @@
 // and the new one once the save has returned.
 #include <gtest/gtest.h>
 
+#include <cstdio>
 #include <filesystem>
 
 #include "tests/crash/reorder_model.h"

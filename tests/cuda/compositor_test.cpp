@@ -1,6 +1,7 @@
 // Compositing on the device against the processor's in float64.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <limits>
 
 #include "cuda/rendering.h"

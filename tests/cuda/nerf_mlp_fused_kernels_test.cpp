@@ -2,6 +2,7 @@
 // Only processors of compute capability 9.0 run them.
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <string>

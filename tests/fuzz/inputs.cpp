@@ -1,5 +1,6 @@
 #include "tests/fuzz/inputs.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>

@@ -1,6 +1,8 @@
 // A density that is 0 everywhere gets no gradient: the run says so within 200 steps, and no healthy run does.
 #include <gtest/gtest.h>
 
+#include <cstdio>
+
 #include "tests/guards/poison.h"
 
 namespace semfield {

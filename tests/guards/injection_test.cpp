@@ -1,6 +1,7 @@
 // A bad number in every tensor of a run: values, gradients, moments, derived tensors and states, each named.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 
@@ -147,7 +148,7 @@ TEST_P(TensorInjection, NoCheckpointHoldsABadNumber) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Runs, TensorInjection, ::testing::Values("hash", "two_pass"),
-                         [](const auto& info) { return std::string(info.param); });
+                         [](const auto& test) { return std::string(test.param); });
 
 }  // namespace
 }  // namespace semfield

@@ -77,7 +77,7 @@ TEST_P(VoidBatches, LeaveTheHeadAlone) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Normalisations, VoidBatches, ::testing::Values("mean_labelled", "sum", "mean_rays"),
-                         [](const auto& info) { return std::string(info.param); });
+                         [](const auto& test) { return std::string(test.param); });
 
 // A run in which most batches have no label writes numbers and nulls.
 TEST(VoidBatchesRun, NoNanInTheLogs) {

@@ -1,5 +1,7 @@
 // `semfield degrade`: the program on a tiny room; what it wrote is read back.
+#include <algorithm>
 #include <cstdlib>
+#include <cstring>
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"

@@ -1,6 +1,7 @@
 // Real predictions of networks through the label readers, where they are at hand.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "datasets/replica/replica.h"

@@ -1,6 +1,7 @@
 // Losses: log-sum-exp at the extremes, void batches, normalisation, soft labels, class weights, gradients.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <string>

@@ -1,6 +1,8 @@
 // Gradients of compositing: against finite differences, and in fog and behind walls against a long double recurrence.
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "model/compositor.h"
 #include "rays_of_slabs.h"
 #include "testkit/gradient_check.h"

@@ -189,7 +189,7 @@ TEST(Adam, UnsoundElementsAreFoundInEveryArray) {
     EXPECT_EQ(look(touched).element, -1);
     for (int i = 0; i < 4; ++i) {
       for (const std::size_t at : {std::size_t{0}, std::size_t{65535}, std::size_t{65541}, kSize - 1}) {
-        for (const float bad : {std::nanf(""), inf, -inf, 1e39F, i == 3 ? -1e-30F : -2e19F, i == 3 ? 2e38F : 2e19F}) {
+        for (const float bad : {std::nanf(""), inf, -inf, i == 3 ? -1e-30F : -2e19F, i == 3 ? 2e38F : 2e19F}) {
           arrays[i][at] = bad;
           const Unsound<float> found = look(touched);
           EXPECT_EQ(found.element, static_cast<std::int64_t>(at)) << names[i] << ' ' << bad;

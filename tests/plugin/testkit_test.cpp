@@ -1,6 +1,7 @@
 // The testkit's instruments notice what they are for.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 

@@ -1,6 +1,7 @@
 // I07: the checks for NaN and infinity are alive in the build that is shipped.
 #include <dlfcn.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>

@@ -1,5 +1,6 @@
 // I06 and I07 on a device beside the processor: whole steps, and their guards.
 #include <cmath>
+#include <cstdio>
 #include <limits>
 
 #include "backend_parts.h"

@@ -1,6 +1,7 @@
 // Cases E05, E06 and E08: what a training step does with gradients that are no numbers, huge, or zero.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <limits>

@@ -1,6 +1,7 @@
 // Rays through a registered sampler, a field given by formulas on its samples, and the integral along them.
 #pragma once
 
+#include <algorithm>
 #include <memory>
 #include <string>
 #include <utility>

@@ -1,6 +1,7 @@
 // The same bits for any number of threads and any grouping of rays, on real training runs.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cfenv>
 #include <cmath>
 #include <limits>

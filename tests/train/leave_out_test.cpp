@@ -1,6 +1,7 @@
 // What is left out changes no bit of what is kept: pairs of runs, one with the component forced back in.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstring>
 
 #include "core/files.h"

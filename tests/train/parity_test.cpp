@@ -1,6 +1,7 @@
 // The exact savings change no function and no gradient; the whole pipeline's gradient agrees with finite differences.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <map>
 

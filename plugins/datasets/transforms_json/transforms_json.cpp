@@ -1,6 +1,7 @@
 // transforms.json scenes.
 #include "datasets/transforms_json/transforms_json.h"
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <set>
