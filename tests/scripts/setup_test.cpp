@@ -1,0 +1,122 @@
+// scripts/setup with a stand-in for CMake: one line of progress, the rest in a log.
+#include <gtest/gtest.h>
+#include <pty.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+#include "core/files.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+
+class SetupScript : public testing::Test {
+ protected:
+  SetupScript() {
+    fs::remove_all(root_);
+    fs::create_directories(root_ / "scripts");
+    fs::create_directories(root_ / "bin");
+    fs::copy_file(fs::path(SEMFIELD_SOURCE_DIR) / "scripts/setup", root_ / "scripts/setup");
+    stand_in("dpkg-query", "echo 'install ok installed'");
+    stand_in("cmake", R"(
+      case $1 in
+        --version) echo 'cmake version 3.0.0';;
+        --preset) [ "$FAILS" != configure ] || { echo 'CMake Error: no presets'; exit 1; };;
+        --build)
+          for ((i = 1; i <= 200; ++i)); do
+            echo "[$i/200] Building object_$i.o"
+            [ $i != 7 ] || printf 'a.cpp:1: warning: odd\nmore of it\n'
+            if [ $i = 150 ] && [ "$FAILS" = build ]; then
+              printf 'FAILED: object_150.o\nc++ the whole command\nb.cpp:2: error: wrong\n    the line\n'
+              echo '[151/200] Building object_151.o'
+              echo 'ninja: build stopped'
+              exit 1
+            fi
+          done;;
+      esac)");
+  }
+
+  std::string command(const std::string& fails) const {
+    return "cd '" + root_.string() + "' && FAILS=" + fails + " PATH='" + (root_ / "bin").string() +
+           "':\"$PATH\" scripts/setup";
+  }
+  /// What it prints into a file; `code_` is its exit code.
+  std::string printed(const std::string& fails) {
+    const std::string out = (root_ / "out").string();
+    code_ = WEXITSTATUS(std::system((command(fails) + " >'" + out + "' 2>&1").c_str()));
+    return read_text_file(out);
+  }
+  std::string log() const { return read_text_file((root_ / "build/setup.log").string()); }
+
+  const fs::path root_ = fs::path(testing::TempDir()) / "setup_script";
+  int code_ = -1;
+
+ private:
+  void stand_in(const std::string& name, const std::string& text) const {
+    const fs::path file = root_ / "bin" / name;
+    std::ofstream(file) << "#!/usr/bin/env bash\n" << text << '\n';
+    fs::permissions(file, fs::perms::owner_all);
+  }
+};
+
+TEST_F(SetupScript, SaysEveryTenthAndKeepsTheRestInALog) {
+  const std::string out = printed("never");
+  EXPECT_EQ(code_, 0);
+  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 12) << out;
+  EXPECT_EQ(out.rfind("setup: building, 1 of 200\nsetup: building, 20 of 200\n", 0), 0u) << out;
+  const std::string last = "setup: building, 200 of 200\nsetup: built; warnings: 1; log: build/setup.log\n";
+  EXPECT_TRUE(out.ends_with(last)) << out;
+  EXPECT_NE(log().find("[200/200] Building object_200.o"), std::string::npos);
+  EXPECT_NE(log().find("a.cpp:1: warning: odd\nmore of it"), std::string::npos);
+}
+
+TEST_F(SetupScript, RewritesOneLineOnATerminal) {
+  int terminal = -1;
+  const pid_t child = forkpty(&terminal, nullptr, nullptr, nullptr);
+  if (child == 0) {
+    execl("/bin/sh", "sh", "-c", command("never").c_str(), nullptr);
+    _exit(127);
+  }
+  ASSERT_GT(child, 0);
+  std::string out;
+  char buffer[4096];
+  for (ssize_t got = 0; (got = read(terminal, buffer, sizeof buffer)) > 0;)
+    out.append(buffer, static_cast<std::size_t>(got));
+  int status = -1;
+  waitpid(child, &status, 0);
+  close(terminal);
+  EXPECT_EQ(status, 0);
+  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 1) << out;
+  EXPECT_NE(out.find("\rsetup: building, 199 of 200 \rsetup: building, 200 of 200 \rsetup: built; "), std::string::npos)
+      << out;
+}
+
+TEST_F(SetupScript, ShowsTheLinesThatFailedAndNamesTheLog) {
+  const std::string out = printed("build");
+  EXPECT_EQ(code_, 1);
+  EXPECT_NE(out.find("FAILED: object_150.o\nb.cpp:2: error: wrong\n    the line\nsetup: the build failed; "),
+            std::string::npos)
+      << out;
+  EXPECT_EQ(out.find("the whole command"), std::string::npos) << out;
+  EXPECT_NE(out.find((root_ / "build/setup.log").string() + "\n"), std::string::npos) << out;
+}
+
+TEST_F(SetupScript, ShowsWhyItCouldNotConfigure) {
+  const std::string out = printed("configure");
+  EXPECT_EQ(code_, 1);
+  EXPECT_EQ(out.rfind("CMake Error: no presets\nsetup: the build could not be configured (cmake version 3.0.0; 3.25 or "
+                      "later is needed); ",
+                      0),
+            0u)
+      << out;
+}
+
+}  // namespace
+}  // namespace semfield
