@@ -5,6 +5,7 @@
 
 #include "core/parallel.h"
 #include "plugin/loader.h"
+#include "progress_line.h"
 #include "train/run_config.h"
 #include "verb_capture.h"
 #include "verb_degrade.h"
@@ -83,10 +84,11 @@ int run_capture(const ConfigOptions& options, const std::string& out, AppContext
     if (finding.severity != Severity::error) print_note(context, finding.text());
   }
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
-  const CaptureReport report = capture_replica(*opened.dataset, info, out, [&](int done, int total) {
-    if (context.terminal && !context.quiet)
-      std::fprintf(stderr, "\r\033[Kcaptured %d/%d%s", done, total, done == total ? "\n" : "");
-  });
+  CaptureReport report;
+  {
+    ProgressLine progress(context, "captured");
+    report = capture_replica(*opened.dataset, info, out, [&](int done, int total) { progress.show(done, total); });
+  }
   std::printf("capture: frames=%d bytes=%lld folder=%s\n", report.frames, static_cast<long long>(report.bytes),
               out.c_str());
   return 0;

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
+#include "progress_line.h"
 #include "train/final_eval.h"
 #include "train/json_number.h"
 #include "train/train_run.h"
@@ -41,6 +42,13 @@ std::string json_text(const OpenedRun& run, const SplitScore& score, const std::
   return out.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";  // a folder's name may be no UTF-8
 }
 
+SplitScore score_frames(const Session& s, const std::vector<int>& frames, const AppContext& context) {
+  EvalJob job = s.eval_job(frames);
+  ProgressLine progress(context, "scored");
+  job.progress = [&](double done) { progress.show(done, static_cast<double>(frames.size())); };
+  return evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
+}
+
 }  // namespace
 
 int run_eval(const EvalOptions& options, AppContext& context) {
@@ -54,7 +62,7 @@ int run_eval(const EvalOptions& options, AppContext& context) {
   if (frames.empty())
     throw Error(ErrorKind::data, options.run + ": the scene has no frames in split '" + options.split + "'",
                 "see `semfield inspect`");
-  const SplitScore score = evaluate(*s.pipeline, s.eval_job(frames), s.limits, s.plan.class_of_logit);
+  const SplitScore score = score_frames(s, frames, context);
   if (!options.out.empty()) write_file_atomic(options.out, json_text(run, score, options.split));
   if (context.json) {
     std::fputs(json_text(run, score, options.split).c_str(), stdout);

@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "labels/label_export.h"
+#include "progress_line.h"
 #include "scene/image_io.h"
 #include "train/run_folder.h"
 #include "train/train_run.h"
@@ -20,12 +21,20 @@ void check_options(const ExportOptions& options) {
     throw Error(ErrorKind::usage, "--format " + options.format + ": expected coco, coco_rle or labelme");
 }
 
+// The stored image of a frame, "" when its dataset has none.
+std::string image_of(const FrameInfo& info) {
+  std::error_code ignored;
+  return std::filesystem::is_regular_file(info.source, ignored) ? info.source : std::string();
+}
+
 // Labelling tools lay the labels over the stored image; a run may have been trained at another size.
-void note_other_size(const LabelledFrame& frame, const AppContext& context) {
-  if (frame.image_path.empty()) return;
-  const ImageSize size = image_size(frame.image_path);
-  if (size.width_px == frame.width_px && size.height_px == frame.height_px) return;
-  print_note(context, "labels are " + std::to_string(frame.width_px) + " x " + std::to_string(frame.height_px) +
+void note_other_size(const FrameInfo& info, const AppContext& context) {
+  const std::string image = image_of(info);
+  if (image.empty()) return;
+  const ImageSize size = image_size(image);
+  const Camera& camera = info.camera;
+  if (size.width_px == camera.width_px && size.height_px == camera.height_px) return;
+  print_note(context, "labels are " + std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) +
                           ", the stored images " + std::to_string(size.width_px) + " x " +
                           std::to_string(size.height_px) +
                           ": to export at that size, give --set scene.load.downscale=1");
@@ -57,23 +66,22 @@ int run_export(const ExportOptions& options, AppContext& context) {
   }
   std::int64_t shapes = 0;
   int done = 0;
+  note_other_size(s.scene.info.frames[static_cast<std::size_t>(frames.front())], context);
+  ProgressLine progress(context, "exported");
+  const auto part_done = [&](double share) { progress.show(done + share, static_cast<double>(frames.size())); };
   for (const int f : frames) {
     const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
     const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
-    RenderedFrame rendered = render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit);
-    std::error_code ignored;
-    LabelledFrame frame{info.name, std::filesystem::is_regular_file(info.source, ignored) ? info.source : "",
-                        rendered.width_px, rendered.height_px, std::move(rendered.label)};
-    if (done == 0) note_other_size(frame, context);
+    RenderedFrame rendered =
+        render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
+    LabelledFrame frame{info.name, image_of(info), rendered.width_px, rendered.height_px, std::move(rendered.label)};
     if (coco) {
       coco->add(frame);
     } else {
       shapes += write_labelme(options.out, frame, s.scene.info.classes);
     }
     ++done;
-    if (context.terminal && !context.quiet) std::fprintf(stderr, "\r\033[Kexported %d/%zu", done, frames.size());
   }
-  if (context.terminal && !context.quiet) std::fputs("\n", stderr);
   if (coco) {
     coco->write(options.out);
     shapes = coco->annotations();

@@ -10,6 +10,7 @@
 #include "config/params_read.h"
 #include "core/files.h"
 #include "fuse/scene_fusion.h"
+#include "progress_line.h"
 #include "scene/void_class.h"
 #include "train/image_output.h"
 #include "verb_degrade.h"
@@ -170,16 +171,13 @@ int run_fuse(const FuseOptions& options, AppContext& context) {
     print_note(context, "predictions are the scene's own labels: name others in scene.labels.from or .degrade");
   const FusionParams& params = s.config.fuse;
 
-  const auto progress = [&](const char* what, std::size_t done, std::size_t all) {
-    if (context.terminal && !context.quiet)
-      std::fprintf(stderr, "\r\033[K%s %zu/%zu%s", what, done, all, done == all ? "\n" : "");
-  };
-  const std::size_t frames = s.scene.frames_of(Split::train).size();
+  const auto frames = static_cast<double>(s.scene.frames_of(Split::train).size());
   if (frames == 0) throw Error(ErrorKind::data, "the scene has no training frames", "see `semfield inspect`");
+  ProgressLine progress(context, "rendered");
   const FrameMaps maps =
-      run ? learned_depth(*run, s.scene, params.min_opacity,
-                          [&](int done) { progress("rendered", static_cast<std::size_t>(done), frames); })
+      run ? learned_depth(*run, s.scene, params.min_opacity, [&](int done) { progress.show(done, frames); })
           : true_depth(s.scene);
+  progress.restart("fused");
   if (run && run->session.pipeline->has_semantics() && maps.label.front().empty())
     print_note(context, options.depth_from + ": another class table, so the field's own labels are not scored");
   std::optional<MapWriter> writer;
@@ -189,7 +187,7 @@ int run_fuse(const FuseOptions& options, AppContext& context) {
                  [&](const std::string& method, int frame, const std::vector<std::int16_t>& label) {
                    if (writer) writer->write(method, frame, label);
                    const auto done = std::find(maps.frames.begin(), maps.frames.end(), frame) - maps.frames.begin() + 1;
-                   progress("fused", static_cast<std::size_t>(done), frames);
+                   progress.show(done, frames);
                  });
   if (writer) {
     Json manifest = manifest_of(s, params, maps, fusion);

@@ -10,6 +10,7 @@
 #include "mesh/field_surface.h"
 #include "mesh/mesh_files.h"
 #include "mesh/point_cloud.h"
+#include "progress_line.h"
 #include "train/train_run.h"
 #include "verbs.h"
 
@@ -94,13 +95,16 @@ SurfaceRequest request_of(const MeshOptions& options, const Session& s) {
 PointSet points_of(const Session& s, double voxel, const AppContext& context) {
   PointCloud cloud(voxel, s.pipeline->options().rules.background);
   const std::vector<int> frames = s.scene.frames_of(Split::train);
+  ProgressLine progress(context, "points of", "views");
   for (std::size_t i = 0; i < frames.size(); ++i) {
     const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frames[i])];
     const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
-    cloud.add(camera, render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit));
-    if (context.terminal && !context.quiet) std::fprintf(stderr, "\r\033[Kpoints: view %zu/%zu", i + 1, frames.size());
+    const auto part_done = [&](double share) {
+      progress.show(static_cast<double>(i) + share, static_cast<double>(frames.size()));
+    };
+    cloud.add(camera,
+              render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done}));
   }
-  if (context.terminal && !context.quiet) std::fputs("\n", stderr);
   return cloud.points();
 }
 

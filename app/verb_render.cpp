@@ -9,6 +9,7 @@
 #include <future>
 
 #include "frame_strip.h"
+#include "progress_line.h"
 #include "render_views.h"
 #include "train/image_output.h"
 #include "train/train_run.h"
@@ -49,16 +50,19 @@ double render_all(const Session& s, const std::vector<NamedView>& views, const F
                   const AppContext& context) {
   const auto begin = std::chrono::steady_clock::now();
   std::future<void> written;
-  int done = 0;
+  ProgressLine progress(context, "rendered");
+  std::size_t done = 0;
+  const auto part_done = [&](double share) {
+    progress.show(static_cast<double>(done) + share, static_cast<double>(views.size()));
+  };
   for (const NamedView& view : views) {
-    RenderedFrame frame = render_named_frame(*s.pipeline, view.name, view.camera, s.limits, s.plan.class_of_logit);
+    RenderedFrame frame =
+        render_named_frame(*s.pipeline, view.name, view.camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
     if (written.valid()) written.get();
     written = std::async(std::launch::async, [&view, &sink, frame = std::move(frame)] { sink(view.name, frame); });
     ++done;
-    if (context.terminal && !context.quiet) std::fprintf(stderr, "\r\033[Krendered %d/%zu", done, views.size());
   }
   written.get();
-  if (context.terminal && !context.quiet) std::fputs("\n", stderr);
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   return seconds / static_cast<double>(done);
 }

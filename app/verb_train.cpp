@@ -8,6 +8,7 @@
 
 #include "config/compose.h"
 #include "plugin/loader.h"
+#include "progress_line.h"
 #include "signals.h"
 #include "train/run_folder.h"
 #include "train/train_run.h"
@@ -33,18 +34,13 @@ double parse_seconds(const std::string& text) {
   return value * factor;
 }
 
-std::string clock_text(double seconds) {
-  const auto s = static_cast<long>(std::lround(std::max(seconds, 0.0)));
-  return s >= 3600 ? fmt::format("{}:{:02}:{:02}", s / 3600, s / 60 % 60, s % 60)
-                   : fmt::format("{}:{:02}", s / 60, s % 60);
-}
-
 void print_progress(const AppContext& context, const TrainProgress& p) {
   if (context.quiet) return;
+  const std::string scored =
+      p.miou_present ? fmt::format("  miou_present {:.3f} ({})", *p.miou_present, p.scored.text()) : std::string();
   const std::string line =
-      fmt::format("step {}/{}  loss {:.4f}  psnr {:.2f}  miou {}  {:.0f} rays/s  {} elapsed  {} left", p.step, p.steps,
-                  p.loss, p.psnr, p.miou ? fmt::format("{:.3f}", *p.miou) : "-", p.rays_per_s, clock_text(p.train_s),
-                  clock_text(p.remaining_s));
+      fmt::format("step {}/{}  loss {:.4f}  train psnr {:.2f}{}  {:.0f} rays/s  {} elapsed  {} left", p.step, p.steps,
+                  p.loss, p.psnr, scored, p.rays_per_s, clock_text(p.train_s), clock_text(p.remaining_s));
   if (context.terminal) {
     std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), p.step >= p.steps ? "\n" : "");
     std::fflush(stderr);
@@ -63,6 +59,20 @@ std::string number(const std::vector<std::pair<std::string, std::optional<double
     if (key == name && value) return fmt::format(fmt::runtime(format), *value);
   }
   return "-";
+}
+
+// Figures of a part of the test frames have names of their own, so that nobody takes them for those of all.
+std::string scores_text(const TrainOutcome& outcome) {
+  const ScoredPart& part = outcome.scored;
+  const bool whole = part.frames == 0 || part.whole();
+  std::string text = whole ? "" : fmt::format("sample={}/{} ", part.frames, part.of);
+  if (part.stride > 1) text += fmt::format("sample_pixels=1/{} ", part.stride * part.stride);
+  const std::pair<const char*, const char*> figures[] = {
+      {"miou_present", "{:.4f}"}, {"total_accuracy", "{:.4f}"}, {"psnr", "{:.2f}"}, {"absrel", "{:.4f}"}};
+  for (const auto& [name, format] : figures)
+    text += fmt::format("{}{}={} ", whole ? "" : "sample_", name, number(outcome.values, name, format));
+  text.pop_back();
+  return text;
 }
 
 }  // namespace
@@ -93,7 +103,16 @@ int run_train(const TrainOptions& options, AppContext& context) {
   request.keep = options.keep;
   request.out_dir = resume ? options.resume : !options.out.empty() ? options.out : "runs/" + config.name;
   TrainHooks hooks;
-  hooks.progress = [&](const TrainProgress& p) { print_progress(context, p); };
+  std::optional<ProgressLine> scoring;
+  hooks.progress = [&](const TrainProgress& p) {
+    scoring.reset();  // one that a stop cut short
+    print_progress(context, p);
+  };
+  hooks.scoring = [&](const ScoreProgress& p) {
+    if (!scoring) scoring.emplace(context, fmt::format("scored {}", p.split));
+    scoring->show(p.done, static_cast<double>(p.frames));
+    if (p.done >= static_cast<double>(p.frames)) scoring.reset();
+  };
   hooks.note = [&](const std::string& text) { print_note(context, text); };
   hooks.stop_signal = stop_signal;
   hooks.save_request = take_save_request;
@@ -113,12 +132,11 @@ int run_train(const TrainOptions& options, AppContext& context) {
                                     outcome.step, outcome.run_dir));
     return 128 + outcome.signal;
   }
-  const auto& v = outcome.values;
-  std::printf(
-      "train: miou_present=%s total_accuracy=%s psnr=%s absrel=%s train_s=%.1f steps=%lld peak_mb=%zu report=%s\n",
-      number(v, "miou_present", "{:.4f}").c_str(), number(v, "total_accuracy", "{:.4f}").c_str(),
-      number(v, "psnr", "{:.2f}").c_str(), number(v, "absrel", "{:.4f}").c_str(), outcome.train_s,
-      static_cast<long long>(outcome.step), outcome.peak_bytes >> 20, outcome.report_path.c_str());
+  if (outcome.scored.frames == 0)
+    print_note(context, "the scene has no test frames, so the field was not scored; see `semfield inspect`");
+  std::printf("train: %s train_s=%.1f steps=%lld peak_mb=%zu report=%s\n", scores_text(outcome).c_str(),
+              outcome.train_s, static_cast<long long>(outcome.step), outcome.peak_bytes >> 20,
+              outcome.report_path.c_str());
   return 0;
 }
 

@@ -31,6 +31,7 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
     config.base_dir = std::filesystem::path(base).parent_path().string();
     config.runtime.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
     config.labels.selection.seed = e.seeds[use.seed];
+    config.report.eval_share = 0;  // cells are compared, so each scores every frame however long it takes
     // As many as the configuration says, else all; experiments that score held-out frames need none.
     if (e.split == "test") config.report.training_frames = 0;
     if (e.split == "train" && config.report.training_frames == 0) config.report.training_frames = 1000000;

@@ -52,8 +52,12 @@ std::optional<CellValues> read_cell_result(const std::string& path) {
 
 CellValues values_of_run(const std::string& metrics_path, const std::string& split) {
   const std::vector<MetricsRow> rows = read_metrics(metrics_path);
+  // Training frames are scored once, as many as the experiment asks for.
+  const auto scored = [&](const MetricsRow& row) {
+    return row.split == split || (split == "train" && row.split == split + kSampleSuffix);
+  };
   const auto last = std::find_if(rows.rbegin(), rows.rend(),
-                                 [&](const MetricsRow& row) { return row.kind == "eval" && row.split == split; });
+                                 [&](const MetricsRow& row) { return row.kind == "eval" && scored(row); });
   if (last == rows.rend())
     throw Error(ErrorKind::data, metrics_path + ": no evaluation of the split '" + split + "'",
                 "the scene needs frames in that split; see `semfield inspect`");

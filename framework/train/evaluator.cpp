@@ -6,8 +6,10 @@
 #include <cmath>
 #include <new>
 
+#include "core/check.h"
 #include "core/float_mode.h"
 #include "core/parallel.h"
+#include "train/pixel_stride.h"
 
 namespace semfield {
 
@@ -44,11 +46,15 @@ void in_chunks(std::int64_t pixels, const Render& render) {
 }  // namespace
 
 RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
-                           const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth) {
+                           const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth,
+                           const FrameOptions& options) {
+  SEMFIELD_CHECK(options.stride >= 1 && options.stride <= std::min(camera.camera.width_px, camera.camera.height_px),
+                 "a stride is at most the frame's shorter side");
   const ComputeFloatMode mode;
   RenderedFrame frame;
-  frame.width_px = camera.camera.width_px;
-  frame.height_px = camera.camera.height_px;
+  frame.stride = options.stride;
+  frame.width_px = strided_px(camera.camera.width_px, options.stride);
+  frame.height_px = strided_px(camera.camera.height_px, options.stride);
   const std::int64_t pixels = std::int64_t{frame.width_px} * frame.height_px;
   const auto size = static_cast<std::size_t>(pixels);
   const bool semantics = pipeline.has_semantics();
@@ -73,8 +79,7 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
   in_chunks(pixels, [&](std::int64_t begin, std::int64_t end, RayBuffers& rays) {
     const std::int64_t count = end - begin;
     for (std::int64_t i = 0; i < count; ++i) {
-      const auto column = static_cast<std::int32_t>((begin + i) % frame.width_px);
-      const auto row = static_cast<std::int32_t>((begin + i) / frame.width_px);
+      const auto [column, row] = strided_place(begin + i, frame.width_px, options.stride);
       const auto k = static_cast<std::size_t>(i);
       rays.cosine[k] =
           cast_ray(camera, limits, column, row, &rays.origin[3 * k], &rays.direction[3 * k], &rays.near_far[2 * k]);
@@ -100,10 +105,8 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
     try {
       pipeline.render(job);
     } catch (const RayFault& fault) {
-      const std::int64_t pixel = begin + fault.ray();
-      throw Error(fault.kind(),
-                  fmt::format("pixel x {}, y {}: {}", pixel % frame.width_px, pixel / frame.width_px, fault.message()),
-                  fault.remedy());
+      const auto [column, row] = strided_place(begin + fault.ray(), frame.width_px, options.stride);
+      throw Error(fault.kind(), fmt::format("pixel x {}, y {}: {}", column, row, fault.message()), fault.remedy());
     }
     for (std::int64_t i = 0; i < count; ++i) {
       frame.depth_m[static_cast<std::size_t>(begin + i)] *=
@@ -112,6 +115,7 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
       frame.resolution.opaque_px += found == OpacityResolution::clear ? 0 : 1;
       frame.resolution.under_resolved_px += found == OpacityResolution::under_resolved ? 1 : 0;
     }
+    if (options.progress) options.progress(static_cast<double>(end) / static_cast<double>(pixels));
   });
   for (float& value : frame.rgb) value = std::clamp(value, 0.0F, 1.0F);
   for (std::int16_t& label : frame.label)
@@ -121,9 +125,9 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
 
 RenderedFrame render_named_frame(Pipeline<float>& pipeline, const std::string& name, const RayCamera& camera,
                                  const RayLimits& limits, const ClassOfLogit& class_of_logit,
-                                 const std::vector<std::int16_t>& truth) {
+                                 const std::vector<std::int16_t>& truth, const FrameOptions& options) {
   try {
-    return render_frame(pipeline, camera, limits, class_of_logit, truth);
+    return render_frame(pipeline, camera, limits, class_of_logit, truth, options);
   } catch (Error& error) {
     throw error.while_doing("while rendering frame '" + name + "'");
   }
@@ -178,34 +182,39 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
                     const ClassOfLogit& class_of_logit) {
   const bool semantics = pipeline.has_semantics();
   SplitScore score(semantics ? job.classes : 0, limits.far_m);
+  std::function<void(double)> part_done;
+  if (job.progress) part_done = [&](double share) { job.progress(static_cast<double>(score.frames.size()) + share); };
   for (const int index : job.frames) {
     if (job.stop && job.stop()) break;
     const FrameInfo& info = (*job.infos)[static_cast<std::size_t>(index)];
     const StoredFrame& stored = (*job.buffers)[static_cast<std::size_t>(index)];
     const RayCamera camera{info.camera, info.world_from_camera, job.undistort};
-    const std::vector<std::int16_t> truth = stored.label.expand();
-    const RenderedFrame frame = render_named_frame(pipeline, info.name, camera, limits, class_of_logit, truth);
-    std::vector<float> truth_rgb(stored.rgb.size());
-    for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(stored.rgb[i]) / 255.0F;
+    const std::int32_t width = info.camera.width_px, height = info.camera.height_px;
+    const std::vector<std::int16_t> truth = strided(stored.label.expand(), width, height, 1, job.stride);
+    const RenderedFrame frame =
+        render_named_frame(pipeline, info.name, camera, limits, class_of_logit, truth, {job.stride, part_done});
+    const std::vector<std::uint8_t> stored_rgb = strided(stored.rgb, width, height, 3, job.stride);
+    std::vector<float> truth_rgb(stored_rgb.size());
+    for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(stored_rgb[i]) / 255.0F;
     ColorError color;
-    const std::optional<double> similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3);
+    std::optional<double> similarity;
+    if (job.stride == 1) similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3);
     ConfusionMatrix confusion(semantics ? job.classes : 0);
     Calibration calibration;
     DepthError depth(limits.far_m);
     const bool labels = semantics && !truth.empty();
-    const std::function<void()> measures[] = {[&] { color.add(truth_rgb, frame.rgb); },
-                                              [&] {
-                                                if (labels) confusion.add(truth, frame.label);
-                                              },
-                                              [&] {
-                                                if (labels)
-                                                  calibration.add(frame.confidence, frame.truth_probability,
-                                                                  frame.label, truth);
-                                              },
-                                              [&] {
-                                                if (!stored.depth_m.empty())
-                                                  depth.add(stored.depth_m.expand(), frame.depth_m);
-                                              }};
+    const std::function<void()> measures[] = {
+        [&] { color.add(truth_rgb, frame.rgb); },
+        [&] {
+          if (labels) confusion.add(truth, frame.label);
+        },
+        [&] {
+          if (labels) calibration.add(frame.confidence, frame.truth_probability, frame.label, truth);
+        },
+        [&] {
+          if (!stored.depth_m.empty())
+            depth.add(strided(stored.depth_m.expand(), width, height, 1, job.stride), frame.depth_m);
+        }};
     parallel_for(std::ssize(measures), [&](std::int64_t i) { measures[i](); });
     score.resolution.opaque_px += frame.resolution.opaque_px;
     score.resolution.under_resolved_px += frame.resolution.under_resolved_px;

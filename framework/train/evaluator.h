@@ -30,6 +30,7 @@ struct OpacityCounts {
 /// Maps of one frame, row-major. Label, entropy and confidence are empty without semantics.
 struct RenderedFrame {
   std::int32_t width_px = 0, height_px = 0;
+  std::int32_t stride = 1;               ///< of the frame's pixels (pixel_stride.h)
   std::vector<float> rgb;                ///< [H * W * 3] in [0, 1]
   std::vector<float> depth_m;            ///< [H * W] z-depth, expected depth sum w t (not divided by opacity)
   std::vector<float> opacity;            ///< [H * W]
@@ -43,13 +44,20 @@ struct RenderedFrame {
 /// Which class each logit stands for; empty without semantics.
 using ClassOfLogit = std::vector<int>;
 
-/// `truth` [H * W] class indices, or empty. A value that is not finite is an Error that names the pixel.
+struct FrameOptions {
+  std::int32_t stride = 1;               ///< pixels taken (pixel_stride.h); maps are smaller by it
+  std::function<void(double)> progress;  ///< share of the pixels that are done, 0 to 1; may be null
+};
+
+/// `truth` [H * W] class indices of the pixels rendered, or empty. A value that is not finite is an Error that names
+/// the pixel.
 RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
-                           const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth = {});
+                           const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth = {},
+                           const FrameOptions& options = {});
 /// The same; an Error names the frame too.
 RenderedFrame render_named_frame(Pipeline<float>& pipeline, const std::string& name, const RayCamera& camera,
                                  const RayLimits& limits, const ClassOfLogit& class_of_logit,
-                                 const std::vector<std::int16_t>& truth = {});
+                                 const std::vector<std::int16_t>& truth = {}, const FrameOptions& options = {});
 
 struct FrameScore {
   int frame = 0;
@@ -83,6 +91,9 @@ struct EvalJob {
   std::vector<int> frames;
   int classes = 0;
   bool undistort = true;
+  std::int32_t stride = 1;  ///< above 1 SSIM has no value: it needs neighbours
+  /// Called with the number of frames that are done, parts of one included; may be null.
+  std::function<void(double)> progress;
   /// Called after each frame with its scores and maps; may be null.
   std::function<void(const FrameScore&, const RenderedFrame&)> on_frame;
   /// Asked between frames; true ends the evaluation early.

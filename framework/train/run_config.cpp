@@ -79,6 +79,10 @@ void describe(ParamVisitor& visit, ReportParams& p) {
                  {0, 1e8});
   SEMFIELD_PARAM(visit, p, eval_frames,
                  "test frames of an evaluation while training, evenly spaced; the last one takes all", {1, 1e6});
+  SEMFIELD_PARAM(visit, p, eval_share,
+                 "share of the training time that evaluation may take: while training fewer pixels and fewer times, at "
+                 "the end of a time limit fewer frames, which is said; 0: no bound",
+                 {0, 1e6});
   SEMFIELD_PARAM(visit, p, checkpoint_every_s, "seconds between checkpoints; 0: only at the end", {0, 1e8});
   SEMFIELD_PARAM(visit, p, keep_checkpoints, "checkpoints that stay on disk", {2, 1e6});
   SEMFIELD_PARAM(visit, p, strips, "test frames shown in the report", {0, 64});

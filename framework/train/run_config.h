@@ -97,6 +97,7 @@ struct ReportParams {
   std::int64_t log_every_steps = 20;
   double eval_every_s = 10;
   int eval_frames = 4;
+  double eval_share = 0.1;
   double checkpoint_every_s = 60;
   int keep_checkpoints = 2;
   int strips = 4;

@@ -7,6 +7,7 @@
 #include "core/files.h"
 #include "scene/image_io.h"
 #include "train/image_output.h"
+#include "train/pixel_stride.h"
 #include "train/report.h"
 
 namespace semfield {
@@ -22,12 +23,15 @@ void write_strip(const RunFolder& folder, const Session& s, int frame, const Ren
   const auto rgb = [&](const char* kind, const std::vector<std::uint8_t>& pixels) {
     write_png_rgb(path(kind), size.width_px, size.height_px, pixels);
   };
-  rgb("rgb_truth", truth.rgb);
+  const Camera& camera = info.camera;
+  rgb("rgb_truth", strided(truth.rgb, camera.width_px, camera.height_px, 3, maps.stride));
   write_color(path("rgb"), size, maps.rgb);
   const DepthRange range = robust_depth_range(truth.depth_m.empty() ? maps.depth_m : truth.depth_m.expand());
   rgb("depth_vis", depth_colors(maps.depth_m, range.near_m, range.far_m));
   if (maps.label.empty()) return;
-  if (!truth.label.empty()) rgb("label_truth_vis", label_colors(truth.label.expand(), s.scene.info.classes));
+  if (!truth.label.empty())
+    rgb("label_truth_vis", label_colors(strided(truth.label.expand(), camera.width_px, camera.height_px, 1, maps.stride),
+                                        s.scene.info.classes));
   write_label_ids(path("label"), size, maps.label, s.scene.info.classes);
   rgb("label_vis", label_colors(maps.label, s.scene.info.classes));
   rgb("entropy_vis", entropy_colors(maps.entropy, static_cast<int>(s.plan.class_of_logit.size())));

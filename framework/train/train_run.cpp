@@ -18,7 +18,6 @@
 #include "train/run_folder.h"
 #include "train/run_identity.h"
 #include "train/run_report.h"
-#include "train/run_scores.h"
 #include "train/trainer.h"
 
 namespace semfield {
@@ -26,6 +25,8 @@ namespace semfield {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+
+double steady_seconds() { return std::chrono::duration<double>(Clock::now().time_since_epoch()).count(); }
 
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
@@ -90,7 +91,10 @@ class Run {
     EventWriter events(folder_.path(), unix_seconds());
     log_ = &log;
     events_ = &events;
-    scores_.emplace(session_, ScoreFiles{folder_, log, events}, ScoreHooks{hooks_.note, hooks_.stop_signal});
+    scores_.emplace(
+        session_, ScoreFiles{folder_, log, events},
+        ScoreHooks{hooks_.note, hooks_.scoring, hooks_.stop_signal, hooks_.now_s ? hooks_.now_s : steady_seconds},
+        moment());
     const RunConfig& config = session_.config;
     last_checkpoint_ = last_progress_ = Clock::now();
     next_eval_s_ = config.report.eval_every_s > 0
@@ -132,9 +136,8 @@ class Run {
     if (hooks_.stop_signal) signal = hooks_.stop_signal();  // one that came during the save
     TrainOutcome outcome;
     if (signal == 0) {
-      if (config.report.eval_every_s > 0) scores_->score_sample(moment());  // the curve's last point
-      outcome.values = scores_->score_test_frames(moment());
-      if (config.report.training_frames > 0) scores_->score_training_frames(moment());
+      outcome.values = scores_->score_end(moment());
+      outcome.scored = scores_->last_part();
     }
     outcome.signal = signal;
     outcome.step = trainer_->step();
@@ -212,7 +215,8 @@ class Run {
     p.steps = config.train.steps;
     p.loss = losses.total;
     p.psnr = psnr;
-    p.miou = scores_->last_miou();
+    p.miou_present = scores_->last_miou_present();
+    p.scored = scores_->last_part();
     p.rays_per_s = rays_per_s;
     p.train_s = train_s_;
     const double per_step = train_s_ / static_cast<double>(std::max<std::int64_t>(p.step, 1));

@@ -8,15 +8,16 @@
 #include <vector>
 
 #include "train/run_config.h"
-#include "train/session.h"
+#include "train/run_scores.h"
 
 namespace semfield {
 
 struct TrainProgress {
   std::int64_t step = 0, steps = 0;
   double loss = 0;
-  double psnr = 0;             ///< of the training rays since the last progress
-  std::optional<double> miou;  ///< of the last evaluation
+  double psnr = 0;                     ///< of the training rays since the last progress
+  std::optional<double> miou_present;  ///< of the last evaluation
+  ScoredPart scored;                   ///< which scored these test frames
   double rays_per_s = 0;
   double train_s = 0;      ///< seconds of training, evaluation not counted
   double remaining_s = 0;  ///< estimate
@@ -24,12 +25,14 @@ struct TrainProgress {
 
 struct TrainHooks {
   std::function<void(const TrainProgress&)> progress;
+  std::function<void(const ScoreProgress&)> scoring;  ///< an evaluation is under way
   std::function<void(const std::string&)> note;
   std::function<int()> stop_signal;    ///< 0, or the number of the signal that asks for an orderly end
   std::function<bool()> save_request;  ///< whether a checkpoint was asked for since the last call
   /// true: from now on a stop waits for the step under way and its checkpoint; false: nothing is left to save, so the
   /// process may end at once.
   std::function<void(bool)> stop_waits;
+  std::function<double()> now_s;  ///< a clock for what evaluations take; null: the machine's
 };
 
 struct TrainRequest {
@@ -43,8 +46,9 @@ struct TrainOutcome {
   std::int64_t step = 0;
   double train_s = 0;
   std::string run_dir, report_path;
-  std::vector<std::pair<std::string, std::optional<double>>> values;  ///< test split, final evaluation
-  std::size_t peak_bytes = 0;                                         ///< of the process
+  ScoreValues values;          ///< test split, final evaluation
+  ScoredPart scored;           ///< the frames that `values` are of
+  std::size_t peak_bytes = 0;  ///< of the process
 };
 
 TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, const TrainHooks& hooks);
