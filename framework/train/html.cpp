@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 
 namespace semfield {
@@ -65,7 +66,8 @@ std::string figure_text(double value, int digits) {
   if (size != 0 && (size < 1e-4 || size >= 1e6)) {
     text = fmt::format("{:.{}e}", value, digits - 1);
   } else {
-    const int whole = size < 1 ? (size == 0 ? 1 : 1 + static_cast<int>(std::floor(std::log10(size)))) : static_cast<int>(std::floor(std::log10(size))) + 1;
+    const int whole = size < 1 ? (size == 0 ? 1 : 1 + static_cast<int>(std::floor(std::log10(size))))
+                               : static_cast<int>(std::floor(std::log10(size))) + 1;
     text = fmt::format("{:.{}f}", value, std::max(0, digits - whole));
   }
   if (text.starts_with('-')) text.replace(0, 1, "−");  // a minus sign, not a hyphen
