@@ -7,6 +7,7 @@
 #include <filesystem>
 
 #include "config/compose.h"
+#include "core/words.h"
 #include "plugin/loader.h"
 #include "progress_line.h"
 #include "signals.h"
@@ -120,7 +121,7 @@ int run_train(const TrainOptions& options, AppContext& context) {
     stop_waits(waits, waits || context.quiet ? std::string()
                                              : fmt::format("\nstopped; every step is saved, go on with: semfield train "
                                                            "--resume {}\n",
-                                                           request.out_dir));
+                                                           shell_word(request.out_dir)));
   };
   install_stop_signals();
   install_save_signal();
@@ -129,7 +130,7 @@ int run_train(const TrainOptions& options, AppContext& context) {
   if (context.terminal && !context.quiet) std::fputs("\n", stderr);
   if (outcome.signal != 0) {
     print_note(context, fmt::format("stopped at step {} after its checkpoint; go on with: semfield train --resume {}",
-                                    outcome.step, outcome.run_dir));
+                                    outcome.step, shell_word(outcome.run_dir)));
     return 128 + outcome.signal;
   }
   if (outcome.scored.frames == 0)

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "core/files.h"
+#include "core/words.h"
 
 namespace semfield::testing_program {
 
@@ -31,11 +32,11 @@ inline std::string program() {
   return other != nullptr ? other : SEMFIELD_BINARY;
 }
 
-/// program() with `words`, in `folder`, where its output is kept too;
+/// program() with `words`, shell text in which a path is a shell_word, in `folder`, where its output is kept too;
 /// `before` is shell text in front of it.
 inline Result semfield_run(const std::string& words, const std::string& folder, const std::string& before = "") {
-  const std::string command = "cd '" + folder + "' && " + before + "'" + program() + "' " + words + " >'" + folder +
-                              "/stdout' 2>'" + folder + "/stderr' </dev/null";
+  const std::string command = "cd " + shell_word(folder) + " && " + before + shell_word(program()) + " " + words +
+                              " >stdout 2>stderr </dev/null";
   const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of a test
   return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
           read_text_file(folder + "/stderr")};

@@ -65,6 +65,17 @@ bool is_line_of_text(std::string_view text) {
   return true;
 }
 
+std::string shell_word(std::string_view text) {
+  const auto plain = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+           std::string_view("_@%+=:,./-").find(c) != std::string_view::npos;
+  };
+  if (!text.empty() && std::all_of(text.begin(), text.end(), plain)) return std::string(text);
+  std::string word = "'";
+  for (const char c : text) word += c == '\'' ? std::string("'\\''") : std::string(1, c);
+  return word + "'";
+}
+
 std::string json_cause(const std::string& message) {
   const std::size_t end = message.find("] ");
   return !message.empty() && message[0] == '[' && end != std::string::npos ? message.substr(end + 2) : message;

@@ -25,6 +25,10 @@ std::size_t utf8_length(std::string_view text, std::size_t i);
 /// which go into messages, tables and names of other files.
 bool is_line_of_text(std::string_view text);
 
+/// The text as one word of a POSIX shell: as it stands where it can, else in single quotes. For commands that a message
+/// names, so that they work as written.
+std::string shell_word(std::string_view text);
+
 /// A parser's message of nlohmann-json without its number: "parse error at line 1, column 5: ...".
 std::string json_cause(const std::string& message);
 

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <filesystem>
 
+#include "core/sorted_folder.h"
+
 namespace semfield {
 
 namespace {
@@ -114,15 +116,15 @@ bool check_folder(const std::string& folder, const std::string& pattern, Diagnos
   if (!check_folder(folder, diagnostics)) return false;
   const std::string before = pattern.substr(0, pattern.find('{')), after = pattern.substr(pattern.rfind('}') + 1);
   if (before.find('/') != std::string::npos || after.find('/') != std::string::npos) return true;
-  std::string other;  // the first by name, so that the message is the same every time
-  for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+  std::string other;
+  for (const auto& entry : sorted_folder(folder)) {
     const std::string name = entry.path().filename().string();
     // Names of frames may have slashes: what lies in the folders below is not looked at.
     if (entry.is_directory() ||
         (name.size() >= before.size() + after.size() && name.starts_with(before) && name.ends_with(after))) {
       return true;
     }
-    if (other.empty() || name < other) other = name;
+    if (other.empty()) other = name;
   }
   diagnostics.error("pattern", "no file in '" + folder + "' is named like '" + pattern + "'",
                     other.empty() ? "the folder is empty" : "there is for example '" + other + "'");

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
+#include "core/sorted_folder.h"
 #include "core/words.h"
 #include "labels/label_files.h"
 #include "labels/label_readers.h"
@@ -132,14 +133,12 @@ class LabelmeReader : public LabelReader {
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     files_.clear();
     if (!check_folder(folder, diagnostics)) return {};
-    std::vector<std::string> paths;
-    for (const auto& entry : std::filesystem::directory_iterator(folder)) {
-      if (entry.is_regular_file() && entry.path().extension() == ".json") paths.push_back(entry.path().string());
-    }
-    std::sort(paths.begin(), paths.end());
     ProblemList problems(diagnostics);
     std::map<std::string, std::string> place_of_name;
-    for (const std::string& path : paths) problems.collect([&] { load(path, place_of_name, diagnostics); });
+    for (const auto& entry : sorted_folder(folder)) {
+      if (entry.is_regular_file() && entry.path().extension() == ".json")
+        problems.collect([&] { load(entry.path().string(), place_of_name, diagnostics); });
+    }
     if (files_.empty() && problems.count() == 0)
       problems.error("folder", "no labelme file (*.json) in '" + folder + "'", "check the path");
     return table_for(place_of_name, known, problems);

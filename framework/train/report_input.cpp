@@ -10,6 +10,7 @@
 
 #include "core/error.h"
 #include "core/files.h"
+#include "core/sorted_folder.h"
 #include "scene/class_table.h"
 #include "train/report.h"
 
@@ -29,7 +30,9 @@ constexpr std::array<ImageKind, 6> kKinds{{{"_rgb_truth.png", "colour, truth"},
                                            {"_entropy_vis.png", "entropy"},
                                            {"_depth_vis.png", "depth"}}};
 
-std::string text_or_empty(const std::string& path) { return fs::is_regular_file(path) ? read_text_file(path) : std::string(); }
+std::string text_or_empty(const std::string& path) {
+  return fs::is_regular_file(path) ? read_text_file(path) : std::string();
+}
 
 // Folder name, or with its parent's when another run has the same.
 std::string unique_name(const fs::path& folder, std::set<std::string>& taken) {
@@ -55,7 +58,7 @@ ReportStrip read_strip(const fs::path& folder, const std::string& name, const st
 std::vector<ReportStrip> read_strips(const fs::path& folder, int most_frames, const std::set<std::string>& apart) {
   std::set<std::string> frames, with_truth;  // frames shown beside their truth come first
   if (fs::is_directory(folder)) {
-    for (const fs::directory_entry& entry : fs::directory_iterator(folder)) {
+    for (const fs::directory_entry& entry : sorted_folder(folder.string())) {
       const std::string name = entry.path().filename().string();
       if (name.ends_with("_rgb.png")) frames.insert(name.substr(0, name.size() - 8));
       if (name.ends_with("_rgb_truth.png")) with_truth.insert(name.substr(0, name.size() - 14));
@@ -83,13 +86,15 @@ std::vector<WorstFrame> parse_worst_frames(std::string_view json, const std::str
   try {
     for (const nlohmann::json& row : nlohmann::json::parse(json)) frames.push_back({row.at("frame"), row.at("score")});
   } catch (const nlohmann::json::exception& e) {
-    throw Error(ErrorKind::data, fmt::format("'{}' cannot be read: {}", name, e.what()), "delete it; a report does without");
+    throw Error(ErrorKind::data, fmt::format("'{}' cannot be read: {}", name, e.what()),
+                "delete it; a report does without");
   }
   return frames;
 }
 
 ReportInput read_report_input(const std::vector<std::string>& run_folders, int most_frames) {
-  if (run_folders.empty()) throw Error(ErrorKind::usage, "a report needs a run folder", "give one or more folders that `train` printed");
+  if (run_folders.empty())
+    throw Error(ErrorKind::usage, "a report needs a run folder", "give one or more folders that `train` printed");
   ReportInput input;
   std::set<std::string> taken;
   std::vector<std::string> names;

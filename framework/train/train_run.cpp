@@ -12,6 +12,7 @@
 #include "core/gemm_engine.h"
 #include "core/memory_limit.h"
 #include "core/parallel.h"
+#include "core/words.h"
 #include "train/checkpoint_store.h"
 #include "train/final_eval.h"
 #include "train/leave_out_proofs.h"
@@ -78,7 +79,7 @@ class Run {
       if (writing && error.message().starts_with("cannot ")) {
         const std::string kept = error.context().empty() ? checkpoints_.kept_text() + "; " : "";  // a save has said it
         error.while_doing(fmt::format("training ended at step {} ({}go on with `semfield train --resume {}`)",
-                                      trainer_->step(), kept, folder_.path()));
+                                      trainer_->step(), kept, shell_word(folder_.path())));
       }
       throw;
     }
@@ -307,7 +308,7 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   std::optional<CheckpointStore::Found> found = store.find_latest(diagnostics);
   if (!found) {
     throw Error(ErrorKind::no_input, run_dir + ": the run has no checkpoint yet",
-                "go on with `semfield train --resume " + run_dir + "`");
+                "go on with `semfield train --resume " + shell_word(run_dir) + "`");
   }
   RunConfig config = load_run_config(folder.config_path(), overrides, registry);
   SessionOptions options;

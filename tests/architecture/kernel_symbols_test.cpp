@@ -1,6 +1,6 @@
-// Kernel files are compiled once per instruction set. A function that such a file shares with others (an inline one that
-// was not inlined, an instantiated template of the standard library) is kept once by the linker, perhaps the copy of an
-// instruction set that the processor lacks: the program would die on machines that no developer has.
+// Kernel files are compiled once per instruction set. A function that such a file shares with others (an inline one
+// that was not inlined, an instantiated template of the standard library) is kept once by the linker, perhaps the copy
+// of an instruction set that the processor lacks: the program would die on machines that no developer has.
 #include <gtest/gtest.h>
 
 #include <array>
@@ -8,6 +8,8 @@
 #include <fstream>
 #include <sstream>
 #include <string>
+
+#include "core/words.h"
 
 namespace semfield {
 namespace {
@@ -27,7 +29,7 @@ TEST(KernelSymbols, NoFunctionIsSharedBetweenInstructionSets) {
   for (std::string object; std::getline(list, object);) {
     if (object.empty()) continue;
     ++objects;
-    std::istringstream lines(output_of("nm --demangle --defined-only '" + object + "'"));
+    std::istringstream lines(output_of("nm --demangle --defined-only " + shell_word(object)));
     for (std::string line; std::getline(lines, line);) {
       // "0000000000000000 W name": W are shared functions, u shared variables (V, type descriptions, hold no code).
       if (line.size() < 20) continue;

@@ -162,10 +162,7 @@ TEST_P(BadFiles, AreRefusedWithPlaceCauseAndRemedy) {
     EXPECT_FALSE(one.says.empty()) << said;
     for (const std::string& part : one.says)
       EXPECT_NE(said.find(part), std::string::npos) << "not said: " << part << "\nbut: " << said;
-    if (kMeasured) {
-      EXPECT_LE(outcome.cpu_s, one.most_s);
-      EXPECT_LE(outcome.peak_kib, one.most_mib << 10);
-    }
+    if (kMeasured) EXPECT_LE(outcome.peak_kib, one.most_mib << 10);
     slowest_s = std::max(slowest_s, outcome.cpu_s);
     largest_kib = std::max(largest_kib, outcome.peak_kib);
     fs::remove_all(root);

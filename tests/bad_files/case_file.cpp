@@ -190,9 +190,7 @@ CaseFile read_cases(const std::string& path) {
     } else if (verb == "run") {
       out.cases.back().words = rest_of(words);
     } else if (verb == "within") {
-      double milliseconds = 0;
-      if (!(words >> milliseconds >> out.cases.back().most_mib)) fail(place, "within MILLISECONDS MEBIBYTES");
-      out.cases.back().most_s = milliseconds / 1000;
+      if (!(words >> out.cases.back().most_mib)) fail(place, "within MEBIBYTES");
     } else if (verb == "says") {
       words >> out.cases.back().code;
       out.cases.back().says.push_back(rest_of(words));

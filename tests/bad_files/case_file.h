@@ -24,7 +24,6 @@ struct Case {
   std::vector<Edit> edits;
   std::string words;  ///< of the command line
   int code = -1;
-  double most_s = 2;              ///< of the processor: a busy machine makes nothing wrong slow
   long most_mib = 256;            ///< at its peak
   std::vector<std::string> says;  ///< parts of what is written to stderr or stdout; ROOT stands for the case's folder
 };

@@ -1,6 +1,7 @@
 // `semfield bench step` on narrow networks: its words, its last line, and that steps allocate nothing.
 #include <gtest/gtest.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include <array>
 #include <cstdio>
@@ -8,6 +9,8 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <regex>
+
+#include "core/words.h"
 
 namespace semfield {
 namespace {
@@ -21,7 +24,7 @@ struct Result {
 
 Result run(const std::string& words) {
   Result result;
-  FILE* const pipe = popen((std::string(SEMFIELD_PROGRAM " -q ") + words + " 2>&1").c_str(), "r");
+  FILE* const pipe = popen((shell_word(SEMFIELD_PROGRAM) + " -q " + words + " 2>&1").c_str(), "r");
   std::array<char, 4096> buffer{};
   while (fgets(buffer.data(), static_cast<int>(buffer.size()), pipe) != nullptr) result.out += buffer.data();
   result.code = WEXITSTATUS(pclose(pipe));
@@ -77,14 +80,14 @@ TEST(BenchVerb, WithoutAPeerItSaysWhy) {
 
 // An interpreter that answers as the peer's script does, always with the same time.
 TEST(BenchVerb, RatiosAreOfRatesBesideThePeer) {
-  const std::string fake = testing::TempDir() + "fake_python";
+  const std::string fake = testing::TempDir() + "fake_python_" + std::to_string(::getpid());
   std::ofstream(fake) << "#!/bin/sh\n[ \"$1\" = -c ] && exit 0\n"
                          "echo '{\"torch\": \"0\", \"threads\": 2, \"blas\": \"openblas\"}'\n"
                          "while read -r line; do\n"
                          "  case $line in *hash*) echo '{\"seconds\": 2.0}';; *) echo '{\"seconds\": 3.0}';; esac\n"
                          "done\n";
   chmod(fake.c_str(), 0755);
-  const Result r = run(std::string("--json ") + kTiny + "--peers --python " + fake);
+  const Result r = run(std::string("--json ") + kTiny + "--peers --python " + shell_word(fake));
   ASSERT_EQ(r.code, 0) << r.out;
   const json out = json::parse(r.out);
   ASSERT_GE(out["peers"].size(), 4u) << r.out;

@@ -1,5 +1,6 @@
 // Rules of the rendering integral: references, the orders and constants that theory predicts, and `bench quadrature`.
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <cmath>
 #include <filesystem>
@@ -197,7 +198,7 @@ TEST(QuadratureBench, CrossingsAreWhereTheCurveStaysBelow) {
 }
 
 TEST(QuadratureVerb, WritesTablesPlotsAndJson) {
-  const std::string folder = testing::TempDir() + "bench_quadrature";
+  const std::string folder = testing::TempDir() + "bench_quadrature_" + std::to_string(::getpid());
   fs::remove_all(folder);
   fs::create_directories(folder);
   const auto r = testing_program::semfield_run("-q bench quadrature --rays 64 --out out", folder);

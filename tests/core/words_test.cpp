@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdio>
 
 namespace semfield {
 namespace {
@@ -45,6 +46,18 @@ TEST(Words, CharactersOfUtf8) {
   EXPECT_EQ(utf8_length(text, 6), 4u);
   for (const char* bad : {"\x96", "\xC3", "\xC0\xAF", "\xED\xA0\x80", "\xF5\x80\x80\x80"})
     EXPECT_EQ(utf8_length(bad, 0), 0u);
+}
+
+TEST(Words, AShellReadsAShellWordAsTheText) {
+  EXPECT_EQ(shell_word("runs/room_2,a=b"), "runs/room_2,a=b");
+  EXPECT_EQ(shell_word(""), "''");
+  for (const std::string text : {"a b's", "it's", "$HOME `id` \"x\" \\ !", "*", "~", "a\nb", "-x y", "\xC3\xA9"}) {
+    FILE* const shell = popen(("printf %s " + shell_word(text)).c_str(), "r");
+    std::string read;
+    for (int c = std::fgetc(shell); c != EOF; c = std::fgetc(shell)) read += static_cast<char>(c);
+    EXPECT_EQ(pclose(shell), 0);
+    EXPECT_EQ(read, text);
+  }
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // Configurations in the documents are read by the program; the tables of sections are those of the declarations.
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <cstdlib>
 #include <filesystem>
@@ -72,9 +73,14 @@ TEST(LabelExperimentsPage, TablesOfDegradationsAreFresh) {
 
 // A block marked `yaml` is a whole configuration, saved in configs/ as the text around it says.
 TEST(ConfigurationPage, EveryYamlBlockIsRead) {
-  const fs::path folder = fs::path(testing::TempDir()) / "semfield_docs_configs";
-  fs::remove_all(folder);
-  fs::copy(fs::path(SEMFIELD_SOURCE_DIR) / "configs", folder, fs::copy_options::recursive);
+  const fs::path folder = fs::path(testing::TempDir()) / ("semfield_docs_configs_" + std::to_string(::getpid()));
+  const fs::path configs = fs::path(SEMFIELD_SOURCE_DIR) / "configs";
+  for (const auto& entry : fs::recursive_directory_iterator(configs)) {  // by content: the originals may be read-only
+    if (!entry.is_regular_file()) continue;
+    const fs::path copy = folder / fs::relative(entry.path(), configs);
+    fs::create_directories(copy.parent_path());
+    write_file_atomic(copy.string(), read_text_file(entry.path().string()));
+  }
   int read = 0;
   for (const std::string& path : all_pages()) {
     for (const Block& block : blocks_of(page(path))) {

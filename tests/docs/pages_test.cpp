@@ -11,6 +11,8 @@
 #include <regex>
 #include <set>
 
+#include "core/words.h"
+
 namespace semfield::docs {
 namespace {
 
@@ -95,7 +97,7 @@ std::string output_of(const std::string& command) {
 
 // Help of a verb and of the words below it.
 std::string help_of(const std::string& verb) {
-  std::string help = output_of(std::string(SEMFIELD_PROGRAM) + " " + verb + " --help");
+  std::string help = output_of(shell_word(SEMFIELD_PROGRAM) + " " + verb + " --help");
   const std::size_t list = help.find("Subcommands:");
   if (list == std::string::npos) return help;
   for (const std::string& word : matches(help.substr(list), R"(\n  ([a-z-]+) )"))

@@ -40,7 +40,7 @@ std::string write_scene(const TempDir& dir, bool with_depth = true) {
 TEST(FuseVerb, LinesJsonAndMaps) {
   const TempDir dir;
   const std::string config = write_scene(dir);
-  const Result lines = semfield("fuse " + config + " --method monocular,bayesian", dir);
+  const Result lines = semfield("fuse " + shell_word(config) + " --method monocular,bayesian", dir);
   ASSERT_EQ(lines.code, 0) << lines.err;
   EXPECT_EQ(lines.out.find("fuse: method=monocular depth=true miou_present=1.0000 miou=1.0000 total_accuracy=1.0000 "
                            "average_accuracy=1.0000 filled=0 views=1.0000\nfuse: method=bayesian depth=true "),
@@ -48,8 +48,9 @@ TEST(FuseVerb, LinesJsonAndMaps) {
       << lines.out;
   EXPECT_NE(lines.err.find("predictions are the scene's own labels"), std::string::npos) << lines.err;
 
-  const Result r =
-      semfield("fuse " + config + " --json --set fuse.relative_tolerance=0.03 --out " + (dir / "maps"), dir);
+  const Result r = semfield(
+      "fuse " + shell_word(config) + " --json --set fuse.relative_tolerance=0.03 --out " + shell_word(dir / "maps"),
+      dir);
   ASSERT_EQ(r.code, 0) << r.err;
   const auto rows = nlohmann::json::parse(r.out);
   ASSERT_EQ(rows.size(), 3u);
@@ -82,9 +83,9 @@ TEST(FuseVerb, LinesJsonAndMaps) {
 TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
   const TempDir dir;
   const std::string config = write_scene(dir);
-  ASSERT_EQ(semfield("train " + config + " --steps 200 --out " + (dir / "run"), dir).code, 0);
-  const Result r = semfield("fuse " + config + " --json --depth-from " + (dir / "run") + " --set fuse.tolerance=0.2 " +
-                                "--out " + (dir / "maps"),
+  ASSERT_EQ(semfield("train " + shell_word(config) + " --steps 200 --out " + shell_word(dir / "run"), dir).code, 0);
+  const Result r = semfield("fuse " + shell_word(config) + " --json --depth-from " + shell_word(dir / "run") +
+                                " --set fuse.tolerance=0.2 " + "--out " + shell_word(dir / "maps"),
                             dir);
   ASSERT_EQ(r.code, 0) << r.err;
   const auto rows = nlohmann::json::parse(r.out);
@@ -105,8 +106,10 @@ TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
   Diagnostics diagnostics;
   const SceneInfo info = scene->open(diagnostics);
   write_packed_scene(dir / "other.sfpack", info, [&](int frame, FrameBuffer& b) { scene->read(frame, b); });
-  const Result other = semfield(
-      "fuse " + config + " --set scene.file=" + (dir / "other.sfpack") + " --depth-from " + (dir / "run"), dir);
+  const Result other =
+      semfield("fuse " + shell_word(config) + " --set " + shell_word("scene.file=" + (dir / "other.sfpack")) +
+                   " --depth-from " + shell_word(dir / "run"),
+               dir);
   EXPECT_EQ(other.code, 65);
   EXPECT_NE(other.err.find("the camera stands elsewhere in the scene of"), std::string::npos) << other.err;
 }
@@ -120,7 +123,7 @@ TEST(FuseVerb, RealProbabilities) {
       yaml.find("{type: analytic_room}"), 21,
       "{type: transforms_json, root: " + root + ", labels: {from: {type: npz, folder: " + root + "/predictions}}}");
   write_file_atomic(dir / "config.yaml", yaml);
-  const Result r = semfield("fuse " + (dir / "config.yaml") + " --json", dir);
+  const Result r = semfield("fuse config.yaml --json", dir);
   ASSERT_EQ(r.code, 0) << r.err;
   const auto rows = nlohmann::json::parse(r.out);
   ASSERT_EQ(rows.size(), 3u);
@@ -134,7 +137,7 @@ TEST(FuseVerb, Refusals) {
   const TempDir dir;
   const std::string config = write_scene(dir, false);
   const auto refused = [&](const std::string& words, int code, const std::string& message) {
-    const Result r = semfield("fuse " + config + " " + words, dir);
+    const Result r = semfield("fuse " + shell_word(config) + " " + words, dir);
     EXPECT_EQ(r.code, code) << words;
     EXPECT_NE(r.err.find(message), std::string::npos) << r.err;
     EXPECT_TRUE(r.out.empty()) << r.out;
@@ -144,7 +147,7 @@ TEST(FuseVerb, Refusals) {
   refused("--depth false", 2, "--depth false: expected true or learned");
   refused("--depth true --depth-from x", 2, "exclude each other");
   refused("--method bayesian,mean", 78, "there is no method 'mean'");
-  refused("--depth-from " + (dir / "nowhere"), 66, "nowhere");
+  refused("--depth-from " + shell_word(dir / "nowhere"), 66, "nowhere");
   refused("--set fuse.neighbourhood=2", 78, "a window of 2 pixels has no centre");
 }
 

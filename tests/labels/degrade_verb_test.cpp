@@ -42,7 +42,7 @@ TEST(DegradeVerb, WritesIdsPreviewsClassesAndAManifestThatAgree) {
   const std::string folder = fresh_folder("hard");
   const std::string config = write_config(
       folder, "{seed: 3, degrade: [{type: super_resolution, factor: 4, mode: sparse}, {type: pixel_noise}]}");
-  const Result r = semfield_run("degrade " + config + " --out " + folder + "/labels", folder);
+  const Result r = semfield_run("degrade " + shell_word(config) + " --out labels", folder);
   ASSERT_EQ(r.code, 0) << r.err;
   EXPECT_EQ(names_in(folder), (std::vector<std::string>{"labels", "room", "room.yaml", "stderr", "stdout"}));
   const std::string out = folder + "/labels";
@@ -87,7 +87,7 @@ TEST(DegradeVerb, SoftLabelsAreWrittenAsProbabilities) {
   const std::string folder = fresh_folder("soft");
   const std::string config = write_config(folder, "{frames: 2, degrade: [{type: simulated_predictions}]}");
   const std::string out = folder + "/labels";
-  const Result r = semfield_run("degrade " + config + " --out " + out + "/", folder);
+  const Result r = semfield_run("degrade " + shell_word(config) + " --out labels/", folder);
   ASSERT_EQ(r.code, 0) << r.err;
   const nlohmann::json m = manifest_of(out);
   ASSERT_EQ(m["frames"].size(), 2u);
@@ -111,14 +111,14 @@ TEST(DegradeVerb, SoftLabelsAreWrittenAsProbabilities) {
 TEST(DegradeVerb, WrittenLabelsComeBackThroughTheReaders) {
   const std::string folder = fresh_folder("again");
   const std::string config = write_config(folder, "{frames: 2, degrade: [{type: simulated_predictions, strength: 2}]}");
-  ASSERT_EQ(semfield_run("degrade " + config + " --out " + folder + "/first", folder).code, 0);
+  ASSERT_EQ(semfield_run("degrade " + shell_word(config) + " --out first", folder).code, 0);
   const std::vector<std::string> images = names_in(folder + "/first/semantic_class");
   ASSERT_EQ(images.size(), 2u);
   for (const auto& [kind, from] : std::vector<std::pair<std::string, std::string>>{
            {"images", "{type: images, folder: first/semantic_class, pattern: 'semantic_class_{number}.png'}"},
            {"npz", "{type: npz, folder: first/probability, pattern: '{name}.npy'}"}}) {
     const std::string again = write_config(folder, "{from: " + from + "}");
-    const Result r = semfield_run("degrade " + again + " --out " + folder + "/" + kind, folder);
+    const Result r = semfield_run("degrade " + shell_word(again) + " --out " + kind, folder);
     ASSERT_EQ(r.code, 0) << r.err;
     EXPECT_EQ(names_in(folder + "/" + kind + "/semantic_class"), images);
     for (const std::string& name : images) {
@@ -140,7 +140,7 @@ TEST(DegradeVerb, ATableWithoutVoidGetsAnIdForIt) {
                     std::string_view("- {id: 1, name: west}\n- {id: 2, name: east}\n- {id: 3, name: ceiling}\n"
                                      "- {id: 4, name: floor}\n- {id: 5, name: south}\n- {id: 6, name: north}\n"));
   fs::create_directories(folder + "/labels");  // an empty folder may be there
-  const Result r = semfield_run("degrade " + config + " --out " + folder + "/labels", folder);
+  const Result r = semfield_run("degrade " + shell_word(config) + " --out labels", folder);
   ASSERT_EQ(r.code, 0) << r.err;
   const ClassTable table = ClassTable::load(folder + "/labels/classes.yaml");
   EXPECT_EQ(table.index_of(0), kVoid);
@@ -153,7 +153,7 @@ TEST(DegradeVerb, TheSameLabelsAsBefore) {
   const std::string folder = fresh_folder("same");
   const std::string config = write_config(folder, "{degrade: [{type: pixel_noise}, {type: region_noise}]}");
   for (const char* name : {"a", "b"}) {
-    const Result r = semfield_run("degrade " + config + " --out " + folder + "/" + name +
+    const Result r = semfield_run("degrade " + shell_word(config) + " --out " + name +
                                       (*name == 'a' ? " --set runtime.threads=1" : " --set runtime.threads=3"),
                                   folder);
     ASSERT_EQ(r.code, 0) << r.err;
@@ -169,21 +169,21 @@ TEST(DegradeVerb, AUsedFolderAndProblemsLeaveNothingBehind) {
   const std::string config = write_config(folder, "{degrade: [{type: region_noise, instances: [77]}]}");
   fs::create_directories(folder + "/full");
   testing_room::plain_write(folder + "/full/mine.txt", "keep");
-  Result r = semfield_run("degrade " + config + " --out " + folder + "/full", folder);
+  Result r = semfield_run("degrade " + shell_word(config) + " --out full", folder);
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::cannot_create));
   EXPECT_NE(r.err.find("holds files already"), std::string::npos) << r.err;
   EXPECT_EQ(names_in(folder + "/full"), (std::vector<std::string>{"mine.txt"}));
 
-  r = semfield_run("degrade " + config + " --out " + folder + "/new", folder);
+  r = semfield_run("degrade " + shell_word(config) + " --out new", folder);
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
   EXPECT_NE(r.err.find("no labelled training frame sees instance 77"), std::string::npos) << r.err;
-  r = semfield_run("degrade " + config + " --out " + folder + "/new --set scene.labels.frames=none --set " +
+  r = semfield_run("degrade " + shell_word(config) + " --out new --set scene.labels.frames=none --set " +
                        "'scene.labels.degrade=[]'",
                    folder);
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
   EXPECT_NE(r.err.find("no training frame keeps labels"), std::string::npos) << r.err;
   testing_room::plain_write(folder + "/room/semantic_class/semantic_class_2.png", "no image");
-  r = semfield_run("degrade " + config + " --out " + folder + "/new", folder);
+  r = semfield_run("degrade " + shell_word(config) + " --out new", folder);
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
   EXPECT_NE(r.err.find("semantic_class_2.png"), std::string::npos) << r.err;
   EXPECT_EQ(names_in(folder), (std::vector<std::string>{"full", "room", "room.yaml", "stderr", "stdout"}));
@@ -193,7 +193,7 @@ TEST(DegradeVerb, AnErrorWhileWritingRemovesWhatWasWritten) {
   const std::string folder = fresh_folder("limit");
   const std::string config = write_config(folder, "{degrade: [{type: simulated_predictions}]}");
   // Files may have 8 KiB at most: images fit, probabilities do not.
-  const Result r = semfield_run("degrade " + config + " --out " + folder + "/labels", folder, "ulimit -f 16; ");
+  const Result r = semfield_run("degrade " + shell_word(config) + " --out labels", folder, "ulimit -f 16; ");
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::io));
   EXPECT_NE(r.err.find("probability"), std::string::npos) << r.err;
   EXPECT_EQ(names_in(folder), (std::vector<std::string>{"room", "room.yaml", "stderr", "stdout"}));

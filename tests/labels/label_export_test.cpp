@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "core/rng.h"
+#include "core/words.h"
 #include "labels/mask_outlines.h"
 #include "labels/run_lengths.h"
 #include "tests/labels/reader_case.h"
@@ -119,8 +120,8 @@ bool has_python() { return std::system("python3 -c 'import json' >/dev/null 2>&1
 
 // What the script prints: the size, then the class of every pixel.
 std::vector<std::string> decoded(const std::string& kind, const std::string& file, const std::string& image) {
-  const std::string command = "python3 '" + std::string(SEMFIELD_SOURCE_DIR) + "/tests/labels/decode_export.py' " +
-                              kind + " '" + file + "' '" + image + "' 2>&1";
+  const std::string command = "python3 " + shell_word(SEMFIELD_SOURCE_DIR "/tests/labels/decode_export.py") + " " +
+                              kind + " " + shell_word(file) + " " + shell_word(image) + " 2>&1";
   std::vector<std::string> lines;
   FILE* pipe = ::popen(command.c_str(), "r");
   char line[256];

@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
+#include "core/words.h"
 #include "mesh/class_groups.h"
 #include "mesh/marching_cubes.h"
 #include "scene/mesh_io.h"
@@ -108,7 +109,7 @@ void expect_read_back(bool semantics, const std::vector<std::string>& names) {
   write_obj(dir / "mesh.obj", surface, classes());
   write_glb(dir / "mesh.glb", surface, classes());
   const std::string command =
-      std::string("python3 " SEMFIELD_SOURCE_DIR "/tests/mesh/read_mesh_files.py ") + dir.path();
+      "python3 " + shell_word(SEMFIELD_SOURCE_DIR "/tests/mesh/read_mesh_files.py") + " " + shell_word(dir.path());
   EXPECT_EQ(std::system(command.c_str()), 0);
 }
 

@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
+#include "core/words.h"
 #include "scene/packed_scene.h"
 #include "testkit/analytic_scene.h"
 #include "tests/train/train_testing.h"
@@ -141,8 +142,8 @@ TEST_F(Verbs, VideoIsDecodedByAnotherProgram) {
   EXPECT_NE(r.out.find("file=" + file), std::string::npos) << r.out;
   // Four panels of 48 x 36 pixels.
   EXPECT_EQ(answer_of("ffprobe -v error -count_frames -show_entries stream=width,height,nb_read_frames,r_frame_rate "
-                      "-of csv=p=0 'file:" +
-                      file + "'"),
+                      "-of csv=p=0 " +
+                      shell_word("file:" + file)),
             "192,36,10/1,7\n");
   for (const fs::directory_entry& entry : fs::directory_iterator(dir_->path()))
     EXPECT_EQ(entry.path().string().find(".part"), std::string::npos) << entry.path();
@@ -150,7 +151,7 @@ TEST_F(Verbs, VideoIsDecodedByAnotherProgram) {
   const Result still =
       run(*dir_, {"render", run_dir(), "--split", "test", "--video", "--panels", "rgb", "--out", *dir_ / "t.mkv"});
   ASSERT_EQ(still.code, 0) << still.err;
-  EXPECT_EQ(answer_of("ffprobe -v error -show_entries stream=width,height -of csv=p=0 '" + *dir_ / "t.mkv'"),
+  EXPECT_EQ(answer_of("ffprobe -v error -show_entries stream=width,height -of csv=p=0 " + shell_word(*dir_ / "t.mkv")),
             "48,36\n");
 }
 

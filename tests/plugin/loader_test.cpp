@@ -2,6 +2,7 @@
 #include "plugin/loader.h"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <filesystem>
 #include <fstream>
@@ -99,7 +100,8 @@ TEST(Loader, AMissingFileIsNamed) {
 }
 
 TEST(Loader, AFileThatIsNoLibraryIsNamed) {
-  const std::string path = (std::filesystem::path(testing::TempDir()) / "not_a_plugin.so").string();
+  const std::string path =
+      (std::filesystem::path(testing::TempDir()) / ("not_a_plugin_" + std::to_string(::getpid()) + ".so")).string();
   std::ofstream(path) << "plain text";
   Registry registry;
   try {

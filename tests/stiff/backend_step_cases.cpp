@@ -11,6 +11,7 @@
 #include <sstream>
 
 #include "backend_parts.h"
+#include "core/words.h"
 #include "stiff_room.h"
 #include "tests/scene/room_files.h"
 
@@ -32,14 +33,12 @@ std::string probe_path() {
   return std::filesystem::exists(path, ignored) ? path.string() : std::string();
 }
 
-std::string quoted(const std::string& text) { return "'" + text + "'"; }
-
 std::optional<Step> probe(CaseRun& run, const std::string& program, const std::string& set, const std::string& yaml,
                           int steps) {
   const std::string path = run.folder() + "/step.yaml";
   testing_room::plain_write(path, yaml);
-  const std::string command = "SEMFIELD_ISA=" + set + " OMP_WAIT_POLICY=passive " + quoted(program) + " " +
-                              quoted(path) + " " + std::to_string(steps);
+  const std::string command = "SEMFIELD_ISA=" + set + " OMP_WAIT_POLICY=passive " + shell_word(program) + " " +
+                              shell_word(path) + " " + std::to_string(steps);
   std::FILE* pipe = ::popen(command.c_str(), "r");  // NOLINT: nothing of it comes from outside
   if (pipe == nullptr) return {};
   char text[512] = "";

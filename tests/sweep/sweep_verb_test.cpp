@@ -44,7 +44,7 @@ TEST(SweepVerb, RunsEveryCellOnceAndWritesItsTables) {
   const std::string folder = fresh_folder("sweep");
   const std::string file = write_sweep(folder, 6);
   const std::string out = folder + "/out";
-  Result r = semfield_run("sweep " + file + " --jobs 2 --out " + out, folder);
+  Result r = semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(out), folder);
   ASSERT_EQ(r.code, 0) << r.err;
   EXPECT_EQ(r.out, "sweep: cells=3 done=3 failed=0 folder=" + out + "\n");
   const std::string csv = read_text_file(out + "/results.csv");
@@ -56,7 +56,7 @@ TEST(SweepVerb, RunsEveryCellOnceAndWritesItsTables) {
   EXPECT_EQ(std::distance(fs::directory_iterator(out + "/scenes"), {}), 1);
 
   // Again, from another working folder: nothing runs, the same bytes.
-  r = semfield_run("sweep " + file + " --out " + out, fresh_folder("elsewhere"));
+  r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), fresh_folder("elsewhere"));
   EXPECT_EQ(r.code, 0);
   EXPECT_NE(r.err.find("3 of them done"), std::string::npos) << r.err;
   EXPECT_EQ(read_text_file(out + "/results.csv"), csv);
@@ -67,7 +67,7 @@ TEST(SweepVerb, AFailingCellIsNamedAndTheOthersGoOn) {
   // One labelled pixel source too few: label-balanced rays without any label.
   const std::string file =
       write_sweep(folder, 3, "  broken: {set: {scene.labels.frames: none, train.ray_source: label_balanced}}\n");
-  const Result r = semfield_run("sweep " + file + " --out " + folder + "/out", folder);
+  const Result r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(folder + "/out"), folder);
   EXPECT_EQ(r.code, 1);
   EXPECT_NE(r.err.find("broken, room, seed 1: exit code 65"), std::string::npos) << r.err;
   EXPECT_NE(r.err.find("no training pixel carries a label"), std::string::npos) << r.err;
@@ -84,7 +84,7 @@ TEST(SweepVerb, GoesOnWhereItWasStopped) {
   sweep.send(SIGTERM);
   EXPECT_EQ(sweep.wait().code, 143);
   EXPECT_FALSE(files_of_cells(out, "run/checkpoints/latest").empty());
-  const Result r = semfield_run("sweep " + file + " --out " + out, folder);
+  const Result r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder);
   EXPECT_EQ(r.code, 0) << r.err;
   bool resumed = false;
   for (const auto& [id, rows] : files_of_cells(out, "run/metrics.jsonl"))
@@ -126,7 +126,7 @@ TEST(SweepVerb, ASecondSweepOnTheFolderIsRefusedByName) {
                               " on " + host + ", another sweep; wait for it to end, stop it";
   EXPECT_NE(second->err.find(refused), std::string::npos) << second->err;
   // Looking is allowed.
-  const Result looked = semfield_run("sweep " + file + " --dry-run --out " + out, other);
+  const Result looked = semfield_run("sweep " + shell_word(file) + " --dry-run --out " + shell_word(out), other);
   EXPECT_EQ(looked.code, 0) << looked.err;
   for (const auto& [id, lock] : before) EXPECT_EQ(kill(std::stoi(lock), 0), 0) << "cell " << id << " was ended";
   EXPECT_FALSE(first.wait_for(0).has_value());
@@ -166,11 +166,11 @@ TEST(SweepVerb, ADamagedPackIsMadeAgain) {
   const std::string folder = fresh_folder("sweep_pack");
   const std::string file = write_sweep(folder, 3);
   const std::string out = folder + "/out";
-  ASSERT_EQ(semfield_run("sweep " + file + " --out " + out, folder).code, 0);
+  ASSERT_EQ(semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder).code, 0);
   for (const auto& pack : fs::directory_iterator(out + "/scenes"))
     fs::resize_file(pack.path(), fs::file_size(pack.path()) / 2);
   fs::remove_all(out + "/cells");
-  const Result r = semfield_run("sweep " + file + " --out " + out, folder);
+  const Result r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder);
   EXPECT_EQ(r.code, 0) << r.err;
   EXPECT_NE(r.err.find("packing the scene 'room'"), std::string::npos) << r.err;
 }

@@ -74,7 +74,7 @@ double number_behind(const std::string& text, const std::string& pattern) {
 }
 
 std::string words_for(const RealRun& run) {
-  return std::string(" ") + SEMFIELD_SOURCE_DIR + "/configs/" + run.config +
+  return " " + shell_word(std::string(SEMFIELD_SOURCE_DIR "/configs/") + run.config) +
          " --set scene.frames=10 --set scene.test_frames=1 --set scene.width_px=64 --set scene.height_px=48 " + run.set;
 }
 
@@ -98,8 +98,8 @@ TEST_F(MemoryPlanOfRuns, PeakIsPredictedWithinATenth) {
   for (const RealRun& run : kRuns) {
     const auto plan = semfield_run("train" + words_for(run) + " --dry-run", folder.path());
     ASSERT_EQ(plan.code, 0) << run.name << plan.err;
-    const auto real = semfield_run("train" + words_for(run) + " --steps " + std::to_string(run.steps) + " --out '" +
-                                       folder.path() + "/" + std::to_string(&run - kRuns) + "' -q",
+    const auto real = semfield_run("train" + words_for(run) + " --steps " + std::to_string(run.steps) + " --out " +
+                                       std::to_string(&run - kRuns) + " -q",
                                    folder.path());
     ASSERT_EQ(real.code, 0) << run.name << real.err;
     const double predicted = number_behind(plan.out, "memory +([0-9.]+) MB at the peak");
@@ -132,8 +132,8 @@ TEST_F(MemoryPlanOfRuns, WhatDoesNotFitIsRefusedWithSettingsThatFit) {
 TEST_F(MemoryPlanOfRuns, PixelsThatDoNotFitAreRefusedBeforeTheyAreRead) {
   SEMFIELD_NEEDS_PLAIN_MEMORY();
   const TempDir folder;
-  const auto refused = semfield_run(std::string("train ") + SEMFIELD_SOURCE_DIR +
-                                        "/configs/quickstart.yaml --dry-run --memory 0.2 --set scene.frames=900 --set "
+  const auto refused = semfield_run("train " + shell_word(SEMFIELD_SOURCE_DIR "/configs/quickstart.yaml") +
+                                        " --dry-run --memory 0.2 --set scene.frames=900 --set "
                                         "scene.width_px=1600 --set scene.height_px=1200",
                                     folder.path());
   EXPECT_EQ(refused.code, 69);

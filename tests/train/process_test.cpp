@@ -127,7 +127,7 @@ void expect_orderly_stop(int signal, int code) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 1000000, 0);
   Process process({"train", config, "--out", dir / "run"}, dir);
-  for (int i = 0; i < 400 && !std::filesystem::exists((dir / "run") + "/metrics.jsonl"); ++i) {
+  for (int i = 0; i < 12000 && !std::filesystem::exists((dir / "run") + "/metrics.jsonl"); ++i) {
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
   }
   std::this_thread::sleep_for(std::chrono::milliseconds(200));

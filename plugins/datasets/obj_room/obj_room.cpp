@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <filesystem>
 
+#include "core/sorted_folder.h"
 #include "plugin/module.h"
 #include "scene/class_rules.h"
 
@@ -77,10 +78,9 @@ std::string ObjRoom::obj_path() const {
     throw Error(ErrorKind::no_input, "no folder '" + root_ + "'", "set scene.root to the room's folder");
   if (!params_.obj.empty()) return resolved(root_, params_.obj);
   std::vector<std::string> found;
-  for (const auto& entry : fs::directory_iterator(root_)) {
+  for (const auto& entry : sorted_folder(root_)) {
     if (entry.path().extension() == ".obj") found.push_back(entry.path().filename().string());
   }
-  std::sort(found.begin(), found.end());
   if (found.empty())
     throw Error(ErrorKind::no_input, "no OBJ file in '" + root_ + "'", "put one there or set scene.obj");
   if (found.size() > 1) {

@@ -3,12 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <filesystem>
 #include <numeric>
 #include <tuple>
 
 #include "core/files.h"
+#include "core/sorted_folder.h"
+#include "core/words.h"
 #include "plugin/module.h"
 #include "scene/image_io.h"
 #include "scene/input_limits.h"
@@ -81,26 +82,26 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
     const std::string row = text.substr(at, end - at);
     at = end + 1;
     std::vector<double> numbers;
-    const char* p = row.c_str();
-    while (true) {
-      char* next = nullptr;
-      const double value = std::strtod(p, &next);
-      if (next == p) break;
+    std::string_view bad;  // from the first word that is no number to the line's end
+    for (const std::string_view word : words_of(row)) {
+      double value = 0;
+      if (!parse_number(word, value)) {
+        bad = std::string_view(row).substr(static_cast<std::size_t>(word.data() - row.data()));
+        break;
+      }
       numbers.push_back(value);
-      p = next;
     }
-    while (*p == ' ' || *p == '\t' || *p == '\r') ++p;
-    const bool whole = p == row.c_str() + row.size();  // a NUL ends the numbers, not the line
-    if (numbers.empty() && whole) continue;
+    if (numbers.empty() && bad.empty()) continue;
     const std::string place = path + ":" + std::to_string(line);
     Row found{static_cast<int>(rows++), {}};
-    if (numbers.size() != 16 || !whole) {
-      diagnostics.error(place,
-                        "expected 16 numbers, got " + std::to_string(numbers.size()) +
-                            (whole        ? ""
-                             : *p == '\0' ? " and a NUL byte"
-                                          : " and the text '" + std::string(p).substr(0, 40) + "'"),
-                        "write one camera-to-world matrix a line, row by row");
+    if (numbers.size() != 16 || !bad.empty()) {
+      diagnostics.error(
+          place,
+          "expected 16 numbers, got " + std::to_string(numbers.size()) +
+              (bad.empty()                                ? ""
+               : bad.find('\0') != std::string_view::npos ? " and a NUL byte"
+                                                          : " and the text '" + std::string(bad.substr(0, 40)) + "'"),
+          "write one camera-to-world matrix a line, row by row");
       continue;
     }
     if (split_of(found.number) == Split::unused) continue;
@@ -131,7 +132,7 @@ void Replica::index_labels(const std::string& folder, Diagnostics& diagnostics) 
     if (params_.label_dir.empty() && params_.test_label_dir.empty()) return;
     if (labels.empty() || !fs::is_directory(where) || label_files_.count(labels) > 0) continue;
     std::map<int, std::string>& files = label_files_[labels];
-    for (const fs::directory_entry& entry : fs::directory_iterator(where)) {
+    for (const fs::directory_entry& entry : sorted_folder(where.string())) {
       std::string digits = entry.path().stem().string();
       if (digits.rfind(kPrefix, 0) == 0) digits.erase(0, kPrefix.size());
       if (entry.path().extension() != ".png" || digits.empty() || digits.size() > 9 ||
@@ -141,8 +142,8 @@ void Replica::index_labels(const std::string& folder, Diagnostics& diagnostics) 
       const auto [other, fresh] = files.emplace(std::stoi(digits), entry.path().string());
       if (!fresh) {
         diagnostics.error(where.string(),
-                          "'" + entry.path().filename().string() + "' and '" +
-                              fs::path(other->second).filename().string() + "' are labels of the same frame",
+                          "'" + fs::path(other->second).filename().string() + "' and '" +
+                              entry.path().filename().string() + "' are labels of the same frame",
                           "keep one of the two");
       }
     }

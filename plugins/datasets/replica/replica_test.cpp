@@ -124,6 +124,30 @@ TEST(Replica, LabelFoldersThatHoldNothingOrTwoOfAFrame) {
   EXPECT_NE(twice.all()[0].text().find("are labels of the same frame; keep one of the two"), std::string::npos);
 }
 
+// Each file system lists a folder in an order of its own; what is said of it is the same on all.
+TEST(Replica, LabelsOfTheSameFrameAreNamedInTheOrderOfTheirNames) {
+  const std::string folder = write_noise("room");
+  ReplicaParams p = even_odd(folder);
+  p.label_dir = "semantic_instance_noise/sort_0.5";
+  std::string name = "7.png";
+  std::vector<std::string> names;
+  for (int i = 0; i < 8; ++i, name.insert(0, "0")) {
+    write_png_gray8(folder + "/" + p.label_dir + "/" + name, 40, 30, std::vector<std::uint8_t>(1200, 3));
+    names.push_back(name);
+  }
+  Diagnostics told;
+  Replica(p, {}).open(told);
+  std::vector<std::string> found, wanted;
+  for (const Diagnostic& one : told.all()) {
+    if (one.text().find("are labels of the same frame") != std::string::npos) found.push_back(one.text());
+  }
+  for (std::size_t i = 7; i-- > 0;) {
+    wanted.push_back(folder + "/" + p.label_dir + ": '" + names.back() + "' and '" + names[i] +
+                     "' are labels of the same frame; keep one of the two");
+  }
+  EXPECT_EQ(found, wanted);
+}
+
 // Degraded labels that only train: the scene's own stay the truth of every pose.
 TEST(Replica, NoiseFolderTrainsWhileCleanLabelsStayTheTruth) {
   const std::string folder = write_noise("room");
@@ -133,7 +157,8 @@ TEST(Replica, NoiseFolderTrainsWhileCleanLabelsStayTheTruth) {
   LabelConfig config;
   config.from.type = "images";
   config.from.reader = testing_labels::make_reader(
-      "images", "{folder: '" + folder + "/semantic_instance_noise/sort_0.5', pattern: 'semantic_class_{number}.png'}");
+      "images",
+      "{folder: \"" + folder + "/semantic_instance_noise/sort_0.5\", pattern: 'semantic_class_{number}.png'}");
   open_label_files(scene, config, d);
   read_test_labels(scene, config, d);
   const TrainingLabels labels = make_training_labels(scene, config, d);

@@ -8,6 +8,7 @@
 #include <optional>
 
 #include "core/files.h"
+#include "core/sorted_folder.h"
 #include "core/words.h"
 #include "plugin/module.h"
 #include "scene/image_io.h"
@@ -137,7 +138,7 @@ std::vector<Scannet::View> Scannet::list_views(Diagnostics& diagnostics) const {
     }
   }
   std::map<std::int64_t, std::string> images;
-  for (const fs::directory_entry& entry : fs::directory_iterator(root / "color")) {
+  for (const fs::directory_entry& entry : sorted_folder((root / "color").string())) {
     const std::string extension = entry.path().extension().string();
     std::int64_t number = 0;
     if (extension != ".jpg" && extension != ".jpeg" && extension != ".png") continue;
