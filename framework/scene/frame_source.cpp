@@ -95,9 +95,13 @@ constexpr double kMostDistance_m = 1e6, kMostCoordinate_m = 1e7;
 
 // What is derived keeps to the limits of what can be written: a run stores it as settings, and reads it again.
 void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
-  if (!std::isfinite(scene.far_m) || scene.bounds.empty()) return;  // reported already
   double reach = 0, camera_at = 0;
-  for (int a = 0; a < 3; ++a) reach = std::max({reach, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
+  bool finite = std::isfinite(scene.far_m);
+  for (int a = 0; a < 3; ++a) {
+    finite = finite && std::isfinite(scene.bounds.lo[a]) && std::isfinite(scene.bounds.hi[a]);
+    reach = std::max({reach, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
+  }
+  if (!finite || scene.bounds.empty()) return;  // reported already
   const FrameInfo* farthest = nullptr;
   for (const FrameInfo& frame : scene.info.frames) {
     const double at = length(frame.world_from_camera.t);

@@ -154,7 +154,7 @@ TEST_P(BadFiles, AreRefusedWithPlaceCauseAndRemedy) {
     const std::string said = with_root(outcome.said, root);
     if (std::getenv("SEMFIELD_SHOW_CASES") != nullptr)
       std::printf("@ %s %d\n%s", one.name.c_str(), outcome.code, said.c_str());
-    if (!whole_build && outcome.code == 69 && said.find("this build cannot read") != std::string::npos) {
+    if (!whole_build && said.find("this build ") != std::string::npos) {
       ++absent;
       continue;
     }

@@ -43,6 +43,8 @@ class SetupScript : public testing::Test {
       esac)");
   }
 
+  ~SetupScript() override { fs::remove_all(root_); }
+
   std::string command(const std::string& fails) const {
     return "cd '" + root_.string() + "' && FAILS=" + fails + " PATH='" + (root_ / "bin").string() +
            "':\"$PATH\" scripts/setup";
@@ -55,7 +57,7 @@ class SetupScript : public testing::Test {
   }
   std::string log() const { return read_text_file((root_ / "build/setup.log").string()); }
 
-  const fs::path root_ = fs::path(testing::TempDir()) / "setup_script";
+  const fs::path root_ = fs::path(testing::TempDir()) / ("setup_script_" + std::to_string(getpid()));
   int code_ = -1;
 
  private:
