@@ -200,6 +200,8 @@ void add_label_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("run", out->run, "run folder")->required();
   verb->add_option("--split", out->split, "train or test");
   verb->add_option("--format", out->format, "coco (polygons), coco_rle (run lengths) or labelme");
+  verb->add_option("--min-area", out->min_area,
+                   "regions of fewer pixels take the class around them (default: none does)");
   verb->add_option("--out", out->out, "file to write for COCO, folder for labelme")->required();
   run_options(verb, out->set);
   verb->callback([&context, &choice, out] { choice = [&context, out] { return run_export(*out, context); }; });

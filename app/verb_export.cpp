@@ -1,9 +1,12 @@
 // export: label maps of a run's field for labelling tools.
+#include <fmt/format.h>
+
 #include <cstdio>
 #include <filesystem>
 #include <optional>
 
 #include "labels/label_export.h"
+#include "labels/small_regions.h"
 #include "progress_line.h"
 #include "scene/image_io.h"
 #include "train/run_folder.h"
@@ -19,6 +22,8 @@ void check_options(const ExportOptions& options) {
     throw Error(ErrorKind::usage, "--split " + options.split + ": expected train or test");
   if (options.format != "coco" && options.format != "coco_rle" && options.format != "labelme")
     throw Error(ErrorKind::usage, "--format " + options.format + ": expected coco, coco_rle or labelme");
+  if (options.min_area < 0)
+    throw Error(ErrorKind::usage, "--min-area " + std::to_string(options.min_area) + ": expected a number of pixels");
 }
 
 // The stored image of a frame, "" when its dataset has none.
@@ -65,6 +70,8 @@ int run_export(const ExportOptions& options, AppContext& context) {
     coco.emplace(s.scene.info.classes, options.format == "coco" ? CocoMasks::polygons : CocoMasks::run_lengths);
   }
   std::int64_t shapes = 0;
+  SmallRegions filled;
+  std::int64_t pixels = 0;
   int done = 0;
   note_other_size(s.scene.info.frames[static_cast<std::size_t>(frames.front())], context);
   ProgressLine progress(context, "exported");
@@ -75,6 +82,10 @@ int run_export(const ExportOptions& options, AppContext& context) {
     RenderedFrame rendered =
         render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
     LabelledFrame frame{info.name, image_of(info), rendered.width_px, rendered.height_px, std::move(rendered.label)};
+    const SmallRegions small = fill_small_regions(frame.label, frame.width_px, frame.height_px, options.min_area);
+    filled.regions += small.regions;
+    filled.pixels += small.pixels;
+    pixels += std::ssize(frame.label);
     if (coco) {
       coco->add(frame);
     } else {
@@ -86,6 +97,9 @@ int run_export(const ExportOptions& options, AppContext& context) {
     coco->write(options.out);
     shapes = coco->annotations();
   }
+  if (options.min_area > 0)
+    print_note(context, fmt::format("{} regions of fewer than {} pixels took the class around them: {} of {} pixels",
+                                    filled.regions, options.min_area, filled.pixels, pixels));
   std::printf("export: frames=%d shapes=%lld format=%s out=%s\n", done, static_cast<long long>(shapes),
               options.format.c_str(), options.out.c_str());
   return 0;

@@ -83,6 +83,7 @@ struct ExportOptions {
   std::string split = "test";
   std::string format = "coco";  ///< coco, coco_rle or labelme
   std::string out;              ///< file for COCO, folder for labelme
+  long long min_area = 0;       ///< pixels; smaller regions take the class around them
   std::vector<std::string> set;
 };
 int run_export(const ExportOptions& options, AppContext& context);

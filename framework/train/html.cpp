@@ -95,7 +95,19 @@ a:focus-visible,summary:focus-visible,.scroll:focus-visible{outline:2px solid va
 section{margin:40px 0 0}
 h2{font-size:1.3rem;margin:0 0 4px;letter-spacing:-.01em}
 .hint{margin:0 0 14px;color:var(--soft);font-size:.92rem;max-width:75ch}
-.cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(160px,1fr));gap:14px;margin:24px 0 0}
+.facts{margin:16px 0 0}
+dl.facts{display:flex;flex-wrap:wrap;gap:6px 32px}
+dl.facts dt{color:var(--soft);font-size:.8rem}
+dl.facts dd{margin:0;font-size:.93rem;overflow-wrap:anywhere}
+.facts td{overflow-wrap:anywhere}
+.notice{margin:18px 0 0;padding:12px 16px;border-left:4px solid var(--s1);background:var(--card);border-radius:4px;font-size:.95rem;max-width:none}
+.figures tbody small.d{display:inline;margin-left:8px}
+.left-out td,.left-out th{overflow-wrap:break-word}
+.left-out thead th:first-child{width:28%}
+.left-out thead th:last-child{width:1%}
+.more{margin-top:14px}
+.more .panel{border:0;padding:14px 0 4px}
+.cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(145px,1fr));gap:14px;margin:24px 0 0}
 .card,.panel{background:var(--card);border:1px solid var(--line);border-radius:12px}
 .card{padding:14px 18px 16px}
 .card .k{color:var(--soft);font-size:.84rem}
@@ -112,7 +124,7 @@ td.num,th.num{text-align:right;font-variant-numeric:tabular-nums;white-space:now
 td.best{font-weight:700;color:var(--good)}
 .none{color:var(--soft)}
 small.d{display:block;color:var(--soft);font-size:.8rem;font-weight:400}
-.plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,440px),1fr));gap:16px}
+.plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,380px),1fr));gap:16px}
 .plots .panel{padding:14px 14px 6px;margin:0}
 figure{margin:0}
 figcaption{font-weight:600;font-size:.95rem;padding:0 4px}
@@ -143,7 +155,8 @@ svg .end{font-weight:650;stroke:var(--card);stroke-width:3px;paint-order:stroke}
 .strip+.strip{margin-top:14px}
 .strip h3{margin:0 0 10px;font-size:1rem;font-weight:600}
 .strip h3 span{color:var(--soft);font-weight:400;font-size:.88rem;margin-left:8px}
-.imgs{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:12px}
+.imgs{display:grid;grid-template-columns:repeat(3,1fr);gap:12px}
+@media (min-width:1100px){.imgs{grid-template-columns:repeat(auto-fit,minmax(150px,1fr))}}
 .imgs img{display:block;width:100%;height:auto;border-radius:6px;background:var(--grid)}
 .imgs figcaption{font-weight:400;font-size:.82rem;color:var(--soft);padding:5px 0 0}
 h3{font-size:1.05rem;margin:24px 0 2px}

@@ -11,7 +11,7 @@
 namespace semfield {
 
 /// Split of an evaluation row that scored a sample of the split's frames: "test" -> "test_sample".
-inline constexpr const char* kSampleSuffix = "_sample";
+inline const std::string kSampleSuffix = "_sample";
 
 /// One line. Infinities and NaN are written as the texts "inf", "-inf" and "nan"; a value without data as null, and
 /// read back as absent.

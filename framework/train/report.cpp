@@ -16,8 +16,8 @@ std::string report_split(const std::vector<MetricsRow>& rows) {
   std::string last, held_out;
   for (const MetricsRow& row : rows) {
     if (row.kind != "eval") continue;
-    last = row.split;
-    if (row.split != "train") held_out = row.split;
+    last = row.split.substr(0, row.split.size() - (row.split.ends_with(kSampleSuffix) ? kSampleSuffix.size() : 0));
+    if (last != "train") held_out = last;
   }
   return held_out.empty() ? last : held_out;
 }
@@ -32,15 +32,13 @@ std::string make_report(const ReportInput& input) {
     std::string html;
   };
   const std::array<Part, 10> parts{{
+      {"frames", "Frames", frames_section(input.strips, of_first)},
       {"figures", "Figures", figures_section(input, split)},
       {"curves", "Error against run time", curves_section(input, split)},
       {"labels", "Labels", labels_section(input, split)},
       {"classes", "Classes", classes_section(input, split)},
       {"confusion", "Confusions", confusion_section(input)},
       {"calibration", "Calibration", calibration_section(input)},
-      {"frames", "Frames",
-       strips_section(input.strips, "frames", "Rendered frames",
-                      "Entropy runs over its full range, 0 to ln C; depth is bright where near." + of_first)},
       {"worst", "Worst frames", worst_section(input, of_first)},
       {"left-out", "Left out", left_out_section(input)},
       {"setup", "Set-up", environment_section(input)},
@@ -57,11 +55,12 @@ std::string make_report(const ReportInput& input) {
   page += report_style();
   page += fmt::format("</style>\n</head>\n<body>\n<header class=\"top\">\n<h1>{}</h1>\n", title);
   if (!input.subtitle.empty()) page += fmt::format("<p class=\"lead\">{}</p>\n", html_escape(input.subtitle));
+  page += facts_section(input, split);
   page += "<nav aria-label=\"Sections\">\n";
   for (const Part& part : parts) {
     if (!part.html.empty()) page += fmt::format("<a href=\"#{}\">{}</a>\n", part.id, part.name);
   }
-  page += "</nav>\n" + cards_section(input, split) + "</header>\n<main>\n";
+  page += "</nav>\n" + notice_section(input, split) + cards_section(input, split) + "</header>\n<main>\n";
   for (const Part& part : parts) page += part.html;
   page +=
       "</main>\n<footer>Made by Semfield from the run folder’s files; the same files give the same "

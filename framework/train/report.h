@@ -39,6 +39,7 @@ struct ReportRun {
   std::string name;              ///< shown in legends; unique
   std::vector<MetricsRow> rows;  ///< of metrics.jsonl
   std::string config;            ///< resolved YAML; may be empty
+  std::string scene;             ///< its type and place, of the configuration; may be empty
   ReportFacts environment;
   std::vector<LeftOutRow> left_out;
   std::optional<LabelCounts> labels;  ///< of labels.json
@@ -48,14 +49,14 @@ struct ReportRun {
 struct ReportInput {
   std::string title;                 ///< e.g. the scene's name
   std::string subtitle;              ///< one sentence: configuration, split
-  std::string split;                 ///< eval rows that count; empty: report_split of the first run
+  std::string split;                 ///< whose evaluations count; empty: report_split of the first run
   std::vector<ReportRun> runs;       ///< at least one
   std::vector<ReportClass> classes;  ///< order and colours of the per-class list; empty: order of the rows, no colours
   std::vector<ReportStrip> strips;
   std::vector<ReportStrip> worst;  ///< worst frames, worst first
 };
 
-/// Split of the last evaluation; one of training frames only where there is no other.
+/// Split of the last evaluation, of a sample of it too; one of training frames only where there is no other.
 std::string report_split(const std::vector<MetricsRow>& rows);
 
 /// The page: no scripts, no network, images inside. Throws Error(internal) without runs.

@@ -5,7 +5,9 @@
 #include <array>
 #include <cmath>
 
+#include "core/error.h"
 #include "train/html.h"
+#include "train/report_comparison.h"
 #include "train/report_convergence.h"
 #include "train/report_parts.h"
 #include "train/report_sections.h"
@@ -15,16 +17,26 @@ namespace semfield {
 
 namespace {
 
+std::string time_cell(const std::optional<LevelTime>& time, bool best) {
+  if (!time) return value_cell(std::nullopt, 0, false);
+  return fmt::format("<td class=\"num{}\">{}{}{}</td>", best ? " best" : "", time->at_first ? "≤ " : "",
+                     duration_text(time->not_after_s),
+                     !time->at_first ? ""
+                     : time->only    ? "<small class=\"d\">its only evaluation</small>"
+                                     : "<small class=\"d\">its first evaluation</small>");
+}
+
 // Seconds after which each run first reached the level that the weakest run ended at.
 std::string time_to_level(const ReportInput& input, const std::string& split) {
-  if (input.runs.size() < 2) return {};
+  if (input.runs.size() < 2 || !unranked_because(input, split).empty()) return {};
+  const std::vector<std::vector<const MetricsRow*>> rows = level_rows(input, split);
   std::string body;
   for (const std::string_view key : {"psnr", "miou", "absrel"}) {
     const ReportMetric& metric = report_metric(key);
     std::optional<double> level;
     bool everywhere = true;
-    for (const ReportRun& run : input.runs) {
-      const auto value = last_value(run, split, key);
+    for (const auto& evaluations : rows) {
+      const auto value = evaluations.empty() ? std::nullopt : evaluations.back()->get(key);
       if (!value || !std::isfinite(*value)) {
         everywhere = false;
       } else if (!level || metric.better * (*value - *level) < 0) {
@@ -32,41 +44,48 @@ std::string time_to_level(const ReportInput& input, const std::string& split) {
       }
     }
     if (!everywhere || !level) continue;
-    std::vector<std::optional<double>> seconds;
-    for (const ReportRun& run : input.runs) {
-      std::optional<double> first;
-      for (const MetricsRow* row : eval_rows(run, split)) {
-        const auto value = row->get(key);
-        if (!first && value && metric.better * (*value - *level) >= 0) first = row->train_s;
-      }
-      seconds.push_back(first);
-    }
-    const int best = best_run(seconds, -1);
+    std::vector<std::optional<LevelTime>> times;
+    for (const auto& evaluations : rows) times.push_back(time_of_level(evaluations, key, metric.better, *level));
+    const int best = first_for_certain(times);
     body +=
         fmt::format("<tr><th scope=\"row\">{} {} {}{}</th>", html_escape(metric.label), metric.better > 0 ? "≥" : "≤",
                     figure_text(*level, metric.digits), metric.unit.empty() ? "" : fmt::format(" {}", metric.unit));
-    for (std::size_t i = 0; i < seconds.size(); ++i) {
-      body += seconds[i] ? fmt::format("<td class=\"num{}\">{}</td>", best == static_cast<int>(i) ? " best" : "",
-                                       duration_text(*seconds[i]))
-                         : std::string("<td class=\"num none\">–</td>");
-    }
+    for (std::size_t i = 0; i < times.size(); ++i) body += time_cell(times[i], best == static_cast<int>(i));
     body += "</tr>\n";
   }
   if (body.empty()) return {};
-  return "<h3>Time to a common level</h3>\n<p class=\"hint\">Training time until the first evaluation at the level "
-         "that every run reached.</p>\n" +
+  return "<h3>Time to a common level</h3>\n<p class=\"hint\">Training time of the first evaluation at the level that "
+         "every run ended at or beyond. A run came there between that evaluation and the one before; “≤” says that "
+         "there was none before. Bold: first for certain.</p>\n" +
          table_panel("Time to reach a level", fmt::format("<tr><th scope=\"col\">Level</th>{}</tr>", run_heads(input)),
                      body);
 }
 
-// Evaluations while training may score a sample of the split ("test_sample"): a curve holds those alone, because its
-// last point would otherwise be of other frames than the rest.
-std::string curve_split(const ReportInput& input, const std::string& split) {
-  const std::string sample = split + kSampleSuffix;
+// The part of the split that every curve is of: "" for all of it; none when runs differ.
+std::optional<std::string> common_part(const ReportInput& input, const std::string& split) {
+  std::optional<std::string> common;
   for (const ReportRun& run : input.runs) {
-    if (eval_rows(run, sample).size() < 2) return split;
+    const std::vector<const MetricsRow*> rows = curve_rows(run, split);
+    if (rows.empty()) continue;
+    const std::string part = sample_text(*rows.front());
+    if (common && *common != part) return std::nullopt;
+    common = part;
   }
-  return sample;
+  return common.value_or("");
+}
+
+// What the values at the lines' ends are of.
+std::string parts_sentence(const ReportInput& input, const std::string& split) {
+  if (const auto common = common_part(input, split))
+    return common->empty() ? "" : fmt::format(" Evaluations while training are of a sample: {}.", *common);
+  std::vector<std::string> parts;
+  for (const ReportRun& run : input.runs) {
+    const std::vector<const MetricsRow*> rows = curve_rows(run, split);
+    if (rows.empty()) continue;
+    const std::string part = sample_text(*rows.front());
+    parts.push_back(html_escape(run.name) + ": " + (part.empty() ? "all frames" : "a sample, " + part));
+  }
+  return " The curves are of different parts of the split: " + join(parts, "; ") + ".";
 }
 
 struct Curve {
@@ -91,12 +110,18 @@ TimeUnit time_unit(double longest_s) {
 
 // Values over seconds of training.
 std::vector<PlotPoint> points_of(const ReportRun& run, const Curve& curve, const std::string& split) {
+  std::vector<const MetricsRow*> rows;
+  if (curve.from_training) {
+    for (const MetricsRow& row : run.rows) {
+      if (row.kind == "train") rows.push_back(&row);
+    }
+  } else {
+    rows = curve_rows(run, split);
+  }
   std::vector<PlotPoint> points;
-  for (const MetricsRow& row : run.rows) {
-    const bool wanted =
-        curve.from_training ? row.kind == "train" : row.kind == "eval" && (split.empty() || row.split == split);
-    const auto value = wanted ? row.get(curve.key) : std::nullopt;
-    if (value && std::isfinite(*value)) points.push_back({row.train_s, *value});
+  for (const MetricsRow* row : rows) {
+    const auto value = row->get(curve.key);
+    if (value && std::isfinite(*value)) points.push_back({row->train_s, *value});
   }
   return points;
 }
@@ -119,6 +144,7 @@ PlotSeries series_of(const ReportRun& run, int color, const Curve& curve, const 
 }
 
 std::string plots(const ReportInput& input, const std::string& split, const TimeUnit& unit, bool log_x) {
+  const std::string part = common_part(input, split).value_or("");
   std::string figures;
   for (const Curve& curve : kCurves) {
     PlotSpec spec{curve.title, unit.label, curve.log_y, !curve.from_training, curve.digits, {}};
@@ -127,8 +153,9 @@ std::string plots(const ReportInput& input, const std::string& split, const Time
       spec.series.push_back(series_of(input.runs[i], static_cast<int>(i), curve, split, unit.seconds));
     if (std::all_of(spec.series.begin(), spec.series.end(), [](const PlotSeries& s) { return s.points.empty(); }))
       continue;
-    figures += fmt::format("<figure class=\"panel\"><figcaption>{}<span>{}</span></figcaption>\n{}</figure>\n",
-                           curve.title, curve.note, line_plot(spec));
+    figures += fmt::format(
+        "<figure class=\"panel\"><figcaption>{}<span>{}</span></figcaption>\n{}</figure>\n", curve.title,
+        curve.from_training || part.empty() ? curve.note : fmt::format("{}; {}", curve.note, part), line_plot(spec));
   }
   return figures;
 }
@@ -191,8 +218,7 @@ std::string convergence_table(const ReportInput& input, const std::string& split
 
 }  // namespace
 
-std::string curves_section(const ReportInput& input, const std::string& whole_split) {
-  const std::string split = curve_split(input, whole_split);
+std::string curves_section(const ReportInput& input, const std::string& split) {
   double longest = 0;
   for (const ReportRun& run : input.runs) longest = std::max(longest, trained_s(run));
   const TimeUnit unit = time_unit(longest);
@@ -202,8 +228,8 @@ std::string curves_section(const ReportInput& input, const std::string& whole_sp
       open_section(
           "curves", "Error against run time",
           fmt::format("Time is training alone; evaluation and output are not counted. The number at a line’s end is "
-                      "its last value{}.",
-                      split == whole_split ? "" : ", on the sample of frames that was scored while training")) +
+                      "its last value.{}",
+                      parts_sentence(input, split))) +
       legend(input);
   if (spans_a_decade(input)) {  // two drawings and a box between them: the page needs no script
     out +=

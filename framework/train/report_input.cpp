@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "config/config_tree.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "core/sorted_folder.h"
@@ -43,6 +44,22 @@ std::string unique_name(const fs::path& folder, std::set<std::string>& taken) {
   if (taken.contains(name)) name = leaf.parent_path().filename().string() + "/" + base;
   for (int number = 2; !taken.insert(name).second; ++number) name = fmt::format("{} ({})", base, number);
   return name;
+}
+
+// "replica, room_0": the dataset's type and the folder or file that it lies in.
+std::string scene_of(const std::string& config, const std::string& path) {
+  if (config.empty()) return {};
+  const ConfigNode root = parse_config_text(config, path);
+  const ConfigNode* scene = root.find("scene");
+  if (scene == nullptr || !scene->is_map()) return {};
+  std::string text;
+  for (const char* key : {"type", "root", "file"}) {
+    const ConfigNode* value = scene->find(key);
+    if (value == nullptr || !value->is_scalar() || value->text().empty()) continue;
+    const fs::path place = fs::path(value->text()).lexically_normal();
+    text += (text.empty() ? "" : ", ") + (place.has_filename() ? place : place.parent_path()).filename().string();
+  }
+  return text;
 }
 
 ReportStrip read_strip(const fs::path& folder, const std::string& name, const std::string& note) {
@@ -104,6 +121,7 @@ ReportInput read_report_input(const std::vector<std::string>& run_folders, int m
     run.name = unique_name(path, taken);
     run.rows = read_metrics(folder.metrics_path());
     run.config = text_or_empty(folder.config_path());
+    run.scene = scene_of(run.config, folder.config_path());
     const std::string environment = text_or_empty(folder.environment_path());
     if (!environment.empty()) run.environment = parse_environment(environment, folder.environment_path());
     const std::string left_out = text_or_empty(folder.left_out_path());
@@ -135,6 +153,7 @@ ReportInput read_report_input(const std::vector<std::string>& run_folders, int m
     }
   }
   input.strips = read_strips(render, most_frames, apart);
+  if (input.strips.empty()) input.strips = read_strips(render, most_frames, {});  // a sample as small as the worst
   input.title = join(names, " · ");
   return input;
 }

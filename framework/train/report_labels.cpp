@@ -14,6 +14,9 @@ namespace semfield {
 
 namespace {
 
+// A scene without classes has no labels to tell of.
+bool has_labels(const ReportRun& run) { return run.labels && !run.labels->classes.empty(); }
+
 struct Abscissa {
   const char* label;
   std::int64_t LabelCounts::*count;
@@ -25,7 +28,7 @@ constexpr Abscissa kPixels{"labelled pixels in training", &LabelCounts::labelled
 std::string plots(const ReportInput& input, const std::string& split, const Abscissa& abscissa) {
   std::int64_t least = INT64_MAX, most = 0;
   for (const ReportRun& run : input.runs) {
-    if (!run.labels) continue;
+    if (!has_labels(run)) continue;
     least = std::min(least, (*run.labels).*abscissa.count);
     most = std::max(most, (*run.labels).*abscissa.count);
   }
@@ -36,7 +39,7 @@ std::string plots(const ReportInput& input, const std::string& split, const Absc
     for (std::size_t i = 0; i < input.runs.size(); ++i) {
       const ReportRun& run = input.runs[i];
       const auto value = last_value(run, split, key);
-      if (run.labels && value)
+      if (has_labels(run) && value)
         spec.series.push_back(
             {run.name, static_cast<int>(i), {{static_cast<double>((*run.labels).*abscissa.count), *value}}});
     }
@@ -94,7 +97,7 @@ std::string table(const ReportInput& input, const std::string& split) {
         fmt::format("<th scope=\"col\" class=\"num\">{}<small class=\"d\">{}</small></th>", column.head, column.hint);
   std::string body;
   for (const ReportRun& run : input.runs) {
-    if (!run.labels) continue;
+    if (!has_labels(run)) continue;
     const LabelCounts& labels = *run.labels;
     const auto taught = std::count_if(labels.classes.begin(), labels.classes.end(),
                                       [](const LabelCounts::Class& c) { return c.pixels > 0; });
@@ -116,8 +119,7 @@ std::string table(const ReportInput& input, const std::string& split) {
 }  // namespace
 
 std::string labels_section(const ReportInput& input, const std::string& split) {
-  const auto known =
-      std::count_if(input.runs.begin(), input.runs.end(), [](const ReportRun& run) { return run.labels.has_value(); });
+  const auto known = std::count_if(input.runs.begin(), input.runs.end(), has_labels);
   if (known == 0) return {};
   std::string out = open_section(
       "labels", known > 1 ? "Error against number of labels" : "Labels in training",
@@ -135,6 +137,8 @@ std::string labels_section(const ReportInput& input, const std::string& split) {
   return out + table(input, split) +
          missing_runs(input, "Left out, because their folders hold no labels.json (made by an earlier version):",
                       [](const ReportRun& run) { return !run.labels; }) +
+         missing_runs(input, "Left out, because their scenes have no classes:",
+                      [](const ReportRun& run) { return run.labels && !has_labels(run); }) +
          "</section>\n";
 }
 

@@ -8,6 +8,7 @@
 
 #include "core/error.h"
 #include "train/html.h"
+#include "train/report_comparison.h"
 #include "train/report_svg.h"
 
 namespace semfield {
@@ -47,11 +48,16 @@ const ReportMetric& report_metric(std::string_view key) {
 }
 
 std::vector<const MetricsRow*> eval_rows(const ReportRun& run, const std::string& split) {
-  std::vector<const MetricsRow*> rows;
+  std::vector<const MetricsRow*> whole, samples;
   for (const MetricsRow& row : run.rows) {
-    if (row.kind == "eval" && (split.empty() || row.split == split)) rows.push_back(&row);
+    if (row.kind != "eval") continue;
+    if (split.empty() || row.split == split) whole.push_back(&row);
+    if (row.split.starts_with(split) && row.split.substr(split.size()) == kSampleSuffix) samples.push_back(&row);
   }
-  return rows;
+  if (!whole.empty() || samples.empty()) return whole;
+  const std::string last = sample_text(*samples.back());
+  std::erase_if(samples, [&](const MetricsRow* row) { return sample_text(*row) != last; });
+  return samples;
 }
 
 std::optional<double> last_value(const ReportRun& run, const std::string& split, std::string_view key) {
@@ -119,10 +125,13 @@ std::string value_cell(const std::optional<double>& value, int digits, bool best
   return fmt::format("<td class=\"num{}\">{}</td>", best ? " best" : "", figure_text(*value, digits));
 }
 
-std::string run_heads(const ReportInput& input) {
+std::string run_heads(const ReportInput& input, const std::string& split) {
   std::string out;
-  for (const ReportRun& run : input.runs)
-    out += fmt::format("<th scope=\"col\" class=\"num\">{}</th>", html_escape(run.name));
+  for (const ReportRun& run : input.runs) {
+    const std::string sample = split.empty() ? "" : sample_text(run, split);
+    out += fmt::format("<th scope=\"col\" class=\"num\">{}{}</th>", html_escape(run.name),
+                       sample.empty() ? "" : fmt::format("<small class=\"d\">sample: {}</small>", sample));
+  }
   return out;
 }
 

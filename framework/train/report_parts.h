@@ -26,7 +26,8 @@ std::span<const ReportMetric> report_metrics();
 /// The one of that key, which must be among them.
 const ReportMetric& report_metric(std::string_view key);
 
-/// Eval rows of a run that count.
+/// Eval rows of a run that count: of the whole split, or, where there is none, of the sample of it that was scored
+/// last.
 std::vector<const MetricsRow*> eval_rows(const ReportRun& run, const std::string& split);
 /// Last value of a metric among the eval rows, or none.
 std::optional<double> last_value(const ReportRun& run, const std::string& split, std::string_view key);
@@ -45,7 +46,8 @@ std::string open_section(std::string_view id, std::string_view title, std::strin
 /// A panel that scrolls sideways, around a table.
 std::string table_panel(std::string_view label, const std::string& head, const std::string& body);
 std::string value_cell(const std::optional<double>& value, int digits, bool best);
-std::string run_heads(const ReportInput& input);
+/// A column head for each run; with a split the sample that its figures are of stands below its name.
+std::string run_heads(const ReportInput& input, const std::string& split = {});
 /// Names and lines of the runs; empty for one run.
 std::string legend(const ReportInput& input);
 /// A coloured square.

@@ -7,7 +7,9 @@
 #include <array>
 #include <cmath>
 
+#include "core/error.h"
 #include "train/html.h"
+#include "train/report_comparison.h"
 #include "train/report_parts.h"
 
 namespace semfield {
@@ -26,46 +28,16 @@ std::optional<double> table_value(const ReportRun& run, const std::string& split
 
 }  // namespace
 
-std::string cards_section(const ReportInput& input, const std::string& split) {
-  std::string out = "<div class=\"cards\">\n";
-  const bool several = input.runs.size() > 1;
-  const auto card = [&](std::string_view label, const std::string& value, std::string_view unit,
-                        const std::string& note) {
-    out += fmt::format(
-        "<div class=\"card\"><div class=\"k\">{}</div><div class=\"v\">{}{}</div><div class=\"n\">{}</div></div>\n",
-        label, value, unit.empty() ? "" : fmt::format("<span class=\"u\">{}</span>", unit), html_escape(note));
-  };
-  for (const std::string_view key : {"miou", "total_accuracy", "psnr", "absrel"}) {
-    const ReportMetric& metric = report_metric(key);
-    std::vector<std::optional<double>> values;
-    for (const ReportRun& run : input.runs) values.push_back(last_value(run, split, key));
-    int best = best_run(values, metric.better);
-    for (std::size_t i = 0; best < 0 && i < values.size(); ++i) {
-      if (values[i]) best = static_cast<int>(i);
-    }
-    if (best < 0) continue;
-    const auto b = static_cast<std::size_t>(best);
-    card(metric.label, figure_text(*values[b], key == "absrel" ? 2 : 3), metric.unit,
-         several ? "best: " + input.runs[b].name : std::string(metric.help));
-  }
-  double longest = 0;
-  std::int64_t step = 0;
-  for (const ReportRun& run : input.runs) {
-    longest = std::max(longest, trained_s(run));
-    for (const MetricsRow& row : run.rows) step = std::max(step, row.step);
-  }
-  card(several ? "Longest training" : "Training", duration_text(longest), "",
-       fmt::format("{} steps, evaluation not counted", step));
-  return out + "</div>\n";
-}
-
 std::string figures_section(const ReportInput& input, const std::string& split) {
+  const bool ranked = unranked_because(input, split).empty();
+  const bool sampled = std::any_of(input.runs.begin(), input.runs.end(),
+                                   [&](const ReportRun& run) { return !sample_text(run, split).empty(); });
   std::string body;
   for (const ReportMetric& metric : report_metrics()) {
     std::vector<std::optional<double>> values;
     for (const ReportRun& run : input.runs) values.push_back(table_value(run, split, metric.key));
     if (std::none_of(values.begin(), values.end(), [](const auto& v) { return v.has_value(); })) continue;
-    const int best = best_run(values, metric.better);
+    const int best = ranked ? best_run(values, metric.better) : -1;
     body += fmt::format("<tr><th scope=\"row\">{}{}<small class=\"d\">{}</small></th>", html_escape(metric.label),
                         metric.unit.empty() ? "" : fmt::format(" <span class=\"none\">{}</span>", metric.unit),
                         html_escape(metric.help));
@@ -78,10 +50,15 @@ std::string figures_section(const ReportInput& input, const std::string& split) 
     body += fmt::format("<td class=\"num\">{}</td>", duration_text(trained_s(run)));
   body += "</tr>\n";
   const std::string hint =
-      fmt::format("Last evaluation{}.{}", split.empty() ? "" : " on the split “" + html_escape(split) + "”",
-                  input.runs.size() > 1 ? " The best of each row is set in bold." : "");
-  return open_section("figures", "Figures", hint) +
-         table_panel("Figures", fmt::format("<tr><th scope=\"col\">Metric</th>{}</tr>", run_heads(input)), body) +
+      fmt::format("Last evaluation{}{}.{}", split.empty() ? "" : " on the split “" + html_escape(split) + "”",
+                  sampled ? ", of the sample that the head names" : "",
+                  input.runs.size() < 2 ? ""
+                  : ranked              ? " The best of each row is set in bold."
+                                        : " The runs are not ranked; the reason stands at the top.");
+  return open_section("figures", "Figures", hint) + "<div class=\"figures\">" +
+         table_panel("Figures", fmt::format("<tr><th scope=\"col\">Metric</th>{}</tr>", run_heads(input, split)),
+                     body) +
+         "</div>"
          "</section>\n";
 }
 
@@ -138,10 +115,21 @@ std::string classes_section(const ReportInput& input, const std::string& split) 
          legend(input) + "<div class=\"panel bars\">\n" + bars + "</div>\n</section>\n";
 }
 
-std::string strips_section(const std::vector<ReportStrip>& strips, std::string_view id, std::string_view title,
-                           std::string_view hint) {
+std::string frames_section(const std::vector<ReportStrip>& strips, const std::string& of_first) {
   if (strips.empty()) return {};
-  return open_section(id, title, hint) + strip_panels(strips) + "</section>\n";
+  const std::vector<ReportImage>& images = strips.front().images;
+  const bool entropy =
+      std::any_of(images.begin(), images.end(), [](const ReportImage& image) { return image.caption == "entropy"; });
+  std::string out = open_section("frames", "Rendered frames",
+                                 (entropy ? "Entropy runs over its full range, 0 to ln C; depth is bright where near."
+                                          : "Depth is bright where near.") +
+                                     of_first) +
+                    strip_panels({strips.front()});
+  if (strips.size() > 1)
+    out +=
+        fmt::format("<details class=\"panel more\"><summary>{} more frame{}</summary>\n{}</details>\n",
+                    strips.size() - 1, strips.size() > 2 ? "s" : "", strip_panels({strips.begin() + 1, strips.end()}));
+  return out + "</section>\n";
 }
 
 std::string strip_panels(const std::vector<ReportStrip>& strips) {
@@ -160,28 +148,45 @@ std::string strip_panels(const std::vector<ReportStrip>& strips) {
 }
 
 std::string left_out_section(const ReportInput& input) {
-  std::string body;
-  const bool several = input.runs.size() > 1;
+  // A row that several runs have stands once, with their names.
+  struct Row {
+    const LeftOutRow* row;
+    std::vector<std::string> runs;
+  };
+  std::vector<Row> rows;
   for (const ReportRun& run : input.runs) {
     for (const LeftOutRow& row : run.left_out) {
-      body += fmt::format(
-          "<tr>{}<th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>\n",
-          several ? fmt::format("<td>{}</td>", html_escape(run.name)) : "", html_escape(row.component),
-          html_escape(row.rule), html_escape(row.evidence), html_escape(row.proof), html_escape(row.saving_estimate),
-          row.saving_measured.empty() ? "<span class=\"none\">–</span>" : html_escape(row.saving_measured));
+      const auto known = std::find_if(rows.begin(), rows.end(), [&](const Row& r) { return *r.row == row; });
+      if (known == rows.end()) {
+        rows.push_back({&row, {run.name}});
+      } else {
+        known->runs.push_back(run.name);
+      }
     }
   }
-  if (body.empty()) return {};
+  if (rows.empty()) return {};
+  const auto small = [](const std::string& text) {
+    return text.empty() ? "" : fmt::format("<small class=\"d\">{}</small>", html_escape(text));
+  };
+  std::string body;
+  for (const auto& [row, runs] : rows) {
+    const std::string of = input.runs.size() < 2              ? ""
+                           : runs.size() == input.runs.size() ? "every run"
+                                                              : join(runs, ", ");
+    body += fmt::format(
+        "<tr><th scope=\"row\">{}{}{}</th><td>{}</td><td>{}{}</td><td>{}</td></tr>\n", html_escape(row->component),
+        small(row->rule), small(of), html_escape(row->evidence), html_escape(row->saving_estimate),
+        small(row->saving_measured.empty() ? "" : "measured: " + row->saving_measured), html_escape(row->proof));
+  }
   return open_section("left-out", "Left out, and why",
                       "Parts that this scene does not need were not built. Proof: B, bitwise the same result; C, "
                       "within a certified bound; S, the same within statistics.") +
+         "<div class=\"left-out\">" +
          table_panel("Left out",
-                     fmt::format("<tr>{}<th scope=\"col\">Component</th><th scope=\"col\">Rule</th><th "
-                                 "scope=\"col\">Found here</th><th scope=\"col\">Proof</th><th scope=\"col\">Saving, "
-                                 "estimated</th><th scope=\"col\">Measured</th></tr>",
-                                 several ? "<th scope=\"col\">Run</th>" : ""),
+                     "<tr><th scope=\"col\">Component</th><th scope=\"col\">Found here</th><th "
+                     "scope=\"col\">Saving</th><th scope=\"col\">Proof</th></tr>",
                      body) +
-         "</section>\n";
+         "</div></section>\n";
 }
 
 std::string environment_section(const ReportInput& input) {

@@ -69,6 +69,7 @@ std::vector<std::pair<std::string, std::string>> parse_environment(std::string_v
 struct LeftOutRow {
   std::string component, rule, evidence, proof;
   std::string saving_estimate, saving_measured;
+  bool operator==(const LeftOutRow&) const = default;
 };
 std::string left_out_json(const std::vector<LeftOutRow>& rows);
 std::vector<LeftOutRow> parse_left_out(std::string_view json, const std::string& name);

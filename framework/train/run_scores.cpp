@@ -107,7 +107,11 @@ MetricsRow RunScores::row_of(const Moment& at, Split split, const ScoredPart& pa
   return row;
 }
 
-void RunScores::log_test(const MetricsRow& row, const ScoredPart& part, const SplitScore& score) {
+void RunScores::log_test(MetricsRow row, const ScoredPart& part, const SplitScore& score) {
+  const std::vector<ClassScore> per_class = score.confusion.per_class();
+  for (std::size_t c = 0; c < per_class.size(); ++c) {
+    row.per_class_iou.emplace_back(session_.scene.info.classes.valid(static_cast<int>(c)).name, per_class[c].iou);
+  }
   files_.log.append(row);
   files_.log.sync();
   // One tag a meaning: a sample's figures are not those of the split.

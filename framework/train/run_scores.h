@@ -81,7 +81,7 @@ class RunScores {
   void plan_sample();
   SplitScore score(EvalJob job, Split split);
   MetricsRow row_of(const Moment& at, Split split, const ScoredPart& part, const SplitScore& score) const;
-  void log_test(const MetricsRow& row, const ScoredPart& part, const SplitScore& score);
+  void log_test(MetricsRow row, const ScoredPart& part, const SplitScore& score);
   ScoreValues score_test_frames(const Moment& at, EvalJob job);
   // The field at the training poses against the scene's own labels, then the labels given.
   void score_training_frames(const Moment& at, const EvalJob& job);

@@ -1,10 +1,12 @@
 #include "train/train_run.h"
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <ctime>
 
 #include "config/compose.h"
 #include "core/checksum.h"
@@ -251,6 +253,7 @@ class Run {
     for (const std::uint32_t checksum : checksums) manifest += hex64(checksum);
     environment.input_hash = hex64(fnv1a64(manifest));
     for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
+    environment.more.emplace_back("started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr))));
     environment.more.emplace_back("device", session_.device ? session_.device->description() : "cpu");
     environment.more.emplace_back("matrix products", session_.device ? "cuBLASLt and our own" : gemm_engine_text());
     environment.more.emplace_back("precision", std::string(precision_name(session_.config.runtime.precision)));

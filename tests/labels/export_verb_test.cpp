@@ -2,6 +2,7 @@
 #include <cstdlib>
 
 #include "core/files.h"
+#include "labels/mask_outlines.h"
 #include "scene/class_import.h"
 #include "scene/image_io.h"
 #include "tests/labels/reader_case.h"
@@ -46,9 +47,24 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
   }
   const Result small = semfield_run("export run --set scene.load.downscale=2 --out half.json", folder);
   EXPECT_EQ(small.code, 0);
-  EXPECT_EQ(
-      small.err,
-      "labels are 20 x 15, the stored images 40 x 30: to export at that size, give --set scene.load.downscale=1\n");
+  EXPECT_EQ(small.err.find("labels are 20 x 15, the stored images 40 x 30: to export at that size, give --set "
+                           "scene.load.downscale=1\n"),
+            0u)
+      << small.err;
+  // No region of the exported labels is smaller than asked; large ones are tested in small_regions_test.cpp.
+  const Result calm = semfield_run("export run --split test --min-area 30 --format coco --out calm.json", folder);
+  ASSERT_EQ(calm.code, 0) << calm.err;
+  EXPECT_NE(calm.err.find(" regions of fewer than 30 pixels took the class around them: "), std::string::npos)
+      << calm.err;
+  const auto coco = make_reader("coco", "file: " + folder + "/calm.json");
+  for (const std::string name : {"rgb_1", "rgb_3"}) {
+    const std::vector<std::int16_t> labels = read_labels(*coco, frame_of(name), table).hard;
+    std::int64_t smallest = std::ssize(labels);
+    for (const MaskRegion& region : mask_regions(labels, 40, 30)) smallest = std::min(smallest, region.area_px);
+    EXPECT_GE(smallest, 30) << name;
+  }
+  EXPECT_EQ(semfield_run("export run --min-area -1 --out x.json", folder).err,
+            "semfield: --min-area -1: expected a number of pixels\n");
   const Result wrong = semfield_run("export run --format coc --out x.json", folder);
   EXPECT_EQ(wrong.code, 2);
   EXPECT_EQ(wrong.err, "semfield: --format coc: expected coco, coco_rle or labelme\n");

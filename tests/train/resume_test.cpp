@@ -103,6 +103,7 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
        {"run.yaml", "metrics.jsonl", "environment.json", "left_out.json", "classes.yaml", "report.html"}) {
     EXPECT_TRUE(std::filesystem::exists(request.out_dir + "/" + file)) << file;
   }
+  EXPECT_NE(read_text_file(request.out_dir + "/environment.json").find("\"started\": \"20"), std::string::npos);
   double psnr = 0;
   for (const auto& [name, value] : outcome.values) {
     if (name == "psnr") psnr = *value;

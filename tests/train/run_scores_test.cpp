@@ -128,6 +128,7 @@ TEST(RunScores, WithoutATimeLimitTheWholeSplitIsScored) {
   ASSERT_EQ(scored.evals.size(), 1u);
   EXPECT_EQ(scored.evals[0].split, "test");
   EXPECT_TRUE(scored.outcome.scored.whole());
+  EXPECT_FALSE(scored.evals[0].per_class_iou.empty());
 }
 
 TEST(RunScores, APartOfTheTrainingFramesIsCalledASample) {
