@@ -79,7 +79,8 @@ int run_inspect(const ConfigOptions& options, const std::string& frusta_path, Ap
 int run_capture(const ConfigOptions& options, const std::string& out, AppContext& context) {
   OpenedDataset opened = dataset_of(options, context);
   Diagnostics diagnostics;
-  const SceneInfo info = opened.dataset->open(diagnostics);
+  SceneInfo info = opened.dataset->open(diagnostics);
+  mend_info(info, opened.config.load.mend);
   for (const Diagnostic& finding : diagnostics.all()) {
     if (finding.severity != Severity::error) print_note(context, finding.text());
   }
@@ -87,7 +88,8 @@ int run_capture(const ConfigOptions& options, const std::string& out, AppContext
   CaptureReport report;
   {
     ProgressLine progress(context, "captured");
-    report = capture_replica(*opened.dataset, info, out, [&](int done, int total) { progress.show(done, total); });
+    report = capture_replica(
+        *opened.dataset, info, out, [&](int done, int total) { progress.show(done, total); }, opened.config.load.mend);
   }
   std::printf("capture: frames=%d bytes=%lld folder=%s\n", report.frames, static_cast<long long>(report.bytes),
               out.c_str());

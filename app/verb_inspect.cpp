@@ -130,6 +130,7 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
   out += fmt::format("near, far   {:.4g}, {:.4g}{}\n", scene.near_m, scene.far_m,
                      scene.near_far_from.empty() ? "" : " from " + scene.near_far_from);
   out += fmt::format("pixel       {:.4g} at the middle depth\n", scene.pixel_footprint_m);
+  if (!scene.geometry.empty()) out += "geometry    " + scene.geometry + "\n";
   return out + class_table(scene) + problems(diagnostics);
 }
 

@@ -9,6 +9,7 @@
 #include "config/params_read.h"
 #include "core/check.h"
 #include "core/parallel.h"
+#include "scene/geometry_survey.h"
 #include "scene/image_io.h"
 #include "scene/input_limits.h"
 #include "scene/scene_checks.h"
@@ -140,6 +141,19 @@ void describe(ParamVisitor& visit, SceneLoadOptions& p) {
                  {0, kMostDistance_m});
   SEMFIELD_PARAM(visit, p, bounds, "world box of the content, metres: [x0, y0, z0, x1, y1, z1]; empty = derived",
                  {-kMostCoordinate_m, kMostCoordinate_m});
+  SEMFIELD_PARAM(
+      visit, p.mend, flip_camera_axes,
+      "the camera axes in the files are the other of OpenCV's and OpenGL's than the dataset expects: y and z "
+      "are flipped");
+  SEMFIELD_PARAM(
+      visit, p.mend, invert_poses,
+      "the poses in the files are inverse to what the dataset expects, mostly world-to-camera matrices: they are "
+      "inverted");
+  SEMFIELD_PARAM(visit, p.mend, pose_scale, "multiplies camera centres; 0.001 for poses in millimetres", {1e-6, 1e6});
+  SEMFIELD_PARAM(visit, p.mend, depth_scale, "multiplies depth as read; 1000 for metres that were read as millimetres",
+                 {1e-6, 1e6});
+  SEMFIELD_PARAM(visit, p, check_geometry,
+                 "whether poses that contradict depth or photographs, and bounds that no ray meets, are refused");
 }
 
 void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {
@@ -198,7 +212,9 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   validate(options, diagnostics);
   SEMFIELD_CHECK(options.pixels || (options.bounds.size() == 6 && options.near_m > 0 && options.far_m > 0),
                  "without pixels, bounds and distances must be given");
-  scene.info = reader.open(diagnostics);
+  const SceneInfo as_opened = reader.open(diagnostics);
+  scene.info = as_opened;
+  mend_info(scene.info, options.mend);
   check_manifest_numbers(scene.info, diagnostics);
   std::vector<FrameInfo>& frames = scene.info.frames;
   check_input_limit(std::ssize(frames), input_limits().frames, "scene '" + scene.info.name + "': ", "frames", "frames");
@@ -259,6 +275,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   std::vector<SurveyPoints> surveyed(frames.size());
   const int classes = scene.info.classes.valid_count();
   scene.class_pixels.assign(frames.size(), {});
+  std::optional<GeometrySurvey> geometry;
+  if (options.check_geometry) geometry.emplace(as_opened, cameras, options.mend);
   parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t index) {
     const auto i = static_cast<std::size_t>(index);
     if (cameras[i].width_px == 0) return;
@@ -266,6 +284,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
       FrameBuffer frame;
       reader.read(static_cast<int>(i), frame);
       check_buffer(frame, frames[i]);
+      mend_depth(frame, options.mend);
       check_labels(frame, classes);
       // A vector assigned {} keeps its memory; one that is moved from another does not.
       if (!options.with_instances) frame.instance = std::vector<std::int32_t>();
@@ -274,6 +293,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
       scene.class_pixels[i] = class_pixels_of(frame.label, classes);
       if (frames[i].split == Split::train && !frame.depth_m.empty())
         surveyed[i] = survey_frame(cameras[i], frames[i].world_from_camera, frame, step);
+      if (geometry) geometry->look_at(i, cameras[i], frame);
       if (!keeps_depth(options, frames[i].split)) frame.depth_m = std::vector<float>();
       scene.frames[i] = StoredFrame(std::move(frame));
     } catch (const Error& e) {
@@ -285,8 +305,13 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     if (cameras[i].width_px > 0) frames[i].camera = cameras[i];
     if (!options.with_instances) frames[i].has_instances = false;
   }
-  derive_extent(scene, std::move(surveyed), options, diagnostics);
-  check_extent(scene, diagnostics);
+  const int before = diagnostics.error_count();
+  if (geometry) scene.geometry = geometry->conclude(diagnostics);
+  // What poses of another convention do to bounds and distances would hide the cause.
+  Diagnostics consequences;
+  Diagnostics& heard = diagnostics.error_count() > before ? consequences : diagnostics;
+  derive_extent(scene, std::move(surveyed), options, heard);
+  check_extent(scene, heard);
   return scene;
 }
 

@@ -8,6 +8,7 @@
 
 #include "config/params.h"
 #include "scene/depth_survey.h"
+#include "scene/pose_mend.h"
 #include "scene/scene.h"
 #include "scene/stored_frame.h"
 
@@ -24,6 +25,8 @@ struct SceneLoadOptions {
   double near_m = 0;
   double far_m = 0;
   std::vector<double> bounds;
+  PoseMend mend;
+  bool check_geometry = true;
   DepthKept depth = DepthKept::all;  ///< not a key
   bool with_instances = false;       ///< not a key
   /// Not a key: told what all frames will take in memory before the first is read; may throw.
@@ -40,6 +43,7 @@ struct LoadedScene {
   Box bounds;                              ///< never empty after a load without errors
   double near_m = 0, far_m = 0;            ///< along the ray
   double pixel_footprint_m = 0;            ///< world size of one pixel at the scene's middle depth (training frames)
+  std::string geometry;                    ///< what the check of poses against pixels found; empty = not asked
   std::string bounds_from, near_far_from;  ///< one phrase each: "depth of 35 training frames", "the configuration", ...
   /// Pixels of each class in each frame: [frames][C + 1], the last entry is void; empty for a frame without labels.
   std::vector<std::vector<std::int64_t>> class_pixels;

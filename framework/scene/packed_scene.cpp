@@ -91,10 +91,13 @@ class Reader {
 };
 
 template <class Stream>
-void flag(Stream& s, bool& value) {
-  std::uint8_t byte = value ? 1 : 0;
+void flags(Stream& s, std::initializer_list<bool*> bits) {
+  std::uint8_t byte = 0;
+  unsigned at = 0;
+  for (const bool* bit : bits) byte = static_cast<std::uint8_t>(byte | (*bit ? 1u : 0u) << at++);
   s.number(byte);
-  value = byte != 0;
+  at = 0;
+  for (bool* bit : bits) *bit = (byte >> at++ & 1u) != 0;
 }
 
 template <class Stream>
@@ -133,7 +136,7 @@ void walk_frame(Stream& s, FrameInfo& f, Chunks& chunks) {
 template <class Stream>
 void walk(Stream& s, SceneInfo& info, std::vector<ClassEntry>& classes, std::vector<Chunks>& chunks) {
   s.text(info.name);
-  flag(s, info.metric);
+  flags(s, {&info.metric, &info.opengl_files});
   s.number(info.near_hint_m);
   s.number(info.far_hint_m);
   vector3(s, info.bounds.lo);
@@ -143,7 +146,7 @@ void walk(Stream& s, SceneInfo& info, std::vector<ClassEntry>& classes, std::vec
     s.number(e.id);
     s.text(e.name);
     for (std::uint8_t& c : e.color) s.number(c);
-    flag(s, e.ignore);
+    flags(s, {&e.ignore});
   }
   s.list(info.frames, 200);
   chunks.resize(info.frames.size());

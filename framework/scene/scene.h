@@ -33,6 +33,7 @@ struct SceneInfo {
   bool metric = true;      ///< false: the unit is unknown (structure from motion)
   double near_hint_m = 0;  ///< 0 = none
   double far_hint_m = 0;
+  bool opengl_files = false;  ///< camera axes in the files were OpenGL's; open() turned them
 };
 
 /// Pixels of one frame, row-major, top-left first. Vectors are empty where the frame has no such channel.

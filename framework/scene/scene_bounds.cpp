@@ -4,7 +4,7 @@
 #include <cstdio>
 
 #include "core/parallel.h"
-#include "scene/frame_source.h"
+#include "scene/ray_check.h"
 
 namespace semfield {
 
@@ -65,6 +65,29 @@ void grow(Box& box, double share) {
   }
 }
 
+// What the training frames show: the points of their depth, or their view cones up to far. `from` says which.
+Box box_of_data(const LoadedScene& scene, const std::vector<int>& usable, DepthSurvey& survey, std::string& from) {
+  const auto include_cones = [&](Box& box, double reach) {
+    for (const int i : usable) include_frustum(box, scene.info.frames[static_cast<std::size_t>(i)], reach);
+  };
+  Box box = survey.box;
+  if (survey.valid > 0) {
+    from = "depth of " + std::to_string(usable.size()) + " training frames";
+    const double covered = static_cast<double>(survey.valid) / static_cast<double>(survey.looked_at);
+    if (covered < 0.5) {
+      // Too much of the picture has no depth for the points to stand for the scene: what the cameras see counts as
+      // well.
+      include_cones(box, quantile(survey.distances, 0.98));
+      from += " (valid on " + std::to_string(std::lround(covered * 100)) + " % of pixels) and the view cones";
+    }
+  } else {
+    include_cones(box, scene.far_m);
+    from = "the view cones of " + std::to_string(usable.size()) + " training cameras up to far";
+  }
+  grow(box, 0.02);
+  return box;
+}
+
 std::string short_number(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%.3g", value);
@@ -122,7 +145,6 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   }
   DepthSurvey survey = survey_depth(surveyed);
   const bool has_depth = survey.valid > 0;
-  const double covered = has_depth ? static_cast<double>(survey.valid) / static_cast<double>(survey.looked_at) : 0;
   Box cameras;
   for (const int i : usable) cameras.include(scene.info.frames[static_cast<std::size_t>(i)].world_from_camera.t);
 
@@ -160,30 +182,20 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
                       "set near_m and far_m, near_m below far_m");
   }
 
+  std::string seen_in;
+  const Box seen = box_of_data(scene, usable, survey, seen_in);
   if (options.bounds.size() == 6) {
     scene.bounds = box_of(options.bounds);
     scene.bounds_from = "the configuration";
   } else if (!scene.info.bounds.empty()) {
     scene.bounds = scene.info.bounds;
     scene.bounds_from = "the dataset";
-  } else if (has_depth) {
-    scene.bounds = survey.box;
-    scene.bounds_from = "depth of " + std::to_string(usable.size()) + " training frames";
-    if (covered < 0.5) {
-      // Too much of the picture has no depth for the points to stand for the scene: what the cameras see counts as
-      // well.
-      const double reach = quantile(survey.distances, 0.98);
-      for (const int i : usable) include_frustum(scene.bounds, scene.info.frames[static_cast<std::size_t>(i)], reach);
-      scene.bounds_from +=
-          " (valid on " + std::to_string(std::lround(covered * 100)) + " % of pixels) and the view cones";
-    }
-    grow(scene.bounds, 0.02);
   } else {
-    for (const int i : usable)
-      include_frustum(scene.bounds, scene.info.frames[static_cast<std::size_t>(i)], scene.far_m);
-    scene.bounds_from = "the view cones of " + std::to_string(usable.size()) + " training cameras up to far";
-    grow(scene.bounds, 0.02);
+    scene.bounds = seen;
+    scene.bounds_from = seen_in;
   }
+  if (options.check_geometry && scene.near_m < scene.far_m)
+    check_rays(scene, usable, {seen, survey.distances, scene.bounds_from == seen_in}, diagnostics);
 
   std::vector<float> focal;
   for (const int i : usable)

@@ -135,6 +135,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   SceneLoadOptions load = s.config.load;
   const bool make_labels = !options.known || options.labels;
   load.pixels = options.pixels || !options.known;
+  load.check_geometry = load.check_geometry && !options.known;  // a run that was trained is evaluated as it is
   load.with_instances = make_labels && s.config.labels.needs_instances();
   const bool needs_depth = options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
   load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;

@@ -50,6 +50,30 @@ TEST(Pack, PackedSceneIsTheScene) {
   }
 }
 
+TEST(Pack, WhatIsPackedIsMended) {
+  const std::string folder = fresh_folder("room");
+  write_replica(folder, 6);
+  Replica replica(room_params(folder), {});
+  Diagnostics d;
+  SceneLoadOptions options;
+  options.mend = {true, true, 0.5, 2};
+  (void)pack_scene(replica, folder + "/room.semfield", options, {}, d);
+  Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
+  options.check_geometry = false;
+  const LoadedScene a = load_scene(replica, options, d);
+  SceneLoadOptions plain;
+  plain.check_geometry = false;
+  const LoadedScene b = load_scene(packed, plain, d);
+  EXPECT_FALSE(d.has_errors());
+  for (std::size_t i = 0; i < 6; ++i) {
+    EXPECT_EQ(a.info.frames[i].world_from_camera.r, b.info.frames[i].world_from_camera.r);
+    EXPECT_EQ(a.info.frames[i].world_from_camera.t, b.info.frames[i].world_from_camera.t);
+    EXPECT_EQ(a.frames[i].depth_m, b.frames[i].depth_m);
+  }
+  EXPECT_EQ(a.bounds.lo, b.bounds.lo);
+  EXPECT_EQ(a.far_m, b.far_m);
+}
+
 TEST(Inspect, ReportTellsFramesClassesAndProblems) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 6);

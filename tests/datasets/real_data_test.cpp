@@ -7,6 +7,7 @@
 #include "datasets/replica/replica.h"
 #include "datasets/transforms_json/transforms_json.h"
 #include "scene/frame_source.h"
+#include "tests/datasets/rewritten_poses.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -108,6 +109,37 @@ TEST(RealData, ShelfBinWithDepthAndLabels) {
   for (const auto& counts : s.class_pixels) labelled += counts[0] + counts[1] + counts[2] + counts[3];
   EXPECT_GT(labelled, 10000);
   EXPECT_NE(s.bounds_from.find("view cones"), std::string::npos);
+}
+
+TEST(RealData, ReplicaConventionsAreTold) {
+  if (!std::filesystem::exists(data("replica_apartment0")))
+    GTEST_SKIP() << "the optional Replica frames are not at hand";
+  ReplicaParams p;
+  p.root = data("replica_apartment0");
+  p.train_step = 2;
+  p.test_step = 2;
+  p.test_offset = 1;
+  Replica replica(p, {});
+  expect_conventions_told(replica, "poses agree with depth");
+}
+
+TEST(RealData, StudioRoomConventionsAreToldFromPhotographs) {
+  if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
+  TransformsJsonParams pt;
+  ColmapParams pc;
+  pt.root = pc.root = data("studio_room");
+  TransformsJson by_json(pt, {});
+  expect_conventions_told(by_json, "poses agree with the photographs");
+  Colmap by_colmap(pc, {});
+  expect_conventions_told(by_colmap, "poses agree with the photographs");
+}
+
+TEST(RealData, ShelfBinConventionsAreToldFromSparseDepth) {
+  if (!std::filesystem::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
+  TransformsJsonParams p;
+  p.root = data("shelf_bin");
+  TransformsJson scene(p, {});
+  expect_conventions_told(scene, "poses agree with depth");
 }
 
 }  // namespace

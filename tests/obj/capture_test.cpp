@@ -125,6 +125,18 @@ TEST(Capture, VoidStaysVoidWhereTheTableHasNoVoid) {
   round_trip(wall, 2, fresh_folder("out"));
 }
 
+TEST(Capture, DepthIsMended) {
+  Wall wall;
+  const std::string folder = fresh_folder("out");
+  capture_replica(wall, wall.info, folder, {}, {.depth_scale = 2});
+  Diagnostics d;
+  const std::unique_ptr<Dataset> replica = linked("replica", all_frames(folder));
+  replica->open(d);
+  FrameBuffer f;
+  replica->read(0, f);
+  EXPECT_NEAR(f.depth_m[0], 2 * wall.frame.depth_m[0], 1e-3);
+}
+
 TEST(Capture, InstancesBeyondAByteAndDepthBeyondTheRange) {
   Wall wall;
   const std::string folder = fresh_folder("out");

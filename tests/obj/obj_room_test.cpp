@@ -7,6 +7,7 @@
 #include <set>
 
 #include "scene/class_rules.h"
+#include "tests/datasets/rewritten_poses.h"
 #include "tests/obj/obj_testing.h"
 
 namespace semfield {
@@ -248,6 +249,24 @@ TEST(ObjRoomOthers, Classroom) {
   expect_no_errors(d);
   EXPECT_EQ(info.classes.valid_count(), 19);
   check_frames(room, info, 6);
+}
+
+TEST(ObjRoomShipped, PoseConventionsAreTold) {
+  ObjRoomParams p = small(kShipped, 64, 48);
+  p.frames = 16;
+  ObjRoom room(p, {});
+  expect_conventions_told(room, "poses agree with depth");
+}
+
+TEST(ObjRoomOthers, PoseConventionsAreTold) {
+  for (const char* name : {"obj_living_room", "obj_classroom"}) {
+    if (!fs::exists(data(name))) GTEST_SKIP() << "the optional OBJ rooms are not at hand";
+    ObjRoomParams p = small(data(name), 64, 48);
+    p.up = UpAxis::y;
+    p.frames = 16;
+    ObjRoom room(p, {});
+    expect_conventions_told(room, "poses agree with depth");
+  }
 }
 
 TEST(ObjRoomOthers, SceneNetRoomWithItsTrajectory) {

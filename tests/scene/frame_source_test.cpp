@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <sstream>
+
 #include "core/parallel.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -201,6 +203,75 @@ TEST(LoadScene, ContradictingOptionsAreRefused) {
   ASSERT_EQ(d.error_count(), 3);
   EXPECT_EQ(d.all()[0].text(),
             "scene.load.downscale: downscale and width_px or height_px exclude each other; keep one of them");
+}
+
+// The text of `severity` about `key`, "" when there is none.
+std::string said(const Diagnostics& d, Severity severity, const std::string& key) {
+  for (const Diagnostic& x : d.all()) {
+    if (x.severity == severity && x.where == key) return x.text();
+  }
+  return {};
+}
+
+TEST(LoadScene, BoundsBesideTheViewAreRefusedWithTheBoxThatTheDataSuggest) {
+  RoomDataset room;
+  SceneLoadOptions o;
+  o.bounds = {20, 20, 20, 21, 21, 21};
+  Diagnostics d;
+  (void)load_scene(room, o, d);
+  const std::string text = said(d, Severity::error, "scene.load.bounds");
+  EXPECT_EQ(text.find("scene.load.bounds: none of the rays of the training cameras can meet the bounds "
+                      "[20,20,20,21,21,21] (from the configuration); the data suggest --set 'scene.load.bounds=["),
+            0u)
+      << text;
+  // The box that is named works.
+  const std::size_t at = text.find("bounds=[") + 8;
+  o.bounds.clear();
+  std::stringstream numbers(text.substr(at, text.find(']', at) - at));
+  for (std::string value; std::getline(numbers, value, ',');) o.bounds.push_back(std::stod(value));
+  ASSERT_EQ(o.bounds.size(), 6u);
+  Diagnostics again;
+  const LoadedScene s = load_scene(room, o, again);
+  EXPECT_FALSE(again.has_errors());
+  EXPECT_NEAR(s.bounds.hi.x, 2, 0.2);
+  o.bounds = {20, 20, 20, 21, 21, 21};
+  o.check_geometry = false;
+  Diagnostics unchecked;
+  (void)load_scene(room, o, unchecked);
+  EXPECT_FALSE(unchecked.has_errors());
+}
+
+TEST(LoadScene, BoundsThatFewRaysMeetAreWarnedAbout) {
+  RoomDataset room;
+  SceneLoadOptions o;
+  o.bounds = {-0.2, -0.2, 2.3, 0.2, 0.2, 2.5};
+  Diagnostics d;
+  (void)load_scene(room, o, d);
+  EXPECT_FALSE(d.has_errors());
+  EXPECT_EQ(said(d, Severity::warning, "scene.load.bounds").find("scene.load.bounds: only "), 0u);
+}
+
+TEST(LoadScene, NearAndFarBesideDepthOrBoundsAreRefusedWithOnesThatWork) {
+  for (const bool depth : {true, false}) {
+    RoomDataset room;
+    room.depth = depth;
+    SceneLoadOptions o;
+    o.near_m = 200;
+    o.far_m = 300;
+    o.bounds = {-2, -1.5, -2.5, 2, 1.5, 2.5};
+    Diagnostics d;
+    (void)load_scene(room, o, d);
+    const std::string text = said(d, Severity::error, "scene.load.near_m");
+    EXPECT_NE(text.find(depth ? "none of the depth of the training frames is between near 200 and far 300"
+                              : "can be inside the bounds between near 200 and far 300"),
+              std::string::npos)
+        << text;
+    o.near_m = std::stod(text.substr(text.find("near_m=") + 7));
+    o.far_m = std::stod(text.substr(text.find("far_m=") + 6));
+    Diagnostics again;
+    (void)load_scene(room, o, again);
+    EXPECT_FALSE(again.has_errors());
+  }
 }
 
 }  // namespace

@@ -94,6 +94,7 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, Camera& o
 
 SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   info_ = {};
+  info_.opengl_files = true;
   files_.clear();
   const TransformsIndex index = read_transforms(root_, diagnostics);
   const fs::path canonical = fs::weakly_canonical(root_);

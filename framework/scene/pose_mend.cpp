@@ -1,0 +1,59 @@
+// Poses and depth of files that keep another convention than their dataset expects.
+#include "scene/pose_mend.h"
+
+#include <algorithm>
+
+#include "scene/scene_checks.h"
+
+namespace semfield {
+
+namespace {
+
+Pose inverse(const Pose& pose) {
+  Pose out;
+  for (std::size_t row = 0; row < 3; ++row) {
+    for (std::size_t col = 0; col < 3; ++col) out.r[row][col] = pose.r[col][row];
+  }
+  out.t = pose.unrotate(pose.t) * -1.0;
+  return out;
+}
+
+}  // namespace
+
+Pose mended_pose(const Pose& pose, const PoseMend& mend, bool opengl_files) {
+  Pose out = pose;
+  if (mend.invert_poses) out = inverse(opengl_files ? opencv_from_opengl(pose) : pose);  // the file's own matrix
+  // The axes of the file are turned unless they are OpenCV's; without an inversion open() has already done so.
+  const bool turn = mend.invert_poses ? opengl_files != mend.flip_camera_axes : mend.flip_camera_axes;
+  if (turn) out = opencv_from_opengl(out);
+  out.t = out.t * mend.pose_scale;
+  return out;
+}
+
+void mend_info(SceneInfo& info, const PoseMend& mend) {
+  if (mend == PoseMend{}) return;
+  for (FrameInfo& frame : info.frames)
+    frame.world_from_camera = mended_pose(frame.world_from_camera, mend, info.opengl_files);
+  info.opengl_files = false;
+  if (mend.invert_poses) {
+    info.bounds = Box{};
+    info.near_hint_m = info.far_hint_m = 0;
+  } else if (mend.pose_scale != 1) {
+    if (!info.bounds.empty()) {
+      info.bounds.lo = info.bounds.lo * mend.pose_scale;
+      info.bounds.hi = info.bounds.hi * mend.pose_scale;
+    }
+    // Whether the hints were in the unit of the poses is not known; depth tells.
+    const bool depth =
+        std::any_of(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return f.has_depth; });
+    info.near_hint_m = depth ? 0 : info.near_hint_m * mend.pose_scale;
+    info.far_hint_m = depth ? 0 : info.far_hint_m * mend.pose_scale;
+  }
+}
+
+void mend_depth(FrameBuffer& frame, const PoseMend& mend) {
+  if (mend.depth_scale == 1) return;
+  for (float& depth : frame.depth_m) depth = static_cast<float>(depth * mend.depth_scale);
+}
+
+}  // namespace semfield

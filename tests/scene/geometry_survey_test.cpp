@@ -1,0 +1,280 @@
+// Poses against pixels: every convention is named from depth and from photographs, and right scenes are left in peace.
+#include "scene/geometry_survey.h"
+
+#include <gtest/gtest.h>
+
+#include <functional>
+
+#include "core/parallel.h"
+#include "scene/frame_source.h"
+#include "scene/scene_checks.h"
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_room;
+
+std::uint32_t hashed(std::uint32_t v) {
+  v = (v ^ (v >> 16)) * 0x45d9f3bu;
+  v = (v ^ (v >> 16)) * 0x45d9f3bu;
+  return v ^ (v >> 16);
+}
+
+// The box room with walls of random grey patches of 8 centimetres, seen from `poses` and written as `written` says.
+struct Room {
+  std::vector<Pose> poses;
+  std::function<Pose(const Pose&)> written = [](const Pose& p) { return p; };
+  std::function<void(int, FrameBuffer&)> spoiled = [](int, FrameBuffer&) {};
+  bool depth = true, texture = true, opengl_files = false;
+  int width = 160, height = 120;
+
+  SceneInfo open(Diagnostics&) const {
+    SceneInfo info;
+    info.name = "room";
+    info.opengl_files = opengl_files;
+    for (std::size_t i = 0; i < poses.size(); ++i) {
+      FrameInfo f;
+      f.name = std::to_string(i);
+      f.camera = room_camera(width, height);
+      f.world_from_camera = written(poses[i]);
+      f.has_depth = depth;
+      info.frames.push_back(f);
+    }
+    return info;
+  }
+  void read(int i, FrameBuffer& out) const {
+    const Pose& pose = poses[static_cast<std::size_t>(i)];
+    const Camera camera = room_camera(width, height);
+    out = {};
+    out.width_px = width;
+    out.height_px = height;
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        const Vec3d d = camera.direction(x + 0.5, y + 0.5);
+        const Hit hit = trace(pose.t, pose.rotate(d));
+        const Vec3d p = pose.t + pose.rotate(d) * hit.t;
+        std::uint32_t cell = static_cast<std::uint32_t>(hit.wall);
+        for (int a = 0; a < 3; ++a)
+          cell = hashed(cell * 1000 + static_cast<std::uint32_t>(std::floor(p[a] / 0.08 + 0.5) + 100));
+        const auto grey = static_cast<std::uint8_t>(texture ? cell % 256 : 100);
+        out.rgb.insert(out.rgb.end(), {grey, grey, grey});
+        if (depth) out.depth_m.push_back(static_cast<float>(hit.t * d.z));
+      }
+    }
+    spoiled(i, out);
+  }
+};
+
+// A walk around the middle of the room that looks about, tilted a little.
+std::vector<Pose> walk(int frames, double turn = 0.2, double radius = 0.7) {
+  std::vector<Pose> out;
+  for (int i = 0; i < frames; ++i) {
+    const double a = turn * i, tilt = 0.2 * std::sin(1.3 * i);
+    const Pose yaw{{{{std::cos(a), 0, std::sin(a)}, {0, 1, 0}, {-std::sin(a), 0, std::cos(a)}}}, {}};
+    const Pose pitch{{{{1, 0, 0}, {0, std::cos(tilt), -std::sin(tilt)}, {0, std::sin(tilt), std::cos(tilt)}}}, {}};
+    Pose p;
+    for (int col = 0; col < 3; ++col) {
+      const Vec3d axis = yaw.rotate(pitch.axis(col));
+      for (int row = 0; row < 3; ++row) p.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(col)] = axis[row];
+    }
+    p.t = {radius * std::cos(0.5 * a), 0.2 * std::sin(0.9 * i), radius * std::sin(0.7 * a)};
+    out.push_back(p);
+  }
+  return out;
+}
+
+Pose inverse(const Pose& p) {
+  Pose out;
+  for (std::size_t r = 0; r < 3; ++r) {
+    for (std::size_t c = 0; c < 3; ++c) out.r[r][c] = p.r[c][r];
+  }
+  out.t = p.unrotate(p.t) * -1.0;
+  return out;
+}
+Pose times(Pose p, double by) {
+  p.t = p.t * by;
+  return p;
+}
+
+struct Answer {
+  std::string geometry, error, warning;
+};
+Answer ask(const Room& room, const SceneLoadOptions& options = {}) {
+  Diagnostics d;
+  Answer out;
+  out.geometry = load_scene(room, options, d).geometry;
+  for (const Diagnostic& x : d.all()) {
+    if (x.where != "room") continue;
+    (x.severity == Severity::error ? out.error : out.warning) += x.text();
+  }
+  return out;
+}
+
+void expect_quiet(const Answer& a, const std::string& says) {
+  EXPECT_EQ(a.error + a.warning, "");
+  EXPECT_NE(a.geometry.find(says), std::string::npos) << a.geometry;
+}
+
+TEST(GeometrySurvey, RightScenesOfEveryKindAreLeftInPeace) {
+  Room room{.poses = walk(24)};
+  expect_quiet(ask(room), "poses agree with depth");
+  Room shuffled = room;  // files in any order
+  for (std::size_t i = 0; i < 24; ++i) shuffled.poses[i] = room.poses[i * 7 % 24];
+  expect_quiet(ask(shuffled), "poses agree with depth");
+  Room wide{.poses = walk(8, 0.6)};
+  expect_quiet(ask(wide), "poses agree with depth");
+  Room film{.poses = walk(200, 0.01)};
+  film.width = 40;
+  film.height = 30;
+  expect_quiet(ask(film), "poses agree with depth");
+  Room opengl = room;
+  opengl.opengl_files = true;
+  expect_quiet(ask(opengl), "poses agree with depth");
+}
+
+TEST(GeometrySurvey, NoiseHolesAndThingsThatMoveRaiseNoAlarm) {
+  Room room{.poses = walk(24)};
+  room.spoiled = [](int frame, FrameBuffer& f) {
+    for (std::size_t i = 0; i < f.depth_m.size(); ++i) {
+      const auto random = hashed(static_cast<std::uint32_t>(frame) * 100000u + static_cast<std::uint32_t>(i));
+      const int x = static_cast<int>(i) % f.width_px, y = static_cast<int>(i) / f.width_px;
+      f.depth_m[i] *= 1 + 0.02f * (static_cast<float>(random % 1000) / 500 - 1);  // a sensor's noise
+      if (x / 8 % 2 == 0 && y > 20) f.depth_m[i] = 0;                             // and its holes
+      if (y < 24) f.depth_m[i] = 0.3f;                                            // a gripper before the camera
+    }
+  };
+  expect_quiet(ask(room), "poses agree with depth");
+}
+
+TEST(GeometrySurvey, WhatCannotBeSeenIsNotClaimed) {
+  Room still{.poses = std::vector<Pose>(12, walk(5)[4])};
+  expect_quiet(ask(still), "could not be checked: the camera hardly moves");
+  Room turning{.poses = walk(24, 0.2, 0)};  // on one spot: no unit shows
+  for (Pose& p : turning.poses) p.t = {0.3, 0.1, -0.2};
+  expect_quiet(ask(turning), "poses agree with depth");
+  Room millimetres = turning;
+  millimetres.written = [](const Pose& p) { return times(p, 1000); };
+  expect_quiet(ask(millimetres), "poses agree with depth");
+  Room apart{.poses = {walk(1)[0], walk(12, 0.26)[11]}};  // two views that share nothing
+  expect_quiet(ask(apart), "could not be checked: no two frames look in a similar direction");
+  Room empty{.poses = walk(2)};
+  empty.spoiled = [](int frame, FrameBuffer& f) { f.depth_m.assign(f.depth_m.size(), frame == 0 ? 2.0f : 0.0f); };
+  expect_quiet(ask(empty), "could not be checked: no two frames with depth overlap");
+  Room one{.poses = walk(1)};
+  expect_quiet(ask(one), "could not be checked");
+  Room jitter{.poses = std::vector<Pose>(12, walk(5)[4])};  // a tripod, tracked with errors of 5 mm: no unit is claimed
+  jitter.written = [n = 0](const Pose& p) mutable {
+    Pose out = p;
+    out.t.x += 0.005 * ((n++ * 7) % 5 - 2);
+    return out;
+  };
+  EXPECT_EQ(ask(jitter).error, "");
+}
+
+TEST(GeometrySurvey, PosesThatFitNothingAreWarnedAboutWithTheNumbers) {
+  Room room{.poses = walk(24)};
+  room.written = [n = 0](const Pose& p) mutable {
+    Pose out = p;
+    out.t = {std::sin(3.0 * n), 0.7 * std::sin(5.0 * n), std::sin(7.0 * n)};
+    ++n;
+    return out;
+  };
+  const Answer a = ask(room);
+  EXPECT_EQ(a.error, "");
+  EXPECT_EQ(a.warning.find("room: poses and depth do not agree: depth warped between neighbouring frames is off by "),
+            0u)
+      << a.warning << a.geometry;
+}
+
+TEST(GeometrySurvey, DepthOfAnotherUnitIsToldFromPosesOfAnother) {
+  Room room{.poses = walk(24)};
+  for (const double by : {0.001, 1000.0}) {
+    room.spoiled = [by](int, FrameBuffer& f) {
+      for (float& d : f.depth_m) d = static_cast<float>(d * by);
+    };
+    const Answer a = ask(room);
+    EXPECT_NE(
+        a.error.find(by < 1 ? "depth in metres was read as millimetres" : "depth in millimetres was read as metres"),
+        std::string::npos)
+        << a.error << a.geometry;
+    EXPECT_NE(
+        a.error.find(by < 1 ? "add --set scene.load.depth_scale=1000 " : "add --set scene.load.depth_scale=0.001 "),
+        std::string::npos)
+        << a.error;
+    SceneLoadOptions mended;
+    mended.mend.depth_scale = 1 / by;
+    expect_quiet(ask(room, mended), "poses agree with depth");
+  }
+  room.spoiled = [](int, FrameBuffer&) {};
+  room.written = [](const Pose& p) { return times(p, 1000); };
+  EXPECT_NE(ask(room).error.find("camera centres are in millimetres where depth is in metres"), std::string::npos);
+}
+
+TEST(GeometrySurvey, AMendThatIsNotNeededIsTakenBack) {
+  Room room{.poses = walk(24)};
+  SceneLoadOptions options;
+  options.mend = {true, true, 1000, 1};
+  const std::string error = ask(room, options).error;
+  for (const char* part : {"poses should not be inverted", "camera axes should not be flipped",
+                           "camera centres should not be scaled", "--set scene.load.invert_poses=false",
+                           "--set scene.load.flip_camera_axes=false", "--set scene.load.pose_scale=1 "}) {
+    EXPECT_NE(error.find(part), std::string::npos) << error;
+  }
+}
+
+TEST(GeometrySurvey, PhotographsWithoutDepthNameAxesAndInverse) {
+  Room room{.poses = walk(24)};
+  room.depth = false;
+  room.width = 320;
+  room.height = 240;
+  expect_quiet(ask(room), "poses agree with the photographs: ");
+  const auto flip = [](const Pose& p) { return opencv_from_opengl(p); };
+  struct {
+    std::function<Pose(const Pose&)> written;
+    std::vector<std::string> said;
+    PoseMend mend;
+  } const cases[] = {
+      {flip, {"OpenGL axes", "--set scene.load.flip_camera_axes=true"}, {.flip_camera_axes = true}},
+      {inverse, {"world-to-camera", "--set scene.load.invert_poses=true"}, {.invert_poses = true}},
+      {[&](const Pose& p) { return inverse(flip(p)); },
+       {"OpenGL axes", "world-to-camera", "--set scene.load.invert_poses=true --set scene.load.flip_camera_axes=true"},
+       {.flip_camera_axes = true, .invert_poses = true}},
+  };
+  for (const auto& c : cases) {
+    room.written = c.written;
+    const Answer a = ask(room);
+    for (const std::string& part : c.said) EXPECT_NE(a.error.find(part), std::string::npos) << a.error << a.geometry;
+    SceneLoadOptions mended;
+    mended.mend = c.mend;
+    expect_quiet(ask(room, mended), "poses agree with the photographs: ");
+  }
+}
+
+TEST(GeometrySurvey, PhotographsThatTellNothingAreSaidToTellNothing) {
+  Room room{.poses = walk(24)};
+  room.depth = room.texture = false;
+  expect_quiet(ask(room), "could not be checked: no depth, and only ");
+  Room still{.poses = std::vector<Pose>(12, walk(5)[4])};
+  still.depth = false;
+  expect_quiet(ask(still), "could not be checked: the camera hardly moves");
+}
+
+TEST(GeometrySurvey, TheVerdictIsTheSameForAnyNumberOfThreads) {
+  for (const bool depth : {true, false}) {
+    Room room{.poses = walk(24)};
+    room.depth = depth;
+    room.written = [](const Pose& p) { return inverse(p); };
+    set_thread_count(1);
+    const Answer one = ask(room);
+    set_thread_count(4);
+    const Answer four = ask(room);
+    set_thread_count(0);
+    EXPECT_EQ(one.geometry, four.geometry);
+    EXPECT_EQ(one.error, four.error);
+    EXPECT_NE(one.error, "");
+  }
+}
+
+}  // namespace
+}  // namespace semfield
