@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cstring>
+#include <utility>
 #include <vector>
 
 #include "core/error.h"
@@ -82,21 +83,26 @@ TEST_F(GemmEngineTest, AgreesWithOurKernels) {
 
 TEST_F(GemmEngineTest, WeightGradientsAgreeWithOurKernels) {
   for (const std::int64_t rows : {1, 255, 256, 700}) {
-    for (const Precision precision : {Precision::fp32, Precision::bf16}) {
-      const auto x = random_values(rows * 33, 6), dy = random_values(rows * 20, 7), c = random_values(33 * 20, 8);
-      const Gemm<float> g{.m = 33,
-                          .n = 20,
-                          .k = rows,
-                          .a = x.data(),
-                          .a_row = 1,
-                          .a_col = 33,
-                          .b = dy.data(),
-                          .b_row = 20,
-                          .c_row = 20,
-                          .accumulate = true,
-                          .precision = precision};
-      const auto theirs = by(GemmEngine::onednn, g, c), ours = by(GemmEngine::builtin, g, c);
-      for (std::size_t i = 0; i < c.size(); ++i) ASSERT_NEAR(theirs[i], ours[i], 1e-5 * static_cast<double>(rows + 1));
+    for (const auto& [m, n] : {std::pair<std::int64_t, std::int64_t>{33, 20}, {33, 1}, {2, 20}, {2, 1}}) {
+      for (const Precision precision : {Precision::fp32, Precision::bf16}) {
+        const std::int64_t c_row = n + 2;
+        const auto x = random_values(rows * m, 6), dy = random_values(rows * n, 7), c = random_values(m * c_row, 8);
+        const Gemm<float> g{.m = m,
+                            .n = n,
+                            .k = rows,
+                            .a = x.data(),
+                            .a_row = 1,
+                            .a_col = m,
+                            .b = dy.data(),
+                            .b_row = n,
+                            .c_row = c_row,
+                            .accumulate = true,
+                            .precision = precision};
+        const auto theirs = by(GemmEngine::onednn, g, c), ours = by(GemmEngine::builtin, g, c);
+        for (std::size_t i = 0; i < c.size(); ++i) {
+          ASSERT_NEAR(theirs[i], ours[i], 1e-5 * static_cast<double>(rows + 1)) << m << " x " << n << " at " << i;
+        }
+      }
     }
   }
 }
