@@ -155,6 +155,18 @@ std::vector<std::string> material_names(const fs::path& folder, const std::strin
   return any ? words : std::vector<std::string>{line};
 }
 
+// Names of an MTL file's materials in their order: some versions of the loader cut them at the first blank.
+std::vector<std::string> names_of_materials(const std::string& text) {
+  std::vector<std::string> names;
+  for (std::size_t begin = 0; begin < text.size();) {
+    const std::size_t end = std::min(text.find_first_of("\r\n", begin), text.size());
+    const std::string_view row = trimmed(std::string_view(text).substr(begin, end - begin));
+    begin = end + 1;
+    if (row.starts_with("newmtl ") || row.starts_with("newmtl\t")) names.emplace_back(trimmed(row.substr(7)));
+  }
+  return names;
+}
+
 void load_materials(const fs::path& folder, const std::string& name, TriangleMesh& mesh,
                     std::map<std::string, int>& index, Diagnostics& diagnostics) {
   const fs::path file = folder / name;
@@ -163,11 +175,14 @@ void load_materials(const fs::path& folder, const std::string& name, TriangleMes
                         "surfaces get a colour by object; put it beside the OBJ file");
     return;
   }
-  std::istringstream stream(read_text_file(file.string()));
+  const std::string text = read_text_file(file.string());
+  const std::vector<std::string> names = names_of_materials(text);
+  std::istringstream stream(text);
   std::map<std::string, int> local;
   std::vector<tinyobj::material_t> found;
   std::string warning, error;
   tinyobj::LoadMtl(&local, &found, &stream, &warning, &error);
+  for (std::size_t i = 0; i < found.size() && found.size() == names.size(); ++i) found[i].name = names[i];
   for (const tinyobj::material_t& m : found) {
     if (m.name.empty() || index.count(m.name) != 0) continue;
     Material material;
