@@ -227,7 +227,7 @@ void check_density(const Samples<Real>& samples, View<const Real> sigma, std::in
   if (sigma.contiguous()) {
     for (std::int64_t k = 0; k < samples.count; ++k) bad |= !(sigma.data[k] >= 0) | !(sigma.data[k] <= kLargest);
   } else {
-    for (std::int64_t k = 0; k < samples.count; ++k) bad |= !(*sigma.row(k) >= 0) | !(*sigma.row(k) <= kLargest);
+    for (std::int64_t k = 0; k < samples.count; ++k) bad |= !(*sigma.row(k) >= 0) || !(*sigma.row(k) <= kLargest);
   }
   if (bad == 0) return;
   for (std::int64_t r = 0; r + 1 < samples.first.rows; ++r) {
