@@ -31,7 +31,7 @@ std::string time_to_level(const ReportInput& input, const std::string& split) {
   if (input.runs.size() < 2 || !unranked_because(input, split).empty()) return {};
   const std::vector<std::vector<const MetricsRow*>> rows = level_rows(input, split);
   std::string body;
-  for (const std::string_view key : {"psnr", "miou", "absrel"}) {
+  for (const std::string_view key : {"psnr", "miou_present", "absrel"}) {
     const ReportMetric& metric = report_metric(key);
     std::optional<double> level;
     bool everywhere = true;
@@ -95,7 +95,7 @@ struct Curve {
 };
 constexpr std::array<Curve, 4> kCurves{{{"loss", "Training loss", "logarithmic", true, true, 3},
                                         {"psnr", "PSNR", "dB, higher is better", false, false, 3},
-                                        {"miou", "mIoU", "higher is better", false, false, 3},
+                                        {"miou_present", "mIoU (present)", "higher is better", false, false, 3},
                                         {"absrel", "Depth AbsRel", "logarithmic, lower is better", false, true, 2}}};
 
 struct TimeUnit {

@@ -216,7 +216,7 @@ std::string frames_table(const ReportRun& run, bool several) {
   return fmt::format(
       "<details><summary>Scores of all {} frames{}</summary><div class=\"scroll\" tabindex=\"0\" role=\"region\" "
       "aria-label=\"Scores of frames\"><table><thead><tr><th scope=\"col\">Frame</th><th scope=\"col\" "
-      "class=\"num\">mIoU, present classes</th>"
+      "class=\"num\">mIoU (present)</th>"
       "<th scope=\"col\" class=\"num\">PSNR, dB</th><th scope=\"col\" "
       "class=\"num\">AbsRel</th></tr></thead>\n<tbody>\n{}</tbody></table></div></details>\n",
       run.eval->frames.size(), several ? ": " + html_escape(run.name) : "", body);

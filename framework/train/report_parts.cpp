@@ -17,7 +17,7 @@ namespace {
 
 constexpr std::array<ReportMetric, 20> kMetrics{{
     {"miou", "mIoU", "", 4, 1, "mean over classes with a non-empty union"},
-    {"miou_present", "mIoU, present classes", "", 4, 1, "mean over classes that occur in truth"},
+    {"miou_present", "mIoU (present)", "", 4, 1, "mean over classes that occur in truth"},
     {"total_accuracy", "Total accuracy", "", 4, 1, "share of pixels with the right class"},
     {"average_accuracy", "Average accuracy", "", 4, 1, "mean recall over classes in truth"},
     {"psnr", "PSNR", "dB", 4, 1, "from the squared error pooled over the split"},

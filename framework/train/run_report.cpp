@@ -38,7 +38,7 @@ void write_strip(const RunFolder& folder, const Session& s, int frame, const Ren
 }
 
 std::string score_text(const FrameScore& score) {
-  std::string out = score.miou_present ? fmt::format("mIoU {:.2f}", *score.miou_present) : std::string();
+  std::string out = score.miou_present ? fmt::format("mIoU (present) {:.2f}", *score.miou_present) : std::string();
   if (score.psnr_db) out += fmt::format("{}PSNR {:.1f} dB", out.empty() ? "" : ", ", *score.psnr_db);
   return out;
 }
