@@ -1,5 +1,7 @@
 // Simulated predictions: labels with the errors of a network, made from clean ones by a seeded model; the formulas
 // stand in docs/label_experiments.md.
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -193,7 +195,7 @@ class SimulatedPredictions final : public Degradation {
       labels[f].hard = {};
     }
     const auto share = [&](double value) {
-      return sum.labelled == 0 ? std::string("none") : std::to_string(value / static_cast<double>(sum.labelled));
+      return sum.labelled == 0 ? std::string("none") : fmt::format("{:.6f}", value / static_cast<double>(sum.labelled));
     };
     facts.emplace_back("simulated", "true");
     facts.emplace_back("pixel accuracy", share(static_cast<double>(sum.labelled - sum.wrong)));

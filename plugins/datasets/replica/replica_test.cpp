@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <clocale>
+
 #include "labels/training_labels.h"
 #include "scene/frame_source.h"
 #include "tests/labels/reader_case.h"
@@ -169,6 +171,24 @@ TEST(Replica, NoiseFolderTrainsWhileCleanLabelsStayTheTruth) {
   EXPECT_TRUE(labels.frames[4].empty());  // "4.png" is not of the pattern
   for (std::size_t i = 0; i < 6; ++i) {
     EXPECT_EQ(scene.frames[i].label.expand(), render_room(room_camera(), room_pose(static_cast<int>(i))).label) << i;
+  }
+}
+
+// The program around may have taken over its user's locale, in which a number's fraction stands behind a comma.
+TEST(Replica, PosesDoNotDependOnTheLocale) {
+  const std::string folder = write_noise("room");
+  Diagnostics d;
+  const SceneInfo plain = Replica(even_odd(folder), {}).open(d);
+  if (std::setlocale(LC_ALL, "de_DE.UTF-8") == nullptr)
+    GTEST_SKIP() << "the locale de_DE.UTF-8 is not installed here: no comma was tried";
+  const SceneInfo german = Replica(even_odd(folder), {}).open(d);
+  std::setlocale(LC_ALL, "C");
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(german.frames.size(), plain.frames.size());
+  for (std::size_t i = 0; i < plain.frames.size(); ++i) {
+    const Pose &a = german.frames[i].world_from_camera, &b = plain.frames[i].world_from_camera;
+    EXPECT_EQ(a.r, b.r);
+    EXPECT_EQ((std::array{a.t.x, a.t.y, a.t.z}), (std::array{b.t.x, b.t.y, b.t.z}));
   }
 }
 
