@@ -1,5 +1,6 @@
 // The error model of simulated predictions: probabilities, what each error does, and about how many errors there are.
 #include <algorithm>
+#include <clocale>
 #include <cmath>
 #include <set>
 
@@ -53,6 +54,16 @@ TEST(SimulatedPredictions, WithoutStrengthNothingIsWrong) {
   EXPECT_TRUE(same_labels(c.labels, room().labels));
   EXPECT_EQ(fact(facts, "pixel accuracy"), "1.000000");
   EXPECT_EQ(fact(facts, "simulated"), "true");
+}
+
+// Facts go into files, which are the same whatever the program around has set.
+TEST(SimulatedPredictions, FactsDoNotDependOnTheLocale) {
+  if (std::setlocale(LC_ALL, "de_DE.UTF-8") == nullptr)
+    GTEST_SKIP() << "the locale de_DE.UTF-8 is not installed here: no comma was tried";
+  Case c = room();
+  const StepFacts facts = c.apply(*step("simulated_predictions", "{strength: 0, output: hard}"));
+  std::setlocale(LC_ALL, "C");
+  EXPECT_EQ(fact(facts, "pixel accuracy"), "1.000000");
 }
 
 TEST(SimulatedPredictions, ConfidenceFollowsTheSoftmaxAndDepth) {
@@ -129,8 +140,8 @@ TEST(SimulatedPredictions, NoiseOfClassesAndFramesIsIndependentAndSmooth) {
   Case c = scene_of(2);
   for (int f = 0; f < 2; ++f) c.add(100, 80, Labels(8000, 0));
   c.scene.class_pixels[0][1] = 1;
-  const StepFacts facts = c.apply(
-      *step("simulated_predictions", "{output: hard, evidence: 2, noise: 2, region_error: 0, overlap: 0}"));
+  const StepFacts facts =
+      c.apply(*step("simulated_predictions", "{output: hard, evidence: 2, noise: 2, region_error: 0, overlap: 0}"));
   const double right = std::stod(fact(facts, "pixel accuracy"));
   EXPECT_GT(right, 0.76);
   EXPECT_LT(right, 0.95);
