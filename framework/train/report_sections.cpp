@@ -49,12 +49,15 @@ std::string figures_section(const ReportInput& input, const std::string& split) 
   for (const ReportRun& run : input.runs)
     body += fmt::format("<td class=\"num\">{}</td>", duration_text(trained_s(run)));
   body += "</tr>\n";
+  const bool scored = std::any_of(input.runs.begin(), input.runs.end(),
+                                  [&](const ReportRun& run) { return !eval_rows(run, split).empty(); });
   const std::string hint =
-      fmt::format("Last evaluation{}{}.{}", split.empty() ? "" : " on the split “" + html_escape(split) + "”",
-                  sampled ? ", of the sample that the head names" : "",
-                  input.runs.size() < 2 ? ""
-                  : ranked              ? " The best of each row is set in bold."
-                                        : " The runs are not ranked; the reason stands at the top.");
+      !scored ? "No frame was scored: the scene has no test frames, or the run has not come to an evaluation."
+              : fmt::format("Last evaluation{}{}.{}", split.empty() ? "" : " on the split “" + html_escape(split) + "”",
+                            sampled ? ", of the sample that the head names" : "",
+                            input.runs.size() < 2 ? ""
+                            : ranked              ? " The best of each row is set in bold."
+                                                  : " The runs are not ranked; the reason stands at the top.");
   return open_section("figures", "Figures", hint) + "<div class=\"figures\">" +
          table_panel("Figures", fmt::format("<tr><th scope=\"col\">Metric</th>{}</tr>", run_heads(input, split)),
                      body) +

@@ -160,6 +160,16 @@ TEST(ReportHead, TheLongestTrainingIsThatOfOneRun) {
   EXPECT_FALSE(holds(cards, "2,500"));
 }
 
+TEST(ReportPage, ARunWithoutAnEvaluationSaysSo) {
+  ReportInput input;
+  MetricsRow train;
+  train.set("loss", 0.1);
+  input.runs = {run_of("a", {train})};
+  const std::string page = make_report(input);
+  EXPECT_TRUE(holds(page, "No frame was scored: the scene has no test frames"));
+  EXPECT_FALSE(holds(page, "Last evaluation"));
+}
+
 TEST(ReportPage, PicturesStandAboveTheFigures) {
   ReportInput input;
   input.runs = {run_of("a", {eval_row(20, 30)})};
