@@ -8,6 +8,7 @@
 #include "command_line.h"
 #include "core/error.h"
 #include "core/log.h"
+#include "load_progress.h"
 #include "plugin/linked_plugins.h"
 #include "signals.h"
 #include "verbs.h"
@@ -17,6 +18,7 @@ int main(int argc, char** argv) {
   app::AppContext context;
   app::prepare_process();
   context.terminal = isatty(STDERR_FILENO) != 0;
+  app::show_load_progress(context);
   set_log_sink([&](Severity severity, const std::string& text) {
     if (context.quiet && severity == Severity::note) return;
     std::fprintf(stderr, "%s%s\n", severity == Severity::warning ? "warning: " : "", text.c_str());

@@ -1,11 +1,14 @@
 // inspect, capture, degrade, pack: a configuration's scene without training.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdio>
 
+#include "core/findings.h"
 #include "core/parallel.h"
 #include "plugin/loader.h"
 #include "progress_line.h"
+#include "train/ray_source.h"
 #include "train/run_config.h"
 #include "verb_capture.h"
 #include "verb_degrade.h"
@@ -61,6 +64,17 @@ void show_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnos
   }
 }
 
+// Training would refuse it at its first step.
+void check_ray_source(const LoadedScene& scene, const TrainParams& params, Diagnostics& diagnostics) {
+  if (params.ray_source != RaySourceKind::label_balanced) return;
+  for (const int f : scene.frames_of(Split::train)) {
+    const std::vector<std::int64_t>& pixels = scene.class_pixels[static_cast<std::size_t>(f)];
+    if (!pixels.empty() && std::any_of(pixels.begin(), pixels.end() - 1, [](std::int64_t n) { return n > 0; })) return;
+  }
+  const Error refused = no_labelled_pixel();
+  diagnostics.error("", refused.message(), refused.remedy());
+}
+
 }  // namespace
 
 int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context) {
@@ -68,6 +82,7 @@ int run_inspect(const ConfigOptions& options, const std::string& frusta_path, Ap
   Diagnostics diagnostics;
   LoadedScene scene = load_for_labels(opened, diagnostics);
   if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
+  if (!diagnostics.has_errors()) check_ray_source(scene, opened.config.train, diagnostics);
   std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
   if (!frusta_path.empty()) {
     write_frusta_ply(frusta_path, scene);
@@ -81,7 +96,7 @@ int run_capture(const ConfigOptions& options, const std::string& out, AppContext
   Diagnostics diagnostics;
   SceneInfo info = opened.dataset->open(diagnostics);
   mend_info(info, opened.config.load.mend);
-  for (const Diagnostic& finding : diagnostics.all()) {
+  for (const Diagnostic& finding : folded(diagnostics)) {
     if (finding.severity != Severity::error) print_note(context, finding.text());
   }
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
@@ -103,7 +118,7 @@ int run_degrade(const ConfigOptions& options, const std::string& out, AppContext
   const LoadedScene scene = load_for_labels(opened, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
   const TrainingLabels labels = make_training_labels(scene, opened.config.labels, diagnostics);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   const DegradeSource source{write_config(resolved_config(opened.config)), opened.config.labels.from.type,
                              opened.config.labels.selection.seed};
   const DegradeReport report = write_degraded(scene, labels, source, out);
@@ -118,7 +133,7 @@ int run_pack(const ConfigOptions& options, const std::string& out, AppContext& c
   OpenedDataset opened = dataset_of(options, context);
   Diagnostics diagnostics;
   const PackSummary summary = pack_scene(*opened.dataset, out, opened.config.load, PackOptions{}, diagnostics);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   std::printf("pack: frames=%d bytes=%llu file=%s\n", summary.frames, static_cast<unsigned long long>(summary.bytes),
               out.c_str());
   return 0;

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
+#include "core/findings.h"
 #include "progress_line.h"
 #include "train/final_eval.h"
 #include "train/json_number.h"
@@ -56,7 +57,7 @@ int run_eval(const EvalOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
                            split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   Session& s = run.session;
   const std::vector<int> frames = s.scene.frames_of(split);
   if (frames.empty())

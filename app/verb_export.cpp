@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <optional>
 
+#include "core/findings.h"
 #include "labels/label_export.h"
 #include "labels/small_regions.h"
 #include "progress_line.h"
@@ -51,7 +52,7 @@ int run_export(const ExportOptions& options, AppContext& context) {
   check_options(options);
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   Session& s = run.session;
   if (s.plan.class_of_logit.empty())
     throw Error(ErrorKind::data, options.run + ": the run has no semantics", "train with labels");

@@ -9,6 +9,7 @@
 #include "config/config_tree.h"
 #include "config/params_read.h"
 #include "core/files.h"
+#include "core/findings.h"
 #include "fuse/scene_fusion.h"
 #include "progress_line.h"
 #include "scene/void_class.h"
@@ -164,7 +165,7 @@ int run_fuse(const FuseOptions& options, AppContext& context) {
   opening.build = false;
   opening.depth = DepthKept::all;
   const Session s = open_session(std::move(config), context.registry, opening, diagnostics);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   if (s.classes() == 0)
     throw Error(ErrorKind::data, "the scene has no classes, so there is nothing to fuse", "see `semfield inspect`");
   if (!s.config.labels.from.reader && s.config.labels.degrade.empty())

@@ -9,6 +9,7 @@
 #include <span>
 
 #include "core/files.h"
+#include "core/findings.h"
 
 namespace semfield {
 
@@ -85,19 +86,12 @@ std::string class_table(const LoadedScene& scene) {
 }
 
 std::string problems(const Diagnostics& diagnostics) {
+  const std::vector<Diagnostic> findings = folded(diagnostics);
   std::string out;
   for (const Severity severity : {Severity::error, Severity::warning, Severity::note}) {
-    // Hundreds of frames with the same trouble are one line and a count.
-    std::map<std::string, int> shown;
     const char* word = severity == Severity::error ? "error" : severity == Severity::warning ? "warning" : "note";
-    for (const Diagnostic& d : diagnostics.all()) {
-      if (d.severity != severity) continue;
-      if (severity == Severity::error || ++shown[d.remedy] <= 5) out += fmt::format("{:<11} {}\n", word, d.text());
-    }
-    for (const auto& [remedy, count] : shown) {
-      if (count > 5)
-        out += fmt::format("{:<11} and {} more of this kind{}\n", word, count - 5,
-                           remedy.empty() ? "" : " (" + remedy + ")");
+    for (const Diagnostic& d : findings) {
+      if (d.severity == severity) out += fmt::format("{:<11} {}\n", word, d.text());
     }
   }
   return out.empty() ? "problems    none\n" : out;

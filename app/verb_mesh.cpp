@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "core/findings.h"
 #include "mesh/field_surface.h"
 #include "mesh/mesh_files.h"
 #include "mesh/point_cloud.h"
@@ -124,7 +125,7 @@ int run_mesh(const MeshOptions& options, AppContext& context) {
   }
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   Session& s = run.session;
   const SurfaceRequest request = request_of(options, s);
   const VoxelGrid& grid = request.grid;

@@ -8,6 +8,7 @@
 #include <functional>
 #include <future>
 
+#include "core/findings.h"
 #include "frame_strip.h"
 #include "progress_line.h"
 #include "render_views.h"
@@ -117,7 +118,7 @@ int run_render(const RenderOptions& options, AppContext& context) {
     throw Error(ErrorKind::usage, fmt::format("--fps {}: expected more than 0, at most 1000", options.fps));
   Diagnostics diagnostics;
   const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   const std::vector<NamedView> views = render_views(run.session, options);
   if (options.video) {
     render_video(options, ffmpeg, run.session, views, context);

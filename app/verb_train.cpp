@@ -7,6 +7,7 @@
 #include <filesystem>
 
 #include "config/compose.h"
+#include "core/findings.h"
 #include "core/words.h"
 #include "plugin/loader.h"
 #include "progress_line.h"
@@ -95,7 +96,7 @@ int run_train(const TrainOptions& options, AppContext& context) {
     SessionOptions session_options;
     session_options.keep = options.keep;
     const Session session = open_session(std::move(config), context.registry, session_options, diagnostics);
-    for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+    for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
     std::fputs(describe_session(session).c_str(), stdout);
     return 0;
   }

@@ -93,6 +93,15 @@ int open_folder(const std::string& folder) {
   return uninterrupted([&] { return ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC); });
 }
 
+[[noreturn]] void refuse_special(const std::string& path, mode_t mode) {
+  const char* what = S_ISDIR(mode)                    ? "folder"
+                     : S_ISFIFO(mode)                 ? "pipe"
+                     : S_ISSOCK(mode)                 ? "socket"
+                     : S_ISCHR(mode) || S_ISBLK(mode) ? "device"
+                                                      : "special file";
+  throw Error(ErrorKind::no_input, "'" + path + "' is a " + what + ", not a file", "check the path");
+}
+
 }  // namespace
 
 std::string read_text_file(const std::string& path, std::size_t limit_bytes) {
@@ -108,36 +117,38 @@ std::string read_text_file(const std::string& path, std::size_t limit_bytes) {
   return out;
 }
 
-std::string read_file_start(const std::string& path, std::size_t bytes) {
-  const int file = uninterrupted([&] { return ::open(path.c_str(), O_RDONLY | O_CLOEXEC); });
+int open_for_reading(const std::string& path) {
+  // Without O_NONBLOCK opening a pipe waits for its writer, which may never come.
+  const int file = uninterrupted([&] { return ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK); });
   if (file < 0) {
     const int cause = errno;
+    if (cause == ENXIO) refuse_special(path, S_IFSOCK);
     throw Error(ErrorKind::no_input, "cannot open '" + path + "': " + cause_text(cause),
                 cause == ENOENT ? "check the path" : "check the permissions");
   }
-  std::string out;
   struct stat about {};
+  if (::fstat(file, &about) == 0 && S_ISREG(about.st_mode)) return file;
+  ::close(file);
+  refuse_special(path, about.st_mode);
+}
+
+std::string read_file_start(const std::string& path, std::size_t bytes) {
+  const int file = open_for_reading(path);
+  std::string out;
   int cause = 0;
-  if (::fstat(file, &about) != 0) {
-    cause = errno;
-  } else if (S_ISDIR(about.st_mode)) {
-    cause = EISDIR;
-  } else if (!S_ISREG(about.st_mode) && !S_ISFIFO(about.st_mode)) {
-    ::close(file);
-    throw Error(ErrorKind::no_input, "'" + path + "' is a device or a socket, not a file", "check the path");
-  } else {
-    if (about.st_size > 0) out.reserve(std::min(bytes, static_cast<std::size_t>(about.st_size)));
-    std::vector<char> block(std::min(bytes, std::size_t{1} << 16));
-    while (out.size() < bytes) {
-      const ssize_t got =
-          uninterrupted([&] { return ::read(file, block.data(), std::min(block.size(), bytes - out.size())); });
-      if (got == 0) break;
-      if (got < 0) {
-        cause = errno;
-        break;
-      }
-      out.append(block.data(), static_cast<std::size_t>(got));
+  struct stat about {};
+  if (::fstat(file, &about) == 0 && about.st_size > 0)
+    out.reserve(std::min(bytes, static_cast<std::size_t>(about.st_size)));
+  std::vector<char> block(std::min(bytes, std::size_t{1} << 16));
+  while (out.size() < bytes) {
+    const ssize_t got =
+        uninterrupted([&] { return ::read(file, block.data(), std::min(block.size(), bytes - out.size())); });
+    if (got == 0) break;
+    if (got < 0) {
+      cause = errno;
+      break;
     }
+    out.append(block.data(), static_cast<std::size_t>(got));
   }
   ::close(file);
   if (cause != 0)

@@ -13,6 +13,10 @@
 
 namespace semfield {
 
+/// A descriptor of a regular file, the caller's to close: the one way in which files are opened to be read. Throws
+/// Error(no_input) for what cannot be opened, and for folders, pipes, sockets and devices, which it never waits for.
+int open_for_reading(const std::string& path);
+
 /// Whole file. Throws Error(no_input) when it cannot be opened, Error(data) when larger than `limit_bytes`.
 std::string read_text_file(const std::string& path, std::size_t limit_bytes = std::size_t{256} << 20);
 /// The first `bytes` of a file, or all of a shorter one. Throws Error(no_input) when it cannot be opened.

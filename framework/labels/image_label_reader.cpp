@@ -11,6 +11,7 @@
 #include "scene/image_io.h"
 #include "scene/png_codec.h"
 #include "scene/text_rows.h"
+#include "scene/unknown_labels.h"
 
 namespace semfield {
 
@@ -106,6 +107,15 @@ class ImageLabelReader : public LabelReader {
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& table) const override {
     const std::string path = path_of(folder, pattern, frame);
+    if (kind == LabelImageKind::palette && !is_palette_png(path))
+      refuse("'" + path + "'", "no PNG with a palette", "set kind: ids or color");
+    const ImageSize size = image_size(path);  // before anything is unpacked on the word of its header
+    check_label_shape(size.width_px, size.height_px, frame.camera);
+    if (kind != LabelImageKind::color && size.channels > 1) {
+      refuse("'" + path + "'",
+             "has " + std::to_string(size.channels) + " channels: it is a picture in colours, not one of class ids",
+             "let colours tell the classes with --set scene.labels.from.kind=color");
+    }
     return kind == LabelImageKind::color ? read_color(path, table) : read_index(path, table);
   }
 
@@ -152,27 +162,25 @@ class ImageLabelReader : public LabelReader {
     return index;
   }
 
-  // What a value without a class becomes.
-  std::int16_t not_known(const std::string& path, const std::string& what, std::size_t pixel,
-                         std::int32_t width) const {
-    if (unknown == UnknownLabels::as_void) return kVoid;
-    const auto w = static_cast<std::size_t>(width);
-    refuse("'" + path + "'",
-           what + " at x " + std::to_string(pixel % w) + ", y " + std::to_string(pixel / w) + " stands for no class",
-           "add it to the table, or set unknown: void");
+  // Values without a class become void, or are told all at once.
+  void refuse_unknown(const char* noun, UnknownValues values, const std::string& path, std::int32_t width) const {
+    if (values.empty() || unknown == UnknownLabels::as_void) return;
+    throw UnknownLabelError(noun, std::move(values), path, width,
+                            "add what is missing to the table, or take it for void with --set "
+                            "scene.labels.from.unknown=void");
   }
 
   LabelRaster read_index(const std::string& path, const ClassTable& table) const {
-    if (kind == LabelImageKind::palette && !is_palette_png(path))
-      refuse("'" + path + "'", "no PNG with a palette", "set kind: ids or color");
     const Image<std::uint16_t> image = read_ids(path);
     LabelRaster raster{image.width_px, image.height_px, {}, {}};
     raster.hard.resize(image.pixels.size());
+    UnknownValues values;
     for (std::size_t i = 0; i < raster.hard.size(); ++i) {
       const int index = table.index_of(image.pixels[i]);
-      raster.hard[i] = index == -2 ? not_known(path, "id " + std::to_string(image.pixels[i]), i, image.width_px)
-                                   : static_cast<std::int16_t>(index);
+      if (index == -2) values.try_emplace(std::to_string(image.pixels[i]), i);
+      raster.hard[i] = index < 0 ? kVoid : static_cast<std::int16_t>(index);
     }
+    refuse_unknown("label id", std::move(values), path, image.width_px);
     return raster;
   }
 
@@ -181,12 +189,15 @@ class ImageLabelReader : public LabelReader {
     const Image<std::uint8_t> image = read_rgb(path);
     LabelRaster raster{image.width_px, image.height_px, {}, {}};
     raster.hard.resize(image.pixels.size() / 3);
+    UnknownValues values;
     for (std::size_t i = 0; i < raster.hard.size(); ++i) {
       const Rgb color{image.pixels[3 * i], image.pixels[3 * i + 1], image.pixels[3 * i + 2]};
       const auto found = index.find(color);
-      raster.hard[i] =
-          found == index.end() ? not_known(path, "colour " + text_of(color), i, image.width_px) : found->second;
+      raster.hard[i] = found == index.end() ? kVoid : found->second;
+      // A photograph has as many colours as pixels: a few tell that it is none of the table.
+      if (found == index.end() && values.size() < 256) values.try_emplace(text_of(color), i);
     }
+    refuse_unknown("colour", std::move(values), path, image.width_px);
     return raster;
   }
 

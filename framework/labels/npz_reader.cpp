@@ -8,8 +8,8 @@
 #include "core/words.h"
 #include "labels/label_files.h"
 #include "labels/label_readers.h"
+#include "scene/input_limits.h"
 #include "scene/npz.h"
-#include "scene/png_codec.h"
 
 namespace semfield {
 
@@ -114,31 +114,27 @@ class NpzReader : public LabelReader {
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& table) const override {
     const std::string path = path_of(folder, pattern, frame);
-    const NumpyArray probability = is_npy() ? read_npy(path) : read_npz(path, key);
-    if (probability.shape.size() != 3) {
-      refuse("'" + path + "'", "'" + key + "' has the shape " + shape_text(probability.shape),
-             "save an array [height, width, classes]");
-    }
-    if (probability.shape[2] != std::ssize(order_)) {
-      refuse("'" + path + "'",
-             "'" + key + "' has " + std::to_string(probability.shape[2]) + " classes, '" + order_path_ + "' names " +
-                 std::to_string(order_.size()),
-             "name every class of the last axis, in its order");
-    }
-    try {
-      check_image_limits(probability.shape[1], probability.shape[0]);
-    } catch (const Error& e) {
-      refuse("'" + path + "'", e.message(), e.remedy());
-    }
+    const auto accept = [&](std::span<const std::int64_t> shape) {
+      if (shape.size() != 3) {
+        throw Error(ErrorKind::data, "the shape is " + shape_text(shape), "save an array [height, width, classes]");
+      }
+      if (shape[2] != std::ssize(order_)) {
+        throw Error(ErrorKind::data,
+                    std::to_string(shape[2]) + " classes, '" + order_path_ + "' names " + std::to_string(order_.size()),
+                    "name every class of the last axis, in its order");
+      }
+      check_image_limits(shape[1], shape[0]);
+      check_label_shape(shape[1], shape[0], frame.camera);
+    };
+    const NumpyArray probability = is_npy() ? read_npy(path, accept) : read_npz(path, key, accept);
     NumpyArray confidence;
     if (!confidence_key.empty()) {
-      confidence = read_npz(path, confidence_key);
-      if (confidence.shape != std::vector<std::int64_t>{probability.shape[0], probability.shape[1]}) {
-        refuse("'" + path + "'",
-               "'" + confidence_key + "' has the shape " + shape_text(confidence.shape) + ", '" + key + "' " +
-                   shape_text(probability.shape),
-               "save a confidence [height, width]");
-      }
+      confidence = read_npz(path, confidence_key, [&](std::span<const std::int64_t> shape) {
+        if (shape.size() == 2 && shape[0] == probability.shape[0] && shape[1] == probability.shape[1]) return;
+        throw Error(ErrorKind::data,
+                    "the shape is " + shape_text(shape) + ", that of '" + key + "' " + shape_text(probability.shape),
+                    "save a confidence [height, width]");
+      });
     }
     return soft_raster(probability, confidence.values, path, table);
   }

@@ -6,6 +6,7 @@
 #include "core/parallel.h"
 #include "labels/label_files.h"
 #include "scene/scene_checks.h"
+#include "scene/unknown_labels.h"
 
 namespace semfield {
 
@@ -49,6 +50,7 @@ LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const 
                      Diagnostics& diagnostics) {
   LabelSet labels(scene.frames.size());
   std::vector<std::optional<Error>> errors(scene.frames.size());
+  std::vector<std::optional<UnknownLabelError>> unknown(scene.frames.size());
   const int classes = scene.info.classes.valid_count();
   parallel_for(std::ssize(labels), [&](std::int64_t index) {
     const auto i = static_cast<std::size_t>(index);
@@ -60,10 +62,13 @@ LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const 
       } else {
         labels[i].hard = scene.frames[i].label.expand();
       }
+    } catch (const UnknownLabelError& e) {
+      unknown[i] = e;
     } catch (const Error& e) {
       errors[i] = e;
     }
   });
+  report_unknown_labels(scene.info.frames, unknown, diagnostics);
   for (std::size_t i = 0; i < errors.size(); ++i) {
     if (errors[i]) diagnostics.error(frame_place(scene.info.frames[i]), errors[i]->message(), errors[i]->remedy());
   }
@@ -143,6 +148,7 @@ void read_test_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics
     if (labels[i].hard.empty()) {
       for (std::size_t p = 0; p < labels[i].soft.pixels(); ++p) labels[i].hard.push_back(labels[i].soft.argmax(p));
     }
+    scene.class_pixels[i] = count_classes(labels[i], scene.info.classes.valid_count());
     scene.frames[i].label = LabelMap(std::move(labels[i].hard));
     scene.info.frames[i].has_labels = true;
   }
@@ -202,6 +208,18 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
     }
     labels[i] = {};
   });
+  const auto has_class = [](const std::vector<std::int64_t>& pixels) {
+    return !pixels.empty() && std::any_of(pixels.begin(), pixels.end() - 1, [](std::int64_t n) { return n > 0; });
+  };
+  const auto labelled = std::count_if(out.class_pixels.begin(), out.class_pixels.end(),
+                                      [](const auto& pixels) { return !pixels.empty(); });
+  if (labelled > 0 && std::none_of(out.class_pixels.begin(), out.class_pixels.end(), has_class)) {
+    diagnostics.error(scene.info.name,
+                      "the labels of all " + std::to_string(labelled) +
+                          " labelled training frames are void in every pixel: nothing can be learned from them",
+                      "export label images that hold class ids, or train without them: --set scene.labels.frames=none "
+                      "--set train.ray_source=all_images");
+  }
   out.soft = std::any_of(out.frames.begin(), out.frames.end(), [](const auto& f) { return !f.soft.empty(); });
   return out;
 }

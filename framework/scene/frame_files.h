@@ -3,9 +3,10 @@
 #pragma once
 
 #include <array>
-#include <set>
+#include <map>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "config/params.h"
@@ -25,18 +26,62 @@ struct ChoiceNames<UnknownLabels> {
   static constexpr std::array<std::string_view, 2> names{"error", "void"};
 };
 
+/// What every dataset with that parameter says to ids outside the table.
+inline constexpr const char* kUnknownLabelRemedy =
+    "add what is missing to the class table, or take it for void with --set scene.unknown_labels=void";
+
 struct FrameReadRules {
   double depth_unit_m = 0.001;       ///< metres of one step of an integer depth image; float images are in metres
   int alpha_background = -1;         ///< see read_rgb
   bool unknown_labels_void = false;  ///< false: an id outside the class table is an error
 };
 
-/// Headers only: every file there, every size equal to the camera's. Each problem goes into `diagnostics` under the
-/// frame's place.
-void check_frame_files(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics);
+/// What becomes of a frame whose index names files that are not there; the parameter `missing` of datasets made of
+/// image files.
+enum class MissingFiles { error, skip };
+template <>
+struct ChoiceNames<MissingFiles> {
+  static constexpr std::array<std::string_view, 2> names{"error", "skip"};
+};
+/// What those datasets say of the parameter.
+inline constexpr const char* kMissingSentence =
+    "what missing files are: an error, or left out: a frame without its image or pose, of other frames the channel";
+
+/// The files of a scene's frames before any is decoded: there or not, of the right size or not.
+class FrameFileCheck {
+ public:
+  /// `labels_key` is the parameter that, left empty, turns the scene's own labels off.
+  FrameFileCheck(MissingFiles missing, std::string labels_key)
+      : missing_(missing), labels_key_(std::move(labels_key)) {}
+  /// How many frames will be asked for, for those who show how far it is.
+  void expect(std::size_t frames) { frames_ = frames; }
+
+  /// Drops from `files` what is not there. False when the colour image is not: the frame cannot be used. With
+  /// MissingFiles::error each is an error under the frame's place.
+  bool present(const FrameInfo& frame, FrameFiles& files, Diagnostics& diagnostics);
+  /// The same for any file that a frame cannot do without; `what` is as in "pose".
+  bool present(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics);
+  /// Headers only: every size equal to the camera's, labels of one channel. Each problem goes under the frame's place.
+  void check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) const;
+  /// After the last frame: says under `source` what was left out, and refuses a scene of which nothing is left.
+  void report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const;
+
+ private:
+  void check_header(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics) const;
+
+  MissingFiles missing_;
+  std::string labels_key_;
+  std::size_t checked_ = 0, frames_ = 0;
+  std::map<std::string, std::vector<std::string>> left_out_;  // what -> names of frames
+};
+
+/// Reports label images whose pixels are colours (`channels` above 1), with the setting that reads them. `labels_key`
+/// as in FrameFileCheck.
+void report_color_labels(const FrameInfo& frame, const std::string& path, int channels, const std::string& labels_key,
+                         Diagnostics& diagnostics);
 
 /// Pixels. Depth 0, not finite, negative, or at the 16-bit ceiling 65535 reads as 0 (invalid). Throws Error naming
-/// frame and file; a label outside `classes` with its x, y and value.
+/// frame and file; UnknownLabelError for ids outside `classes`.
 void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const FrameReadRules& rules,
                       const ClassTable& classes, FrameBuffer& out);
 
@@ -49,7 +94,14 @@ std::string find_class_file(const std::vector<std::string>& folders);
 ClassTable load_class_file(const std::string& path, const std::vector<std::string>& folders, bool has_labels,
                            Diagnostics& diagnostics);
 
-/// The stem of the image's path; where another frame took it, its folder is added, then a number.
-std::string unique_frame_name(const std::string& image_path, std::set<std::string>& taken);
+/// Names for frames, each given once.
+class FrameNames {
+ public:
+  /// The stem of the image's path; where another frame took it, its folder is added, then a number.
+  std::string of(const std::string& image_path);
+
+ private:
+  std::map<std::string, int> next_;  // given names -> the number that the next of that name gets
+};
 
 }  // namespace semfield

@@ -2,6 +2,7 @@
 #include "scene/frame_source.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <optional>
 #include <set>
@@ -12,7 +13,9 @@
 #include "scene/geometry_survey.h"
 #include "scene/image_io.h"
 #include "scene/input_limits.h"
+#include "scene/load_progress.h"
 #include "scene/scene_checks.h"
+#include "scene/unknown_labels.h"
 
 namespace semfield {
 
@@ -209,6 +212,9 @@ std::vector<int> LoadedScene::frames_of(Split split) const {
 
 LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& options, Diagnostics& diagnostics) {
   LoadedScene scene;
+  const struct AtTheEnd {
+    ~AtTheEnd() { tell_load_progress("read", 0, 0); }
+  } whatever_happens;
   validate(options, diagnostics);
   SEMFIELD_CHECK(options.pixels || (options.bounds.size() == 6 && options.near_m > 0 && options.far_m > 0),
                  "without pixels, bounds and distances must be given");
@@ -220,7 +226,14 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   check_input_limit(std::ssize(frames), input_limits().frames, "scene '" + scene.info.name + "': ", "frames", "frames");
   if (frames.empty() && !diagnostics.has_errors())
     diagnostics.error(scene.info.name, "the scene has no frames", "check the path");
+  if (frames.size() == 1 && options.pixels && !diagnostics.has_errors()) {
+    diagnostics.error(frame_place(frames[0]), "is the only frame of the scene; shape needs views from several places",
+                      "give two frames at least, better some dozens");
+  }
   scene.frames.resize(frames.size());
+  // Why there are no classes is told already; every labelled frame would only tell it again.
+  const bool labels_can_be_read = !scene.info.classes.empty() || !diagnostics.has_errors();
+  for (FrameInfo& frame : frames) frame.has_labels = frame.has_labels && labels_can_be_read;
 
   // A frame whose files already failed a check would only fail again.
   std::set<std::string> failed;
@@ -228,6 +241,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     if (d.severity == Severity::error) failed.insert(d.where);
   }
   std::vector<std::optional<Error>> errors(frames.size());
+  std::vector<std::optional<UnknownLabelError>> unknown(frames.size());
   bool stretched = false;
   std::vector<Camera> cameras(frames.size());
   for (std::size_t i = 0; i < frames.size(); ++i) {
@@ -277,12 +291,15 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   scene.class_pixels.assign(frames.size(), {});
   std::optional<GeometrySurvey> geometry;
   if (options.check_geometry) geometry.emplace(as_opened, cameras, options.mend);
+  std::atomic<std::size_t> read{0};
   parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t index) {
     const auto i = static_cast<std::size_t>(index);
+    tell_load_progress("reading", ++read, frames.size());
     if (cameras[i].width_px == 0) return;
     try {
       FrameBuffer frame;
       reader.read(static_cast<int>(i), frame);
+      if (!labels_can_be_read) frame.label = std::vector<std::int16_t>();
       check_buffer(frame, frames[i]);
       mend_depth(frame, options.mend);
       check_labels(frame, classes);
@@ -296,6 +313,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
       if (geometry) geometry->look_at(i, cameras[i], frame);
       if (!keeps_depth(options, frames[i].split)) frame.depth_m = std::vector<float>();
       scene.frames[i] = StoredFrame(std::move(frame));
+    } catch (const UnknownLabelError& e) {
+      unknown[i] = e;
     } catch (const Error& e) {
       errors[i] = e;
     }
@@ -305,6 +324,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     if (cameras[i].width_px > 0) frames[i].camera = cameras[i];
     if (!options.with_instances) frames[i].has_instances = false;
   }
+  report_unknown_labels(frames, unknown, diagnostics);
   const int before = diagnostics.error_count();
   if (geometry) scene.geometry = geometry->conclude(diagnostics);
   // What poses of another convention do to bounds and distances would hide the cause.

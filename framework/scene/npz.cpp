@@ -3,10 +3,12 @@
 #include <algorithm>
 #include <array>
 #include <bit>
+#include <filesystem>
 
 #include "core/check.h"
 #include "core/error.h"
 #include "core/files.h"
+#include "scene/input_limits.h"
 #include "scene/soft_map.h"
 #include "scene/text_rows.h"
 #include "scene/zip_archive.h"
@@ -17,6 +19,7 @@ namespace {
 
 constexpr std::size_t kMaxFileBytes = std::size_t{2} << 30;
 constexpr std::size_t kMaxAxes = 8;
+constexpr std::size_t kHeadBytes = std::size_t{1} << 17;  // more than a header of version 1 can be
 
 [[noreturn]] void refuse(const std::string& message, const std::string& remedy = {}) {
   throw Error(ErrorKind::data, message, remedy);
@@ -59,6 +62,7 @@ Header header_of(std::string_view bytes) {
   const std::size_t start = version == 1 ? 10 : 12;
   if (bytes.size() < start) refuse("the header runs past the end of the file", kAgain);
   const std::size_t length = static_cast<std::size_t>(element(bytes.data() + 8, start - 8, false));
+  if (length > kHeadBytes - start) refuse("a header of " + std::to_string(length) + " bytes is not read", kAgain);
   if (length > bytes.size() - start) refuse("the header runs past the end of the file", kAgain);
   const std::string_view text = bytes.substr(start, length);
 
@@ -129,9 +133,9 @@ std::size_t c_order(std::size_t i, const std::vector<std::int64_t>& shape) {
   return place;
 }
 
-NumpyArray array_of(std::string_view bytes) {
-  const Header header = header_of(bytes);
-  const std::string_view data = bytes.substr(header.data_at);
+// The header of an array of `bytes` bytes in all, which begins as `start` does: checked, and taken by `accept`.
+Header checked_header(std::string_view start, std::uint64_t bytes, const AcceptShape& accept) {
+  const Header header = header_of(start);
   static const std::vector<std::string> kinds{"f2", "f4", "f8", "u1"};
   const std::string kind = header.type.substr(1);
   if (std::find(kinds.begin(), kinds.end(), kind) == kinds.end() ||
@@ -139,12 +143,23 @@ NumpyArray array_of(std::string_view bytes) {
     refuse("arrays of type '" + header.type + "' are not read", "save it as float16, float32, float64 or uint8");
   }
   const auto size = static_cast<std::size_t>(kind[1] - '0');
-  const std::uint64_t count = element_count(header, data.size(), size);
-  NumpyArray array{header.shape, std::vector<float>(count), kind[0] == 'u'};
+  const std::uint64_t count = element_count(header, bytes - header.data_at, size);
+  if (accept) accept(header.shape);
+  check_input_limit(static_cast<std::int64_t>(count * std::max(size, sizeof(float))), input_limits().image_bytes,
+                    "array of the shape " + shape_text(header.shape) + ": ", "bytes once decoded", "image_bytes");
+  return header;
+}
+
+NumpyArray array_of(const Header& header, std::string_view bytes) {
+  const std::string_view data = bytes.substr(header.data_at);
+  const char kind = header.type[1];
+  const auto size = static_cast<std::size_t>(header.type[2] - '0');
+  const std::uint64_t count = element_count(header, data.size(), size);  // a file may shrink after its header is read
+  NumpyArray array{header.shape, std::vector<float>(count), kind == 'u'};
   const bool big_endian = header.type[0] == '>';
   for (std::size_t i = 0; i < count; ++i) {
     array.values[header.fortran ? c_order(i, header.shape) : i] =
-        value_at(data.data() + i * size, kind[0], size, big_endian);
+        value_at(data.data() + i * size, kind, size, big_endian);
   }
   return array;
 }
@@ -187,16 +202,18 @@ std::string shape_text(std::span<const std::int64_t> shape) {
   return out;
 }
 
-NumpyArray read_npy(const std::string& path) {
-  const std::string file = read_text_file(path, kMaxFileBytes);
+NumpyArray read_npy(const std::string& path, const AcceptShape& accept) {
   try {
-    return array_of(file);
+    const std::string start = read_file_start(path, kHeadBytes);
+    const Header header = checked_header(start, std::filesystem::file_size(path), accept);
+    return array_of(header, read_text_file(path, kMaxFileBytes));
   } catch (const Error& e) {
+    if (e.message().find(path) != std::string::npos) throw;
     throw Error(e.kind(), "'" + path + "': " + e.message(), e.remedy());
   }
 }
 
-NumpyArray read_npz(const std::string& path, const std::string& key) {
+NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept) {
   const std::string file = read_text_file(path, kMaxFileBytes);
   std::string place = "'" + path + "'";
   try {
@@ -205,7 +222,8 @@ NumpyArray read_npz(const std::string& path, const std::string& key) {
       keys.push_back(key_of(entry.name));
       if (keys.back() != key) continue;
       place += ", entry '" + key + "'";
-      return array_of(zip_contents(file, entry));
+      const Header header = checked_header(zip_start(file, entry, kHeadBytes), entry.bytes, accept);
+      return array_of(header, zip_contents(file, entry));
     }
     refuse("no array '" + key + "' in it", "it has: " + join(keys));
   } catch (const Error& e) {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <string>
 #include <vector>
@@ -18,15 +19,18 @@ struct NumpyArray {
 /// "(240, 320, 4)"
 std::string shape_text(std::span<const std::int64_t> shape);
 
+/// Throws for a shape that the caller cannot use. It is asked before anything but the header is read or unpacked.
+using AcceptShape = std::function<void(std::span<const std::int64_t> shape)>;
+
 /// float16, float32, float64 or uint8 of either byte order, up to 8 axes. Throws Error naming the file and the cause:
-/// no .npy, a header that cannot be read, another type, a shape that the bytes of the file do not fill exactly. Nothing
-/// is allocated on the word of a header.
-NumpyArray read_npy(const std::string& path);
+/// no .npy, a header that cannot be read, another type, a shape that the bytes of the file do not fill exactly, what
+/// `accept` throws, and arrays over limits.image_bytes. Nothing is allocated on the word of a header.
+NumpyArray read_npy(const std::string& path, const AcceptShape& accept);
 
 /// One array of an archive; `key` is its name without ".npy". Entries may be stored or deflated, with ZIP64 sizes.
 /// Throws Error naming file and entry: no archive, a directory or an entry that runs past the end, another compression,
 /// a wrong checksum, no such key (with the keys that there are), and as read_npy.
-NumpyArray read_npz(const std::string& path, const std::string& key);
+NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept);
 /// Keys in the order of the archive.
 std::vector<std::string> npz_keys(const std::string& path);
 

@@ -270,11 +270,11 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
                      std::to_string(kPackedVersion),
                  again);
   }
-  file_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC);
+  file_ = open_for_reading(path_);
   struct stat about {};
   try {
-    if (file_ < 0 || ::fstat(file_, &about) != 0)
-      throw refuse(std::string("cannot open: ") + std::strerror(errno), "check the permissions");
+    if (::fstat(file_, &about) != 0)
+      throw refuse(std::string("cannot read: ") + std::strerror(errno), "check the disk");
     file_bytes_ = static_cast<std::uint64_t>(about.st_size);
     if (file_bytes_ != header.file_bytes) {
       throw refuse(
@@ -318,11 +318,11 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
       f.has_instances = chunks_[i][kInstance].raw_bytes > 0;
     }
   } catch (Error& e) {
-    if (file_ >= 0) ::close(file_);
+    ::close(file_);
     if (e.message().find(path_) != std::string::npos) throw;
     throw Error(e.kind(), "'" + path_ + "': " + e.message(), e.remedy());
   } catch (...) {
-    if (file_ >= 0) ::close(file_);
+    ::close(file_);
     throw;
   }
 }

@@ -52,19 +52,20 @@ void widen(ZipEntry& entry, std::string_view extra) {
   }
 }
 
-std::string inflated(std::string_view packed, std::uint64_t bytes) {
+// The first `wanted` of `bytes`.
+std::string inflated(std::string_view packed, std::uint64_t bytes, std::uint64_t wanted) {
   if (bytes / kMaxRatio > packed.size() + 1)
     refuse("it is said to hold " + std::to_string(bytes) + " bytes, more than its " + std::to_string(packed.size()) +
                " packed ones can be",
            kAgain);
-  std::string out(bytes, '\0');
+  std::string out(wanted, '\0');
   z_stream stream{};
   if (inflateInit2(&stream, -MAX_WBITS) != Z_OK) throw Error(ErrorKind::internal, "zlib cannot start");
   stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(packed.data()));
   stream.next_out = reinterpret_cast<Bytef*>(out.data());
   std::size_t left_in = packed.size(), left_out = out.size();
   int status = Z_OK;
-  while (status == Z_OK) {  // zlib counts in 32 bits
+  while (status == Z_OK && (left_out > 0 || wanted == bytes)) {  // zlib counts in 32 bits
     const auto in = static_cast<uInt>(std::min<std::size_t>(left_in, 1u << 30)),
                room = static_cast<uInt>(std::min<std::size_t>(left_out, 1u << 30));
     stream.avail_in = in;
@@ -74,7 +75,8 @@ std::string inflated(std::string_view packed, std::uint64_t bytes) {
     left_out -= room - stream.avail_out;
   }
   inflateEnd(&stream);
-  if (status != Z_STREAM_END || left_out != 0) refuse("its packed data are damaged or cut off", kAgain);
+  if ((status != Z_STREAM_END && wanted == bytes) || left_out != 0)
+    refuse("its packed data are damaged or cut off", kAgain);
   return out;
 }
 
@@ -158,7 +160,7 @@ std::vector<ZipEntry> zip_entries(std::string_view file) {
   return entries;
 }
 
-std::string zip_contents(std::string_view file, const ZipEntry& entry) {
+std::string zip_start(std::string_view file, const ZipEntry& entry, std::uint64_t bytes) {
   if (entry.local_at > file.size() || little<std::uint32_t>(file, entry.local_at) != kLocal)
     refuse("its header is not where the directory says", kAgain);
   const std::uint64_t start = entry.local_at + 30 + little<std::uint16_t>(file, entry.local_at + 26) +
@@ -166,16 +168,18 @@ std::string zip_contents(std::string_view file, const ZipEntry& entry) {
   if (start > file.size() || entry.packed_bytes > file.size() - start)
     refuse("it runs past the end of the file", kAgain);
   const std::string_view packed = file.substr(start, entry.packed_bytes);
-  std::string out;
+  const std::uint64_t wanted = std::min(bytes, entry.bytes);
   if (entry.method == 0) {
     if (entry.bytes != entry.packed_bytes) refuse("its two sizes differ though it is not packed", kAgain);
-    out = packed;
-  } else if (entry.method == 8) {
-    out = inflated(packed, entry.bytes);
-  } else {
-    refuse("compression method " + std::to_string(entry.method) + " is not read",
-           "save it with numpy.savez or numpy.savez_compressed");
+    return std::string(packed.substr(0, wanted));
   }
+  if (entry.method == 8) return inflated(packed, entry.bytes, wanted);
+  refuse("compression method " + std::to_string(entry.method) + " is not read",
+         "save it with numpy.savez or numpy.savez_compressed");
+}
+
+std::string zip_contents(std::string_view file, const ZipEntry& entry) {
+  std::string out = zip_start(file, entry, entry.bytes);
   if (crc_of(out) != entry.crc) refuse("its checksum is wrong", kAgain);
   return out;
 }

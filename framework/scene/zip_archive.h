@@ -24,6 +24,10 @@ std::vector<ZipEntry> zip_entries(std::string_view file);
 /// that size is allocated.
 std::string zip_contents(std::string_view file, const ZipEntry& entry);
 
+/// The first bytes of an entry, at most so many; nothing more is unpacked. Throws as zip_contents, but for the
+/// checksum.
+std::string zip_start(std::string_view file, const ZipEntry& entry, std::uint64_t bytes);
+
 /// An archive of deflated entries without times: equal contents give equal files.
 class ZipWriter {
  public:

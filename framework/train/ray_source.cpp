@@ -34,6 +34,11 @@ RayBatch BatchBuffers::view(bool with_labels) const {
   return batch;
 }
 
+Error no_labelled_pixel() {
+  return Error(ErrorKind::data, "train.ray_source is label_balanced, but no training pixel carries a label",
+               "draw rays from all pixels with --set train.ray_source=all_images, or give the scene labels");
+}
+
 RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> logit_of_class, const RayLimits& limits,
                      const RaySourceOptions& options)
     : frames_(std::move(frames)), logit_of_class_(std::move(logit_of_class)), limits_(limits), options_(options) {
@@ -56,8 +61,7 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
   if (options_.kind != RaySourceKind::label_balanced) return;
   index_labels();
   if (ranks_before_.back() == 0) {
-    throw Error(ErrorKind::data, "train.ray_source is label_balanced, but no training pixel carries a label",
-                "choose all_images, or give the scene labels");
+    throw no_labelled_pixel();
   }
 }
 

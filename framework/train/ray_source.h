@@ -100,4 +100,7 @@ class RaySource {
   std::vector<std::uint32_t> ranks_before_;  // [blocks + 1]; the last entry counts all
 };
 
+/// What label_balanced says of a training split without a labelled pixel.
+Error no_labelled_pixel();
+
 }  // namespace semfield

@@ -11,6 +11,7 @@
 #include "config/compose.h"
 #include "core/checksum.h"
 #include "core/files.h"
+#include "core/findings.h"
 #include "core/gemm_engine.h"
 #include "core/memory_limit.h"
 #include "core/parallel.h"
@@ -62,7 +63,7 @@ class Run {
   void load_checkpoint() {
     Diagnostics diagnostics;
     std::optional<CheckpointStore::Found> found = checkpoints_.find_latest(diagnostics);
-    for (const Diagnostic& finding : diagnostics.all()) note(finding.text());
+    for (const Diagnostic& finding : folded(diagnostics)) note(finding.text());
     if (!found) {
       note("no checkpoint yet: starting from step 0");
       return;
@@ -287,7 +288,7 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   std::optional<RunFolder> folder;
   if (request.resume) folder.emplace(RunFolder::resume(request.out_dir));
   Session session = open_session(std::move(config), registry, options, diagnostics);
-  for (const Diagnostic& finding : diagnostics.all()) {
+  for (const Diagnostic& finding : folded(diagnostics)) {
     if (hooks.note) hooks.note(finding.text());
   }
   for (const std::string& line : session.chosen) {

@@ -123,6 +123,16 @@ std::string with_root(std::string said, const std::string& folder) {
   return said;
 }
 
+// The first line that is there twice; "" when none is.
+std::string repeated_line(const std::string& said) {
+  std::set<std::string> lines;
+  std::istringstream in(said);
+  for (std::string line; std::getline(in, line);) {
+    if (!line.empty() && !lines.insert(line).second) return line;
+  }
+  return "";
+}
+
 std::vector<std::string> case_files() {
   std::vector<std::string> out;
   for (const fs::directory_entry& entry : fs::directory_iterator(fs::path(SEMFIELD_SOURCE_DIR) / "tests/bad_files")) {
@@ -162,6 +172,9 @@ TEST_P(BadFiles, AreRefusedWithPlaceCauseAndRemedy) {
     EXPECT_FALSE(one.says.empty()) << said;
     for (const std::string& part : one.says)
       EXPECT_NE(said.find(part), std::string::npos) << "not said: " << part << "\nbut: " << said;
+    for (const std::string& part : one.never)
+      EXPECT_EQ(said.find(part), std::string::npos) << "said: " << part << "\nin: " << said;
+    EXPECT_EQ(repeated_line(said), "") << said;
     if (kMeasured) EXPECT_LE(outcome.peak_kib, one.most_mib << 10);
     slowest_s = std::max(slowest_s, outcome.cpu_s);
     largest_kib = std::max(largest_kib, outcome.peak_kib);

@@ -1,5 +1,6 @@
 #include "tests/bad_files/case_file.h"
 
+#include <sys/stat.h>
 #include <zlib.h>
 
 #include <cstring>
@@ -194,6 +195,8 @@ CaseFile read_cases(const std::string& path) {
     } else if (verb == "says") {
       words >> out.cases.back().code;
       out.cases.back().says.push_back(rest_of(words));
+    } else if (verb == "never") {
+      out.cases.back().never.push_back(rest_of(words));
     } else if (verb == "and") {
       out.cases.back().says.push_back(rest_of(words));
     } else {
@@ -212,6 +215,10 @@ void apply(const Edit& edit, const std::string& folder, void (*setup)(const std:
   if (verb == "image") return write_image(path, what, edit.place);
   if (verb == "folder") return (void)fs::create_directories(path);
   if (verb == "copy") return write_whole(fs::path(folder) / what, read_whole(path, edit.place));
+  if (verb == "pipe") {
+    if (::mkfifo(path.c_str(), 0600) != 0) fail(edit.place, "cannot make the pipe");
+    return;
+  }
   if (verb == "link") return fs::create_symlink(what, path);
   if (verb == "remove") {
     if (fs::remove_all(path) == 0) fail(edit.place, "nothing to remove");

@@ -52,23 +52,22 @@ TEST(SceneErrors, AllTroubleOfAllFramesInOnePass) {
   std::vector<std::uint8_t> ids(1200, 1);
   ids[41 * 1 + 2] = 200;
   write_png_gray8(folder + "/semantic_class/semantic_class_4.png", 40, 30, ids);
-  const std::string f = folder + "/";
+  const std::string f = folder + "/", way_on =
+                                          "restore the file, drop the frame from the index, or leave out what is "
+                                          "missing with --set scene.missing=skip";
   const std::vector<std::string> found = findings(even_odd(folder));
   ASSERT_EQ(found.size(), 5u);
-  EXPECT_EQ(found[0], frame_text(folder, 0) + "colour image '" + f +
-                          "rgb/rgb_0.png' is missing; restore the file, or drop the frame from the index");
-  EXPECT_EQ(found[1], frame_text(folder, 1) + "depth image '" + f +
-                          "depth/depth_1.png' is missing; restore the file, or drop the frame from the index");
+  EXPECT_EQ(found[0], frame_text(folder, 0) + "colour image '" + f + "rgb/rgb_0.png' is missing; " + way_on);
+  EXPECT_EQ(found[1], frame_text(folder, 1) + "depth image '" + f + "depth/depth_1.png' is missing; " + way_on);
   EXPECT_EQ(found[2],
             frame_text(folder, 2) + "label image '" + f +
                 "semantic_class/semantic_class_2.png' is 20 x 15 pixels, the camera 40 x 30; colour, depth and "
-                "labels of a frame need the size that its camera states");
+                "labels of a frame need the size that its camera states; labels of another one are scaled with --set "
+                "'scene.label_dir=\"\"' --set 'scene.labels.from={type: images, folder: \"" +
+                f + "semantic_class\", pattern: \"semantic_class_{number}.png\"}'");
   EXPECT_EQ(found[3].find(frame_text(folder, 3) + "'" + f + "depth/depth_3.png': PNG is truncated: "), 0u) << found[3];
-  EXPECT_EQ(
-      found[4],
-      frame_text(folder, 4) + "'" + f +
-          "semantic_class/semantic_class_4.png': label id 200 at x 3, y 1 is not in the class table; add the id to "
-          "the class table, or set unknown_labels: void");
+  EXPECT_EQ(found[4], frame_text(folder, 4) + "label id 200 is not in the class table, first at x 3, y 1 of '" + f +
+                          "semantic_class/semantic_class_4.png'; " + kUnknownLabelRemedy);
 }
 
 TEST(SceneErrors, UnknownLabelsCanBeVoid) {
@@ -119,8 +118,9 @@ TEST(SceneErrors, FoldersAndTables) {
   std::filesystem::remove(folder + "/classes.yaml");
   EXPECT_EQ(open(even_odd(folder)), folder +
                                         ": labels without a class table: no classes.yaml, classes.csv or "
-                                        "info_semantic.json in the scene's folder; write "
-                                        "classes.yaml with one {id, name} a class, or set scene.classes");
+                                        "info_semantic.json in the scene's folder; write classes.yaml there, one line "
+                                        "such as '- {id: 1, name: wall}' a class, or name a table with --set "
+                                        "scene.classes=FILE");
   ReplicaParams p = even_odd(folder);
   p.label_dir = "cnn";
   EXPECT_EQ(open(p), folder + "/cnn: label folder is missing; check scene.label_dir and scene.test_label_dir");
@@ -166,7 +166,7 @@ TEST(SceneErrors, TransformsJson) {
                       "image_undistorter"),
             0u);
   EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"frames\": [{\"file_path\": \"a\"}]}"),
-            "ROOT/transforms.json: frame 0 (a): 'transform_matrix' is not 4 rows of 4 numbers; write the "
+            "ROOT/transforms.json: frame 0 (a): has no 'transform_matrix'; write the "
             "camera-to-world matrix row by row");
   EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"frames\": [" + frame + "," + frame + "]}"),
             "ROOT/transforms.json: frame 1 (a): image is listed twice; keep one of the two frames");

@@ -75,7 +75,7 @@ void fuzz_label_image(std::string_view bytes) {
 void fuzz_npy(std::string_view bytes) {
   const std::string path = put("npy/a.npy", bytes);
   accepted([&] {
-    const NumpyArray array = read_npy(path);
+    const NumpyArray array = read_npy(path, {});
     std::size_t count = 1;
     for (const std::int64_t axis : array.shape) count *= static_cast<std::size_t>(axis);
     promise(array.values.size() == count, "values that do not fill the shape");
@@ -90,7 +90,7 @@ void fuzz_npz(std::string_view bytes) {
   put("npz/classes.json", parts[0]);
   const std::string path = put("npz/a.npz", parts[1]);
   accepted([&] {
-    for (const std::string& key : npz_keys(path)) accepted([&] { (void)read_npz(path, key); });
+    for (const std::string& key : npz_keys(path)) accepted([&] { (void)read_npz(path, key, {}); });
   });
   read_labels("npz", "{folder: " + folder() + "/npz, confidence_key: confidence}");
 }

@@ -73,11 +73,12 @@ TEST(LabelImages, RefusalsNameFileAndPixel) {
     const ClassTable table = reader->open(room_table(), d);
     return error_of([&] { (void)reader->read(frame_of(name), table); });
   };
-  const std::string add = "; add it to the table, or set unknown: void";
-  EXPECT_EQ(read("", "a"), "'" + folder + "/a.png': id 9 at x 1, y 1 stands for no class" + add);
-  EXPECT_EQ(read("kind: color", "c"),
-            "'" + folder + "/c.png': colour (70, 80, 91) at x 1, y 1 stands for no class" + add);
-  EXPECT_NE(read("", "c").find("/c.png': expected one channel of ids, the image has 3"), std::string::npos);
+  const std::string add =
+      "; add what is missing to the table, or take it for void with --set scene.labels.from.unknown=void";
+  const std::string unknown = " is not in the class table, first at x 1, y 1 of '" + folder;
+  EXPECT_EQ(read("", "a"), "label id 9" + unknown + "/a.png'" + add);
+  EXPECT_EQ(read("kind: color", "c"), "colour (70, 80, 91)" + unknown + "/c.png'" + add);
+  EXPECT_NE(read("", "c").find("/c.png': has 3 channels: it is a picture in colours"), std::string::npos);
   EXPECT_EQ(read("kind: palette", "a"), "'" + folder + "/a.png': no PNG with a palette; set kind: ids or color");
   EXPECT_EQ(read("kind: palette", "broken"),
             "'" + folder + "/broken.png': no PNG with a palette; set kind: ids or color");
@@ -136,24 +137,24 @@ struct NpzCase {
     Diagnostics d;
     const ClassTable table = r->open(room_table(), d);
     for (const Diagnostic& x : d.all()) ADD_FAILURE() << x.text();
-    return error_of([&] { (void)r->read(frame_of("a"), table); });
+    return error_of([&] { (void)r->read(frame_of("a", 4, 2), table); });
   }
 };
 
 TEST(NpzLabels, ColumnsGoToTheirClasses) {
   const NpzCase c;
   c.write({0.5F, 0.25F, 0.25F, 0, 0, 0});
-  const LabelRaster raster = read_labels(*c.reader(), frame_of("a"), room_table());
+  const LabelRaster raster = read_labels(*c.reader(), frame_of("a", 4, 2), room_table());
   EXPECT_EQ(raster.width_px, 2);
   EXPECT_EQ(raster.height_px, 1);
   EXPECT_TRUE(raster.hard.empty());
   EXPECT_EQ(raster.soft, (std::vector<float>{0.25F, 0, 0.5F, 0, 0, 0}));
   for (const char* order : {R"({"table": 0, "other": 1, "wall": 2})", R"({"0": "table", "1": "other", "2": "wall"})"}) {
     c.classes(order);
-    EXPECT_EQ(read_labels(*c.reader(), frame_of("a"), room_table()).soft, raster.soft) << order;
+    EXPECT_EQ(read_labels(*c.reader(), frame_of("a", 4, 2), room_table()).soft, raster.soft) << order;
   }
   c.write({0.5F, 0.25F, 0.25F, 0, 0, 1});
-  EXPECT_EQ(read_labels(*c.reader("confidence_key: confidence"), frame_of("a"), room_table()).soft,
+  EXPECT_EQ(read_labels(*c.reader("confidence_key: confidence"), frame_of("a", 4, 2), room_table()).soft,
             (std::vector<float>{0.25F, 0, 0.5F, 0.5F, 0, 0}));
   // Without a table of the scene: names in the order of the file; "other" is void.
   Diagnostics d;
@@ -161,8 +162,8 @@ TEST(NpzLabels, ColumnsGoToTheirClasses) {
   const ClassTable table = reader->open({}, d);
   ASSERT_EQ(table.valid_count(), 2);
   EXPECT_EQ(table.valid(0).name, "table");
-  EXPECT_EQ(reader->read(frame_of("a"), table).soft, (std::vector<float>{0.5F, 0.25F, 0, 1}));
-  EXPECT_FALSE(reader->has(frame_of("b")));
+  EXPECT_EQ(reader->read(frame_of("a", 4, 2), table).soft, (std::vector<float>{0.5F, 0.25F, 0, 1}));
+  EXPECT_FALSE(reader->has(frame_of("b", 4, 2)));
 }
 
 TEST(NpzLabels, RefusalsNameFileAndPixel) {
@@ -179,15 +180,26 @@ TEST(NpzLabels, RefusalsNameFileAndPixel) {
   c.write({std::numeric_limits<float>::infinity(), 0, 0, 0, 0, 0});
   EXPECT_EQ(c.read_error(), file + ": pixel x 0, y 0: the classes add up to inf" + softmax);
   c.write({0.5F, 0.5F, 0, 0}, 2);
-  EXPECT_EQ(c.read_error(), file + ": 'probability' has 2 classes, '" + c.folder +
+  EXPECT_EQ(c.read_error(), file + ", entry 'probability': 2 classes, '" + c.folder +
                                 "/classes.json' names 3; name every class of the last axis, in its order");
   EXPECT_EQ(c.read_error("key: logits"), file + ": no array 'logits' in it; it has: probability, confidence");
   EXPECT_EQ(c.read_error("key: confidence"),
-            file + ": 'confidence' has the shape (1, 2); save an array [height, width, classes]");
+            file + ", entry 'confidence': the shape is (1, 2); save an array [height, width, classes]");
   c.write({0.5F, 0.25F, 0.25F, 0, 0, 0});
-  EXPECT_EQ(
-      c.read_error("confidence_key: probability"),
-      file + ": 'probability' has the shape (1, 2, 3), 'probability' (1, 2, 3); save a confidence [height, width]");
+  EXPECT_EQ(c.read_error("confidence_key: probability"),
+            file +
+                ", entry 'probability': the shape is (1, 2, 3), that of 'probability' (1, 2, 3); save a confidence "
+                "[height, width]");
+  {
+    // Another shape than the frame's is told by its header, before any value is looked at.
+    auto r = c.reader();
+    Diagnostics d;
+    const ClassTable table = r->open(room_table(), d);
+    EXPECT_EQ(error_of([&] { (void)r->read(frame_of("a", 4, 3), table); }),
+              file +
+                  ", entry 'probability': labels are 2 x 1 pixels, the frame is 4 x 3: another shape; label the "
+                  "image of this frame");
+  }
   testing_room::cut(c.folder + "/a.npz", 40);
   EXPECT_EQ(c.read_error(), file +
                                 ": no archive: the end of a zip file is not there; save the file again, or copy it "

@@ -3,11 +3,16 @@
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <csignal>
 
+#include "scene/image_io.h"
+#include "scene/packed_scene.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -64,7 +69,7 @@ TEST(Files, ErrorsNamePathCauseAndRemedy) {
   EXPECT_EQ(error_of([&] { (void)read_text_file(folder + "/none"); }),
             "cannot open '" + folder + "/none': No such file or directory; check the path");
   EXPECT_EQ(error_of([&] { (void)read_text_file(folder); }),
-            "cannot read '" + folder + "': Is a directory; check the path");
+            "'" + folder + "' is a folder, not a file; check the path");
   EXPECT_EQ(error_of([&] { write_file_atomic(folder + "/no/a.txt", std::string_view("x")); }),
             "cannot create '" + folder + "/no/a.txt': No such file or directory; create the folder first");
   write_file_atomic(folder + "/big", std::string(101, 'x'));
@@ -74,6 +79,28 @@ TEST(Files, ErrorsNamePathCauseAndRemedy) {
   EXPECT_EQ(error_of([&] { write_file_atomic(folder + "/taken", std::string_view("x")); }),
             "cannot replace '" + folder + "/taken': Is a directory; choose another name");
   EXPECT_EQ(entries(folder), 2u);
+}
+
+// A pipe without a writer, and a device that never ends, would otherwise be waited for.
+TEST(Files, OnlyRegularFilesAreRead) {
+  const std::string folder = fresh_folder("f"), pipe = folder + "/pipe.png";
+  ASSERT_EQ(::mkfifo(pipe.c_str(), 0600), 0);
+  const auto why = [](const std::string& path) { return error_of([&] { (void)read_file_start(path, 1); }); };
+  EXPECT_EQ(why(pipe), "'" + pipe + "' is a pipe, not a file; check the path");
+  EXPECT_EQ(error_of([&] { (void)read_text_file(pipe); }), why(pipe));
+  EXPECT_EQ(error_of([&] { (void)image_size(pipe); }), why(pipe));
+  EXPECT_EQ(error_of([&] { (void)read_float(pipe); }), why(pipe));
+  EXPECT_EQ(error_of([&] { PackedScene scene(pipe); }), why(pipe));
+  EXPECT_EQ(why("/dev/zero"), "'/dev/zero' is a device, not a file; check the path");
+
+  const int server = ::socket(AF_UNIX, SOCK_STREAM, 0);
+  sockaddr_un address{AF_UNIX, "semfield_test_socket"};
+  const fs::path back = fs::current_path();
+  fs::current_path(folder);  // a socket's path has room for 107 bytes
+  EXPECT_EQ(::bind(server, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+  EXPECT_EQ(why(address.sun_path), "'semfield_test_socket' is a socket, not a file; check the path");
+  fs::current_path(back);
+  ::close(server);
 }
 
 TEST(Files, FailedWriteKeepsTheOldFileAndCleansUp) {

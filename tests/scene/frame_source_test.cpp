@@ -3,9 +3,11 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <sstream>
 
 #include "core/parallel.h"
+#include "scene/load_progress.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -272,6 +274,67 @@ TEST(LoadScene, NearAndFarBesideDepthOrBoundsAreRefusedWithOnesThatWork) {
     (void)load_scene(room, o, again);
     EXPECT_FALSE(again.has_errors());
   }
+}
+
+// A dataset that could not read its classes has said so; its labels say nothing more.
+TEST(LoadScene, WithoutClassesOnlyTheirCauseIsTold) {
+  struct NoClasses : RoomDataset {
+    SceneInfo open(Diagnostics& d) const {
+      SceneInfo info = RoomDataset::open(d);
+      info.classes = {};
+      d.error("classes.yaml", "no classes in it", "write one");
+      return info;
+    }
+  } room;
+  Diagnostics d;
+  const LoadedScene s = load_scene(room, {}, d);
+  ASSERT_EQ(d.all().size(), 1u) << d.all()[1].text();
+  EXPECT_EQ(d.all()[0].text(), "classes.yaml: no classes in it; write one");
+  EXPECT_FALSE(s.info.frames[0].has_labels);
+}
+
+TEST(LoadScene, OneFrameIsNoScene) {
+  struct One : RoomDataset {
+    SceneInfo open(Diagnostics& d) const {
+      SceneInfo info = RoomDataset::open(d);
+      info.frames.resize(1);
+      info.frames[0].split = Split::test;
+      return info;
+    }
+  } room;
+  Diagnostics d;
+  (void)load_scene(room, {}, d);
+  ASSERT_EQ(d.error_count(), 1);
+  EXPECT_EQ(d.all()[0].text(),
+            "frame '0': is the only frame of the scene; shape needs views from several places; give two frames at "
+            "least, better some dozens");
+}
+
+TEST(LoadScene, TellsHowFarItIsAndThatItEnded) {
+  RoomDataset room;
+  std::vector<std::size_t> told;
+  bool ended = false;
+  set_load_progress([&](std::string_view doing, std::size_t done, std::size_t total) {
+    EXPECT_FALSE(ended);
+    ended = doing == "read";
+    if (ended) return;
+    EXPECT_EQ(doing, "reading");
+    EXPECT_EQ(total, 6u);
+    told.push_back(done);
+  });
+  Diagnostics d;
+  (void)load_scene(room, {}, d);
+  EXPECT_TRUE(ended);
+  std::sort(told.begin(), told.end());  // threads may pass each other
+  EXPECT_EQ(told, (std::vector<std::size_t>{1, 2, 3, 4, 5, 6}));
+
+  ended = false;
+  struct Broken : RoomDataset {
+    SceneInfo open(Diagnostics&) const { throw Error(ErrorKind::no_input, "gone"); }
+  } gone;
+  EXPECT_THROW((void)load_scene(gone, {}, d), Error);
+  EXPECT_TRUE(ended);
+  set_load_progress({});
 }
 
 }  // namespace

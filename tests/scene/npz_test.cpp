@@ -6,7 +6,9 @@
 
 #include <cstring>
 
+#include "core/files.h"
 #include "core/rng.h"
+#include "scene/input_limits.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -37,7 +39,7 @@ struct NpyCase {
   std::string path = fresh_folder("t") + "/a.npy";
   NumpyArray read(const std::string& bytes) const {
     plain_write(path, bytes);
-    return read_npy(path);
+    return read_npy(path, {});
   }
   std::string error(const std::string& bytes) const {
     return error_of([&] { (void)read(bytes); });
@@ -102,10 +104,10 @@ TEST(Npz, WrittenArraysAreReadBack) {
   const std::vector<NpzEntry> entries{{"probability", {10, 20, 5}, values}, {"one", {1}, std::span(values).first(1)}};
   write_npz(path, entries);
   EXPECT_EQ(npz_keys(path), (std::vector<std::string>{"probability", "one"}));
-  const NumpyArray back = read_npz(path, "probability");
+  const NumpyArray back = read_npz(path, "probability", {});
   EXPECT_EQ(back.shape, (std::vector<std::int64_t>{10, 20, 5}));
   EXPECT_EQ(back.values, values);
-  EXPECT_EQ(error_of([&] { (void)read_npz(path, "two"); }),
+  EXPECT_EQ(error_of([&] { (void)read_npz(path, "two", {}); }),
             "'" + path + "': no array 'two' in it; it has: probability, one");
 }
 
@@ -158,10 +160,10 @@ TEST(Npz, Zip64SizesAndArchivesThatLie) {
   const std::string path = fresh_folder("t") + "/a.npz";
   const std::string data = npy(header("<f4", "(2,)"), bytes_of(std::vector<float>{3, 4}));
   plain_write(path, stored64(data, data.size(), data.size()));
-  EXPECT_EQ(read_npz(path, "a").values, (std::vector<float>{3, 4}));
+  EXPECT_EQ(read_npz(path, "a", {}).values, (std::vector<float>{3, 4}));
   const auto error = [&](const std::string& bytes) {
     plain_write(path, bytes);
-    return error_of([&] { (void)read_npz(path, "a"); });
+    return error_of([&] { (void)read_npz(path, "a", {}); });
   };
   const std::string file = "'" + path + "', entry 'a': ", again = "; save the file again, or copy it again in full";
   EXPECT_EQ(error(stored64(data, 99, data.size())), file + "its two sizes differ though it is not packed" + again);
@@ -195,9 +197,51 @@ TEST(Npz, DamageNeverCrashes) {
       bytes[uniform_below(address, 2 * k, bytes.size())] = static_cast<char>(uniform_below(address, 2 * k + 1, 256));
     if (trial % 5 == 0) bytes.resize(uniform_below(address, 99, bytes.size()));
     plain_write(path, bytes);
-    refused += error_of([&] { (void)read_npz(path, "a"); }).empty() ? 0 : 1;
+    refused += error_of([&] { (void)read_npz(path, "a", {}); }).empty() ? 0 : 1;
   }
   EXPECT_GT(refused, 300);
+}
+
+// The last bytes are damaged: whoever unpacks them before the shape is compared tells of the damage instead.
+TEST(Npz, AShapeThatIsNotWantedIsRefusedBeforeAnythingIsUnpacked) {
+  const std::string path = fresh_folder("t") + "/a.npz";
+  std::vector<float> values(400'000);
+  for (std::size_t i = 0; i < values.size(); ++i)  // what does not pack
+    values[i] = static_cast<float>(uniform_below({1, 0, stream_id("npz")}, i, 2048));
+  const NpzEntry entry{"a", {400, 1000}, values};
+  write_npz(path, std::span(&entry, 1));
+  std::string file = read_text_file(path);
+  for (std::size_t at = file.size() - 4200; at < file.size() - 4100; ++at) file[at] = static_cast<char>(~file[at]);
+  plain_write(path, file);
+  const auto read = [&](std::int64_t width) {
+    return error_of([&] {
+      (void)read_npz(path, "a", [&](std::span<const std::int64_t> shape) {
+        if (shape[1] != width) throw Error(ErrorKind::data, "another shape: " + shape_text(shape));
+      });
+    });
+  };
+  EXPECT_EQ(read(999), "'" + path + "', entry 'a': another shape: (400, 1000)");
+  EXPECT_NE(read(1000).find(path), std::string::npos);
+  EXPECT_EQ(read(1000).find("another shape"), std::string::npos);
+}
+
+TEST(Npy, AShapeThatIsNotWantedOrTooLargeIsRefusedByItsHeader) {
+  const NpyCase c;
+  plain_write(c.path, npy(header("|u1", "(2, 3)"), std::string(6, '\1')));
+  EXPECT_EQ(error_of([&] {
+              (void)read_npy(c.path, [](std::span<const std::int64_t> shape) {
+                throw Error(ErrorKind::data, "not " + shape_text(shape));
+              });
+            }),
+            "'" + c.path + "': not (2, 3)");
+  InputLimits small;
+  small.image_bytes = 23;  // six values of four bytes are 24
+  set_input_limits(small);
+  const std::string refused = error_of([&] { (void)read_npy(c.path, {}); });
+  set_input_limits({});
+  EXPECT_EQ(refused, "'" + c.path +
+                         "': array of the shape (2, 3): 24 bytes once decoded; at most 23 are read; check that it is "
+                         "the right file, or raise limits.image_bytes in the configuration");
 }
 
 }  // namespace

@@ -4,9 +4,9 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <set>
 
 #include "plugin/module.h"
+#include "scene/frame_split.h"
 #include "scene/image_io.h"
 #include "scene/scene_checks.h"
 
@@ -25,12 +25,12 @@ void describe(ParamVisitor& visit, ColmapParams& p) {
                  "folder inside root of label images: the name of the image with .png; empty = no labels");
   SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found in root");
   SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
+  SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
 }
 
 void validate(const ColmapParams& p, Diagnostics& diagnostics) {
   if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
-  if (p.test_every == 1)
-    diagnostics.error("test_every", "1 leaves no frame to train on", "take 2 or more, or 0 for no test frames");
+  check_test_every(p.test_every, diagnostics);
 }
 
 Colmap::Colmap(const ColmapParams& params, const DatasetBuild& build)
@@ -84,7 +84,7 @@ bool Colmap::scale_camera(const std::string& image, const std::string& place, Ca
   try {
     size = image_size(image);
   } catch (const Error&) {
-    return true;  // check_frame_files tells what is wrong with the file
+    return true;  // check_headers tells what is wrong with the file
   }
   if (size.width_px == camera.width_px && size.height_px == camera.height_px) return true;
   const double sx = static_cast<double>(size.width_px) / camera.width_px;
@@ -116,14 +116,16 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
   }
 
   std::vector<std::string> skipped;
-  std::set<std::string> taken;
+  FrameNames names;
   std::size_t unlabelled = 0, scaled = 0;
+  FrameFileCheck check(params_.missing, "label_dir");
+  check.expect(model.images.size());
   std::string scaled_text;
   for (std::size_t rank = 0; rank < model.images.size(); ++rank) {
     const ColmapImage& in = model.images[rank];
     FrameInfo frame;
     FrameFiles files;
-    frame.name = unique_frame_name(in.name, taken);
+    frame.name = names.of(in.name);
     frame.source = files.color = (root / params_.images / in.name).string();
     frame.world_from_camera = in.world_from_camera;
     frame.camera = model.cameras.at(in.camera);
@@ -131,6 +133,7 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
     if (state == PoseState::not_finite) skipped.push_back(frame.name);
     if (state != PoseState::good || frame.camera.width_px == 0) continue;  // a camera without a size was refused
     const Camera stated = frame.camera;
+    if (!check.present(frame, files, diagnostics)) continue;
     if (!scale_camera(files.color, frame_place(frame), frame.camera, diagnostics) ||
         !check_camera(frame.camera, frame_place(frame), diagnostics)) {
       continue;
@@ -146,13 +149,12 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
       unlabelled += files.label.empty() ? 1 : 0;
     }
     frame.has_labels = !files.label.empty();
-    const bool held_out =
-        params_.test_every > 0 && model.images.size() > 1 && rank % static_cast<std::size_t>(params_.test_every) == 0;
-    frame.split = held_out ? Split::test : Split::train;
-    check_frame_files(frame, files, diagnostics);
+    frame.split = HoldOut{params_.test_every}.split_of(rank, model.images.size());
+    check.check_headers(frame, files, diagnostics);
     info_.frames.push_back(frame);
     files_.push_back(files);
   }
+  check.report((root / params_.images).string(), info_.frames.size(), diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), folder, diagnostics);
   if (scaled > 0)
     diagnostics.note(

@@ -235,6 +235,24 @@ TEST(Colmap, LostPosesAreSkippedAndCounted) {
   EXPECT_NE(problems(d)[0].find("1 of 2 frames skipped: their poses are not finite (a)"), std::string::npos);
 }
 
+TEST(Colmap, MissingImagesAreLeftOutWhereAsked) {
+  const std::string folder = scene_folder("m", 8, 4, [](const std::string& f) { Binary().write(f); });
+  std::filesystem::remove(folder + "/images/a.png");
+  Diagnostics refused;
+  (void)open(folder, refused);
+  ASSERT_EQ(refused.error_count(), 1);
+  EXPECT_NE(refused.all()[0].text().find("--set scene.missing=skip"), std::string::npos);
+  ColmapParams p;
+  p.root = folder;
+  p.missing = MissingFiles::skip;
+  Diagnostics d;
+  const SceneInfo info = Colmap(p, {}).open(d);
+  ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
+  EXPECT_EQ(d.all()[0].text(), folder + "/images: 1 frame is left out, whose colour image is missing: a");
+  ASSERT_EQ(info.frames.size(), 1u);
+  EXPECT_EQ(info.frames[0].name, "b");
+}
+
 TEST(Colmap, EveryCutOfABinaryFileIsRefusedWithFileAndOffset) {
   const std::string folder = scene_folder("c", 8, 4, [](const std::string& f) { Binary().write(f); });
   const Binary whole;

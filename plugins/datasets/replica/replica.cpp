@@ -4,16 +4,18 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <limits>
 #include <numeric>
 #include <tuple>
 
-#include "core/files.h"
 #include "core/sorted_folder.h"
 #include "core/words.h"
 #include "plugin/module.h"
+#include "scene/frame_split.h"
 #include "scene/image_io.h"
 #include "scene/input_limits.h"
 #include "scene/scene_checks.h"
+#include "scene/text_rows.h"
 
 namespace semfield {
 
@@ -31,16 +33,32 @@ void describe(ParamVisitor& visit, ReplicaParams& p) {
                  "label folder of the test frames; empty = label_dir, and semantic_class where it has no file");
   SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found beside the sequence");
   SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
-  SEMFIELD_PARAM(visit, p, train_step, "every how many-th frame trains", {1, 1e6});
-  SEMFIELD_PARAM(visit, p, train_offset, "number of the first training frame", {0, 1e6});
-  SEMFIELD_PARAM(visit, p, test_step, "every how many-th frame is held out for tests; 0 = none", {0, 1e6});
-  SEMFIELD_PARAM(visit, p, test_offset, "number of the first test frame", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
+  SEMFIELD_PARAM(
+      visit, p, split,
+      "auto: by the steps where one is given, else every frame is in a split, by test_every; paper: frames 0, "
+      "5, 10, ... train and 2, 7, 12, ... are held out [Zhi21]");
+  SEMFIELD_PARAM(visit, p, test_every,
+                 "every how many-th frame is held out for tests, the others train; 0 = none; without steps only",
+                 {0, 1e6});
+  SEMFIELD_PARAM(visit, p, train_step, "every how many-th frame trains; 0 = all that are not held out", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, train_offset, "number of the first training frame, with train_step", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, test_step,
+                 "every how many-th frame is held out for tests; 0 = none, and without train_step by test_every",
+                 {0, 1e6});
+  SEMFIELD_PARAM(visit, p, test_offset, "number of the first test frame, with test_step", {0, 1e6});
 }
 
 void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
   if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  check_test_every(p.test_every, diagnostics);
+  if (p.split == ReplicaSplit::paper && (p.train_step > 0 || p.test_step > 0))
+    diagnostics.error("split", "paper has steps of its own", "drop train_step and test_step, or set split: auto");
+  if (p.train_step == 0 && p.test_step == 1)
+    diagnostics.error("test_step", "1 leaves no frame to train on", "take 2 or more, or 0 for test_every");
   // Two arithmetic sequences meet when their offsets agree modulo the greatest common divisor of their steps.
-  if (p.test_step > 0 && (p.train_offset - p.test_offset) % std::gcd(p.train_step, p.test_step) == 0) {
+  if (p.train_step > 0 && p.test_step > 0 &&
+      (p.train_offset - p.test_offset) % std::gcd(p.train_step, p.test_step) == 0) {
     diagnostics.error("test_offset",
                       "test frames " + std::to_string(p.test_offset) + " + n * " + std::to_string(p.test_step) +
                           " meet training frames " + std::to_string(p.train_offset) + " + n * " +
@@ -52,6 +70,11 @@ void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
 Replica::Replica(const ReplicaParams& params, const DatasetBuild& build)
     : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
   if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
+  if (params_.split == ReplicaSplit::paper) {
+    params_.train_step = params_.test_step = 5;
+    params_.train_offset = 0;
+    params_.test_offset = 2;
+  }
 }
 
 std::string Replica::sequence_folder() const {
@@ -95,10 +118,12 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
     const std::string place = path + ":" + std::to_string(line);
     Row found{static_cast<int>(rows++), {}};
     if (numbers.size() != 16 || !bad.empty()) {
+      const bool quaternion = bad.empty() && (numbers.size() == 7 || numbers.size() == 8);  // 8: a time stands first
       diagnostics.error(
           place,
           "expected 16 numbers, got " + std::to_string(numbers.size()) +
-              (bad.empty()                                ? ""
+              (quaternion                                 ? ", as of a position and a quaternion"
+               : bad.empty()                              ? ""
                : bad.find('\0') != std::string_view::npos ? " and a NUL byte"
                                                           : " and the text '" + std::string(bad.substr(0, 40)) + "'"),
           "write one camera-to-world matrix a line, row by row");
@@ -116,10 +141,39 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
 }
 
 Split Replica::split_of(int number) const {
-  if (number >= params_.train_offset && (number - params_.train_offset) % params_.train_step == 0) return Split::train;
-  if (params_.test_step > 0 && number >= params_.test_offset && (number - params_.test_offset) % params_.test_step == 0)
-    return Split::test;
-  return Split::unused;
+  const auto in = [number](std::int32_t step, std::int32_t offset) {
+    return step > 0 && number >= offset && (number - offset) % step == 0;
+  };
+  if (params_.train_step == 0 && params_.test_step == 0)
+    return HoldOut{params_.test_every}.split_of(static_cast<std::size_t>(number),
+                                                std::numeric_limits<std::size_t>::max());
+  if (in(params_.train_step, params_.train_offset)) return Split::train;
+  if (in(params_.test_step, params_.test_offset)) return Split::test;
+  return params_.train_step == 0 ? Split::train : Split::unused;
+}
+
+// More poses than images are missing images; more images than poses have no place in the scene, or all poses are off.
+void Replica::check_poses_for_images(const std::string& folder, std::size_t rows, Diagnostics& diagnostics) const {
+  constexpr std::string_view kPrefix = "rgb_";
+  std::vector<std::int64_t> without;
+  std::size_t images = 0;
+  const fs::path colors = fs::path(folder) / "rgb";
+  if (!fs::is_directory(colors)) return;
+  for (const fs::directory_entry& entry : sorted_folder(colors.string())) {
+    const std::string stem = entry.path().stem().string();
+    std::int64_t number = 0;
+    if (stem.rfind(kPrefix, 0) != 0 || !parse_whole(stem.substr(kPrefix.size()), number)) continue;
+    ++images;
+    if (number >= static_cast<std::int64_t>(rows)) without.push_back(number);
+  }
+  if (without.empty()) return;
+  std::sort(without.begin(), without.end());
+  const std::string trajectory = (fs::path(folder) / "traj_w_c.txt").string();
+  const std::string sentence = std::to_string(rows) + " poses for " + std::to_string(images) + " images: from rgb_" +
+                               std::to_string(without.front()) + " on " + std::to_string(without.size()) + " have none";
+  if (params_.missing == MissingFiles::skip) return diagnostics.note(trajectory, sentence + "; they are left out");
+  diagnostics.error(trajectory, sentence,
+                    "write one pose a line for every image, or leave out what has none with --set scene.missing=skip");
 }
 
 // Label images by number: "semantic_class_12.png", "semantic_class_00012.png", "12.png". Other files (previews) are
@@ -215,8 +269,9 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
   index_labels(folder, diagnostics);
   std::size_t rows = 0;
   const std::vector<Row> trajectory = read_trajectory((fs::path(folder) / "traj_w_c.txt").string(), diagnostics, rows);
+  check_poses_for_images(folder, rows, diagnostics);
 
-  // One camera for all frames, from the first image that can be read; check_frame_files finds those of another size.
+  // One camera for all frames, from the first image that can be read; check_headers finds those of another size.
   Camera camera;
   for (const Row& row : trajectory) {
     try {
@@ -234,26 +289,33 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
   camera.cy = 0.5 * camera.height_px;
 
   bool has_labels = false;
+  FrameFileCheck check(params_.missing, "label_dir");
+  check.expect(trajectory.size());
   for (const Row& row : trajectory) {
     FrameInfo frame;
     frame.split = split_of(row.number);
-    const FrameFiles files = files_of(folder, row.number, frame.split);
+    FrameFiles files = files_of(folder, row.number, frame.split);
     frame.name = "rgb_" + std::to_string(row.number);
     frame.source = files.color;
     frame.camera = camera;
     frame.world_from_camera = row.pose;
+    if (!check.present(frame, files, diagnostics)) continue;
     frame.has_depth = !files.depth.empty();
     frame.has_labels = !files.label.empty();
     frame.has_instances = !files.instance.empty();
     has_labels = has_labels || frame.has_labels;
-    check_frame_files(frame, files, diagnostics);
+    check.check_headers(frame, files, diagnostics);
     info_.frames.push_back(frame);
     files_.push_back(files);
   }
-  if (rows > trajectory.size() && !trajectory.empty()) {
-    diagnostics.note(root_, std::to_string(rows - trajectory.size()) + " of " + std::to_string(rows) +
-                                " frames are in neither split");
+  std::size_t unused = 0;
+  for (std::size_t number = 0; number < rows; ++number)
+    unused += split_of(static_cast<int>(number)) == Split::unused ? 1 : 0;
+  if (unused > 0) {
+    diagnostics.note(root_, std::to_string(unused) + " of " + std::to_string(rows) +
+                                " frames are in neither split (scene.split, or train_step and test_step)");
   }
+  check.report(folder, info_.frames.size(), diagnostics);
   report_unlabelled(folder, diagnostics);
   info_.classes =
       load_class_file(class_file_, {folder, root_, (fs::path(root_) / "habitat").string()}, has_labels, diagnostics);

@@ -1,9 +1,11 @@
 // Pre-rendered Replica sequences: traj_w_c.txt, rgb/, depth/, semantic_class/, semantic_instance/.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <map>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -11,6 +13,12 @@
 #include "scene/frame_files.h"
 
 namespace semfield {
+
+enum class ReplicaSplit { by_steps, paper };
+template <>
+struct ChoiceNames<ReplicaSplit> {
+  static constexpr std::array<std::string_view, 2> names{"auto", "paper"};
+};
 
 struct ReplicaParams {
   std::string root;
@@ -20,10 +28,13 @@ struct ReplicaParams {
   std::string test_label_dir;
   std::string classes;
   UnknownLabels unknown_labels = UnknownLabels::error;
-  std::int32_t train_step = 5;
+  MissingFiles missing = MissingFiles::error;
+  ReplicaSplit split = ReplicaSplit::by_steps;
+  std::int32_t test_every = 8;
+  std::int32_t train_step = 0;
   std::int32_t train_offset = 0;
-  std::int32_t test_step = 5;
-  std::int32_t test_offset = 2;
+  std::int32_t test_step = 0;
+  std::int32_t test_offset = 0;
 };
 void describe(ParamVisitor& visit, ReplicaParams& params);
 void validate(const ReplicaParams& params, Diagnostics& diagnostics);
@@ -42,6 +53,7 @@ class Replica final : public Dataset {
   std::string sequence_folder() const;
   std::vector<Row> read_trajectory(const std::string& path, Diagnostics& diagnostics, std::size_t& rows) const;
   Split split_of(int number) const;
+  void check_poses_for_images(const std::string& folder, std::size_t rows, Diagnostics& diagnostics) const;
   FrameFiles files_of(const std::string& folder, int number, Split split) const;
   void index_labels(const std::string& folder, Diagnostics& diagnostics);
   std::string label_of(int number, Split split) const;

@@ -5,6 +5,7 @@
 
 #include <clocale>
 
+#include "core/findings.h"
 #include "labels/training_labels.h"
 #include "scene/frame_source.h"
 #include "tests/labels/reader_case.h"
@@ -21,6 +22,7 @@ TEST(Replica, PaperSplitCameraAndPixels) {
   write_replica(folder + "/Sequence_1", 8);
   ReplicaParams p;
   p.root = folder;
+  p.split = ReplicaSplit::paper;
   Replica replica(p, {});
   Diagnostics d;
   const SceneInfo info = replica.open(d);
@@ -38,6 +40,50 @@ TEST(Replica, PaperSplitCameraAndPixels) {
   EXPECT_EQ(got.label, want.label);
   EXPECT_EQ(got.instance, want.instance);
   for (std::size_t i = 0; i < got.depth_m.size(); ++i) ASSERT_NEAR(got.depth_m[i], want.depth_m[i], 0.000501);
+}
+
+TEST(Replica, EveryFrameIsInOneSplitByDefault) {
+  const std::string folder = fresh_folder("room");
+  write_replica(folder, 10);
+  const auto splits = [&](const ReplicaParams& p) {
+    Diagnostics d;
+    std::string out;
+    for (const FrameInfo& f : Replica(p, {}).open(d).frames) out += f.split == Split::test ? 'T' : '.';
+    EXPECT_TRUE(d.all().empty()) << d.all()[0].text();
+    return out;
+  };
+  ReplicaParams p;
+  p.root = folder;
+  EXPECT_EQ(splits(p), "T.......T.");
+  p.test_every = 0;
+  EXPECT_EQ(splits(p), "..........");
+  p.test_step = 4;
+  p.test_offset = 3;
+  EXPECT_EQ(splits(p), "...T...T..");
+}
+
+TEST(Replica, MissingFilesAreLeftOutWhereAskedAndMoveNoOtherFrame) {
+  const std::string folder = fresh_folder("room");
+  write_replica(folder, 10);
+  for (const char* gone : {"/rgb/rgb_3.png", "/rgb/rgb_8.png", "/depth/depth_1.png"})
+    std::filesystem::remove(folder + gone);
+  ReplicaParams p;
+  p.root = folder;
+  Diagnostics refused;
+  Replica(p, {}).open(refused);
+  EXPECT_EQ(refused.error_count(), 3);
+  EXPECT_EQ(folded(refused).size(), 2u);  // colour and depth
+  p.missing = MissingFiles::skip;
+  Diagnostics d;
+  Replica replica(p, {});
+  const LoadedScene scene = load_scene(replica, {}, d);
+  ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
+  ASSERT_EQ(d.all().size(), 2u);
+  EXPECT_EQ(d.all()[0].text(), folder + ": 2 frames are left out, whose colour image is missing: rgb_3, rgb_8");
+  EXPECT_EQ(d.all()[1].text(), folder + ": 1 of 8 frames go without a depth image, which is missing: rgb_1");
+  ASSERT_EQ(scene.info.frames.size(), 8u);
+  EXPECT_FALSE(scene.info.frames[1].has_depth);
+  EXPECT_EQ(scene.frames_of(Split::test), std::vector<int>{0});  // 8 is gone, 9 has not taken its place
 }
 
 TEST(Replica, TestLabelsMayComeFromAnotherFolder) {

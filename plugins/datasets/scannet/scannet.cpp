@@ -11,10 +11,12 @@
 #include "core/sorted_folder.h"
 #include "core/words.h"
 #include "plugin/module.h"
+#include "scene/frame_split.h"
 #include "scene/image_io.h"
 #include "scene/scannet_labels.h"
 #include "scene/scene_checks.h"
 #include "scene/text_rows.h"
+#include "scene/unknown_labels.h"
 
 namespace semfield {
 
@@ -31,12 +33,12 @@ void describe(ParamVisitor& visit, ScannetParams& p) {
   SEMFIELD_PARAM(visit, p, test_every,
                  "every how many-th of the frames taken is held out for tests, 2 = every other; 0 = none", {0, 1e6});
   SEMFIELD_PARAM(visit, p, unknown_labels, "what a raw id outside the label table is: an error, or void");
+  SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
 }
 
 void validate(const ScannetParams& p, Diagnostics& diagnostics) {
   if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
-  if (p.test_every == 1)
-    diagnostics.error("test_every", "1 leaves no frame to train on", "take 2 or more, or 0 for no test frames");
+  check_test_every(p.test_every, diagnostics);
 }
 
 Scannet::Scannet(const ScannetParams& params, const DatasetBuild& build)
@@ -78,10 +80,13 @@ std::optional<std::vector<double>> read_matrix(const std::string& path, const st
 }
 
 // A picture of what the colour camera sees, at any size; ScanNet's own sizes are off each other by half a percent.
-void check_shape(const std::string& path, const Camera& color, const std::string& place, Diagnostics& diagnostics) {
+void check_shape(const std::string& path, const FrameInfo& frame, bool is_label, Diagnostics& diagnostics) {
   if (path.empty()) return;
+  const Camera& color = frame.camera;
+  const std::string place = frame_place(frame);
   try {
     const ImageSize size = image_size(path);
+    if (is_label) report_color_labels(frame, path, size.channels, "label_dir", diagnostics);
     const double shape = static_cast<double>(size.width_px) * color.height_px / size.height_px / color.width_px;
     if (std::abs(shape - 1) < 0.02) return;
     diagnostics.error(place,
@@ -129,7 +134,7 @@ std::vector<T> resample(const Image<std::uint16_t>& image, const std::vector<std
 
 }  // namespace
 
-std::vector<Scannet::View> Scannet::list_views(Diagnostics& diagnostics) const {
+std::vector<Scannet::View> Scannet::list_views(FrameFileCheck& check, Diagnostics& diagnostics) const {
   const fs::path root(root_);
   for (const char* name : {"", "color", "pose", "intrinsic"}) {
     if (!fs::is_directory(root / name)) {
@@ -153,12 +158,15 @@ std::vector<Scannet::View> Scannet::list_views(Diagnostics& diagnostics) const {
   std::vector<View> out;
   std::vector<std::string> skipped;
   for (const auto& [number, path] : images) {
-    const std::string stem = fs::path(path).stem().string();
-    const auto matrix =
-        read_matrix((root / "pose" / (stem + ".txt")).string(), "frame '" + stem + "' (" + path + ")", diagnostics);
+    const std::string stem = fs::path(path).stem().string(), pose = (root / "pose" / (stem + ".txt")).string();
+    FrameInfo frame;
+    frame.name = stem;
+    frame.source = path;
+    if (!check.present(frame, "pose", pose, diagnostics)) continue;
+    const auto matrix = read_matrix(pose, frame_place(frame), diagnostics);
     if (!matrix) continue;
     if (std::all_of(matrix->begin(), matrix->end(), [](double v) { return std::isfinite(v); })) {
-      if (!check_last_row(*matrix, "frame '" + stem + "' (" + path + ")", diagnostics)) continue;
+      if (!check_last_row(*matrix, frame_place(frame), diagnostics)) continue;
       out.push_back({static_cast<int>(number), path, pose_from_rows(*matrix)});
     } else {
       skipped.push_back(stem);
@@ -188,7 +196,7 @@ Camera Scannet::read_camera(const std::string& file, const std::vector<std::stri
       camera.height_px = size.height_px;
       break;
     } catch (const Error&) {
-      continue;  // check_frame_files tells what is wrong with it
+      continue;  // its header is checked with its frame
     }
   }
   if (camera.width_px == 0) return camera;
@@ -259,7 +267,8 @@ void Scannet::load_classes(Diagnostics& diagnostics) {
   }
 }
 
-void Scannet::add_frame(const View& view, std::size_t rank, std::size_t& unlabelled, Diagnostics& diagnostics) {
+void Scannet::add_frame(const View& view, std::size_t rank, std::size_t views, FrameFileCheck& check,
+                        Diagnostics& diagnostics) {
   const std::string stem = fs::path(view.color).stem().string();
   const auto file_in = [&](const std::string& folder) { return (fs::path(root_) / folder / (stem + ".png")).string(); };
   FrameInfo frame;
@@ -270,23 +279,20 @@ void Scannet::add_frame(const View& view, std::size_t rank, std::size_t& unlabel
   if (check_pose(frame.world_from_camera, frame_place(frame), diagnostics) != PoseState::good) return;
   FrameFiles files{view.color, has_[0] ? file_in("depth") : "", has_[1] ? file_in(params_.label_dir) : "",
                    has_[2] ? file_in("instance-filt") : ""};
-  if (has_[1] && !fs::exists(files.label)) {
-    files.label.clear();
-    ++unlabelled;
-  }
-  frame.has_depth = has_[0];
+  if (has_[1] && !fs::exists(files.label)) files.label.clear();  // not every frame is labelled
+  if (!check.present(frame, files, diagnostics)) return;
+  frame.has_depth = !files.depth.empty();
   frame.has_labels = !files.label.empty();
-  frame.has_instances = has_[2];
-  const bool held_out = params_.test_every > 0 && rank % static_cast<std::size_t>(params_.test_every) ==
-                                                      static_cast<std::size_t>(params_.test_every) - 1;
-  frame.split = held_out ? Split::test : Split::train;
-  check_frame_files(frame, {files.color, "", "", ""}, diagnostics);
+  frame.has_instances = !files.instance.empty();
+  // Which is held out: 1, 3, 5, ... of the default 2.
+  frame.split = HoldOut{params_.test_every, params_.test_every - 1}.split_of(rank, views);
+  check.check_headers(frame, {files.color, "", "", ""}, diagnostics);
   // The other channels have sizes of their own: depth that of its camera, the rest the shape of the colour picture.
   FrameInfo other = frame;
   other.camera = depth_;
-  check_frame_files(other, {"", files.depth, "", ""}, diagnostics);
-  for (const std::string& path : {files.label, files.instance})
-    check_shape(path, frame.camera, frame_place(frame), diagnostics);
+  check.check_headers(other, {"", files.depth, "", ""}, diagnostics);
+  check_shape(files.label, frame, true, diagnostics);
+  check_shape(files.instance, frame, false, diagnostics);
   info_.frames.push_back(frame);
   files_.push_back(files);
 }
@@ -296,13 +302,17 @@ SceneInfo Scannet::open(Diagnostics& diagnostics) {
   files_.clear();
   index_of_raw_.assign(kRawIds, kVoid);  // until the table is read: a table that fails is one error, not one a frame
   const fs::path root(root_);
-  const std::vector<View> views = list_views(diagnostics);
+  FrameFileCheck check(params_.missing, "label_dir");
+  const std::vector<View> views = list_views(check, diagnostics);
   info_.name = fs::weakly_canonical(root).filename().string();
   has_ = {fs::is_directory(root / "depth"), !params_.label_dir.empty() && fs::is_directory(root / params_.label_dir),
           fs::is_directory(root / "instance-filt")};
   if (!params_.label_dir.empty() && params_.label_dir != ScannetParams{}.label_dir && !has_[1])
     diagnostics.error((root / params_.label_dir).string(), "label folder is missing", "check scene.label_dir");
-  if (views.empty()) return info_;
+  if (views.empty()) {
+    check.report(root_, 0, diagnostics);
+    return info_;
+  }
 
   std::vector<std::string> colors, depths;
   for (const View& view : views) {
@@ -312,12 +322,16 @@ SceneInfo Scannet::open(Diagnostics& diagnostics) {
   color_ = read_camera("intrinsic_color.txt", colors, diagnostics);
   if (has_[0]) depth_ = read_camera("intrinsic_depth.txt", depths, diagnostics);
   check_extrinsics(diagnostics);
-  std::size_t unlabelled = 0;
-  for (std::size_t rank = 0; rank < views.size(); ++rank) add_frame(views[rank], rank, unlabelled, diagnostics);
+  check.expect(views.size());
+  for (std::size_t rank = 0; rank < views.size(); ++rank)
+    add_frame(views[rank], rank, views.size(), check, diagnostics);
+  check.report(root_, info_.frames.size(), diagnostics);
+  const auto unlabelled =
+      std::count_if(info_.frames.begin(), info_.frames.end(), [](const FrameInfo& f) { return !f.has_labels; });
   if (has_[1] && unlabelled > 0) {
     diagnostics.note(
         (root / params_.label_dir).string(),
-        std::to_string(unlabelled) + " of " + std::to_string(views.size()) + " frames have no label image");
+        std::to_string(unlabelled) + " of " + std::to_string(info_.frames.size()) + " frames have no label image");
   }
   if (has_[1]) load_classes(diagnostics);
   return info_;
@@ -339,18 +353,17 @@ void Scannet::read(int frame, FrameBuffer& out) const {
     }
     if (!files.label.empty()) {
       const Image<std::uint16_t> image = read_ids(files.label);
+      UnknownValues unknown;
       const auto index = [&](std::size_t p) {
         const std::int16_t found = index_of_raw_[image.pixels[p]];
         if (found != kUnknown) return found;
-        if (params_.unknown_labels == UnknownLabels::as_void) return kVoid;
-        const auto width = static_cast<std::size_t>(image.width_px);
-        throw Error(ErrorKind::data,
-                    "'" + files.label + "': raw id " + std::to_string(image.pixels[p]) + " at x " +
-                        std::to_string(p % width) + ", y " + std::to_string(p / width) + " is not in the label table",
-                    "take the table of the data's release, or set unknown_labels: void");
+        if (params_.unknown_labels == UnknownLabels::error) unknown.try_emplace(std::to_string(image.pixels[p]), p);
+        return kVoid;
       };
       out.label =
           resample(image, by_ratio(image.height_px, c.height_px), by_ratio(image.width_px, c.width_px), kVoid, index);
+      if (!unknown.empty())
+        throw UnknownLabelError("raw id", std::move(unknown), files.label, image.width_px, kUnknownLabelRemedy);
     }
     if (!files.instance.empty()) {
       const Image<std::uint16_t> image = read_ids(files.instance);
@@ -358,7 +371,8 @@ void Scannet::read(int frame, FrameBuffer& out) const {
                               std::int32_t{0}, [&](std::size_t p) { return std::int32_t{image.pixels[p]}; });
     }
   } catch (Error& e) {
-    throw e.while_doing("frame '" + info.name + "'");
+    e.while_doing("frame '" + info.name + "'");
+    throw;  // not a copy: an UnknownLabelError stays one
   }
 }
 

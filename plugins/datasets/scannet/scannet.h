@@ -27,6 +27,7 @@ struct ScannetParams {
   std::int32_t max_frames = 300;
   std::int32_t test_every = 2;
   UnknownLabels unknown_labels = UnknownLabels::error;
+  MissingFiles missing = MissingFiles::error;
 };
 void describe(ParamVisitor& visit, ScannetParams& params);
 void validate(const ScannetParams& params, Diagnostics& diagnostics);
@@ -46,10 +47,11 @@ class Scannet final : public Dataset {
     std::string color;
     Pose pose;
   };
-  std::vector<View> list_views(Diagnostics& diagnostics) const;
+  std::vector<View> list_views(FrameFileCheck& check, Diagnostics& diagnostics) const;
   Camera read_camera(const std::string& file, const std::vector<std::string>& images, Diagnostics& diagnostics) const;
   void check_extrinsics(Diagnostics& diagnostics) const;
-  void add_frame(const View& view, std::size_t rank, std::size_t& unlabelled, Diagnostics& diagnostics);
+  void add_frame(const View& view, std::size_t rank, std::size_t views, FrameFileCheck& check,
+                 Diagnostics& diagnostics);
   void load_classes(Diagnostics& diagnostics);
 
   ScannetParams params_;

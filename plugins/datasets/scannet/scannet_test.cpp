@@ -201,13 +201,30 @@ TEST(Scannet, UnknownRawIdsAreRefusedOrVoid) {
   std::vector<std::uint16_t> raw(kLabelWidth * kLabelHeight, 101);
   raw[kLabelWidth * 3 + 3] = 999;
   write_png_gray16(folder + "/label-filt/10.png", kLabelWidth, kLabelHeight, raw);
-  EXPECT_EQ(problems(params_of(folder)),
-            std::vector<std::string>{"frame '10' (" + folder + "/color/10.png): '" + folder +
-                                     "/label-filt/10.png': raw id 999 at x 3, y 3 is not in the label table; take the "
-                                     "table of the data's release, or set unknown_labels: void"});
+  EXPECT_EQ(
+      problems(params_of(folder)),
+      std::vector<std::string>{"frame '10' (" + folder + "/color/10.png): raw id 999 is not in the class table, " +
+                               "first at x 3, y 3 of '" + folder + "/label-filt/10.png'; " + kUnknownLabelRemedy});
   ScannetParams p = params_of(folder);
   p.unknown_labels = UnknownLabels::as_void;
   EXPECT_EQ(problems(p), std::vector<std::string>{});
+}
+
+TEST(Scannet, WhatIsMissingIsLeftOutWhereAsked) {
+  const std::string folder = write_scannet("m", 5);
+  for (const char* gone : {"/pose/10.txt", "/depth/20.png"}) std::filesystem::remove(folder + gone);
+  ScannetParams p = params_of(folder);
+  EXPECT_EQ(problems(p).size(), 2u);
+  p.missing = MissingFiles::skip;
+  Scannet scene(p, {});
+  Diagnostics d;
+  const LoadedScene s = load_scene(scene, {}, d);
+  ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
+  ASSERT_EQ(d.all().size(), 2u);
+  EXPECT_EQ(d.all()[0].text(), folder + ": 1 of 4 frames go without a depth image, which is missing: 20");
+  EXPECT_EQ(d.all()[1].text(), folder + ": 1 frame is left out, whose pose is missing: 10");
+  ASSERT_EQ(s.info.frames.size(), 4u);
+  EXPECT_FALSE(s.info.frames[1].has_depth);
 }
 
 TEST(Scannet, IntrinsicsAreChecked) {

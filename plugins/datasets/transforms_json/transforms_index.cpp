@@ -5,9 +5,11 @@
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <unordered_set>
 
 #include "core/files.h"
 #include "core/words.h"
+#include "datasets/transforms_json/transforms_keys.h"
 #include "scene/input_limits.h"
 
 namespace semfield {
@@ -30,10 +32,13 @@ std::string with_extension(const fs::path& path) {
 
 class FileReader {
  public:
-  FileReader(std::string path, std::optional<Split> split, TransformsIndex& out, Diagnostics& diagnostics)
+  FileReader(std::string path, std::optional<Split> split, const std::string& label_key, TransformsIndex& out,
+             Diagnostics& diagnostics)
       : path_(std::move(path)),
         folder_(fs::path(path_).parent_path()),
         split_(split),
+        label_key_(label_key),
+        keys_(label_key),
         out_(out),
         diagnostics_(diagnostics) {}
 
@@ -55,31 +60,45 @@ class FileReader {
     if (!(out_.depth_unit_m >= 0))
       diagnostics_.error(path_, "depth_unit_m must be positive", "write the metres of one step, such as 0.001");
     read_classes(root);
-    const auto listed = [&](const char* key) {
-      std::vector<std::string> names;
-      if (root.contains(key) && root[key].is_array()) {
-        for (const json& name : root[key]) {
-          if (name.is_string()) names.push_back(name.get<std::string>());
-        }
-      }
-      return names;
-    };
-    const std::vector<std::string> train = listed("train_filenames"), test = listed("test_filenames"),
-                                   val = listed("val_filenames");
-    std::size_t number_of_frame = 0;
-    for (const json& item : root["frames"]) {
-      TransformsFrame frame = read_frame(item, number_of_frame++, lens);
-      const auto in = [&](const std::vector<std::string>& names) {
-        return std::find(names.begin(), names.end(), frame.file_path) != names.end();
-      };
-      frame.split = split_;
-      if (!train.empty())
-        frame.split = in(train) ? Split::train : in(test) || (test.empty() && in(val)) ? Split::test : Split::unused;
+    // What is missing in every frame for a key that the file misspells would be said of every frame.
+    const bool sound = check_keys(root, false, path_);
+    const SplitLists lists = read_split_lists(root);
+    for (std::size_t i = 0; i < root["frames"].size(); ++i) {
+      TransformsFrame frame = read_frame(root["frames"][i], i, lens, sound);
+      if (!frame.file_path.empty()) frame.split = split_in(lists, frame);
       out_.frames.push_back(std::move(frame));
     }
   }
 
  private:
+  using Names = std::unordered_set<std::string>;
+  struct SplitLists {
+    Names train, test, val;
+  };
+
+  SplitLists read_split_lists(const json& root) {
+    const auto listed = [&](const char* key) {
+      Names names;
+      if (!root.contains(key) || !root[key].is_array()) return names;
+      for (const json& name : root[key]) {
+        if (name.is_string()) names.insert(name.get<std::string>());
+      }
+      return names;
+    };
+    return {listed("train_filenames"), listed("test_filenames"), listed("val_filenames")};
+  }
+
+  std::optional<Split> split_in(const SplitLists& lists, const TransformsFrame& frame) {
+    if (lists.train.empty()) return split_;
+    const Names& held_out = lists.test.empty() ? lists.val : lists.test;
+    const bool trains = lists.train.count(frame.file_path) > 0, tests = held_out.count(frame.file_path) > 0;
+    if (trains && tests) {
+      diagnostics_.error(frame.place, "is both in train_filenames and among the frames held out",
+                         "keep it in one of the two lists");
+    }
+    return trains ? Split::train : tests ? Split::test : Split::unused;
+  }
+
   std::optional<double> number(const json& node, const char* key, const std::string& place) {
     if (!node.contains(key) || node[key].is_null()) return std::nullopt;
     if (!node[key].is_number()) {
@@ -158,7 +177,7 @@ class FileReader {
     }
   }
 
-  TransformsFrame read_frame(const json& item, std::size_t index, const TransformsLens& lens) {
+  TransformsFrame read_frame(const json& item, std::size_t index, const TransformsLens& lens, bool sound) {
     TransformsFrame frame;
     frame.place = path_ + ": frame " + std::to_string(index);
     if (!item.is_object()) {
@@ -169,23 +188,59 @@ class FileReader {
       return item.contains(key) && item[key].is_string() ? item[key].get<std::string>() : std::string();
     };
     frame.file_path = path_of("file_path");
+    const bool keys_are_read = check_keys(item, true, frame.place + " (" + frame.file_path + ")");
+    if (frame.file_path.empty() && !keys_are_read) return frame;
     if (frame.file_path.empty()) {
       diagnostics_.error(frame.place, "has no 'file_path'", "name the image of the frame");
       return frame;
     }
     frame.place += " (" + frame.file_path + ")";
-    if (!check_model(item, frame.place)) return frame;
+    if (!check_model(item, frame.place) || !sound || !keys_are_read) return frame;
     frame.lens = read_lens(item, lens, frame.place);
     frame.files.color = with_extension(folder_ / frame.file_path);
     std::string depth = path_of("depth_path");
     if (depth.empty()) depth = path_of("depth_file_path");  // nerfstudio's name for it
     if (!depth.empty()) frame.files.depth = with_extension(folder_ / depth);
-    if (const std::string label = path_of("label_path"); !label.empty())
+    if (const std::string label = label_key_.empty() ? "" : path_of(label_key_.c_str()); !label.empty())
       frame.files.label = with_extension(folder_ / label);
     if (const std::string instance = path_of("instance_path"); !instance.empty())
       frame.files.instance = with_extension(folder_ / instance);
+    frame.has_mask = !path_of("mask_path").empty();
     read_matrix(item, frame);
     return frame;
+  }
+
+  // Reports keys that look like one that is read, and intrinsics that are not 0 and are not read. False when it did:
+  // what is missing then, the key was meant to give.
+  bool check_keys(const json& node, bool of_frame, const std::string& place) {
+    const int before = diagnostics_.error_count();
+    for (const auto& [key, value] : node.items()) {
+      const std::string& meant = keys_.meant_by(key, of_frame);
+      if (meant.empty() || node.contains(meant)) continue;
+      std::string remedy = "write '" + meant + "'";
+      if (meant == "label_path") remedy += ", or read it as it is with --set scene.label_key=" + key;
+      diagnostics_.error(place, "key '" + key + "' is not read; it looks like '" + meant + "'", remedy);
+    }
+    for (const char* key : {"skew", "k5", "k6", "rolling_shutter"}) {
+      if (!node.contains(key)) continue;
+      const json& value = node[key];
+      const auto is_zero = [](const json& v) { return v.is_null() || (v.is_number() && v.get<double>() == 0); };
+      if (value.is_array() ? std::all_of(value.begin(), value.end(), is_zero) : is_zero(value)) continue;
+      diagnostics_.error(place, std::string("'") + key + "' is not 0: such cameras are not read",
+                         "undistort the images to a pinhole camera, for example with colmap image_undistorter");
+    }
+    return diagnostics_.error_count() == before;
+  }
+
+  // Poses as exporters of trackers write them.
+  static std::string quaternion_in(const json& item) {
+    for (const auto& [key, value] : item.items()) {
+      const bool numbers =
+          value.is_array() && std::all_of(value.begin(), value.end(), [](const json& v) { return v.is_number(); });
+      if (numbers && (value.size() == 4 || value.size() == 7 || value.size() == 8))
+        return "; '" + key + "' looks like a quaternion, which is not read";
+    }
+    return "";
   }
 
   void read_matrix(const json& item, TransformsFrame& frame) {
@@ -206,41 +261,50 @@ class FileReader {
     }
     if (valid) return;
     frame.matrix.clear();
-    diagnostics_.error(frame.place, "'transform_matrix' is not 4 rows of 4 numbers",
-                       "write the camera-to-world matrix row by row");
+    diagnostics_.error(
+        frame.place,
+        (rows == nullptr ? "has no 'transform_matrix'" : "'transform_matrix' is not 4 rows of 4 numbers") +
+            quaternion_in(item),
+        "write the camera-to-world matrix row by row");
   }
 
   std::string path_;
   fs::path folder_;
   std::optional<Split> split_;
+  std::string label_key_;
+  TransformsKeys keys_;
   TransformsIndex& out_;
   Diagnostics& diagnostics_;
 };
 
 }  // namespace
 
-TransformsIndex read_transforms(const std::string& root, Diagnostics& diagnostics) {
+TransformsIndex read_transforms(const std::string& root, const std::string& label_key, Diagnostics& diagnostics) {
   TransformsIndex out;
   std::error_code ignored;
-  if (fs::is_regular_file(root, ignored)) {
-    FileReader(root, std::nullopt, out, diagnostics).read();
+  const auto read = [&](const std::string& path, std::optional<Split> split) {
+    FileReader(path, split, label_key, out, diagnostics).read();
+  };
+  const fs::path folder(root);
+  if (fs::exists(root, ignored) && !fs::is_directory(root, ignored)) {
+    read(root, std::nullopt);
     return out;
   }
   if (!fs::is_directory(root, ignored))
     throw Error(ErrorKind::no_input, "folder '" + root + "' is missing", "check scene.root");
-  const fs::path folder(root);
   if (fs::exists(folder / "transforms.json", ignored)) {
-    FileReader((folder / "transforms.json").string(), std::nullopt, out, diagnostics).read();
+    read((folder / "transforms.json").string(), std::nullopt);
     return out;
   }
+  const bool has_test = fs::exists(folder / "transforms_test.json", ignored);
   const std::pair<const char*, Split> parts[] = {{"transforms_train.json", Split::train},
                                                  {"transforms_test.json", Split::test},
-                                                 {"transforms_val.json", Split::unused}};
+                                                 {"transforms_val.json", has_test ? Split::unused : Split::test}};
   bool any = false;
   for (const auto& [name, split] : parts) {
     if (!fs::exists(folder / name, ignored)) continue;
     any = true;
-    FileReader((folder / name).string(), split, out, diagnostics).read();
+    read((folder / name).string(), split);
   }
   if (!any) {
     throw Error(ErrorKind::no_input, "no transforms.json or transforms_train.json in '" + root + "'",

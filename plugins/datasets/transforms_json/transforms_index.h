@@ -25,6 +25,7 @@ struct TransformsFrame {
   TransformsLens lens;
   std::vector<double> matrix;  ///< 16 numbers, row-major; empty when the file's was unusable (already reported)
   std::optional<Split> split;  ///< told by the file (Blender's file names, nerfstudio's *_filenames)
+  bool has_mask = false;       ///< it names a 'mask_path'
 };
 
 struct TransformsIndex {
@@ -34,8 +35,9 @@ struct TransformsIndex {
   std::vector<ClassEntry> class_list;  ///< classes written in the file itself
 };
 
-/// Reads `root`/transforms.json, or transforms_train/val/test.json, or `root` itself when it is a file. Problems of
-/// single frames go into `diagnostics`; throws Error when no index is there or it is not JSON.
-TransformsIndex read_transforms(const std::string& root, Diagnostics& diagnostics);
+/// Reads `root`/transforms.json, or transforms_train/val/test.json, or `root` itself when it is a file; without a test
+/// file the validation frames are held out. `label_key` is the key of a frame that names its label image, "" for none.
+/// Problems of single frames go into `diagnostics`; throws Error when no index is there or it is not JSON.
+TransformsIndex read_transforms(const std::string& root, const std::string& label_key, Diagnostics& diagnostics);
 
 }  // namespace semfield

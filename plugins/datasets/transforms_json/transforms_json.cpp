@@ -4,9 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <set>
+#include <map>
 
 #include "plugin/module.h"
+#include "scene/frame_split.h"
 #include "scene/image_io.h"
 #include "scene/scene_checks.h"
 
@@ -18,11 +19,14 @@ void describe(ParamVisitor& visit, TransformsJsonParams& p) {
   SEMFIELD_PARAM(
       visit, p, root,
       "folder with transforms.json (or Blender's transforms_train.json and transforms_test.json), or the file itself");
-  SEMFIELD_PARAM(visit, p, test_every,
-                 "every how many-th frame, by name, is held out for tests where the file names no split; 0 = none",
-                 {0, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, test_every,
+      "every how many-th frame, by name, is held out for tests where the index names no test frame; 0 = none",
+      {0, 1e6});
+  SEMFIELD_PARAM(visit, p, label_key, "key of a frame that names its label image; empty = no labels");
   SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the file's own, or the one beside it");
   SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
+  SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
   SEMFIELD_PARAM(visit, p, depth_unit_m, "metres of one step of a depth image; 0 = as the file tells, else 0.001",
                  {0, 1000});
   SEMFIELD_PARAM(visit, p, alpha_background, "grey that shows through transparent pixels, 0 to 255; -1 = drop alpha",
@@ -32,8 +36,7 @@ void describe(ParamVisitor& visit, TransformsJsonParams& p) {
 
 void validate(const TransformsJsonParams& p, Diagnostics& diagnostics) {
   if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
-  if (p.test_every == 1)
-    diagnostics.error("test_every", "1 leaves no frame to train on", "take 2 or more, or 0 for no test frames");
+  check_test_every(p.test_every, diagnostics);
 }
 
 TransformsJson::TransformsJson(const TransformsJsonParams& params, const DatasetBuild& build)
@@ -92,52 +95,110 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, Camera& o
 
 }  // namespace
 
+// Frames that are in a split and have a pose, each image once.
+std::vector<const TransformsFrame*> TransformsJson::used_frames(const TransformsIndex& index,
+                                                                Diagnostics& diagnostics) const {
+  std::vector<const TransformsFrame*> used;
+  std::map<std::string, const TransformsFrame*> seen;
+  std::size_t unused = 0, masks = 0;
+  for (const TransformsFrame& in : index.frames) {
+    unused += in.split == Split::unused ? 1 : 0;
+    if (in.matrix.empty() || in.split == Split::unused) continue;
+    const auto [other, fresh] = seen.emplace(fs::path(in.files.color).lexically_normal().string(), &in);
+    if (!fresh) {
+      const bool both = other->second->split != in.split;
+      diagnostics.error(in.place, both ? "image is listed for training and for tests" : "image is listed twice",
+                        "keep one of the two frames");
+      continue;
+    }
+    masks += in.has_mask ? 1 : 0;
+    used.push_back(&in);
+  }
+  if (unused > 0) {
+    diagnostics.note(root_, std::to_string(unused) + " of " + std::to_string(index.frames.size()) +
+                                " frames are in neither split, as the index says");
+  }
+  if (masks > 0) {
+    diagnostics.warning(root_,
+                        std::to_string(masks) + " of " + std::to_string(used.size()) +
+                            " frames name a 'mask_path', which is not read: what it hides trains and is scored",
+                        "cut or paint it out of the images");
+  }
+  return used;
+}
+
+// As the index tells; where it names no test frame, every n-th of the sorted names is held out, so that the order of
+// the export does not matter.
+std::vector<Split> TransformsJson::splits_of(const std::vector<const TransformsFrame*>& frames,
+                                             Diagnostics& diagnostics) const {
+  const auto is_test = [](const TransformsFrame* in) { return in->split == Split::test; };
+  std::vector<Split> splits;
+  if (std::any_of(frames.begin(), frames.end(), is_test)) {
+    for (const TransformsFrame* in : frames) splits.push_back(*in->split);
+    if (params_.test_every != TransformsJsonParams{}.test_every)
+      diagnostics.note(root_, "the index names the test frames; scene.test_every is not used");
+    return splits;
+  }
+  std::vector<std::string> order;
+  for (const TransformsFrame* in : frames) order.push_back(in->file_path);
+  std::sort(order.begin(), order.end());
+  std::size_t held_out = 0;
+  for (const TransformsFrame* in : frames) {
+    const auto rank = std::lower_bound(order.begin(), order.end(), in->file_path) - order.begin();
+    splits.push_back(HoldOut{params_.test_every}.split_of(static_cast<std::size_t>(rank), order.size()));
+    held_out += splits.back() == Split::test ? 1 : 0;
+  }
+  const bool told = std::any_of(frames.begin(), frames.end(), [](const TransformsFrame* in) { return in->split; });
+  if (told && held_out > 0) {
+    diagnostics.note(root_, "the index names no test frame: " + std::to_string(held_out) + " of " +
+                                std::to_string(frames.size()) + " are held out, one in " +
+                                std::to_string(params_.test_every) + " (scene.test_every; 0 = none)");
+  }
+  return splits;
+}
+
 SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   info_ = {};
   info_.opengl_files = true;
   files_.clear();
-  const TransformsIndex index = read_transforms(root_, diagnostics);
+  const TransformsIndex index = read_transforms(root_, params_.label_key, diagnostics);
   const fs::path canonical = fs::weakly_canonical(root_);
   info_.name = (fs::is_regular_file(canonical) ? canonical.parent_path() : canonical).filename().string();
   depth_unit_m_ = params_.depth_unit_m > 0 ? params_.depth_unit_m : index.depth_unit_m > 0 ? index.depth_unit_m : 0.001;
 
   std::vector<std::string> skipped;
-  std::set<std::string> taken, seen;
+  FrameNames names;
   bool has_labels = false, has_depth = false;
-  std::vector<const TransformsFrame*> kept;
-  for (const TransformsFrame& in : index.frames) {
-    if (in.matrix.empty() || in.split == Split::unused) continue;
-    if (!seen.insert(in.files.color).second) {
-      diagnostics.error(in.place, "image is listed twice", "keep one of the two frames");
+  FrameFileCheck check(params_.missing, "label_key");
+  const std::vector<const TransformsFrame*> used = used_frames(index, diagnostics);
+  const std::vector<Split> splits = splits_of(used, diagnostics);
+  check.expect(used.size());
+  for (std::size_t i = 0; i < used.size(); ++i) {
+    const TransformsFrame& in = *used[i];
+    FrameInfo frame;
+    frame.name = names.of(in.file_path);
+    frame.source = in.files.color;
+    frame.split = splits[i];
+    const std::string place = frame_place(frame);
+    if (!check_last_row(in.matrix, place, diagnostics)) continue;
+    frame.world_from_camera = opencv_from_opengl(pose_from_rows(in.matrix));
+    const PoseState state = check_pose(frame.world_from_camera, place, diagnostics);
+    if (state == PoseState::not_finite) skipped.push_back(frame.name);
+    FrameFiles files = in.files;
+    if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
+        !frame_camera(in, place, frame.camera, diagnostics)) {
       continue;
     }
-    kept.push_back(&in);
-  }
-  // Every n-th of the sorted names, so that the order of the export does not matter.
-  std::vector<std::string> order;
-  for (const TransformsFrame* in : kept) order.push_back(in->file_path);
-  std::sort(order.begin(), order.end());
-  for (const TransformsFrame* in : kept) {
-    FrameInfo frame;
-    frame.name = unique_frame_name(in->file_path, taken);
-    frame.source = in->files.color;
-    if (!check_last_row(in->matrix, frame_place(frame), diagnostics)) continue;
-    frame.world_from_camera = opencv_from_opengl(pose_from_rows(in->matrix));
-    const PoseState state = check_pose(frame.world_from_camera, frame_place(frame), diagnostics);
-    if (state == PoseState::not_finite) skipped.push_back(frame.name);
-    if (state != PoseState::good || !frame_camera(*in, frame_place(frame), frame.camera, diagnostics)) continue;
-    const auto rank = std::lower_bound(order.begin(), order.end(), in->file_path) - order.begin();
-    const bool held_out = params_.test_every > 0 && rank % params_.test_every == 0 && order.size() > 1;
-    frame.split = in->split.value_or(held_out ? Split::test : Split::train);
-    frame.has_depth = !in->files.depth.empty();
-    frame.has_labels = !in->files.label.empty();
-    frame.has_instances = !in->files.instance.empty();
+    frame.has_depth = !files.depth.empty();
+    frame.has_labels = !files.label.empty();
+    frame.has_instances = !files.instance.empty();
     has_labels = has_labels || frame.has_labels;
     has_depth = has_depth || frame.has_depth;
-    check_frame_files(frame, in->files, diagnostics);
+    check.check_headers(frame, files, diagnostics);
     info_.frames.push_back(frame);
-    files_.push_back(in->files);
+    files_.push_back(files);
   }
+  check.report(root_, info_.frames.size(), diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), root_, diagnostics);
   info_.metric = params_.metric || has_depth;
   load_classes(index, has_labels, diagnostics);

@@ -15,8 +15,10 @@ namespace semfield {
 struct TransformsJsonParams {
   std::string root;
   std::int32_t test_every = 8;
+  std::string label_key = "label_path";
   std::string classes;
   UnknownLabels unknown_labels = UnknownLabels::error;
+  MissingFiles missing = MissingFiles::error;
   double depth_unit_m = 0;
   std::int32_t alpha_background = 255;
   bool metric = false;
@@ -31,6 +33,8 @@ class TransformsJson final : public Dataset {
   void read(int frame, FrameBuffer& out) const override;
 
  private:
+  std::vector<const TransformsFrame*> used_frames(const TransformsIndex& index, Diagnostics& diagnostics) const;
+  std::vector<Split> splits_of(const std::vector<const TransformsFrame*>& frames, Diagnostics& diagnostics) const;
   void load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics);
   TransformsJsonParams params_;
   std::string root_, class_file_;

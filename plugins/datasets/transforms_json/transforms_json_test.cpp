@@ -72,5 +72,26 @@ TEST(TransformsJson, OwnLensDepthAndLabels) {
   EXPECT_EQ(out.label, (std::vector<std::int16_t>{kVoid, 0, 0, 0, kVoid, kVoid, kVoid, 0}));
 }
 
+// Comparisons, not seconds: a list of names is looked up, not walked, and equal stems get numbers without new tries.
+TEST(TransformsJson, AHundredThousandFramesOfListsAndOfOneName) {
+  const std::string folder = fresh_folder("m");
+  std::string frames, names;
+  for (int i = 0; i < 100'000; ++i) {
+    const std::string path = "\"" + std::to_string(i) + "/rgb/image.png\"";
+    frames += std::string(i > 0 ? "," : "") + "{\"file_path\":" + path + "," + kEye + "}";
+    names += (i > 0 ? "," : "") + path;
+  }
+  write_file_atomic(folder + "/transforms.json",
+                    "{\"fl_x\":4,\"w\":4,\"h\":2,\"train_filenames\":[" + names + "],\"frames\":[" + frames + "]}");
+  Diagnostics d;
+  const TransformsIndex index = read_transforms(folder, "label_path", d);
+  ASSERT_EQ(index.frames.size(), 100'000u);
+  EXPECT_EQ(index.frames.back().split, Split::train);
+  FrameNames given;
+  std::string last;
+  for (const TransformsFrame& frame : index.frames) last = given.of(frame.file_path);
+  EXPECT_EQ(last, "rgb_image_99999");
+}
+
 }  // namespace
 }  // namespace semfield

@@ -1,0 +1,68 @@
+#include "core/findings.h"
+
+#include <algorithm>
+#include <map>
+#include <set>
+#include <tuple>
+
+namespace semfield {
+
+namespace {
+
+// The message without what differs from place to place: words with a digit or a slash are numbers and paths.
+std::string kind_of(const std::string& message) {
+  std::string kind;
+  for (std::size_t at = 0; at < message.size();) {
+    const std::size_t end = std::min(message.find(' ', at), message.size());
+    const std::string word = message.substr(at, end - at);
+    kind += word.find_first_of("0123456789/") == std::string::npos ? word + ' ' : std::string("# ");
+    at = end + 1;
+  }
+  return kind;
+}
+
+// "frame 'rgb_12'" of "frame 'rgb_12' (/data/rgb_12.png)", "transforms.json: frame 3" of "/data/transforms.json: frame
+// 3 (a.png)": the first of its kind has told the folder.
+std::string short_place(const std::string& where) {
+  const std::size_t name = where.rfind(": ");
+  const std::string place =
+      where.ends_with(')') ? where.substr(0, where.find(" (", name == std::string::npos ? 0 : name)) : where;
+  return place.substr(place.rfind('/') + 1);
+}
+
+}  // namespace
+
+std::vector<Diagnostic> folded(const Diagnostics& diagnostics) {
+  constexpr std::size_t kNamed = 4;
+  struct Group {
+    std::size_t first;            // in `out`
+    std::set<std::string> where;  // of all its findings
+    std::vector<std::string> named;
+  };
+  std::vector<Diagnostic> out;
+  std::map<std::tuple<Severity, std::string, std::string>, Group> groups;
+  std::set<std::string> told;
+  for (const Diagnostic& finding : diagnostics.all()) {
+    if (!told.insert(finding.text()).second) continue;
+    const auto [found, fresh] =
+        groups.try_emplace({finding.severity, kind_of(finding.message), finding.remedy}, Group{out.size(), {}, {}});
+    Group& group = found->second;
+    // One place says two things of a kind: both are kept, since its name tells nothing of the second.
+    if (!group.where.insert(finding.where).second || fresh) {
+      out.push_back(finding);
+    } else if (group.named.size() < kNamed) {
+      group.named.push_back(short_place(finding.where));
+    }
+  }
+  for (const auto& [kind, group] : groups) {
+    if (group.named.empty()) continue;
+    const std::size_t more = group.where.size() - 1;
+    Diagnostic& first = out[group.first];
+    (first.remedy.empty() ? first.message : first.remedy) += " (and " + std::to_string(more) +
+                                                             " more like this: " + join(group.named) +
+                                                             (more > group.named.size() ? ", ...)" : ")");
+  }
+  return out;
+}
+
+}  // namespace semfield

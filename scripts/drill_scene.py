@@ -1,0 +1,163 @@
+"""The scene of scripts/drill: the shipped room in two formats, what breaks in it, and pictures by the standard library."""
+import json
+import math
+import os
+import re
+import shutil
+import struct
+import zlib
+
+
+def read_gray(path):
+    """Width, height and bytes of an 8-bit PNG of one channel without row filters, as Semfield writes label images."""
+    with open(path, "rb") as file:
+        data = file.read()
+    width, height = struct.unpack(">II", data[16:24])
+    at, packed = 8, b""
+    while at < len(data):
+        length, kind = struct.unpack(">I4s", data[at:at + 8])
+        if kind == b"IDAT":
+            packed += data[at + 8:at + 8 + length]
+        at += length + 12
+    raw = zlib.decompress(packed)
+    rows = [raw[y * (width + 1):(y + 1) * (width + 1)] for y in range(height)]
+    assert all(row[0] == 0 for row in rows), path
+    return width, height, b"".join(row[1:] for row in rows)
+
+
+def write_png(path, width, height, channels, pixels):
+    """8 bits, 1 or 3 channels."""
+    raw = b"".join(b"\0" + pixels[y * width * channels:(y + 1) * width * channels] for y in range(height))
+    chunk = lambda kind, data: struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    with open(path, "wb") as file:
+        file.write(b"\x89PNG\r\n\x1a\n" +
+                   chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0 if channels == 1 else 2, 0, 0, 0)) +
+                   chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b""))
+
+
+def other_axes(pose):
+    """OpenCV to OpenGL camera axes, and back."""
+    return [[row[0], -row[1], -row[2], row[3]] for row in pose[:3]] + [pose[3]]
+
+
+def inverse(pose):
+    turned = [[pose[c][r] for c in range(3)] for r in range(3)]
+    moved = [-sum(turned[r][c] * pose[c][3] for c in range(3)) for r in range(3)]
+    return [turned[r] + [moved[r]] for r in range(3)] + [[0.0, 0.0, 0.0, 1.0]]
+
+
+def scaled(pose, factor):
+    return [row[:3] + [row[3] * factor] for row in pose[:3]] + [pose[3]]
+
+
+def quaternion(pose):
+    """x, y, z, w of a rotation, by its largest component [Shepperd 1978]."""
+    r = pose
+    candidates = [1 + r[0][0] - r[1][1] - r[2][2], 1 - r[0][0] + r[1][1] - r[2][2], 1 - r[0][0] - r[1][1] + r[2][2],
+                  1 + r[0][0] + r[1][1] + r[2][2]]
+    k = max(range(4), key=lambda i: candidates[i])
+    s = 2 * math.sqrt(candidates[k])
+    if k == 3:
+        return [(r[2][1] - r[1][2]) / s, (r[0][2] - r[2][0]) / s, (r[1][0] - r[0][1]) / s, s / 4]
+    i, j, l = k, (k + 1) % 3, (k + 2) % 3
+    out = [0.0] * 4
+    out[i], out[j], out[l] = s / 4, (r[j][i] + r[i][j]) / s, (r[l][i] + r[i][l]) / s
+    out[3] = (r[l][j] - r[j][l]) / s
+    return out
+
+
+class Scene:
+    """One format of the room in a folder of its own. Poses are OpenCV camera-to-world until they are written."""
+
+    def __init__(self, source, folder, preset):
+        self.folder, self.preset = folder, preset
+        shutil.copytree(source, folder)
+        with open(os.path.join(folder, "traj_w_c.txt")) as file:
+            rows = [[float(word) for word in line.split()] for line in file]
+        self.poses = [[row[4 * i:4 * i + 4] for i in range(4)] for row in rows]
+        self.label_setting = ""
+
+    @property
+    def frames(self):
+        return range(len(self.poses))
+
+    def image(self, i):
+        return os.path.join(self.folder, "rgb", f"rgb_{i}.png")
+
+    def label(self, i):
+        return os.path.join(self.folder, "semantic_class", f"semantic_class_{i}.png")
+
+    def colors(self):
+        with open(os.path.join(self.folder, "classes.yaml")) as file:
+            return {int(i): bytes(int(v) for v in (r, g, b)) for i, r, g, b in
+                    re.findall(r"id: (\d+),.*color: \[(\d+), (\d+), (\d+)\]", file.read())}
+
+    def config(self):
+        return self.folder + ".yaml"
+
+    def write_config(self, kind, more=""):
+        with open(self.config(), "w") as file:
+            file.write(f"include: {json.dumps(self.preset)}\nscene:\n  type: {kind}\n  root: {json.dumps(self.folder)}\n{more}")
+
+
+class Replica(Scene):
+    kind = "replica"
+
+    def write(self, poses=None, kept=None):
+        poses = self.poses if poses is None else poses
+        with open(os.path.join(self.folder, "traj_w_c.txt"), "w") as file:
+            for pose in poses[:kept]:
+                file.write(" ".join(repr(v) for row in pose for v in row) + "\n")
+        for i in range(len(poses) if kept is None else kept, len(poses)):
+            os.remove(self.image(i))
+        self.write_config(self.kind, self.label_setting)
+
+    def write_quaternions(self):
+        self.write()
+        with open(os.path.join(self.folder, "traj_w_c.txt"), "w") as file:
+            for pose in self.poses:
+                file.write(" ".join(repr(v) for v in [row[3] for row in pose[:3]] + quaternion(pose)) + "\n")
+
+    def misname_key(self):
+        self.label_setting = "  lable_dir: semantic_class\n"
+        self.write()
+
+    def rename_key(self, wrong, right):
+        self.label_setting = self.label_setting.replace(wrong, right)
+        self.write()
+
+    in_own_axes = staticmethod(lambda pose: pose)
+
+
+class TransformsJson(Scene):
+    kind = "transforms_json"
+    label_key = "label_path"
+
+    in_own_axes = staticmethod(other_axes)
+
+    def write(self, poses=None, kept=None, without_matrix=False):
+        """`poses` in the format's own OpenGL axes."""
+        poses = [other_axes(pose) for pose in self.poses] if poses is None else poses
+        frames = []
+        for i, pose in enumerate(poses[:kept]):
+            frame = {"file_path": f"rgb/rgb_{i}.png", "depth_path": f"depth/depth_{i}.png",
+                     self.label_key: f"semantic_class/semantic_class_{i}.png"}
+            if without_matrix:
+                x, y, z, w = quaternion(pose)
+                frame.update(translation=[row[3] for row in pose[:3]], rotation=[w, x, y, z])
+            else:
+                frame["transform_matrix"] = pose
+            frames.append(frame)
+        with open(os.path.join(self.folder, "transforms.json"), "w") as file:
+            json.dump({"camera_angle_x": math.pi / 2, "depth_unit_m": 0.001, "frames": frames}, file, indent=1)
+        self.write_config(self.kind)
+
+    def write_quaternions(self):
+        self.write(without_matrix=True)
+
+    def misname_key(self):
+        self.label_key = "label"
+        self.write()
+
+    def rename_key(self, wrong, right):
+        raise AssertionError("the remedy is a setting")
