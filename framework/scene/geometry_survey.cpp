@@ -11,9 +11,11 @@ namespace {
 
 constexpr double kFits = 0.03;        // relative error of depth that sensors and small pictures account for
 constexpr double kContradicts = 0.1;  // where nothing fits: more than noise and things that move
-constexpr double kClearly = 4;        // times better than the convention given
-constexpr int kFewestCorners = 60;    // matches of photographs that can speak
-constexpr double kFewFit = 0.25;      // of them; matches by chance fit 2 to 10 %
+constexpr double kFitsRounded = 0.25;
+constexpr int kRounded = 32;        // different values of depth that is rounded to large steps
+constexpr double kClearly = 4;      // times better than the convention given
+constexpr int kFewestCorners = 60;  // matches of photographs that can speak
+constexpr double kFewFit = 0.25;    // of them; matches by chance fit 2 to 10 %
 constexpr double kPhotosClearly = 1.5;
 
 std::string percent(double share) {
@@ -55,16 +57,20 @@ Finding compare(const PoseMend& fits, const PoseMend& given, bool opengl_files) 
     set("flip_camera_axes", fits.flip_camera_axes ? "true" : "false");
   }
   if (fits.pose_scale != given.pose_scale) {
+    const double large = given.pose_scale / fits.pose_scale;
     out.what.push_back(fits.pose_scale == 1 ? "camera centres should not be scaled"
-                       : fits.pose_scale < given.pose_scale
-                           ? "camera centres are in millimetres where depth is in metres"
-                           : "camera centres are 1000 times too small for the depth, as metres taken for millimetres");
+                       : large == 1000      ? "camera centres are in millimetres where depth is in metres"
+                       : large < 1 ? "camera centres are " + plain_number(1 / large) + " times too small for the depth"
+                                   : "camera centres are " + plain_number(large) + " times too large for the depth");
     set("pose_scale", plain_number(fits.pose_scale));
   }
   if (fits.depth_scale != given.depth_scale) {
-    out.what.push_back(fits.depth_scale == 1                  ? "depth should not be scaled"
-                       : fits.depth_scale > given.depth_scale ? "depth in metres was read as millimetres"
-                                                              : "depth in millimetres was read as metres");
+    const double large = given.depth_scale / fits.depth_scale;
+    out.what.push_back(fits.depth_scale == 1 ? "depth should not be scaled"
+                       : large == 0.001      ? "depth in metres was read as millimetres"
+                       : large == 1000       ? "depth in millimetres was read as metres"
+                       : large < 1 ? "depth is " + plain_number(1 / large) + " times too small for the camera centres"
+                                   : "depth is " + plain_number(large) + " times too large for the camera centres");
     set("depth_scale", plain_number(fits.depth_scale));
   }
   return out;
@@ -89,25 +95,26 @@ PoseMend by_plausible_unit(PoseMend fits, const PoseMend& given, double median_d
 
 }  // namespace
 
-std::string judge_depth(const std::vector<Tally>& tallies, const SceneInfo& as_opened, double median_depth,
+std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened, const DepthRange& range,
                         Diagnostics& diagnostics) {
-  const Tally& given = tallies.front();
-  // The last four are without camera centres: a scale that does no better than they has not been seen.
-  const std::size_t real = tallies.size() - 4;
+  const Tally& given = tallies.read.front();
   const Tally* best = &given;
   bool tells = false;
-  for (std::size_t i = 1; i < real; ++i) {
-    const Tally& t = tallies[i];
+  // Depth in whole metres, read as millimetres, fits nothing well: that it fits at all with 1000 is enough.
+  const bool rounded = range.values <= kRounded && (given.pairs == 0 || given.error > 0.5);
+  for (const Tally& t : tallies.read) {
+    const double ratio = t.mend.depth_scale / given.mend.depth_scale;
+    const Tally& still = tallies.still[t.convention];
     tells = tells || t.pairs < (given.pairs + 1) / 2 || t.error > 2 * given.error + 0.002;
-    const bool seen = i < 4 || tallies[real + i % 4].pairs == 0 || t.error < 0.5 * tallies[real + i % 4].error;
+    const bool seen = ratio == 1 || still.pairs == 0 || t.error < 0.5 * still.error;
     const bool clear = given.pairs < (t.pairs + 3) / 4 || t.error * kClearly < given.error;
-    if (t.pairs >= 2 && t.pairs >= given.pairs / 2 && t.error < kFits && seen && clear &&
-        (best == &given || t.error < 0.8 * best->error)) {
+    const bool fits =
+        (t.error < kFits && seen && clear) || (rounded && ratio == 1000 && t.convention == 0 && t.error < kFitsRounded);
+    if (t.pairs >= 2 && t.pairs >= given.pairs / 2 && fits && (best == &given || t.error < 0.8 * best->error))
       best = &t;
-    }
   }
   if (best != &given) {
-    const PoseMend fits = by_plausible_unit(best->mend, given.mend, median_depth);
+    const PoseMend fits = by_plausible_unit(best->mend, given.mend, range.median);
     const std::string as_given =
         given.pairs == 0 ? "neighbouring frames do not meet as given"
                          : "depth warped between neighbouring frames is off by " + percent(given.error) + " as given";
@@ -123,7 +130,9 @@ std::string judge_depth(const std::vector<Tally>& tallies, const SceneInfo& as_o
                         "poses and depth do not agree: depth warped between neighbouring frames is off by " +
                             percent(given.error) + " (median over " + pairs_text(given.pairs) +
                             "), and neither other axes, nor inverse poses, nor another unit explain it",
-                        "check poses, intrinsics and the unit of depth");
+                        range.values <= kRounded ? "depth has " + std::to_string(range.values) +
+                                                       " different values: export it in millimetres"
+                                                 : "check poses, intrinsics and the unit of depth");
     return "poses do not agree with depth: " + numbers;
   }
   if (!tells) return "could not be checked: the camera hardly moves (" + numbers + ")";
@@ -181,9 +190,10 @@ std::string GeometrySurvey::conclude(Diagnostics& diagnostics) const {
   for (const SmallFrame& frame : frames_)
     depths.insert(depths.end(), frame.point_depths.begin(), frame.point_depths.end());
   if (depths.empty()) return judge_photos(vote_by_photos(as_opened_, photos_, pairs_, given_), as_opened_, diagnostics);
-  const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
-  std::nth_element(depths.begin(), middle, depths.end());
-  return judge_depth(vote_by_depth(as_opened_, frames_, pairs_, given_), as_opened_, *middle, diagnostics);
+  std::sort(depths.begin(), depths.end());
+  DepthRange range{depths[depths.size() / 2], 0};
+  range.values = static_cast<int>(std::unique(depths.begin(), depths.end()) - depths.begin());
+  return judge_depth(vote_by_depth(as_opened_, frames_, pairs_, given_), as_opened_, range, diagnostics);
 }
 
 }  // namespace semfield

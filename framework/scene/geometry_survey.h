@@ -32,9 +32,14 @@ class GeometrySurvey {
   std::vector<PhotoFrame> photos_;  // of frames without depth
 };
 
-/// What is to be said of tallies of vote_by_depth: one sentence, and the error or the warning. `median_depth` tells
-/// whether depth or poses have the implausible unit.
-std::string judge_depth(const std::vector<Tally>& tallies, const SceneInfo& as_opened, double median_depth,
+/// Depth over all frames looked at.
+struct DepthRange {
+  double median = 0;
+  int values = 0;  ///< different ones; few when metres were rounded to whole steps
+};
+
+/// What is to be said of tallies of vote_by_depth: one sentence, and the error or the warning.
+std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened, const DepthRange& range,
                         Diagnostics& diagnostics);
 
 /// The same of vote_by_photos.

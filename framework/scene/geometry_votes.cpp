@@ -162,40 +162,47 @@ FramePairs choose_pairs(const SceneInfo& as_opened, const std::vector<Camera>& c
   return {pairs.begin(), pairs.end()};
 }
 
-std::vector<Tally> vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFrame>& frames,
-                                 const FramePairs& pairs, const PoseMend& given) {
-  std::vector<PoseMend> all;
-  for (const double scale : {1.0, 1000.0, 0.001, 1e6}) {
-    for (PoseMend mend : conventions(given)) {
-      mend.depth_scale *= scale;
-      all.push_back(mend);
-    }
+DepthTallies vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFrame>& frames, const FramePairs& pairs,
+                           const PoseMend& given) {
+  const std::vector<PoseMend> turned = conventions(given);
+  std::vector<Tally> all;
+  const auto add = [&](std::size_t convention, double depth_scale) {
+    PoseMend mend = turned[convention];
+    mend.depth_scale *= depth_scale;
+    all.push_back({mend, convention, 0, 1});
+  };
+  for (const double scale : {1.0, 1000.0, 0.001}) {
+    for (std::size_t c = 0; c < turned.size(); ++c) add(c, scale);
   }
-  std::vector<std::vector<float>> votes(pairs.size());  // [pair][convention]
+  // 5000, 4000 and 6553.5 steps a metre, and tenths and hundredths.
+  for (const double scale : {0.2, 0.25, 1 / 6.5535, 0.1, 0.01, 10.0, 100.0}) add(0, scale);
+  const std::size_t read = all.size();
+  for (std::size_t c = 0; c < turned.size(); ++c) add(c, 1e6);
+
+  std::vector<std::vector<float>> votes(pairs.size());  // [pair][tally]
   parallel_for(std::ssize(pairs), [&](std::int64_t p) {
     const auto i = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].first);
     const auto j = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].second);
     std::vector<float> errors;
-    for (const PoseMend& mend : all) {
-      const double scale = mend.depth_scale / given.depth_scale;
-      const float forth = warp(frames[i], frames[j], relative_pose(as_opened, mend, j, i), scale, errors);
-      const float back = warp(frames[j], frames[i], relative_pose(as_opened, mend, i, j), scale, errors);
+    for (const Tally& tally : all) {
+      const double scale = tally.mend.depth_scale / given.depth_scale;
+      const float forth = warp(frames[i], frames[j], relative_pose(as_opened, tally.mend, j, i), scale, errors);
+      const float back = warp(frames[j], frames[i], relative_pose(as_opened, tally.mend, i, j), scale, errors);
       // Where one direction alone lands, it speaks for the pair.
       votes[static_cast<std::size_t>(p)].push_back(std::max(forth, back) <= 1 ? std::max(forth, back)
                                                                               : std::min(forth, back));
     }
   });
-  std::vector<Tally> out;
   for (std::size_t m = 0; m < all.size(); ++m) {
     std::vector<float> landed;
     for (const std::vector<float>& pair : votes) {
       if (pair[m] <= 1) landed.push_back(pair[m]);
     }
-    Tally tally{all[m], static_cast<int>(landed.size()), 1};
-    if (!landed.empty()) tally.error = median(landed);
-    out.push_back(tally);
+    all[m].pairs = static_cast<int>(landed.size());
+    if (!landed.empty()) all[m].error = median(landed);
   }
-  return out;
+  const auto end_of_read = all.begin() + static_cast<std::ptrdiff_t>(read);
+  return {{all.begin(), end_of_read}, {end_of_read, all.end()}};
 }
 
 }  // namespace semfield

@@ -26,8 +26,15 @@ using FramePairs = std::vector<std::pair<int, int>>;
 /// One convention and how well it fits.
 struct Tally {
   PoseMend mend;
-  int pairs = 0;     ///< pairs of frames that overlap under it
-  double error = 1;  ///< median over them of the median relative difference of depths, 0..1
+  std::size_t convention = 0;  ///< its axes and direction, of conventions()
+  int pairs = 0;               ///< pairs of frames that overlap under it
+  double error = 1;            ///< median over them of the median relative difference of depths, 0..1
+};
+
+struct DepthTallies {
+  std::vector<Tally> read;  ///< the convention given first
+  /// Each of conventions() with camera centres that count for nothing: a unit that fits no better has not been seen.
+  std::vector<Tally> still;
 };
 
 /// At most 24 frames, evenly spaced, each with its neighbours in order and by pose, however the poses are read: the
@@ -40,10 +47,10 @@ std::vector<PoseMend> conventions(const PoseMend& given);
 /// to_from, from the poses of two frames as opened.
 Pose relative_pose(const SceneInfo& as_opened, const PoseMend& mend, std::size_t to, std::size_t from);
 
-/// Depth of each frame warped into the other of its pair under each of the conventions, then under each with depth
-/// times 1000 and 1/1000, and last, for comparison, times 1e6, where camera centres count for nothing. `frames` as
+/// Depth of each frame warped into the other of its pair under each of conventions(), with depth as it is and times
+/// 1000 and 1/1000; and under the first with depth in the other units of common sensors and exports. `frames` as
 /// `as_opened.frames`, empty where not looked at.
-std::vector<Tally> vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFrame>& frames,
-                                 const FramePairs& pairs, const PoseMend& given);
+DepthTallies vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFrame>& frames, const FramePairs& pairs,
+                           const PoseMend& given);
 
 }  // namespace semfield

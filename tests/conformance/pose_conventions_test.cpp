@@ -152,7 +152,7 @@ const std::vector<Case>& cases() {
        {.flip_camera_axes = true, .invert_poses = true},
        {"OpenGL axes", "world-to-camera"}},
       {"millimetres", [](const Matrix& m) { return scaled(m, 1000); }, {.pose_scale = 0.001}, {"millimetres"}},
-      {"kilometres", [](const Matrix& m) { return scaled(m, 0.001); }, {.pose_scale = 1000}, {"millimetres"}},
+      {"kilometres", [](const Matrix& m) { return scaled(m, 0.001); }, {.pose_scale = 1000}, {"1000 times too small"}},
       {"inverse_in_millimetres",
        [](const Matrix& m) { return scaled(inverted(m), 1000); },
        {.invert_poses = true, .pose_scale = 0.001},

@@ -211,6 +211,22 @@ TEST(GeometrySurvey, DepthOfAnotherUnitIsToldFromPosesOfAnother) {
   EXPECT_NE(ask(room).error.find("camera centres are in millimetres where depth is in metres"), std::string::npos);
 }
 
+TEST(GeometrySurvey, DepthInWholeMetresAndInStepsOfOtherSensorsIsTold) {
+  Room room{.poses = walk(24)};
+  room.spoiled = [](int, FrameBuffer& f) {
+    for (float& d : f.depth_m) d = 0.001f * std::round(d);
+  };
+  const std::string metres = ask(room).error;
+  EXPECT_NE(metres.find("depth in metres was read as millimetres"), std::string::npos) << metres;
+  EXPECT_NE(metres.find("add --set scene.load.depth_scale=1000 "), std::string::npos) << metres;
+  room.spoiled = [](int, FrameBuffer& f) {
+    for (float& d : f.depth_m) d *= 5;
+  };
+  const std::string fifths = ask(room).error;
+  EXPECT_NE(fifths.find("depth is 5 times too large for the camera centres"), std::string::npos) << fifths;
+  EXPECT_NE(fifths.find("add --set scene.load.depth_scale=0.2 "), std::string::npos) << fifths;
+}
+
 TEST(GeometrySurvey, AMendThatIsNotNeededIsTakenBack) {
   Room room{.poses = walk(24)};
   SceneLoadOptions options;
