@@ -53,7 +53,7 @@ void list_absent(const ConfigNode& node, const std::string& path, bool only_left
       list_absent(node.items()[i], below(path, std::to_string(i)), only_left, out);
   } else {
     const std::string value = write_config_inline(node);
-    out.push_back({path, only_left ? value : "(absent)", only_left ? "(absent)" : value});
+    out.push_back({path, only_left ? value : kAbsent, only_left ? kAbsent : value});
   }
 }
 

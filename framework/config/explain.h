@@ -15,7 +15,10 @@ std::string explain_config(const ConfigNode& node);
 /// `resolved` (every value, defaults included) with the values and places of `written` where that has them.
 ConfigNode with_origins(const ConfigNode& resolved, const ConfigNode& written);
 
-/// A value that differs, in one line of YAML on either side; what one side lacks is "(absent)".
+/// In place of a value that one side lacks.
+inline constexpr const char* kAbsent = "(absent)";
+
+/// A value that differs, in one line of YAML on either side, or kAbsent.
 struct ConfigDifference {
   std::string key;  ///< path; "(top)" for the whole tree
   std::string left, right;

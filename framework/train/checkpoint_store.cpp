@@ -89,7 +89,7 @@ std::string CheckpointStore::kept_text() const {
   try {
     Diagnostics ignored;
     const std::optional<Found> found = find_latest(ignored);
-    return found ? fmt::format("the checkpoint of step {} is kept", found->step) : "there is no checkpoint yet";
+    return found ? fmt::format("the checkpoint of step {} is kept", found->step) : "there is no checkpoint yet: a resume begins at step 0";
   } catch (const std::exception& error) {
     return error.what();  // of another failure beside the one that is told
   }

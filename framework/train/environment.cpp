@@ -95,6 +95,7 @@ std::string environment_json(const Environment& e) {
   json["seed"] = e.seed;
   json["input_hash"] = e.input_hash;
   json["modules"] = e.modules;
+  if (!e.settings_changed.empty()) json["settings_changed"] = e.settings_changed;
   for (const auto& [name, value] : e.more) json[name] = value;
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
@@ -113,6 +114,16 @@ std::vector<std::pair<std::string, std::string>> parse_environment(std::string_v
     entries.emplace_back(key, std::move(shown));
   }
   return entries;
+}
+
+std::vector<std::string> parse_settings_changed(std::string_view text, const std::string& name) {
+  const Json json = parse(text, name);
+  std::vector<std::string> changes;
+  if (!json.is_object() || !json.contains("settings_changed")) return changes;
+  for (const Json& change : json["settings_changed"]) {
+    changes.push_back(change.is_string() ? change.get<std::string>() : change.dump());
+  }
+  return changes;
 }
 
 namespace {

@@ -68,7 +68,8 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelCo
     ConfigNode anchored = *from;
     for (const char* key : kPathKeys) {
       const ConfigNode* value = from->is_map() ? from->find(key) : nullptr;
-      if (paths_are_absolute || value == nullptr || !value->is_scalar() || value->text().empty()) continue;
+      if (value == nullptr || !value->is_scalar() || value->text().empty()) continue;
+      if (paths_are_absolute && value->location().line > 0) continue;  // --set is written in the working folder
       anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
     }
     config.from.reader = read_step(anchored, "scene.labels.from", label_reader_kinds(), config.from.type, diagnostics);

@@ -1,5 +1,7 @@
 #include "train/manifest_text.h"
 
+#include <algorithm>
+#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
@@ -45,6 +47,17 @@ std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
     });
   } catch (const nlohmann::json::exception& e) {
     throw Error(ErrorKind::data, std::string("checkpoint metadata 'scene' cannot be read: ") + e.what(),
+                "go on from another checkpoint of the run");
+  }
+  const SceneManifest& m = scene.manifest;
+  const auto negative = [](std::int64_t pixels) { return pixels < 0; };
+  if (m.classes < 0 || std::ssize(m.train_class_pixels) != m.classes ||
+      std::any_of(m.train_class_pixels.begin(), m.train_class_pixels.end(), negative) ||
+      !(scene.pixel_footprint_m > 0) || !std::isfinite(scene.pixel_footprint_m)) {
+    throw Error(ErrorKind::data,
+                "checkpoint metadata 'scene' cannot be read: " + std::to_string(m.train_class_pixels.size()) +
+                    " counts of pixels for " + std::to_string(m.classes) + " classes, a pixel of " +
+                    std::to_string(scene.pixel_footprint_m) + " m",
                 "go on from another checkpoint of the run");
   }
   return scene;

@@ -245,7 +245,8 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
   ConfigNode anchored = *scene;
   for (const char* key : {"root", "file", "classes"}) {
     const ConfigNode* value = scene->is_map() ? scene->find(key) : nullptr;
-    if (value == nullptr || !value->is_scalar() || value->text().empty() || !config.base_dir.empty()) continue;
+    if (value == nullptr || !value->is_scalar() || value->text().empty()) continue;
+    if (!config.base_dir.empty() && value->location().line > 0) continue;  // of a run.yaml: absolute, or from base_dir
     anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
   }
   config.dataset = read_slot(PluginKind::dataset, anchored, "scene", registry, diagnostics, {"labels", "load"});

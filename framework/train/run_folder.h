@@ -55,6 +55,7 @@ struct Environment {
   std::uint64_t seed = 0;
   std::string input_hash;                                 ///< of the data set's manifest; "" when there is none
   std::vector<std::string> modules;                       ///< plugins in use, "name version"
+  std::vector<std::string> settings_changed;              ///< "step 20: train.steps: 20 -> 40", by runs that went on
   std::vector<std::pair<std::string, std::string>> more;  ///< further facts, written under their names
 };
 
@@ -63,6 +64,9 @@ Environment this_environment();
 std::string environment_json(const Environment& environment);
 /// Name and value of every entry, in file order; lists joined by commas. Throws Error(data).
 std::vector<std::pair<std::string, std::string>> parse_environment(std::string_view json, const std::string& name);
+
+/// What the file says of earlier changes; empty where it says nothing. Throws Error(data).
+std::vector<std::string> parse_settings_changed(std::string_view json, const std::string& name);
 
 /// A component that was not built because the scene does not need it (one row of left_out.json). saving_measured is
 /// null in the file, empty here, where nobody measured it.

@@ -11,6 +11,7 @@
 #include "core/memory_limit.h"
 #include "core/parallel.h"
 #include "scene/image_formats.h"
+#include "train/checkpoint_facts.h"
 #include "train/run_identity.h"
 
 namespace semfield {
@@ -118,14 +119,17 @@ void measure_scene(Session& s) {
 
 }  // namespace
 
+void keep_components(RunConfig& config, const std::vector<std::string>& components) {
+  for (const std::string& component : components) {
+    if (!keeps(config, component)) config.runtime.keep.push_back(component);
+  }
+}
+
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
   Session s;
   s.memory_facts.program = resident_bytes();
   s.config = std::move(config);
-  // Part of the resolved configuration: whoever opens the run again must build the same network.
-  for (const std::string& component : options.keep) {
-    if (!keeps(s.config, component)) s.config.runtime.keep.push_back(component);
-  }
+  keep_components(s.config, options.keep);
   set_thread_count(s.config.runtime.threads);
   set_input_limits(s.config.limits);
   const Device device = chosen_device(s.config.runtime.device, registry);
@@ -144,16 +148,11 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   };
   s.scene = load_scene(*dataset, load, diagnostics);
   open_label_files(s.scene, s.config.labels, diagnostics);
+  if (options.trained_classes) require_class_table(*options.trained_classes, s.scene.info.classes);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
   if (load.pixels) read_test_labels(s.scene, s.config.labels, diagnostics);
   if (make_labels) s.labels = make_training_labels(s.scene, s.config.labels, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the labels have problems:");
-  if (options.known && options.known->manifest.classes != s.classes()) {
-    throw Error(ErrorKind::config,
-                fmt::format("the scene has {} classes, the run was trained with {}", s.classes(),
-                            options.known->manifest.classes),
-                "render with the class table of the run");
-  }
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
   BuildRequest request = build_request(s.config, registry);

@@ -38,6 +38,10 @@ struct Session {
   std::unique_ptr<RaySource> make_ray_source() const;
 };
 
+/// Adds components to `runtime.keep`, which is part of the resolved configuration: whoever opens the run again must
+/// build the same network.
+void keep_components(RunConfig& config, const std::vector<std::string>& components);
+
 struct SessionOptions {
   std::vector<std::string> keep;  ///< components forced back in
   bool trainable = true;
@@ -47,6 +51,8 @@ struct SessionOptions {
   std::optional<KnownScene> known;
   bool pixels = true;   ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
   bool labels = false;  ///< make the training labels although `known` is given
+  /// The class table that the network was trained with, as YAML; a scene with another one is refused.
+  std::optional<std::string> trained_classes;
 };
 
 /// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, plans memory

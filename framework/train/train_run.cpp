@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cmath>
 #include <ctime>
+#include <filesystem>
 
 #include "config/compose.h"
 #include "core/checksum.h"
@@ -22,6 +23,7 @@
 #include "train/run_folder.h"
 #include "train/run_identity.h"
 #include "train/run_report.h"
+#include "train/run_resume.h"
 #include "train/trainer.h"
 
 namespace semfield {
@@ -34,7 +36,6 @@ double steady_seconds() { return std::chrono::duration<double>(Clock::now().time
 
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
-constexpr const char* kFormat = "semfield-checkpoint-1";
 constexpr double kProgressEvery_s = 0.2;
 // A process that is asked to end gets at least this before it is killed; the loop looks at the signal after each step.
 constexpr double kStopDeadline_s = 10;
@@ -42,11 +43,14 @@ constexpr double kStopDeadline_s = 10;
 // The run's moving parts while it trains.
 class Run {
  public:
-  Run(RunFolder folder, Session session, const Registry& registry, const TrainHooks& hooks)
+  Run(RunFolder folder, Session session, const Registry& registry, const TrainHooks& hooks, ResumePoint point,
+      SceneInputs inputs)
       : hooks_(hooks),
         folder_(std::move(folder)),
         session_(std::move(session)),
-        checkpoints_(folder_.checkpoints_path(), session_.config.report.keep_checkpoints) {
+        checkpoints_(folder_.checkpoints_path(), session_.config.report.keep_checkpoints),
+        point_(std::move(point)),
+        inputs_(std::move(inputs)) {
     if (!session_.scene.info.classes.empty())
       write_file_atomic(folder_.classes_path(), session_.scene.info.classes.to_yaml());
     write_left_out();
@@ -59,18 +63,18 @@ class Run {
                                          session_.device.get());
   }
 
-  /// Takes up the newest checkpoint that verifies; without one the run starts at step 0.
-  void load_checkpoint() {
-    Diagnostics diagnostics;
-    std::optional<CheckpointStore::Found> found = checkpoints_.find_latest(diagnostics);
-    for (const Diagnostic& finding : folded(diagnostics)) note(finding.text());
-    if (!found) {
+  /// Takes up the checkpoint of the resume point; without one the run starts at step 0.
+  void go_on() {
+    for (const ConfigDifference& change : point_.changed)
+      note(fmt::format("from step {} on: {}", point_.step(), change.text()));
+    if (!point_.facts) {
       note("no checkpoint yet: starting from step 0");
       return;
     }
-    trainer_->load(found->file, found->step);
-    train_s_ = std::stod(found->file.metadata().at("train_s"));
-    note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", found->step, train_s_, found->path));
+    trainer_->load(TensorFile::read(point_.path), point_.step());
+    train_s_ = point_.facts->train_s;
+    note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", point_.step(), train_s_, point_.path));
+    say_if_done();
   }
 
   /// A write that fails ends the run; the message then tells what is left of it.
@@ -154,6 +158,26 @@ class Run {
 
   RunScores::Moment moment() const { return {trainer_->step(), train_s_}; }
 
+  // A resume that has nothing to train is no mistake (its evaluation may have been cut off), but it is said.
+  void say_if_done() const {
+    const TrainParams& train = session_.config.train;
+    const std::int64_t step = trainer_->step();
+    std::string done, more;
+    if (step >= train.steps) {
+      done = fmt::format("{} steps where train.steps is {}", step, train.steps);
+      more = fmt::format(" --steps {}", 2 * std::max<std::int64_t>(step, 1));
+    }
+    if (train.time_limit_s > 0 && train_s_ >= train.time_limit_s) {
+      done += fmt::format("{}{:.1f} s of training where train.time_limit_s is {}", done.empty() ? "" : " and ",
+                          train_s_, train.time_limit_s);
+      more += fmt::format(" --time {:.0f}s", std::ceil(2 * train_s_));
+    }
+    if (done.empty()) return;
+    note(fmt::format(
+        "the run already has {}: it is evaluated again, not trained; to train on: semfield train --resume {}{}", done,
+        folder_.path(), more));
+  }
+
   void note(const std::string& text) const {
     if (hooks_.note) hooks_.note(text);
   }
@@ -168,16 +192,15 @@ class Run {
     trainer_->collect();
     trainer_->check_storable();
     if (log_ != nullptr) log_->sync();  // a checkpoint that outlives a power cut has its rows
-    TensorMetadata metadata;
-    metadata["format"] = kFormat;
-    metadata["step"] = std::to_string(trainer_->step());
-    metadata["train_s"] = fmt::format("{}", train_s_);
-    metadata["seed"] = std::to_string(session_.config.runtime.seed);
-    metadata["config"] = write_config(resolved_config(session_.config));
-    metadata["config_hash"] = hex64(fnv1a64(metadata["config"]));
-    metadata["classes"] = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
-    metadata["scene"] = manifest_text({session_.manifest, session_.scene.pixel_footprint_m});
-    checkpoints_.save(trainer_->step(), trainer_->state(), metadata);
+    CheckpointFacts facts;
+    facts.step = trainer_->step();
+    facts.train_s = train_s_;
+    facts.seed = session_.config.runtime.seed;
+    facts.config = write_config(resolved_config(session_.config));
+    facts.classes = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
+    facts.scene = {session_.manifest, session_.scene.pixel_footprint_m};
+    facts.inputs = inputs_;
+    checkpoints_.save(facts.step, trainer_->state(), checkpoint_metadata(facts, identity_hash(session_.config)));
     saved_step_ = trainer_->step();
     last_checkpoint_ = Clock::now();
   }
@@ -242,17 +265,8 @@ class Run {
     Environment environment = this_environment();
     environment.threads = thread_count();
     environment.seed = session_.config.runtime.seed;
-    std::string manifest;
-    for (const FrameInfo& frame : session_.scene.info.frames)
-      manifest += frame.name + fmt::format(" {} {}\n", frame.camera.width_px, frame.camera.fx);
-    const std::vector<StoredFrame>& frames = session_.scene.frames;
-    std::vector<std::uint32_t> checksums(frames.size());
-    parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t i) {
-      const auto f = static_cast<std::size_t>(i);
-      checksums[f] = crc32c(std::as_bytes(std::span(frames[f].rgb)));
-    });
-    for (const std::uint32_t checksum : checksums) manifest += hex64(checksum);
-    environment.input_hash = hex64(fnv1a64(manifest));
+    environment.input_hash = inputs_.hash();
+    environment.settings_changed = settings_changed();
     for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
     environment.more.emplace_back("started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr))));
     environment.more.emplace_back("device", session_.device ? session_.device->description() : "cpu");
@@ -261,10 +275,24 @@ class Run {
     write_file_atomic(folder_.environment_path(), environment_json(environment));
   }
 
+  // Those of earlier resumes, which the file holds that is about to be written again, and this one's.
+  std::vector<std::string> settings_changed() const {
+    std::vector<std::string> changes;
+    const std::string path = folder_.environment_path();
+    if (std::filesystem::exists(path)) changes = parse_settings_changed(read_text_file(path), path);
+    for (const ConfigDifference& change : point_.changed) {
+      const std::string line = fmt::format("step {}: {}", point_.step(), change.text());
+      if (std::find(changes.begin(), changes.end(), line) == changes.end()) changes.push_back(line);
+    }
+    return changes;
+  }
+
   TrainHooks hooks_;
   RunFolder folder_;
   Session session_;
   CheckpointStore checkpoints_;
+  ResumePoint point_;
+  SceneInputs inputs_;
   std::unique_ptr<RaySource> rays_;
   std::unique_ptr<Trainer> trainer_;
   MetricsLog* log_ = nullptr;
@@ -286,20 +314,28 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   if (config.report.training_frames > 0) options.depth = DepthKept::all;
   // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
   std::optional<RunFolder> folder;
-  if (request.resume) folder.emplace(RunFolder::resume(request.out_dir));
+  ResumePoint point;
+  if (request.resume) {
+    folder.emplace(RunFolder::resume(request.out_dir));
+    keep_components(config, request.keep);
+    point = find_resume_point(*folder, config, registry, diagnostics);
+    require_scene_places(config, folder->path());
+    if (point.facts) options.trained_classes = point.facts->classes;
+  }
   Session session = open_session(std::move(config), registry, options, diagnostics);
+  SceneInputs inputs = scene_inputs(session.scene);
+  if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
   for (const Diagnostic& finding : folded(diagnostics)) {
     if (hooks.note) hooks.note(finding.text());
   }
   for (const std::string& line : session.chosen) {
     if (hooks.note) hooks.note("chosen from the scene: " + line);
   }
-  if (!folder) {
-    folder.emplace(RunFolder::create(request.out_dir));
-    write_file_atomic(folder->config_path(), run_config_text(session.config, registry));
-  }
-  Run run(std::move(*folder), std::move(session), registry, hooks);
-  if (request.resume) run.load_checkpoint();
+  if (!folder) folder.emplace(RunFolder::create(request.out_dir));
+  const std::string text = run_config_text(session.config, registry);
+  if (!request.resume || read_text_file(folder->config_path()) != text) write_file_atomic(folder->config_path(), text);
+  Run run(std::move(*folder), std::move(session), registry, hooks, std::move(point), std::move(inputs));
+  if (request.resume) run.go_on();
   return run.train();
 }
 
@@ -312,22 +348,27 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   std::optional<CheckpointStore::Found> found = store.find_latest(diagnostics);
   if (!found) {
     throw Error(ErrorKind::no_input, run_dir + ": the run has no checkpoint yet",
-                "go on with `semfield train --resume " + shell_word(run_dir) + "`");
+                "train it from step 0 with `semfield train --resume " + shell_word(run_dir) + "`");
   }
+  const CheckpointFacts facts = read_checkpoint_facts(found->file, found->step);
   RunConfig config = load_run_config(folder.config_path(), overrides, registry);
+  require_scene_places(config, run_dir);
   SessionOptions options;
+  options.trained_classes = facts.classes;
   options.trainable = false;
   options.depth = purpose == OpenFor::evaluation  ? DepthKept::test
                   : purpose == OpenFor::rendering ? DepthKept::none
                                                   : DepthKept::all;
-  options.known = read_manifest_text(found->file.metadata());
+  options.known = facts.scene;
   options.pixels = purpose != OpenFor::rendering;
   options.labels = purpose == OpenFor::evaluation_of_training_frames;
+  const bool same_scene = asks_for_the_scene_of_training(facts, config, registry);
   run.session = open_session(std::move(config), registry, options, diagnostics);
+  if (facts.inputs && same_scene) warn_of_other_inputs(*facts.inputs, scene_inputs(run.session.scene), diagnostics);
   load_pipeline(*run.session.pipeline, found->file);
   if (run.session.device) run.session.device->upload();
-  run.step = found->step;
-  run.train_s = std::stod(found->file.metadata().at("train_s"));
+  run.step = facts.step;
+  run.train_s = facts.train_s;
   return run;
 }
 

@@ -209,9 +209,10 @@ TEST(Program, ADiskThatFillsUnderTheLogNamesTheCheckpointKept) {
   const Result r =
       run({"train", config, "--out", run_dir}, dir, testing_crash::fault_environment(run_dir, dir / "l", full));
   EXPECT_EQ(r.code, 74) << r.err;
-  EXPECT_TRUE(has(r.err, "training ended at step 30 (there is no checkpoint yet; go on with `semfield train --resume " +
-                             shell_word(run_dir) + "`): cannot append to '" + run_dir +
-                             "/metrics.jsonl': disk full: need "))
+  EXPECT_TRUE(has(r.err,
+                  "training ended at step 30 (there is no checkpoint yet: a resume begins at step 0; go on with "
+                  "`semfield train --resume " +
+                      shell_word(run_dir) + "`): cannot append to '" + run_dir + "/metrics.jsonl': disk full: need "))
       << r.err;
   expect_goes_on_to_the_same_bits(config, run_dir, dir);
 }

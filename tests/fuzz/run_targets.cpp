@@ -3,7 +3,7 @@
 
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
-#include "train/manifest_text.h"
+#include "train/checkpoint_facts.h"
 #include "train/metrics_log.h"
 #include "train/safetensors.h"
 
@@ -21,7 +21,8 @@ void fuzz_checkpoint(std::string_view bytes) {
         promise(tensor.bytes.size() == count * tensor_type_bytes(tensor.type), "bytes that do not fill the shape");
         accepted([&] { (void)file.floats(tensor.name, static_cast<std::int64_t>(count)); });
       }
-      (void)read_manifest_text(file.metadata());
+      accepted([&] { (void)read_manifest_text(file.metadata()); });
+      (void)read_checkpoint_facts(file, 2);
     });
   }
 }

@@ -1,0 +1,92 @@
+// What a resumed run goes on from.
+#include "train/run_resume.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cctype>
+
+#include "train/checkpoint_store.h"
+#include "train/run_identity.h"
+
+namespace semfield {
+
+namespace {
+
+// " --set KEY=VALUE", quoted for a shell where it must be; nothing for a value that is absent.
+std::string set_text(const std::string& key, const std::string& value) {
+  if (value == kAbsent) return {};
+  const auto plain = [](char c) {
+    return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '-' || c == '/' || c == '_';
+  };
+  const char* quote = std::all_of(value.begin(), value.end(), plain) ? "" : "'";
+  return fmt::format(" --set {}{}={}{}", quote, key, value, quote);
+}
+
+void require_same_run(const std::vector<ConfigDifference>& identity, const RunFolder& folder) {
+  if (identity.empty()) return;
+  std::string changes, keep, anew;
+  for (const ConfigDifference& change : identity) {
+    changes += (changes.empty() ? "" : ", ") + change.text();
+    keep += set_text(change.key, change.left);
+    anew += set_text(change.key, change.right);
+  }
+  throw Error(ErrorKind::config,
+              fmt::format("{}: that would be another run than the one in '{}'", changes, folder.path()),
+              fmt::format("to go on with that one: semfield train --resume {}{}; to train anew: semfield train {}{} "
+                          "--out NEW_FOLDER",
+                          folder.path(), keep, folder.config_path(), anew));
+}
+
+// None when a program of another version wrote them and they cannot be read.
+std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry) {
+  try {
+    Diagnostics diagnostics;
+    // Modules are loaded already, by run.yaml or by the command line.
+    RunConfig config =
+        read_run_config(parse_config_text(facts.config, "checkpoint").without("plugins"), registry, diagnostics);
+    if (!diagnostics.has_errors()) return config;
+  } catch (const Error&) {
+  }
+  return std::nullopt;
+}
+
+}  // namespace
+
+ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, Registry& registry,
+                              Diagnostics& diagnostics) {
+  ResumePoint point;
+  std::optional<RunConfig> before;
+  if (const auto found = CheckpointStore::read(folder.checkpoints_path()).find_latest(diagnostics)) {
+    point.facts = read_checkpoint_facts(found->file, found->step);
+    point.path = found->path;
+    before = settings_of_checkpoint(*point.facts, registry);
+  }
+  if (!before) before = load_run_config(folder.config_path(), {}, registry);
+  if (point.facts && point.facts->seed != before->runtime.seed) {
+    throw Error(
+        ErrorKind::data,
+        fmt::format("'{}': its seed is {}, its settings say {}", point.path, point.facts->seed, before->runtime.seed),
+        "go on from another checkpoint of the run: move this file out of the folder");
+  }
+  SettingChanges changes = changed_settings(resolved_config(*before), resolved_config(config));
+  require_same_run(changes.identity, folder);
+  point.changed = std::move(changes.others);
+  return point;
+}
+
+void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
+                           Diagnostics& diagnostics) {
+  if (facts.inputs) warn_of_other_inputs(*facts.inputs, inputs, diagnostics);
+  if (facts.scene) compare_training_labels(*facts.scene, session.manifest, session.scene.info.classes, diagnostics);
+}
+
+bool asks_for_the_scene_of_training(const CheckpointFacts& facts, const RunConfig& config, Registry& registry) {
+  const std::optional<RunConfig> trained = settings_of_checkpoint(facts, registry);
+  if (!trained) return true;
+  const SettingChanges changes = changed_settings(resolved_config(*trained), resolved_config(config));
+  return std::none_of(changes.identity.begin(), changes.identity.end(),
+                      [](const ConfigDifference& change) { return change.key.starts_with("scene."); });
+}
+
+}  // namespace semfield
