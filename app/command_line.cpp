@@ -241,6 +241,19 @@ void add_config_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   verb->callback([&context, &choice] { choice = [&context] { return run_config_schema(context); }; });
 }
 
+void add_runs_verbs(CLI::App& root, AppContext& context, Choice& choice) {
+  CLI::App* group = root.add_subcommand("runs", "questions about finished runs");
+  group->require_subcommand(1);
+  auto pair = std::make_shared<std::pair<std::string, std::string>>();
+  CLI::App* verb = group->add_subcommand(
+      "equal", "whether two runs are the same training, bit by bit; times, threads and places do not count");
+  verb->add_option("a", pair->first, "run folder")->required();
+  verb->add_option("b", pair->second, "run folder")->required();
+  verb->callback([&context, &choice, pair] {
+    choice = [&context, pair] { return run_runs_equal(pair->first, pair->second, context); };
+  });
+}
+
 void add_plugins_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* group = root.add_subcommand("plugins", "what plugins there are and what they take");
   group->require_subcommand(1);
@@ -357,6 +370,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   add_fuse(root, context, choice);
   add_label_verbs(root, context, choice);
   add_config_verbs(root, context, choice);
+  add_runs_verbs(root, context, choice);
   add_plugins_verbs(root, context, choice);
   add_bench_verbs(root, context, choice);
   add_check_numerics(root, context, choice);

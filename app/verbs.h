@@ -99,6 +99,9 @@ int run_classes(const ClassesOptions& options);
 
 int run_report(const std::vector<std::string>& runs, const std::string& out, AppContext& context);
 
+/// 0 when both are the same training, else 1 and the first difference.
+int run_runs_equal(const std::string& a, const std::string& b, AppContext& context);
+
 struct FuseOptions {
   ConfigOptions config;
   std::string method;      ///< names with commas; replaces fuse.methods

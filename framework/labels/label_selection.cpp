@@ -13,7 +13,7 @@ namespace semfield {
 namespace {
 
 [[noreturn]] void refuse(const std::string& message, const std::string& remedy) {
-  throw Error(ErrorKind::config, "labels." + message, remedy);
+  throw Error(ErrorKind::config, "scene.labels." + message, remedy);
 }
 
 template <class T>
@@ -87,11 +87,12 @@ void describe(ParamVisitor& visit, LabelParams& p) {
 
 void validate(const LabelParams& p, Diagnostics& diagnostics) {
   if (p.mode == LabelMode::named && p.names.empty())
-    diagnostics.error("labels.names", "mode named needs names", "list the names of frames");
+    diagnostics.error("scene.labels.names", "mode named needs names", "list the names of frames");
   if (p.mode != LabelMode::named && !p.names.empty())
-    diagnostics.error("labels.names", "names are given but mode is not named", "set labels.mode: named");
+    diagnostics.error("scene.labels.names", "names are given but mode is not named", "set scene.labels.mode: named");
   if (p.mode == LabelMode::named && p.frames != "all")
-    diagnostics.error("labels.frames", "a number of frames and names exclude each other", "drop labels.frames");
+    diagnostics.error("scene.labels.frames", "a number of frames and names exclude each other",
+                      "drop scene.labels.frames");
   if (p.mode == LabelMode::named) return;
   try {
     (void)label_frame_count(p.frames, 1 << 30);

@@ -133,7 +133,7 @@ class Marcher {
 }  // namespace
 
 VoxelGrid VoxelGrid::covering(const Box& bounds, double spacing) {
-  if (bounds.empty()) throw Error(ErrorKind::usage, "the scene's bounds are empty", "set scene.bounds");
+  if (bounds.empty()) throw Error(ErrorKind::usage, "the scene's bounds are empty", "set scene.load.bounds");
   if (!(spacing > 0) || !std::isfinite(spacing))
     throw Error(ErrorKind::usage, "a voxel of " + std::to_string(spacing), "give a positive edge length");
   VoxelGrid grid;

@@ -267,7 +267,7 @@ std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& s)
   if (points.size() < 4) {
     throw Error(ErrorKind::data,
                 "no free space for cameras: " + std::to_string(points.size()) + " of 4000 positions are free",
-                "lower clearance_m or set bounds to the inside of the room");
+                "lower scene.clearance_m or set scene.bounds to the inside of the room");
   }
   const Axes axes = axes_of(s.up);
   const std::vector<Key> keys = make_keys(rays, s, points, axes);

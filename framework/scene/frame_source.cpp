@@ -132,9 +132,9 @@ void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
 
 void describe(ParamVisitor& visit, SceneLoadOptions& p) {
   SEMFIELD_PARAM(visit, p, width_px, "width to load frames at, pixels; 0 = as stored, or in proportion to height_px",
-                 {0, 16384});
+                 {0, 1 << 20});
   SEMFIELD_PARAM(visit, p, height_px, "height to load frames at, pixels; 0 = as stored, or in proportion to width_px",
-                 {0, 16384});
+                 {0, 1 << 20});
   SEMFIELD_PARAM(visit, p, downscale, "divides width and height of every frame", {1, 64});
   SEMFIELD_PARAM(visit, p, near_m,
                  "nearest distance along a ray that is sampled, metres; 0 = from the dataset or derived",
@@ -258,8 +258,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     stretched = stretched || std::abs(stretch - 1) > 0.01;
   }
   if (stretched)
-    diagnostics.warning("scene.width_px", "the size asked for changes the aspect ratio; cameras follow it",
-                        "give width_px or height_px alone");
+    diagnostics.warning("scene.load.width_px", "the size asked for changes the aspect ratio; cameras follow it",
+                        "give scene.load.width_px or scene.load.height_px alone");
 
   if (!options.pixels) {
     for (std::size_t i = 0; i < frames.size(); ++i) {

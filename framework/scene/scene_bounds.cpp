@@ -162,9 +162,9 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
                                      : "a guess (one camera place, no depth)";
     if (!has_depth) {
       diagnostics.warning(
-          "scene.far_m",
+          "scene.load.far_m",
           "no depth and no far distance given; far is " + short_number(scene.far_m) + " (" + scene.near_far_from + ")",
-          "set far_m if parts of the scene are missing");
+          "set scene.load.far_m if parts of the scene are missing");
     }
   }
   if (scene.near_m <= 0) {
@@ -176,10 +176,10 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   // be.
   const bool both_given = options.near_m > 0 && options.far_m > 0;
   if (!both_given && (!(scene.near_m < scene.far_m) || !std::isfinite(scene.far_m))) {
-    diagnostics.error("scene.near_m",
+    diagnostics.error("scene.load.near_m",
                       "near is " + short_number(scene.near_m) + " m and far is " + short_number(scene.far_m) +
                           " m: no part of a ray lies between them",
-                      "set near_m and far_m, near_m below far_m");
+                      "set scene.load.near_m below scene.load.far_m");
   }
 
   std::string seen_in;

@@ -172,9 +172,9 @@ void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics) {
     diagnostics.error(info.name,
                       "near and far distance of the dataset are " + number(info.near_hint_m) + " and " +
                           number(info.far_hint_m) + " m; they must be finite",
-                      "set scene.near_m and scene.far_m");
+                      "set scene.load.near_m and scene.load.far_m");
   }
-  if (!finite(info.bounds)) diagnostics.error(info.name, "the dataset's bounds are not finite", "set scene.bounds");
+  if (!finite(info.bounds)) diagnostics.error(info.name, "the dataset's bounds are not finite", "set scene.load.bounds");
 }
 
 bool check_camera(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {

@@ -188,7 +188,7 @@ std::vector<std::string> settings_that_fit(RunConfig& config, const Registry& re
   for (std::int64_t d = 2; d <= 16; d *= 2) {
     if (config.load.downscale != 1 || config.load.width_px > 0 || config.load.height_px > 0) break;
     if (peak(downscaled(facts, d)) > aim) continue;
-    found.push_back({1.0 / static_cast<double>(d), fmt::format("scene.downscale={} (now 1)", d)});
+    found.push_back({1.0 / static_cast<double>(d), fmt::format("scene.load.downscale={} (now 1)", d)});
     break;
   }
   std::stable_sort(found.begin(), found.end(),
@@ -225,7 +225,7 @@ void require_frame_memory(const RunConfig& config, std::size_t frame_bytes, std:
   const double shrink = std::ceil(10 * std::sqrt(1 / std::max(share, 1e-6))) / 10;
   const int width = static_cast<int>(width_px / shrink);
   const std::string settings = fmt::format(
-      "each of these alone fits: scene.downscale={:.1f}, or scene.width_px={} (now {}), or a scene of {} frames",
+      "each of these alone fits: scene.load.downscale={:.1f}, or scene.load.width_px={} (now {}), or a scene of {} frames",
       config.load.downscale * shrink, width, width_px, fitting);
   const std::string none = fmt::format(
       "the program alone holds {}: raise --memory or runtime.memory_gb where they set the limit, or use a machine with "

@@ -50,6 +50,17 @@ void require_utf8(const std::string& text) {
   }
 }
 
+// Without them a step that fails would fail again after each resume.
+constexpr std::array<std::string_view, 4> kRescue{"train.adam.", "train.schedule.", "runtime.seed",
+                                                  "runtime.precision"};
+
+template <class List>
+bool listed(const List& list, std::string_view key_path) {
+  return std::any_of(list.begin(), list.end(), [&](std::string_view entry) {
+    return entry.ends_with('.') ? key_path.starts_with(entry) : key_path == entry;
+  });
+}
+
 // Every setting as `left`.
 std::vector<ConfigDifference> settings_of(const RunConfig& config) {
   return config_differences(resolved_config(config), ConfigNode::make_map({}, {}));
@@ -63,18 +74,15 @@ bool same_number(const std::string& left, const std::string& right) {
 
 }  // namespace
 
-bool is_part_of_identity(std::string_view key_path) {
-  return std::none_of(kFree.begin(), kFree.end(), [&](std::string_view free) {
-    return free.ends_with('.') ? key_path.starts_with(free) : key_path == free;
-  });
+bool is_part_of_identity(std::string_view key_path) { return !listed(kFree, key_path); }
+
+bool may_change_on_resume(std::string_view key_path) {
+  return !is_part_of_identity(key_path) || listed(kRescue, key_path);
 }
 
-SettingChanges changed_settings(const ConfigNode& before, const ConfigNode& now) {
-  SettingChanges changes;
-  for (ConfigDifference& difference : config_differences(before, now)) {
-    if (same_number(difference.left, difference.right)) continue;
-    (is_part_of_identity(difference.key) ? changes.identity : changes.others).push_back(std::move(difference));
-  }
+std::vector<ConfigDifference> changed_settings(const ConfigNode& before, const ConfigNode& now) {
+  std::vector<ConfigDifference> changes = config_differences(before, now);
+  std::erase_if(changes, [](const ConfigDifference& change) { return same_number(change.left, change.right); });
   return changes;
 }
 

@@ -10,16 +10,15 @@
 
 namespace semfield {
 
-/// Settings that are no part of a run's identity: its length, what it prints, measures and keeps beside the tensors,
-/// the machine's part in it (threads, memory, device, who multiplies matrices), and where files lie. A resumed run may
-/// change them; everything else would make it another run.
+/// Not: a run's length, what it prints, measures and keeps beside the tensors, the machine's part in it (threads,
+/// memory, device, who multiplies matrices), and where files lie.
 bool is_part_of_identity(std::string_view key_path);
+/// What is no part of the identity, and what helps a run over a step that failed: optimiser, schedule, seed, precision.
+/// Everything else would make it another run.
+bool may_change_on_resume(std::string_view key_path);
 
 /// What differs between two resolved configurations.
-struct SettingChanges {
-  std::vector<ConfigDifference> identity, others;
-};
-SettingChanges changed_settings(const ConfigNode& before, const ConfigNode& now);
+std::vector<ConfigDifference> changed_settings(const ConfigNode& before, const ConfigNode& now);
 
 /// Equal for runs whose settings are the same but for those that are no part of the identity.
 std::string identity_hash(const RunConfig& config);

@@ -69,9 +69,10 @@ ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, 
         fmt::format("'{}': its seed is {}, its settings say {}", point.path, point.facts->seed, before->runtime.seed),
         "go on from another checkpoint of the run: move this file out of the folder");
   }
-  SettingChanges changes = changed_settings(resolved_config(*before), resolved_config(config));
-  require_same_run(changes.identity, folder);
-  point.changed = std::move(changes.others);
+  std::vector<ConfigDifference> refused;
+  for (ConfigDifference& change : changed_settings(resolved_config(*before), resolved_config(config)))
+    (may_change_on_resume(change.key) ? point.changed : refused).push_back(std::move(change));
+  require_same_run(refused, folder);
   return point;
 }
 
@@ -84,9 +85,10 @@ void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inpu
 bool asks_for_the_scene_of_training(const CheckpointFacts& facts, const RunConfig& config, Registry& registry) {
   const std::optional<RunConfig> trained = settings_of_checkpoint(facts, registry);
   if (!trained) return true;
-  const SettingChanges changes = changed_settings(resolved_config(*trained), resolved_config(config));
-  return std::none_of(changes.identity.begin(), changes.identity.end(),
-                      [](const ConfigDifference& change) { return change.key.starts_with("scene."); });
+  const std::vector<ConfigDifference> changes = changed_settings(resolved_config(*trained), resolved_config(config));
+  return std::none_of(changes.begin(), changes.end(), [](const ConfigDifference& change) {
+    return change.key.starts_with("scene.") && is_part_of_identity(change.key);
+  });
 }
 
 }  // namespace semfield

@@ -10,7 +10,6 @@
 #include <filesystem>
 
 #include "config/compose.h"
-#include "core/checksum.h"
 #include "core/files.h"
 #include "core/findings.h"
 #include "core/gemm_engine.h"

@@ -76,18 +76,18 @@ TEST(LabelSelection, NamedFrames) {
   EXPECT_EQ(info.frames[static_cast<std::size_t>(keep[1])].name, "rgb_100");
   p.names = {"rgb_2"};
   EXPECT_EQ(error_of([&] { (void)select_label_frames(info, p); }),
-            "labels.names: frame 'rgb_2' is not a training frame; name training frames only");
+            "scene.labels.names: frame 'rgb_2' is not a training frame; name training frames only");
   info.frames[0].has_labels = false;
   p.names = {"rgb_0"};
   EXPECT_EQ(error_of([&] { (void)select_label_frames(info, p); }),
-            "labels.names: frame 'rgb_0' has no labels; name frames that have a label image");
+            "scene.labels.names: frame 'rgb_0' has no labels; name frames that have a label image");
 }
 
 TEST(LabelSelection, RefusalsAreExact) {
   const auto message = [](const std::string& frames) { return error_of([&] { (void)label_frame_count(frames, 20); }); };
   EXPECT_EQ(message("25"),
-            "labels.frames: 25 asked for, 20 labelled training frames are there; ask for fewer, or write all");
-  const std::string want = "labels.frames: expected all, none, a share such as 10%, or a number, got '";
+            "scene.labels.frames: 25 asked for, 20 labelled training frames are there; ask for fewer, or write all");
+  const std::string want = "scene.labels.frames: expected all, none, a share such as 10%, or a number, got '";
   for (const char* bad : {"", "some", "-1", "101%", "%", "10 %", "nan%"})
     EXPECT_EQ(message(bad), want + bad + "'; write for example 10%");
   Diagnostics d;

@@ -91,7 +91,7 @@ TEST(LoadScene, CameraConesStandInForMissingDepth) {
   const LoadedScene t = load_scene(room, {}, d);
   EXPECT_EQ(t.near_far_from, "twice the extent of the cameras");
   ASSERT_EQ(d.all().size(), 1u);
-  EXPECT_EQ(d.all()[0].remedy, "set far_m if parts of the scene are missing");
+  EXPECT_EQ(d.all()[0].remedy, "set scene.load.far_m if parts of the scene are missing");
 }
 
 TEST(LoadScene, ThinDepthIsJoinedByTheCones) {

@@ -81,7 +81,7 @@ void bounds(CaseRun& run) {
   run.expect(errors_of(derived).empty(), "near and far of the scene are good");
   expect_refused(3, 2, "near_m must be below far_m");
   expect_refused(2, 2, "near_m must be below far_m");
-  expect_refused(1000, 0, "scene.near_m");  // far comes from the depth of the scene and is nearer
+  expect_refused(1000, 0, "scene.load.near_m");  // far comes from the depth of the scene and is nearer
   expect_refused(0.5, 1e-3, "near_m must be below far_m");
   run.note("no sampler divides by a distance: near = 0 is an ordinary limit");
 }

@@ -138,7 +138,7 @@ TEST_F(MemoryPlanOfRuns, PixelsThatDoNotFitAreRefusedBeforeTheyAreRead) {
                                     folder.path());
   EXPECT_EQ(refused.code, 69);
   EXPECT_NE(refused.err.find("frames would take"), std::string::npos) << refused.err;
-  EXPECT_NE(refused.err.find("scene.downscale="), std::string::npos) << refused.err;
+  EXPECT_NE(refused.err.find("scene.load.downscale="), std::string::npos) << refused.err;
 }
 
 TEST_F(MemoryPlanOfRuns, WhereTheProgramAloneDoesNotFitNoSceneIsProposed) {

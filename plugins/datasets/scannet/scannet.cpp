@@ -177,7 +177,7 @@ std::vector<Scannet::View> Scannet::list_views(FrameFileCheck& check, Diagnostic
   if (params_.max_frames > 0 && out.size() > static_cast<std::size_t>(params_.max_frames)) {
     const auto taken = static_cast<std::size_t>(params_.max_frames);
     diagnostics.note(root_, std::to_string(taken) + " of " + std::to_string(out.size()) +
-                                " frames with a pose are taken, evenly spaced (max_frames)");
+                                " frames with a pose are taken, evenly spaced (scene.max_frames)");
     for (std::size_t k = 0; k < taken; ++k) out[k] = out[k * out.size() / taken];
     out.resize(taken);
   }

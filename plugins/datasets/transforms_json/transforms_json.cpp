@@ -9,6 +9,7 @@
 #include "plugin/module.h"
 #include "scene/frame_split.h"
 #include "scene/image_io.h"
+#include "scene/input_limits.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
@@ -69,7 +70,8 @@ Camera camera_of(const TransformsLens& lens, std::int32_t width, std::int32_t he
   return c;
 }
 
-bool whole_size(double value) { return value >= 1 && value <= 16384 && value == std::floor(value); }
+// How large an image may be is for `limits` to say; here it has to be a size at all.
+bool whole_size(double value) { return value >= 1 && value <= 2147483647.0 && value == std::floor(value); }
 
 // The camera of one frame; the image's header tells the size where the file does not. False when reported.
 bool frame_camera(const TransformsFrame& in, const std::string& place, Camera& out, Diagnostics& diagnostics) {
@@ -78,6 +80,13 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, Camera& o
     if (!whole_size(in.lens.w) || !whole_size(in.lens.h)) {
       diagnostics.error(place, "image size 'w' x 'h' is not a pair of whole numbers of pixels",
                         "write the size of the image, or leave both out");
+      return false;
+    }
+    try {
+      check_input_limit(static_cast<std::int64_t>(std::max(in.lens.w, in.lens.h)), input_limits().image_axis_px,
+                        "image size 'w' x 'h': ", "pixels along an axis", "image_axis_px");
+    } catch (const Error& e) {
+      diagnostics.error(place, e.message(), e.remedy());
       return false;
     }
     size = {static_cast<std::int32_t>(in.lens.w), static_cast<std::int32_t>(in.lens.h), 3, 8};
