@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "core/words.h"
 #include "train/checkpoint_facts.h"
 #include "train/checkpoint_store.h"
 #include "train/run_folder.h"
@@ -24,7 +25,7 @@ Side read_side(const std::string& folder, Diagnostics& diagnostics) {
       CheckpointStore::read(RunFolder::read(folder).checkpoints_path()).find_latest(diagnostics);
   if (!found) {
     throw Error(ErrorKind::no_input, folder + ": the run has no checkpoint yet",
-                "train it from step 0 with `semfield train --resume " + folder + "`");
+                "train it from step 0 with `semfield train --resume " + shell_word(folder) + "`");
   }
   Side side;
   side.facts = read_checkpoint_facts(found->file, found->step);

@@ -4,8 +4,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cctype>
 
+#include "core/words.h"
 #include "train/checkpoint_store.h"
 #include "train/run_identity.h"
 
@@ -13,14 +13,9 @@ namespace semfield {
 
 namespace {
 
-// " --set KEY=VALUE", quoted for a shell where it must be; nothing for a value that is absent.
+// " --set KEY=VALUE" for a shell; nothing for a value that is absent.
 std::string set_text(const std::string& key, const std::string& value) {
-  if (value == kAbsent) return {};
-  const auto plain = [](char c) {
-    return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '-' || c == '/' || c == '_';
-  };
-  const char* quote = std::all_of(value.begin(), value.end(), plain) ? "" : "'";
-  return fmt::format(" --set {}{}={}{}", quote, key, value, quote);
+  return value == kAbsent ? std::string() : " --set " + shell_word(key + "=" + value);
 }
 
 void require_same_run(const std::vector<ConfigDifference>& identity, const RunFolder& folder) {
@@ -35,7 +30,7 @@ void require_same_run(const std::vector<ConfigDifference>& identity, const RunFo
               fmt::format("{}: that would be another run than the one in '{}'", changes, folder.path()),
               fmt::format("to go on with that one: semfield train --resume {}{}; to train anew: semfield train {}{} "
                           "--out NEW_FOLDER",
-                          folder.path(), keep, folder.config_path(), anew));
+                          shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
 }
 
 // None when a program of another version wrote them and they cannot be read.

@@ -174,7 +174,7 @@ class Run {
     if (done.empty()) return;
     note(fmt::format(
         "the run already has {}: it is evaluated again, not trained; to train on: semfield train --resume {}{}", done,
-        folder_.path(), more));
+        shell_word(folder_.path()), more));
   }
 
   void note(const std::string& text) const {
