@@ -343,7 +343,7 @@ void add_bench_leave_out(CLI::App& root, AppContext& context, Choice& choice) {
       ->check(CLI::Range(2, 1000));
   verb->add_option("--steps", options->seed_steps, "steps of each of them (default: 400)")
       ->check(CLI::Range(20, 1000000));
-  verb->add_option("--set", options->set, "override a value of all pairs: --set scene.frames=200")
+  verb->add_option("--set", options->set, "override a value of all pairs: --set train.rays=200")
       ->expected(1)
       ->take_all();
   verb->add_option("--write-docs", options->write_docs, "folder in which leave_out.json and leave_out.md are renewed");

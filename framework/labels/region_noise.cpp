@@ -190,7 +190,7 @@ class RegionNoise final : public Degradation {
       throw Error(ErrorKind::data,
                   std::string(kType) + ": no instance of the classes asked for is seen in " +
                       std::to_string(params_.min_frames) + " labelled training frames",
-                  "lower min_frames, name other classes, or label more frames");
+                  "lower its min_frames, name other classes, or label more frames");
     }
     return views;
   }

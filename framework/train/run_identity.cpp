@@ -15,7 +15,7 @@ namespace {
 
 // Sections ("report.") and single keys; see is_part_of_identity. Where data lie is no part of it, what they are is: a
 // checkpoint keeps that (checkpoint_facts.h).
-constexpr std::array<std::string_view, 20> kFree{"name",
+constexpr std::array<std::string_view, 18> kFree{"name",
                                                  "base_dir",
                                                  "plugins",
                                                  "report.",
@@ -32,9 +32,7 @@ constexpr std::array<std::string_view, 20> kFree{"name",
                                                  "scene.classes",
                                                  "scene.labels.from.folder",
                                                  "scene.labels.from.file",
-                                                 "scene.labels.from.classes",
-                                                 "scene.labels.from.classes_file",
-                                                 "scene.labels.from.table"};
+                                                 "scene.labels.from.classes"};
 
 // The one cause that can be named better than by a place in a file that is not there: a path of the machine's.
 void require_utf8(const std::string& text) {
