@@ -9,7 +9,7 @@ namespace semfield {
 namespace {
 
 // Parameters of label readers that are paths.
-constexpr const char* kPathKeys[] = {"folder", "file", "classes", "classes_file", "table"};
+constexpr const char* kPathKeys[] = {"folder", "file", "classes"};
 
 template <class Step>
 std::unique_ptr<Step> read_step(const ConfigNode& node, const std::string& path,

@@ -189,7 +189,7 @@ TEST(RegionNoise, RefusalsAreExact) {
             "region_noise.classes: the class table has no class 'class_22'; did you mean 'class_2'?");
   EXPECT_EQ(
       message("{min_frames: 7}"),
-      "region_noise: no instance of the classes asked for is seen in 7 labelled training frames; lower min_frames, "
+      "region_noise: no instance of the classes asked for is seen in 7 labelled training frames; lower its min_frames, "
       "name other classes, or label more frames");
   Case without = scene_of(2);
   without.add(2, 1, {0, 1});
