@@ -124,18 +124,20 @@ class Pool {
     const std::string program = fs::read_symlink("/proc/self/exe").string();
     const std::string config = (folder / "config.yaml").string(), run = (folder / "run").string();
     const std::string threads = "runtime.threads=" + std::to_string(options_.threads);
+    std::vector<std::string> words{program};
     if (!cell.fuse.method.empty()) {
-      std::vector<std::string> words{program, "fuse",  config,   "--method", cell.fuse.method,
-                                     "--set", threads, "--json", "-q"};
-      if (!cell.field_cell.empty()) {
+      words.insert(words.end(), {"fuse", config, "--method", cell.fuse.method, "--json"});
+      if (!cell.field_cell.empty())
         words.insert(words.end(),
                      {"--depth-from", (fs::path(cell_folder(options_, cell.field_cell)) / "run").string()});
-      }
-      return words;
+    } else if (fs::exists(fs::path(run) / "checkpoints" / "latest")) {
+      words.insert(words.end(), {"train", "--resume", run});
+    } else {
+      words.insert(words.end(), {"train", config, "--out", run});
     }
-    if (fs::exists(fs::path(run) / "checkpoints" / "latest"))
-      return {program, "train", "--resume", run, "--set", threads, "-q"};
-    return {program, "train", config, "--out", run, "--set", threads, "-q"};
+    words.insert(words.end(), {"--set", threads, "-q"});
+    for (const std::string& module : options_.modules) words.insert(words.end(), {"--plugin", module});
+    return words;
   }
 
   // Starts the first cell that may start and that nobody works on. False when there is none. Nothing of a cell is

@@ -16,6 +16,7 @@ struct PoolOptions {
   int threads = 1;       ///< of each
   double memory_gb = 0;  ///< of all together; 0: what the machine has available
   bool keep_checkpoints = false;
+  std::vector<std::string> modules;  ///< files of plugins that cells load
 };
 
 struct CellOutcome {

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "bench_step.h"
+#include "plugin/loader.h"
 
 namespace semfield::app {
 
@@ -26,7 +27,6 @@ void threads_option(CLI::App* verb, std::vector<std::string>& set) {
 void config_options(CLI::App* verb, ConfigOptions& options) {
   verb->add_option("config", options.config, "configuration file (YAML)")->required();
   verb->add_option("--set", options.set, "override a value: --set train.rays=2048")->expected(1)->take_all();
-  verb->add_option("--plugin", options.plugins, "load a plugin module first")->expected(1)->take_all();
 }
 
 void run_options(CLI::App* verb, std::vector<std::string>& set) {
@@ -50,7 +50,6 @@ void add_train(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* verb = root.add_subcommand("train", "train a field on a scene; writes a run folder");
   verb->add_option("config", options->config.config, "configuration file (YAML)");
   verb->add_option("--set", options->config.set, "override a value: --set train.rays=2048")->expected(1)->take_all();
-  verb->add_option("--plugin", options->config.plugins, "load a plugin module first")->expected(1)->take_all();
   verb->add_option("--out", options->out, "run folder to create (default: runs/<name>)");
   verb->add_option("--resume", options->resume, "run folder to go on with");
   verb->add_option("--time", options->time, "end after this much training: 90s, 5m, 1h");
@@ -237,8 +236,12 @@ void add_config_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   verb->callback([&context, &choice, pair] {
     choice = [&context, pair] { return run_config_diff(pair->first, pair->second, context); };
   });
-  verb = group->add_subcommand("schema", "JSON schema of the configuration, for editors");
-  verb->callback([&context, &choice] { choice = [&context] { return run_config_schema(context); }; });
+  verb = group->add_subcommand("schema", "JSON schema of configurations, for editors; with the modules of --plugin");
+  auto of_sweeps = std::make_shared<bool>(false);
+  verb->add_flag("--sweep", *of_sweeps, "of sweep files instead");
+  verb->callback([&context, &choice, of_sweeps] {
+    choice = [&context, of_sweeps] { return run_config_schema(*of_sweeps, context); };
+  });
 }
 
 void add_runs_verbs(CLI::App& root, AppContext& context, Choice& choice) {
@@ -257,15 +260,8 @@ void add_runs_verbs(CLI::App& root, AppContext& context, Choice& choice) {
 void add_plugins_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* group = root.add_subcommand("plugins", "what plugins there are and what they take");
   group->require_subcommand(1);
-  auto modules = std::make_shared<std::vector<std::string>>();
-  group->add_option("--plugin", *modules, "load a plugin module first")->expected(1)->take_all();
-  const auto bind = [&context, &choice, modules](CLI::App* verb, std::function<int()> run) {
-    verb->callback([&context, &choice, modules, run] {
-      choice = [&context, modules, run] {
-        load_modules(*modules, context);
-        return run();
-      };
-    });
+  const auto bind = [&choice](CLI::App* verb, std::function<int()> run) {
+    verb->callback([&choice, run] { choice = run; });
   };
   bind(group->add_subcommand("list", "every plugin with its sentence"),
        [&context] { return run_plugins_list(context); });
@@ -360,6 +356,8 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   root.fallthrough();
   root.add_flag("-q,--quiet", context.quiet, "no progress and no notes");
   root.add_flag("--json", context.json, "results as JSON on stdout");
+  std::vector<std::string> modules;
+  root.add_option("--plugin", modules, "load a plugin module first: FILE.so")->expected(1)->take_all();
   Choice choice;
   add_train(root, context, choice);
   add_run_verbs(root, context, choice);
@@ -383,6 +381,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
     const int code = root.exit(error);
     return code == 0 ? 0 : static_cast<int>(ErrorKind::usage);
   }
+  for (const std::string& module : modules) load_module(context.registry, module);
   return choice ? choice() : static_cast<int>(ErrorKind::usage);
 }
 

@@ -4,6 +4,7 @@
 #include "config/compose.h"
 #include "config/explain.h"
 #include "config/schema.h"
+#include "sweep/sweep_schema.h"
 #include "train/label_config.h"
 #include "train/run_config.h"
 #include "verbs.h"
@@ -26,14 +27,12 @@ std::vector<SchemaAlternative> alternatives(const Registry& registry, PluginKind
 }  // namespace
 
 int run_config_check(const ConfigOptions& options, AppContext& context) {
-  load_modules(options.plugins, context);
   load_run_config(options.config, options.set, context.registry);
   std::printf("%s: no errors\n", options.config.c_str());
   return 0;
 }
 
 int run_config_explain(const ConfigOptions& options, AppContext& context) {
-  load_modules(options.plugins, context);
   const ConfigNode written = compose_config(options.config, options.set);
   const RunConfig config = load_run_config(options.config, options.set, context.registry);
   std::fputs(explain_config(with_origins(resolved_config(config), written)).c_str(), stdout);
@@ -47,7 +46,11 @@ int run_config_diff(const std::string& a, const std::string& b, AppContext& cont
   return 0;
 }
 
-int run_config_schema(AppContext& context) {
+int run_config_schema(bool of_sweeps, AppContext& context) {
+  if (of_sweeps) {
+    std::fputs(sweep_schema().c_str(), stdout);
+    return 0;
+  }
   std::vector<SchemaSection> sections;
   for (const SectionDoc& section : describe_sections())
     sections.push_back({section.path, section.sentence, section.params});
@@ -55,7 +58,12 @@ int run_config_schema(AppContext& context) {
   const ParamDoc base{
       "base_dir", "text", "", "", "folder where relative paths start that no file anchors; default: the working folder",
       {}};
-  const ParamDoc plugins{"plugins", "list of text", "[]", "", "plugin modules to load, by path", {}};
+  const ParamDoc plugins{"plugins",
+                         "list of text",
+                         "[]",
+                         "",
+                         "plugin modules that it needs, by path; see docs/configuration.md for which are loaded",
+                         {}};
   sections.push_back({"", "", {name, base, plugins}});
   const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
   const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};

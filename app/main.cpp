@@ -2,21 +2,50 @@
 #include <unistd.h>
 
 #include <cstdio>
+#include <cstdlib>
 #include <exception>
 #include <filesystem>
+#include <string>
 
 #include "command_line.h"
 #include "core/error.h"
 #include "core/log.h"
 #include "load_progress.h"
 #include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "signals.h"
 #include "verbs.h"
+
+namespace {
+
+// What nobody can catch: an exception out of a thread, or out of a static initialiser of a module. An orderly end, with
+// a name, and no core.
+[[noreturn]] void on_terminate() {
+  std::string cause = "terminated";
+  try {
+    if (const std::exception_ptr thrown = std::current_exception()) std::rethrow_exception(thrown);
+  } catch (const std::exception& error) {
+    cause = error.what();
+  } catch (...) {
+    cause = "an unknown exception";
+  }
+  const std::string& module = semfield::module_being_loaded();
+  if (module.empty()) {
+    std::fprintf(stderr, "semfield: internal error: %s\n", cause.c_str());
+    std::_Exit(static_cast<int>(semfield::ErrorKind::internal));
+  }
+  std::fprintf(stderr, "semfield: cannot load plugin '%s': a static initialiser of it throws: %s; %s\n", module.c_str(),
+               cause.c_str(), "mend the module, or leave it out");
+  std::_Exit(static_cast<int>(semfield::ErrorKind::unavailable));
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
   using namespace semfield;
   app::AppContext context;
   app::prepare_process();
+  std::set_terminate(on_terminate);
   context.terminal = isatty(STDERR_FILENO) != 0;
   app::show_load_progress(context);
   set_log_sink([&](Severity severity, const std::string& text) {

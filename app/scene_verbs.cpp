@@ -6,7 +6,6 @@
 
 #include "core/findings.h"
 #include "core/parallel.h"
-#include "plugin/loader.h"
 #include "progress_line.h"
 #include "train/ray_source.h"
 #include "train/run_config.h"
@@ -26,7 +25,6 @@ struct OpenedDataset {
 };
 
 OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context) {
-  load_modules(options.plugins, context);
   OpenedDataset opened;
   opened.config = load_run_config(options.config, options.set, context.registry);
   set_thread_count(opened.config.runtime.threads);

@@ -154,7 +154,6 @@ void print_scores(const SceneFusion& fusion, const FusionParams& params) {
 }  // namespace
 
 int run_fuse(const FuseOptions& options, AppContext& context) {
-  load_modules(options.config.plugins, context);
   Diagnostics diagnostics;
   std::optional<OpenedRun> run;
   RunConfig config = load_run_config(options.config.config, options.config.set, context.registry);

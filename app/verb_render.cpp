@@ -83,6 +83,11 @@ void render_images(const RenderOptions& options, const Session& s, const std::ve
   std::printf("render: frames=%zu s_per_frame=%.3f folder=%s\n", views.size(), seconds, folder.string().c_str());
 }
 
+fs::path video_file(const RenderOptions& options) {
+  return options.out.empty() ? fs::path(options.run) / "render" / (render_name(options) + ".mp4")
+                             : fs::path(options.out);
+}
+
 void render_video(const RenderOptions& options, const std::string& ffmpeg, const Session& s,
                   const std::vector<NamedView>& views, const AppContext& context) {
   const std::vector<Panel> panels = parse_panels(options.panels, s.pipeline->has_semantics());
@@ -95,10 +100,7 @@ void render_video(const RenderOptions& options, const std::string& ffmpeg, const
                             first.width_px, first.height_px, view.name, c.width_px, c.height_px),
                 "a video has one size: use --trajectory, whose views have the first frame's camera");
   }
-  const fs::path file =
-      options.out.empty() ? fs::path(options.run) / "render" / (render_name(options) + ".mp4") : fs::path(options.out);
-  if (!file.has_extension())
-    throw Error(ErrorKind::usage, "--out " + options.out + ": no file ending", "name a file such as room.mp4");
+  const fs::path file = video_file(options);
   create_folder(file.parent_path());
   VideoWriter video(ffmpeg, file.string(), first.width_px * static_cast<std::int32_t>(panels.size()), first.height_px,
                     options.fps);
@@ -113,6 +115,7 @@ void render_video(const RenderOptions& options, const std::string& ffmpeg, const
 
 int run_render(const RenderOptions& options, AppContext& context) {
   // Before anything that takes time.
+  if (options.video) (void)video_format(video_file(options).string());
   const std::string ffmpeg = options.video ? find_ffmpeg() : std::string();
   if (!(options.fps > 0 && options.fps <= 1000))
     throw Error(ErrorKind::usage, fmt::format("--fps {}: expected more than 0, at most 1000", options.fps));

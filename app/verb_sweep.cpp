@@ -11,6 +11,7 @@
 #include "core/files.h"
 #include "core/folder_lock.h"
 #include "core/parallel.h"
+#include "scene/text_rows.h"
 #include "signals.h"
 #include "sweep/sweep_tables.h"
 #include "verbs.h"
@@ -81,6 +82,7 @@ int run_sweep(const SweepOptions& options, AppContext& context) {
   pool.jobs = options.jobs.value_or(std::max(1, thread_count() / pool.threads));
   pool.memory_gb = options.memory_gb.value_or(0);
   pool.keep_checkpoints = options.keep_checkpoints;
+  pool.modules = context.registry.module_files();
 
   FolderLock lock;
   if (!options.dry_run) lock = lock_of(pool.folder);

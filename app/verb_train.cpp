@@ -9,7 +9,6 @@
 #include "config/compose.h"
 #include "core/findings.h"
 #include "core/words.h"
-#include "plugin/loader.h"
 #include "progress_line.h"
 #include "signals.h"
 #include "train/run_folder.h"
@@ -85,7 +84,6 @@ int run_train(const TrainOptions& options, AppContext& context) {
     throw Error(ErrorKind::usage, "train: expected either a configuration file or --resume RUN",
                 "see `semfield train --help`");
   }
-  load_modules(options.config.plugins, context);
   std::vector<std::string> settings = options.config.set;
   if (!options.time.empty())
     settings.push_back("--time train.time_limit_s=" + shortest_number(parse_seconds(options.time)));
@@ -140,10 +138,6 @@ int run_train(const TrainOptions& options, AppContext& context) {
               outcome.train_s, static_cast<long long>(outcome.step), outcome.peak_bytes >> 20,
               outcome.report_path.c_str());
   return 0;
-}
-
-void load_modules(const std::vector<std::string>& paths, AppContext& context) {
-  for (const std::string& path : paths) load_module(context.registry, path);
 }
 
 void print_note(const AppContext& context, const std::string& text) {

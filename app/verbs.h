@@ -17,11 +17,10 @@ struct AppContext {
   bool terminal = false;  ///< stderr is a terminal: one progress line, overwritten
 };
 
-/// A configuration, what `--set a.b=c` and the flags that are short forms of it say, and modules to load first.
+/// A configuration, and what `--set a.b=c` and the flags that are short forms of it say.
 struct ConfigOptions {
   std::string config;
   std::vector<std::string> set;
-  std::vector<std::string> plugins;
 };
 
 struct TrainOptions {
@@ -119,7 +118,8 @@ int run_pack(const ConfigOptions& options, const std::string& out, AppContext& c
 int run_config_check(const ConfigOptions& options, AppContext& context);
 int run_config_explain(const ConfigOptions& options, AppContext& context);
 int run_config_diff(const std::string& a, const std::string& b, AppContext& context);
-int run_config_schema(AppContext& context);
+/// Of configurations, with the plugins that are loaded, or of sweep files.
+int run_config_schema(bool of_sweeps, AppContext& context);
 
 int run_plugins_list(AppContext& context);
 int run_plugins_show(const std::string& name, AppContext& context);
@@ -162,8 +162,6 @@ int run_bench_leave_out(const LeaveOutOptions& options, AppContext& context);
 
 int run_version(AppContext& context);
 
-/// Loads the modules of `--plugin`.
-void load_modules(const std::vector<std::string>& paths, AppContext& context);
 void print_note(const AppContext& context, const std::string& text);
 
 }  // namespace semfield::app

@@ -6,12 +6,15 @@
 #include <unistd.h>
 
 #include <array>
+#include <cctype>
 #include <cerrno>
 #include <csignal>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <sstream>
+#include <string_view>
+#include <utility>
 #include <vector>
 
 #include "core/error.h"
@@ -32,17 +35,36 @@ std::string find_ffmpeg() {
               "install it (Debian: apt-get install ffmpeg), or render images and join them elsewhere");
 }
 
-VideoWriter::VideoWriter(const std::string& ffmpeg, std::string path, std::int32_t width_px, std::int32_t height_px,
-                         double fps)
-    : path_(std::move(path)) {
-  const fs::path file(path_);
-  partial_ = (file.parent_path() / ("." + file.stem().string() + ".part" + file.extension().string())).string();
-  // "file:" keeps a name with a colon or a leading minus from being read as anything else; planes of half the size need
-  // even sides.
+std::string video_format(const std::string& path) {
+  static constexpr std::array<std::pair<std::string_view, std::string_view>, 8> kFormats{{{".mp4", "mp4"},
+                                                                                          {".m4v", "mp4"},
+                                                                                          {".mov", "mov"},
+                                                                                          {".mkv", "matroska"},
+                                                                                          {".webm", "webm"},
+                                                                                          {".avi", "avi"},
+                                                                                          {".ogv", "ogg"},
+                                                                                          {".gif", "gif"}}};
+  std::string ending = fs::path(path).extension().string(), known;
+  for (char& c : ending) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  for (const auto& [name, format] : kFormats) {
+    if (ending == name) return std::string(format);
+    known += (known.empty() ? "" : ", ") + std::string(name);
+  }
+  throw Error(ErrorKind::usage,
+              path + (ending.empty() ? ": no file ending" : ": '" + ending + "' is no ending of a video"),
+              "name a file such as room.mp4; known: " + known);
+}
+
+VideoWriter::VideoWriter(const std::string& ffmpeg, const std::string& path, std::int32_t width_px,
+                         std::int32_t height_px, double fps)
+    : path_(path), file_(path) {
+  // -xerror: without it ffmpeg ends well even where the disk took less than it wrote. Planes of half the size need even
+  // sides.
   const std::vector<std::string> words{ffmpeg,
                                        "-hide_banner",
                                        "-loglevel",
                                        "error",
+                                       "-xerror",
                                        "-y",
                                        "-f",
                                        "rawvideo",
@@ -59,7 +81,9 @@ VideoWriter::VideoWriter(const std::string& ffmpeg, std::string path, std::int32
                                        "pad=ceil(iw/2)*2:ceil(ih/2)*2",
                                        "-pix_fmt",
                                        "yuv420p",
-                                       "file:" + partial_};
+                                       "-f",
+                                       video_format(path),
+                                       fmt::format("file:/proc/self/fd/{}", file_.descriptor())};
   std::vector<char*> argv;
   for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
   argv.push_back(nullptr);  // all before the fork: the child may not allocate
@@ -71,6 +95,7 @@ VideoWriter::VideoWriter(const std::string& ffmpeg, std::string path, std::int32
     dup2(ends[0], STDIN_FILENO);
     dup2(STDERR_FILENO, STDOUT_FILENO);  // our stdout is for results
     std::signal(SIGPIPE, SIG_DFL);
+    fcntl(file_.descriptor(), F_SETFD, 0);
     execv(argv[0], argv.data());
     _exit(127);
   }
@@ -88,8 +113,6 @@ VideoWriter::~VideoWriter() {
     kill(pid_, SIGKILL);  // what it has written is thrown away
     wait();
   }
-  std::error_code ignored;
-  fs::remove(partial_, ignored);
   std::signal(SIGPIPE, old_handler_);
 }
 
@@ -104,6 +127,10 @@ int VideoWriter::wait() {
 }
 
 void VideoWriter::fail(const std::string& what, int code) {
+  // Where the disk is the cause it refuses us too, and then its words are ours.
+  file_.count_written();
+  const std::vector<std::byte> more(std::size_t{1} << 20);
+  file_.append(more);
   throw Error(ErrorKind::io, fmt::format("{}: {} (exit code {})", path_, what, code),
               "its own words stand above; try another file ending, or render images without --video");
 }
@@ -122,9 +149,9 @@ void VideoWriter::add(std::span<const std::uint8_t> rgb) {
 
 void VideoWriter::finish() {
   if (const int code = wait(); code != 0) fail("ffmpeg could not finish the video", code);
-  std::error_code failed;
-  fs::rename(partial_, path_, failed);
-  if (failed) throw Error(ErrorKind::io, path_ + ": cannot give the video its name: " + failed.message());
+  file_.count_written();
+  if (file_.size() == 0) fail("ffmpeg wrote nothing", 0);
+  file_.commit();
 }
 
 }  // namespace semfield::app

@@ -5,30 +5,37 @@
 #include <span>
 #include <string>
 
+#include "core/files.h"
+
 namespace semfield::app {
 
 /// Path of ffmpeg in PATH. Throws Error(unavailable) with how to get it.
 std::string find_ffmpeg();
 
-/// One video. Frames go to ffmpeg as they come; the file gets its name when finish() has seen ffmpeg end well. Without
-/// finish() ffmpeg is stopped and nothing stays.
+/// ffmpeg's name for what the ending of `path` stands for. Throws Error(usage) for none and for one that is not known.
+std::string video_format(const std::string& path);
+
+/// One video. Frames go to ffmpeg as they come, into a temporary file of ours beside `path` (AtomicFile): the file of
+/// that name is replaced when finish() has seen ffmpeg end well and the bytes on the disk. Without finish() ffmpeg is
+/// stopped and nothing stays.
 class VideoWriter {
  public:
-  /// `path` ends with .mp4, .mkv, .webm or whatever else ffmpeg knows. Throws Error(unavailable) when it cannot be
-  /// started.
-  VideoWriter(const std::string& ffmpeg, std::string path, std::int32_t width_px, std::int32_t height_px, double fps);
+  /// Throws Error(unavailable) when ffmpeg cannot be started, write_error where no file can be made.
+  VideoWriter(const std::string& ffmpeg, const std::string& path, std::int32_t width_px, std::int32_t height_px,
+              double fps);
   ~VideoWriter();
   VideoWriter(const VideoWriter&) = delete;
   VideoWriter& operator=(const VideoWriter&) = delete;
 
-  /// rgb [height * width * 3]. Throws Error(io) when ffmpeg has ended; its own words stand on stderr.
+  /// rgb [height * width * 3]. Throws Error(io) when ffmpeg has ended, with the cause where the disk tells it.
   void add(std::span<const std::uint8_t> rgb);
   void finish();
 
  private:
   [[noreturn]] void fail(const std::string& what, int code);
   int wait();
-  std::string path_, partial_;
+  std::string path_;
+  AtomicFile file_;
   int pid_ = -1, pipe_ = -1;
   void (*old_handler_)(int) = nullptr;
 };

@@ -271,6 +271,12 @@ void AtomicFile::append(std::span<const std::byte> bytes) {
 
 void AtomicFile::overwrite(std::uint64_t offset, std::span<const std::byte> bytes) { write_at(offset, bytes); }
 
+void AtomicFile::count_written() {
+  struct stat about {};
+  if (::fstat(file_, &about) != 0) fail("write", errno, size_);
+  size_ = static_cast<std::uint64_t>(about.st_size);
+}
+
 void AtomicFile::commit(const std::function<void(const std::string&)>& verify) {
   if (uninterrupted([&] { return ::fsync(file_); }) != 0) fail("write", errno, size_);
   if (verify) verify(temporary_);

@@ -60,6 +60,9 @@ class AtomicFile {
   /// Replaces bytes already written (a header whose fields are known only at the end).
   void overwrite(std::uint64_t offset, std::span<const std::byte> bytes);
   std::uint64_t size() const { return size_; }
+  /// For another program, which may write the file as /proc/self/fd/DESCRIPTOR; count_written() then takes its size.
+  int descriptor() const { return file_; }
+  void count_written();
   /// fsync, `verify` with the temporary file's path (it throws to refuse what was written), rename, fsync of the
   /// folder.
   void commit(const std::function<void(const std::string&)>& verify = {});

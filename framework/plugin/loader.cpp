@@ -2,15 +2,16 @@
 #include "plugin/loader.h"
 
 #include <dlfcn.h>
-#include <elf.h>
-#include <link.h>
 
-#include <cstring>
+#include <cstdlib>
 #include <filesystem>
+#include <sstream>
 
-#include "core/files.h"
+#include "plugin/module_file.h"
 
 namespace semfield {
+
+namespace fs = std::filesystem;
 
 namespace {
 
@@ -19,19 +20,7 @@ constexpr const char* kSymbol = "semfield_plugin_module";
 // Throws Error(unavailable) naming both sides when `module` was not built for this framework.
 void check_compatible(const PluginModule& module) {
   // The API number stands first in the descriptor and is read first: with another one the rest may have another layout.
-  if (module.api != kPluginApi) {
-    throw Error(ErrorKind::unavailable,
-                "the module speaks plugin API " + std::to_string(module.api) + ", this framework speaks " +
-                    std::to_string(kPluginApi),
-                "rebuild the plugin against the installed headers");
-  }
-  const std::string theirs = module.abi_tag == nullptr ? "" : module.abi_tag;
-  const std::string ours = abi_tag_of_framework();
-  if (theirs != ours) {
-    throw Error(ErrorKind::unavailable,
-                "the module was built with ABI '" + theirs + "', this framework with '" + ours + "'",
-                "build both with the same standard library and its options");
-  }
+  check_interface(module.api, module.api != kPluginApi || module.abi_tag == nullptr ? "" : module.abi_tag);
   if (module.name == nullptr || module.version == nullptr || module.register_into == nullptr) {
     throw Error(ErrorKind::unavailable, "the module's descriptor lacks its name, version or register function",
                 "end the plugin with SEMFIELD_PLUGIN_MODULE(name, version, function)");
@@ -57,48 +46,53 @@ void register_whole(Registry& registry, const PluginModule& module) {
   registry = std::move(trial);
 }
 
-// Throws Error(unavailable) for a library of another processor, and for one whose file ends before what it says must be
-// mapped: a copy that was interrupted would end the program at the first touch of a page that is not there. Anything
-// that is no ELF file is left to dlopen to refuse.
-void check_library_file(const std::string& path, const std::string& doing) {
-  constexpr std::size_t kLooked = std::size_t{1} << 16;
-  std::string start;
-  try {
-    start = read_file_start(path, kLooked);
-  } catch (const Error&) {
-    return;  // dlopen tells why it cannot be read
+std::string g_being_loaded;  // NOLINT: for a handler of std::terminate, which gets no argument
+
+std::string file_name(const std::string& path) { return fs::path(path).filename().string(); }
+
+// One spelling a file, links resolved.
+std::string real_path(const fs::path& path) {
+  std::error_code none;
+  const fs::path whole = fs::weakly_canonical(path, none);
+  return (none ? fs::absolute(path).lexically_normal() : whole).string();
+}
+
+std::vector<std::string> trusted_folders() {
+  std::vector<std::string> folders;
+  const char* const listed = std::getenv("SEMFIELD_PLUGIN_PATH");
+  std::istringstream stream(listed == nullptr ? "" : listed);
+  for (std::string folder; std::getline(stream, folder, ':');) {
+    if (folder.empty()) continue;
+    if (!fs::path(folder).is_absolute())
+      throw Error(ErrorKind::unavailable, "SEMFIELD_PLUGIN_PATH: '" + folder + "' is no absolute folder",
+                  "name folders from the root, separated by colons");
+    folders.push_back(real_path(folder));
   }
-  ElfW(Ehdr) header{};
-  if (start.size() < sizeof header || std::memcmp(start.data(), ELFMAG, SELFMAG) != 0) return;
-  std::memcpy(&header, start.data(), sizeof header);
-  ElfW(Ehdr) own{};
-  const std::string self = read_file_start("/proc/self/exe", sizeof own);
-  if (self.size() == sizeof own) std::memcpy(&own, self.data(), sizeof own);
-  if (self.size() == sizeof own &&
-      (header.e_ident[EI_CLASS] != own.e_ident[EI_CLASS] || header.e_machine != own.e_machine)) {
-    throw Error(ErrorKind::unavailable,
-                doing + ": it was built for another processor (ELF class " + std::to_string(header.e_ident[EI_CLASS]) +
-                    ", machine " + std::to_string(header.e_machine) + "; this program: " +
-                    std::to_string(own.e_ident[EI_CLASS]) + ", " + std::to_string(own.e_machine) + ")",
-                "build it on this kind of machine");
-  }
-  const std::uintmax_t size = std::filesystem::file_size(path);
-  for (std::size_t i = 0; i < header.e_phnum; ++i) {
-    ElfW(Phdr) part{};
-    const std::size_t at = header.e_phoff + i * sizeof part;
-    if (at + sizeof part > start.size()) break;
-    std::memcpy(&part, start.data() + at, sizeof part);
-    if (part.p_type != PT_LOAD || part.p_offset + part.p_filesz <= size) continue;
-    throw Error(ErrorKind::unavailable,
-                doing + ": the file is cut short: it ends at byte " + std::to_string(size) + " of " +
-                    std::to_string(part.p_offset + part.p_filesz),
-                "copy or build it again");
-  }
+  return folders;
+}
+
+bool is_below(const std::string& folder, const std::string& above) {
+  return folder == above || folder.starts_with(above.ends_with('/') ? above : above + "/");
 }
 
 }  // namespace
 
 const char* abi_tag_of_framework() { return SEMFIELD_ABI_TAG; }
+
+void check_interface(int api, const std::string& abi_tag) {
+  if (api != kPluginApi) {
+    throw Error(
+        ErrorKind::unavailable,
+        "the module speaks plugin API " + std::to_string(api) + ", this framework speaks " + std::to_string(kPluginApi),
+        "rebuild the plugin against the installed headers");
+  }
+  const std::string ours = abi_tag_of_framework();
+  if (abi_tag != ours) {
+    throw Error(ErrorKind::unavailable,
+                "the module was built with ABI '" + abi_tag + "', this framework with '" + ours + "'",
+                "build both with the same standard library and its options");
+  }
+}
 
 void register_module(Registry& registry, const PluginModule& module) {
   check_compatible(module);
@@ -108,14 +102,19 @@ void register_module(Registry& registry, const PluginModule& module) {
 void load_module(Registry& registry, const std::string& path) {
   const std::string doing = "cannot load plugin '" + path + "'";
   std::error_code ignored;
-  if (!std::filesystem::is_regular_file(path, ignored)) {
+  if (!fs::is_regular_file(path, ignored)) {
     throw Error(ErrorKind::unavailable, doing + ": there is no such file",
                 "check the path; in a configuration it starts at the file that wrote it");
   }
-  // A name without a slash would be searched in the library path, which is not what was asked for.
-  const std::string absolute = std::filesystem::absolute(path).string();
-  check_library_file(absolute, doing);
-  void* library = dlopen(absolute.c_str(), RTLD_NOW | RTLD_LOCAL);
+  // Absolute: a name without a slash would be searched in the library path, which is not what was asked for.
+  const std::string file = real_path(path);
+  for (const std::string& loaded : registry.module_files()) {
+    if (loaded == file) return;
+  }
+  check_module_file(file, doing);
+  g_being_loaded = path;
+  void* library = dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL);
+  g_being_loaded.clear();
   if (library == nullptr) {
     const char* cause = dlerror();
     throw Error(ErrorKind::unavailable, doing + ": " + (cause == nullptr ? "dlopen failed" : cause),
@@ -133,6 +132,31 @@ void load_module(Registry& registry, const std::string& path) {
     error.while_doing(doing);
     throw;
   }
+  registry.add_module_file(file);
 }
+
+void load_listed_module(Registry& registry, const std::string& path) {
+  for (const std::string& loaded : registry.module_files()) {
+    if (file_name(loaded) == file_name(path)) return;
+  }
+  const std::string folder = real_path(fs::path(path).parent_path());
+  for (const std::string& trusted : trusted_folders()) {
+    const std::string file = is_below(folder, trusted) ? path : (fs::path(trusted) / file_name(path)).string();
+    std::error_code none;
+    if (!fs::is_regular_file(file, none)) continue;
+    load_module(registry, file);
+    return;
+  }
+  std::error_code none;
+  if (!fs::is_regular_file(path, none))
+    throw Error(
+        ErrorKind::unavailable, "cannot load plugin '" + path + "': there is no such file",
+        "check the path, which starts at the file that wrote it, or name the module where it lies: --plugin FILE");
+  throw Error(ErrorKind::unavailable,
+              "the module '" + path + "' was not loaded: it is code, and a configuration alone does not make it run",
+              "if you trust it, add --plugin " + path + ", or set SEMFIELD_PLUGIN_PATH to a folder that holds it");
+}
+
+const std::string& module_being_loaded() { return g_being_loaded; }
 
 }  // namespace semfield

@@ -12,9 +12,19 @@ namespace semfield {
 /// name.
 void register_module(Registry& registry, const PluginModule& module);
 
-/// dlopen(RTLD_NOW | RTLD_LOCAL) + register_module; never unloaded. What was asked for by path must load: throws
-/// Error(unavailable) with a sentence that names both sides (missing file, missing symbol, other API, other ABI,
-/// throwing registration, duplicate name).
+/// check_module_file, dlopen(RTLD_NOW | RTLD_LOCAL), register_module; never unloaded. A file that the registry has
+/// already is left at that. Its code runs, so `path` comes from who started the program. What was asked for by path
+/// must load: throws Error(unavailable) with a sentence that names both sides (missing file, no plugin, other API,
+/// other ABI, throwing registration, duplicate name). An exception out of a static initialiser cannot be caught here:
+/// it ends the program through std::terminate, whose handler may ask module_being_loaded().
 void load_module(Registry& registry, const std::string& path);
+
+/// A module that a configuration names, which may come from anybody. It is loaded when it lies in a trusted folder -
+/// those of the environment variable SEMFIELD_PLUGIN_PATH, absolute and separated by colons - or when one of its file
+/// name does; one of its file name that load_module was given satisfies it too. Throws Error(unavailable) otherwise.
+void load_listed_module(Registry& registry, const std::string& path);
+
+/// File whose static initialisers run now; "" at any other time.
+const std::string& module_being_loaded();
 
 }  // namespace semfield

@@ -1,6 +1,9 @@
 // What a plugin module exports, linked or loaded: one descriptor.
 #pragma once
 
+#include <cstdint>
+#include <string>
+
 #include "plugin/registry.h"
 
 namespace semfield {
@@ -11,6 +14,10 @@ inline constexpr int kPluginApi = 4;
 /// The framework's own SEMFIELD_ABI_TAG, to be compared with the one that a module was compiled with.
 const char* abi_tag_of_framework();
 
+/// Throws Error(unavailable) naming both sides when a module of this API number and ABI tag does not fit this
+/// framework.
+void check_interface(int api, const std::string& abi_tag);
+
 struct PluginModule {
   int api = 0;
   const char* abi_tag = "";
@@ -19,19 +26,32 @@ struct PluginModule {
   void (*register_into)(Registry&) = nullptr;
 };
 
+/// The same facts of a loadable module for a reader of its file: they stand in the section kPluginSection, where they
+/// are compared before any code of the module runs.
+inline constexpr const char* kPluginSection = ".semfield_plugin";
+struct PluginStamp {
+  char magic[16] = "semfield plugin";
+  std::int32_t api = kPluginApi;
+  char abi_tag[236] = {};
+};
+static_assert(sizeof(PluginStamp) == 256);
+
 }  // namespace semfield
 
 #include "plugin/abi_tag.h"
 
 /// Last line of a plugin. Linked build (inside namespace semfield): a function semfield_module_<name>() that the
-/// generated table calls. Loadable build (SEMFIELD_LOADABLE_MODULE defined): the one exported symbol
-/// semfield_plugin_module.
+/// generated table calls. Loadable build (SEMFIELD_LOADABLE_MODULE defined): the exported symbols
+/// semfield_plugin_module and semfield_plugin_stamp, which stands in a section of its own.
 #ifdef SEMFIELD_LOADABLE_MODULE
-#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                                     \
-  extern "C" {                                                                                                     \
-  __attribute__((visibility("default"))) extern const ::semfield::PluginModule semfield_plugin_module;             \
-  const ::semfield::PluginModule semfield_plugin_module = {::semfield::kPluginApi, SEMFIELD_ABI_TAG, #module_name, \
-                                                           module_version, register_function};                     \
+#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                                         \
+  extern "C" {                                                                                                         \
+  __attribute__((visibility("default"))) extern const ::semfield::PluginStamp semfield_plugin_stamp;                   \
+  __attribute__((section(".semfield_plugin"), used))                                                                   \
+  const ::semfield::PluginStamp semfield_plugin_stamp = {"semfield plugin", ::semfield::kPluginApi, SEMFIELD_ABI_TAG}; \
+  __attribute__((visibility("default"))) extern const ::semfield::PluginModule semfield_plugin_module;                 \
+  const ::semfield::PluginModule semfield_plugin_module = {::semfield::kPluginApi, SEMFIELD_ABI_TAG, #module_name,     \
+                                                           module_version, register_function};                         \
   }
 #else
 #define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                           \

@@ -131,6 +131,10 @@ class Registry {
   std::vector<const PluginEntry*> entries() const;
   std::vector<std::string> names(PluginKind kind) const;
 
+  /// Files of the modules loaded into it, in order.
+  const std::vector<std::string>& module_files() const { return module_files_; }
+  void add_module_file(std::string path) { module_files_.push_back(std::move(path)); }
+
   /// Module whose register function runs now; add() stamps entries with it.
   void set_current_module(std::string module) { current_module_ = std::move(module); }
 
@@ -152,6 +156,7 @@ class Registry {
   }
   std::map<std::pair<PluginKind, std::string>, PluginEntry> entries_;
   KernelTables kernels_;
+  std::vector<std::string> module_files_;
   std::string current_module_;
 };
 

@@ -145,7 +145,7 @@ std::string to_cvat_labelmap(const ClassTable& classes) {
 
 std::string to_class_csv(const ClassTable& classes) {
   std::string out = "class_id,class\n";
-  for (const ClassEntry& e : classes.entries()) out += std::to_string(e.id) + "," + e.name + "\n";
+  for (const ClassEntry& e : classes.entries()) out += std::to_string(e.id) + "," + csv_field(e.name) + "\n";
   return out;
 }
 

@@ -13,6 +13,7 @@
 #include "core/words.h"
 #include "scene/class_names.h"
 #include "scene/input_limits.h"
+#include "scene/text_rows.h"
 
 namespace semfield {
 
@@ -51,9 +52,8 @@ ClassTable load_csv(const std::string& path) {
     const std::size_t comma = row.find(',');
     if (comma == std::string::npos)
       refuse(place, "expected 'class_id,class', got '" + row.substr(0, 80) + "'", kCsvRemedy);
-    const std::string id_text = trimmed(std::string_view(row).substr(0, comma));
-    std::string name = trimmed(std::string_view(row).substr(comma + 1));
-    if (name.size() >= 2 && name.front() == '"' && name.back() == '"') name = name.substr(1, name.size() - 2);
+    const std::string id_text = csv_value(std::string_view(row).substr(0, comma), place);
+    std::string name = csv_value(std::string_view(row).substr(comma + 1), place);
     ClassEntry entry;
     if (!parse_int(id_text, entry.id)) {
       if (line == 1) continue;  // the header

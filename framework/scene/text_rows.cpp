@@ -76,6 +76,28 @@ std::vector<TextRow> read_text_rows(const std::string& path, char separator) {
   return rows;
 }
 
+std::string csv_field(std::string_view text) {
+  const bool plain = text.find_first_of(",\"\n\r") == std::string_view::npos && trimmed(text) == text;
+  if (plain) return std::string(text);
+  std::string out = "\"";
+  for (const char c : text) {
+    if (c == '"') out += '"';
+    out += c;
+  }
+  return out + "\"";
+}
+
+std::string csv_value(std::string_view text, const std::string& place) {
+  const std::string field = trimmed(text);
+  if (!field.starts_with('"')) return field;
+  std::size_t at = 1;
+  std::string value = quoted_field(field, at, place);
+  if (at != field.size())
+    throw Error(ErrorKind::data, place + ": '" + field.substr(at, 40) + "' follows a quoted field",
+                "write two double quotes for one inside, and nothing behind the last");
+  return value;
+}
+
 bool parse_whole(std::string_view text, std::int64_t& out) { return parse(text, out); }
 bool parse_real(std::string_view text, double& out) { return parse(text, out) && std::isfinite(out); }
 

@@ -25,6 +25,8 @@ class Reader {
     Experiment e;
     known_keys(tree, "", kExperimentKeys);
     e.name = read_text(tree, "", "name", fallback_name, diagnostics_);
+    if (e.name.find('/') != std::string::npos)
+      error(*tree.find("name"), "name: '" + e.name + "': files are named after it, so it cannot hold '/'");
     e.title = read_text(tree, "", "title", e.name, diagnostics_);
     e.note = read_text(tree, "", "note", "", diagnostics_);
     e.paper = read_text(tree, "", "paper", "", diagnostics_);
@@ -122,8 +124,16 @@ class Reader {
   void scenes(const ConfigNode& tree, Experiment& e) {
     const ConfigNode* base = tree.find("base");
     const ConfigNode* map = tree.find("scenes");
+    if (map == nullptr && base != nullptr && base->is_scalar() && tree.find("use_scenes") == nullptr) {
+      SweepScene own;  // the base's
+      own.base = base_file(*base);
+      own.name = std::filesystem::path(own.base).stem().string();
+      e.scenes.push_back(std::move(own));
+      return;
+    }
     if (map == nullptr || !map->is_map() || map->entries().empty()) {
-      error(map == nullptr ? tree : *map, "scenes: expected a map of at least one scene {base, set}");
+      error(map == nullptr ? tree : *map, "scenes: expected a map of at least one scene {base, set}",
+            "write one, or base: FILE alone, whose own scene is taken then");
       return;
     }
     std::vector<std::string> names;

@@ -8,6 +8,7 @@
 
 #include "config/params_read.h"
 #include "core/files.h"
+#include "scene/text_rows.h"
 #include "train/metrics_log.h"
 
 namespace semfield {
@@ -77,16 +78,6 @@ CellValues values_of_fusion(const std::string& json, const std::string& method) 
     if (row.is_object() && row.value("method", "") == method) return numbers_of(row);
   }
   throw Error(ErrorKind::data, "semfield fuse gave no result for the method '" + method + "'");
-}
-
-std::string csv_field(const std::string& text) {
-  if (text.find_first_of(",\"\n\r") == std::string::npos) return text;
-  std::string out = "\"";
-  for (const char c : text) {
-    if (c == '"') out += '"';
-    out += c;
-  }
-  return out + "\"";
 }
 
 std::string results_csv(const Sweep& sweep, const std::vector<Cell>& cells, const SweepResults& results) {

@@ -33,7 +33,4 @@ CellValues values_of_fusion(const std::string& json, const std::string& method);
 /// table uses, in the order of the sweep.
 std::string results_csv(const Sweep& sweep, const std::vector<Cell>& cells, const SweepResults& results);
 
-/// A field of a CSV line, quoted where it must be [RFC4180].
-std::string csv_field(const std::string& text);
-
 }  // namespace semfield

@@ -8,6 +8,7 @@
 
 #include "config/params_read.h"
 #include "core/check.h"
+#include "scene/text_rows.h"
 #include "train/report_svg.h"
 
 namespace semfield {
@@ -172,7 +173,7 @@ std::string ExperimentTable::csv() const {
       for (const std::string& metric : e.metrics) {
         const MeanInterval m = at(s, v, metric);
         if (m.n == 0) continue;
-        out += csv_field(e.variants[v].name) + "," + csv_field(e.scenes[s].name) + "," + metric + "," +
+        out += csv_field(e.variants[v].name) + "," + csv_field(e.scenes[s].name) + "," + csv_field(metric) + "," +
                std::to_string(m.n) + "," + shortest_number(m.mean) + "," + shortest_number(m.half_width) + "\n";
       }
     }

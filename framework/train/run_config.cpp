@@ -292,15 +292,18 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
   if (const ConfigNode* plugins = tree.find("plugins"); plugins != nullptr && !plugins->is_null()) {
     if (!plugins->is_list()) diagnostics.error(plugins->location().text(), "plugins: expected a list of module files");
+    bool loaded = true;
     for (const ConfigNode& item : plugins->items()) {
-      config.plugins.push_back(resolve_path(item));
       try {
-        load_module(registry, config.plugins.back());
+        load_listed_module(registry, resolve_path(item));
       } catch (const Error& error) {
         diagnostics.error(item.location().text(), error.message(), error.remedy());
+        loaded = false;
       }
     }
+    if (!loaded) return config;  // every name of theirs would be an error
   }
+  config.plugins = registry.module_files();
   read_scene(tree, registry, config, diagnostics);
   each_section(config, [&](const char* path, const char*, auto& params) {
     const ConfigNode* node = find_path(tree, path);

@@ -133,11 +133,11 @@ struct RunConfig {
   ReportParams report;
   FusionParams fuse;
   InputLimits limits;
-  std::vector<std::string> plugins;  ///< loadable modules, absolute paths
+  std::vector<std::string> plugins;  ///< loaded modules, absolute paths
 };
 
-/// Loads the modules that `plugins:` names into `registry`, then reads every section. Collects all errors in
-/// `diagnostics`.
+/// Loads the modules that `plugins:` names into `registry` (load_listed_module), then reads every section. Collects all
+/// errors in `diagnostics`.
 RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics);
 
 /// compose + read; throws Error(config) with every error on its own line.

@@ -178,12 +178,59 @@ TEST_F(Verbs, VideoSurvivesAnFfmpegThatDies) {
   }
 }
 
+// Disks of several sizes, so that it is full in the middle and at the end of the film: a film is whole or it is the old
+// one.
+TEST_F(Verbs, VideoOnAFullDiskKeepsTheOldFilm) {
+  if (!found("ffmpeg")) GTEST_SKIP() << "no ffmpeg here: no video was written";
+  const std::string disk = *dir_ / "disk", script = *dir_ / "full.sh";
+  fs::create_directories(disk);
+  if (std::system(("unshare -rm mount -t tmpfs tmpfs '" + disk + "' 2>/dev/null").c_str()) != 0)
+    GTEST_SKIP() << "this system lets nobody mount a tmpfs in a namespace of its own";
+  write_file_atomic(script,
+                    "cd \"$(dirname \"$0\")\" || exit 98\n"
+                    "mount -t tmpfs -o size=512k tmpfs disk || exit 99\n"
+                    "printf 'an old film' >disk/room.mp4\n"
+                    "for free in 0 4 8 12 400; do\n"
+                    "  rm -f disk/other\n"
+                    "  dd if=/dev/zero of=disk/other bs=1k count=$((508 - free)) 2>/dev/null\n"
+                    "  '" SEMFIELD_BINARY
+                    "' render run --trajectory smooth --frames 30 --video --out disk/room.mp4 >out 2>err\n"
+                    "  echo \"$free code $? $(grep -c 'an old film' disk/room.mp4) $(ls -A disk | wc -l)\" \\\n"
+                    "    \"$(grep -c 'disk full: need .* have .*free some space or choose another disk' err)\"\n"
+                    "done\n");
+  // Exit code, the old film is there, two files in the folder, the cause is told.
+  EXPECT_EQ(answer_of("unshare -rm sh '" + script + "'"),
+            "0 code 74 1 2 1\n4 code 74 1 2 1\n8 code 74 1 2 1\n12 code 74 1 2 1\n400 code 0 0 2 0\n")
+      << read_text_file(*dir_ / "err");
+}
+
+// Whoever may write in the folder could put links where a temporary file is expected.
+TEST_F(Verbs, VideoFollowsNoLink) {
+  if (!found("ffmpeg")) GTEST_SKIP() << "no ffmpeg here: no video was written";
+  const std::string folder = *dir_ / "links", precious = *dir_ / "precious.txt";
+  fs::create_directories(folder);
+  write_file_atomic(precious, "mine");
+  for (const char* name : {".room.part.mp4", ".room.mp4.0.tmp", "room.mp4"})
+    fs::create_symlink(precious, fs::path(folder) / name);
+  const Result r = run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "3", "--video", "--out",
+                               folder + "/room.mp4"});
+  EXPECT_EQ(r.code, 0) << r.err;
+  EXPECT_EQ(read_text_file(precious), "mine");
+  EXPECT_FALSE(fs::is_symlink(folder + "/room.mp4"));
+  EXPECT_GT(fs::file_size(folder + "/room.mp4"), 500U);
+}
+
 TEST_F(Verbs, VideoRefusesUnknownPanelsAndCounts) {
   if (!found("ffmpeg")) GTEST_SKIP() << "no ffmpeg here";
   const Result panel = run(*dir_, {"render", run_dir(), "--video", "--panels", "rgb,normals"});
   EXPECT_EQ(panel.code, 2);
   EXPECT_NE(panel.err.find("unknown panel 'normals'; one of rgb, label, depth, entropy"), std::string::npos)
       << panel.err;
+  const Result ending = run(*dir_, {"render", run_dir(), "--video", "--out", *dir_ / "room.mpx"});
+  EXPECT_EQ(ending.code, 2);
+  EXPECT_NE(ending.err.find("'.mpx' is no ending of a video; name a file such as room.mp4; known: .mp4, "),
+            std::string::npos)
+      << ending.err;
   EXPECT_EQ(run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "0"}).code, 2);
   EXPECT_EQ(run(*dir_, {"render", run_dir(), "--video", "--fps", "0"}).code, 2);
 }

@@ -42,6 +42,9 @@ void register_into(semfield::Registry& registry) {
 #define REFUSED_ABI "cxx0-another-library"
 #endif
 extern "C" {
+extern const semfield::PluginStamp semfield_plugin_stamp;
+__attribute__((section(".semfield_plugin"), used))
+const semfield::PluginStamp semfield_plugin_stamp = {"semfield plugin", REFUSED_API, REFUSED_ABI};
 extern const semfield::PluginModule semfield_plugin_module;
 const semfield::PluginModule semfield_plugin_module = {REFUSED_API, REFUSED_ABI, "refused", "0.1",
                                                        outside::register_into};

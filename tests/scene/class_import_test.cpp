@@ -105,6 +105,27 @@ TEST(ClassImport, ByExtension) {
   EXPECT_NE(error_of([&] { (void)import_classes(folder + "/c.xml"); }).find("is no class table"), std::string::npos);
 }
 
+// Commas, quotes and blanks of a name come back from the CSV that is written; what is quoted wrongly is named.
+TEST(ClassImport, CsvQuotesNames) {
+  const std::string file = fresh_folder("t") + "/c.csv";
+  const std::vector<std::string> names{"chair, office", "the \"big\" table", " lamp ", "\"", "plain, \"both\""};
+  std::vector<ClassEntry> entries;
+  for (const std::string& name : names)
+    entries.push_back({static_cast<std::int32_t>(entries.size()) + 1, name, {}, false});
+  const std::string csv = to_class_csv(ClassTable(entries));
+  EXPECT_NE(csv.find("1,\"chair, office\"\n2,\"the \"\"big\"\" table\"\n3,\" lamp \"\n"), std::string::npos) << csv;
+  write_file_atomic(file, csv);
+  const ClassTable back = import_classes(file);
+  ASSERT_EQ(back.entries().size(), names.size());
+  for (std::size_t i = 0; i < names.size(); ++i) EXPECT_EQ(back.entries()[i].name, names[i]);
+  write_file_atomic(file, "1,\"chair\"s\n");
+  EXPECT_EQ(
+      error_of([&] { (void)import_classes(file); }),
+      file + ":1: 's' follows a quoted field; write two double quotes for one inside, and nothing behind the last");
+  write_file_atomic(file, "1,\"chair\n");
+  EXPECT_NE(error_of([&] { (void)import_classes(file); }).find(":1: a quote is not closed"), std::string::npos);
+}
+
 TEST(ClassNames, VoidIsFoundAndAdded) {
   const ClassTable table = table_of_names({"chair", "Unlabelled", "wall"});
   EXPECT_EQ(table.index_of(0), kVoid);

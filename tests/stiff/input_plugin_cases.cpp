@@ -84,7 +84,7 @@ void broken_plugins(CaseRun& run) {
   };
   file_refused(run.folder() + "/none.so", {"there is no such file"});
   file_refused(run.folder(), {"there is no such file"});
-  file_refused(library, {"does not export 'semfield_plugin_module'"});
+  file_refused(library, {"has no section '.semfield_plugin'"});
   testing_room::plain_write(path, "");
   file_refused(path, {});
   testing_room::plain_write(path, "plain text that is no library");

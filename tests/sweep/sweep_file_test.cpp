@@ -3,10 +3,14 @@
 #include <unistd.h>
 
 #include <filesystem>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <sstream>
 
 #include "core/files.h"
 #include "plugin/linked_plugins.h"
 #include "sweep/sweep_cells.h"
+#include "sweep/sweep_schema.h"
 #include "train/run_config.h"
 
 namespace semfield {
@@ -165,6 +169,53 @@ TEST_F(SweepFile, AnErrorOfACellNamesTheCellAndIsSaidOnce) {
   EXPECT_NE(what.find("unknown key 'rayz'"), std::string::npos) << what;
   EXPECT_NE(what.find("(sweep / a / v)"), std::string::npos) << what;
   EXPECT_EQ(what.find("rayz", what.find("rayz") + 8), std::string::npos) << what;
+}
+
+// A base that names its scene needs no second word about it; scenes beside it change what they name.
+TEST_F(SweepFile, ABaseWithASceneOfItsOwnIsEnough) {
+  const std::vector<Cell> own = cells("base: base.yaml\nvariants: {v: }\n");
+  ASSERT_EQ(own.size(), 1u);
+  EXPECT_EQ(own[0].scene, "base");
+  EXPECT_NE(own[0].config.find(folder_ + "/walk"), std::string::npos) << own[0].config;
+  const std::vector<Cell> other =
+      cells("base: base.yaml\nscenes: {a: , b: {set: {scene.root: other}}}\nvariants: {v: }\n");
+  ASSERT_EQ(other.size(), 2u);
+  EXPECT_NE(other[0].config.find(folder_ + "/walk"), std::string::npos);
+  EXPECT_NE(other[1].config.find(folder_ + "/other"), std::string::npos);
+  EXPECT_NE(other[1].config.find("type: replica"), std::string::npos);
+  EXPECT_EQ(error_of("variants: {v: }\n"),
+            "sweep.yaml:1:1: scenes: expected a map of at least one scene {base, set}; write one, or base: FILE alone, "
+            "whose own scene is taken then");
+  EXPECT_EQ(error_of("name: a/b\nbase: base.yaml\nvariants: {v: }\n"),
+            "sweep.yaml:1:7: name: 'a/b': files are named after it, so it cannot hold '/'");
+}
+
+// The schema and the reader know the same keys.
+TEST_F(SweepFile, TheSchemaHasTheKeysThatAreRead) {
+  const nlohmann::json schema = nlohmann::json::parse(sweep_schema());
+  const auto keys_of = [](const nlohmann::json& map) {
+    std::set<std::string> keys;
+    for (const auto& [key, value] : map["properties"].items()) keys.insert(key);
+    return keys;
+  };
+  const auto known = [&](const std::string& text) {
+    const std::string what = error_of(text);
+    const std::size_t begin = what.find("known: ");
+    std::set<std::string> keys;
+    std::istringstream words(begin == std::string::npos ? ""
+                                                        : what.substr(begin + 7, what.find('\n', begin) - begin - 7));
+    for (std::string word; words >> word;) keys.insert(word.substr(0, word.find(',')));
+    return keys;
+  };
+  const std::string rest = "base: base.yaml\n";
+  std::set<std::string> top = known(rest + "variants: {v: }\nqqqqqqqqqqqq: 1\n");
+  top.insert({"sweeps", "include"});
+  EXPECT_EQ(keys_of(schema), top);
+  const auto each = [&](const char* key) { return schema["properties"][key]["additionalProperties"]; };
+  EXPECT_EQ(keys_of(each("variants")), known(rest + "variants: {v: {qqqqqqqqqqqq: 1}}\n"));
+  EXPECT_EQ(keys_of(each("scenes")), known(rest + "scenes: {a: {qqqqqqqqqqqq: 1}}\nvariants: {v: }\n"));
+  EXPECT_EQ(keys_of(each("variants")["properties"]["fuse"]),
+            known(rest + "variants: {v: {fuse: {method: average, qqqqqqqqqqqq: 1}}}\n"));
 }
 
 // Every file that is shipped reads, and its cells' configurations too.

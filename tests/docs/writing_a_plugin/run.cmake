@@ -67,4 +67,4 @@ step("plugins show" ${APP} plugins --plugin ${folder}/my_plugins/build/rings.so 
 if(NOT step_output MATCHES "number of cosine bands")
   message(FATAL_ERROR "the program does not show the module's parameter:\n${step_output}")
 endif()
-step("config check" ${APP} config check ${folder}/my_plugins/rings.yaml)
+step("config check" ${CMAKE_COMMAND} -E env SEMFIELD_PLUGIN_PATH=${folder}/my_plugins/build ${APP} config check ${folder}/my_plugins/rings.yaml)

@@ -1,0 +1,47 @@
+// A loadable module that tells, by a file, that code of it ran; CASE_ definitions make those that must be refused.
+#include <cstdio>
+#include <cstdlib>
+#include <stdexcept>
+
+#include "plugin/module.h"
+#include "tests/plugin/toy_encoder.h"
+
+namespace semfield::toy {
+namespace {
+
+// Runs when the library is mapped, before anything of it can be asked.
+const bool g_ran = [] {
+  if (const char* const file = std::getenv("SEMFIELD_PROBE_FILE")) {
+    if (std::FILE* const out = std::fopen(file, "w")) std::fclose(out);
+  }
+#if defined(CASE_THROWING)
+  throw std::runtime_error("no licence found");
+#endif
+  return true;
+}();
+
+}  // namespace
+}  // namespace semfield::toy
+
+#if defined(CASE_OTHER_API)
+#define PROBE_API 999
+#define PROBE_ABI SEMFIELD_ABI_TAG
+#else
+#define PROBE_API ::semfield::kPluginApi
+#define PROBE_ABI "cxx0-another-library"
+#endif
+
+#if defined(CASE_OTHER_API) || defined(CASE_OTHER_ABI)
+extern "C" {
+extern const semfield::PluginStamp semfield_plugin_stamp;
+__attribute__((section(".semfield_plugin"), used))
+const semfield::PluginStamp semfield_plugin_stamp = {"semfield plugin", PROBE_API, PROBE_ABI};
+}
+#elif defined(CASE_OTHER_STAMP)
+extern "C" {
+extern const char semfield_plugin_stamp[256];
+__attribute__((section(".semfield_plugin"), used)) const char semfield_plugin_stamp[256] = "something else";
+}
+#elif !defined(CASE_NO_STAMP)
+SEMFIELD_PLUGIN_MODULE(probe, "1.0", semfield::toy::register_into)
+#endif
