@@ -149,9 +149,9 @@ TEST(ClassRules, EveryFaultOfATableIsNamedWithItsPlace) {
                                "  - lamp\n"),
             head + path + ":7:27: no class named 'chiar'; did you mean 'chair'?\n" + path +
                 ":8:14: unknown key 'objekt' in a rule; did you mean 'object'?\n" + path +
-                ":8:5: the rule asks for no object, group or material; add object: \"PATTERN\"\n" + path +
-                ":9:5: the rule names no class; add class: NAME\n" + path +
-                ":10:5: the rule asks for no object, group or material; add object: \"PATTERN\"\n" + path +
+                ":8:5: the rule asks for no object, group or material; add object: \"PATTERN\" (and 1 more like this: "
+                "classes.yaml:10:5)\n" +
+                path + ":9:5: the rule names no class; add class: NAME\n" + path +
                 ":11:5: a rule is a map such as {object: \"chair_*\", class: chair}");
   EXPECT_EQ(message(kClasses + "rules: {object: a, class: chair}\n"), head + path + ":6:8: 'rules' is a list of rules");
   // An unknown key hides neither the table's faults nor those of the rules.
