@@ -22,19 +22,19 @@ struct Vec3 {
 };
 
 template <class T>
-SEMFIELD_HD T dot(Vec3<T> a, Vec3<T> b) {
+SEMFIELD_HD inline T dot(Vec3<T> a, Vec3<T> b) {
   return a.x * b.x + a.y * b.y + a.z * b.z;
 }
 template <class T>
-SEMFIELD_HD Vec3<T> cross(Vec3<T> a, Vec3<T> b) {
+SEMFIELD_HD inline Vec3<T> cross(Vec3<T> a, Vec3<T> b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 template <class T>
-SEMFIELD_HD T length(Vec3<T> a) {
+SEMFIELD_HD inline T length(Vec3<T> a) {
   return std::sqrt(dot(a, a));
 }
 template <class T>
-SEMFIELD_HD Vec3<T> normalized(Vec3<T> a) {
+SEMFIELD_HD inline Vec3<T> normalized(Vec3<T> a) {
   return a * (T(1) / length(a));
 }
 
