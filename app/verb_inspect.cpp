@@ -85,6 +85,24 @@ std::string class_table(const LoadedScene& scene) {
   return out;
 }
 
+// Which preset suits the way the cameras stand; scenes with depth say enough by themselves.
+std::string preset_text(const LoadedScene& scene, int frames_with_depth) {
+  if (frames_with_depth > 0 || scene.bounds.empty()) return "";
+  if (scene.plain_background) {
+    const auto& c = scene.plain_background->color;
+    const std::string set = c[0] == 255 && c[1] == 255 && c[2] == 255
+                                ? ""
+                                : fmt::format(" with rendering.background: [{:.3g}, {:.3g}, {:.3g}]", c[0] / 255.0,
+                                              c[1] / 255.0, c[2] / 255.0);
+    return fmt::format(
+        "preset      parts/object.yaml{}: the cameras stand around an object before one colour, ({}, {}, {})\n", set,
+        c[0], c[1], c[2]);
+  }
+  return scene.rig.inward
+             ? "preset      parts/unbounded.yaml: the cameras stand around one place and see what lies behind it\n"
+             : "preset      parts/hash_room.yaml: the cameras do not stand around one place\n";
+}
+
 std::string problems(const Diagnostics& diagnostics) {
   const std::vector<Diagnostic> findings = folded(diagnostics);
   std::string out;
@@ -125,6 +143,7 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
                      scene.near_far_from.empty() ? "" : " from " + scene.near_far_from);
   out += fmt::format("pixel       {:.4g} at the middle depth\n", scene.pixel_footprint_m);
   if (!scene.geometry.empty()) out += "geometry    " + scene.geometry + "\n";
+  out += preset_text(scene, depth);
   return out + class_table(scene) + problems(diagnostics);
 }
 

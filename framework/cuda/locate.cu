@@ -9,9 +9,10 @@ namespace {
 constexpr int kSamples = 128;  // a block
 constexpr int kThreads = 3 * kSamples;
 
-__device__ double mapped(const DomainMap& map, double p, int axis) {
-  const double center = axis == 0 ? map.center.x : axis == 1 ? map.center.y : map.center.z;
-  return (p - center) * map.scale + map.offset;
+// Coordinate `axis` of the place whose coordinates `p` gives: one alone where the map is affine.
+template <class Place>
+__device__ double mapped(const DomainMap& map, const Place& p, int axis) {
+  return map.radius > 0 ? map({p(0), p(1), p(2)})[axis] : map.along(axis, p(axis));
 }
 
 // One thread a coordinate, so that a warp writes consecutive numbers. A row: 12 B of t, delta and ray and 24 B of x;
@@ -27,7 +28,8 @@ __global__ void __launch_bounds__(kThreads)
   }
   const std::int32_t r = samples.ray_of_sample(m, 0);
   const float t = samples.t(m, 0);
-  const double at = mapped(map, rays.origin(r, axis) + static_cast<double>(t) * rays.direction(r, axis), axis);
+  const auto place = [&](int a) { return rays.origin(r, a) + static_cast<double>(t) * rays.direction(r, a); };
+  const double at = mapped(map, place, axis);
   x(m, axis) = at;
   bool sound = isfinite(at) && isfinite(t);
   if (axis == 0) {
@@ -41,7 +43,9 @@ __global__ void __launch_bounds__(kThreads)
 __global__ void __launch_bounds__(kThreads) map_kernel(View<const double> positions, DomainMap map, View<double> x) {
   const std::int64_t m = static_cast<std::int64_t>(blockIdx.x) * kSamples + threadIdx.x / 3;
   const int axis = static_cast<int>(threadIdx.x % 3);
-  if (m < x.rows) x(m, axis) = mapped(map, positions(m, axis), axis);
+  if (m < x.rows)
+    x(m, axis) = mapped(
+        map, [&](int a) { return positions(m, a); }, axis);
 }
 
 }  // namespace

@@ -15,7 +15,7 @@
 
 namespace semfield::cuda {
 
-/// x [M, 3] = (origin + t direction - center) scale + offset, in float64; unused rows get `offset`. A coordinate,
+/// x [M, 3] = map(origin + t direction), in float64; unused rows get `offset`. A coordinate,
 /// distance or interval that is not finite is a fault of Stage::samples.
 void locate(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<double> x);
 /// The same for positions [N, 3] in world metres (density queries).

@@ -107,9 +107,10 @@ void Pass<Real>::locate(const StepContext& ctx, const Rays<Real>& rays, const Sa
   for (std::int64_t m = 0; m < samples.count; ++m) {
     const std::int64_t r = samples.ray_of_sample(m, 0);
     const double t = static_cast<double>(samples.t(m, 0));
-    for (int i = 0; i < 3; ++i) {
-      x(m, i) = (rays.origin(r, i) + t * rays.direction(r, i) - map.center[i]) * map.scale + map.offset;
-    }
+    Vec3d p;
+    for (int i = 0; i < 3; ++i) p[i] = rays.origin(r, i) + t * rays.direction(r, i);
+    const Vec3d at = map(p);
+    for (int i = 0; i < 3; ++i) x(m, i) = at[i];
   }
   RayGuard<Real>(parts_.name, ctx.first_ray, samples).samples(x);
 }

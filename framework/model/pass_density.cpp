@@ -35,9 +35,8 @@ void Pass<Real>::density(const StepContext& ctx, View<const double> positions, V
     const Workspace::Scope scope(arena);
     View<double> x = arena.take<double>(count, 3);
     for (std::int64_t m = 0; m < count; ++m) {
-      for (int i = 0; i < 3; ++i) {
-        x(m, i) = (positions(begin + m, i) - parts_.domain.center[i]) * parts_.domain.scale + parts_.domain.offset;
-      }
+      const Vec3d at = parts_.domain({positions(begin + m, 0), positions(begin + m, 1), positions(begin + m, 2)});
+      for (int i = 0; i < 3; ++i) x(m, i) = at[i];
     }
     View<Real> encoded = arena.take<Real>(count, parts_.position->traits().out_dims);
     parts_.position->forward(ctx, store_->tensors(position_), x, encoded);

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "scene/scene.h"
@@ -14,6 +15,16 @@ struct SurveyPoints {
   std::vector<float> x, y, z, distance;
   std::int64_t looked_at = 0;  ///< pixels of the grid
 };
+
+/// Where the points of frames are, as far as bounds may believe them.
+struct SurveyedExtent {
+  Box bounds;
+  double near_m = 0, far_m = 0;
+  std::int64_t points = 0;
+};
+
+/// Of points whose depth is estimated: the outermost half per cent each way is dropped. Nothing without points.
+std::optional<SurveyedExtent> extent_of_points(std::vector<SurveyPoints> parts);
 
 /// Pixels between two that are looked at, each way: 4, or the power of two beyond that keeps `pixels` in all (of the
 /// frames surveyed) below 2^20 points.

@@ -157,6 +157,10 @@ void describe(ParamVisitor& visit, SceneLoadOptions& p) {
                  {1e-6, 1e6});
   SEMFIELD_PARAM(visit, p, check_geometry,
                  "whether poses that contradict depth or photographs, and bounds that no ray meets, are refused");
+  SEMFIELD_PARAM(visit, p, probe_steps,
+                 "steps of a short training whose depth replaces bounds and far that only the cameras tell, in runs of "
+                 "at least four times as many; 0 = no probe",
+                 {0, 1e6});
 }
 
 void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {

@@ -7,7 +7,9 @@
 #include <vector>
 
 #include "config/params.h"
+#include "scene/camera_rig.h"
 #include "scene/depth_survey.h"
+#include "scene/plain_background.h"
 #include "scene/pose_mend.h"
 #include "scene/scene.h"
 #include "scene/stored_frame.h"
@@ -27,10 +29,14 @@ struct SceneLoadOptions {
   std::vector<double> bounds;
   PoseMend mend;
   bool check_geometry = true;
+  std::int64_t probe_steps = 128;
   DepthKept depth = DepthKept::all;  ///< not a key
   bool with_instances = false;       ///< not a key
   /// Not a key: told what all frames will take in memory before the first is read; may throw.
   std::function<void(std::size_t bytes, std::size_t frames, std::int32_t width_px)> before_pixels = {};
+  /// Not a key: space outside the bounds is contracted (rendering.outside), so that they are those of the subject and
+  /// far lies beyond all that could be told from infinity.
+  bool contracted = false;
   bool pixels = true;  ///< not a key; false: cameras and classes only, bounds and distances as given here
 };
 void describe(ParamVisitor& visit, SceneLoadOptions& options);
@@ -45,6 +51,10 @@ struct LoadedScene {
   double pixel_footprint_m = 0;            ///< world size of one pixel at the scene's middle depth (training frames)
   std::string geometry;                    ///< what the check of poses against pixels found; empty = not asked
   std::string bounds_from, near_far_from;  ///< one phrase each: "depth of 35 training frames", "the configuration", ...
+  CameraRig rig;                           ///< of the training cameras
+  /// Of scenes whose extent no depth and no dataset tells, where the frames show an object before one colour.
+  std::optional<PlainBackground> plain_background;
+  bool extent_is_guessed = false;  ///< bounds and far are the view cones' and a multiple of the cameras' walk
   /// Pixels of each class in each frame: [frames][C + 1], the last entry is void; empty for a frame without labels.
   std::vector<std::vector<std::int64_t>> class_pixels;
 
@@ -84,8 +94,9 @@ bool scaled_camera(const Camera& camera, const SceneLoadOptions& options, Camera
 /// [x0, y0, z0, x1, y1, z1] as a box.
 Box box_of(const std::vector<double>& corners);
 
-/// Fills bounds, near, far and footprint (scene_bounds.cpp); load_scene calls it with the points of the training
-/// frames.
+/// Fills bounds, near, far and footprint (scene_bounds.cpp) from what is trusted most: the configuration, the dataset,
+/// depth (`surveyed`, of the training frames), an object before a plain background, at last the view cones up to far.
+/// load_scene calls it; whoever learns the depth of a scene without any calls it again.
 void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const SceneLoadOptions& options,
                    Diagnostics& diagnostics);
 

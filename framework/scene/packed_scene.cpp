@@ -52,6 +52,8 @@ class Writer {
     auto size = static_cast<std::uint32_t>(values.size());
     number(size);
   }
+  /// Whether more is written; a reader asks what is left.
+  static bool goes_on(bool wanted) { return wanted; }
   std::vector<std::byte> bytes;
 };
 
@@ -77,6 +79,7 @@ class Reader {
     values.resize(size);
   }
   bool finished() const { return left_.empty(); }
+  bool goes_on(bool) const { return !finished(); }
 
  private:
   void need(std::size_t size) const {
@@ -151,6 +154,10 @@ void walk(Stream& s, SceneInfo& info, std::vector<ClassEntry>& classes, std::vec
   s.list(info.frames, 200);
   chunks.resize(info.frames.size());
   for (std::size_t i = 0; i < info.frames.size(); ++i) walk_frame(s, info.frames[i], chunks[i]);
+  if (s.goes_on(!info.limit.empty())) {  // scenes without a limit end here, as all did once
+    vector3(s, info.limit.lo);
+    vector3(s, info.limit.hi);
+  }
 }
 
 template <class T>

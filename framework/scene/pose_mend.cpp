@@ -36,12 +36,13 @@ void mend_info(SceneInfo& info, const PoseMend& mend) {
     frame.world_from_camera = mended_pose(frame.world_from_camera, mend, info.opengl_files);
   info.opengl_files = false;
   if (mend.invert_poses) {
-    info.bounds = Box{};
+    info.bounds = info.limit = Box{};
     info.near_hint_m = info.far_hint_m = 0;
   } else if (mend.pose_scale != 1) {
-    if (!info.bounds.empty()) {
-      info.bounds.lo = info.bounds.lo * mend.pose_scale;
-      info.bounds.hi = info.bounds.hi * mend.pose_scale;
+    for (Box* box : {&info.bounds, &info.limit}) {
+      if (box->empty()) continue;
+      box->lo = box->lo * mend.pose_scale;
+      box->hi = box->hi * mend.pose_scale;
     }
     // Whether the hints were in the unit of the poses is not known; depth tells.
     const bool depth =

@@ -174,7 +174,8 @@ void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics) {
                           number(info.far_hint_m) + " m; they must be finite",
                       "set scene.load.near_m and scene.load.far_m");
   }
-  if (!finite(info.bounds)) diagnostics.error(info.name, "the dataset's bounds are not finite", "set scene.load.bounds");
+  if (!finite(info.bounds) || !finite(info.limit))
+    diagnostics.error(info.name, "the dataset's bounds are not finite", "set scene.load.bounds");
 }
 
 bool check_camera(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {

@@ -27,7 +27,8 @@ EncoderBuild encoder_build(const SceneExtent& extent, bool is_direction, Device 
   build.device = device;
   build.is_direction = is_direction;
   const Vec3d size = extent.bounds.empty() ? Vec3d{} : extent.bounds.size();
-  build.extent_m = std::max({size.x, size.y, size.z});
+  // Contracted, the bounds take half of an encoder's cube.
+  build.extent_m = (extent.contracted ? 2 : 1) * std::max({size.x, size.y, size.z});
   build.pixel_footprint_m = extent.pixel_footprint_m;
   return build;
 }
@@ -68,7 +69,8 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
       make<Real>(pass.sampler.entry->sampler32, pass.sampler.entry->sampler64, pass.sampler, sampler_build, registry);
   parts.position =
       make_encoder<Real>(pass.position, registry, extent, false, device, "passes." + pass.name + ".position");
-  parts.domain = DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale);
+  parts.domain =
+      DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
   FieldBuild field_build;
   field_build.device = device;
   field_build.position_dims = parts.position->traits().out_dims;
@@ -153,8 +155,10 @@ std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent&
   std::vector<std::string> lines;
   EncoderBuild build = encoder_build(extent, false, device);
   if (!extent.bounds.empty()) {
-    const DomainMap map = DomainMap::make(Domain::metric, extent.bounds, config.rendering.scene_scale);
-    for (int a = 0; a < 3; ++a) {
+    const DomainMap map =
+        DomainMap::make(Domain::metric, extent.bounds, config.rendering.scene_scale, extent.contracted);
+    if (extent.contracted) build.largest_coordinate = 1;
+    for (int a = 0; a < 3 && !extent.contracted; ++a) {
       for (const double corner : {extent.bounds.lo[a], extent.bounds.hi[a]})
         build.largest_coordinate = std::max(build.largest_coordinate, std::abs(corner - map.center[a]) * map.scale);
     }

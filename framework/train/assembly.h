@@ -19,6 +19,7 @@ struct SceneExtent {
   Box bounds;
   double near_m = 0, far_m = 0;
   double pixel_footprint_m = 0;
+  bool contracted = false;  ///< rendering.outside
 };
 
 /// Lets position encoders replace what they choose from the scene by numbers; "passes.NAME.position: sentence" each.

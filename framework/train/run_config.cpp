@@ -31,6 +31,9 @@ void describe(ParamVisitor& visit, RenderingParams& p) {
   SEMFIELD_PARAM(visit, p, scene_scale,
                  "factor from metres to a metric encoder's coordinates [Zhi21: 0.1]; 0: from the scene's bounds",
                  {0, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, outside,
+      "what lies outside the bounds: nothing, or all of space, contracted so that encoders hold it [Barron22]");
 }
 
 void validate(const RenderingParams& p, Diagnostics& diagnostics) {
@@ -316,6 +319,7 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   validate_section(tree, "rendering", config.rendering, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);
   read_passes(tree, registry, config, diagnostics);
+  config.load.contracted = config.rendering.outside == Outside::contracted;
   return config;
 }
 

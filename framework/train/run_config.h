@@ -33,6 +33,15 @@ struct SemanticsParams {
 };
 void describe(ParamVisitor& visit, SemanticsParams& params);
 
+/// What lies outside the scene's bounds.
+///   nothing     rays end there;
+///   contracted  all of space, drawn in [Barron22]: rays go on to far.
+enum class Outside : std::uint8_t { nothing, contracted };
+template <>
+struct ChoiceNames<Outside> {
+  static constexpr std::array<std::string_view, 2> names{"nothing", "contracted"};
+};
+
 struct RenderingParams {
   DensityActivation density_activation = DensityActivation::relu;
   double density_bias = 0;
@@ -41,6 +50,7 @@ struct RenderingParams {
   std::vector<double> background{0, 0, 0};
   double early_stop = 1e-4;
   double scene_scale = 0;
+  Outside outside = Outside::nothing;
 };
 void describe(ParamVisitor& visit, RenderingParams& params);
 void validate(const RenderingParams& params, Diagnostics& diagnostics);

@@ -11,6 +11,7 @@
 #include "core/memory_limit.h"
 #include "core/parallel.h"
 #include "scene/image_formats.h"
+#include "train/bounds_probe.h"
 #include "train/checkpoint_facts.h"
 #include "train/run_identity.h"
 
@@ -125,14 +126,13 @@ void keep_components(RunConfig& config, const std::vector<std::string>& componen
   }
 }
 
-Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
+namespace {
+
+// Scene, labels, manifest and plan: all that does not depend on how large the scene is.
+Session load_session(RunConfig config, Registry& registry, const SessionOptions& options, Device device,
+                     Diagnostics& diagnostics) {
   Session s;
-  s.memory_facts.program = resident_bytes();
   s.config = std::move(config);
-  keep_components(s.config, options.keep);
-  set_thread_count(s.config.runtime.threads);
-  set_input_limits(s.config.limits);
-  const Device device = chosen_device(s.config.runtime.device, registry);
   DatasetBuild dataset_build;
   dataset_build.config_dir = s.config.base_dir;
   std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
@@ -159,25 +159,25 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   request.device_cuda_available = device == Device::cuda;
   request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
   s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
+  return s;
+}
 
-  s.extent = {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m};
+// Derived values become part of the resolved configuration, so that a later session cannot derive others.
+void fix_extent(Session& s, const Registry& registry, Device device) {
+  const bool contracted = s.config.rendering.outside == Outside::contracted;
+  s.extent = {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m, contracted};
   s.limits.near_m = s.scene.near_m;
   s.limits.far_m = s.scene.far_m;
   s.limits.bounds = s.scene.bounds;
-  s.limits.clip = needs_bounds(s.config, registry);
-  // Derived values become part of the resolved configuration, so that a later session cannot derive others.
+  s.limits.clip = !contracted && needs_bounds(s.config, registry);
   const Box& b = s.scene.bounds;
   s.config.load.near_m = s.scene.near_m;
   s.config.load.far_m = s.scene.far_m;
   s.config.load.bounds = {b.lo.x, b.lo.y, b.lo.z, b.hi.x, b.hi.y, b.hi.z};
   s.chosen = choose_from_scene(s.config, s.extent, device);
-  if (device == Device::cpu && s.config.runtime.precision == Precision::bf16 && !bf16_is_native()) {
-    diagnostics.note("runtime.precision",
-                     "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
-  }
-  if (!options.build) return s;
-  if (options.trainable) (void)run_config_text(s.config, registry);
-  dataset.reset();  // what it keeps for reading is not needed any more
+}
+
+void build_session(Session& s, Registry& registry, const SessionOptions& options, Device device) {
   if (options.trainable) {
     measure_scene(s);
     NetworkPlan network = plan_network(s.config, registry, s.plan, s.extent, true);
@@ -197,6 +197,44 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
   add_owned_rows(s);
   s.device = attach_device(s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
+}
+
+// The scene is lent to a session of its own, whose sizes the guess chooses; only what it sees comes back.
+void probe_bounds(Session& s, Registry& registry, const SessionOptions& options, Device device,
+                  Diagnostics& diagnostics) {
+  Diagnostics ignored;
+  Session probe;
+  probe.config = read_run_config(resolved_config(s.config).without("plugins"), registry, ignored);
+  probe.scene = std::move(s.scene);
+  probe.labels = std::move(s.labels);
+  probe.manifest = s.manifest;
+  probe.plan = s.plan;
+  probe.memory_facts = s.memory_facts;
+  fix_extent(probe, registry, device);
+  build_session(probe, registry, options, device);
+  const std::optional<SurveyedExtent> seen = probe_extent(probe);
+  s.scene = std::move(probe.scene);
+  s.labels = std::move(probe.labels);
+  if (seen) use_probed_extent(*seen, s.scene, s.config.load, diagnostics);
+}
+
+}  // namespace
+
+Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
+  const std::size_t program_bytes = resident_bytes();
+  keep_components(config, options.keep);
+  set_thread_count(config.runtime.threads);
+  set_input_limits(config.limits);
+  const Device device = chosen_device(config.runtime.device, registry);
+  Session s = load_session(std::move(config), registry, options, device, diagnostics);
+  s.memory_facts.program = program_bytes;
+  if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, diagnostics);
+  fix_extent(s, registry, device);
+  if (device == Device::cpu && s.config.runtime.precision == Precision::bf16 && !bf16_is_native()) {
+    diagnostics.note("runtime.precision",
+                     "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
+  }
+  if (options.build) build_session(s, registry, options, device);
   return s;
 }
 

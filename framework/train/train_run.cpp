@@ -310,6 +310,7 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   Diagnostics diagnostics;
   SessionOptions options;
   options.keep = request.keep;
+  options.probe = true;
   if (config.report.training_frames > 0) options.depth = DepthKept::all;
   // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
   std::optional<RunFolder> folder;

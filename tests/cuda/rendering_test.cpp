@@ -67,24 +67,27 @@ struct DeviceBatch {
 TEST(CudaLocate, PlacesOfSamplesInFloat64) {
   SEMFIELD_NEEDS_DEVICE();
   DeviceLaunch launch;
-  const DomainMap map{{0.5, -2, 3}, 0.37, 0.5};
-  for (const std::int64_t rays : {0, 1, 31, 33, 4097}) {
-    for (const int gap : {0, 2}) {
+  for (const int gap : {0, 2}) {
+    // With the gap also the map that draws all of space in.
+    const DomainMap map{{0.5, -2, 3}, 0.37, 0.5, gap == 0 ? 0 : 0.8};
+    for (const std::int64_t rays : {0, 1, 31, 33, 4097}) {
       const Batch host(rays, 19);
       const DeviceBatch device(host, gap);
       const DeviceMatrix<double> x(device.rows, 3, 3 + gap);
       cuda::locate(device.rays, device.samples, map, x.view());
       std::vector<double> want(3 * host.t.size(), map.offset);
       for (std::size_t m = 0; m < host.used; ++m) {
+        Vec3d p;
         for (int i = 0; i < 3; ++i) {
           const std::size_t at = 3 * static_cast<std::size_t>(host.ray[m]) + static_cast<std::size_t>(i);
-          want[3 * m + static_cast<std::size_t>(i)] =
-              (host.origin[at] + static_cast<double>(host.t[m]) * host.direction[at] - map.center[i]) * map.scale +
-              map.offset;
+          p[i] = host.origin[at] + static_cast<double>(host.t[m]) * host.direction[at];
         }
+        const Vec3d place = map(p);
+        for (int i = 0; i < 3; ++i) want[3 * m + static_cast<std::size_t>(i)] = place[i];
       }
       // Some units of the last place: the device fuses multiplications and additions.
-      EXPECT_EQ(testkit::compare(testing::host_view(std::as_const(want), 3), testing::host_view(x.read(), 3), 1e-15, 1),
+      EXPECT_EQ(testkit::compare(testing::host_view(std::as_const(want), 3), testing::host_view(x.read(), 3),
+                                 gap == 0 ? 1e-15 : 4e-15, 1),
                 "")
           << rays;
       EXPECT_EQ(x.surroundings(), "");
@@ -115,15 +118,20 @@ TEST(CudaLocate, FaultsOfSamplesInUse) {
 TEST(CudaLocate, MapsPositions) {
   SEMFIELD_NEEDS_DEVICE();
   DeviceLaunch launch;
-  const DomainMap map{{0.5, -2, 3}, 0.37, 0.5};
-  for (const std::int64_t count : {0, 1, 33, 4097}) {
-    const std::vector<double> positions = testing::widen(testing::random_floats(3 * count, 8, -4, 4));
-    const DeviceMatrix<double> from(positions, 3, 5), x(count, 3, 4);
-    cuda::map_positions(from.read_only(), map, x.view());
-    const std::vector<double> got = x.read();
-    for (std::size_t i = 0; i < got.size(); ++i)
-      ASSERT_NEAR(got[i], (positions[i] - map.center[static_cast<int>(i % 3)]) * map.scale + map.offset, 1e-15) << i;
-    EXPECT_EQ(x.surroundings(), "");
+  for (const double radius : {0.0, 1.5}) {
+    const DomainMap map{{0.5, -2, 3}, 0.37, 0.5, radius};
+    for (const std::int64_t count : {0, 1, 33, 4097}) {
+      const std::vector<double> positions = testing::widen(testing::random_floats(3 * count, 8, -4, 4));
+      const DeviceMatrix<double> from(positions, 3, 5), x(count, 3, 4);
+      cuda::map_positions(from.read_only(), map, x.view());
+      const std::vector<double> got = x.read();
+      for (std::size_t i = 0; i < got.size(); ++i) {
+        const std::size_t row = i - i % 3;
+        const Vec3d want = map({positions[row], positions[row + 1], positions[row + 2]});
+        ASSERT_NEAR(got[i], want[static_cast<int>(i % 3)], radius > 0 ? 4e-15 : 1e-15) << i;
+      }
+      EXPECT_EQ(x.surroundings(), "");
+    }
   }
 }
 

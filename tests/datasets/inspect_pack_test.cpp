@@ -74,6 +74,26 @@ TEST(Pack, WhatIsPackedIsMended) {
   EXPECT_EQ(a.far_m, b.far_m);
 }
 
+TEST(Inspect, NamesThePresetThatSuitsTheCameras) {
+  LoadedScene scene;
+  const auto says = [&](const std::string& text) { return inspect_report(scene, {}).find(text) != std::string::npos; };
+  EXPECT_FALSE(says("preset"));  // nothing was loaded
+  scene.bounds = {{-1, -1, -1}, {1, 1, 1}};
+  EXPECT_TRUE(says("preset      parts/hash_room.yaml:"));
+  scene.rig.inward = true;
+  EXPECT_TRUE(says("preset      parts/unbounded.yaml:"));
+  scene.plain_background = PlainBackground{{255, 255, 255}, scene.bounds};
+  EXPECT_TRUE(
+      says("preset      parts/object.yaml: the cameras stand around an object before one colour, (255, 255, 255)"));
+  scene.plain_background->color = {0, 51, 255};
+  EXPECT_TRUE(says("preset      parts/object.yaml with rendering.background: [0, 0.2, 1]:"));
+  scene.info.frames.resize(1);
+  scene.frames.resize(1);
+  scene.class_pixels.resize(1);
+  scene.info.frames[0].has_depth = true;
+  EXPECT_FALSE(says("preset"));
+}
+
 TEST(Inspect, ReportTellsFramesClassesAndProblems) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 6);

@@ -89,9 +89,14 @@ TEST(LoadScene, CameraConesStandInForMissingDepth) {
   EXPECT_LT(s.bounds.hi.z, 3.7);
   room.far_hint = 0;
   const LoadedScene t = load_scene(room, {}, d);
-  EXPECT_EQ(t.near_far_from, "twice the extent of the cameras");
+  EXPECT_EQ(t.near_far_from, "four times the extent of the cameras");
+  EXPECT_TRUE(d.all().empty()) << d.all()[0].text();  // a probe will find out
+  SceneLoadOptions unprobed;
+  unprobed.probe_steps = 0;
+  EXPECT_TRUE(load_scene(room, unprobed, d).extent_is_guessed);
   ASSERT_EQ(d.all().size(), 1u);
-  EXPECT_EQ(d.all()[0].remedy, "set scene.load.far_m if parts of the scene are missing");
+  EXPECT_NE(d.all()[0].text().find("are a guess"), std::string::npos);
+  EXPECT_NE(d.all()[0].remedy.find("scene.load.probe_steps: 128"), std::string::npos);
 }
 
 TEST(LoadScene, ThinDepthIsJoinedByTheCones) {

@@ -19,6 +19,7 @@ struct AnalyticRoomParams {
   int width_px = 48;
   int height_px = 36;
   bool with_labels = true;
+  bool with_depth = true;
   int absent_class = -1;  // of the table, but void in every frame
 };
 void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
@@ -26,21 +27,31 @@ void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
   SEMFIELD_PARAM(visit, p, width_px, "width", {1, 1000});
   SEMFIELD_PARAM(visit, p, height_px, "height", {1, 1000});
   SEMFIELD_PARAM(visit, p, with_labels, "with labels");
+  SEMFIELD_PARAM(visit, p, with_depth, "with depth");
   SEMFIELD_PARAM(visit, p, absent_class, "a class without pixels", {-1, 1000});
 }
 void validate(const AnalyticRoomParams&, Diagnostics&) {}
 
 class AnalyticRoom final : public Dataset {
  public:
-  AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&) : absent_class_(p.absent_class) {
+  AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&)
+      : with_depth_(p.with_depth), absent_class_(p.absent_class) {
     testkit::AnalyticSceneOptions options;
     options.frames = p.frames;
     options.width_px = p.width_px;
     options.height_px = p.height_px;
+    options.with_depth = p.with_depth;
     options.with_labels = p.with_labels;
     inner_ = testkit::make_analytic_scene(options);
   }
-  SceneInfo open(Diagnostics& diagnostics) override { return inner_->open(diagnostics); }
+  SceneInfo open(Diagnostics& diagnostics) override {
+    SceneInfo info = inner_->open(diagnostics);
+    if (!with_depth_) {  // as photographs: nothing tells the extent
+      info.bounds = Box();
+      info.near_hint_m = info.far_hint_m = 0;
+    }
+    return info;
+  }
   void read(int frame, FrameBuffer& out) const override {
     inner_->read(frame, out);
     for (std::int16_t& label : out.label) {
@@ -49,6 +60,7 @@ class AnalyticRoom final : public Dataset {
   }
 
  private:
+  bool with_depth_;
   int absent_class_;
   std::unique_ptr<Dataset> inner_;
 };

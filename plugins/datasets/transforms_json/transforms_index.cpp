@@ -60,6 +60,7 @@ class FileReader {
     if (!(out_.depth_unit_m >= 0))
       diagnostics_.error(path_, "depth_unit_m must be positive", "write the metres of one step, such as 0.001");
     read_classes(root);
+    read_limit(root);
     // What is missing in every frame for a key that the file misspells would be said of every frame.
     const bool sound = check_keys(root, false, path_);
     const SplitLists lists = read_split_lists(root);
@@ -145,6 +146,35 @@ class FileReader {
     if (const auto value = number(node, "cx", place)) lens.cx = value;
     if (const auto value = number(node, "cy", place)) lens.cy = value;
     return lens;
+  }
+
+  // A pose's place p is scale p + offset in instant-ngp, whose scene is the cube of side aabb_scale about (0.5, 0.5,
+  // 0.5) [Mueller22]; scale and offset are 0.33 and 0.5 where the file tells no others.
+  void read_limit(const json& root) {
+    const auto side = number(root, "aabb_scale", path_);
+    if (!side) return;
+    const double scale = root.contains("scale") ? number(root, "scale", path_).value_or(0) : 0.33;
+    Vec3d offset{0.5, 0.5, 0.5};
+    if (root.contains("offset")) {
+      const json& given = root["offset"];
+      for (std::size_t a = 0; a < 3; ++a) {
+        const json& one = given.is_array() && given.size() == 3 ? given[a] : given;
+        if (!one.is_number()) {
+          diagnostics_.error(path_, "'offset' is neither a number nor a list of 3", "write [0.5, 0.5, 0.5]");
+          return;
+        }
+        offset[static_cast<int>(a)] = one.get<double>();
+      }
+    }
+    if (!(*side > 0) || !(scale > 0) || !std::isfinite(*side / scale)) {
+      diagnostics_.error(path_, "'aabb_scale' and 'scale' must be positive",
+                         "write \"aabb_scale\": 1 or a power of two");
+      return;
+    }
+    for (int a = 0; a < 3; ++a) {
+      out_.limit.lo[a] = (0.5 - 0.5 * *side - offset[a]) / scale;
+      out_.limit.hi[a] = (0.5 + 0.5 * *side - offset[a]) / scale;
+    }
   }
 
   void read_classes(const json& root) {

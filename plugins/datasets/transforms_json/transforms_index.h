@@ -31,6 +31,7 @@ struct TransformsFrame {
 struct TransformsIndex {
   std::vector<TransformsFrame> frames;
   double depth_unit_m = 0;             ///< 0 = not told
+  Box limit;                           ///< instant-ngp's box of side aabb_scale in the poses' axes; empty = not told
   std::string classes;                 ///< path of a class table; "" = not told
   std::vector<ClassEntry> class_list;  ///< classes written in the file itself
 };

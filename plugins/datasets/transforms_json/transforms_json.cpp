@@ -210,6 +210,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   check.report(root_, info_.frames.size(), diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), root_, diagnostics);
   info_.metric = params_.metric || has_depth;
+  info_.limit = index.limit;
   load_classes(index, has_labels, diagnostics);
   return info_;
 }

@@ -93,5 +93,34 @@ TEST(TransformsJson, AHundredThousandFramesOfListsAndOfOneName) {
   EXPECT_EQ(last, "rgb_image_99999");
 }
 
+// instant-ngp's box in the axes of the poses: (0.5 -+ aabb_scale / 2 - offset) / scale.
+TEST(TransformsJson, AabbScaleIsALimitOfTheBounds) {
+  const std::string folder = fresh_folder("a");
+  write_image(folder + "/a.png");
+  const auto limit_of = [&](const std::string& keys, Diagnostics& d) {
+    write_file_atomic(folder + "/transforms.json",
+                      "{" + keys + " \"fl_x\": 3, \"frames\": [{\"file_path\": \"a.png\", " + kEye + "}]}");
+    TransformsJsonParams p;
+    p.root = folder;
+    return TransformsJson(p, {}).open(d).limit;
+  };
+  Diagnostics d;
+  EXPECT_TRUE(limit_of("", d).empty());
+  const Box usual = limit_of("\"aabb_scale\": 4,", d);
+  EXPECT_NEAR(usual.lo.x, -2 / 0.33, 1e-12);
+  EXPECT_NEAR(usual.hi.z, 2 / 0.33, 1e-12);
+  const Box moved = limit_of("\"aabb_scale\": 1, \"scale\": 0.5, \"offset\": [0.5, 0.25, 1],", d);
+  EXPECT_NEAR(moved.lo.x, -1, 1e-12);
+  EXPECT_NEAR(moved.lo.y, -0.5, 1e-12);
+  EXPECT_NEAR(moved.hi.z, 0, 1e-12);
+  EXPECT_FALSE(d.has_errors());
+  for (const char* bad : {"\"aabb_scale\": 0,", "\"aabb_scale\": -1,", "\"aabb_scale\": \"big\",",
+                          "\"aabb_scale\": 1, \"scale\": 0,", "\"aabb_scale\": 1, \"offset\": \"x\","}) {
+    Diagnostics refused;
+    limit_of(bad, refused);
+    EXPECT_EQ(refused.error_count(), 1) << bad;
+  }
+}
+
 }  // namespace
 }  // namespace semfield

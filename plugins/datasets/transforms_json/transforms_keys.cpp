@@ -12,8 +12,9 @@ namespace {
 
 const std::vector<std::string> kLensKeys{"w",  "h",  "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y",
                                          "k1", "k2", "k3",   "k4",   "p1", "p2", "camera_model",   "is_fisheye"};
-const std::vector<std::string> kFileKeys{"frames",         "classes",       "depth_unit_m", "train_filenames",
-                                         "test_filenames", "val_filenames", "aabb_scale"};
+const std::vector<std::string> kFileKeys{"frames",          "classes",        "depth_unit_m",
+                                         "train_filenames", "test_filenames", "val_filenames",
+                                         "aabb_scale",      "scale",          "offset"};
 const std::vector<std::string> kFrameKeys{"file_path",       "depth_path", "label_path",      "instance_path",
                                           "depth_file_path", "mask_path",  "transform_matrix"};
 

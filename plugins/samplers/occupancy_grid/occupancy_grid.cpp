@@ -44,6 +44,7 @@ OccupancyGeometry make_geometry(const OccupancyGridParams& params, const Sampler
     g.cell_m[i] = padded / static_cast<double>(g.n);
   }
   g.step_m = params.step_m > 0 ? params.step_m : std::sqrt(3.0) * longest / kStepsAcross;
+  g.equal_m = params.growth > 0 ? g.step_m / params.growth : 0;
   return g;
 }
 
@@ -63,6 +64,11 @@ void describe(ParamVisitor& visit, OccupancyGridParams& params) {
                  {1, 65536});
   SEMFIELD_PARAM(visit, params, step_m, "Step along the ray in metres; 0 = sqrt(3) / 1024 of the scene's longest side",
                  {0, 1e9});
+  SEMFIELD_PARAM(
+      visit, params, growth,
+      "Most share of its distance from the camera that a step takes: far ones double whenever the distance does "
+      "[Mueller22 App. E.1]; 0 = equal steps",
+      {0, 1});
   SEMFIELD_PARAM(visit, params, skip, "How empty cells are passed over: certified (bounded error), threshold or never");
   SEMFIELD_PARAM(visit, params, skip_budget, "Optical depth a ray may lose to skipping when rendering (certified)",
                  {0, 1});

@@ -32,6 +32,7 @@ struct OccupancyGridParams {
   std::int64_t cascades = 1;
   std::int64_t max_samples = 256;
   double step_m = 0;
+  double growth = 0;
   SkipRule skip = SkipRule::certified;
   double skip_budget = 1e-3;
   double training_skip_budget = 0.02;

@@ -39,20 +39,19 @@ struct GridReader {
   bool is_plain_threshold;
   bool keep_last;
 
-  // `ray` counts in steps of the lattice, from its sample 0.
-  Stretch stretch_from(const CellRay& ray, const StepLattice& lattice, SkipBudget& budget, std::int64_t i) const {
-    const OccupancyCell cell = ray.cell_at(geometry, static_cast<double>(i));
+  Stretch stretch_from(const MarchedRay& ray, SkipBudget& budget, std::int64_t i) const {
+    const OccupancyCell cell = ray.cell_at(geometry, i);
     const double block_bound = static_cast<double>(state.block_bound[cell.block(geometry.blocks_per_side())]);
     if (block_bound < kUnbounded) {
-      const std::int64_t to = lattice.next(i, ray.exit(geometry, cell, kBlockCells));
-      if (budget.affords(block_bound, static_cast<double>(to - i) * lattice.step_m)) return {to, true};
+      const std::int64_t to = ray.behind(geometry, cell, kBlockCells, i);
+      if (budget.affords(block_bound, ray.lattice.length_m(i, to))) return {to, true};
     }
     const std::int64_t index = cell.index(geometry.n);
-    const std::int64_t to = lattice.next(i, ray.exit(geometry, cell, 1));
-    // `next` is never too late, so all of them lie in this cell.
+    const std::int64_t to = ray.behind(geometry, cell, 1, i);
+    // `behind` is never too late, so all of them lie in this cell.
     if (!is_empty_cell<Real>(bits, index)) return {to, false};
     const double bound = is_plain_threshold ? 0.0 : static_cast<double>(state.density[index]);
-    if (budget.affords(bound, static_cast<double>(to - i) * lattice.step_m)) return {to, true};
+    if (budget.affords(bound, ray.lattice.length_m(i, to))) return {to, true};
     return {i + 1, false};
   }
 };
@@ -69,7 +68,7 @@ struct March : MarchedRay {
 
   void restart(double skip_budget) {
     lay_out();
-    budget = SkipBudget(skip_budget, span_m);
+    budget = SkipBudget(skip_budget, length_m());
     i = written = 0;
   }
 };
@@ -92,7 +91,7 @@ March begin_march(const OccupancySampleArgs& args, const Box& box, const Rays<Re
 template <class Real>
 void advance(const GridReader<Real>& grid, const OccupancySampleArgs& args, March& march, Samples<Real>& out) {
   const StepLattice& lattice = march.lattice;
-  Stretch stretch = grid.stretch_from(march.steps, lattice, march.budget, march.i);
+  Stretch stretch = grid.stretch_from(march, march.budget, march.i);
   if (stretch.empty && grid.keep_last) stretch.to = std::min(stretch.to, lattice.count - 1);
   if (stretch.empty && stretch.to > march.i) {
     march.i = stretch.to;
@@ -104,6 +103,7 @@ void advance(const GridReader<Real>& grid, const OccupancySampleArgs& args, Marc
     }
     for (; march.i < end; ++march.i, ++march.written) {
       *out.t.row(march.row + march.written) = round_inside<Real>(lattice.at(march.i), lattice.near_m, march.far_m);
+      *out.delta.row(march.row + march.written) = static_cast<Real>(lattice.length_m(march.i, march.i + 1));
     }
   }
   march.active = march.i < lattice.count;
@@ -134,7 +134,7 @@ void sample(const OccupancySampleArgs& args, const OccupancyState<Real>& state, 
       *out.first.row(first + k) = static_cast<std::int32_t>(count);
       for (std::int64_t j = 0; j < march[k].written; ++j, ++count) {
         *out.t.row(count) = *out.t.row(march[k].row + j);
-        *out.delta.row(count) = static_cast<Real>(march[k].lattice.step_m);
+        *out.delta.row(count) = *out.delta.row(march[k].row + j);
         *out.ray_of_sample.row(count) = static_cast<std::int32_t>(first + k);
       }
     }

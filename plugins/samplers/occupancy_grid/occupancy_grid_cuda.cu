@@ -29,9 +29,9 @@ struct Step {
   double block_bound = 0, cell_bound = 0;  // kUnbounded: must be looked at
   bool passes = false, passes_block = false, may_jump = false;
 
-  __device__ static Step of(const Grid& grid, const CellRay& steps, double even_density, std::int32_t i) {
+  __device__ static Step of(const Grid& grid, const MarchedRay& ray, double even_density, std::int32_t i) {
     Step step;
-    step.cell = steps.cell_at(grid.geometry, static_cast<double>(i));
+    step.cell = ray.cell_at(grid.geometry, i);
     const std::int64_t index = step.cell.index(grid.geometry.n);
     step.block_bound = static_cast<double>(grid.state.block_bound[step.cell.block(grid.geometry.blocks_per_side())]);
     const double density = grid.is_plain_threshold ? 0.0 : static_cast<double>(grid.state.density[index]);
@@ -55,19 +55,18 @@ struct Jumps {
     Jumps jumps;
     jumps.behind_block = behind(grid, ray, step.cell, kBlockCells, i);
     jumps.behind_cell = behind(grid, ray, step.cell, 1, i);
-    if (step.block_bound < kUnbounded) jumps.block_price = price(ray, step.block_bound, jumps.behind_block - i);
+    if (step.block_bound < kUnbounded)
+      jumps.block_price = step.block_bound * ray.lattice.length_m(i, jumps.behind_block);
     if (step.cell_bound < kUnbounded) {
-      jumps.cell_price = step.cell_bound <= even_density ? 0.0 : price(ray, step.cell_bound, jumps.behind_cell - i);
+      jumps.cell_price =
+          step.cell_bound <= even_density ? 0.0 : step.cell_bound * ray.lattice.length_m(i, jumps.behind_cell);
     }
     return jumps;
   }
   // As GridReader::stretch_from: the first step that is not surely in the cube, before keep_last.
   __device__ static std::int32_t behind(const Grid& grid, const MarchedRay& ray, const OccupancyCell& cell,
                                         std::int32_t size, std::int32_t i) {
-    return static_cast<std::int32_t>(ray.lattice.next(i, ray.steps.exit(grid.geometry, cell, size)));
-  }
-  __device__ static double price(const MarchedRay& ray, double bound, std::int32_t steps) {
-    return bound * (static_cast<double>(steps) * ray.lattice.step_m);
+    return static_cast<std::int32_t>(ray.behind(grid.geometry, cell, size, i));
   }
 };
 
@@ -83,7 +82,7 @@ struct Window {
 __device__ Window look(const Grid& grid, const MarchedRay& ray, SkipBudget& budget, std::int32_t base, int lane) {
   const auto count = static_cast<std::int32_t>(ray.lattice.count);
   const std::int32_t i = base + lane, last = grid.keep_last ? count - 1 : count;
-  const Step step = Step::of(grid, ray.steps, budget.even_density, i);
+  const Step step = Step::of(grid, ray, budget.even_density, i);
   const bool kept = i < count && (i >= last || !step.passes);
   const bool may_jump = i < last && step.may_jump;
   Window window;
@@ -114,17 +113,25 @@ __device__ Window look(const Grid& grid, const MarchedRay& ray, SkipBudget& budg
   return window;
 }
 
+// Places of a ray's samples, and their lengths where these differ (else null).
+struct Slots {
+  float* t = nullptr;
+  float* delta = nullptr;
+};
+
 // Samples of the lattice into `slots`; -1 when they are more than `most`.
 __device__ std::int32_t march(const Grid& grid, const MarchedRay& ray, double skip_budget, std::int64_t most, int lane,
-                              float* slots) {
-  SkipBudget budget(skip_budget, ray.span_m);
+                              const Slots& slots) {
+  SkipBudget budget(skip_budget, ray.length_m());
   std::int32_t written = 0;
   for (std::int32_t base = 0; base < ray.lattice.count;) {
     const Window window = look(grid, ray, budget, base, lane);
     if (written + __popc(window.kept) > most) return -1;
     if ((window.kept >> lane & 1u) != 0) {
-      slots[written + __popc(window.kept & ((1u << lane) - 1))] =
-          round_inside<float>(ray.lattice.at(base + lane), ray.lattice.near_m, ray.far_m);
+      const std::int32_t slot = written + __popc(window.kept & ((1u << lane) - 1));
+      const std::int64_t i = base + lane;
+      slots.t[slot] = round_inside<float>(ray.lattice.at(i), ray.lattice.near_m, ray.far_m);
+      if (slots.delta != nullptr) slots.delta[slot] = static_cast<float>(ray.lattice.length_m(i, i + 1));
     }
     written += __popc(window.kept);
     base = window.next;
@@ -134,7 +141,7 @@ __device__ std::int32_t march(const Grid& grid, const MarchedRay& ray, double sk
 
 // What a march leaves: max_samples slots a ray, of which `count` are in use, and the length of a step.
 struct Marched {
-  float* slots = nullptr;
+  Slots slots;
   std::int32_t* count = nullptr;
   float* step_m = nullptr;
 };
@@ -156,7 +163,8 @@ __global__ void __launch_bounds__(kThreads) march_kernel(OccupancySampleArgs arg
       ray.lattice.u = static_cast<double>(
           uniform01(at_step(args.random, step), static_cast<std::uint64_t>(args.first_ray + number)));
     }
-    float* slots = out.slots + number * args.max_samples;
+    const std::int64_t first = number * args.max_samples;
+    const Slots slots{out.slots.t + first, out.slots.delta == nullptr ? nullptr : out.slots.delta + first};
     for (ray.lay_out(); (count = march(grid, ray, args.skip_budget, args.max_samples, lane, slots)) < 0;
          ray.lay_out()) {
       ray.lattice.count = (ray.lattice.count + 1) / 2;
@@ -182,10 +190,10 @@ __global__ void __launch_bounds__(kThreads)
     const std::int64_t begin = *out.first.row(number);
     const std::int32_t count = marched.count[number];
     const float step_m = marched.step_m[number];
-    const float* slots = marched.slots + number * max_samples;
+    const std::int64_t slot = number * max_samples;
     for (std::int32_t k = lane; k < count; k += kWarp) {
-      *out.t.row(begin + k) = slots[k];
-      *out.delta.row(begin + k) = step_m;
+      *out.t.row(begin + k) = marched.slots.t[slot + k];
+      *out.delta.row(begin + k) = marched.slots.delta == nullptr ? step_m : marched.slots.delta[slot + k];
       *out.ray_of_sample.row(begin + k) = static_cast<std::int32_t>(number);
     }
   }
@@ -199,8 +207,10 @@ void sample(const OccupancySampleArgs& args, const OccupancyState<float>& state,
   out.count = count * args.max_samples;
   if (count == 0) return;
   Workspace::Scope scope(*args.workspace);
-  const Marched marched{args.workspace->take<float>(out.count, 1).data,
-                        args.workspace->take<std::int32_t>(count, 1).data, args.workspace->take<float>(count, 1).data};
+  const Slots slots{args.workspace->take<float>(out.count, 1).data,
+                    args.geometry.equal_m > 0 ? args.workspace->take<float>(out.count, 1).data : nullptr};
+  const Marched marched{slots, args.workspace->take<std::int32_t>(count, 1).data,
+                        args.workspace->take<float>(count, 1).data};
   const Grid grid{args.geometry, state, std::isinf(args.skip_budget), args.keep_last};
   const unsigned blocks = blocks_of(count, kRaysPerBlock);
   march_kernel<<<blocks, kThreads, 0, launch().stream>>>(args, grid, args.geometry.outer(), rays, marched,

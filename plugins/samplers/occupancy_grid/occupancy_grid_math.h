@@ -24,6 +24,7 @@ struct OccupancyGeometry {
   Vec3d lo;      ///< corner of cascade 0
   Vec3d cell_m;  ///< cell sizes of cascade 0
   double step_m = 0;
+  double equal_m = 0;  ///< distance from the camera up to which steps are equal; 0 = all of them
 
   SEMFIELD_HD std::int64_t cells_per_cascade() const { return static_cast<std::int64_t>(n) * n * n; }
   SEMFIELD_HD std::int64_t cells() const { return cascades * cells_per_cascade(); }
@@ -137,12 +138,43 @@ struct CellRay {
   }
 };
 
-/// Sample i of a ray of `count` equal intervals stands at near + (i + u) * step.
+/// Distances along a ray whose steps grow: unrolled, all steps are equal. Up to `equal_m` a distance is itself; from
+/// there on each doubling of it is as long as the first `equal_m`, so that steps double when the distance does. Powers
+/// of two only: the same bits on every device.
+struct UnrolledDistance {
+  double equal_m = 0;
+
+  SEMFIELD_HD double of(double t) const {
+    const int octave = t < equal_m ? 0 : std::ilogb(t / equal_m);
+    return std::ldexp(t, -octave) + octave * equal_m;
+  }
+  SEMFIELD_HD double back(double unrolled) const {
+    const double turns = std::floor(unrolled / equal_m) - 1;
+    const int octave = turns > 0 ? static_cast<int>(turns) : 0;
+    return std::ldexp(unrolled - octave * equal_m, octave);
+  }
+};
+
+/// Sample i of a ray of `count` intervals, which are equal when they are unrolled, stands at begin + (i + u) * step.
 struct StepLattice {
   double near_m = 0, step_m = 0, u = 0.5;
   std::int64_t count = 0;
+  UnrolledDistance distance;  ///< equal_m 0: nothing is unrolled
+  double begin_m = 0;         ///< near, unrolled
 
-  SEMFIELD_HD double at(std::int64_t i) const { return near_m + (static_cast<double>(i) + u) * step_m; }
+  SEMFIELD_HD bool grows() const { return distance.equal_m > 0; }
+  SEMFIELD_HD double at(std::int64_t i) const {
+    const double steps = static_cast<double>(i) + u;
+    return grows() ? distance.back(begin_m + steps * step_m) : near_m + steps * step_m;
+  }
+  /// Length of the intervals [i, to).
+  SEMFIELD_HD double length_m(std::int64_t i, std::int64_t to) const {
+    if (!grows()) return static_cast<double>(to - i) * step_m;
+    return distance.back(begin_m + static_cast<double>(to) * step_m) -
+           distance.back(begin_m + static_cast<double>(i) * step_m);
+  }
+  /// Where a distance from the origin lies, in steps from sample 0.
+  SEMFIELD_HD double place_of(double t) const { return (distance.of(t) - begin_m) / step_m - u; }
   /// First sample after i whose index is not below `place`, up to rounding on the near side: it may be one too early,
   /// never too late.
   SEMFIELD_HD std::int64_t next(std::int64_t i, double place) const {
@@ -153,11 +185,11 @@ struct StepLattice {
   }
 };
 
-/// The part of a ray inside the grid's box, cut into equal steps.
+/// The part of a ray inside the grid's box, cut into steps.
 struct MarchedRay {
-  CellRay ray, steps;  ///< in metres from the origin; in steps from the lattice's sample 0
+  CellRay ray, steps;  ///< in metres from the origin; in steps from the lattice's sample 0, where they are equal
   StepLattice lattice;
-  double span_m = 0, far_m = 0;
+  double span_m = 0, far_m = 0;  ///< span: unrolled
 
   /// False when nothing of [near, far] lies in the box.
   SEMFIELD_HD bool begin(const OccupancyGeometry& g, const Box& box, const double* origin, const double* direction,
@@ -166,7 +198,10 @@ struct MarchedRay {
     if (!intersect(box, {origin[0], origin[1], origin[2]}, {direction[0], direction[1], direction[2]}, enter, leave))
       return false;
     lattice.near_m = std::max(near_m, enter);
-    span_m = std::min(far_limit_m, leave) - lattice.near_m;
+    far_m = std::min(far_limit_m, leave);
+    lattice.distance.equal_m = g.equal_m;
+    lattice.begin_m = lattice.grows() ? lattice.distance.of(lattice.near_m) : lattice.near_m;
+    span_m = (lattice.grows() ? lattice.distance.of(far_m) : far_m) - lattice.begin_m;
     if (!(span_m > 0)) return false;
     ray = CellRay(g, origin, direction);
     const double count = std::ceil(span_m / g.step_m);
@@ -178,8 +213,20 @@ struct MarchedRay {
   /// After `lattice.count` or `lattice.u` changed.
   SEMFIELD_HD void lay_out() {
     lattice.step_m = span_m / static_cast<double>(lattice.count);
+    if (lattice.grows()) return;
     far_m = lattice.near_m + lattice.step_m * static_cast<double>(lattice.count);
     steps = ray.in_units(lattice.at(0), lattice.step_m);
+  }
+  /// Metres between the first and the last border of the lattice.
+  SEMFIELD_HD double length_m() const { return lattice.grows() ? far_m - lattice.near_m : span_m; }
+  SEMFIELD_HD OccupancyCell cell_at(const OccupancyGeometry& g, std::int64_t i) const {
+    return lattice.grows() ? ray.cell_at(g, lattice.at(i)) : steps.cell_at(g, static_cast<double>(i));
+  }
+  /// First sample that is not surely in the aligned cube of `size` cells around sample i's `cell`.
+  SEMFIELD_HD std::int64_t behind(const OccupancyGeometry& g, const OccupancyCell& cell, std::int32_t size,
+                                  std::int64_t i) const {
+    const double exit = lattice.grows() ? lattice.place_of(ray.exit(g, cell, size)) : steps.exit(g, cell, size);
+    return lattice.next(i, exit);
   }
 };
 

@@ -148,6 +148,79 @@ TEST(OccupancyGrid, JumpsGiveTheSamplesOfStepByStepMarching) {
   }
 }
 
+TEST(UnrolledDistance, IsTheIdentityNearbyAndDoublesItsStepsWithTheDistance) {
+  const UnrolledDistance distance{0.7};
+  for (const double t : {0.0, 0.1, 0.69, 0.7}) {
+    EXPECT_EQ(distance.of(t), t);
+    EXPECT_EQ(distance.back(t), t);
+  }
+  EXPECT_EQ(distance.of(1.4), 1.4);  // the first octave has the step of what is before it
+  EXPECT_DOUBLE_EQ(distance.of(2.8), 2.1);
+  EXPECT_DOUBLE_EQ(distance.of(0.7 * 1024), 0.7 * 11);
+  double before = -1;
+  for (int i = 0; i < 20000; ++i) {
+    const double t = 1e-3 * std::pow(1.002, i), unrolled = distance.of(t);
+    if (unrolled > 600) break;
+    EXPECT_NEAR(distance.back(unrolled), t, 1e-13 * t * std::max(1.0, unrolled));
+    EXPECT_GT(unrolled, before);
+    before = unrolled;
+  }
+  EXPECT_NEAR(distance.back(distance.of(1e300)) / 1e300, 1, 1e-12);
+}
+
+OccupancyGridParams growing_grid() {
+  OccupancyGridParams params = small_grid();
+  params.cascades = 6;
+  params.growth = 0.05;
+  params.skip = SkipRule::threshold;
+  return params;
+}
+
+TEST(OccupancyGrid, GrowingStepsTileTheRayAndStayBelowTheirShare) {
+  Bench<double> bench(growing_grid());
+  bench.shoot(100);  // nothing is left out yet
+  const OccupancyGeometry& g = bench.sampler.geometry();
+  for (std::size_t r = 0; r < 100; ++r) {
+    double border = 0.05, longest = 0;
+    const auto begin = static_cast<std::size_t>(bench.first[r]), end = static_cast<std::size_t>(bench.first[r + 1]);
+    for (std::size_t k = begin; k < end; ++k) {
+      EXPECT_GT(bench.t[k], border);
+      border += bench.delta[k];
+      EXPECT_LT(bench.t[k], border);
+      EXPECT_LE(bench.delta[k], std::max(g.step_m, 0.05 * bench.t[k]) * (1 + 1e-9));
+      longest = std::max(longest, bench.delta[k]);
+    }
+    EXPECT_NEAR(border, 12, 1e-9);  // the last cascade reaches farther
+    EXPECT_GT(longest, 16 * g.step_m);
+  }
+}
+
+TEST(OccupancyGrid, GrowingStepsJumpAsStepByStepMarchingGoes) {
+  OccupancyGridParams params = growing_grid();
+  Bench<double> all(params), bench(params);
+  all.shoot(300);
+  bench.learn(ball<double>(50, 0), 80);
+  bench.shoot(300);
+  const OccupancyGeometry& g = bench.sampler.geometry();
+  const auto* bits = reinterpret_cast<const unsigned char*>(bench.box.value(1).data);
+  std::size_t kept = 0;
+  for (std::size_t r = 0; r < 300; ++r) {
+    const CellRay ray(g, &bench.origin[3 * r], &bench.direction[3 * r]);
+    std::vector<double> want, lengths;
+    for (auto k = static_cast<std::size_t>(all.first[r]); k < static_cast<std::size_t>(all.first[r + 1]); ++k) {
+      if (is_empty_cell<double>(bits, ray.cell_at(g, all.t[k]).index(g.n))) continue;
+      want.push_back(all.t[k]);
+      lengths.push_back(all.delta[k]);
+    }
+    const auto begin = bench.first[r], end = bench.first[r + 1];
+    ASSERT_EQ(std::vector<double>(bench.t.begin() + begin, bench.t.begin() + end), want) << "ray " << r;
+    ASSERT_EQ(std::vector<double>(bench.delta.begin() + begin, bench.delta.begin() + end), lengths) << "ray " << r;
+    kept += want.size();
+  }
+  EXPECT_GT(kept, 500u);
+  EXPECT_LT(kept, static_cast<std::size_t>(all.out.count) / 3);
+}
+
 TEST(OccupancyGrid, EverySampleNearTheBallIsKept) {
   OccupancyGridParams params = small_grid();
   params.update_every = 1;  // cells that the ball only grazes need many draws
@@ -297,11 +370,12 @@ TEST(OccupancyGrid, RefusesWhatItCannotUse) {
 }
 
 TEST(OccupancyGrid, Laws) {
-  for (const std::int64_t cascades : {1, 2}) {
+  for (const std::int64_t cascades : {1, 2, 5}) {
     OccupancyGridParams params = small_grid();
     params.resolution = 32;
     params.max_samples = 64;
     params.cascades = cascades;
+    params.growth = cascades == 5 ? 0.03 : 0;
     const OccupancyGrid<float> single(params, room(), Bench<float>::tables());
     const OccupancyGrid<double> twin(params, room(), Bench<double>::tables());
     const auto failures = testkit::sampler_laws(single, twin, room());

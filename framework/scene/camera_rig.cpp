@@ -1,0 +1,120 @@
+#include "scene/camera_rig.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "core/parallel.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::size_t kMostCameras = 128;  // looked at for each voxel
+constexpr double kSeenBy = 0.9;            // of the cameras
+constexpr double kMostOneSided = 0.75;     // length of the mean direction to the cameras: 0.64 for half a circle
+constexpr int kRounds = 8;                 // of reweighting
+
+// The symmetric system sum w (I - d d^T) p = sum w (I - d d^T) c by Cramer's rule; false when all axes are parallel.
+bool solve(const std::array<Vec3d, 3>& rows, Vec3d right, double scale, Vec3d& out) {
+  const double det = dot(rows[0], cross(rows[1], rows[2]));
+  if (!(det > 1e-6 * scale * scale * scale)) return false;
+  out = (cross(rows[1], rows[2]) * right.x + cross(rows[2], rows[0]) * right.y + cross(rows[0], rows[1]) * right.z) *
+        (1 / det);
+  return true;
+}
+
+// The point whose distances to the view axes have the least sum (not of squares: a stray camera must not pull it).
+bool find_focus(const Cameras& cameras, Vec3d& focus) {
+  std::vector<double> weight(cameras.size(), 1.0);
+  for (int round = 0; round < kRounds; ++round) {
+    std::array<Vec3d, 3> rows{};
+    Vec3d right;
+    double total = 0;
+    for (std::size_t i = 0; i < cameras.size(); ++i) {
+      const Vec3d d = cameras[i]->world_from_camera.axis(2), c = cameras[i]->world_from_camera.t;
+      for (int row = 0; row < 3; ++row) {
+        for (int col = 0; col < 3; ++col)
+          rows[static_cast<std::size_t>(row)][col] += weight[i] * ((row == col ? 1.0 : 0.0) - d[row] * d[col]);
+      }
+      right = right + (c - d * dot(d, c)) * weight[i];
+      total += weight[i];
+    }
+    if (!solve(rows, right, total, focus)) return false;
+    for (std::size_t i = 0; i < cameras.size(); ++i) {
+      const Vec3d from = focus - cameras[i]->world_from_camera.t, d = cameras[i]->world_from_camera.axis(2);
+      weight[i] = 1 / std::max(length(from - d * dot(d, from)), 1e-3 * length(from) + 1e-12);
+    }
+  }
+  return true;
+}
+
+}  // namespace
+
+Cameras some_of(const Cameras& cameras, std::size_t most) {
+  if (cameras.size() <= most) return cameras;
+  Cameras out;
+  for (std::size_t i = 0; i < most; ++i) out.push_back(cameras[i * cameras.size() / most]);
+  return out;
+}
+
+bool project_into(const FrameInfo& frame, Vec3d point, double& u, double& v) {
+  const Vec3d p = frame.world_from_camera.apply_inverse(point);
+  if (!(p.z > 0)) return false;
+  frame.camera.project(p, u, v);
+  return u >= 0 && v >= 0 && u < frame.camera.width_px && v < frame.camera.height_px;
+}
+
+Box box_of_voxels(const Box& region, const std::function<bool(Vec3d center)>& keeps) {
+  constexpr std::int64_t kSide = 48;
+  const Vec3d cell = region.size() * (1.0 / kSide);
+  std::vector<Box> layers(kSide);
+  parallel_for(kSide, [&](std::int64_t z) {
+    for (std::int64_t y = 0; y < kSide; ++y) {
+      for (std::int64_t x = 0; x < kSide; ++x) {
+        const Vec3d lo = region.lo + Vec3d{static_cast<double>(x) * cell.x, static_cast<double>(y) * cell.y,
+                                           static_cast<double>(z) * cell.z};
+        if (!keeps(lo + cell * 0.5)) continue;
+        layers[static_cast<std::size_t>(z)].include(lo);
+        layers[static_cast<std::size_t>(z)].include(lo + cell);
+      }
+    }
+  });
+  Box box;
+  for (const Box& layer : layers) {
+    if (layer.empty()) continue;
+    box.include(layer.lo);
+    box.include(layer.hi);
+  }
+  return box;
+}
+
+CameraRig find_rig(const Cameras& all) {
+  CameraRig rig;
+  const Cameras cameras = some_of(all, kMostCameras);
+  if (cameras.size() < 3 || !find_focus(cameras, rig.focus)) return rig;
+  std::vector<double> distances;
+  Vec3d mean;
+  std::size_t see_it = 0;
+  const double count = static_cast<double>(cameras.size());
+  for (const FrameInfo* camera : cameras) {
+    const Vec3d to_camera = camera->world_from_camera.t - rig.focus;
+    distances.push_back(length(to_camera));
+    if (distances.back() > 0) mean = mean + normalized(to_camera) * (1 / count);
+    double u = 0, v = 0;
+    see_it += project_into(*camera, rig.focus, u, v) ? 1 : 0;
+  }
+  std::nth_element(distances.begin(), distances.begin() + std::ssize(distances) / 2, distances.end());
+  rig.distance_m = distances[distances.size() / 2];
+  if (static_cast<double>(see_it) < kSeenBy * count || length(mean) > kMostOneSided) return rig;
+  const Vec3d half{rig.distance_m, rig.distance_m, rig.distance_m};
+  rig.seen = box_of_voxels({rig.focus - half, rig.focus + half}, [&](Vec3d center) {
+    double seen = 0, u = 0, v = 0;
+    for (const FrameInfo* camera : cameras) seen += project_into(*camera, center, u, v) ? 1 : 0;
+    return seen >= kSeenBy * count;
+  });
+  rig.inward = !rig.seen.empty();
+  return rig;
+}
+
+}  // namespace semfield
