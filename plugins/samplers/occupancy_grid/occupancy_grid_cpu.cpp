@@ -266,13 +266,15 @@ struct PublishJob {
 
   // 16 cells of a row; they lie in two blocks.
   void mark_word(std::int64_t word, Real* bounds, SlabTotals& sum) const {
+    const Real above =
+        geometry.occupied_above(occupied_above, static_cast<std::int32_t>(word / geometry.cells_per_cascade()));
     std::uint32_t bits = 0;
     for (std::int32_t half = 0; half < kBitsPerElement; half += kBlockCells) {
       if (covered(word + half)) continue;  // a finer grid's border is a multiple of 8 cells
       Real bound = bounds[half / kBlockCells];
       for (std::int32_t b = half; b < half + kBlockCells; ++b) {
         const Real density = state.density[word + b];
-        const bool occupied = density < 0 || density > occupied_above;
+        const bool occupied = density < 0 || density > above;
         bits |= static_cast<std::uint32_t>(!occupied) << b;
         bound = std::max(bound, occupied ? static_cast<Real>(kUnbounded) : density);
       }

@@ -26,6 +26,12 @@ struct OccupancyGeometry {
   double step_m = 0;
   double equal_m = 0;  ///< distance from the camera up to which steps are equal; 0 = all of them
 
+  /// Density above which a cell of `cascade` is occupied where one of the finest is above `finest`: steps that grow are
+  /// twice as long in the next cascade.
+  template <class Real>
+  SEMFIELD_HD Real occupied_above(Real finest, std::int32_t cascade) const {
+    return equal_m > 0 ? finest / static_cast<Real>(1 << cascade) : finest;
+  }
   SEMFIELD_HD std::int64_t cells_per_cascade() const { return static_cast<std::int64_t>(n) * n * n; }
   SEMFIELD_HD std::int64_t cells() const { return cascades * cells_per_cascade(); }
   SEMFIELD_HD std::int32_t blocks_per_side() const { return n / kBlockCells; }

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <string>
@@ -219,6 +220,23 @@ TEST(OccupancyGrid, GrowingStepsJumpAsStepByStepMarchingGoes) {
   }
   EXPECT_GT(kept, 500u);
   EXPECT_LT(kept, static_cast<std::size_t>(all.out.count) / 3);
+}
+
+// As thin a medium hides as much behind it where steps are twice as long.
+TEST(OccupancyGrid, GrowingStepsLowerTheThresholdOfOuterCascades) {
+  const auto occupied = [](double growth) {
+    OccupancyGridParams params = growing_grid();
+    params.growth = growth;
+    Bench<double> bench(params);
+    // 0.7 of the threshold of the finest cells everywhere, a dense ball that keeps the mean high.
+    const double haze = 0.7 * params.threshold / bench.sampler.geometry().step_m;
+    bench.learn(ball<double>(1e7, haze), 80);
+    const auto* bits = reinterpret_cast<const unsigned char*>(bench.box.value(1).data);
+    const std::int64_t of_cascade = bench.sampler.geometry().cells_per_cascade();
+    return std::array<bool, 2>{!is_empty_cell<double>(bits, 0), !is_empty_cell<double>(bits, of_cascade)};
+  };
+  EXPECT_EQ(occupied(0.05), (std::array<bool, 2>{false, true}));
+  EXPECT_EQ(occupied(0), (std::array<bool, 2>{false, false}));
 }
 
 TEST(OccupancyGrid, EverySampleNearTheBallIsKept) {

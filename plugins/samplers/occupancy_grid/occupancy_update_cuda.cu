@@ -166,13 +166,13 @@ __global__ void __launch_bounds__(kThreads)
   const std::int64_t pair = static_cast<std::int64_t>(blockIdx.x) * kWarps + warp;
   std::int32_t occupied = 0, counted = 0;
   if (pair < pairs) {
-    const float occupied_above = marking->occupied_above;
     const std::int32_t side = geometry.blocks_per_side();
     OccupancyCell corner;
     corner.at[0] = static_cast<std::int32_t>(pair % (side / 2)) * kBitsPerElement;
     corner.at[1] = static_cast<std::int32_t>(pair / (side / 2) % side) * kBlockCells;
     corner.at[2] = static_cast<std::int32_t>(pair / (side / 2) / side % side) * kBlockCells;
     corner.cascade = static_cast<std::int32_t>(pair / (side / 2) / side / side);
+    const float occupied_above = geometry.occupied_above(marking->occupied_above, corner.cascade);
     OccupancyCell right = corner;
     right.at[0] += kBlockCells;
     // A finer grid's border is a multiple of 8 cells.
