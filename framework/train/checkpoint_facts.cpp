@@ -137,7 +137,7 @@ TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::stri
 }
 
 CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step) {
-  if (const std::string& format = text_of(file, "format"); format != kFormat) {
+  if (const std::string format = text_of(file, "format"); format != kFormat) {
     refuse(file, fmt::format("its format is '{}', this program reads '{}'", format, kFormat),
            "use the version of the program that wrote it, or train anew");
   }
