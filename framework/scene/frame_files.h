@@ -50,7 +50,7 @@ inline constexpr const char* kMissingSentence =
 /// The files of a scene's frames before any is decoded: there or not, of the right size or not.
 class FrameFileCheck {
  public:
-  /// `labels_key` is the parameter that, left empty, turns the scene's own labels off.
+  /// `labels_key` is the parameter that, left empty, turns the scene's own labels off; "" where there is none.
   FrameFileCheck(MissingFiles missing, std::string labels_key)
       : missing_(missing), labels_key_(std::move(labels_key)) {}
   /// How many frames will be asked for, for those who show how far it is.

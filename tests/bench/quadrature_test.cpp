@@ -26,12 +26,12 @@ const Registry& registry() {
   return *all;
 }
 
-const QuadratureRule& rule_named(const std::string& name) {
+const QuadratureRule& rule_named(std::string_view name) {
   static const std::vector<QuadratureRule> rules = quadrature_rules(registry());
   for (const QuadratureRule& rule : rules) {
     if (rule.name == name) return rule;
   }
-  throw Error(ErrorKind::failure, "no rule '" + name + "'");
+  throw Error(ErrorKind::failure, "no rule '" + std::string(name) + "'");
 }
 
 RayProblem problem_named(const std::string& key) {

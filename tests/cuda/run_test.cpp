@@ -102,7 +102,7 @@ TEST_P(CudaStep, LossesAndGradientsAreTheProcessors) {
   }
 }
 INSTANTIATE_TEST_SUITE_P(All, CudaStep, ::testing::ValuesIn(kSteps),
-                         [](const ::testing::TestParamInfo<StepCaseRow>& info) { return info.param.name; });
+                         [](const ::testing::TestParamInfo<StepCaseRow>& row) { return row.param.name; });
 
 std::string paper_config(const std::string& scene, std::int32_t hidden_width) {
   const std::string encodings =

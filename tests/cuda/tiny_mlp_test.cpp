@@ -132,7 +132,7 @@ constexpr TinyFeature kHidden = TinyFeature::hidden, kGeometry = TinyFeature::ge
 
 class CudaTinyMlp : public ::testing::TestWithParam<Precision> {};
 INSTANTIATE_TEST_SUITE_P(Precisions, CudaTinyMlp, ::testing::Values(Precision::fp32, Precision::bf16),
-                         [](const auto& info) { return info.param == Precision::bf16 ? "bf16" : "fp32"; });
+                         [](const auto& each) { return each.param == Precision::bf16 ? "bf16" : "fp32"; });
 
 TEST_P(CudaTinyMlp, IsTheCpuNetworkAtEverySizeAndStride) {
   SEMFIELD_NEEDS_DEVICE();
