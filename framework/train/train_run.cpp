@@ -331,8 +331,8 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   for (const std::string& line : session.chosen) {
     if (hooks.note) hooks.note("chosen from the scene: " + line);
   }
-  if (!folder) folder.emplace(RunFolder::create(request.out_dir));
   const std::string text = run_config_text(session.config, registry);
+  if (!folder) folder.emplace(RunFolder::create(request.out_dir));
   if (!request.resume || read_text_file(folder->config_path()) != text) write_file_atomic(folder->config_path(), text);
   Run run(std::move(*folder), std::move(session), registry, hooks, std::move(point), std::move(inputs));
   if (request.resume) run.go_on();

@@ -129,7 +129,7 @@ TEST(CameraPath, NoFreeSpaceIsAnError) {
   const Raycaster rays(mesh);
   PathSettings s = settings_of(mesh, 4, 1);
   s.clearance_m = 2;
-  const std::string remedy = "; lower clearance_m or set bounds to the inside of the room";
+  const std::string remedy = "; lower scene.clearance_m or set scene.bounds to the inside of the room";
   EXPECT_EQ(error_of([&] { make_camera_path(rays, s); }),
             "no free space for cameras: 0 of 4000 positions are free" + remedy);
   // Outside there is space, but no room around it.
