@@ -1,8 +1,9 @@
-# semfield_add_test(NAME name SOURCES a.cpp ... [LIBRARIES ...] [LABELS ...]): one GoogleTest program linked with the framework,
-# the linked plugins and the testkit.
+# semfield_add_test(NAME name SOURCES a.cpp ... [LIBRARIES ...] [LABELS ...] [DEVICE]): one GoogleTest program linked with the
+# framework, the linked plugins and the testkit. Without DEVICE its tests see no device of the machine: `runtime.device: auto` is the
+# processor, and golden values are the same everywhere.
 include(GoogleTest)
 function(semfield_add_test)
-  cmake_parse_arguments(ARG "" "NAME" "SOURCES;LIBRARIES;LABELS" ${ARGN})
+  cmake_parse_arguments(ARG "DEVICE" "NAME" "SOURCES;LIBRARIES;LABELS" ${ARGN})
   add_executable(${ARG_NAME} ${ARG_SOURCES})
   target_link_libraries(${ARG_NAME} PRIVATE semfield semfield_plugins semfield_testkit semfield_warnings GTest::gtest_main ${ARG_LIBRARIES})
   target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_SOURCE_DIR="${PROJECT_SOURCE_DIR}" SEMFIELD_BINARY_DIR="${PROJECT_BINARY_DIR}")
@@ -13,7 +14,11 @@ function(semfield_add_test)
     endif()
   endforeach()
   # Tests run beside each other: threads that wait must not spin.
-  set(properties TIMEOUT 600 ENVIRONMENT OMP_WAIT_POLICY=passive)
+  set(environment OMP_WAIT_POLICY=passive)
+  if(NOT ARG_DEVICE)
+    string(APPEND environment "\\;CUDA_VISIBLE_DEVICES=")
+  endif()
+  set(properties TIMEOUT 600 ENVIRONMENT ${environment})
   if(ARG_LABELS)
     list(APPEND properties LABELS ${ARG_LABELS})
   endif()
@@ -31,7 +36,7 @@ function(semfield_test_every_isa name)
     string(REPLACE "avx512f_bf16" "avx512_bf16" flag "${flag}")
     if(isa STREQUAL "generic" OR "${cpu_flags} " MATCHES "${flag}")
       add_test(NAME ${name}.${isa} COMMAND ${name} --gtest_brief=1)
-      set_tests_properties(${name}.${isa} PROPERTIES TIMEOUT 600 ENVIRONMENT "SEMFIELD_ISA=${isa};OMP_WAIT_POLICY=passive")
+      set_tests_properties(${name}.${isa} PROPERTIES TIMEOUT 600 ENVIRONMENT "SEMFIELD_ISA=${isa};OMP_WAIT_POLICY=passive;CUDA_VISIBLE_DEVICES=")
     endif()
   endforeach()
 endfunction()

@@ -18,6 +18,14 @@ std::string variant_name(Device device, Precision precision) {
 std::string_view device_name(Device device) { return device == Device::cpu ? "cpu" : "cuda"; }
 std::string_view precision_name(Precision precision) { return precision == Precision::fp32 ? "fp32" : "bf16"; }
 
+bool KernelTables::has(Device device, std::string_view owner) const {
+  const auto found = owners_.find(owner);
+  if (found == owners_.end()) return false;
+  const std::string_view name = device_name(device);
+  return std::any_of(found->second.begin(), found->second.end(),
+                     [&](std::string_view variant) { return variant.substr(0, variant.find(' ')) == name; });
+}
+
 std::string KernelTables::devices_of(std::string_view owner) const {
   const auto found = owners_.find(owner);
   return found == owners_.end() ? std::string() : join(found->second);

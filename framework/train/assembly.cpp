@@ -199,20 +199,39 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
                                           trainable);
 }
 
-Device chosen_device(DeviceChoice choice, Registry& registry) {
+namespace {
+// "field 'ball'": the first part of the passes without kernels for `device`; empty: all have them.
+std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
+  for (const PassConfig& pass : config.passes) {
+    for (const PluginSlot* slot : {&pass.sampler, &pass.position, &pass.direction, &pass.field}) {
+      if (slot->entry == nullptr) continue;
+      std::string owner = std::string(kind_name(slot->entry->kind)) + " '" + slot->entry->name + "'";
+      if (!registry.kernels().has(device, owner)) return owner;
+    }
+  }
+  return {};
+}
+}  // namespace
+
+Device chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics) {
+  const DeviceChoice choice = config.runtime.device;
   if (choice == DeviceChoice::cpu) return Device::cpu;
   std::string why_not;
   if (cuda_available(&why_not)) {
     cuda_library().add_kernels(registry.kernels());
-    return Device::cuda;
+    const std::string part = part_without_kernels(config, registry, Device::cuda);
+    if (part.empty()) return Device::cuda;
+    why_not = part + " has no cuda kernels";
+    if (choice == DeviceChoice::automatic)
+      diagnostics.note("runtime.device", why_not + ", so the run stays on the processor");
   }
   if (choice == DeviceChoice::automatic) return Device::cpu;
   throw Error(ErrorKind::unavailable, "runtime.device: cuda: " + why_not, "set runtime.device: cpu, or auto");
 }
 
-std::unique_ptr<DeviceBackend> attach_device(const RunConfig& config, Registry& registry, const BuildPlan& plan,
-                                             const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable) {
-  const Device device = chosen_device(config.runtime.device, registry);
+std::unique_ptr<DeviceBackend> attach_device(Device device, const RunConfig& config, const Registry& registry,
+                                             const BuildPlan& plan, const SceneExtent& extent,
+                                             Pipeline<float>& pipeline, bool trainable) {
   if (device == Device::cpu) return nullptr;
   DeviceOptions options;
   options.adam = {config.adam.beta1, config.adam.beta2, config.adam.epsilon};

@@ -37,14 +37,16 @@ template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
 
-/// The device that a run asks for; its kernels are then in the registry's tables. Throws Error(unavailable) with the
-/// reason when cuda is asked for and cannot be had.
-Device chosen_device(DeviceChoice choice, Registry& registry);
+/// The device that the run's configuration asks for; its kernels are then in the registry's tables. `auto` is cuda where
+/// build and machine have it and every part of the passes has kernels for it; a part without them is noted and leaves
+/// the run on the processor. Throws Error(unavailable) with the reason when cuda is asked for and cannot be had.
+Device chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
 
-/// The backend of the chosen device with the same parts as `pipeline`, which from now on renders there; null for the
-/// processor. Throws Error(unavailable) naming a part without kernels for the device.
-std::unique_ptr<DeviceBackend> attach_device(const RunConfig& config, Registry& registry, const BuildPlan& plan,
-                                             const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable);
+/// The backend of `device`, which chosen_device gave, with the same parts as `pipeline`, which from now on renders
+/// there; null for the processor.
+std::unique_ptr<DeviceBackend> attach_device(Device device, const RunConfig& config, const Registry& registry,
+                                             const BuildPlan& plan, const SceneExtent& extent,
+                                             Pipeline<float>& pipeline, bool trainable);
 
 extern template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
                                                                  const SceneExtent&, std::vector<float>, bool);

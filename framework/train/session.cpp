@@ -196,7 +196,7 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
   }
   s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
   add_owned_rows(s);
-  s.device = attach_device(s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
+  s.device = attach_device(device, s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
 }
 
 // The scene is lent to a session of its own, whose sizes the guess chooses; only what it sees comes back.
@@ -225,7 +225,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   keep_components(config, options.keep);
   set_thread_count(config.runtime.threads);
   set_input_limits(config.limits);
-  const Device device = chosen_device(config.runtime.device, registry);
+  const Device device = chosen_device(config, registry, diagnostics);
   Session s = load_session(std::move(config), registry, options, device, diagnostics);
   s.memory_facts.program = program_bytes;
   if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, diagnostics);

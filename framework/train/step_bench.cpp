@@ -88,7 +88,9 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   impl_->precision = config.runtime.precision;
   const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry), {});
   impl_->pipeline = assemble<float>(config, registry, plan, extent, {}, true);
-  impl_->device = attach_device(config, registry, plan, extent, *impl_->pipeline, true);
+  Diagnostics ignored;
+  const Device device = chosen_device(config, registry, ignored);
+  impl_->device = attach_device(device, config, registry, plan, extent, *impl_->pipeline, true);
 
   std::int64_t per_ray = 0, all = 0;
   for (const Pass<float>& pass : impl_->pipeline->passes()) {

@@ -325,6 +325,45 @@ TEST(CudaRun, AStepThatDoesNotFitNamesRaysThatDo) {
   EXPECT_TRUE(std::isfinite(fitting.train(6).total));
 }
 
+// A field of the processor alone: it reads what it is given where it runs.
+struct PlainParams {};
+void describe(ParamVisitor&, PlainParams&) {}
+void validate(const PlainParams&, Diagnostics&) {}
+
+template <class Real>
+class PlainField final : public Field<Real> {
+ public:
+  PlainField(const PlainParams&, const FieldBuild&, const KernelTables&) {}
+  FieldTraits traits() const noexcept override { return {1, false}; }
+  std::size_t saved_bytes(std::int64_t, std::int64_t) const noexcept override { return 0; }
+
+ protected:
+  void do_forward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>& in, const FieldOut<Real>& out,
+                  Saved) const override {
+    for (std::int64_t m = 0; m < in.position.rows; ++m) out.sigma(m, 0) = in.position(m, 0);
+  }
+  void do_backward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>&, const FieldOut<Real>&,
+                   const FieldGrad<Real>&, Saved, View<Real>) const override {}
+};
+
+TEST(CudaRun, APartWithoutKernelsStaysOnTheProcessorOrIsRefusedByName) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  registry.add_field<PlainField, PlainParams>("plain", "a field of the processor alone");
+  const std::string yaml =
+      "scene: {type: analytic_room, frames: 4}\n"
+      "passes:\n  - {name: main, sampler: {type: stratified, samples: 8}, position: {type: identity},\n"
+      "     direction: {type: identity}, field: {type: plain}}\n";
+  EXPECT_EQ(open_text(yaml + "runtime: {device: auto}\n", registry).device, nullptr);
+  try {
+    open_text(yaml + "runtime: {device: cuda}\n", registry);
+    FAIL() << "a field without kernels for the device was taken";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::unavailable);
+    EXPECT_NE(std::string(error.what()).find("field 'plain' has no cuda kernels"), std::string::npos) << error.what();
+  }
+}
+
 TEST(CudaBuild, WithoutADeviceTheReasonIsSaid) {
   if (testing::has_device()) GTEST_SKIP() << "this machine has a device";
   Registry registry = make_registry();

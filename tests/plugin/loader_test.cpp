@@ -76,6 +76,19 @@ TEST(Loader, AThrowingModuleLeavesTheRegistryUnchanged) {
   EXPECT_EQ(registry.kernels().devices_of("encoder 'half'"), "");
 }
 
+TEST(KernelTables, KnowForWhichDeviceAnOwnerHasKernels) {
+  KernelTables tables;
+  static const int fp32 = 0;
+  static const float bf16 = 0;
+  tables.add(Device::cpu, "field 'a'", &fp32);
+  tables.add(Device::cuda, "field 'b'", &bf16, Precision::bf16);
+  EXPECT_TRUE(tables.has(Device::cpu, "field 'a'"));
+  EXPECT_FALSE(tables.has(Device::cuda, "field 'a'"));
+  EXPECT_TRUE(tables.has(Device::cuda, "field 'b'"));
+  EXPECT_FALSE(tables.has(Device::cpu, "field 'b'"));
+  EXPECT_FALSE(tables.has(Device::cpu, "field 'c'"));
+}
+
 TEST(Loader, ADuplicateNameLeavesTheRegistryUnchanged) {
   Registry registry;
   register_module(registry, sound_module());
