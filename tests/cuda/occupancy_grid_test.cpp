@@ -2,6 +2,7 @@
 // summed in another order: within 1e-6, and so are the threshold made from it and the share of occupied cells.
 #include "samplers/occupancy_grid/occupancy_grid.h"
 
+#include <algorithm>
 #include <array>
 
 #include "core/error.h"
@@ -44,7 +45,7 @@ double ball(Vec3d p) {
   const Vec3d d = p - Vec3d{0.5, 0, 0.5};
   return dot(d, d) < 0.64 ? 50 : 0;
 }
-double hazy_ball(Vec3d p) { return ball(p) > 0 ? 50 : 1e-5 * std::exp(2 * (p.x + p.y)); }
+double hazy_ball(Vec3d p) { return ball(p) > 0 ? 50 : 1e-5 * std::exp(2 * std::min(p.x + p.y, 4.0)); }
 double waves(Vec3d p) { return std::exp(8 * std::sin(5 * p.x + p.y * p.z)); }
 double nothing(Vec3d) { return 0; }
 
