@@ -1,10 +1,11 @@
-// Frequency and spherical harmonics encoders on the device against their float64 twins on the CPU.
+// Frequency, one-blob and spherical harmonics encoders on the device against their float64 twins on the CPU.
 #include <cmath>
 
 #include "core/error.h"
 #include "cuda/kernel_tables.h"
 #include "device_fixture.h"
 #include "plugins/encoders/frequency/frequency.h"
+#include "plugins/encoders/one_blob/one_blob.h"
 #include "plugins/encoders/spherical_harmonics/spherical_harmonics.h"
 #include "testkit/compare.h"
 
@@ -18,7 +19,7 @@ using testing::NotedFault;
 
 const KernelTables& all_kernels() {
   static const KernelTables tables =
-      testing::tables_of({frequency_kernels, spherical_harmonics_kernels, cuda::add_plugin_kernels});
+      testing::tables_of({frequency_kernels, one_blob_kernels, spherical_harmonics_kernels, cuda::add_plugin_kernels});
   return tables;
 }
 
@@ -150,6 +151,42 @@ TEST(CudaFrequency, CoordinatesThatCannotBeEncodedAreFaults) {
     DeviceLaunch at_once(true);
     EXPECT_THROW(encoder.forward({}, {}, x_device.read_only(), y.view()), Error);
     EXPECT_EQ(at_once.take_fault(), std::nullopt);
+  }
+}
+
+TEST(CudaOneBlob, FollowsItsTwinOnTheCpu) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const int bins : {2, 7, 16, 17, 64}) {
+    const auto device = make<OneBlob<float>>(OneBlobParams{bins}, 3, Device::cuda);
+    const auto host = make<OneBlob<double>>(OneBlobParams{bins}, 3, Device::cpu);
+    for (const std::int64_t rows : {0, 1, 31, 33, 4097}) {
+      for (const Strides strides : kStrides) {
+        SCOPED_TRACE(std::to_string(bins) + " bins, " + std::to_string(rows) + " rows, stride +" +
+                     std::to_string(strides.y));
+        // Values: two units in the last place of 1. dx: sums of slopes with such errors. Some rows are clamped.
+        expect_twins(device, host, random_doubles(3 * rows, 3, -0.2, 1.2), strides, 1.2e-7, 1e-6);
+      }
+    }
+  }
+}
+
+TEST(CudaOneBlob, CoordinatesThatAreNotFiniteAreFaults) {
+  SEMFIELD_NEEDS_DEVICE();
+  const auto encoder = make<OneBlob<float>>(OneBlobParams{}, 3, Device::cuda);
+  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL}) {
+    std::vector<double> x = random_doubles(3 * 200, 1, 0, 1);
+    x[3 * 150 + 1] = bad;
+    x[3 * 77 + 2] = bad;
+    const DeviceMatrix<double> x_device(x, 3);
+    const DeviceMatrix<float> y(200, encoder.traits().out_dims);
+    {
+      DeviceLaunch launch;
+      encoder.forward({}, {}, x_device.read_only(), y.view());
+      EXPECT_EQ(launch.take_fault(), (NotedFault{Stage::encoded_position, 77}));
+      for (const float v : y.read()) ASSERT_TRUE(std::isfinite(v));
+    }
+    DeviceLaunch at_once(true);
+    EXPECT_THROW(encoder.forward({}, {}, x_device.read_only(), y.view()), Error);
   }
 }
 
