@@ -65,12 +65,14 @@ __device__ unsigned touched_of(const float4& g, std::int32_t cols) {
 
 struct Constants {
   float beta1, one_minus_beta1, beta2, one_minus_beta2, epsilon, step_size, root_scale;
+  float kept = 1;  // of a value, before the update [Loshchilov19]
 };
 
 // [Kingma15, Alg. 1]. The operations of optim/adam_kernels.cpp, rounding by rounding.
 __device__ void update_element(const Constants& k, float g, float& x, float& m, float& v) {
   m = fmaf(k.beta1, m, k.one_minus_beta1 * g);
   v = fmaf(k.beta2, v, k.one_minus_beta2 * (g * g));
+  if (k.kept != 1) x = __fmul_rn(x, k.kept);
   x -= k.step_size * m / fmaf(sqrtf(v), k.root_scale, k.epsilon);
 }
 
@@ -135,7 +137,6 @@ __global__ void __launch_bounds__(kThreads, kUpdateBlocks)
     update_kernel(Constants k, const AdamTensor* tensors, int count, const StepCell* cell, const FaultKey* fault) {
   extern __shared__ int first[];
   if (fault != nullptr && *fault != kNoFault) return;
-  k.step_size = cell->adam_step_size;
   k.root_scale = cell->adam_root_scale;
   number_pieces(tensors, count, first);
   int i = 0;
@@ -143,6 +144,8 @@ __global__ void __launch_bounds__(kThreads, kUpdateBlocks)
     while (first[i + 1] <= piece) ++i;
     const AdamTensor t = tensors[i];
     if (t.semantic && cell->labelled == 0) continue;
+    k.step_size = static_cast<float>(cell->adam_step_size * t.rate);
+    k.kept = static_cast<float>(1 - cell->learning_rate * t.decay);
     update_piece(k, t, (piece - first[i]) * piece_elements(t));
   }
 }

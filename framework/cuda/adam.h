@@ -14,6 +14,8 @@ struct AdamTensor {
   std::int32_t cols = 0;
   bool touched_only = false;  ///< rows without a gradient are not written
   bool semantic = false;      ///< left alone in a step without labels
+  double rate = 1;            ///< LearningRule::rate
+  double decay = 0;           ///< LearningRule::rate * LearningRule::decay; of dense tensors
 };
 
 /// Notes a fault of Stage::gradient (row: number of the tensor) for a value, gradient or moment from which no update

@@ -16,7 +16,8 @@ struct FeatureExchange;
 /// What changes from step to step. Kernels read it from device memory, so that a captured graph of a step stays valid.
 struct StepCell {
   std::uint64_t step = 0;
-  float adam_step_size = 0;   ///< AdamStep::step_size
+  double adam_step_size = 0;  ///< AdamStep::step_size
+  double learning_rate = 0;   ///< of the step; for weight decay
   float adam_root_scale = 1;  ///< AdamStep::root_scale
   double semantic_normaliser = 0;
   std::int32_t labelled = 0;  ///< rays with a label; 0: the semantic head is not updated

@@ -44,17 +44,20 @@ Pass::Pass(PassParts<float> parts, const RenderRules& rules, Precision head_prec
   if (!parts_.head) return;
   head_tensors_ = store.add(*parts_.head);
   head_.emplace(*parts_.head, head_precision);
+  if (parts_.branch) branch_.emplace(*parts_.branch, store);
 }
 
 void Pass::derive(const StepContext& ctx) const {
   parts_.sampler->derive(ctx, store_->tensors(sampler_));
   parts_.position->derive(ctx, store_->tensors(position_));
   parts_.field->derive(ctx, store_->tensors(field_));
+  if (branch_) branch_->derive(ctx);
 }
 
 void Pass::derive_backward(const StepContext& ctx) const {
   parts_.position->derive_backward(ctx, store_->tensors(position_));
   parts_.field->derive_backward(ctx, store_->tensors(field_));
+  if (branch_) branch_->derive_backward(ctx);
 }
 
 DensityRule Pass::density_rule(const StepContext& ctx) const {
@@ -97,7 +100,8 @@ Trace Pass::forward(const StepContext& ctx, const Rays<float>& rays, const Propo
   trace.out.sigma = arena.take<float>(rows, 1);
   if (colors) trace.out.rgb = arena.take<float>(rows, 3);
   trace.sigma = arena.take<float>(rows, 1);
-  if (trace.semantic_rays > 0) trace.out.feature = arena.take<float>(rows, parts_.field->traits().feature_dims);
+  if (trace.semantic_rays > 0 && wants_feature())
+    trace.out.feature = arena.take<float>(rows, parts_.field->traits().feature_dims);
   if (ctx.training) {
     const std::size_t bytes = parts_.field->saved_bytes(rows, ray_count);
     trace.saved = Saved(arena.take_bytes(bytes), bytes);
@@ -105,7 +109,7 @@ Trace Pass::forward(const StepContext& ctx, const Rays<float>& rays, const Propo
   {
     FeatureExchange features;
     Launch sharing = launch();
-    if (trace.semantic_rays > 0 && head_->rounds() && rules_.deferred_class_layer) {
+    if (trace.semantic_rays > 0 && !branch_ && head_->rounds() && rules_.deferred_class_layer) {
       const std::int32_t width = trace.out.feature.cols, hidden = head_->hidden_width();
       __nv_bfloat16* const room = arena.take<__nv_bfloat16>(rows, std::max(width, hidden)).data;
       features.room = View<__nv_bfloat16>(room, rows, width, width, trace.sigma.device);
@@ -124,6 +128,7 @@ Trace Pass::forward(const StepContext& ctx, const Rays<float>& rays, const Propo
   trace.depth = arena.take<float>(ray_count, 1);
   trace.opacity = arena.take<float>(ray_count, 1);
   composite(ctx, trace);
+  if (branch_ && trace.semantic_rays > 0) branch_forward(ctx, rays, trace);
   return trace;
 }
 
@@ -145,7 +150,7 @@ void Pass::composite(const StepContext& ctx, Trace& trace) const {
   out.depth = trace.depth;
   out.opacity = trace.opacity;
   out.weight = trace.weight;
-  if (trace.semantic_rays == 0) {
+  if (trace.semantic_rays == 0 || branch_) {  // a branch follows the weights
     composite_forward(in, out);
     return;
   }
@@ -187,7 +192,9 @@ void Pass::backward(const StepContext& ctx, const Trace& trace, View<const float
   const std::int64_t rows = trace.samples.count, ray_count = trace.samples.first.rows - 1;
   if (rows == 0) return;
   const LaunchScope live(with_live_rows(trace.samples.first.data + ray_count));
-  const bool semantic = trace.semantic_rays > 0 && !d_logits.empty(), deferred = rules_.deferred_class_layer;
+  const bool labelled = trace.semantic_rays > 0 && !d_logits.empty();
+  const bool semantic = labelled && !branch_, deferred = rules_.deferred_class_layer;
+  if (labelled && branch_) branch_backward(ctx, trace, d_logits);
   if (semantic && !trace.rounded_hidden.empty()) return backward_in_bf16(ctx, trace, d_color, d_logits);
   CompositeIn<float> in = composite_in(trace);
   CompositeOut<float> out;

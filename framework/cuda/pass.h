@@ -8,6 +8,7 @@
 #include "cuda/feature_exchange.h"
 #include "cuda/head.h"
 #include "cuda/rendering.h"
+#include "cuda/semantic_branch.h"
 #include "cuda/store.h"
 #include "model/pass.h"
 
@@ -45,6 +46,10 @@ class Pass {
 
  private:
   void composite(const StepContext& ctx, Trace& trace) const;
+  bool wants_feature() const { return head_ && (!branch_ || parts_.branch->rules.reads_feature); }
+  /// Logits of the semantic rays by way of the branch, and its gradients from them.
+  void branch_forward(const StepContext& ctx, const Rays<float>& rays, Trace& trace) const;
+  void branch_backward(const StepContext& ctx, const Trace& trace, View<const float> d_logits) const;
   CompositeIn<float> composite_in(const Trace& trace) const;
   void backward_in_bf16(const StepContext& ctx, const Trace& trace, View<const float> d_color,
                         View<const float> d_logits) const;
@@ -55,6 +60,7 @@ class Pass {
   RenderRules rules_;
   Store* store_;
   std::optional<Head> head_;
+  std::optional<Branch> branch_;
   int sampler_ = 0, position_ = 0, direction_ = -1, field_ = 0, head_tensors_ = -1;
   bool encoder_learns_ = false;
 };

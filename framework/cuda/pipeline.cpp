@@ -118,7 +118,8 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
   const LaunchScope scope(step_launch());
   StepCell cell;
   cell.step = static_cast<std::uint64_t>(step);
-  cell.adam_step_size = static_cast<float>(update.step_size);
+  cell.adam_step_size = update.step_size;
+  cell.learning_rate = update.learning_rate;
   cell.adam_root_scale = static_cast<float>(update.root_scale);
   cell.semantic_normaliser = host_.batch_normaliser(batch);
   cell.labelled = static_cast<std::int32_t>(count_labels(batch));

@@ -59,7 +59,8 @@ Store::Store(Pipeline<float>& host, bool trainable) : host_(host), trainable_(tr
     if (!t.learned()) continue;
     const std::int64_t at = places_[i].learned;
     table.push_back({value_of(i).data, grads_.data() + at, moment1_.data() + at, moment2_.data() + at, t.spec.rows,
-                     t.spec.cols, t.spec.role == TensorRole::sparse, host.is_semantic(t)});
+                     t.spec.cols, t.spec.role == TensorRole::sparse, host.is_semantic(t), t.rule.rate,
+                     t.rule.rate * t.rule.decay});
     learned_elements_ += t.size();
   }
   learned_count_ = static_cast<int>(table.size());

@@ -19,7 +19,7 @@ struct DeviceAdam {
   double beta1 = 0.9, beta2 = 0.999, epsilon = 1e-8;
 };
 struct DeviceUpdate {
-  double step_size = 0, root_scale = 1;
+  double step_size = 0, root_scale = 1, learning_rate = 0;
 };
 
 struct DeviceOptions {

@@ -19,6 +19,9 @@ double backward_bytes(double saved) { return 4 * std::pow(saved, 0.75); }
 // Samples of a tile that have hidden activations: those of its labelled rays. Runs label a third to all of their rays.
 constexpr double kSemanticShare = 0.6;
 
+// Samples of a tile that a semantic branch keeps; training begins with fog, whose samples all weigh.
+constexpr double kKeptShare = 0.5;
+
 std::size_t size(std::int64_t n) { return static_cast<std::size_t>(n); }
 
 }  // namespace
@@ -59,8 +62,9 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
     const bool ahead = passes.size() == 1 && position.learns;
     const std::size_t samples = size(parts.sampler->capacity(tile_rays, p == 0 ? 0 : per_ray[p - 1]));
     const std::size_t encoded = size(parts.position->traits().out_dims);
-    const std::size_t feature = parts.head ? size(parts.field->traits().feature_dims) : 0;
-    const std::size_t hidden = parts.head ? size(parts.head->hidden_width()) : 0;
+    const bool reads = parts.head && (!parts.branch || parts.branch->rules.reads_feature);
+    const std::size_t feature = reads ? size(parts.field->traits().feature_dims) : 0;
+    const std::size_t hidden = parts.head && !parts.branch ? size(parts.head->hidden_width()) : 0;
     const std::size_t saved = parts.field->saved_bytes(static_cast<std::int64_t>(samples), tile_rays);
     const std::size_t place = 3 * sizeof(double) + 2 * sizeof(Real) + sizeof(std::int32_t);
     const auto semantic = static_cast<std::size_t>(kSemanticShare * static_cast<double>(samples * hidden));
@@ -70,6 +74,18 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
                                       static_cast<std::size_t>(
                                           static_cast<double>(samples) *
                                           backward_bytes(static_cast<double>(saved) / static_cast<double>(samples))));
+    if (parts.branch) {
+      plan.tensors += declared_bytes<Real>(*parts.branch->position, options.lanes, trainable);
+      plan.tensors += declared_bytes<Real>(*parts.branch->field, options.lanes, trainable);
+      const auto kept = static_cast<std::int64_t>(kKeptShare * static_cast<double>(samples));
+      const std::size_t branch_saved = parts.branch->field->saved_bytes(kept, tile_rays);
+      const std::size_t dims = size(parts.branch->position->traits().out_dims) + feature +
+                               size(parts.branch->field->traits().feature_dims) + size(parts.head->hidden_width());
+      traces += size(kept) * 2 * dims * sizeof(Real) + branch_saved;
+      backward = std::max(backward, static_cast<std::size_t>(
+                                        static_cast<double>(kept) *
+                                        backward_bytes(static_cast<double>(branch_saved) / static_cast<double>(kept))));
+    }
     if (parts.head) {
       const std::size_t rows = options.rules.deferred_class_layer ? size(tile_rays) : samples;
       logits += 2 * rows * size(parts.head->classes()) * sizeof(Real);

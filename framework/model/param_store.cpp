@@ -67,7 +67,7 @@ TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainab
 }
 
 template <class Real>
-int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& part) {
+int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& part, const LearningRule& rule) {
   Collector collector;
   part.declare(collector);
   Component component;
@@ -78,6 +78,7 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
     tensor.name = prefix + "/" + spec.name;
     SEMFIELD_CHECK(find(tensor.name) == nullptr, "tensor '" + tensor.name + "' exists already");
     tensor.spec = std::move(spec);
+    tensor.rule = rule;
     const auto count = static_cast<std::size_t>(tensor.size());
     tensor.value = AlignedBuffer<Real>(count);
     const Init init = tensor.spec.init;

@@ -29,10 +29,17 @@ class AlignedBuffer {
   std::size_t size_ = 0;
 };
 
+/// How a component's learned tensors differ from the run's rule.
+struct LearningRule {
+  double rate = 1;   ///< factor to the learning rate
+  double decay = 0;  ///< a step takes (learning rate) * decay of each value, beside Adam's [Loshchilov19]
+};
+
 template <class Real>
 struct Tensor {
   std::string name;  ///< full: "fine/field/trunk_0/weight"
   TensorSpec spec;
+  LearningRule rule;
   AlignedBuffer<Real> value;
   AlignedBuffer<Real> grad;              ///< the step's gradient; empty for state tensors
   AlignedBuffer<Real> moment1, moment2;  ///< Adam; learned tensors only
@@ -70,7 +77,7 @@ class ParamStore {
   ParamStore(std::uint64_t seed, int lanes, bool trainable);
 
   /// Declares `part` under `prefix`, allocates and initialises; returns the component's number.
-  int add(const std::string& prefix, const Parametric<Real>& part);
+  int add(const std::string& prefix, const Parametric<Real>& part, const LearningRule& rule = {});
 
   /// lane: 0..lanes-1, or kMainGradient.
   Tensors<Real> tensors(int component, int lane = kMainGradient) const;

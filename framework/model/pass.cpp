@@ -76,7 +76,9 @@ Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, ParamStore<Rea
     }
   }
   field_ = store.add(name + "/field", *parts_.field);
-  if (parts_.head) head_ = store.add(name + "/semantic", *parts_.head);
+  const LearningRule rule = parts_.branch ? parts_.branch->rules.learning() : LearningRule{};
+  if (parts_.head) head_ = store.add(name + "/semantic", *parts_.head, rule);
+  if (parts_.head && parts_.branch) branch_.emplace(*parts_.branch, name, store);
 }
 
 template <class Real>
@@ -85,6 +87,7 @@ void Pass<Real>::derive(const StepContext& ctx) const {
   parts_.position->derive(ctx, store_->tensors(position_));
   parts_.field->derive(ctx, store_->tensors(field_));
   if (parts_.head) parts_.head->derive(ctx, store_->tensors(head_));
+  if (branch_) branch_->derive(ctx);
 }
 
 template <class Real>
@@ -92,6 +95,7 @@ void Pass<Real>::derive_backward(const StepContext& ctx) const {
   parts_.position->derive_backward(ctx, store_->tensors(position_));
   parts_.field->derive_backward(ctx, store_->tensors(field_));
   if (parts_.head) parts_.head->derive_backward(ctx, store_->tensors(head_));
+  if (branch_) branch_->derive_backward(ctx);
 }
 
 template <class Real>
@@ -160,9 +164,11 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
   trace.out.sigma = arena.take<Real>(count, 1);
   trace.out.rgb = arena.take<Real>(count, 3);
   if (parts_.head) {
-    trace.hidden = arena.take<Real>(trace.semantic_samples, parts_.head->hidden_width());
     trace.ray_hidden = arena.take<Real>(trace.semantic_rays, parts_.head->hidden_width());
     trace.logits = arena.take<Real>(trace.semantic_rays, parts_.head->classes());
+  }
+  if (parts_.head && !branch_) {
+    trace.hidden = arena.take<Real>(trace.semantic_samples, parts_.head->hidden_width());
     if (!rules_.deferred_class_layer)
       trace.sample_logits = arena.take<Real>(trace.semantic_samples, parts_.head->classes());
   }
@@ -175,6 +181,9 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
     evaluate(ctx, lane, trace, ctx.training);
   }
   composite(ctx, lane, trace);
+  if (branch_ && trace.semantic_rays > 0) branch_forward(ctx, lane, rays, trace);
+  const RayGuard<Real> guard(parts_.name, ctx.first_ray, trace.samples);
+  guard.per_ray("logits", trace.logits);
   return trace;
 }
 
@@ -188,7 +197,7 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
   }
   const RayGuard<Real> guard(parts_.name, ctx.first_ray, trace.samples);
   guard.per_sample("encoded position", trace.encoded);
-  if (parts_.head) trace.out.feature = arena.take<Real>(count, parts_.field->traits().feature_dims);
+  if (wants_feature()) trace.out.feature = arena.take<Real>(count, parts_.field->traits().feature_dims);
   if (training) {
     const std::size_t bytes = parts_.field->saved_bytes(count, trace.samples.first.rows - 1);
     trace.saved = Saved(arena.take_bytes(bytes), bytes);
@@ -198,7 +207,7 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
                         trace.saved);
   guard.per_sample("raw density", trace.out.sigma);
   guard.per_sample("colour", trace.out.rgb);
-  if (parts_.head) guard.per_sample("feature", trace.out.feature.row_range(0, trace.semantic_samples));
+  if (wants_feature()) guard.per_sample("feature", trace.out.feature.row_range(0, trace.semantic_samples));
   if (rules_.density_bias != 0) {
     for (std::int64_t m = 0; m < count; ++m) trace.out.sigma(m, 0) += static_cast<Real>(rules_.density_bias);
   }
@@ -207,7 +216,7 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
                             trace.out.sigma);
   }
   density_forward<Real>(rules_.activation, trace.out.sigma, trace.sigma);
-  if (parts_.head && trace.semantic_samples > 0) {
+  if (parts_.head && !branch_ && trace.semantic_samples > 0) {
     parts_.head->hidden_forward(ctx, store_->tensors(head_, lane),
                                 trace.out.feature.row_range(0, trace.semantic_samples), trace.hidden);
   }
@@ -227,7 +236,12 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
   fill_zero(tau);
   fill_zero(trace.sigma);
   fill_zero(trace.out.rgb);
-  if (parts_.head) fill_zero(trace.hidden);
+  const bool fills_hidden = parts_.head && !branch_, fills_feature = branch_ && wants_feature();
+  if (fills_hidden) fill_zero(trace.hidden);
+  if (fills_feature) {
+    trace.out.feature = arena.take<Real>(trace.samples.count, parts_.field->traits().feature_dims);
+    fill_zero(trace.out.feature);
+  }
   const double tau_stop = -std::log(rules_.early_stop);
   View<std::int32_t> source = arena.take<std::int32_t>(ray_count * kRound, 1);
   for (;;) {
@@ -254,7 +268,7 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
     round.sigma = arena.take<Real>(rows, 1);
     round.out.sigma = arena.take<Real>(rows, 1);
     round.out.rgb = arena.take<Real>(rows, 3);
-    if (parts_.head) round.hidden = arena.take<Real>(semantic_rows, parts_.head->hidden_width());
+    if (fills_hidden) round.hidden = arena.take<Real>(semantic_rows, parts_.head->hidden_width());
     for (std::int64_t i = 0; i < rows; ++i) std::memcpy(round.x.row(i), trace.x.row(source(i, 0)), 3 * sizeof(double));
     evaluate(ctx, lane, round, false);
     for (std::int64_t i = 0; i < rows; ++i) {
@@ -263,7 +277,8 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
       trace.sigma(m, 0) = round.sigma(i, 0);
       tau(r, 0) += round.sigma(i, 0) * trace.samples.delta(m, 0);
       std::copy_n(round.out.rgb.row(i), 3, trace.out.rgb.row(m));
-      if (i < semantic_rows) std::copy_n(round.hidden.row(i), round.hidden.cols, trace.hidden.row(m));
+      if (fills_hidden && i < semantic_rows) std::copy_n(round.hidden.row(i), round.hidden.cols, trace.hidden.row(m));
+      if (fills_feature) std::copy_n(round.out.feature.row(i), trace.out.feature.cols, trace.out.feature.row(m));
       next(r, 0) = static_cast<std::int32_t>(m + 1);
     }
   }
@@ -272,7 +287,7 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
 template <class Real>
 void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& trace) const {
   const std::int64_t ray_count = trace.samples.first.rows - 1;
-  const std::int64_t labelled = trace.semantic_rays;
+  const std::int64_t labelled = branch_ ? 0 : trace.semantic_rays;  // the branch follows the weights
   const bool deferred = rules_.deferred_class_layer;
   check_density<Real>(trace.samples, trace.sigma, ctx.first_ray);
   if (labelled > 0 && !deferred) {
@@ -293,7 +308,6 @@ void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& tr
   guard.per_ray("colour", trace.color);
   guard.per_ray("depth", trace.depth);
   guard.per_ray("opacity", trace.opacity);
-  guard.per_ray("logits", trace.logits);
 }
 
 template <class Real>
@@ -303,8 +317,10 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   const Workspace::Scope scope(arena);
   const std::int64_t count = trace.samples.count;
   const std::int64_t ray_count = trace.samples.first.rows - 1;
-  const std::int64_t labelled = d_logits.empty() ? 0 : trace.semantic_rays;
+  const bool by_branch = branch_.has_value();
+  const std::int64_t labelled = d_logits.empty() || by_branch ? 0 : trace.semantic_rays;
   if (count == 0) return;
+  if (by_branch && !d_logits.empty()) branch_backward(ctx, lane, trace, d_logits);
   const Tensors<Real> head = head_ < 0 ? Tensors<Real>{} : store_->tensors(head_, lane);
   View<Real> d_sigma = arena.take<Real>(count, 1);
   View<Real> d_rgb = arena.take<Real>(count, 3);

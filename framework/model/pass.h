@@ -3,6 +3,7 @@
 
 #include <array>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -10,6 +11,7 @@
 #include "model/density_activation.h"
 #include "model/domain_map.h"
 #include "model/param_store.h"
+#include "model/semantic_branch.h"
 #include "model/semantic_head.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
@@ -37,7 +39,8 @@ struct PassParts {
   std::unique_ptr<Encoder<Real>> position;
   std::unique_ptr<Encoder<Real>> direction;  ///< null: the view branch is left out
   std::unique_ptr<Field<Real>> field;
-  std::unique_ptr<SemanticHead<Real>> head;  ///< null: no semantics
+  std::unique_ptr<SemanticHead<Real>> head;           ///< null: no semantics
+  std::unique_ptr<SemanticBranchParts<Real>> branch;  ///< null: the head reads the field's feature
   DomainMap domain;
 };
 
@@ -54,9 +57,10 @@ struct PassTrace {
   Saved saved;
   std::int64_t semantic_rays = 0;     ///< rays 0..n-1 carry semantics
   std::int64_t semantic_samples = 0;  ///< their samples come first
-  View<Real> hidden;                  ///< [semantic_samples, H]
-  View<Real> sample_logits;           ///< [semantic_samples, C]; only with the deferral switched off
-  View<Real> ray_hidden;              ///< [semantic_rays, H]
+  SemanticBranchTrace<Real> branch;  ///< of a pass with a branch: its kept samples stand for the semantic samples below
+  View<Real> hidden;                 ///< [semantic_samples, H]
+  View<Real> sample_logits;          ///< [semantic_samples, C]; only with the deferral switched off
+  View<Real> ray_hidden;             ///< [semantic_rays, H]
   // Results a ray.
   View<Real> color;    ///< [R, 3]
   View<Real> depth;    ///< [R, 1] metres along the ray
@@ -133,8 +137,14 @@ class Pass {
   void evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool training) const;
   void evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace) const;
   void composite(const StepContext& ctx, int lane, PassTrace<Real>& trace) const;
+  /// True when the field's feature is wanted of every sample.
+  bool wants_feature() const { return parts_.head && (!branch_ || branch_->rules().reads_feature); }
+  /// Logits of the semantic rays by way of the branch, and its gradients from them.
+  void branch_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const;
+  void branch_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_logits) const;
 
   PassParts<Real> parts_;
+  std::optional<SemanticBranch<Real>> branch_;
   RenderRules rules_;
   ParamStore<Real>* store_;
   int sampler_ = 0, position_ = 0, direction_ = -1, field_ = 0, head_ = -1;

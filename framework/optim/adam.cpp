@@ -91,6 +91,11 @@ AdamStep adam_step(const AdamParams& params, double learning_rate, std::int64_t 
 template <class Real>
 void adam_dense(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v,
                 std::int64_t begin, std::int64_t count) {
+  if (step.decay != 0) {
+    const auto kept = static_cast<Real>(1 - step.decay);
+    Real* const values = value.row(begin);
+    for (std::int64_t i = 0; i < count * value.cols; ++i) values[i] *= kept;
+  }
   kernels<Real>().dense(step, range_of<Real>(value, grad, m, v, begin, count));
 }
 

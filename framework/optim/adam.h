@@ -21,14 +21,16 @@ struct AdamStep {
   double beta1 = 0.9, beta2 = 0.999, epsilon = 1e-8;
   double step_size = 0;   ///< learning rate / (1 - beta1^t)
   double root_scale = 1;  ///< 1 / sqrt(1 - beta2^t)
+  double decay = 0;       ///< share of a value that the step takes, before the update [Loshchilov19]; dense tensors
 };
 
 /// t = step + 1 counts updates from one; `step` is the number of updates already made. Any step up to 2^53.
 AdamStep adam_step(const AdamParams& params, double learning_rate, std::int64_t step);
 
-/// m = b1 m + (1 - b1) g, v = b2 v + (1 - b2) g^2, x -= step_size * m / (sqrt(v) * root_scale + epsilon), for rows
-/// [begin, begin + count) of equal-shaped contiguous views. Elementwise: any split into ranges gives the same bits.
-/// In float, v underflows to 0 for |g| below about 1e-21 (epsilon alone then scales the step) and overflows above 1e19.
+/// m = b1 m + (1 - b1) g, v = b2 v + (1 - b2) g^2, x = (1 - decay) x - step_size * m / (sqrt(v) * root_scale +
+/// epsilon), for rows [begin, begin + count) of equal-shaped contiguous views. Elementwise: any split into ranges gives
+/// the same bits. In float, v underflows to 0 for |g| below about 1e-21 (epsilon alone then scales the step) and
+/// overflows above 1e19.
 template <class Real>
 void adam_dense(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v,
                 std::int64_t begin, std::int64_t count);

@@ -67,6 +67,7 @@ struct FieldBuild {
   std::int32_t position_dims = 0;
   std::int32_t direction_dims = 0;  ///< 0: the view branch is left out
   bool wants_feature = true;        ///< false: no semantic head reads the feature
+  bool feature_only = false;        ///< true: neither density nor colour is ever asked for, and may be left out
   ExactSavings savings{};
   Precision precision = Precision::fp32;  ///< of the matrix products; a field without such kernels refuses
 };

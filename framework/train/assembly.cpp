@@ -55,6 +55,27 @@ std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Regist
   return encoder;
 }
 
+// feature_dims: of the pass's field.
+template <class Real>
+std::unique_ptr<SemanticBranchParts<Real>> make_branch(const PassConfig& pass, const RunConfig& config,
+                                                       const Registry& registry, const SceneExtent& extent,
+                                                       Device device, std::int32_t feature_dims) {
+  const SemanticBranchConfig& branch = pass.semantic;
+  auto parts = std::make_unique<SemanticBranchParts<Real>>();
+  parts->rules = branch.rules;
+  parts->position = make_encoder<Real>(branch.position, registry, extent, false, device,
+                                       "passes." + pass.name + ".semantic.position");
+  parts->domain =
+      DomainMap::make(parts->position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
+  FieldBuild build;
+  build.device = device;
+  build.position_dims = parts->position->traits().out_dims + (branch.rules.reads_feature ? feature_dims : 0);
+  build.feature_only = true;
+  build.precision = config.runtime.precision;
+  parts->field = make<Real>(branch.field.entry->field32, branch.field.entry->field64, branch.field, build, registry);
+  return parts;
+}
+
 template <class Real>
 PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const Registry& registry,
                           const BuildPlan& plan, const SceneExtent& extent, Device device) {
@@ -79,16 +100,21 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
         make_encoder<Real>(pass.direction, registry, extent, true, device, "passes." + pass.name + ".direction");
     field_build.direction_dims = parts.direction->traits().out_dims;
   }
-  field_build.wants_feature = plan.semantics;
+  const bool by_branch = plan.semantics && pass.semantic.present();
+  field_build.wants_feature = plan.semantics && (!by_branch || pass.semantic.rules.reads_feature);
   field_build.savings = {config.runtime.fold_feature_layer, config.runtime.direction_once_per_ray,
                          config.runtime.deferred_class_layer};
   field_build.precision = config.runtime.precision;
   parts.field = make<Real>(pass.field.entry->field32, pass.field.entry->field64, pass.field, field_build, registry);
-  if (plan.semantics) {
-    parts.head = std::make_unique<SemanticHead<Real>>(parts.field->traits().feature_dims, config.semantics.hidden_width,
-                                                      static_cast<std::int32_t>(plan.class_of_logit.size()),
-                                                      config.runtime.precision);
+  if (!plan.semantics) return parts;
+  const Field<Real>* read = parts.field.get();
+  if (by_branch) {
+    parts.branch = make_branch<Real>(pass, config, registry, extent, device, read->traits().feature_dims);
+    read = parts.branch->field.get();
   }
+  parts.head = std::make_unique<SemanticHead<Real>>(read->traits().feature_dims, config.semantics.hidden_width,
+                                                    static_cast<std::int32_t>(plan.class_of_logit.size()),
+                                                    config.runtime.precision);
   return parts;
 }
 
@@ -167,6 +193,11 @@ std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent&
     std::vector<std::string> chosen;
     pass.position.params->choose(build, chosen);
     for (const std::string& sentence : chosen) lines.push_back("passes." + pass.name + ".position: " + sentence);
+    if (!pass.semantic.present()) continue;
+    chosen.clear();
+    pass.semantic.position.params->choose(build, chosen);
+    for (const std::string& sentence : chosen)
+      lines.push_back("passes." + pass.name + ".semantic.position: " + sentence);
   }
   return lines;
 }
@@ -203,7 +234,8 @@ namespace {
 // "field 'ball'": the first part of the passes without kernels for `device`; empty: all have them.
 std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
   for (const PassConfig& pass : config.passes) {
-    for (const PluginSlot* slot : {&pass.sampler, &pass.position, &pass.direction, &pass.field}) {
+    for (const PluginSlot* slot :
+         {&pass.sampler, &pass.position, &pass.direction, &pass.field, &pass.semantic.position, &pass.semantic.field}) {
       if (slot->entry == nullptr) continue;
       std::string owner = std::string(kind_name(slot->entry->kind)) + " '" + slot->entry->name + "'";
       if (!registry.kernels().has(device, owner)) return owner;

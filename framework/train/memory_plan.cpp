@@ -86,6 +86,7 @@ std::vector<Lever> levers_of(RunConfig& config) {
     add_slot(levers, path + ".sampler", pass.sampler);
     add_slot(levers, path + ".position", pass.position);
     add_slot(levers, path + ".field", pass.field);
+    if (pass.semantic.present()) add_slot(levers, path + ".semantic.field", pass.semantic.field);
   }
   return levers;
 }
@@ -225,7 +226,8 @@ void require_frame_memory(const RunConfig& config, std::size_t frame_bytes, std:
   const double shrink = std::ceil(10 * std::sqrt(1 / std::max(share, 1e-6))) / 10;
   const int width = static_cast<int>(width_px / shrink);
   const std::string settings = fmt::format(
-      "each of these alone fits: scene.load.downscale={:.1f}, or scene.load.width_px={} (now {}), or a scene of {} frames",
+      "each of these alone fits: scene.load.downscale={:.1f}, or scene.load.width_px={} (now {}), or a scene of {} "
+      "frames",
       config.load.downscale * shrink, width, width_px, fitting);
   const std::string none = fmt::format(
       "the program alone holds {}: raise --memory or runtime.memory_gb where they set the limit, or use a machine with "

@@ -6,6 +6,7 @@
 #include "config/compose.h"
 #include "plugin/loader.h"
 #include "train/label_config.h"
+#include "train/pass_config.h"
 
 namespace semfield {
 
@@ -150,92 +151,6 @@ void validate_section(const ConfigNode& tree, const std::string& path, const Par
   }
 }
 
-PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,
-                     Diagnostics& diagnostics, const std::vector<std::string>& other_keys = {}) {
-  PluginSlot slot;
-  if (!node.is_map()) {
-    diagnostics.error(node.location().text(),
-                      path + ": expected a map with 'type', one of " + join(registry.names(kind)));
-    return slot;
-  }
-  const ConfigNode* type = node.find("type");
-  if (type == nullptr || !type->is_scalar()) {
-    diagnostics.error(node.location().text(), path + ": key 'type' is missing",
-                      "choose one of " + join(registry.names(kind)));
-    return slot;
-  }
-  try {
-    slot.entry = &registry.get(kind, type->text());
-  } catch (const Error& error) {
-    diagnostics.error(type->location().text(), error.message(), error.remedy());
-    return slot;
-  }
-  slot.params = slot.entry->new_params();
-  std::vector<std::string> allowed = other_keys;
-  allowed.push_back("type");
-  const int errors = diagnostics.error_count();
-  read_params(
-      node, path, [&](ParamVisitor& visit) { slot.params->describe(visit); }, diagnostics, allowed);
-  if (diagnostics.error_count() == errors) {
-    Diagnostics relations;
-    slot.params->validate(relations);
-    for (const Diagnostic& finding : relations.all()) {
-      const std::string message = path + (finding.where.empty() ? "" : "." + finding.where) + ": " + finding.message;
-      if (finding.severity == Severity::error) {
-        diagnostics.error(node.location().text(), message, finding.remedy);
-      } else {
-        diagnostics.warning(node.location().text(), message, finding.remedy);
-      }
-    }
-  }
-  return slot;
-}
-
-void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
-  const ConfigNode* list = tree.find("passes");
-  if (list == nullptr || !list->is_list() || list->items().empty()) {
-    const Location& where = list == nullptr ? tree.location() : list->location();
-    diagnostics.error(where.text(),
-                      "passes: expected a list of at least one pass {name, sampler, position, direction, field}");
-    return;
-  }
-  static const std::vector<std::string> kKeys{"name", "like", "sampler", "position", "direction", "field"};
-  int index = 0;
-  for (const ConfigNode& item : list->items()) {
-    const std::string path = "passes." + std::to_string(index);
-    PassConfig pass;
-    if (!item.is_map()) {
-      diagnostics.error(item.location().text(), path + ": expected a map {name, sampler, position, direction, field}");
-      continue;
-    }
-    for (const auto& [key, value] : item.entries()) {
-      if (std::find(kKeys.begin(), kKeys.end(), key) != kKeys.end()) continue;
-      const std::string near = did_you_mean(key, kKeys);
-      diagnostics.error(value.key_location().text(), path + ": unknown key '" + key + "'",
-                        near.empty() ? "known: " + join(kKeys) : "did you mean '" + near + "'?");
-    }
-    pass.name = read_text(item, path, "name", index == 0 ? "main" : "pass" + std::to_string(index), diagnostics);
-    const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out, bool required) {
-      const ConfigNode* node = item.find(key);
-      if (node == nullptr || node->is_null()) {
-        if (required) diagnostics.error(item.location().text(), path + ": key '" + key + "' is missing");
-        return;
-      }
-      out = read_slot(kind, *node, path + "." + key, registry, diagnostics);
-    };
-    slot("sampler", PluginKind::sampler, pass.sampler, true);
-    slot("position", PluginKind::encoder, pass.position, true);
-    slot("direction", PluginKind::encoder, pass.direction, false);
-    slot("field", PluginKind::field, pass.field, true);
-    for (const PassConfig& other : config.passes) {
-      if (other.name == pass.name)
-        diagnostics.error(item.location().text(), path + ": name '" + pass.name + "' is taken by an earlier pass");
-    }
-    config.passes.push_back(std::move(pass));
-    ++index;
-  }
-}
-
 void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
   const ConfigNode* scene = tree.find("scene");
   if (scene == nullptr) {
@@ -258,13 +173,6 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
     read_label_steps(*labels, !config.base_dir.empty(), config.labels, diagnostics);
   }
   if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
-}
-
-ConfigNode slot_config(const PluginSlot& slot) {
-  ConfigNode node = params_to_config([&](ParamVisitor& visit) { slot.params->describe(visit); });
-  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(slot.entry->name, false, {})}};
-  entries.insert(entries.end(), node.entries().begin(), node.entries().end());
-  return ConfigNode::make_map(std::move(entries), {});
 }
 
 ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
@@ -344,12 +252,7 @@ ConfigNode resolved_config(const RunConfig& config) {
     tree = with_path(tree, path, section);
   });
   std::vector<ConfigNode> passes;
-  for (const PassConfig& pass : config.passes) {
-    ConfigNode node = ConfigNode::make_map({{"name", ConfigNode::make_scalar(pass.name, true, {})}}, {});
-    node = node.with("sampler", slot_config(pass.sampler)).with("position", slot_config(pass.position));
-    if (pass.direction.entry != nullptr) node = node.with("direction", slot_config(pass.direction));
-    passes.push_back(node.with("field", slot_config(pass.field)));
-  }
+  for (const PassConfig& pass : config.passes) passes.push_back(pass_config(pass));
   tree = tree.with("passes", ConfigNode::make_list(std::move(passes), {}));
   if (!config.plugins.empty()) {
     std::vector<ConfigNode> modules;

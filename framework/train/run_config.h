@@ -15,6 +15,7 @@
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
+#include "model/semantic_branch.h"
 #include "optim/adam.h"
 #include "optim/schedule.h"
 #include "plugin/registry.h"
@@ -122,9 +123,18 @@ struct PluginSlot {
   std::unique_ptr<PluginParams> params;
 };
 
+/// What a pass's semantic branch is beside its plugins (model/semantic_branch.h).
+struct SemanticBranchConfig {
+  PluginSlot position, field;  ///< empty: the pass has no branch
+  SemanticBranchRules rules;
+  bool present() const { return field.entry != nullptr; }
+};
+void describe(ParamVisitor& visit, SemanticBranchRules& rules);
+
 struct PassConfig {
   std::string name;
   PluginSlot sampler, position, direction, field;
+  SemanticBranchConfig semantic;
 };
 
 struct RunConfig {

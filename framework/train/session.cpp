@@ -317,6 +317,11 @@ std::string describe_session(const Session& s) {
                 std::to_string(pass.parts().position->traits().out_dims) + ")";
         if (pass.parts().direction) slots += ", direction " + p.direction.entry->name;
         slots += ", " + p.field.entry->name;
+        if (pass.parts().branch) {
+          slots += ", semantics by " + p.semantic.position.entry->name + " (" +
+                   std::to_string(pass.parts().branch->position->traits().out_dims) + ") and " +
+                   p.semantic.field.entry->name;
+        }
       }
       add(fmt::format(
           "pass      {}: {}{}", pass.parts().name, slots,

@@ -90,7 +90,7 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
     const AdamStep rule = rule_of(step);
     try {
       rays_.fill(step, batch_);
-      device_->queue(step, batch_.view(pipeline_.has_semantics()), {rule.step_size, rule.root_scale});
+      device_->queue(step, batch_.view(pipeline_.has_semantics()), {rule.step_size, rule.root_scale, rate_of(step)});
     } catch (const Error& error) {
       refused = error;
     }
@@ -250,9 +250,13 @@ void Trainer::check_alive(const StepLosses& losses) {
 // A step without a labelled ray says nothing about the semantic head: its tensors and their moments stay, as the rows
 // of a table do that no ray touched. (Adam would move them along their old moments.)
 void Trainer::update(const StepLosses& losses) {
-  const AdamStep rule = rule_of(step_);
+  const AdamStep all = rule_of(step_);
+  const double rate = rate_of(step_);
   for (Tensor<float>& t : pipeline_.store().all()) {
     if (!t.learned() || (losses.labelled == 0 && pipeline_.is_semantic(t))) continue;
+    AdamStep rule = all;
+    rule.step_size *= t.rule.rate;
+    rule.decay = rate * (t.rule.rate * t.rule.decay);
     if (t.spec.role == TensorRole::dense) {
       adam_dense_parallel<float>(rule, t.view(t.value), t.view(t.grad), t.view(t.moment1), t.view(t.moment2));
       continue;
@@ -261,9 +265,9 @@ void Trainer::update(const StepLosses& losses) {
   }
 }
 
-AdamStep Trainer::rule_of(std::int64_t step) const {
-  return adam_step(adam_, adam_.learning_rate * schedule_factor(schedule_, step), step);
-}
+double Trainer::rate_of(std::int64_t step) const { return adam_.learning_rate * schedule_factor(schedule_, step); }
+
+AdamStep Trainer::rule_of(std::int64_t step) const { return adam_step(adam_, rate_of(step), step); }
 
 void Trainer::check_storable() const {
   for (const Tensor<float>& t : pipeline_.store().all()) {

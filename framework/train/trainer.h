@@ -59,6 +59,7 @@ class Trainer {
   [[noreturn]] void fail(const Error& error);
   void update(const StepLosses& losses);
   StepLosses advance_on_processor();
+  double rate_of(std::int64_t step) const;
   AdamStep rule_of(std::int64_t step) const;
   [[noreturn]] void explain_device_fault();
   void check_alive(const StepLosses& losses);

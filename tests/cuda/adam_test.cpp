@@ -9,6 +9,7 @@
 
 #include "core/isa.h"
 #include "device_fixture.h"
+#include "model/param_store.h"
 
 namespace semfield {
 namespace {
@@ -18,6 +19,8 @@ using cuda::Stage;
 using testing::DeviceLaunch;
 using testing::DeviceMatrix;
 using testing::NotedFault;
+
+constexpr double kRate = 1e-2;  // of every step here
 
 struct Shape {
   std::int64_t rows;
@@ -60,15 +63,19 @@ struct Twin {
   }
   AdamTensor tensor() const {
     const auto at = [this](const auto& matrix) { return matrix->data() + shape.shift; };
-    return {at(there_value), at(there_grad), at(there_m),        at(there_v),
-            shape.rows,      shape.cols,     shape.touched_only, shape.semantic};
+    return {at(there_value), at(there_grad),     at(there_m),    at(there_v), shape.rows,
+            shape.cols,      shape.touched_only, shape.semantic, rule().rate, rule().rate * rule().decay};
   }
+  // Semantic tensors have a rule of their own.
+  LearningRule rule() const { return shape.semantic ? LearningRule{0.3, 0.1} : LearningRule{}; }
   std::vector<float> back(const std::unique_ptr<DeviceMatrix<float>>& there) const {
     const std::vector<float> all = there->read();
     return {all.begin() + shape.shift, all.end()};
   }
   View<float> view(std::vector<float>& x) const { return {x.data(), shape.rows, shape.cols}; }
-  void update(const AdamStep& step) {
+  void update(AdamStep step) {
+    step.step_size *= rule().rate;
+    step.decay = kRate * (rule().rate * rule().decay);
     if (shape.touched_only) {
       adam_touched<float>(step, view(value), view(grad), view(m), view(v), 0, shape.rows);
     } else {
@@ -104,7 +111,8 @@ struct Model {
 cuda::StepCell cell_of(const AdamStep& step, std::uint64_t number, std::int32_t labelled) {
   cuda::StepCell cell;
   cell.step = number;
-  cell.adam_step_size = static_cast<float>(step.step_size);
+  cell.adam_step_size = step.step_size;
+  cell.learning_rate = kRate;
   cell.adam_root_scale = static_cast<float>(step.root_scale);
   cell.labelled = labelled;
   return cell;
@@ -150,7 +158,7 @@ TEST(CudaAdam, TheBitsOfTheProcessor) {
   Model model(shapes());
   AdamParams rule;
   for (std::int64_t number = 0; number < 3; ++number) {
-    const AdamStep step = adam_step(rule, 1e-2, number * 1000);
+    const AdamStep step = adam_step(rule, kRate, number * 1000);
     launch.set_cell(cell_of(step, static_cast<std::uint64_t>(number), 1));
     model.check();
     ASSERT_EQ(launch.take_fault(), std::nullopt);
@@ -176,7 +184,7 @@ TEST(CudaAdam, WithoutLabelsTheSemanticTensorsStay) {
   SEMFIELD_NEEDS_DEVICE();
   DeviceLaunch launch;
   const Model model({{64, 3}, {64, 29, false, true}, {64, 3}});
-  launch.set_cell(cell_of(adam_step({}, 1e-2, 0), 0, 0));
+  launch.set_cell(cell_of(adam_step({}, kRate, 0), 0, 0));
   model.update({});
   for (const auto& twin : model.twins) {
     EXPECT_EQ(twin->back(twin->there_value) == twin->value, twin->shape.semantic);
@@ -189,7 +197,7 @@ TEST(CudaAdam, AFaultOfAnyStageLeavesAllAlone) {
   SEMFIELD_NEEDS_DEVICE();
   DeviceLaunch launch;
   const Model model({{64, 3}, {4097, 2, true}});
-  launch.set_cell(cell_of(adam_step({}, 1e-2, 0), 0, 1));
+  launch.set_cell(cell_of(adam_step({}, kRate, 0), 0, 1));
   launch.set_fault((static_cast<cuda::FaultKey>(Stage::density) << cuda::kFaultRowBits) | 3);
   model.check();
   model.update({});
@@ -222,7 +230,7 @@ TEST(CudaAdam, UnsoundElementsAreFoundInEveryArray) {
           twin.send();
           int found = 0;
           for (std::int64_t number = 0; number < windows; ++number) {
-            launch.set_cell(cell_of(adam_step({}, 1e-2, 0), static_cast<std::uint64_t>(number), 1));
+            launch.set_cell(cell_of(adam_step({}, kRate, 0), static_cast<std::uint64_t>(number), 1));
             model.check();
             const auto fault = launch.take_fault();
             if (!fault) continue;
@@ -243,7 +251,7 @@ TEST(CudaAdam, UnsoundElementsAreFoundInEveryArray) {
   table.m[2 * 12] = inf;
   table.send();
   for (std::uint64_t number = 0; number < kTableWindows; ++number) {
-    launch.set_cell(cell_of(adam_step({}, 1e-2, 0), number, 1));
+    launch.set_cell(cell_of(adam_step({}, kRate, 0), number, 1));
     model.check();
     EXPECT_EQ(launch.take_fault(), std::nullopt);
   }

@@ -67,6 +67,14 @@ std::string few_labels_config(const std::string& more) {
   const std::string scene = "{type: analytic_room}";
   return yaml.replace(yaml.find(scene), scene.size(), "{type: analytic_room, labels: {frames: 50%}}");
 }
+std::string branch_config(const std::string& more) {
+  std::string yaml = hash_config();
+  const std::string branch =
+      "    semantic: {position: {type: frequency, frequencies: 4}, field: {type: tiny_mlp, "
+      "hidden_width: 24, hidden_layers: 2}" +
+      more + "}\n";
+  return yaml.insert(yaml.find("train: "), branch);
+}
 const StepCaseRow kSteps[] = {
     {"two_pass", two_pass_config, ""},
     {"hash", hash_config, ""},
@@ -75,6 +83,9 @@ const StepCaseRow kSteps[] = {
     {"trunc_exp", two_pass_config, "rendering: {density_activation: trunc_exp, density_bias: -1}\n"},
     {"noise", two_pass_config, "rendering: {density_noise: 1}\n"},
     {"few_labels", few_labels_config, ""},
+    {"branch", branch_config, ""},
+    {"branch_of_position", branch_config, ", reads_feature: false, least_weight: 0.03"},
+    {"branch_with_dropout", branch_config, ", dropout: 0.3, weight_decay: 0.1, learning_rate: 0.2"},
 };
 
 class CudaStep : public ::testing::TestWithParam<StepCaseRow> {};
@@ -177,7 +188,7 @@ TEST(CudaRun, FiveHundredStepsReachTheProcessorsQuality) {
 TEST(CudaRun, DeterministicRunsHaveTheSameBits) {
   SEMFIELD_NEEDS_DEVICE();
   Registry registry = make_registry();
-  for (const auto& config : {hash_config(), two_pass_config()}) {
+  for (const auto& config : {hash_config(), two_pass_config(), branch_config(", dropout: 0.2")}) {
     for (const char* precision : {"fp32", "bf16"}) {
       const std::string runtime = std::string("device: cuda, deterministic: true, precision: ") + precision;
       Training one(registry, config, runtime), two(registry, config, runtime);
@@ -213,7 +224,7 @@ TEST(CudaRun, CheckpointsGoBothWays) {
 TEST(CudaRun, RendersWhatTheProcessorRenders) {
   SEMFIELD_NEEDS_DEVICE();
   Registry registry = make_registry();
-  for (const auto& config : {hash_config(), two_pass_config()}) {
+  for (const auto& config : {hash_config(), two_pass_config(), branch_config(", dropout: 0.2")}) {
     Training cuda(registry, config, "device: cuda");
     cuda.train(100);
     const int frame = cuda.session.scene.frames_of(Split::train).front();

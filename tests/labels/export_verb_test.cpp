@@ -29,8 +29,8 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
           "{type: images, folder: predictions, pattern: 'semantic_class_{number}.png'}}}\n");
   const Result trained = semfield_run("train room.yaml --steps 20 --threads 1 --out run -q", folder);
   ASSERT_EQ(trained.code, 0) << trained.err;
-  const Result rendered = semfield_run("render run --split test --out rendered -q", folder);
-  ASSERT_EQ(rendered.code, 0) << rendered.err;
+  const Result render = semfield_run("render run --split test --out rendered -q", folder);
+  ASSERT_EQ(render.code, 0) << render.err;
   const ClassTable table = ClassTable::load(folder + "/room/classes.yaml");
   for (const std::string format : {"coco", "coco_rle", "labelme"}) {
     const Result r = semfield_run("export run --split test --format " + format + " --out " + format + ".json", folder);

@@ -68,6 +68,20 @@ TEST(Adam, FollowsTheFormulaForGradientsOfAnySize) {  // E01, E03
   }
 }
 
+TEST(Adam, DecayTakesItsShareBeforeTheUpdate) {
+  State<double> plain(3), decayed(3);
+  AdamStep step = adam_step(AdamParams{}, 0.01, 5);
+  for (std::size_t i = 0; i < 3; ++i) {
+    plain.value[i] = decayed.value[i] = 1.0 + static_cast<double>(i);
+    plain.grad[i] = decayed.grad[i] = 0.5 - static_cast<double>(i);
+  }
+  plain.dense(step);
+  step.decay = 0.25;
+  decayed.dense(step);
+  for (std::size_t i = 0; i < 3; ++i)
+    EXPECT_NEAR(decayed.value[i], plain.value[i] - 0.25 * (1.0 + static_cast<double>(i)), 1e-15);
+}
+
 TEST(Adam, LazyRuleOfTouchedRows) {  // E02
   AdamParams params;
   State<float> state(3, 2);

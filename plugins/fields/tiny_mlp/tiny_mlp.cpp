@@ -65,17 +65,19 @@ TinyMlp<Real>::TinyMlp(const TinyMlpParams& params, const FieldBuild& build, con
     s.hidden.push_back(learned(specs_, "hidden_" + std::to_string(i), in, s.hidden_width));
     in = s.hidden_width;
   }
-  s.geometry = learned(specs_, "geometry", s.hidden_width, 1 + s.geometry_features);
+  s.feature_only = build.feature_only;
+  if (!s.feature_only || s.feature == TinyFeature::geometry)
+    s.geometry = learned(specs_, "geometry", s.hidden_width, 1 + s.geometry_features);
   in = s.geometry_features + s.direction_dims;
-  for (int i = 0; i < params.color_layers; ++i) {
+  for (int i = 0; i < params.color_layers && !s.feature_only; ++i) {
     s.color.push_back(learned(specs_, "color_" + std::to_string(i), in, s.color_width));
     in = s.color_width;
   }
-  s.rgb = learned(specs_, "rgb", s.color_width, 3);
+  if (!s.feature_only) s.rgb = learned(specs_, "rgb", s.color_width, 3);
   for (TinyMlpLayer& layer : s.hidden) add_transpose(specs_, layer);
-  add_transpose(specs_, s.geometry);
+  if (s.has_geometry()) add_transpose(specs_, s.geometry);
   for (TinyMlpLayer& layer : s.color) add_transpose(specs_, layer);
-  add_transpose(specs_, s.rgb);
+  if (!s.feature_only) add_transpose(specs_, s.rgb);
 }
 
 template <class Real>

@@ -35,7 +35,7 @@ struct Activations {
 template <class Real>
 std::size_t saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
   return s.hidden.size() * padded(samples, s.hidden_width, sizeof(Real)) +
-         padded(samples, 1 + s.geometry_features, sizeof(Real)) +
+         padded(samples, s.geometry_cols(), sizeof(Real)) +
          s.color.size() * padded(samples, s.color_width, sizeof(Real));
 }
 
@@ -50,7 +50,7 @@ Activations<Real> place(const TinyMlpShape& s, std::int64_t samples, Saved saved
   };
   Activations<Real> a;
   for (std::size_t i = 0; i < s.hidden.size(); ++i) a.hidden[i] = take(s.hidden_width);
-  a.geometry = take(1 + s.geometry_features);
+  a.geometry = take(s.geometry_cols());
   for (std::size_t i = 0; i < s.color.size(); ++i) a.color[i] = take(s.color_width);
   return a;
 }
@@ -123,16 +123,17 @@ void forward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<Real>&
     linear_forward<Real>(i == 0 ? in.position : View<const Real>(a.hidden[i - 1]), value(t, s.hidden[i].weight),
                          value(t, s.hidden[i].bias), Activation::relu, a.hidden[i], s.precision);
   }
-  const View<const Real> weight = value(t, s.geometry.weight), bias = value(t, s.geometry.bias);
+  SEMFIELD_CHECK(!s.feature_only || (out.sigma.empty() && out.rgb.empty()), "this network has its feature alone");
   const bool wants_features = !out.rgb.empty() || (!out.feature.empty() && s.feature == TinyFeature::geometry);
   // In bf16 a single column would be computed in fp32, and a density query would differ from the others.
   if (wants_features || (s.precision == Precision::bf16 && !out.sigma.empty())) {
-    linear_forward<Real>(a.hidden[last], weight, bias, Activation::none, a.geometry, s.precision);
+    linear_forward<Real>(a.hidden[last], value(t, s.geometry.weight), value(t, s.geometry.bias), Activation::none,
+                         a.geometry, s.precision);
     if (!out.sigma.empty()) copy_rows<Real>(a.geometry.col_range(0, 1), out.sigma);
   } else if (!out.sigma.empty()) {
     // A density query: one column of the product, the same chain of sums.
-    linear_forward<Real>(a.hidden[last], weight.col_range(0, 1), bias.col_range(0, 1), Activation::none, out.sigma,
-                         s.precision);
+    linear_forward<Real>(a.hidden[last], value(t, s.geometry.weight).col_range(0, 1),
+                         value(t, s.geometry.bias).col_range(0, 1), Activation::none, out.sigma, s.precision);
   }
   if (!out.feature.empty()) {
     copy_rows<Real>(s.feature == TinyFeature::hidden ? a.hidden[last] : a.features(s), out.feature);
@@ -175,9 +176,9 @@ template <class Real>
 bool geometry_gradient(const TinyMlpShape& s, Workspace& arena, const Tensors<Real>& t, const FieldIn<Real>& in,
                        View<const Real> rgb, const FieldGrad<Real>& grad, const Activations<Real>& a,
                        View<Real> d_out) {
-  const View<Real> d_features = d_out.col_range(1, s.geometry_features);
   const bool from_head = !grad.feature.empty() && s.feature == TinyFeature::geometry;
   if (grad.sigma.empty() && grad.rgb.empty() && !from_head) return false;
+  const View<Real> d_features = d_out.col_range(1, s.geometry_features);
   if (grad.sigma.empty()) {
     fill(d_out.col_range(0, 1), Real(0));
   } else {
@@ -203,7 +204,7 @@ void backward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<Real>
   const Workspace::Scope scope(arena);
   const std::int64_t samples = in.position.rows;
   const Activations<Real> a = place<Real>(s, samples, saved, arena);
-  const View<Real> d_out = arena.take<Real>(samples, 1 + s.geometry_features);
+  const View<Real> d_out = arena.take<Real>(samples, s.geometry_cols());
   const bool from_geometry = geometry_gradient<Real>(s, arena, t, in, out.rgb, grad, a, d_out);
   const bool from_hidden = !grad.feature.empty() && s.feature == TinyFeature::hidden;
   if (!from_geometry && !from_hidden) {
@@ -228,7 +229,7 @@ void backward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<Real>
 template <class Real>
 void derive(const TinyMlpShape& s, const Tensors<Real>& t) {
   const auto transposed = [&](const TinyMlpLayer& layer) {
-    transpose(value(t, layer.weight), t.value[static_cast<std::size_t>(layer.weight_t)]);
+    if (layer.weight >= 0) transpose(value(t, layer.weight), t.value[static_cast<std::size_t>(layer.weight_t)]);
   };
   for (const TinyMlpLayer& layer : s.hidden) transposed(layer);
   for (const TinyMlpLayer& layer : s.color) transposed(layer);

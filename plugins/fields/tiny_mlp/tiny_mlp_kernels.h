@@ -26,6 +26,7 @@ struct TinyMlpShape {
   std::int32_t geometry_features = 15;
   std::int32_t color_width = 64;
   TinyFeature feature = TinyFeature::hidden;
+  bool feature_only = false;  ///< `color` is empty, and `geometry` unless it is the feature
   bool direction_once = true;
   Precision precision = Precision::fp32;  ///< of the matrix products
   std::vector<TinyMlpLayer> hidden;       ///< position to last hidden activation
@@ -34,6 +35,8 @@ struct TinyMlpShape {
   TinyMlpLayer rgb;
 
   bool has_direction() const { return direction_dims > 0; }
+  bool has_geometry() const { return geometry.weight >= 0; }
+  std::int32_t geometry_cols() const { return has_geometry() ? 1 + geometry_features : 0; }
   std::int32_t feature_dims() const { return feature == TinyFeature::hidden ? hidden_width : geometry_features; }
 };
 

@@ -35,7 +35,7 @@ Activations place(const TinyMlpShape& s, std::int64_t samples, Saved saved, Work
   };
   Activations a;
   for (std::size_t i = 0; i < s.hidden.size(); ++i) a.hidden[i] = take(s.hidden_width);
-  a.geometry = take(1 + s.geometry_features);
+  a.geometry = take(s.geometry_cols());
   for (std::size_t i = 0; i < s.color.size(); ++i) a.color[i] = take(s.color_width);
   return a;
 }
@@ -189,9 +189,9 @@ void Batch::color_backward(View<const float> rgb, View<const float> d_rgb, View<
 
 /// dL/d[sigma, geometry features] from whatever outputs have a gradient; false when all of it is zero.
 bool Batch::geometry_gradient(View<const float> rgb, const FieldGrad<float>& grad, View<float> d_out) const {
-  const View<float> d_features = d_out.col_range(1, s_.geometry_features);
   const bool from_head = !grad.feature.empty() && s_.feature == TinyFeature::geometry;
   if (grad.sigma.empty() && grad.rgb.empty() && !from_head) return false;
+  const View<float> d_features = d_out.col_range(1, s_.geometry_features);
   copy_rows(grad.sigma, d_out.col_range(0, 1), live_);
   if (grad.rgb.empty()) {
     copy_rows({}, d_features, live_);
@@ -203,7 +203,7 @@ bool Batch::geometry_gradient(View<const float> rgb, const FieldGrad<float>& gra
 }
 
 void Batch::backward(View<const float> rgb, const FieldGrad<float>& grad, View<float> d_position) {
-  const View<float> d_out = rows_of(1 + s_.geometry_features);
+  const View<float> d_out = rows_of(s_.geometry_cols());
   const bool from_geometry = geometry_gradient(rgb, grad, d_out);
   const bool from_hidden = !grad.feature.empty() && s_.feature == TinyFeature::hidden;
   if (!from_geometry && !from_hidden) {
@@ -228,7 +228,7 @@ void Batch::backward(View<const float> rgb, const FieldGrad<float>& grad, View<f
 }  // namespace
 
 std::size_t layers_saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
-  return s.hidden.size() * padded(samples, s.hidden_width) + padded(samples, 1 + s.geometry_features) +
+  return s.hidden.size() * padded(samples, s.hidden_width) + padded(samples, s.geometry_cols()) +
          s.color.size() * padded(samples, s.color_width);
 }
 

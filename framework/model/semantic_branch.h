@@ -1,0 +1,104 @@
+// A network of its own for what the semantic head reads: smooth where the pass's field is sharp, and run on the samples
+// that weigh alone.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "core/host_device.h"
+#include "core/rng.h"
+#include "model/domain_map.h"
+#include "model/param_store.h"
+#include "plugin/encoder.h"
+#include "plugin/field.h"
+#include "plugin/sampler.h"
+
+namespace semfield {
+
+struct SemanticBranchRules {
+  bool reads_feature = true;   ///< the field's feature beside the position; no gradient goes back into the field
+  double least_weight = 1e-3;  ///< samples of a smaller compositing weight are left out
+  double dropout = 0;          ///< share of feature values that a training step sets to 0 [Srivastava14]
+  double learning_rate = 1;    ///< of branch and head, as a factor to the run's
+  double weight_decay = 0;     ///< of branch and head: share of a value times the learning rate [Loshchilov19]
+  LearningRule learning() const { return {learning_rate, weight_decay}; }
+};
+
+template <class Real>
+struct SemanticBranchParts {
+  std::unique_ptr<Encoder<Real>> position;  ///< without learned tensors
+  std::unique_ptr<Field<Real>> field;       ///< asked for its feature alone, and given no direction
+  DomainMap domain;
+  SemanticBranchRules rules;
+};
+
+/// K kept samples of the first R rays; lives in the tile's workspace.
+template <class Real>
+struct SemanticBranchTrace {
+  Samples<Real> samples;      ///< count K, ray_of_sample [K, 1], first [R + 1, 1]; t and delta are empty
+  View<std::int32_t> source;  ///< [K, 1] number of the sample in the pass
+  View<Real> weight;          ///< [K, 1] compositing weight, a constant here
+  View<Real> share;           ///< [R, 1] sum of a ray's kept weights
+  View<Real> input;           ///< [K, Dp (+ F)] encoded position (and the field's feature)
+  FieldOut<Real> out;         ///< feature [K, B] alone
+  View<Real> feature;         ///< [K, B] what the head reads: the same, or what dropout left of it
+  Saved saved;
+};
+
+/// Semantics of a ray = sum over its kept samples of weight times what the head makes of the branch's feature. Weights
+/// are constants: labels do not shape density. Leaving out samples of weight below w changes a logit by at most the
+/// sum of the weights left out times the largest logit of a sample.
+template <class Real>
+class SemanticBranch {
+ public:
+  /// Adds the parts' tensors to `store` under "PASS/semantic/...". Throws Error(config) where the encoder learns.
+  /// Borrows the parts.
+  SemanticBranch(const SemanticBranchParts<Real>& parts, const std::string& pass, ParamStore<Real>& store);
+
+  std::int32_t feature_dims() const { return parts_->field->traits().feature_dims; }
+  const SemanticBranchRules& rules() const { return parts_->rules; }
+
+  /// Of the first `semantic_rays` rays: keeps the samples that weigh, encodes them and runs the network, in
+  /// ctx.workspace. weight [M, 1]; feature [M, F] of the pass's field (empty unless it is read).
+  SemanticBranchTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
+                                    const Samples<Real>& samples, View<const Real> weight, View<const Real> feature,
+                                    std::int64_t semantic_rays) const;
+  /// d_feature [K, B] of trace.feature; it is changed (dropout). Gradients go into the lane's.
+  void backward(const StepContext& ctx, int lane, const SemanticBranchTrace<Real>& trace, View<Real> d_feature) const;
+
+  void derive(const StepContext& ctx) const;
+  void derive_backward(const StepContext& ctx) const;
+
+ private:
+  void keep(const Samples<Real>& samples, View<const Real> weight, std::int64_t semantic_rays, Workspace& arena,
+            SemanticBranchTrace<Real>& trace) const;
+  void drop_out(const StepContext& ctx, const SemanticBranchTrace<Real>& trace, View<Real> values) const;
+
+  const SemanticBranchParts<Real>* parts_;
+  ParamStore<Real>* store_;
+  int position_ = 0, field_ = 0;
+};
+
+/// Address of the dropout's random values.
+inline constexpr const char* kBranchDropout = "semantic_branch/dropout";
+/// What is left of column `c` of `cols` of a ray's kept sample `k`: its factor, 0 or 1 / (1 - share). Rays are numbered
+/// through the batch, so tiles do not matter.
+SEMFIELD_HD inline float dropout_factor(const RandomAddress& address, double share, std::int64_t ray, std::int64_t k,
+                                        std::int32_t c, std::int32_t cols) {
+  const auto row = (static_cast<std::uint64_t>(ray) << 20) + static_cast<std::uint64_t>(k);
+  const float u = uniform01(address, row * static_cast<std::uint64_t>(cols) + static_cast<std::uint64_t>(c));
+  return static_cast<double>(u) < share ? 0.0F : static_cast<float>(1 / (1 - share));
+}
+
+/// out [R, H] = sum over each ray's samples of weight [K, 1] times values [K, H].
+template <class Real>
+void sum_by_weight(const Samples<Real>& samples, View<const Real> weight, View<const Real> values, View<Real> out);
+/// d_values [K, H] = weight times d_out [R, H] of the sample's ray.
+template <class Real>
+void sum_by_weight_backward(const Samples<Real>& samples, View<const Real> weight, View<const Real> d_out,
+                            View<Real> d_values);
+
+extern template class SemanticBranch<float>;
+extern template class SemanticBranch<double>;
+
+}  // namespace semfield

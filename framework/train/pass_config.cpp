@@ -1,0 +1,158 @@
+#include "train/pass_config.h"
+
+#include <algorithm>
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, SemanticBranchRules& p) {
+  SEMFIELD_PARAM(visit, p, reads_feature,
+                 "the branch reads the field's feature beside the position; no gradient goes back into the field");
+  SEMFIELD_PARAM(visit, p, least_weight,
+                 "samples of a smaller compositing weight are left out; a logit changes by at most the weights left "
+                 "out times the largest logit of a sample",
+                 {0, 0.1});
+  SEMFIELD_PARAM(visit, p, dropout, "share of the branch's feature set to 0 in a training step [Srivastava14]",
+                 {0, 0.9});
+  SEMFIELD_PARAM(visit, p, learning_rate, "of branch and semantic head, as a factor to train.adam.learning_rate",
+                 {0, 1e3});
+  SEMFIELD_PARAM(
+      visit, p, weight_decay,
+      "of branch and semantic head: a step takes the learning rate times this share of a value [Loshchilov19]",
+      {0, 10});
+}
+
+PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,
+                     Diagnostics& diagnostics, const std::vector<std::string>& other_keys) {
+  PluginSlot slot;
+  if (!node.is_map()) {
+    diagnostics.error(node.location().text(),
+                      path + ": expected a map with 'type', one of " + join(registry.names(kind)));
+    return slot;
+  }
+  const ConfigNode* type = node.find("type");
+  if (type == nullptr || !type->is_scalar()) {
+    diagnostics.error(node.location().text(), path + ": key 'type' is missing",
+                      "choose one of " + join(registry.names(kind)));
+    return slot;
+  }
+  try {
+    slot.entry = &registry.get(kind, type->text());
+  } catch (const Error& error) {
+    diagnostics.error(type->location().text(), error.message(), error.remedy());
+    return slot;
+  }
+  slot.params = slot.entry->new_params();
+  std::vector<std::string> allowed = other_keys;
+  allowed.push_back("type");
+  const int errors = diagnostics.error_count();
+  read_params(
+      node, path, [&](ParamVisitor& visit) { slot.params->describe(visit); }, diagnostics, allowed);
+  if (diagnostics.error_count() == errors) {
+    Diagnostics relations;
+    slot.params->validate(relations);
+    for (const Diagnostic& finding : relations.all()) {
+      const std::string message = path + (finding.where.empty() ? "" : "." + finding.where) + ": " + finding.message;
+      if (finding.severity == Severity::error) {
+        diagnostics.error(node.location().text(), message, finding.remedy);
+      } else {
+        diagnostics.warning(node.location().text(), message, finding.remedy);
+      }
+    }
+  }
+  return slot;
+}
+
+namespace {
+
+// {position, field} and the branch's own parameters.
+void read_branch(const ConfigNode& node, const std::string& path, const Registry& registry,
+                 SemanticBranchConfig& branch, Diagnostics& diagnostics) {
+  if (!node.is_map()) {
+    diagnostics.error(node.location().text(), path + ": expected a map {position, field, ...}");
+    return;
+  }
+  const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out) {
+    const ConfigNode* plugin = node.find(key);
+    if (plugin == nullptr || plugin->is_null()) {
+      diagnostics.error(node.location().text(), path + ": key '" + key + "' is missing");
+      return;
+    }
+    out = read_slot(kind, *plugin, path + "." + key, registry, diagnostics);
+  };
+  slot("position", PluginKind::encoder, branch.position);
+  slot("field", PluginKind::field, branch.field);
+  read_params(node, path, [&](ParamVisitor& visit) { describe(visit, branch.rules); }, diagnostics,
+              {"position", "field"});
+}
+
+}  // namespace
+
+void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
+  const ConfigNode* list = tree.find("passes");
+  if (list == nullptr || !list->is_list() || list->items().empty()) {
+    const Location& where = list == nullptr ? tree.location() : list->location();
+    diagnostics.error(where.text(),
+                      "passes: expected a list of at least one pass {name, sampler, position, direction, field}");
+    return;
+  }
+  static const std::vector<std::string> kKeys{"name", "like", "sampler", "position", "direction", "field", "semantic"};
+  int index = 0;
+  for (const ConfigNode& item : list->items()) {
+    const std::string path = "passes." + std::to_string(index);
+    PassConfig pass;
+    if (!item.is_map()) {
+      diagnostics.error(item.location().text(), path + ": expected a map {name, sampler, position, direction, field}");
+      continue;
+    }
+    for (const auto& [key, value] : item.entries()) {
+      if (std::find(kKeys.begin(), kKeys.end(), key) != kKeys.end()) continue;
+      const std::string near = did_you_mean(key, kKeys);
+      diagnostics.error(value.key_location().text(), path + ": unknown key '" + key + "'",
+                        near.empty() ? "known: " + join(kKeys) : "did you mean '" + near + "'?");
+    }
+    pass.name = read_text(item, path, "name", index == 0 ? "main" : "pass" + std::to_string(index), diagnostics);
+    const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out, bool required) {
+      const ConfigNode* node = item.find(key);
+      if (node == nullptr || node->is_null()) {
+        if (required) diagnostics.error(item.location().text(), path + ": key '" + key + "' is missing");
+        return;
+      }
+      out = read_slot(kind, *node, path + "." + key, registry, diagnostics);
+    };
+    slot("sampler", PluginKind::sampler, pass.sampler, true);
+    slot("position", PluginKind::encoder, pass.position, true);
+    slot("direction", PluginKind::encoder, pass.direction, false);
+    slot("field", PluginKind::field, pass.field, true);
+    if (const ConfigNode* branch = item.find("semantic"); branch != nullptr && !branch->is_null())
+      read_branch(*branch, path + ".semantic", registry, pass.semantic, diagnostics);
+    for (const PassConfig& other : config.passes) {
+      if (other.name == pass.name)
+        diagnostics.error(item.location().text(), path + ": name '" + pass.name + "' is taken by an earlier pass");
+    }
+    config.passes.push_back(std::move(pass));
+    ++index;
+  }
+}
+
+ConfigNode slot_config(const PluginSlot& slot) {
+  ConfigNode node = params_to_config([&](ParamVisitor& visit) { slot.params->describe(visit); });
+  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(slot.entry->name, false, {})}};
+  entries.insert(entries.end(), node.entries().begin(), node.entries().end());
+  return ConfigNode::make_map(std::move(entries), {});
+}
+
+ConfigNode pass_config(const PassConfig& pass) {
+  ConfigNode node = ConfigNode::make_map({{"name", ConfigNode::make_scalar(pass.name, true, {})}}, {});
+  node = node.with("sampler", slot_config(pass.sampler)).with("position", slot_config(pass.position));
+  if (pass.direction.entry != nullptr) node = node.with("direction", slot_config(pass.direction));
+  node = node.with("field", slot_config(pass.field));
+  if (!pass.semantic.present()) return node;
+  // describe() takes a mutable struct; the writer only looks.
+  SemanticBranchRules& editable = const_cast<SemanticBranchRules&>(pass.semantic.rules);
+  const ConfigNode branch = params_to_config([&](ParamVisitor& visit) { describe(visit, editable); });
+  return node.with(
+      "semantic",
+      branch.with("position", slot_config(pass.semantic.position)).with("field", slot_config(pass.semantic.field)));
+}
+
+}  // namespace semfield
