@@ -68,10 +68,6 @@ int run_config_schema(bool of_sweeps, AppContext& context) {
   const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
   const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};
   sections.push_back({"passes[]", "one pass over the rays", {pass, like}});
-  SemanticBranchRules branch;
-  sections.push_back({"passes[].semantic",
-                      "a network of its own for semantics; without it the head reads the field's feature",
-                      describe_params([&](ParamVisitor& visit) { describe(visit, branch); })});
   std::vector<SchemaAlternative> readers, degradations;
   for (const LabelStepDoc& doc : describe_label_steps())
     (doc.key == "from" ? readers : degradations).push_back({doc.type, doc.sentence, doc.params});

@@ -268,6 +268,12 @@ std::vector<SectionDoc> describe_sections() {
   each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
     docs.push_back({path, sentence, describe_params([&](ParamVisitor& visit) { describe(visit, params); })});
   });
+  SemanticBranchRules branch;
+  docs.push_back(
+      {"passes[].semantic",
+       "a network of its own for semantics, beside its plugins `position` and `field`; without this section the "
+       "head reads the pass's field",
+       describe_params([&](ParamVisitor& visit) { describe(visit, branch); })});
   return docs;
 }
 

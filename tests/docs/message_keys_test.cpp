@@ -40,7 +40,7 @@ class Keys {
         for (const ParamDoc& doc : params) datasets_[entry->name].insert("scene." + doc.name);
         continue;
       }
-      for (const char* slot : {"sampler", "position", "direction", "field"})
+      for (const char* slot : {"sampler", "position", "direction", "field", "semantic.position", "semantic.field"})
         add("passes.N." + std::string(slot), params);
     }
   }

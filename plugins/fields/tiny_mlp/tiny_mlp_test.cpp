@@ -12,6 +12,7 @@
 #include "testkit/compare.h"
 #include "testkit/field_bench.h"
 #include "testkit/laws.h"
+#include "testkit/tensor_box.h"
 
 namespace semfield {
 namespace {
@@ -130,6 +131,65 @@ TEST(TinyMlp, ForwardIsTheNetwork) {
       for (int c = 0; c < 3; ++c) {
         EXPECT_NEAR(bench.rgb(m, c), 1 / (1 + std::exp(-logit[static_cast<std::size_t>(c)])), 1e-12);
       }
+    }
+  }
+}
+
+// Built for its feature alone, the network has that feature and its gradients, and no tensor of anything else.
+TEST(TinyMlp, FeatureAloneIsThatOfTheWholeNetwork) {
+  for (const TinyFeature feature : {TinyFeature::hidden, TinyFeature::geometry}) {
+    FieldBuild build = build_of(7, 0);
+    const TinyMlp<double> whole(small(feature), build, tables());
+    build.feature_only = true;
+    const TinyMlp<double> alone(small(feature), build, tables());
+    testkit::TensorBox<double> of_whole(whole, 1), of_alone(alone, 2);
+    EXPECT_LT(of_alone.count(), of_whole.count());
+    const auto twin_of = [&](std::size_t i) {
+      std::size_t other = 0;
+      while (other < of_whole.count() && of_whole.specs()[other].name != of_alone.specs()[i].name) ++other;
+      EXPECT_LT(other, of_whole.count()) << of_alone.specs()[i].name;
+      return other;
+    };
+    for (std::size_t i = 0; i < of_alone.count(); ++i) {
+      EXPECT_EQ(of_alone.specs()[i].name.find("color"), std::string::npos);
+      std::copy_n(of_whole.value(twin_of(i)).data, of_alone.value(i).size(), of_alone.value(i).data);
+    }
+    constexpr std::int64_t kRows = 33;
+    std::vector<double> x(kRows * 7), d(static_cast<std::size_t>(kRows * alone.traits().feature_dims));
+    for (std::size_t i = 0; i < x.size(); ++i) x[i] = std::sin(1.7 * static_cast<double>(i));
+    for (std::size_t i = 0; i < d.size(); ++i) d[i] = std::cos(0.9 * static_cast<double>(i));
+    const std::vector<std::int32_t> ray(kRows, 0);
+    const auto run = [&](const TinyMlp<double>& field, testkit::TensorBox<double>& box,
+                         std::vector<double>& out_feature, std::vector<double>& d_x) {
+      Workspace arena;
+      StepContext ctx;
+      ctx.workspace = &arena;
+      FieldIn<double> in;
+      in.position = {x.data(), kRows, 7};
+      in.ray_of_sample = {ray.data(), kRows, 1};
+      FieldOut<double> out;
+      out_feature.resize(d.size());
+      d_x.resize(x.size());
+      out.feature = {out_feature.data(), kRows, field.traits().feature_dims};
+      const std::size_t bytes = field.saved_bytes(kRows, 1);
+      const Saved saved(arena.take_bytes(bytes), bytes);
+      field.derive(ctx, box.tensors());
+      field.forward(ctx, box.tensors(), in, out, saved);
+      FieldGrad<double> grad;
+      grad.feature = {d.data(), kRows, field.traits().feature_dims};
+      box.fill_grads(0);
+      field.backward(ctx, box.tensors(), in, out, grad, saved, {d_x.data(), kRows, 7});
+      return bytes;
+    };
+    std::vector<double> a, b, dx_a, dx_b;
+    EXPECT_GT(run(whole, of_whole, a, dx_a), run(alone, of_alone, b, dx_b));
+    EXPECT_EQ(a, b);
+    EXPECT_EQ(dx_a, dx_b);
+    for (std::size_t i = 0; i < of_alone.count(); ++i) {
+      if (!of_alone.learned(i)) continue;
+      const View<double> want = of_whole.grad(twin_of(i)), got = of_alone.grad(i);
+      EXPECT_TRUE(std::equal(got.data, got.data + got.size(), want.data)) << of_alone.specs()[i].name;
+      EXPECT_TRUE(std::any_of(got.data, got.data + got.size(), [](double g) { return g != 0; }));
     }
   }
 }
