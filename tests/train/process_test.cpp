@@ -185,6 +185,9 @@ TEST(Process, RefusalsNamePlaceCauseAndRemedy) {
       {{"train", "--resume", dir / "nowhere"}, 66, "nowhere"},
       {{"eval", dir / "nowhere"}, 66, "nowhere"},
       {{"eval", dir / "run", "--split", "best"}, 2, "expected train or test"},
+      {{"train", config, "--set", "scene.load.invert_poses=true", "--out", dir / "x"},
+       65,
+       "add --set scene.load.invert_poses=false"},
       {{"train", config, "--keep", "undistorsion", "--dry-run"}, 2, "did you mean 'undistortion'?"},
   };
   std::string why_not;  // this build or this machine has none
