@@ -70,21 +70,24 @@ __global__ void __launch_bounds__(kThreads)
   trace.input(k, c) = value;
 }
 
-// A thread a value.
+// A thread kDropoutGroup values of a row, 8 B each.
 __global__ void __launch_bounds__(kThreads)
     dropout_kernel(Dropout rule, Samples<float> samples, View<const float> from, View<float> to, const StepCell* cell) {
   const std::int64_t at = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
-  const std::int64_t k = at / to.cols;
-  const auto c = static_cast<std::int32_t>(at % to.cols);
+  const std::int32_t groups = (to.cols + kDropoutGroup - 1) / kDropoutGroup;
+  const std::int64_t k = at / groups;
+  const auto group = static_cast<std::int32_t>(at % groups);
   if (k >= to.rows) return;
-  if (k >= samples.first(samples.first.rows - 1, 0)) {
-    to(k, c) = 0;
-    return;
+  const std::int32_t begin = group * kDropoutGroup;
+  const bool live = k < samples.first(samples.first.rows - 1, 0);
+  DropoutFactors factors{};
+  if (live) {
+    const std::int32_t ray = samples.ray_of_sample(k, 0);
+    factors = dropout_factors(at_step(rule.random, cell), rule.share, rule.first_ray + ray, k - samples.first(ray, 0),
+                              group, to.cols);
   }
-  const std::int32_t ray = samples.ray_of_sample(k, 0);
-  const float factor = dropout_factor(at_step(rule.random, cell), rule.share, rule.first_ray + ray,
-                                      k - samples.first(ray, 0), c, to.cols);
-  to(k, c) = from(k, c) * factor;
+  for (std::int32_t i = 0; i < kDropoutGroup && begin + i < to.cols; ++i)
+    to(k, begin + i) = live ? from(k, begin + i) * factors.of[i] : 0.0F;
 }
 
 }  // namespace
@@ -106,8 +109,8 @@ void join_inputs(const SemanticBranchTrace<float>& trace, View<const float> posi
 
 void drop_out(const Dropout& rule, const Samples<float>& samples, View<const float> from, View<float> to) {
   if (to.size() == 0) return;
-  dropout_kernel<<<blocks_of(to.size(), kThreads), kThreads, 0, launch().stream>>>(rule, samples, from, to,
-                                                                                   launch().cell);
+  const std::int64_t groups = to.rows * ((to.cols + kDropoutGroup - 1) / kDropoutGroup);
+  dropout_kernel<<<blocks_of(groups, kThreads), kThreads, 0, launch().stream>>>(rule, samples, from, to, launch().cell);
   check_launch("dropout");
 }
 

@@ -132,8 +132,13 @@ void SemanticBranch<Real>::drop_out(const StepContext& ctx, const SemanticBranch
   for (std::int64_t k = 0; k < trace.samples.count; ++k) {
     const std::int32_t ray = trace.samples.ray_of_sample(k, 0);
     const std::int64_t of_ray = k - trace.samples.first(ray, 0);
-    for (std::int32_t c = 0; c < values.cols; ++c)
-      values(k, c) *= static_cast<Real>(dropout_factor(address, share, ctx.first_ray + ray, of_ray, c, values.cols));
+    Real* const row = values.row(k);
+    for (std::int32_t c = 0; c < values.cols; c += kDropoutGroup) {
+      const DropoutFactors factors =
+          dropout_factors(address, share, ctx.first_ray + ray, of_ray, c / kDropoutGroup, values.cols);
+      for (std::int32_t i = 0; i < std::min(kDropoutGroup, values.cols - c); ++i)
+        row[c + i] *= static_cast<Real>(factors.of[i]);
+    }
   }
 }
 

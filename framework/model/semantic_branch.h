@@ -81,13 +81,24 @@ class SemanticBranch {
 
 /// Address of the dropout's random values.
 inline constexpr const char* kBranchDropout = "semantic_branch/dropout";
-/// What is left of column `c` of `cols` of a ray's kept sample `k`: its factor, 0 or 1 / (1 - share). Rays are numbered
-/// through the batch, so tiles do not matter.
-SEMFIELD_HD inline float dropout_factor(const RandomAddress& address, double share, std::int64_t ray, std::int64_t k,
-                                        std::int32_t c, std::int32_t cols) {
+/// Columns that share a block of random numbers.
+inline constexpr std::int32_t kDropoutGroup = 4;
+/// What is left of columns 4 g .. 4 g + 3 of a ray's kept sample `k`, of `cols`: factors 0 or 1 / (1 - share). Rays are
+/// numbered through the batch, so tiles do not matter.
+struct DropoutFactors {
+  float of[kDropoutGroup];
+};
+SEMFIELD_HD inline DropoutFactors dropout_factors(const RandomAddress& address, double share, std::int64_t ray,
+                                                  std::int64_t k, std::int32_t group, std::int32_t cols) {
   const auto row = (static_cast<std::uint64_t>(ray) << 20) + static_cast<std::uint64_t>(k);
-  const float u = uniform01(address, row * static_cast<std::uint64_t>(cols) + static_cast<std::uint64_t>(c));
-  return static_cast<double>(u) < share ? 0.0F : static_cast<float>(1 / (1 - share));
+  const PhiloxBlock block =
+      random_block(address, row * static_cast<std::uint64_t>(cols) + static_cast<std::uint64_t>(group));
+  const double below = share * 4294967296.0;
+  const auto stays = static_cast<float>(1 / (1 - share));
+  DropoutFactors factors;
+  for (std::int32_t i = 0; i < kDropoutGroup; ++i)
+    factors.of[i] = static_cast<double>(block.v[i]) < below ? 0.0F : stays;
+  return factors;
 }
 
 /// out [R, H] = sum over each ray's samples of weight [K, 1] times values [K, H].

@@ -61,6 +61,10 @@ const RealRun kRuns[] = {
     {"hash, 2^19", "quickstart.yaml",
      "--set passes.0.position.log2_entries=19 --set passes.0.position.finest_resolution=512", 5},
     {"hash, 32 lanes, 4096 rays", "quickstart.yaml", "--set runtime.lanes=32 --set train.rays=4096", 60},
+    {"semantic branch", "quickstart.yaml",
+     "--set 'passes.0.semantic={position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 128, "
+     "hidden_layers: 3}, dropout: 0.2}' --set train.labelled_share=1 --set train.rays=4096",
+     5},
     {"frequency", "quickstart_frequency.yaml", "", 3},
     {"frequency, 8 x 256", "quickstart_frequency.yaml",
      "--set passes.0.field.width=256 --set passes.1.field.width=256 --set passes.0.field.depth=8 "
