@@ -344,9 +344,12 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   derive_bounds(scene, seen, options, diagnostics);
   std::vector<float> focal;
   for (const FrameInfo* camera : seen.cameras) focal.push_back(static_cast<float>(camera->camera.fx));
+  const Vec3d size = scene.bounds.empty() ? Vec3d{} : scene.bounds.size();
   const double middle = seen.has_depth     ? quantile(seen.survey.distances, 0.5)
                         : scene.rig.inward ? scene.rig.distance_m
-                                           : 0.5 * (scene.near_m + scene.far_m);
+                        // Of contracted space far is as good as infinity, and tells nothing of where things are.
+                        : options.contracted ? 0.5 * std::max({size.x, size.y, size.z})
+                                             : 0.5 * (scene.near_m + scene.far_m);
   scene.pixel_footprint_m = middle / quantile(focal, 0.5);
   warn_of_coarse_positions(scene, diagnostics);
   if (scene.extent_is_guessed) tell_of_guess(scene, options, diagnostics);

@@ -132,6 +132,31 @@ TEST(SceneBounds, TheFilesLimitCutsTheCones) {
   EXPECT_EQ(load_scene(object, {}, d).bounds_from, "the view cones of 35 training cameras up to far");
 }
 
+// Far is as good as infinity there: a pixel is measured where the bounds are, also where cameras look outward.
+TEST(SceneBounds, APixelOfContractedSpaceIsThatOfTheBounds) {
+  struct Outward : ObjectDataset {
+    SceneInfo open(Diagnostics& d) const {
+      SceneInfo info = ObjectDataset::open(d);
+      for (FrameInfo& frame : info.frames)
+        frame = frame_at(frame.world_from_camera.t, frame.world_from_camera.t * 2 - center);
+      for (std::size_t i = 0; i < info.frames.size(); ++i) {
+        info.frames[i].name = std::to_string(i);
+        info.frames[i].split = i % 8 == 0 ? Split::test : Split::train;
+      }
+      return info;
+    }
+  } outward;
+  SceneLoadOptions options;
+  options.contracted = true;
+  options.check_geometry = false;
+  Diagnostics d;
+  const LoadedScene s = load_scene(outward, options, d);
+  const Vec3d size = s.bounds.size();
+  const double longest = std::max({size.x, size.y, size.z});
+  EXPECT_GT(s.far_m, 20 * longest);
+  EXPECT_NEAR(s.pixel_footprint_m, 0.5 * longest / s.info.frames[0].camera.fx, 1e-7);  // a median in float
+}
+
 TEST(SceneBounds, TheConfigurationIsTrustedMost) {
   const ObjectDataset object;
   SceneLoadOptions options;
