@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <iterator>
 
+#include "core/words.h"
 #include "scene/image_io.h"
 #include "scene/load_progress.h"
 #include "scene/scene_checks.h"
@@ -106,9 +107,9 @@ void read_labels(const FrameInfo& frame, const std::string& path, bool unknown_v
 // Settings that read this file as one of label files in place of the scene's own; `more` are further keys.
 std::string label_settings(const FrameInfo& frame, const std::filesystem::path& label, const std::string& labels_key,
                            const std::string& more) {
-  return (labels_key.empty() ? std::string() : "--set 'scene." + labels_key + "=\"\"' ") +
-         "--set 'scene.labels.from={type: images, folder: \"" + label.parent_path().string() + "\", pattern: \"" +
-         label_pattern(frame, label) + "\"" + more + "}'";
+  return (labels_key.empty() ? std::string() : "--set 'scene." + labels_key + "=\"\"' ") + "--set " +
+         shell_word("scene.labels.from={type: images, folder: \"" + label.parent_path().string() + "\", pattern: \"" +
+                    label_pattern(frame, label) + "\"" + more + "}");
 }
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include <string>
 
 #include "core/files.h"
+#include "core/words.h"
 
 namespace semfield {
 namespace {
@@ -46,13 +47,13 @@ class SetupScript : public testing::Test {
   ~SetupScript() override { fs::remove_all(root_); }
 
   std::string command(const std::string& fails) const {
-    return "cd '" + root_.string() + "' && FAILS=" + fails + " PATH='" + (root_ / "bin").string() +
-           "':\"$PATH\" scripts/setup";
+    return "cd " + shell_word(root_.string()) + " && FAILS=" + fails + " PATH=" + shell_word((root_ / "bin").string()) +
+           ":\"$PATH\" scripts/setup";
   }
   /// What it prints into a file; `code_` is its exit code.
   std::string printed(const std::string& fails) {
     const std::string out = (root_ / "out").string();
-    code_ = WEXITSTATUS(std::system((command(fails) + " >'" + out + "' 2>&1").c_str()));
+    code_ = WEXITSTATUS(std::system((command(fails) + " >" + shell_word(out) + " 2>&1").c_str()));
     return read_text_file(out);
   }
   std::string log() const { return read_text_file((root_ / "build/setup.log").string()); }

@@ -12,6 +12,7 @@
 #include <string>
 #include <thread>
 
+#include "core/words.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
 
@@ -52,7 +53,9 @@ TEST(SweepTorture, KillsOfTwoSweepsSideBySideLoseNoResult) {
   const std::string file = write_six_cells(folder);
   const std::string whole = folder + "/whole";
   const auto begin = std::chrono::steady_clock::now();
-  ASSERT_EQ(testing_program::semfield_run("sweep " + file + " --jobs 2 --out " + whole, folder).code, 0);
+  ASSERT_EQ(
+      testing_program::semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(whole), folder).code,
+      0);
   const double whole_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   const std::map<std::string, std::string> expected = files_of_cells(whole, "result.json");
   ASSERT_EQ(expected.size(), kCells);
@@ -87,7 +90,8 @@ TEST(SweepTorture, KillsOfTwoSweepsSideBySideLoseNoResult) {
       }
       done = now;
     }
-    const Result last = testing_program::semfield_run("sweep " + file + " --jobs 2 --out " + out, folder);
+    const Result last =
+        testing_program::semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(out), folder);
     ASSERT_EQ(last.code, 0) << last.err;
     const std::map<std::string, std::string> ended = files_of_cells(out, "result.json");
     for (const auto& [id, result] : done) EXPECT_EQ(ended.at(id), result);

@@ -51,6 +51,10 @@ file(COPY ${TREE}/tests/docs/writing_a_plugin/CMakeLists.txt ${TREE}/tests/docs/
 file(COPY ${folder}/plugins/encoders/rings/rings.cpp ${folder}/plugins/datasets/pose_list/pose_list.cpp DESTINATION ${folder}/my_plugins)
 file(MAKE_DIRECTORY ${WORK_DIR}/scene)
 
+# CMake finds out where libraries lie from what the compiler prints, with names of its temporary files; it cannot read odd ones.
+if("$ENV{TMPDIR}" MATCHES "[^A-Za-z0-9_./+-]")
+  set(ENV{TMPDIR} /tmp)
+endif()
 set(common -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${COMPILER} -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} "-DCMAKE_CXX_FLAGS=${FLAGS}"
     -DCMAKE_PREFIX_PATH=${WORK_DIR}/prefix)
 step("install" ${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${WORK_DIR}/prefix --component sdk)
