@@ -2,6 +2,7 @@
 // rig.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "scene/frame_source.h"
