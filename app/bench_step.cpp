@@ -160,8 +160,9 @@ class Bench {
     results_.peak_bf16_one = best([&] { return peak_bf16_flops(1, s); });
     results_.peak_fp32 = best([&] { return peak_fp32_flops(n, s); });
     results_.peak_bf16 = best([&] { return peak_bf16_flops(n, s); });
-    for (const auto& [name, bytes] :
+    for (const auto& [name, size] :
          {std::pair<const char*, std::size_t>{"32 KB", 32u << 10}, {"4 MB", 4u << 20}, {"64 MB", 64u << 20}}) {
+      const std::size_t bytes = size;  // clang 14 cannot capture a structured binding
       results_.reads[name] = {best([&] { return random_reads(1, bytes, s); }),
                               best([&] { return random_reads(n, bytes, s); })};
     }

@@ -172,8 +172,10 @@ inline int unsound_block(const AdamRange<Real>& range, std::int64_t at, std::int
   const Real* const v = range.v + at;
   int bad = 0;
   for (std::int64_t i = 0; i < n; ++i) {
-    bad |= !(std::abs(g[i]) <= kLargest) | !(std::abs(x[i]) <= kLargest) | !(std::abs(m[i]) <= kLargest) |
-           !(v[i] >= 0) | !(v[i] <= kLargestSquare);
+    // Integers, so that nothing branches.
+    bad |= static_cast<int>(!(std::abs(g[i]) <= kLargest)) | static_cast<int>(!(std::abs(x[i]) <= kLargest)) |
+           static_cast<int>(!(std::abs(m[i]) <= kLargest)) | static_cast<int>(!(v[i] >= 0)) |
+           static_cast<int>(!(v[i] <= kLargestSquare));
   }
   return bad;
 }

@@ -43,9 +43,9 @@ struct Bench {
   }
   static const KernelTables& tables() {
     static const KernelTables tables = [] {
-      KernelTables t;
-      occupancy_grid_kernels(t);
-      return t;
+      KernelTables made;
+      occupancy_grid_kernels(made);
+      return made;
     }();
     return tables;
   }
