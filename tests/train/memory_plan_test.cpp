@@ -79,7 +79,9 @@ double number_behind(const std::string& text, const std::string& pattern) {
 
 std::string words_for(const RealRun& run) {
   return " " + shell_word(std::string(SEMFIELD_SOURCE_DIR "/configs/") + run.config) +
-         " --set scene.frames=10 --set scene.test_frames=1 --set scene.width_px=64 --set scene.height_px=48 " + run.set;
+         " --set scene.frames=10 --set scene.test_frames=1 --set scene.width_px=64 --set scene.height_px=48 --threads "
+         "2 " +
+         run.set;  // how many of a machine's threads find work in five steps is a matter of its load
 }
 
 // A sanitizer's own memory is several times the program's and grows with every allocation.
