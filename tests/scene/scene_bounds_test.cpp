@@ -64,7 +64,7 @@ struct ObjectDataset {
     for (int y = 0; y < out.height_px; ++y) {
       for (int x = 0; x < out.width_px; ++x) {
         const Vec3d d = frame.world_from_camera.rotate(frame.camera.direction(x + 0.5, y + 0.5));
-        Vec3d o = frame.world_from_camera.t - center, e;
+        Vec3d o = frame.world_from_camera.t - center;
         double a = 0, b = 0, c = -1;
         for (int k = 0; k < 3; ++k) {
           a += d[k] * d[k] / half[k] / half[k];
