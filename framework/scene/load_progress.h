@@ -7,7 +7,7 @@
 
 namespace semfield {
 
-/// `doing` is "checking" (files, by their headers), "reading", or "read" at the end.
+/// `doing` is "checking" (files, by their headers), "reading", "looking for the bounds" (a probe), or "read" at the end.
 using LoadProgress = std::function<void(std::string_view doing, std::size_t done, std::size_t total)>;
 
 /// Who is told in this process; nobody until this is called, which is to happen before a scene is opened.

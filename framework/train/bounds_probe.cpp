@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "scene/load_progress.h"
 #include "train/trainer.h"
 
 namespace semfield {
@@ -40,7 +41,12 @@ std::optional<SurveyedExtent> probe_extent(Session& s) {
   const std::unique_ptr<RaySource> rays = s.make_ray_source();
   Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.device.get());
   const std::int64_t steps = s.config.load.probe_steps;
-  while (trainer.step() < steps) trainer.advance_many(steps - trainer.step());
+  while (trainer.step() < steps) {
+    trainer.advance_many(steps - trainer.step());
+    tell_load_progress("looking for the bounds", static_cast<std::size_t>(trainer.step()),
+                       static_cast<std::size_t>(steps));
+  }
+  tell_load_progress("read", 1, 1);
   trainer.collect();
   const double downscale = std::sqrt(std::max(1.0, static_cast<double>(rays->pixel_count()) / kMostPoints));
   std::vector<SurveyPoints> parts;

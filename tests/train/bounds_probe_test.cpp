@@ -3,7 +3,11 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <vector>
+
 #include "config/config_tree.h"
+#include "scene/load_progress.h"
 #include "tests/train/train_testing.h"
 
 namespace semfield {
@@ -36,8 +40,17 @@ TEST(BoundsProbe, ShrinksWhatTheCamerasGuessToTheRoom) {
   const Session guessed = open_text(without_depth(""), registry);
   EXPECT_TRUE(guessed.scene.extent_is_guessed);
   EXPECT_GT(volume(guessed.extent.bounds), 15 * 24);
+  std::vector<std::size_t> told;
+  set_load_progress([&](std::string_view doing, std::size_t done, std::size_t total) {
+    if (doing != "looking for the bounds") return;
+    told.push_back(done);
+    EXPECT_EQ(total, 128u);
+  });
   const Session s = open_probing(without_depth(""), registry, d);
+  set_load_progress({});
   EXPECT_EQ(s.scene.bounds_from, "a probe of 128 steps");
+  EXPECT_GT(told.size(), 3u) << "a probe says how far it is";
+  EXPECT_TRUE(std::is_sorted(told.begin(), told.end()));
   EXPECT_LT(volume(s.extent.bounds), volume(guessed.extent.bounds) / 10);
   for (int a = 0; a < 3; ++a) {
     const double half = 2 - 0.5 * a;
