@@ -32,9 +32,10 @@ struct NumericsRow {
   NumericsStatus status = NumericsStatus::failed;
 };
 
-/// The suite's one symbol: runs the cases whose id begins with one of `ids` (empty: all), in order. Throws Error(usage)
-/// for an id that no case begins with.
-using NumericsSuite = std::vector<NumericsRow> (*)(const Registry& registry, const std::vector<std::string>& ids);
+/// The suite's one symbol: runs the cases whose id begins with one of `ids` (empty: all), in order, into `rows`. Throws
+/// Error(usage) for an id that no case begins with.
+using NumericsSuite = void (*)(const Registry& registry, const std::vector<std::string>& ids,
+                               std::vector<NumericsRow>& rows);
 inline constexpr const char* kNumericsSuiteSymbol = "semfield_numerics_suite";
 
 }  // namespace semfield::app

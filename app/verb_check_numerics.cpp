@@ -150,7 +150,8 @@ int run_check_numerics(const CheckNumericsOptions& options, AppContext& context)
   const auto suite = reinterpret_cast<NumericsSuite>(
       companion_symbol("libsemfield_numerics.so", kNumericsSuiteSymbol, "the suite of numerical cases cannot be loaded",
                        "build with -DBUILD_TESTING=ON, which also builds the suite"));
-  const std::vector<NumericsRow> rows = suite(context.registry, options.only);
+  std::vector<NumericsRow> rows;
+  suite(context.registry, options.only, rows);
   if (context.json) {
     print_json(rows);
   } else {

@@ -34,7 +34,7 @@ std::vector<app::NumericsRow> run_suite(const Registry& registry, const std::vec
 
 }  // namespace semfield::stiff
 
-extern "C" std::vector<semfield::app::NumericsRow> semfield_numerics_suite(const semfield::Registry& registry,
-                                                                           const std::vector<std::string>& ids) {
-  return semfield::stiff::run_suite(registry, ids);
+extern "C" void semfield_numerics_suite(const semfield::Registry& registry, const std::vector<std::string>& ids,
+                                        std::vector<semfield::app::NumericsRow>& rows) {
+  rows = semfield::stiff::run_suite(registry, ids);
 }

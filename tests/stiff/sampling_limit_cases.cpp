@@ -60,10 +60,10 @@ void bounds(CaseRun& run) {
         run.expect(t >= 0 && t <= 1, "samples from near = 0 lie inside: " + sampler);
       }
       for (const Real d : bench->delta) run.expect(d >= 0 && std::isfinite(d), "intervals are finite: " + sampler);
-      for (const auto& [near_m, far_m] :
+      for (const std::pair<double, double>& limits :
            {std::pair(0.0, infinity), {-infinity, 1.0}, {0.0, nan}, {nan, 1.0}, {infinity, infinity}}) {
         run.expect_error(ErrorKind::data, {"ray 41", "finite"}, [&] {
-          drawn<Real>(run, sampler, {0, 1, near_m, far_m}, 40);
+          drawn<Real>(run, sampler, {0, 1, limits.first, limits.second}, 40);
         });
       }
     }
