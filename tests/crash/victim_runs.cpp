@@ -45,7 +45,10 @@ std::vector<FileCall> read_calls(const std::string& log) {
 }
 
 std::vector<std::string> fault_environment(const std::string& folder, const std::string& log, const Fault& fault) {
-  return {"LD_PRELOAD=" SEMFIELD_FAULT_SHIM,
+  // By name: in LD_PRELOAD a space ends a path.
+  const fs::path shim = SEMFIELD_FAULT_SHIM;
+  return {"LD_PRELOAD=" + shim.filename().string(),
+          "LD_LIBRARY_PATH=" + shim.parent_path().string(),
           "ASAN_OPTIONS=verify_asan_link_order=0",
           "SEMFIELD_FAULT_BELOW=" + folder,
           "SEMFIELD_FAULT_LOG=" + log,

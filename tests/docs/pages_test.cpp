@@ -87,7 +87,9 @@ TEST(Architecture, EveryFolderOfTheFrameworkHasItsPlace) {
   EXPECT_GE(folders, 8);
 }
 
-std::string output_of(const std::string& command) {
+// What the program prints for `words`.
+std::string output_of(const std::string& words) {
+  const std::string command = shell_word(SEMFIELD_PROGRAM) + " " + words;
   const std::unique_ptr<FILE, int (*)(FILE*)> pipe(popen(command.c_str(), "r"), pclose);
   std::string text;
   std::array<char, 4096> buffer{};
@@ -97,16 +99,16 @@ std::string output_of(const std::string& command) {
 
 // Help of a verb and of the words below it.
 std::string help_of(const std::string& verb) {
-  std::string help = output_of(shell_word(SEMFIELD_PROGRAM) + " " + verb + " --help");
+  std::string help = output_of(verb + " --help");
   const std::size_t list = help.find("Subcommands:");
   if (list == std::string::npos) return help;
   for (const std::string& word : matches(help.substr(list), R"(\n  ([a-z-]+) )"))
-    help += output_of(std::string(SEMFIELD_PROGRAM) + " " + verb + " " + word + " --help");
+    help += output_of(verb + " " + word + " --help");
   return help;
 }
 
 TEST(Readme, TableOfVerbsIsThatOfTheProgram) {
-  const std::string help = output_of(SEMFIELD_PROGRAM " --help");
+  const std::string help = output_of("--help");
   const std::size_t list = help.find("Subcommands:");
   ASSERT_NE(list, std::string::npos) << help;
   const std::set<std::string> have = matches(help.substr(list), R"(\n  ([a-z-]+) )");
@@ -135,7 +137,7 @@ TEST(Readme, ExitCodesAreThoseOfTheProgram) {
 // Every command line in a shell block of a page names a verb and options that exist.
 TEST(Pages, ShellBlocksUseRealOptions) {
   std::map<std::string, std::string> help;
-  const std::string root_help = output_of(SEMFIELD_PROGRAM " --help");
+  const std::string root_help = output_of("--help");
   int checked = 0;
   for (const std::string& path : all_pages()) {
     for (const Block& block : blocks_of(page(path))) {

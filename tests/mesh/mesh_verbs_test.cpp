@@ -184,7 +184,7 @@ TEST_F(Verbs, VideoOnAFullDiskKeepsTheOldFilm) {
   if (!found("ffmpeg")) GTEST_SKIP() << "no ffmpeg here: no video was written";
   const std::string disk = *dir_ / "disk", script = *dir_ / "full.sh";
   fs::create_directories(disk);
-  if (std::system(("unshare -rm mount -t tmpfs tmpfs '" + disk + "' 2>/dev/null").c_str()) != 0)
+  if (std::system(("unshare -rm mount -t tmpfs tmpfs " + shell_word(disk) + " 2>/dev/null").c_str()) != 0)
     GTEST_SKIP() << "this system lets nobody mount a tmpfs in a namespace of its own";
   write_file_atomic(script,
                     "cd \"$(dirname \"$0\")\" || exit 98\n"
@@ -193,13 +193,14 @@ TEST_F(Verbs, VideoOnAFullDiskKeepsTheOldFilm) {
                     "for free in 0 4 8 12 400; do\n"
                     "  rm -f disk/other\n"
                     "  dd if=/dev/zero of=disk/other bs=1k count=$((508 - free)) 2>/dev/null\n"
-                    "  '" SEMFIELD_BINARY
-                    "' render run --trajectory smooth --frames 30 --video --out disk/room.mp4 >out 2>err\n"
-                    "  echo \"$free code $? $(grep -c 'an old film' disk/room.mp4) $(ls -A disk | wc -l)\" \\\n"
-                    "    \"$(grep -c 'disk full: need .* have .*free some space or choose another disk' err)\"\n"
-                    "done\n");
+                    "  " +
+                        shell_word(SEMFIELD_BINARY) +
+                        " render run --trajectory smooth --frames 30 --video --out disk/room.mp4 >out 2>err\n"
+                        "  echo \"$free code $? $(grep -c 'an old film' disk/room.mp4) $(ls -A disk | wc -l)\" \\\n"
+                        "    \"$(grep -c 'disk full: need .* have .*free some space or choose another disk' err)\"\n"
+                        "done\n");
   // Exit code, the old film is there, two files in the folder, the cause is told.
-  EXPECT_EQ(answer_of("unshare -rm sh '" + script + "'"),
+  EXPECT_EQ(answer_of("unshare -rm sh " + shell_word(script)),
             "0 code 74 1 2 1\n4 code 74 1 2 1\n8 code 74 1 2 1\n12 code 74 1 2 1\n400 code 0 0 2 0\n")
       << read_text_file(*dir_ / "err");
 }
