@@ -87,6 +87,25 @@ void expect_twins(const Real32& device, const Real64& host, const std::vector<do
   EXPECT_EQ(launch.take_fault(), std::nullopt);
 }
 
+// A coordinate that cannot be encoded is noted with its first row, or thrown where faults are told at once; every value
+// is finite all the same.
+void expect_fault_of(const Encoder<float>& encoder, double bad) {
+  std::vector<double> x = random_doubles(3 * 200, 1, -1, 1);
+  x[3 * 150 + 1] = bad;
+  x[3 * 77 + 2] = bad;
+  const DeviceMatrix<double> x_device(x, 3);
+  const DeviceMatrix<float> y(200, encoder.traits().out_dims);
+  {
+    DeviceLaunch launch;
+    encoder.forward({}, {}, x_device.read_only(), y.view());
+    EXPECT_EQ(launch.take_fault(), (NotedFault{Stage::encoded_position, 77}));
+    for (const float v : y.read()) ASSERT_TRUE(std::isfinite(v));
+  }
+  DeviceLaunch at_once(true);
+  EXPECT_THROW(encoder.forward({}, {}, x_device.read_only(), y.view()), Error);
+  EXPECT_EQ(at_once.take_fault(), std::nullopt);
+}
+
 struct FrequencyCase {
   std::int32_t dims = 3;
   FrequencyParams params;
@@ -136,22 +155,7 @@ TEST(CudaFrequency, TheHighestBandIsAsAccurateAsTheLowestFarFromTheOrigin) {
 TEST(CudaFrequency, CoordinatesThatCannotBeEncodedAreFaults) {
   SEMFIELD_NEEDS_DEVICE();
   const auto encoder = make<Frequency<float>>(FrequencyParams{}, 3, Device::cuda);
-  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, 2147483648.0}) {
-    std::vector<double> x = random_doubles(3 * 200, 1, -1, 1);
-    x[3 * 150 + 1] = bad;
-    x[3 * 77 + 2] = bad;
-    const DeviceMatrix<double> x_device(x, 3);
-    const DeviceMatrix<float> y(200, encoder.traits().out_dims);
-    {
-      DeviceLaunch launch;
-      encoder.forward({}, {}, x_device.read_only(), y.view());
-      EXPECT_EQ(launch.take_fault(), (NotedFault{Stage::encoded_position, 77}));
-      for (const float v : y.read()) ASSERT_TRUE(std::isfinite(v));
-    }
-    DeviceLaunch at_once(true);
-    EXPECT_THROW(encoder.forward({}, {}, x_device.read_only(), y.view()), Error);
-    EXPECT_EQ(at_once.take_fault(), std::nullopt);
-  }
+  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, 2147483648.0}) expect_fault_of(encoder, bad);
 }
 
 TEST(CudaOneBlob, FollowsItsTwinOnTheCpu) {
@@ -173,21 +177,7 @@ TEST(CudaOneBlob, FollowsItsTwinOnTheCpu) {
 TEST(CudaOneBlob, CoordinatesThatAreNotFiniteAreFaults) {
   SEMFIELD_NEEDS_DEVICE();
   const auto encoder = make<OneBlob<float>>(OneBlobParams{}, 3, Device::cuda);
-  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL}) {
-    std::vector<double> x = random_doubles(3 * 200, 1, 0, 1);
-    x[3 * 150 + 1] = bad;
-    x[3 * 77 + 2] = bad;
-    const DeviceMatrix<double> x_device(x, 3);
-    const DeviceMatrix<float> y(200, encoder.traits().out_dims);
-    {
-      DeviceLaunch launch;
-      encoder.forward({}, {}, x_device.read_only(), y.view());
-      EXPECT_EQ(launch.take_fault(), (NotedFault{Stage::encoded_position, 77}));
-      for (const float v : y.read()) ASSERT_TRUE(std::isfinite(v));
-    }
-    DeviceLaunch at_once(true);
-    EXPECT_THROW(encoder.forward({}, {}, x_device.read_only(), y.view()), Error);
-  }
+  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL}) expect_fault_of(encoder, bad);
 }
 
 TEST(CudaSphericalHarmonics, FollowTheirTwinOnTheCpu) {

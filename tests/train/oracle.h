@@ -59,8 +59,10 @@ inline void expect_same_gradients(const std::string& yaml, const std::string& ot
   EXPECT_GT(compared, 10);
 }
 
-/// Central differences of the total loss in a few elements of every learned tensor.
-inline void expect_finite_differences(const std::string& yaml, double tolerance) {
+/// Central differences of the total loss in a few elements of every learned tensor, or of the semantic ones alone, at
+/// least `fewest` in all.
+inline void expect_finite_differences(const std::string& yaml, double tolerance, bool semantic_alone = false,
+                                      int fewest = 16) {
   Registry registry = make_registry();
   Oracle oracle(yaml, registry);
   oracle.gradients();
@@ -70,13 +72,14 @@ inline void expect_finite_differences(const std::string& yaml, double tolerance)
   }
   int checked = 0;
   for (Tensor<double>& t : oracle.pipeline->store().all()) {
-    if (!t.learned()) continue;
+    if (!t.learned() || (semantic_alone && !oracle.pipeline->is_semantic(t))) continue;
     const std::vector<double>& gradient = analytic[t.name];
     // The largest gradient of the tensor and two more: an element that does nothing shows nothing.
     const auto largest =
         static_cast<std::int64_t>(std::max_element(gradient.begin(), gradient.end(),
                                                    [](double a, double b) { return std::abs(a) < std::abs(b); }) -
                                   gradient.begin());
+    EXPECT_NE(gradient[static_cast<std::size_t>(largest)], 0) << t.name << " got no gradient at all";
     for (const std::int64_t i : {largest, t.size() / 3, t.size() - 1}) {
       double& value = t.value.data()[i];
       const double keep = value, h = 1e-6;
@@ -91,7 +94,7 @@ inline void expect_finite_differences(const std::string& yaml, double tolerance)
       ++checked;
     }
   }
-  EXPECT_GT(checked, 15);
+  EXPECT_GE(checked, fewest);
 }
 
 }  // namespace semfield::testing_train

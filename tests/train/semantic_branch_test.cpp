@@ -34,36 +34,8 @@ const std::string kPlugins =
 // Of the tensors of branch and head: weights are constants to them, and so is which samples are left out.
 TEST(SemanticBranch, GradientsAreThoseOfFiniteDifferences) {
   for (const char* more : {"", ", reads_feature: false", ", dropout: 0.3", ", least_weight: 0.02"}) {
-    Registry registry = make_registry();
-    Oracle oracle(config_of(kPlugins + more), registry);
-    oracle.gradients();
-    std::map<std::string, std::vector<double>> analytic;
-    for (const Tensor<double>& t : oracle.pipeline->store().all()) {
-      if (t.learned()) analytic[t.name] = std::vector<double>(t.grad.data(), t.grad.data() + t.size());
-    }
-    int checked = 0;
-    for (Tensor<double>& t : oracle.pipeline->store().all()) {
-      if (!t.learned() || !oracle.pipeline->is_semantic(t)) continue;
-      const std::vector<double>& gradient = analytic[t.name];
-      const auto largest = std::max_element(gradient.begin(), gradient.end(),
-                                            [](double a, double b) { return std::abs(a) < std::abs(b); }) -
-                           gradient.begin();
-      EXPECT_NE(gradient[static_cast<std::size_t>(largest)], 0) << t.name;
-      for (const std::int64_t i : {static_cast<std::int64_t>(largest), t.size() / 3, t.size() - 1}) {
-        double& value = t.value.data()[i];
-        const double keep = value, h = 1e-6;
-        value = keep + h;
-        const double up = oracle.gradients().total;
-        value = keep - h;
-        const double down = oracle.gradients().total;
-        value = keep;
-        const double numeric = (up - down) / (2 * h);
-        EXPECT_NEAR(gradient[static_cast<std::size_t>(i)], numeric, 2e-4 * std::max(1e-2, std::abs(numeric)))
-            << more << ": " << t.name << " element " << i;
-        ++checked;
-      }
-    }
-    EXPECT_GE(checked, 8 * 3) << "two layers of the branch and two of the head";
+    SCOPED_TRACE(more);
+    expect_finite_differences(config_of(kPlugins + more), 2e-4, true, 8 * 3);  // two layers of branch and of head
   }
 }
 
@@ -142,6 +114,46 @@ TEST(SemanticBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
     before = left;
     EXPECT_GT(b.branch.samples.count, 0);
   }
+}
+
+// One step from the same values: its tensors move by the factor, and lose their share first; all others move alike.
+TEST(SemanticBranch, ItsRateAndDecayHoldForBranchAndHeadAlone) {
+  const auto stepped = [](const std::string& more, std::vector<float>& before, std::vector<float>& after,
+                          std::vector<bool>& semantic) {
+    Registry registry = make_registry();
+    Session s = open_text(config_of(kPlugins + more), registry);
+    const auto rays = s.make_ray_source();
+    Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+    const auto copy = [&](std::vector<float>& to) {
+      for (const Tensor<float>& t : s.pipeline->store().all()) {
+        if (t.spec.role == TensorRole::dense) to.insert(to.end(), t.value.data(), t.value.data() + t.size());
+      }
+    };
+    for (const Tensor<float>& t : s.pipeline->store().all()) {
+      if (t.spec.role == TensorRole::dense)
+        semantic.insert(semantic.end(), static_cast<std::size_t>(t.size()), s.pipeline->is_semantic(t));
+    }
+    copy(before);
+    trainer.advance();
+    copy(after);
+    return s.config.adam.learning_rate;
+  };
+  std::vector<float> start, plain, start_own, own;
+  std::vector<bool> semantic, same;
+  stepped("", start, plain, semantic);
+  const double rate = stepped(", learning_rate: 0.25, weight_decay: 8", start_own, own, same);
+  ASSERT_EQ(start, start_own);
+  int moved = 0;
+  for (std::size_t i = 0; i < start.size(); ++i) {
+    if (!semantic[i]) {
+      ASSERT_EQ(own[i], plain[i]) << i;
+      continue;
+    }
+    const double was = static_cast<double>(start[i]), step = static_cast<double>(plain[i]) - was;
+    ASSERT_NEAR(static_cast<double>(own[i]), was * (1 - rate * 0.25 * 8) + 0.25 * step, 1e-6) << i;
+    moved += std::abs(step) > 1e-5 ? 1 : 0;
+  }
+  EXPECT_GT(moved, 100);
 }
 
 TEST(SemanticBranch, RunsHaveTheSameBitsForAnyThreadsAndLearn) {
