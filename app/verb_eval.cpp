@@ -43,8 +43,9 @@ std::string json_text(const OpenedRun& run, const SplitScore& score, const std::
   return out.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";  // a folder's name may be no UTF-8
 }
 
-SplitScore score_frames(const Session& s, const std::vector<int>& frames, const AppContext& context) {
+SplitScore score_frames(const Session& s, Split split, const std::vector<int>& frames, const AppContext& context) {
   EvalJob job = s.eval_job(frames);
+  if (split == Split::train) job.given = &s.labels;
   ProgressLine progress(context, "scored");
   job.progress = [&](double done) { progress.show(done, static_cast<double>(frames.size())); };
   return evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
@@ -63,7 +64,7 @@ int run_eval(const EvalOptions& options, AppContext& context) {
   if (frames.empty())
     throw Error(ErrorKind::data, options.run + ": the scene has no frames in split '" + options.split + "'",
                 "see `semfield inspect`");
-  const SplitScore score = score_frames(s, frames, context);
+  const SplitScore score = score_frames(s, split, frames, context);
   if (!options.out.empty()) write_file_atomic(options.out, json_text(run, score, options.split));
   if (context.json) {
     std::fputs(json_text(run, score, options.split).c_str(), stdout);
@@ -72,21 +73,21 @@ int run_eval(const EvalOptions& options, AppContext& context) {
   std::printf("%s: %zu %s frames, step %lld, %.1f s of training\n", options.run.c_str(), score.frames.size(),
               options.split.c_str(), static_cast<long long>(run.step), run.train_s);
   for (const auto& [name, value] : score.values())
-    std::printf("  %-18s %s\n", name.c_str(), value ? fmt::format("{:.4f}", *value).c_str() : "no data");
+    std::printf("  %-20s %s\n", name.c_str(), value ? fmt::format("{:.4f}", *value).c_str() : "no data");
   if (const std::string warning = score.resolution.warning(); !warning.empty())
     print_note(context, "warning: " + warning);
   if (split == Split::train) {
     const ConfusionMatrix given = score_training_labels(s, frames);
     if (given.scored_px() > 0)
-      std::printf("  %-18s miou_present %.4f, total_accuracy %.4f over %lld pixels\n", "labels given",
+      std::printf("  %-20s miou_present %.4f, total_accuracy %.4f over %lld pixels\n", "labels given",
                   *given.miou_present(), *given.total_accuracy(), static_cast<long long>(given.scored_px()));
   }
   const std::vector<ClassScore> classes = score.confusion.per_class();
-  if (!classes.empty()) std::printf("  %-18s %8s %8s %10s\n", "class", "iou", "recall", "pixels");
+  if (!classes.empty()) std::printf("  %-20s %8s %8s %10s\n", "class", "iou", "recall", "pixels");
   for (std::size_t c = 0; c < classes.size(); ++c) {
     const ClassScore& k = classes[c];
     if (k.truth_px == 0 && k.predicted_px == 0) continue;
-    std::printf("  %-18s %8s %8s %10lld\n", s.scene.info.classes.valid(static_cast<int>(c)).name.c_str(),
+    std::printf("  %-20s %8s %8s %10lld\n", s.scene.info.classes.valid(static_cast<int>(c)).name.c_str(),
                 k.iou ? fmt::format("{:.4f}", *k.iou).c_str() : "-",
                 k.recall ? fmt::format("{:.4f}", *k.recall).c_str() : "-", static_cast<long long>(k.truth_px));
   }

@@ -43,6 +43,19 @@ void in_chunks(std::int64_t pixels, const Render& render) {
     }
   }
 }
+
+std::optional<double> value_of(const std::optional<Auroc>& found) {
+  return found ? std::optional(found->value) : std::nullopt;
+}
+
+// Labels that a frame trained with, at the pixels scored; empty for a frame without any.
+std::vector<std::int16_t> given_labels(const EvalJob& job, int frame) {
+  const TrainingLabels::Frame& labels = job.given->frames[static_cast<std::size_t>(frame)];
+  const Camera& camera = (*job.infos)[static_cast<std::size_t>(frame)].camera;
+  std::vector<std::int16_t> given(labels.empty() ? 0 : labels.size());
+  for (std::size_t i = 0; i < given.size(); ++i) given[i] = labels[i];
+  return strided(std::move(given), camera.width_px, camera.height_px, 1, job.stride);
+}
 }  // namespace
 
 RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
@@ -163,6 +176,17 @@ std::vector<std::pair<std::string, std::optional<double>>> SplitScore::values() 
     out.emplace_back("average_accuracy", confusion.average_accuracy());
     out.emplace_back("ece", calibration.ece());
     out.emplace_back("nll", calibration.nll());
+    out.emplace_back("entropy_auroc", value_of(entropy.detects_wrong()));
+  }
+  if (given.pixels() > 0) {
+    out.emplace_back("given_right_px", static_cast<double>(given.right.pixels()));
+    out.emplace_back("given_wrong_px", static_cast<double>(given.wrong.pixels()));
+    out.emplace_back("given_none_px", static_cast<double>(given.none.pixels()));
+    out.emplace_back("given_right_entropy", given.right.mean());
+    out.emplace_back("given_wrong_entropy", given.wrong.mean());
+    out.emplace_back("given_none_entropy", given.none.mean());
+    out.emplace_back("given_wrong_auroc", value_of(given.detects_wrong()));
+    out.emplace_back("given_none_auroc", value_of(given.detects_none()));
   }
   if (depth.valid_truth_px() > 0) {
     out.emplace_back("absrel", depth.abs_rel());
@@ -201,6 +225,8 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     if (job.stride == 1) similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3);
     ConfusionMatrix confusion(semantics ? job.classes : 0);
     Calibration calibration;
+    PredictedEntropy entropy;
+    GivenEntropy given;
     DepthError depth(limits.far_m);
     const bool labels = semantics && !truth.empty();
     const std::function<void()> measures[] = {
@@ -210,6 +236,12 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
         },
         [&] {
           if (labels) calibration.add(frame.confidence, frame.truth_probability, frame.label, truth);
+        },
+        [&] {
+          if (labels) entropy.add(frame.entropy, frame.label, truth);
+        },
+        [&] {
+          if (labels && job.given != nullptr) given.add(frame.entropy, given_labels(job, index), truth);
         },
         [&] {
           if (!stored.depth_m.empty())
@@ -231,6 +263,8 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
       row.miou_present = confusion.miou_present();
       score.confusion.merge(confusion);
       score.calibration.merge(calibration);
+      score.entropy.merge(entropy);
+      score.given.merge(given);
     }
     if (!stored.depth_m.empty()) {
       row.absrel = depth.abs_rel();

@@ -6,8 +6,10 @@
 #include <string>
 #include <vector>
 
+#include "labels/training_labels.h"
 #include "model/pipeline.h"
 #include "scene/stored_frame.h"
+#include "train/entropy_groups.h"
 #include "train/metrics.h"
 #include "train/rays.h"
 
@@ -74,6 +76,8 @@ struct SplitScore {
   ColorError color;
   DepthError depth;
   Calibration calibration;
+  PredictedEntropy entropy;
+  GivenEntropy given;  ///< of EvalJob::given
   double ssim_sum = 0;
   std::int64_t ssim_frames = 0;
   OpacityCounts resolution;
@@ -91,7 +95,8 @@ struct EvalJob {
   std::vector<int> frames;
   int classes = 0;
   bool undistort = true;
-  std::int32_t stride = 1;  ///< above 1 SSIM has no value: it needs neighbours
+  std::int32_t stride = 1;                ///< above 1 SSIM has no value: it needs neighbours
+  const TrainingLabels* given = nullptr;  ///< of the frames scored; null: entropy is not grouped by them
   /// Called with the number of frames that are done, parts of one included; may be null.
   std::function<void(double)> progress;
   /// Called after each frame with its scores and maps; may be null.

@@ -117,6 +117,7 @@ FinalEval final_eval(const SplitScore& score, const ClassTable& table, std::stri
       eval.bins.push_back({bin.pixels, bin.confidence / pixels, static_cast<double>(bin.correct) / pixels});
     }
   }
+  eval.entropy_auroc = score.entropy.detects_wrong();
   eval.resolution = score.resolution;
   eval.frames = score.frames;
   return eval;
@@ -132,6 +133,9 @@ std::string final_eval_json(const FinalEval& eval) {
     classes.push_back({{"id", c.id}, {"name", c.name}, {"color", c.color}});
   out["confusion"] = confusion_json(eval);
   out["reliability"] = reliability_json(eval);
+  const std::optional<Auroc>& auroc = eval.entropy_auroc;
+  out["entropy"] = {{"auroc", auroc ? Json(auroc->value) : Json(nullptr)},
+                    {"auroc_error", auroc ? Json(auroc->error) : Json(nullptr)}};
   out["opacity"] = {{"opaque_pixels", eval.resolution.opaque_px},
                     {"under_resolved_pixels", eval.resolution.under_resolved_px}};
   Json& frames = out["per_frame"] = Json::array();
@@ -175,6 +179,8 @@ FinalEval parse_final_eval(std::string_view text, const std::string& name) {
       eval.bins.push_back({pixels_of(bin.at("pixels")), share_of(bin.at("confidence")), share_of(bin.at("accuracy"))});
     }
     eval.nonfinite_px = pixels_of(reliability.at("nonfinite_pixels"));
+    if (json.contains("entropy") && !json.at("entropy").at("auroc").is_null())
+      eval.entropy_auroc = {share_of(json.at("entropy").at("auroc")), share_of(json.at("entropy").at("auroc_error"))};
     if (json.contains("opacity")) {
       eval.resolution.opaque_px = pixels_of(json.at("opacity").at("opaque_pixels"));
       eval.resolution.under_resolved_px = pixels_of(json.at("opacity").at("under_resolved_pixels"));

@@ -36,10 +36,11 @@ struct FinalEval {
     double confidence = 0;  ///< mean of the bin; 0 without pixels
     double accuracy = 0;    ///< share of right pixels; 0 without pixels
   };
-  std::vector<Bin> bins;           ///< equal widths over [0, 1]; empty without scored pixels
-  std::int64_t nonfinite_px = 0;   ///< scored pixels whose probabilities were not finite, in no bin
-  OpacityCounts resolution;        ///< all 0 in files of versions that did not count it
-  std::vector<FrameScore> frames;  ///< in order of evaluation; FrameScore::frame is not kept
+  std::vector<Bin> bins;               ///< equal widths over [0, 1]; empty without scored pixels
+  std::optional<Auroc> entropy_auroc;  ///< entropy as a detector of wrong labels; none where all are right or all wrong
+  std::int64_t nonfinite_px = 0;       ///< scored pixels whose probabilities were not finite, in no bin
+  OpacityCounts resolution;            ///< all 0 in files of versions that did not count it
+  std::vector<FrameScore> frames;      ///< in order of evaluation; FrameScore::frame is not kept
 
   std::int64_t count(std::size_t truth, std::size_t predicted) const {
     return confusion[truth * classes.size() + predicted];

@@ -152,6 +152,13 @@ std::string lean_text(const FinalEval& eval) {
   return fmt::format("{}: {} by {:.3f}", means, lean > 0 ? "over-confident" : "under-confident", std::abs(lean));
 }
 
+// What entropy says of wrong labels; empty in files of versions that did not count it.
+std::string entropy_text(const FinalEval& eval) {
+  if (!eval.entropy_auroc) return {};
+  return fmt::format(" AUROC {}: in {} of all pairs of a wrong and a right pixel the wrong one has the higher entropy.",
+                     figure_text(eval.entropy_auroc->value, 3), percent_text(eval.entropy_auroc->value));
+}
+
 std::string reliability(const ReportRun& run, int color) {
   const FinalEval& eval = *run.eval;
   std::int64_t all = 0;
@@ -182,7 +189,7 @@ std::string reliability(const ReportRun& run, int color) {
   const std::optional<double> ece = eval.ece();
   return fmt::format(
       "<figure class=\"panel\"><figcaption>{}<span>{}</span></figcaption>\n{}<p class=\"hint "
-      "note\">{}.</p>\n<details><summary>Bins</summary><div class=\"scroll\" tabindex=\"0\" role=\"region\" "
+      "note\">{}.{}</p>\n<details><summary>Bins</summary><div class=\"scroll\" tabindex=\"0\" role=\"region\" "
       "aria-label=\"Reliability bins\"><table><thead><tr><th scope=\"col\">Confidence</th><th scope=\"col\" "
       "class=\"num\">Pixels</th>"
       "<th scope=\"col\" class=\"num\">Share</th><th scope=\"col\" class=\"num\">Mean confidence</th><th scope=\"col\" "
@@ -191,7 +198,37 @@ std::string reliability(const ReportRun& run, int color) {
       html_escape(run.name),
       ece ? "ECE " + figure_text(*ece, 3)
           : fmt::format("no ECE: {} without finite probabilities", px_text(eval.nonfinite_px)),
-      line_plot(spec), lean_text(eval), rows);
+      line_plot(spec), lean_text(eval), entropy_text(eval), rows);
+}
+
+// Entropy at training poses by what the label was worth, of runs with report.training_frames.
+std::string given_table(const ReportInput& input) {
+  struct Column {
+    const char *head, *hint, *key;
+  };
+  constexpr Column kColumns[] = {{"Labelled rightly", "mean entropy, nats", "given_right_entropy"},
+                                 {"Labelled wrongly", "mean entropy, nats", "given_wrong_entropy"},
+                                 {"Unlabelled", "mean entropy, nats", "given_none_entropy"},
+                                 {"Wrong against right", "AUROC of entropy", "given_wrong_auroc"},
+                                 {"Unlabelled against labelled", "AUROC of entropy", "given_none_auroc"}};
+  std::string head = "<tr><th scope=\"col\">Run</th>", body;
+  for (const Column& c : kColumns)
+    head += fmt::format("<th scope=\"col\" class=\"num\">{}<small class=\"d\">{}</small></th>", c.head, c.hint);
+  for (const ReportRun& run : input.runs) {
+    std::string cells;
+    bool any = false;
+    for (const Column& c : kColumns) {
+      const std::optional<double> value = last_value(run, "train", c.key);
+      any = any || value;
+      cells += value_cell(value, 3, false);
+    }
+    if (any) body += fmt::format("<tr><th scope=\"row\">{}</th>{}</tr>\n", html_escape(run.name), cells);
+  }
+  if (body.empty()) return {};
+  return "<p class=\"hint after\">Entropy of the pixels of training frames, by the label that they were given. An "
+         "AUROC of "
+         "0.5 is chance; 1 means that entropy tells the two groups apart.</p>\n" +
+         table_panel("Entropy by the label given", head + "</tr>", body);
 }
 
 // Worst first; frames without a mIoU after those with one, by PSNR.
@@ -250,14 +287,17 @@ std::string calibration_section(const ReportInput& input) {
     const ReportRun& run = input.runs[i];
     if (run.eval && !run.eval->bins.empty()) figures += reliability(run, static_cast<int>(i));
   }
-  if (figures.empty()) return {};
+  const std::string given = given_table(input);
+  if (figures.empty() && given.empty()) return {};
   return open_section(
              "calibration", "Calibration",
              "Does a class with probability 0.8 turn out right in 80 % of the cases? Dots: share of right pixels over "
              "mean confidence, in 15 bins; on the dotted line it is as sure as it is right, below it too sure. "
              "Bars: share of all pixels that a bin holds. ECE is the mean distance from the line, weighted by "
-             "pixels.") +
-         "<div class=\"plots\">\n" + figures + "</div>\n" + missing_runs(input, kNoDetail, without_detail) +
+             "pixels. AUROC says how well entropy finds wrong pixels: 0.5 is chance, 1 is all wrong pixels above all "
+             "right "
+             "ones.") +
+         "<div class=\"plots\">\n" + figures + "</div>\n" + given + missing_runs(input, kNoDetail, without_detail) +
          "</section>\n";
 }
 

@@ -15,7 +15,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::array<ReportMetric, 20> kMetrics{{
+constexpr std::array<ReportMetric, 21> kMetrics{{
     {"miou", "mIoU", "", 4, 1, "mean over classes with a non-empty union"},
     {"miou_present", "mIoU (present)", "", 4, 1, "mean over classes that occur in truth"},
     {"total_accuracy", "Total accuracy", "", 4, 1, "share of pixels with the right class"},
@@ -34,6 +34,7 @@ constexpr std::array<ReportMetric, 20> kMetrics{{
      "share of opaque pixels whose opacity came in one or two long steps"},
     {"ece", "ECE", "", 3, -1, "expected calibration error, 15 bins"},
     {"nll", "NLL", "nats", 3, -1, "of the true class, a pixel"},
+    {"entropy_auroc", "Entropy AUROC", "", 3, 1, "entropy as a detector of wrong pixels; 0.5 is chance"},
     {"rays_per_s", "Rays a second", "", 3, 1, "last training row"},
     {"samples_per_ray", "Samples a ray", "", 3, 0, "last training row"},
     {"loss", "Training loss", "", 3, 0, "last training row"},

@@ -181,7 +181,8 @@ ScoreValues RunScores::score_test_frames(const Moment& at, EvalJob job) {
   return found.values();
 }
 
-void RunScores::score_training_frames(const Moment& at, const EvalJob& job) {
+void RunScores::score_training_frames(const Moment& at, EvalJob job) {
+  job.given = &session_.labels;
   const ScoredPart part{std::ssize(job.frames), std::ssize(session_.scene.frames_of(Split::train)), job.stride};
   MetricsRow row = row_of(at, Split::train, part, score(job, Split::train));
   const ConfusionMatrix given = score_training_labels(session_, job.frames);

@@ -84,7 +84,7 @@ class RunScores {
   void log_test(MetricsRow row, const ScoredPart& part, const SplitScore& score);
   ScoreValues score_test_frames(const Moment& at, EvalJob job);
   // The field at the training poses against the scene's own labels, then the labels given.
-  void score_training_frames(const Moment& at, const EvalJob& job);
+  void score_training_frames(const Moment& at, EvalJob job);
 
   const Session& session_;
   ScoreFiles files_;

@@ -149,10 +149,16 @@ TEST(Process, EvalPrintsOneJsonObject) {
   ASSERT_EQ(run({"train", config, "--out", dir / "run"}, dir).code, 0);
   const Result r = run({"--json", "eval", dir / "run"}, dir);
   ASSERT_EQ(r.code, 0) << r.err;
-  for (const char* name : {"\"miou_present\":", "\"total_accuracy\":", "\"psnr\":", "\"absrel\":", "\"train_s\":"}) {
+  for (const char* name : {"\"miou_present\":", "\"total_accuracy\":", "\"psnr\":", "\"absrel\":", "\"train_s\":",
+                           "\"entropy_auroc\":", "\"auroc_error\":"}) {
     EXPECT_NE(r.out.find(name), std::string::npos) << name << " in " << r.out;
   }
   EXPECT_EQ(std::count(r.out.begin(), r.out.end(), '\n'), 1);
+  EXPECT_EQ(r.out.find("given_right_entropy"), std::string::npos) << r.out;
+  const Result trained = run({"--json", "eval", dir / "run", "--split", "train"}, dir);
+  ASSERT_EQ(trained.code, 0) << trained.err;
+  for (const char* name : {"\"given_right_entropy\":1.", "\"given_wrong_auroc\":null"})
+    EXPECT_NE(trained.out.find(name), std::string::npos) << name << " in " << trained.out;
   const Result rendered = run({"render", dir / "run", "--split", "test", "--npy"}, dir);
   ASSERT_EQ(rendered.code, 0) << rendered.err;
   EXPECT_NE(rendered.out.find("frames=3"), std::string::npos) << rendered.out;

@@ -127,6 +127,7 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
   EXPECT_EQ(stored.step, 200);
   EXPECT_EQ(stored.confusion, final_eval(score, opened.session.scene.info.classes, "test").confusion);
   EXPECT_NEAR(*stored.ece(), *score.calibration.ece(), 1e-12);
+  EXPECT_EQ(stored.entropy_auroc->value, score.entropy.detects_wrong()->value);
   ASSERT_EQ(stored.frames.size(), score.frames.size());
   EXPECT_EQ(stored.frames[0].psnr_db, score.frames[0].psnr_db);
   const LabelCounts labels = parse_label_counts(read_text_file(request.out_dir + "/labels.json"), "labels.json");

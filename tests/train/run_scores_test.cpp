@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <map>
+
 #include "core/files.h"
 #include "tests/train/train_testing.h"
 #include "train/pixel_stride.h"
@@ -138,6 +140,72 @@ TEST(RunScores, APartOfTheTrainingFramesIsCalledASample) {
   EXPECT_EQ(scored.evals[1].split, "train_sample");
   EXPECT_EQ(scored.evals[1].get("frames"), 2);
   EXPECT_TRUE(scored.evals[1].get("given_miou"));
+  EXPECT_TRUE(scored.evals[1].get("given_right_entropy"));
+  EXPECT_FALSE(scored.evals[1].get("given_wrong_entropy")) << "no label is wrong";
+  EXPECT_FALSE(scored.evals[0].get("given_right_entropy")) << "test frames train nothing";
+  EXPECT_TRUE(scored.evals[0].get("entropy_auroc"));
+}
+
+// Figures of training frames against the maps and labels themselves, pixel by pixel, with a stride and without.
+TEST(RunScores, EntropyIsGroupedByTheLabelsThatTrained) {
+  Registry registry = make_registry();
+  std::string yaml = hash_config();
+  yaml.replace(yaml.find("{type: analytic_room}"), 21,
+               "{type: analytic_room, labels: {frames: 50%, degrade: [{type: pixel_noise, ratio: 0.5}]}}");
+  Session s = open_text(yaml, registry);
+  EvalJob job = s.eval_job(s.scene.frames_of(Split::train));
+  job.frames.resize(4);
+  for (const std::int32_t stride : {1, 5}) {
+    std::vector<float> right, wrong, none, truly_right, truly_wrong;
+    job.stride = stride;
+    job.given = &s.labels;
+    job.on_frame = [&](const FrameScore& score, const RenderedFrame& maps) {
+      const auto f = static_cast<std::size_t>(score.frame);
+      const TrainingLabels::Frame& labels = s.labels.frames[f];
+      const std::vector<std::int16_t> truth = strided(s.scene.frames[f].label.expand(), 48, 36, 1, stride);
+      for (std::size_t i = 0; i < truth.size(); ++i) {
+        if (truth[i] == kVoid) continue;
+        const PixelPlace at = strided_place(static_cast<std::int64_t>(i), maps.width_px, stride);
+        const std::int16_t given = labels.empty() ? kVoid : labels[static_cast<std::size_t>(at.row * 48 + at.column)];
+        (given == kVoid ? none : given == truth[i] ? right : wrong).push_back(maps.entropy[i]);
+        (maps.label[i] == truth[i] ? truly_right : truly_wrong).push_back(maps.entropy[i]);
+      }
+    };
+    const SplitScore score = evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
+    ASSERT_FALSE(right.empty() || wrong.empty() || none.empty()) << "the case has all three groups";
+    std::vector<float> labelled = right;
+    labelled.insert(labelled.end(), wrong.begin(), wrong.end());
+    const auto mean = [](const std::vector<float>& all) {
+      double sum = 0;
+      for (const float v : all) sum += static_cast<double>(v);
+      return sum / static_cast<double>(all.size());
+    };
+    const auto every_pair = [](const std::vector<float>& low, const std::vector<float>& high) {
+      double won = 0;
+      for (const float h : high) {
+        for (const float l : low) won += h > l ? 1 : h == l ? 0.5 : 0;
+      }
+      return won / (static_cast<double>(low.size()) * static_cast<double>(high.size()));
+    };
+    std::map<std::string, double> values;
+    for (const auto& [name, value] : score.values()) {
+      if (value) values[name] = *value;
+    }
+    EXPECT_EQ(values["given_right_px"], static_cast<double>(right.size()));
+    EXPECT_EQ(values["given_wrong_px"], static_cast<double>(wrong.size()));
+    EXPECT_EQ(values["given_none_px"], static_cast<double>(none.size()));
+    EXPECT_NEAR(values["given_right_entropy"], mean(right), 1e-9);
+    EXPECT_NEAR(values["given_wrong_entropy"], mean(wrong), 1e-9);
+    EXPECT_NEAR(values["given_none_entropy"], mean(none), 1e-9);
+    const double bound = score.entropy.detects_wrong()->error;
+    EXPECT_NEAR(values["entropy_auroc"], every_pair(truly_right, truly_wrong), bound);
+    EXPECT_NEAR(values["given_wrong_auroc"], every_pair(right, wrong), score.given.detects_wrong()->error);
+    EXPECT_NEAR(values["given_none_auroc"], every_pair(labelled, none), score.given.detects_none()->error);
+  }
+  job.given = nullptr;
+  job.on_frame = nullptr;
+  for (const auto& [name, value] : evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit).values())
+    EXPECT_FALSE(name.starts_with("given_")) << name << " without labels to group by";
 }
 
 TEST(RunScores, AStrideScoresExactlyThePixelsThatItTakes) {

@@ -23,6 +23,7 @@ SplitScore sample_score() {
   score.confusion.add(truth, predicted);
   const std::vector<float> confidence{0.5F, 0.52F, 1.0F, 0.9F, 0.3F}, of_truth{0.5F, 0.52F, 1.0F, 0.05F, 0.3F};
   score.calibration.add(confidence, of_truth, predicted, truth);
+  score.entropy.add(std::vector<float>{0.7F, 0.6F, 0.01F, 0.65F, 1.0F}, predicted, truth);
   FrameScore a, b;
   a.name = "left/1";
   a.psnr_db = std::numeric_limits<double>::infinity();
@@ -61,6 +62,8 @@ TEST(FinalEval, KeepsPresentClassesAndBinsByHand) {
   EXPECT_EQ(eval.bins[0].pixels, 0);
   EXPECT_NEAR(*eval.ece(), (2 * 0.49 + 0.9 + 0) / 4, 1e-6);
   EXPECT_NEAR(*eval.ece(), *sample_score().calibration.ece(), 1e-12) << "the bins carry the figure of metrics.jsonl";
+  ASSERT_TRUE(eval.entropy_auroc);
+  EXPECT_NEAR(eval.entropy_auroc->value, 2.0 / 3, 1e-15) << "0.65 of the wrong chair against 0.7, 0.6 and 0.01";
 }
 
 TEST(FinalEval, ComesBackAsWritten) {
@@ -74,9 +77,15 @@ TEST(FinalEval, ComesBackAsWritten) {
   EXPECT_EQ(back.frames[0].psnr_db, std::numeric_limits<double>::infinity());
   EXPECT_FALSE(back.frames[0].absrel.has_value());
   EXPECT_EQ(*back.ece(), *eval.ece());
+  EXPECT_EQ(back.entropy_auroc->value, eval.entropy_auroc->value);
   const nlohmann::json read = nlohmann::json::parse(json);
   EXPECT_EQ(read["confusion"]["pixels"][1][0], 1);
   EXPECT_TRUE(read["reliability"]["bins"][0]["accuracy"].is_null()) << "a bin without pixels has no accuracy";
+  EXPECT_NEAR(read["entropy"]["auroc"].get<double>(), 2.0 / 3, 1e-15);
+  EXPECT_EQ(read["entropy"]["auroc_error"], 0);
+  nlohmann::json earlier = read;
+  earlier.erase("entropy");
+  EXPECT_FALSE(parse_final_eval(earlier.dump(), "x").entropy_auroc) << "of a version that did not count it";
 }
 
 TEST(FinalEval, WithoutLabelsThereIsNoMatrixAndNoBin) {
@@ -85,6 +94,7 @@ TEST(FinalEval, WithoutLabelsThereIsNoMatrixAndNoBin) {
   EXPECT_TRUE(eval.classes.empty());
   EXPECT_TRUE(eval.bins.empty());
   EXPECT_FALSE(eval.ece().has_value());
+  EXPECT_FALSE(eval.entropy_auroc);
   // A pixel without finite probabilities takes the figure away, as in metrics.jsonl.
   FinalEval broken = sample_eval();
   broken.nonfinite_px = 1;
@@ -116,6 +126,7 @@ TEST(FinalEval, RefusesWhatItDidNotWrite) {
   EXPECT_NE(changed("/confusion/pixels/0/0", 18446744073709551615u).find("is no integer"), std::string::npos);
   EXPECT_NE(changed("/classes/0/color/1", 256).find("256 is no integer from 0 to 255"), std::string::npos);
   EXPECT_NE(changed("/reliability/bins/0/accuracy", 1.5).find("outside 0 to 1"), std::string::npos);
+  EXPECT_NE(changed("/entropy/auroc", -0.5).find("outside 0 to 1"), std::string::npos);
   EXPECT_NE(changed("/per_frame/0/psnr", "much").find("is no score"), std::string::npos);
   EXPECT_THROW((void)parse_final_eval("{", "x"), Error);
 }

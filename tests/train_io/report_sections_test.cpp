@@ -228,6 +228,36 @@ TEST(CalibrationSection, DrawsBinsAndTheirShares) {
   EXPECT_TRUE(holds(calibration_section(input), "no ECE: 1,200 px without finite probabilities"));
 }
 
+TEST(CalibrationSection, SaysWhatEntropyTellsOfWrongPixelsAndOfTheLabelsGiven) {
+  ReportInput input;
+  input.runs = {run_named("<a>"), run_named("b")};
+  MetricsRow train;
+  train.kind = "eval";
+  train.split = "train_sample";
+  train.set("frames", 10);
+  train.set("split_frames", 120);
+  train.set("given_right_entropy", 0.125);
+  train.set("given_wrong_entropy", 0.75);
+  train.set("given_wrong_auroc", 0.875);
+  train.set("given_none_entropy", std::nullopt);
+  input.runs[0].rows.push_back(train);
+  const std::string alone = calibration_section(input);
+  EXPECT_TRUE(holds(alone, "id=\"calibration\"")) << "without held-out frames, training frames tell something";
+  EXPECT_FALSE(holds(alone, "AUROC 0."));
+  input.runs[0].eval = eval_of();
+  EXPECT_FALSE(holds(calibration_section(input), "AUROC 0.")) << "a file of an earlier version";
+  input.runs[0].eval->entropy_auroc = {0.9125, 0.001};
+  const std::string html = calibration_section(input);
+  EXPECT_TRUE(holds(
+      html, "AUROC 0.912: in 91 % of all pairs of a wrong and a right pixel the wrong one has the higher entropy."))
+      << html;
+  EXPECT_TRUE(holds(html,
+                    "<th scope=\"row\">&lt;a&gt;</th><td class=\"num\">0.125</td><td class=\"num\">0.750</td><td "
+                    "class=\"num none\">–</td><td class=\"num\">0.875</td><td class=\"num none\">–</td>"))
+      << html;
+  EXPECT_FALSE(holds(html, "<th scope=\"row\">b</th>")) << "it scored no training frames";
+}
+
 TEST(WorstSection, ListsEveryFrameByItsScore) {
   ReportInput input;
   input.runs = {run_named("a")};
