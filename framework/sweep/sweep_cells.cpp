@@ -32,9 +32,10 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
     config.runtime.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
     config.labels.selection.seed = e.seeds[use.seed];
     config.report.eval_share = 0;  // cells are compared, so each scores every frame however long it takes
-    // As many as the configuration says, else all; experiments that score held-out frames need none.
-    if (e.split == "test") config.report.training_frames = 0;
-    if (e.split == "train" && config.report.training_frames == 0) config.report.training_frames = 1000000;
+    // As many as the configuration says, else all; experiments without a figure of training frames need none.
+    const bool training = e.split == "train" || e.wants_training_frames();
+    if (!training) config.report.training_frames = 0;
+    if (training && config.report.training_frames == 0) config.report.training_frames = 1000000;
     if (!found.has_errors()) text = write_config(resolved_config(config));
   } catch (const Error& error) {
     found.error("", error.message(), error.remedy());

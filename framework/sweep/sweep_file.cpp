@@ -243,6 +243,12 @@ std::string stem_of(const std::string& path) { return std::filesystem::path(path
 
 }  // namespace
 
+bool Experiment::wants_training_frames() const {
+  return std::any_of(metrics.begin(), metrics.end(), [](const std::string& metric) {
+    return metric.starts_with(kTrainingPrefix) || metric.starts_with(kGivenPrefix);
+  });
+}
+
 Sweep read_sweep(const std::string& path) {
   const ConfigNode root = compose_config(path);
   Sweep sweep;

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "config/compose.h"
@@ -15,6 +16,11 @@ struct FuseCell {
   std::string method;  ///< monocular, bayesian or average
   std::string field;   ///< variant whose field gives the depth; empty: the scene's true depth
 };
+
+/// Metrics of the labels that trained, as in metrics.jsonl.
+inline constexpr std::string_view kGivenPrefix = "given_";
+/// Other metrics of training frames, in experiments that score held-out ones.
+inline constexpr std::string_view kTrainingPrefix = "training_";
 
 /// A row of an experiment's table.
 struct SweepVariant {
@@ -44,6 +50,9 @@ struct Experiment {
   std::vector<ConfigOverride> set;  ///< for every variant
   std::vector<SweepVariant> variants;
   std::vector<std::int64_t> seeds;
+
+  /// Whether a metric is of training frames beside held-out ones: `training_...`, `given_...`.
+  bool wants_training_frames() const;
 };
 
 struct Sweep {

@@ -33,6 +33,15 @@ CellValues numbers_of(const Json& map) {
   return out;
 }
 
+// The last evaluation of a split, null without any. Training frames are scored once, as many as the experiment asks
+// for.
+const MetricsRow* last_row(const std::vector<MetricsRow>& rows, const std::string& split) {
+  const auto last = std::find_if(rows.rbegin(), rows.rend(), [&](const MetricsRow& row) {
+    return row.kind == "eval" && (row.split == split || (split == "train" && row.split == split + kSampleSuffix));
+  });
+  return last == rows.rend() ? nullptr : &*last;
+}
+
 }  // namespace
 
 void write_cell_result(const std::string& path, const CellValues& values) {
@@ -53,18 +62,20 @@ std::optional<CellValues> read_cell_result(const std::string& path) {
 
 CellValues values_of_run(const std::string& metrics_path, const std::string& split) {
   const std::vector<MetricsRow> rows = read_metrics(metrics_path);
-  // Training frames are scored once, as many as the experiment asks for.
-  const auto scored = [&](const MetricsRow& row) {
-    return row.split == split || (split == "train" && row.split == split + kSampleSuffix);
-  };
-  const auto last = std::find_if(rows.rbegin(), rows.rend(),
-                                 [&](const MetricsRow& row) { return row.kind == "eval" && scored(row); });
-  if (last == rows.rend())
+  const MetricsRow* const last = last_row(rows, split);
+  if (last == nullptr)
     throw Error(ErrorKind::data, metrics_path + ": no evaluation of the split '" + split + "'",
                 "the scene needs frames in that split; see `semfield inspect`");
   CellValues out;
   for (const auto& [name, value] : last->values) {
     if (value && std::isfinite(*value)) out.emplace_back(name, *value);
+  }
+  // Beside held-out frames, the training frames that the experiment asked for.
+  if (const MetricsRow* const train = split == "test" ? last_row(rows, "train") : nullptr; train != nullptr) {
+    for (const auto& [name, value] : train->values) {
+      if (!value || !std::isfinite(*value)) continue;
+      out.emplace_back(name.starts_with(kGivenPrefix) ? name : std::string(kTrainingPrefix) + name, *value);
+    }
   }
   out.emplace_back("train_s", last->train_s);
   out.emplace_back("steps", static_cast<double>(last->step));

@@ -23,8 +23,9 @@ void write_cell_result(const std::string& path, const CellValues& values);
 /// None without the file. Throws Error(data) naming a damaged one.
 std::optional<CellValues> read_cell_result(const std::string& path);
 
-/// Values of a finished training: the last whole evaluation of `split` in metrics.jsonl, then seconds and steps of
-/// training. Throws Error(data) when the file holds none.
+/// Values of a finished training: the last whole evaluation of `split` in metrics.jsonl; beside held-out frames those
+/// of training frames, where they were scored, as `given_...` and `training_...`; then seconds and steps of training.
+/// Throws Error(data) when the file holds none.
 CellValues values_of_run(const std::string& metrics_path, const std::string& split);
 /// Values of `semfield fuse --json` for `method`.
 CellValues values_of_fusion(const std::string& json, const std::string& method);

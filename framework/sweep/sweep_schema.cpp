@@ -66,7 +66,9 @@ std::string sweep_schema() {
       {"title", text("of table and plot")},
       {"note", text("sentences above the table")},
       {"split", described({{"enum", Json::array({"test", "train"})}}, "whose frames are scored; default: test")},
-      {"metrics", list(path, "columns, by their names in metrics.jsonl; the first is plotted")},
+      {"metrics", list(path,
+                       "columns, by their names in metrics.jsonl, training_... and given_... of training frames; the "
+                       "first is plotted")},
       {"paper", text("what the paper's figures are")},
       {"x_label", text("of the plot")},
       {"base", text("configuration that every cell starts from")},

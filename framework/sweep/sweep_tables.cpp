@@ -36,16 +36,28 @@ std::string cell_text(const MeanInterval& m) {
 
 // What a reader calls a metric of metrics.jsonl.
 std::string metric_label(const std::string& metric) {
-  static const std::map<std::string, std::string> labels{{"miou_present", "mIoU"},
-                                                         {"given_miou_present", "mIoU of the labels given"},
-                                                         {"total_accuracy", "accuracy"},
-                                                         {"given_total_accuracy", "accuracy of the labels given"},
-                                                         {"psnr", "PSNR, dB"},
-                                                         {"absrel", "AbsRel"},
-                                                         {"rmse", "RMSE of depth, m"},
-                                                         {"train_s", "seconds of training"},
-                                                         {"processor_s", "processor seconds"},
-                                                         {"peak_mb", "peak memory, MB"}};
+  static const std::map<std::string, std::string> labels{
+      {"miou_present", "mIoU"},
+      {"given_miou_present", "mIoU of the labels given"},
+      {"total_accuracy", "accuracy"},
+      {"given_total_accuracy", "accuracy of the labels given"},
+      {"psnr", "PSNR, dB"},
+      {"absrel", "AbsRel"},
+      {"ece", "ECE"},
+      {"nll", "NLL, nats"},
+      {"entropy_auroc", "AUROC of entropy, wrong pixels"},
+      {"training_miou_present", "mIoU of training frames"},
+      {"training_ece", "ECE of training frames"},
+      {"training_entropy_auroc", "AUROC of entropy, wrong pixels of training frames"},
+      {"given_right_entropy", "entropy where labelled rightly, nats"},
+      {"given_wrong_entropy", "entropy where labelled wrongly, nats"},
+      {"given_none_entropy", "entropy where unlabelled, nats"},
+      {"given_wrong_auroc", "AUROC of entropy, wrong against right labels"},
+      {"given_none_auroc", "AUROC of entropy, unlabelled against labelled"},
+      {"rmse", "RMSE of depth, m"},
+      {"train_s", "seconds of training"},
+      {"processor_s", "processor seconds"},
+      {"peak_mb", "peak memory, MB"}};
   const auto found = labels.find(metric);
   return found == labels.end() ? metric : found->second;
 }

@@ -94,6 +94,16 @@ TEST_F(SweepFile, AnotherSplitIsAnotherCellAndScoresTrainingFrames) {
   EXPECT_NE(train[0].config.find("training_frames: 1000000"), std::string::npos);
 }
 
+TEST_F(SweepFile, MetricsOfTrainingFramesScoreThemBesideHeldOutOnes) {
+  const std::string rest = "base: base.yaml\nscenes: {a: }\nvariants: {plain: }\nset: {report.training_frames: 7}\n";
+  EXPECT_NE(cells(rest)[0].config.find("training_frames: 0"), std::string::npos);
+  EXPECT_NE(cells("metrics: [ece, miou_of_given_x]\n" + rest)[0].config.find("training_frames: 0"), std::string::npos);
+  for (const char* metric : {"given_wrong_auroc", "training_ece"})
+    EXPECT_NE(cells("metrics: [ece, " + std::string(metric) + "]\n" + rest)[0].config.find("training_frames: 7"),
+              std::string::npos)
+        << metric;
+}
+
 TEST_F(SweepFile, FusionsComeAfterTheFieldTheyTakeDepthFrom) {
   const std::vector<Cell> all = cells(
       "base: base.yaml\nsplit: train\nscenes: {a: }\n"

@@ -119,6 +119,16 @@ TEST(SweepResults, AreWrittenReadAndTakenFromRunsAndFusions) {
   EXPECT_EQ(values_of_run(folder + "/metrics.jsonl", "train"),
             (CellValues{{"miou", 0.9}, {"train_s", 2.5}, {"steps", 9}}));
   EXPECT_THROW((void)values_of_run(folder + "/metrics.jsonl", "val"), Error);
+  EXPECT_EQ(values_of_run(folder + "/metrics.jsonl", "test"),
+            (CellValues{{"miou", 0.7}, {"training_miou", 0.9}, {"train_s", 2.5}, {"steps", 9}}));
+  write_file_atomic(
+      folder + "/sample.jsonl",
+      std::string_view("{\"kind\":\"eval\",\"step\":9,\"train_s\":2.5,\"split\":\"test\",\"ece\":0.5}\n"
+                       "{\"kind\":\"eval\",\"step\":9,\"train_s\":2.5,\"split\":\"train_sample\",\"ece\":0.25,"
+                       "\"given_wrong_auroc\":0.75,\"given_none_auroc\":null}\n"));
+  EXPECT_EQ(
+      values_of_run(folder + "/sample.jsonl", "test"),
+      (CellValues{{"ece", 0.5}, {"training_ece", 0.25}, {"given_wrong_auroc", 0.75}, {"train_s", 2.5}, {"steps", 9}}));
 
   const std::string fused =
       "[{\"method\":\"monocular\",\"miou\":0.5},{\"method\":\"bayesian\",\"miou\":0.6,\"depth\":\"true\"}]";
