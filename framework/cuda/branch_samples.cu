@@ -57,17 +57,18 @@ __global__ void __launch_bounds__(kRayThreads)
   if (at.lane == 0) kept.share(at.ray, 0) = share;
 }
 
-// A thread a value of the input, 8 B each.
+// A warp a row of the input, 8 B a value.
 __global__ void __launch_bounds__(kThreads)
     join_kernel(SemanticBranchTrace<float> trace, View<const float> position, View<const float> feature) {
-  const std::int64_t at = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
-  const std::int64_t k = at / trace.input.cols;
-  const auto c = static_cast<std::int32_t>(at % trace.input.cols);
+  const std::int64_t k = (static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x) / kWarp;
   if (k >= trace.input.rows) return;
-  float value = 0;
-  if (k < trace.samples.first(trace.share.rows, 0))
-    value = c < position.cols ? position(k, c) : feature(trace.source(k, 0), c - position.cols);
-  trace.input(k, c) = value;
+  const bool live = k < trace.samples.first(trace.share.rows, 0);
+  const std::int64_t source = live ? trace.source(k, 0) : 0;
+  for (std::int32_t c = static_cast<std::int32_t>(threadIdx.x) % kWarp; c < trace.input.cols; c += kWarp) {
+    float value = 0;
+    if (live) value = c < position.cols ? position(k, c) : feature(source, c - position.cols);
+    trace.input(k, c) = value;
+  }
 }
 
 // A thread kDropoutGroup values of a row, 8 B each.
@@ -103,7 +104,8 @@ void keep_samples(const Samples<float>& samples, View<const float> weight, float
 
 void join_inputs(const SemanticBranchTrace<float>& trace, View<const float> position, View<const float> feature) {
   if (trace.input.size() == 0) return;
-  join_kernel<<<blocks_of(trace.input.size(), kThreads), kThreads, 0, launch().stream>>>(trace, position, feature);
+  join_kernel<<<blocks_of(trace.input.rows * kWarp, kThreads), kThreads, 0, launch().stream>>>(trace, position,
+                                                                                               feature);
   check_launch("inputs of a semantic branch");
 }
 

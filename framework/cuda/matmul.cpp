@@ -128,7 +128,13 @@ class Library {
   }
 
   cublasLtHandle_t handle() const { return handle_; }
-  std::byte* workspace() const { return workspace_.data(); }
+  /// Of the main stream, or of the one beside it, which gets its own when it first asks.
+  std::byte* workspace() {
+    if (!launch().beside) return workspace_.data();
+    const std::lock_guard lock(mutex_);
+    if (beside_.size() == 0) beside_ = Buffer<std::byte>(kWorkspaceBytes, "workspace of matrix products");
+    return beside_.data();
+  }
 
  private:
   std::optional<cublasLtMatmulAlgo_t> choose(const ProductKey& key, Problem& problem) const {
@@ -155,7 +161,7 @@ class Library {
   }
 
   cublasLtHandle_t handle_ = nullptr;
-  Buffer<std::byte> workspace_;
+  Buffer<std::byte> workspace_, beside_;
   std::mutex mutex_;
   std::map<ProductKey, std::optional<cublasLtMatmulAlgo_t>> algorithms_;
 };

@@ -68,8 +68,8 @@ struct Product {
 
 /// Queues the product on launch().stream. false, and nothing is queued: cuBLASLt has no kernel with this epilogue
 /// (Epilogue::none always has one: ours, where cuBLASLt has none). Which algorithm a shape gets is decided once, among
-/// those whose sums have a fixed order, so results repeat bit for bit. All products of a process share one workspace:
-/// streams that compute products at the same time are not supported.
+/// those whose sums have a fixed order, so results repeat bit for bit. Products of a process share one workspace, those
+/// with launch().beside another one: no more than two streams may compute products at the same time.
 bool product(const Product& p);
 
 /// D = C + A B + A2 B2 (+ D with `add`), all fp32; C, A and B, A2 and B2 may be absent.

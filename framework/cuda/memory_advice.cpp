@@ -27,12 +27,18 @@ RayBatch first_rays(const RayBatch& batch, std::int64_t rays) {
 
 }  // namespace
 
+void DevicePipeline::forget_step() {
+  synchronize();
+  check(cudaStreamSynchronize(beside_), "waiting for the device");
+  train_arena_.forget();
+  beside_arena_.forget();
+}
+
 // Forward and backward of the first `rays` rays; the arena's high-water mark says what they took.
 bool DevicePipeline::fits(std::int64_t rays, const Shape& shape, std::int64_t step) {
-  synchronize();
-  train_arena_.forget();
+  forget_step();
   try {
-    const Workspace::Scope scope(train_arena_);
+    const Workspace::Scope scope(train_arena_), beside(beside_arena_);
     const Shape smaller{std::min(shape.semantic_rays, rays), 0, nullptr};
     train_passes(smaller, first_rays(staging_->batch(), rays), context(step, true, train_arena_));
   } catch (const Error& error) {
@@ -48,16 +54,15 @@ Error DevicePipeline::with_settings_that_fit(const Error& error, const Shape& sh
   std::int64_t fit = rays / 2;
   while (fit > 0 && !fits(fit, shape, step)) fit /= 2;
   if (fit == 0) return error;
-  const double each = static_cast<double>(train_arena_.high_water_bytes()) / static_cast<double>(fit);
-  synchronize();
-  train_arena_.forget();
+  const std::size_t taken = train_arena_.high_water_bytes() + beside_arena_.high_water_bytes();
+  const double each = static_cast<double>(taken) / static_cast<double>(fit);
+  forget_step();
   // An arena asks for an eighth more than its high-water mark (core/workspace.h).
   const double most = kMargin * static_cast<double>(free_bytes()) / (1.125 * each);
   std::int64_t more = std::min(static_cast<std::int64_t>(most), rays) / kRound * kRound;
   while (more > fit && !fits(more, shape, step)) more = more * 3 / 4 / kRound * kRound;
   fit = std::max(fit, more);
-  synchronize();
-  train_arena_.forget();
+  forget_step();
   store_->clear_gradients();
   check(cudaMemsetAsync(&staging_->device_sums()->fault, 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
   if (fit == rays) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "core/check.h"
 #include "cuda/hidden_channels.h"
 #include "cuda/layers.h"
 #include "cuda/losses.h"
@@ -128,7 +129,7 @@ Trace Pass::forward(const StepContext& ctx, const Rays<float>& rays, const Propo
   trace.depth = arena.take<float>(ray_count, 1);
   trace.opacity = arena.take<float>(ray_count, 1);
   composite(ctx, trace);
-  if (branch_ && trace.semantic_rays > 0) branch_forward(ctx, rays, trace);
+  if (branch_ && trace.semantic_rays > 0 && !ctx.training) branch_forward(ctx, rays, trace);
   return trace;
 }
 
@@ -192,9 +193,8 @@ void Pass::backward(const StepContext& ctx, const Trace& trace, View<const float
   const std::int64_t rows = trace.samples.count, ray_count = trace.samples.first.rows - 1;
   if (rows == 0) return;
   const LaunchScope live(with_live_rows(trace.samples.first.data + ray_count));
-  const bool labelled = trace.semantic_rays > 0 && !d_logits.empty();
-  const bool semantic = labelled && !branch_, deferred = rules_.deferred_class_layer;
-  if (labelled && branch_) branch_backward(ctx, trace, d_logits);
+  const bool semantic = trace.semantic_rays > 0 && !d_logits.empty(), deferred = rules_.deferred_class_layer;
+  SEMFIELD_CHECK(!semantic || !branch_, "gradients of a branch are branch_backward's");
   if (semantic && !trace.rounded_hidden.empty()) return backward_in_bf16(ctx, trace, d_color, d_logits);
   CompositeIn<float> in = composite_in(trace);
   CompositeOut<float> out;

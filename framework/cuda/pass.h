@@ -31,12 +31,19 @@ class Pass {
   }
 
   /// Everything of a batch, in ctx.workspace. The first `semantic_rays` rays get logits. trace.semantic_samples bounds
-  /// the rows of their samples from above. colors false: weights alone are wanted, for a later pass.
+  /// the rows of their samples from above. colors false: weights alone are wanted, for a later pass. In training a pass
+  /// with a branch leaves the logits to branch_forward.
   Trace forward(const StepContext& ctx, const Rays<float>& rays, const Proposal<float>* previous,
                 std::int64_t previous_per_ray, std::int64_t semantic_rays, bool colors = true) const;
-  /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero) into the store.
+  /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero, and with a branch) into the store.
   void backward(const StepContext& ctx, const Trace& trace, View<const float> d_color,
                 View<const float> d_logits) const;
+
+  bool has_branch() const { return branch_.has_value(); }
+  /// Logits of the semantic rays by way of the branch, and its gradients from them. Neither touches what backward
+  /// does, so both may run beside it, with a workspace of their own.
+  void branch_forward(const StepContext& ctx, const Rays<float>& rays, Trace& trace) const;
+  void branch_backward(const StepContext& ctx, const Trace& trace, View<const float> d_logits) const;
 
   void derive(const StepContext& ctx) const;
   void derive_backward(const StepContext& ctx) const;
@@ -47,9 +54,6 @@ class Pass {
  private:
   void composite(const StepContext& ctx, Trace& trace) const;
   bool wants_feature() const { return head_ && (!branch_ || parts_.branch->rules.reads_feature); }
-  /// Logits of the semantic rays by way of the branch, and its gradients from them.
-  void branch_forward(const StepContext& ctx, const Rays<float>& rays, Trace& trace) const;
-  void branch_backward(const StepContext& ctx, const Trace& trace, View<const float> d_logits) const;
   CompositeIn<float> composite_in(const Trace& trace) const;
   void backward_in_bf16(const StepContext& ctx, const Trace& trace, View<const float> d_color,
                         View<const float> d_logits) const;

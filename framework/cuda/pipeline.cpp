@@ -32,9 +32,16 @@ std::int64_t count_labels(const RayBatch& batch) {
 }  // namespace
 
 DevicePipeline::DevicePipeline(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options)
-    : host_(host), options_(options), train_arena_(arena_source()), render_arena_(arena_source()) {
+    : host_(host),
+      options_(options),
+      train_arena_(arena_source()),
+      beside_arena_(arena_source()),
+      render_arena_(arena_source()) {
   SEMFIELD_CHECK(parts.size() <= static_cast<std::size_t>(kMostPasses), "a device runs at most 4 passes");
   check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "making a stream");
+  check(cudaStreamCreateWithFlags(&beside_, cudaStreamNonBlocking), "making a stream");
+  check(cudaEventCreateWithFlags(&forked_, cudaEventDisableTiming), "making an event");
+  check(cudaEventCreateWithFlags(&joined_, cudaEventDisableTiming), "making an event");
   const LaunchScope scope(step_launch());
   store_ = std::make_unique<Store>(host, options.trainable);
   std::int64_t per_ray = 0;
@@ -54,14 +61,17 @@ DevicePipeline::DevicePipeline(Pipeline<float>& host, std::vector<PassParts<floa
 DevicePipeline::~DevicePipeline() {
   (void)cudaStreamSynchronize(stream_);
   forget_graphs();
+  (void)cudaEventDestroy(joined_);
+  (void)cudaEventDestroy(forked_);
+  (void)cudaStreamDestroy(beside_);
   (void)cudaStreamDestroy(stream_);
 }
 
 std::string DevicePipeline::description() const { return describe_device(); }
 
 std::size_t DevicePipeline::bytes() const {
-  return store_->bytes() + train_arena_.reserved_bytes() + render_arena_.reserved_bytes() +
-         (staging_ ? staging_->bytes() : 0);
+  return store_->bytes() + train_arena_.reserved_bytes() + beside_arena_.reserved_bytes() +
+         render_arena_.reserved_bytes() + (staging_ ? staging_->bytes() : 0);
 }
 
 Launch DevicePipeline::step_launch() const {
@@ -157,9 +167,9 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
 }
 
 void DevicePipeline::run(Shape& shape, std::int64_t step) {
-  if (train_arena_.growth_count() != growths_) {  // graphs hold addresses of the arena
+  if (growths() != growths_) {  // graphs hold addresses of the arenas
     forget_graphs();
-    growths_ = train_arena_.growth_count();
+    growths_ = growths();
   }
   if (shape.graph != nullptr) {
     check(cudaGraphLaunch(shape.graph, stream_), "starting a step");
@@ -180,7 +190,7 @@ void DevicePipeline::run(Shape& shape, std::int64_t step) {
 }
 
 void DevicePipeline::step_body(const Shape& shape, std::int64_t step) {
-  const Workspace::Scope scope(train_arena_);
+  const Workspace::Scope scope(train_arena_), beside(beside_arena_);
   StepSums* const sums = staging_->device_sums();
   check(cudaMemsetAsync(sums->pass, 0, sizeof sums->pass, stream_), "clearing sums");
   store_->zero_derived_gradients();
@@ -199,38 +209,66 @@ void DevicePipeline::step_body(const Shape& shape, std::int64_t step) {
 void DevicePipeline::train_passes(const Shape& shape, const RayBatch& batch, const StepContext& step_ctx) {
   StepContext ctx = step_ctx;
   Workspace& arena = *ctx.workspace;
-  const std::int64_t rays = batch.origin.rows, semantic_rays = shape.semantic_rays;
-  const PipelineOptions& options = host_.options();
-  const View<const float> class_weight = options.class_weight.empty()
-                                             ? View<const float>()
-                                             : class_weight_.view(1, static_cast<std::int32_t>(class_weight_.size()));
+  const std::int64_t ray_count = batch.origin.rows;
+  const Rays<float> rays{batch.origin, batch.direction, batch.near_far};
   Proposal<float> proposal;
   Trace previous;
   for (std::size_t p = 0; p < passes_.size(); ++p) {
     const Pass& pass = passes_[p];
     ctx.pass = pass.parts().number;
     LossSums* const sums = &staging_->device_sums()->pass[p];
-    Trace trace = pass.forward(ctx, {batch.origin, batch.direction, batch.near_far}, p == 0 ? nullptr : &proposal,
-                               p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
-    const View<float> d_color = arena.take<float>(rays, 3);
-    photometric_loss(arena, trace.color, batch.target, static_cast<double>(3 * rays), d_color, sums);
+    Trace trace =
+        pass.forward(ctx, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], shape.semantic_rays);
+    const bool branched = pass.has_branch() && trace.semantic_rays > 0;
+    if (branched) {
+      const LaunchScope beside(fork());
+      StepContext branch_ctx = ctx;
+      branch_ctx.workspace = &beside_arena_;
+      pass.branch_forward(branch_ctx, rays, trace);
+      pass.branch_backward(branch_ctx, trace, semantic_gradient(beside_arena_, trace, batch, sums));
+    }
+    const View<float> d_color = arena.take<float>(ray_count, 3);
+    photometric_loss(arena, trace.color, batch.target, static_cast<double>(3 * ray_count), d_color, sums);
     count_samples(trace.samples.first, trace.sigma, sums);
     View<float> d_logits;
-    if (trace.semantic_rays > 0) {
-      d_logits = arena.take<float>(trace.semantic_rays, trace.logits.cols);
-      SemanticTargets targets;
-      if (batch.soft.empty()) {
-        targets.hard = batch.label.row_range(0, trace.semantic_rays);
-      } else {
-        targets.soft = batch.soft.row_range(0, trace.semantic_rays);
-      }
-      semantic_cross_entropy(arena, trace.logits, targets, class_weight, options.semantic_weight, d_logits, sums);
-    }
+    if (trace.semantic_rays > 0 && !branched) d_logits = semantic_gradient(arena, trace, batch, sums);
     pass.backward(ctx, trace, d_color, d_logits);
+    if (branched) join();
     previous = trace;
     proposal.samples = &previous.samples;
     proposal.weight = previous.weight;
   }
+}
+
+View<float> DevicePipeline::semantic_gradient(Workspace& arena, const Trace& trace, const RayBatch& batch,
+                                              LossSums* sums) const {
+  const PipelineOptions& options = host_.options();
+  const View<float> d_logits = arena.take<float>(trace.semantic_rays, trace.logits.cols);
+  SemanticTargets targets;
+  if (batch.soft.empty()) {
+    targets.hard = batch.label.row_range(0, trace.semantic_rays);
+  } else {
+    targets.soft = batch.soft.row_range(0, trace.semantic_rays);
+  }
+  const View<const float> class_weight = options.class_weight.empty()
+                                             ? View<const float>()
+                                             : class_weight_.view(1, static_cast<std::int32_t>(class_weight_.size()));
+  semantic_cross_entropy(arena, trace.logits, targets, class_weight, options.semantic_weight, d_logits, sums);
+  return d_logits;
+}
+
+Launch DevicePipeline::fork() const {
+  check(cudaEventRecord(forked_, stream_), "marking a step");
+  check(cudaStreamWaitEvent(beside_, forked_, 0), "waiting for a step");
+  Launch next = launch();
+  next.stream = beside_;
+  next.beside = true;
+  return next;
+}
+
+void DevicePipeline::join() const {
+  check(cudaEventRecord(joined_, beside_), "marking a semantic branch");
+  check(cudaStreamWaitEvent(stream_, joined_, 0), "waiting for a semantic branch");
 }
 
 StepLosses DevicePipeline::losses_of(const StepSums& sums, double normaliser) const {

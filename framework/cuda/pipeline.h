@@ -47,11 +47,19 @@ class DevicePipeline final : public DeviceBackend {
   void run(Shape& shape, std::int64_t step);
   void step_body(const Shape& shape, std::int64_t step);
   void train_passes(const Shape& shape, const RayBatch& batch, const StepContext& step_ctx);
+  /// dL/dlogits of a pass, its sums into those of the step.
+  View<float> semantic_gradient(Workspace& arena, const Trace& trace, const RayBatch& batch, LossSums* sums) const;
+  /// A launch on beside_ of work that follows all that is queued so far; join() makes later work follow it.
+  Launch fork() const;
+  void join() const;
+  std::int64_t growths() const { return train_arena_.growth_count() + beside_arena_.growth_count(); }
   /// Whether a step's forward and backward of its first `rays` rays do (memory_advice.cpp).
   bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
   /// The error of a step that did not fit, with settings that do.
   Error with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step);
   void forget_graphs();
+  /// Waits, and gives a step's memory back.
+  void forget_step();
   StepLosses losses_of(const StepSums& sums, double normaliser) const;
   Launch render_launch() const;
   void explain_fault(const std::function<void()>& on_the_host);
@@ -60,12 +68,14 @@ class DevicePipeline final : public DeviceBackend {
   Pipeline<float>& host_;
   DeviceOptions options_;
   cudaStream_t stream_ = nullptr;
+  cudaStream_t beside_ = nullptr;  // semantic branches, which need nothing of the colour gradients; in a step alone
+  cudaEvent_t forked_ = nullptr, joined_ = nullptr;
   std::unique_ptr<Store> store_;
   std::vector<Pass> passes_;
   std::vector<std::int64_t> per_ray_;  // most samples a ray after each pass
-  Workspace train_arena_, render_arena_;
+  Workspace train_arena_, beside_arena_, render_arena_;
   std::int64_t chunk_rays_ = 16384;  // rendered at a time; halved where memory is short
-  std::int64_t growths_ = 0;         // of train_arena_ when graphs were last forgotten
+  std::int64_t growths_ = 0;         // of a step's arenas when graphs were last forgotten
   std::unique_ptr<Staging> staging_;
   Buffer<float> class_weight_;
   Buffer<FaultKey> render_fault_;

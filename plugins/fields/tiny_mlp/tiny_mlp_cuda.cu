@@ -1,5 +1,7 @@
-// CUDA kernels of the small network: fused for the usual widths in bf16, layer by layer for all others.
+// CUDA kernels of the small network: fused in bf16 for the usual widths, and for a feature alone; layer by layer for
+// all others.
 #include "core/check.h"
+#include "fields/tiny_mlp/tiny_mlp_feature.cuh"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
 #include "fields/tiny_mlp/tiny_mlp_layers.cuh"
 #include "plugin/kernels.h"
@@ -15,6 +17,8 @@ void forward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<float>
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   if (tiny::fused_applies(s)) {
     tiny::fused_forward(s, t, in, out);
+  } else if (tiny::feature_applies(s)) {
+    tiny::feature_forward(s, t, in.position, out.feature, saved);
   } else {
     tiny::layers_forward(s, ctx, t, in, out, saved);
   }
@@ -26,6 +30,8 @@ void backward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<float
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
   if (tiny::fused_applies(s)) {
     tiny::fused_backward(s, *ctx.workspace, t, in, out.rgb, grad, d_position);
+  } else if (tiny::feature_applies(s)) {
+    tiny::feature_backward(s, *ctx.workspace, t, grad.feature, saved, d_position);
   } else {
     tiny::layers_backward(s, ctx, t, in, out, grad, saved, d_position);
   }
@@ -35,7 +41,8 @@ void backward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<float
 void derive(const TinyMlpShape&, const Tensors<float>&) {}
 
 std::size_t saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
-  return tiny::fused_applies(s) ? 0 : tiny::layers_saved_bytes(s, samples);
+  if (tiny::fused_applies(s)) return 0;
+  return tiny::feature_applies(s) ? tiny::feature_saved_bytes(s, samples) : tiny::layers_saved_bytes(s, samples);
 }
 
 constexpr TinyMlpKernels<float> kTable{forward, backward, derive, saved_bytes};

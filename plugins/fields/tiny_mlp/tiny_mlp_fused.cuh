@@ -48,6 +48,8 @@ void with_tiles(const TinyMlpShape& shape, const Run& run) {
   }
 }
 
+/// Most shared memory that a block of the current device may have.
+std::size_t shared_memory_limit();
 /// Lets a kernel use `bytes` of shared memory, and gives the blocks of it that the device holds at a time.
 unsigned resident_blocks(const void* kernel, int threads, std::size_t bytes);
 

@@ -40,18 +40,6 @@ __device__ inline void store_rows(const Lane& lane, const Fragment (&a)[kGroups]
   }
 }
 
-/// dz = y > 0 ? dy : 0, rounded.
-__device__ inline void mask_and_pack(const Sums (&dy)[8], const Fragment (&y)[4], Fragment (&dz)[4]) {
-  const __nv_bfloat162 zero = __float2bfloat162_rn(0.0f);
-  pack_all(dy, dz);
-#pragma unroll
-  for (int k = 0; k < 4; ++k) {
-#pragma unroll
-    for (int i = 0; i < 4; ++i)
-      dz[k].reg[i] &= __hgt2_mask(*reinterpret_cast<const __nv_bfloat162*>(&y[k].reg[i]), zero);
-  }
-}
-
 /// dL/d(logit) of a lane's rows, packed: lane q = 0 has columns 0 and 1, lane 1 column 2.
 __device__ inline void logit_gradient(const Gradients& grad, const Lane& lane, std::int64_t row0, std::int64_t rows,
                                       std::uint32_t (&dz)[2]) {

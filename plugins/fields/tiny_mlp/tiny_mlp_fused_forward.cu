@@ -132,14 +132,14 @@ __global__ void __launch_bounds__(kThreads, 3) forward_kernel(const FusedCall ca
     clear_rows(out, row0, row0 + kTileRows < all ? row0 + kTileRows : all, lane_number);
 }
 
+}  // namespace
+
 std::size_t shared_memory_limit() {
   int device = 0, bytes = 0;
   check(cudaGetDevice(&device), "asking for the device");
   check(cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, device), "asking for shared memory");
   return static_cast<std::size_t>(bytes);
 }
-
-}  // namespace
 
 bool fused_applies(const TinyMlpShape& s) {
   constexpr int kMostPositions = 4 * kGroup;

@@ -156,6 +156,42 @@ __device__ inline void pack_all(const Sums (&y)[kSums], Fragment (&a)[kSums / 2]
   for (int k = 0; k < kSums / 2; ++k) a[k] = pack(y[2 * k], y[2 * k + 1]);
 }
 
+/// dz = y > 0 ? dy : 0, rounded.
+template <int kGroups>
+__device__ inline void mask_and_pack(const Sums (&dy)[2 * kGroups], const Fragment (&y)[kGroups],
+                                     Fragment (&dz)[kGroups]) {
+  const __nv_bfloat162 zero = __float2bfloat162_rn(0.0f);
+  pack_all(dy, dz);
+#pragma unroll
+  for (int k = 0; k < kGroups; ++k) {
+#pragma unroll
+    for (int i = 0; i < 4; ++i)
+      dz[k].reg[i] &= __hgt2_mask(*reinterpret_cast<const __nv_bfloat162*>(&y[k].reg[i]), zero);
+  }
+}
+template <int kCount>
+__device__ inline void clear(Sums (&sums)[kCount]) {
+#pragma unroll
+  for (Sums& s : sums) s = Sums{};
+}
+
+/// Operands of a weight gradient x^T dz from rows in shared memory: 16 inputs of 16 rows as the left one,
+template <int kRowPitch>
+__device__ inline Fragment inputs(const Lane& lane, const __nv_bfloat16* x, int row, int col) {
+  return load_transposed(x + (row + lane.row_8 + lane.high_8) * kRowPitch + col + lane.low_8);
+}
+/// 16 outputs of 16 rows as two right ones.
+template <int kRowPitch>
+__device__ inline Fragment outputs(const Lane& lane, const __nv_bfloat16* dz, int row, int col) {
+  return load_transposed(dz + (row + lane.row_8 + lane.low_8) * kRowPitch + col + lane.high_8);
+}
+/// Of the four numbers of an output that a lane holds in two registers of outputs(): a bias gradient's terms.
+__device__ inline float column_sum(std::uint32_t a, std::uint32_t b) {
+  const float2 x = __bfloat1622float2(*reinterpret_cast<const __nv_bfloat162*>(&a));
+  const float2 y = __bfloat1622float2(*reinterpret_cast<const __nv_bfloat162*>(&b));
+  return (x.x + x.y) + (y.x + y.y);
+}
+
 /// Numbers 4q .. 4q + 3 of group `group` of a row; 0 outside the columns. `vector`: 16-byte accesses are possible.
 __device__ inline float4 load_four(View<const float> view, std::int64_t row, int col, bool vector) {
   const float* at = view.row(row) + col;

@@ -11,12 +11,6 @@ inline constexpr int kBackwardThreads = 128;
 inline constexpr int kBlockRows = kBackwardThreads / kWarp * kTileRows;
 inline constexpr int kPitch = pitch_of(kWidth), kNarrow = pitch_of(kGroup);
 
-template <int kCount>
-__device__ inline void clear(Sums (&sums)[kCount]) {
-#pragma unroll
-  for (Sums& s : sums) s = Sums{};
-}
-
 /// Operands of the weight gradients for the rows of a block's tile, bf16 in shared memory.
 template <int kPositionTiles, int kDirectionTiles>
 struct alignas(16) Operands {
@@ -56,24 +50,9 @@ struct WarpSums {
     geometry_bias[0] = geometry_bias[1] = rgb_bias = 0;
   }
 
-  /// 16 inputs of 16 rows, as the left operand x^T.
-  template <int kRowPitch>
-  static __device__ Fragment inputs(const Lane& lane, const __nv_bfloat16* x, int row, int col) {
-    return load_transposed(x + (row + lane.row_8 + lane.high_8) * kRowPitch + col + lane.low_8);
-  }
-  /// 16 outputs of 16 rows, as two right operands.
-  template <int kRowPitch>
-  static __device__ Fragment outputs(const Lane& lane, const __nv_bfloat16* dz, int row, int col) {
-    return load_transposed(dz + (row + lane.row_8 + lane.low_8) * kRowPitch + col + lane.high_8);
-  }
   static __device__ void add(Sums (&sums)[2], const Fragment& x, const Fragment& dz) {
     multiply_add(sums[0], x, dz.reg[0], dz.reg[1]);
     multiply_add(sums[1], x, dz.reg[2], dz.reg[3]);
-  }
-  static __device__ float column_sum(std::uint32_t a, std::uint32_t b) {
-    const float2 x = __bfloat1622float2(*reinterpret_cast<const __nv_bfloat162*>(&a));
-    const float2 y = __bfloat1622float2(*reinterpret_cast<const __nv_bfloat162*>(&b));
-    return (x.x + x.y) + (y.x + y.y);
   }
 
   using Tile = Operands<kPositionTiles, kDirectionTiles>;

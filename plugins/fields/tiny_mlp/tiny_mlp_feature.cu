@@ -1,0 +1,322 @@
+// Forward of the hidden layers, and the way back through them.
+#include <algorithm>
+
+#include "core/check.h"
+#include "fields/tiny_mlp/tiny_mlp_feature.cuh"
+#include "fields/tiny_mlp/tiny_mlp_fused.cuh"
+#include "fields/tiny_mlp/tiny_mlp_products.cuh"
+
+namespace semfield::cuda::tiny {
+
+namespace {
+
+constexpr int kThreads = 256;
+constexpr int kBlockRows = kThreads / kWarp * kTileRows;
+
+struct Call {
+  LayersOf<const float> layers;
+  Activations kept;
+  const std::int32_t* live = nullptr;
+  std::int64_t rows = 0;
+};
+
+/// Where a column, a multiple of 4 as the first of four, stands in its group of 16: the first two here, the others 8
+/// later.
+__device__ constexpr int position_of(int column) { return (column & ~15) + (column & 15) / 2; }
+
+/// A layer's weights in shared memory, bf16, rows and columns at their positions. A thread takes four columns of a row.
+template <int kIn, int kOut>
+__device__ inline void load_weight(View<const float> w, __nv_bfloat16* to) {
+  constexpr int kAtOnce = 8, kChunks = kOut * kGroup / 4, kCount = kIn * kGroup * kChunks;
+  const bool vector = w.cols % 4 == 0 && w.row_stride % 4 == 0 && reinterpret_cast<std::uintptr_t>(w.data) % 16 == 0;
+  for (int first = static_cast<int>(threadIdx.x); first < kCount; first += kAtOnce * kThreads) {
+    float4 loaded[kAtOnce];
+#pragma unroll
+    for (int k = 0; k < kAtOnce; ++k) {
+      const int i = first + k * kThreads, row = i / kChunks;
+      loaded[k] = i < kCount && row < w.rows ? load_four(w, row, i % kChunks * 4, vector) : float4{0, 0, 0, 0};
+    }
+#pragma unroll
+    for (int k = 0; k < kAtOnce; ++k) {
+      const int i = first + k * kThreads, row = i / kChunks;
+      if (i >= kCount) continue;
+      // Four inputs share a lane as four outputs do: 2q, 2q + 1, 2q + 8, 2q + 9.
+      const int at = position_of(row & ~3) + (row & 1) + (row & 2) * 4;
+      auto* pair = reinterpret_cast<std::uint32_t*>(to + at * pitch_of(kOut * kGroup) + position_of(i % kChunks * 4));
+      pair[0] = pack(loaded[k].x, loaded[k].y);
+      pair[4] = pack(loaded[k].z, loaded[k].w);
+    }
+  }
+}
+template <int kOut>
+__device__ inline void load_bias(View<const float> bias, float* to) {
+  for (int i = static_cast<int>(threadIdx.x); i < kOut * kGroup; i += kThreads) {
+    const int column = column_of(i);
+    to[i] = column < bias.cols ? bias(0, column) : 0.0f;
+  }
+}
+
+/// Shared memory of `layers` layers: weights one behind the other, then biases.
+template <int kIn, int kOut>
+struct Memory {
+  static constexpr int kPitch = pitch_of(kOut * kGroup), kFirst = kIn * kGroup * kPitch,
+                       kOther = kOut * kGroup * kPitch;
+  static constexpr std::size_t bytes(int layers) {
+    return sizeof(__nv_bfloat16) * static_cast<std::size_t>(kFirst + (layers - 1) * kOther) +
+           sizeof(float) * static_cast<std::size_t>(layers * kOut * kGroup);
+  }
+  __nv_bfloat16* weight;
+  int layers;
+  __device__ __nv_bfloat16* of(int l) const { return l == 0 ? weight : weight + kFirst + (l - 1) * kOther; }
+  __device__ float* bias(int l) const { return reinterpret_cast<float*>(of(layers)) + l * kOut * kGroup; }
+};
+
+/// A lane's four columns of each group of rows g and g + 8, in memory as columns.
+template <int kGroups>
+__device__ inline void store_kept(const Lane& lane, const Fragment (&a)[kGroups], __nv_bfloat16* rows_of, int columns,
+                                  std::int64_t row0, std::int64_t rows) {
+#pragma unroll
+  for (int half = 0; half < 2; ++half) {
+    const std::int64_t row = row0 + lane.g + 8 * half;
+    if (row >= rows) continue;
+#pragma unroll
+    for (int k = 0; k < kGroups; ++k) {
+      if (k * kGroup >= columns) break;
+      *reinterpret_cast<uint2*>(rows_of + row * columns + k * kGroup + 4 * lane.q) = {a[k].reg[half],
+                                                                                      a[k].reg[2 + half]};
+    }
+  }
+}
+template <int kGroups>
+__device__ inline void load_kept(const Lane& lane, const __nv_bfloat16* rows_of, int columns, std::int64_t row0,
+                                 std::int64_t rows, Fragment (&a)[kGroups]) {
+#pragma unroll
+  for (int half = 0; half < 2; ++half) {
+    const std::int64_t row = row0 + lane.g + 8 * half;
+#pragma unroll
+    for (int k = 0; k < kGroups; ++k) {
+      uint2 both{0, 0};
+      if (row < rows && k * kGroup < columns)
+        both = *reinterpret_cast<const uint2*>(rows_of + row * columns + k * kGroup + 4 * lane.q);
+      a[k].reg[half] = both.x;
+      a[k].reg[2 + half] = both.y;
+    }
+  }
+}
+template <int kGroups>
+__device__ inline void load_rows(const Lane& lane, View<const float> from, std::int64_t row0, std::int64_t rows,
+                                 bool vector, Sums (&to)[2 * kGroups]) {
+#pragma unroll
+  for (int half = 0; half < 2; ++half) {
+    const std::int64_t row = row0 + lane.g + 8 * half;
+#pragma unroll
+    for (int k = 0; k < kGroups; ++k) {
+      const float4 v = row < rows ? load_four(from, row, k * kGroup + 4 * lane.q, vector) : float4{0, 0, 0, 0};
+      to[2 * k].value[2 * half] = v.x;
+      to[2 * k].value[2 * half + 1] = v.y;
+      to[2 * k + 1].value[2 * half] = v.z;
+      to[2 * k + 1].value[2 * half + 1] = v.w;
+    }
+  }
+}
+template <int kGroups>
+__device__ inline void store_rows(const Lane& lane, const Sums (&from)[2 * kGroups], std::int64_t row0,
+                                  std::int64_t rows, bool vector, View<float> to) {
+#pragma unroll
+  for (int half = 0; half < 2; ++half) {
+    const std::int64_t row = row0 + lane.g + 8 * half;
+    if (row >= rows) continue;
+#pragma unroll
+    for (int k = 0; k < kGroups; ++k) {
+      const Sums &low = from[2 * k], &high = from[2 * k + 1];
+      store_four(to, row, k * kGroup + 4 * lane.q, vector,
+                 {low.value[2 * half], low.value[2 * half + 1], high.value[2 * half], high.value[2 * half + 1]});
+    }
+  }
+}
+
+struct Thread {
+  std::int64_t number, count;
+  std::int64_t row0, stride;  // of its warp's first rows, and to the next
+  __device__ Thread()
+      : number(static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x),
+        count(static_cast<std::int64_t>(gridDim.x) * kThreads),
+        row0(number / kWarp * kTileRows),
+        stride(static_cast<std::int64_t>(gridDim.x) * kBlockRows) {}
+};
+
+/// A warp takes 16 rows through all layers. A row moves 4 D in, 4 W out and, kept, 2 (D + L W) (D = 112, L = 2, W = 64:
+/// 1,184 bytes), and takes 2 (D W + (L - 1) W W) operations. Rows do not depend on each other.
+template <int kIn, int kOut>
+__global__ void __launch_bounds__(kThreads, 1)
+    forward_kernel(const Call call, View<const float> position, View<float> feature, bool vector_in, bool vector_out) {
+  extern __shared__ __align__(16) unsigned char shared_memory[];
+  using M = Memory<kIn, kOut>;
+  const M memory{reinterpret_cast<__nv_bfloat16*>(shared_memory), call.layers.count};
+  const Lane lane(static_cast<int>(threadIdx.x) % kWarp);
+  const Thread thread;
+  const std::int64_t rows = live_count(call.live, call.rows);
+  if (static_cast<std::int64_t>(blockIdx.x) * kBlockRows < rows) {
+    load_weight<kIn, kOut>(call.layers.weight[0], memory.of(0));
+    for (int l = 1; l < memory.layers; ++l) load_weight<kOut, kOut>(call.layers.weight[l], memory.of(l));
+    for (int l = 0; l < memory.layers; ++l) load_bias<kOut>(call.layers.bias[l], memory.bias(l));
+    __syncthreads();
+  }
+  for (std::int64_t row0 = thread.row0; row0 < rows; row0 += thread.stride) {
+    Sums y[2 * kOut];
+    Fragment h[kOut];
+    {
+      Fragment x[kIn];
+      {
+        Sums loaded[2 * kIn];
+        load_rows<kIn>(lane, position, row0, rows, vector_in, loaded);
+        pack_all(loaded, x);
+      }
+      if (call.kept.position != nullptr)
+        store_kept(lane, x, call.kept.position, call.kept.position_columns, row0, rows);
+      start(lane, memory.bias(0), y);
+      forward_product<M::kPitch>(lane, x, memory.of(0), y);
+    }
+    for (int l = 0;; ++l) {
+      relu(y);
+      pack_all(y, h);
+      if (call.kept.position != nullptr) store_kept(lane, h, call.kept.layer(l), call.kept.width, row0, rows);
+      if (l + 1 == memory.layers) break;
+      start(lane, memory.bias(l + 1), y);
+      forward_product<M::kPitch>(lane, h, memory.of(l + 1), y);
+    }
+    store_rows<kOut>(lane, y, row0, rows, vector_out, feature);
+  }
+  clear_rows(feature, rows, thread.number, thread.count);
+}
+
+/// The gradient before each layer's ReLU into dz, as Activations::hidden, and of the position: 4 W + 2 L W in and 2 L W
+/// (+ 4 D) out a row.
+template <int kIn, int kOut>
+__global__ void __launch_bounds__(kThreads, 1)
+    backward_kernel(const Call call, View<const float> d_feature, Activations dz_of, View<float> d_position,
+                    bool vector_in, bool vector_out) {
+  extern __shared__ __align__(16) unsigned char shared_memory[];
+  using M = Memory<kIn, kOut>;
+  const M memory{reinterpret_cast<__nv_bfloat16*>(shared_memory), call.layers.count};
+  const Lane lane(static_cast<int>(threadIdx.x) % kWarp);
+  const Thread thread;
+  const std::int64_t rows = live_count(call.live, call.rows);
+  if (static_cast<std::int64_t>(blockIdx.x) * kBlockRows < rows) {
+    if (!d_position.empty()) load_weight<kIn, kOut>(call.layers.weight[0], memory.of(0));
+    for (int l = 1; l < memory.layers; ++l) load_weight<kOut, kOut>(call.layers.weight[l], memory.of(l));
+    __syncthreads();
+  }
+  for (std::int64_t row0 = thread.row0; row0 < rows; row0 += thread.stride) {
+    Sums dy[2 * kOut];
+    Fragment h[kOut], dz[kOut];
+    load_rows<kOut>(lane, d_feature, row0, rows, vector_in, dy);
+    for (int l = memory.layers - 1;; --l) {
+      load_kept(lane, call.kept.layer(l), call.kept.width, row0, rows, h);
+      mask_and_pack(dy, h, dz);
+      store_kept(lane, dz, dz_of.layer(l), dz_of.width, row0, rows);
+      if (l == 0) break;
+      clear(dy);
+      backward_product<M::kPitch>(lane, dz, memory.of(l), dy);
+    }
+    if (d_position.empty()) continue;
+    Sums dx[2 * kIn];
+    clear(dx);
+    backward_product<M::kPitch>(lane, dz, memory.of(0), dx);
+    store_rows<kIn>(lane, dx, row0, rows, vector_out, d_position);
+  }
+  if (!d_position.empty()) clear_rows(d_position, rows, thread.number, thread.count);
+}
+
+/// Calls run.template operator()<tiles of the position, tiles of a layer>() for the shape's widths.
+template <class Run>
+void with_widths(const TinyMlpShape& s, const Run& run) {
+  const bool wide_in = s.position_dims > kWidth, wide = s.hidden_width > kWidth;
+  if (wide_in && wide) return run.template operator()<8, 8>();
+  if (wide_in) return run.template operator()<8, 4>();
+  if (wide) return run.template operator()<4, 8>();
+  run.template operator()<4, 4>();
+}
+
+template <class T, class ViewOf>
+LayersOf<T> layers_of(const TinyMlpShape& s, const ViewOf& view) {
+  LayersOf<T> layers;
+  for (const TinyMlpLayer& layer : s.hidden) {
+    layers.weight[layers.count] = view(layer.weight);
+    layers.bias[layers.count++] = view(layer.bias);
+  }
+  return layers;
+}
+
+Activations activations(const TinyMlpShape& s, std::int64_t rows, std::byte* memory) {
+  Activations a;
+  a.rows = rows;
+  a.position_columns = padded_columns(s.position_dims);
+  a.width = padded_columns(s.hidden_width);
+  a.position = reinterpret_cast<__nv_bfloat16*>(memory);
+  if (memory != nullptr) a.hidden = a.position + rows * a.position_columns;
+  return a;
+}
+
+Call call_of(const TinyMlpShape& s, const Tensors<float>& t, std::int64_t rows, Saved saved) {
+  return {layers_of<const float>(
+              s, [&](int index) -> View<const float> { return t.value[static_cast<std::size_t>(index)]; }),
+          activations(s, rows, saved.empty() ? nullptr : saved.data()), launch().live_rows, rows};
+}
+
+template <int kIn, int kOut>
+unsigned blocks_for(const void* kernel, int layers, std::int64_t rows) {
+  return std::min(resident_blocks(kernel, kThreads, Memory<kIn, kOut>::bytes(layers)), blocks_of(rows, kBlockRows));
+}
+
+}  // namespace
+
+bool feature_applies(const TinyMlpShape& s) {
+  const auto layers = static_cast<int>(s.hidden.size());
+  return s.feature_only && s.feature == TinyFeature::hidden && s.precision == Precision::bf16 &&
+         layers <= kMostFeatureLayers && s.hidden_width <= kMostFeatureWidth && s.position_dims <= kMostFeatureWidth &&
+         shared_memory_limit() >= Memory<8, 8>::bytes(layers);
+}
+
+std::size_t feature_saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
+  const auto columns = static_cast<std::int64_t>(padded_columns(s.position_dims)) +
+                       static_cast<std::int64_t>(s.hidden.size()) * padded_columns(s.hidden_width);
+  return sizeof(__nv_bfloat16) * static_cast<std::size_t>(samples * columns);
+}
+
+void feature_forward(const TinyMlpShape& s, const Tensors<float>& t, View<const float> position, View<float> feature,
+                     Saved saved) {
+  if (position.rows == 0) return;
+  const Call call = call_of(s, t, position.rows, saved);
+  with_widths(s, [&]<int kIn, int kOut>() {
+    const auto kernel = forward_kernel<kIn, kOut>;
+    const unsigned blocks =
+        blocks_for<kIn, kOut>(reinterpret_cast<const void*>(kernel), call.layers.count, position.rows);
+    kernel<<<blocks, kThreads, Memory<kIn, kOut>::bytes(call.layers.count), launch().stream>>>(
+        call, position, feature, allows_vectors(position), allows_vectors(feature));
+    check_launch("small network: forward of a feature");
+  });
+}
+
+void feature_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<float>& t, View<const float> d_feature,
+                      Saved saved, View<float> d_position) {
+  if (d_feature.rows == 0) return copy_rows({}, d_position, nullptr);
+  SEMFIELD_CHECK(!saved.empty(), "a gradient of the feature needs what forward saved");
+  const Workspace::Scope scope(arena);
+  const Call call = call_of(s, t, d_feature.rows, saved);
+  Activations dz = call.kept;
+  const std::int64_t numbers = dz.rows * dz.width * call.layers.count;
+  dz.hidden = arena.take<__nv_bfloat16>(numbers, 1).data;
+  with_widths(s, [&]<int kIn, int kOut>() {
+    const auto kernel = backward_kernel<kIn, kOut>;
+    const unsigned blocks =
+        blocks_for<kIn, kOut>(reinterpret_cast<const void*>(kernel), call.layers.count, d_feature.rows);
+    kernel<<<blocks, kThreads, Memory<kIn, kOut>::bytes(call.layers.count), launch().stream>>>(
+        call, d_feature, dz, d_position, allows_vectors(d_feature), allows_vectors(d_position));
+    check_launch("small network: backward of a feature");
+  });
+  const auto d = layers_of<float>(s, [&](int index) { return t.grad[static_cast<std::size_t>(index)]; });
+  feature_weight_gradients(d, call.kept, dz.hidden, call.live, arena);
+}
+
+}  // namespace semfield::cuda::tiny
