@@ -53,7 +53,7 @@ int run_config_schema(bool of_sweeps, AppContext& context) {
   }
   std::vector<SchemaSection> sections;
   for (const SectionDoc& section : describe_sections())
-    sections.push_back({section.path, section.sentence, section.params});
+    sections.push_back({section.path + (section.or_list ? "[?]" : ""), section.sentence, section.params});
   const ParamDoc name{"name", "text", "", "", "name of the run and its default folder", {}};
   const ParamDoc base{
       "base_dir", "text", "", "", "folder where relative paths start that no file anchors; default: the working folder",
@@ -81,9 +81,9 @@ int run_config_schema(bool of_sweeps, AppContext& context) {
       {"passes[].direction", "direction encoder; leave it out for a view-independent field",
        alternatives(context.registry, PluginKind::encoder)},
       {"passes[].field", "the network", alternatives(context.registry, PluginKind::field)},
-      {"passes[].semantic.position", "position encoder of the semantic branch",
+      {"passes[].semantic[?].position", "position encoder of the semantic branch",
        alternatives(context.registry, PluginKind::encoder)},
-      {"passes[].semantic.field", "network of the semantic branch", alternatives(context.registry, PluginKind::field)},
+      {"passes[].semantic[?].field", "network of the semantic branch", alternatives(context.registry, PluginKind::field)},
   };
   std::fputs(json_schema_of("Semfield configuration", sections, choices).c_str(), stdout);
   return 0;

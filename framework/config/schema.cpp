@@ -17,7 +17,8 @@ using Json = nlohmann::ordered_json;
 /// The map at one key path: what stands in it, and the maps below.
 struct SchemaNode {
   std::string key;
-  bool is_list = false;  // the maps are the items of a list
+  bool is_list = false;      // the maps are the items of a list
+  bool may_be_list = false;  // or the map stands alone
   std::string sentence;
   const std::vector<ParamDoc>* docs = nullptr;
   const SchemaChoice* choice = nullptr;
@@ -29,8 +30,8 @@ SchemaNode& node_at(SchemaNode& root, const std::string& path) {
   for (std::size_t begin = 0; begin < path.size();) {
     const std::size_t end = std::min(path.find('.', begin), path.size());
     std::string key = path.substr(begin, end - begin);
-    const bool is_list = key.ends_with("[]");
-    if (is_list) key.resize(key.size() - 2);
+    const bool is_list = key.ends_with("[]"), may_be_list = key.ends_with("[?]");
+    if (is_list || may_be_list) key.resize(key.find('['));
     SEMFIELD_CHECK(!key.empty(), "empty key in schema path '" + path + "'");
     SchemaNode* child = nullptr;
     for (SchemaNode& known : node->children) {
@@ -41,6 +42,7 @@ SchemaNode& node_at(SchemaNode& root, const std::string& path) {
       child = &node->children.back();
       child->key = key;
       child->is_list = is_list;
+      child->may_be_list = may_be_list;
     }
     SEMFIELD_CHECK(child->is_list == is_list, "schema path '" + path + "' is a list here and a map elsewhere");
     node = child;
@@ -137,6 +139,7 @@ Json node_schema(const SchemaNode& node) {
     if (!node.is_list) map["type"] = Json::array({"object", "null"});  // a section with every line commented out
   }
   if (node.is_list) map = Json{{"type", "array"}, {"items", std::move(map)}};
+  if (node.may_be_list) map = Json{{"anyOf", Json::array({map, Json{{"type", "array"}, {"items", map}}})}};
   if (!node.sentence.empty()) map["description"] = node.sentence;
   return map;
 }

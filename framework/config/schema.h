@@ -9,7 +9,7 @@
 namespace semfield {
 
 /// The keys of one map. `path` is its key path: "train", "train.adam", "" for the top; "passes[]" is each item of a
-/// list.
+/// list; "passes[].semantic[?]" is a map or each item of a list.
 struct SchemaSection {
   std::string path;
   std::string sentence;

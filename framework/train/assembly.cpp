@@ -60,7 +60,7 @@ template <class Real>
 std::unique_ptr<SemanticBranchParts<Real>> make_branch(const PassConfig& pass, const RunConfig& config,
                                                        const Registry& registry, const SceneExtent& extent,
                                                        Device device, std::int32_t feature_dims) {
-  const SemanticBranchConfig& branch = pass.semantic;
+  const SemanticBranchConfig& branch = *pass.branch();
   auto parts = std::make_unique<SemanticBranchParts<Real>>();
   parts->rules = branch.rules;
   parts->position = make_encoder<Real>(branch.position, registry, extent, false, device,
@@ -100,8 +100,8 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
         make_encoder<Real>(pass.direction, registry, extent, true, device, "passes." + pass.name + ".direction");
     field_build.direction_dims = parts.direction->traits().out_dims;
   }
-  const bool by_branch = plan.semantics && pass.semantic.present();
-  field_build.wants_feature = plan.semantics && (!by_branch || pass.semantic.rules.reads_feature);
+  const bool by_branch = plan.semantics && pass.branch() != nullptr;
+  field_build.wants_feature = plan.semantics && (!by_branch || pass.branch()->rules.reads_feature);
   field_build.savings = {config.runtime.fold_feature_layer, config.runtime.direction_once_per_ray,
                          config.runtime.deferred_class_layer};
   field_build.precision = config.runtime.precision;
@@ -193,9 +193,9 @@ std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent&
     std::vector<std::string> chosen;
     pass.position.params->choose(build, chosen);
     for (const std::string& sentence : chosen) lines.push_back("passes." + pass.name + ".position: " + sentence);
-    if (!pass.semantic.present()) continue;
+    if (pass.branch() == nullptr) continue;
     chosen.clear();
-    pass.semantic.position.params->choose(build, chosen);
+    pass.branch()->position.params->choose(build, chosen);
     for (const std::string& sentence : chosen)
       lines.push_back("passes." + pass.name + ".semantic.position: " + sentence);
   }
@@ -234,8 +234,12 @@ namespace {
 // "field 'ball'": the first part of the passes without kernels for `device`; empty: all have them.
 std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
   for (const PassConfig& pass : config.passes) {
-    for (const PluginSlot* slot :
-         {&pass.sampler, &pass.position, &pass.direction, &pass.field, &pass.semantic.position, &pass.semantic.field}) {
+    std::vector<const PluginSlot*> slots{&pass.sampler, &pass.position, &pass.direction, &pass.field};
+    for (const SemanticBranchConfig& branch : pass.semantic) {
+      slots.push_back(&branch.position);
+      slots.push_back(&branch.field);
+    }
+    for (const PluginSlot* slot : slots) {
       if (slot->entry == nullptr) continue;
       std::string owner = std::string(kind_name(slot->entry->kind)) + " '" + slot->entry->name + "'";
       if (!registry.kernels().has(device, owner)) return owner;

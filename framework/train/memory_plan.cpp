@@ -90,7 +90,7 @@ std::vector<Lever> levers_of(RunConfig& config) {
     add_slot(levers, path + ".sampler", pass.sampler);
     add_slot(levers, path + ".position", pass.position);
     add_slot(levers, path + ".field", pass.field);
-    if (pass.semantic.present()) add_slot(levers, path + ".semantic.field", pass.semantic.field);
+    if (const SemanticBranchConfig* branch = pass.branch()) add_slot(levers, path + ".semantic.field", branch->field);
   }
   return levers;
 }

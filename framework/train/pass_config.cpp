@@ -1,10 +1,16 @@
 #include "train/pass_config.h"
 
 #include <algorithm>
+#include <array>
 
 namespace semfield {
 
-void describe(ParamVisitor& visit, SemanticBranchRules& p) {
+void describe(ParamVisitor& visit, SemanticBranchConfig& branch) {
+  SEMFIELD_PARAM(
+      visit, branch, labels,
+      "in a list, the labels that this branch is for: noisy: neighbouring labels often differ; few: under one "
+      "training pixel in 500 has a label; many: the others; any: all of them");
+  SemanticBranchRules& p = branch.rules;
   SEMFIELD_PARAM(visit, p, reads_feature,
                  "the branch reads the field's feature beside the position; no gradient goes back into the field");
   SEMFIELD_PARAM(visit, p, least_weight,
@@ -65,11 +71,12 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
 namespace {
 
 // {position, field} and the branch's own parameters.
-void read_branch(const ConfigNode& node, const std::string& path, const Registry& registry,
-                 SemanticBranchConfig& branch, Diagnostics& diagnostics) {
+SemanticBranchConfig read_branch(const ConfigNode& node, const std::string& path, const Registry& registry,
+                                 Diagnostics& diagnostics) {
+  SemanticBranchConfig branch;
   if (!node.is_map()) {
-    diagnostics.error(node.location().text(), path + ": expected a map {position, field, ...}");
-    return;
+    diagnostics.error(node.location().text(), path + ": expected a map {position, field, ...}, or a list of them");
+    return branch;
   }
   const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out) {
     const ConfigNode* plugin = node.find(key);
@@ -81,8 +88,33 @@ void read_branch(const ConfigNode& node, const std::string& path, const Registry
   };
   slot("position", PluginKind::encoder, branch.position);
   slot("field", PluginKind::field, branch.field);
-  read_params(node, path, [&](ParamVisitor& visit) { describe(visit, branch.rules); }, diagnostics,
-              {"position", "field"});
+  read_params(node, path, [&](ParamVisitor& visit) { describe(visit, branch); }, diagnostics, {"position", "field"});
+  return branch;
+}
+
+// One branch, or several from which the labels choose: one of them must take labels of any kind.
+std::vector<SemanticBranchConfig> read_branches(const ConfigNode& node, const std::string& path,
+                                                const Registry& registry, Diagnostics& diagnostics) {
+  std::vector<SemanticBranchConfig> branches;
+  if (!node.is_list()) {
+    branches.push_back(read_branch(node, path, registry, diagnostics));
+    return branches;
+  }
+  std::array<bool, ChoiceNames<LabelKind>::names.size()> served{};
+  for (const ConfigNode& item : node.items()) {
+    branches.push_back(read_branch(item, path + "." + std::to_string(branches.size()), registry, diagnostics));
+    bool& known = served[static_cast<std::size_t>(branches.back().labels)];
+    if (known || served[0])
+      diagnostics.error(item.location().text(), path + ": an earlier branch takes all labels that this one is for");
+    known = true;
+  }
+  for (std::size_t kind = 1; kind < served.size() && !served[0]; ++kind) {
+    if (!served[kind])
+      diagnostics.error(node.location().text(),
+                        path + ": no branch is for labels: " + std::string(ChoiceNames<LabelKind>::names[kind]),
+                        "add one, or let the last one be for labels: any");
+  }
+  return branches;
 }
 
 }  // namespace
@@ -124,7 +156,7 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
     slot("direction", PluginKind::encoder, pass.direction, false);
     slot("field", PluginKind::field, pass.field, true);
     if (const ConfigNode* branch = item.find("semantic"); branch != nullptr && !branch->is_null())
-      read_branch(*branch, path + ".semantic", registry, pass.semantic, diagnostics);
+      pass.semantic = read_branches(*branch, path + ".semantic", registry, diagnostics);
     for (const PassConfig& other : config.passes) {
       if (other.name == pass.name)
         diagnostics.error(item.location().text(), path + ": name '" + pass.name + "' is taken by an earlier pass");
@@ -146,13 +178,16 @@ ConfigNode pass_config(const PassConfig& pass) {
   node = node.with("sampler", slot_config(pass.sampler)).with("position", slot_config(pass.position));
   if (pass.direction.entry != nullptr) node = node.with("direction", slot_config(pass.direction));
   node = node.with("field", slot_config(pass.field));
-  if (!pass.semantic.present()) return node;
-  // describe() takes a mutable struct; the writer only looks.
-  SemanticBranchRules& editable = const_cast<SemanticBranchRules&>(pass.semantic.rules);
-  const ConfigNode branch = params_to_config([&](ParamVisitor& visit) { describe(visit, editable); });
-  return node.with(
-      "semantic",
-      branch.with("position", slot_config(pass.semantic.position)).with("field", slot_config(pass.semantic.field)));
+  std::vector<ConfigNode> branches;
+  for (const SemanticBranchConfig& branch : pass.semantic) {
+    // describe() takes a mutable struct; the writer only looks.
+    auto& editable = const_cast<SemanticBranchConfig&>(branch);
+    const ConfigNode own = params_to_config([&](ParamVisitor& visit) { describe(visit, editable); });
+    branches.push_back(own.with("position", slot_config(branch.position)).with("field", slot_config(branch.field)));
+  }
+  if (branches.empty()) return node;
+  return node.with("semantic",
+                   branches.size() == 1 ? branches.front() : ConfigNode::make_list(std::move(branches), {}));
 }
 
 }  // namespace semfield

@@ -268,12 +268,11 @@ std::vector<SectionDoc> describe_sections() {
   each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
     docs.push_back({path, sentence, describe_params([&](ParamVisitor& visit) { describe(visit, params); })});
   });
-  SemanticBranchRules branch;
-  docs.push_back(
-      {"passes[].semantic",
-       "a network of its own for semantics, beside its plugins `position` and `field`; without this section the "
-       "head reads the pass's field",
-       describe_params([&](ParamVisitor& visit) { describe(visit, branch); })});
+  SemanticBranchConfig branch;
+  docs.push_back({"passes[].semantic",
+                  "a network of its own for semantics, beside its plugins `position` and `field`, or a list of them "
+                  "from which the training labels choose; without this section the head reads the pass's field",
+                  describe_params([&](ParamVisitor& visit) { describe(visit, branch); }), true});
   return docs;
 }
 

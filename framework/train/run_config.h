@@ -123,18 +123,28 @@ struct PluginSlot {
   std::unique_ptr<PluginParams> params;
 };
 
+/// Labels that a semantic branch is meant for; branch_choice.h says which a scene has.
+enum class LabelKind : std::uint8_t { any, few, noisy, many };
+template <>
+struct ChoiceNames<LabelKind> {
+  static constexpr std::array<std::string_view, 4> names{"any", "few", "noisy", "many"};
+};
+
 /// What a pass's semantic branch is beside its plugins (model/semantic_branch.h).
 struct SemanticBranchConfig {
-  PluginSlot position, field;  ///< empty: the pass has no branch
+  LabelKind labels = LabelKind::any;
+  PluginSlot position, field;
   SemanticBranchRules rules;
-  bool present() const { return field.entry != nullptr; }
 };
-void describe(ParamVisitor& visit, SemanticBranchRules& rules);
+/// All but the plugins.
+void describe(ParamVisitor& visit, SemanticBranchConfig& branch);
 
 struct PassConfig {
   std::string name;
   PluginSlot sampler, position, direction, field;
-  SemanticBranchConfig semantic;
+  std::vector<SemanticBranchConfig> semantic;  ///< none, one, or several of which the labels choose one
+  /// The branch that is built: the first until choose_branches has been asked; null without one.
+  const SemanticBranchConfig* branch() const { return semantic.empty() ? nullptr : &semantic.front(); }
 };
 
 struct RunConfig {
@@ -171,6 +181,7 @@ struct SectionDoc {
   std::string path;
   std::string sentence;
   std::vector<ParamDoc> params;
+  bool or_list = false;  ///< a list of such maps may stand there too
 };
 std::vector<SectionDoc> describe_sections();
 

@@ -12,6 +12,7 @@
 #include "core/parallel.h"
 #include "scene/image_formats.h"
 #include "train/bounds_probe.h"
+#include "train/branch_choice.h"
 #include "train/checkpoint_facts.h"
 #include "train/run_identity.h"
 
@@ -155,6 +156,7 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   diagnostics.throw_if_errors(ErrorKind::data, "the labels have problems:");
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
+  if (make_labels) s.chosen_branches = choose_branches(s.config, label_statistics(s.scene, s.labels));
   BuildRequest request = build_request(s.config, registry);
   request.device_cuda_available = device == Device::cuda;
   request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
@@ -318,9 +320,9 @@ std::string describe_session(const Session& s) {
         if (pass.parts().direction) slots += ", direction " + p.direction.entry->name;
         slots += ", " + p.field.entry->name;
         if (pass.parts().branch) {
-          slots += ", semantics by " + p.semantic.position.entry->name + " (" +
+          slots += ", semantics by " + p.branch()->position.entry->name + " (" +
                    std::to_string(pass.parts().branch->position->traits().out_dims) + ") and " +
-                   p.semantic.field.entry->name;
+                   p.branch()->field.entry->name;
         }
       }
       add(fmt::format(
@@ -332,7 +334,9 @@ std::string describe_session(const Session& s) {
                     s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
     out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
   }
-  for (const std::string& line : s.chosen) add("chosen    " + line);
+  for (const auto* lines : {&s.chosen, &s.chosen_branches}) {
+    for (const std::string& line : *lines) add("chosen    " + line);
+  }
   for (const LeftOut& row : s.plan.left_out) {
     add(fmt::format("left out  {} [{}]: {} (saves {})", row.component, static_cast<char>(row.proof), row.evidence,
                     row.saving));

@@ -24,7 +24,8 @@ struct Session {
   SceneManifest manifest;
   BuildPlan plan;
   SceneExtent extent;
-  std::vector<std::string> chosen;  ///< a line for each parameter that was chosen from the scene
+  std::vector<std::string> chosen;           ///< a line for each parameter that was chosen from the scene
+  std::vector<std::string> chosen_branches;  ///< and for each pass whose semantic branch the labels chose
   RayLimits limits;
   MemoryFacts memory_facts;
   MemoryPlan memory;  ///< of training; empty for sessions that do not train

@@ -328,8 +328,10 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   for (const Diagnostic& finding : folded(diagnostics)) {
     if (hooks.note) hooks.note(finding.text());
   }
-  for (const std::string& line : session.chosen) {
-    if (hooks.note) hooks.note("chosen from the scene: " + line);
+  for (const auto* lines : {&session.chosen, &session.chosen_branches}) {
+    for (const std::string& line : *lines) {
+      if (hooks.note) hooks.note("chosen from the scene: " + line);
+    }
   }
   const std::string text = run_config_text(session.config, registry);
   if (!folder) folder.emplace(RunFolder::create(request.out_dir));

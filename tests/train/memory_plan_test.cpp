@@ -54,13 +54,19 @@ struct RealRun {
   const char* name;
   const char* config;
   const char* set;
-  int steps;  ///< until the largest tiles have been met
+  int steps;          ///< until the largest tiles have been met
+  double over = 0.1;  ///< share by which the plan may lie above
 };
 const RealRun kRuns[] = {
-    {"hash", "quickstart.yaml", "", 5},
+    // How many samples a branch keeps is not known before: the plan counts all of them.
+    {"preset", "quickstart.yaml", "", 5, 0.3},
+    {"hash", "quickstart.yaml", "--set passes.0.semantic=null", 5},
     {"hash, 2^19", "quickstart.yaml",
-     "--set passes.0.position.log2_entries=19 --set passes.0.position.finest_resolution=512", 5},
-    {"hash, 32 lanes, 4096 rays", "quickstart.yaml", "--set runtime.lanes=32 --set train.rays=4096", 60},
+     "--set passes.0.semantic=null --set passes.0.position.log2_entries=19 --set "
+     "passes.0.position.finest_resolution=512",
+     5},
+    {"hash, 32 lanes, 4096 rays", "quickstart.yaml",
+     "--set passes.0.semantic=null --set runtime.lanes=32 --set train.rays=4096", 60},
     {"semantic branch", "quickstart.yaml",
      "--set 'passes.0.semantic={position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 128, "
      "hidden_layers: 3}, dropout: 0.2}' --set train.labelled_share=1 --set train.rays=4096",
@@ -111,14 +117,15 @@ TEST_F(MemoryPlanOfRuns, PeakIsPredictedWithinATenth) {
     const double predicted = number_behind(plan.out, "memory +([0-9.]+) MB at the peak");
     const double measured = number_behind(real.out, "peak_mb=([0-9]+)");
     RecordProperty(run.name, std::to_string(predicted) + " " + std::to_string(measured));
-    EXPECT_NEAR(predicted, measured, 0.1 * measured) << run.name << "\n" << plan.out;
+    EXPECT_GE(predicted, 0.9 * measured) << run.name << "\n" << plan.out;
+    EXPECT_LE(predicted, (1 + run.over) * measured) << run.name << "\n" << plan.out;
   }
 }
 
 TEST_F(MemoryPlanOfRuns, WhatDoesNotFitIsRefusedWithSettingsThatFit) {
   SEMFIELD_NEEDS_PLAIN_MEMORY();
   const TempDir folder;
-  const RealRun run{"hash, 2^19", "quickstart.yaml", kRuns[1].set, 0};
+  const RealRun run{"hash, 2^19", "quickstart.yaml", kRuns[2].set, 0};
   const std::string words = "train" + words_for(run) + " --dry-run --memory 0.16";
   const auto refused = semfield_run(words, folder.path());
   EXPECT_EQ(refused.code, 69);

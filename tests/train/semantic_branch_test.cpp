@@ -206,11 +206,12 @@ TEST(SemanticBranch, TheResolvedConfigurationHoldsIt) {
   Diagnostics diagnostics;
   const RunConfig again = read_run_config(resolved_config(s.config), registry, diagnostics);
   EXPECT_EQ(diagnostics.error_count(), 0);
-  ASSERT_TRUE(again.passes[0].semantic.present());
-  EXPECT_EQ(again.passes[0].semantic.rules.learning_rate, 0.3);
-  EXPECT_EQ(again.passes[0].semantic.rules.weight_decay, 0.02);
-  EXPECT_EQ(again.passes[0].semantic.rules.dropout, 0.1);
-  EXPECT_EQ(again.passes[0].semantic.rules.least_weight, 1e-3);
+  const SemanticBranchConfig* const branch = again.passes[0].branch();
+  ASSERT_NE(branch, nullptr);
+  EXPECT_EQ(branch->rules.learning_rate, 0.3);
+  EXPECT_EQ(branch->rules.weight_decay, 0.02);
+  EXPECT_EQ(branch->rules.dropout, 0.1);
+  EXPECT_EQ(branch->rules.least_weight, 1e-3);
   for (const Tensor<float>& t : s.pipeline->store().all()) {
     EXPECT_EQ(t.rule.rate, s.pipeline->is_semantic(t) ? 0.3 : 1) << t.name;
     EXPECT_EQ(t.name.find("semantic/field/color"), std::string::npos) << "a branch has no colour: " << t.name;
