@@ -193,6 +193,17 @@ void add_fuse(CLI::App& root, AppContext& context, Choice& choice) {
       [&context, &choice, options] { choice = [&context, options] { return run_fuse(*options, context); }; });
 }
 
+void add_propagate(CLI::App& root, AppContext& context, Choice& choice) {
+  auto options = std::make_shared<PropagateOptions>();
+  CLI::App* verb = root.add_subcommand("propagate", "spread training labels over the surface that a run has learned");
+  verb->add_option("run", options->run, "run folder")->required();
+  verb->add_option("--out", options->out, "folder to create")->required();
+  run_options(verb, options->set);
+  setting_option(verb, options->set, "--method", "propagate.method", "surface (diffusion) or vote (pooling)");
+  verb->callback(
+      [&context, &choice, options] { choice = [&context, options] { return run_propagate(*options, context); }; });
+}
+
 void add_label_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   auto out = std::make_shared<ExportOptions>();
   CLI::App* verb = root.add_subcommand("export", "labels of a run's field for labelling tools");
@@ -366,6 +377,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   add_scene_verbs(root, context, choice);
   add_degrade(root, context, choice);
   add_fuse(root, context, choice);
+  add_propagate(root, context, choice);
   add_label_verbs(root, context, choice);
   add_config_verbs(root, context, choice);
   add_runs_verbs(root, context, choice);

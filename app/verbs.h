@@ -110,6 +110,12 @@ struct FuseOptions {
 };
 int run_fuse(const FuseOptions& options, AppContext& context);
 
+struct PropagateOptions {
+  std::string run, out;
+  std::vector<std::string> set;
+};
+int run_propagate(const PropagateOptions& options, AppContext& context);
+
 int run_inspect(const ConfigOptions& options, const std::string& frusta_path, AppContext& context);
 int run_capture(const ConfigOptions& options, const std::string& out, AppContext& context);
 int run_degrade(const ConfigOptions& options, const std::string& out, AppContext& context);

@@ -99,8 +99,8 @@ void describe(ParamVisitor& visit, ReportParams& p) {
 
 namespace {
 
-constexpr std::array<std::string_view, 10> kTopKeys{"scene",   "semantics", "rendering", "passes", "train",
-                                                    "runtime", "report",    "fuse",      "limits", "plugins"};
+constexpr std::array<std::string_view, 11> kTopKeys{"scene",  "semantics", "rendering", "passes", "train",  "runtime",
+                                                    "report", "fuse",      "propagate", "limits", "plugins"};
 
 // Calls `section(key path, params)` for every fixed section of `config`: the one list that reading, writing and
 // documenting share.
@@ -116,6 +116,7 @@ void each_section(Config& config, Fn&& section) {
   section("runtime", "device, threads, seed and exact savings", config.runtime);
   section("report", "what is measured and kept while training", config.report);
   section("fuse", "labels of several views combined by `semfield fuse`", config.fuse);
+  section("propagate", "labels spread over a run's surface by `semfield propagate`", config.propagate);
   section("limits", "how large inputs may be; what is larger is refused", config.limits);
 }
 
@@ -226,6 +227,7 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   validate_section(tree, "scene.load", config.load, diagnostics);
   validate_section(tree, "rendering", config.rendering, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);
+  validate_section(tree, "propagate", config.propagate, diagnostics);
   read_passes(tree, registry, config, diagnostics);
   config.load.contracted = config.rendering.outside == Outside::contracted;
   return config;

@@ -22,6 +22,7 @@
 #include "scene/frame_source.h"
 #include "scene/input_limits.h"
 #include "train/fusion_params.h"
+#include "train/propagation_params.h"
 
 namespace semfield {
 
@@ -162,6 +163,7 @@ struct RunConfig {
   RuntimeParams runtime;
   ReportParams report;
   FusionParams fuse;
+  PropagationParams propagate;
   InputLimits limits;
   std::vector<std::string> plugins;  ///< loaded modules, absolute paths
 };

@@ -15,11 +15,12 @@ namespace {
 
 // Sections ("report.") and single keys; see is_part_of_identity. Where data lie is no part of it, what they are is: a
 // checkpoint keeps that (checkpoint_facts.h).
-constexpr std::array<std::string_view, 18> kFree{"name",
+constexpr std::array<std::string_view, 19> kFree{"name",
                                                  "base_dir",
                                                  "plugins",
                                                  "report.",
                                                  "fuse.",
+                                                 "propagate.",
                                                  "limits.",
                                                  "train.steps",
                                                  "train.time_limit_s",
