@@ -194,14 +194,13 @@ void add_fuse(CLI::App& root, AppContext& context, Choice& choice) {
 }
 
 void add_propagate(CLI::App& root, AppContext& context, Choice& choice) {
-  auto options = std::make_shared<PropagateOptions>();
+  auto to = std::make_shared<PropagateOptions>();
   CLI::App* verb = root.add_subcommand("propagate", "spread training labels over the surface that a run has learned");
-  verb->add_option("run", options->run, "run folder")->required();
-  verb->add_option("--out", options->out, "folder to create")->required();
-  run_options(verb, options->set);
-  setting_option(verb, options->set, "--method", "propagate.method", "surface (diffusion) or vote (pooling)");
-  verb->callback(
-      [&context, &choice, options] { choice = [&context, options] { return run_propagate(*options, context); }; });
+  verb->add_option("run", to->run, "run folder")->required();
+  verb->add_option("--out", to->out, "folder to create")->required();
+  run_options(verb, to->set);
+  setting_option(verb, to->set, "--method", "propagate.method", "surface (diffusion) or vote (pooling)");
+  verb->callback([&context, &choice, to] { choice = [&context, to] { return run_propagate(*to, context); }; });
 }
 
 void add_label_verbs(CLI::App& root, AppContext& context, Choice& choice) {

@@ -18,7 +18,7 @@ namespace {
 using Matrix = Eigen::SparseMatrix<double>;
 using Solver = Eigen::ConjugateGradient<Matrix, Eigen::Lower | Eigen::Upper, Eigen::IncompleteCholesky<double>>;
 
-constexpr double kResidual = 1e-7;  // of the right side
+constexpr double kResidual = 1e-6;  // of the right side that votes of weight 1 give
 constexpr int kMostIterations = 20000;
 
 // Connected parts: the root of a node is the least node of its part.
@@ -124,7 +124,7 @@ Diffusion diffuse_votes(std::span<const GraphEdge> edges, std::span<const double
   const std::int64_t workers = std::min<std::int64_t>(thread_count(), std::ssize(asked));
   parallel_for(workers, [&](std::int64_t worker) {
     Solver solver;
-    solver.setTolerance(kResidual);
+    solver.setTolerance(kResidual / std::max(1.0, vote_weight));
     solver.setMaxIterations(kMostIterations);
     solver.compute(system.matrix);
     SEMFIELD_CHECK(solver.info() == Eigen::Success, "a Laplacian with votes is positive definite");

@@ -133,6 +133,7 @@ TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::stri
   metadata["classes"] = facts.classes;
   if (facts.scene) metadata["scene"] = manifest_text(*facts.scene);
   if (facts.inputs) metadata["inputs"] = inputs_text(*facts.inputs);
+  if (!facts.self_labels.empty()) metadata["self_labels"] = facts.self_labels;
   return metadata;
 }
 
@@ -153,6 +154,8 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step)
   facts.classes = text_of(file, "classes");
   facts.scene = read_manifest_text(file.metadata());
   facts.inputs = inputs_of(file);
+  if (const auto round = file.metadata().find("self_labels"); round != file.metadata().end())
+    facts.self_labels = round->second;
   return facts;
 }
 

@@ -29,6 +29,7 @@ struct CheckpointFacts {
   std::string classes;              ///< the class table as YAML; "" = none
   std::optional<KnownScene> scene;  ///< these two: not in checkpoints of earlier versions
   std::optional<SceneInputs> inputs;
+  std::string self_labels;  ///< the round of self-training whose labels train (train/self_training.h); "" = none
 };
 
 /// The metadata of a checkpoint, but for the checksums.

@@ -196,6 +196,47 @@ FinalEval parse_final_eval(std::string_view text, const std::string& name) {
   });
 }
 
+namespace {
+
+Json rounds_to_json(const std::vector<SelfTrainingRound>& rounds) {
+  Json out = Json::array();
+  for (const SelfTrainingRound& round : rounds) {
+    out.push_back({{"step", round.step},
+                   {"unlabelled_pixels", round.unlabelled_px},
+                   {"added_pixels", round.added_px},
+                   {"scored_pixels", round.scored_px},
+                   {"right_pixels", round.right_px},
+                   {"accuracy", number_json<Json>(round.accuracy())}});
+  }
+  return out;
+}
+
+std::vector<SelfTrainingRound> rounds_of(const Json& json) {
+  std::vector<SelfTrainingRound> rounds;
+  for (const Json& row : json) {
+    rounds.push_back({pixels_of(row.at("step")), pixels_of(row.at("unlabelled_pixels")),
+                      pixels_of(row.at("added_pixels")), pixels_of(row.at("scored_pixels")),
+                      pixels_of(row.at("right_pixels"))});
+  }
+  return rounds;
+}
+
+}  // namespace
+
+std::string SelfTrainingRound::text() const {
+  const double share = unlabelled_px > 0 ? static_cast<double>(added_px) / static_cast<double>(unlabelled_px) : 0;
+  std::string out = fmt::format("self-training at step {}: {} pixels labelled, {:.1f} % of those without a label", step,
+                                added_px, 100 * share);
+  if (accuracy()) out += fmt::format("; {:.1f} % of them as the scene's own labels say", 100 * *accuracy());
+  return out;
+}
+
+std::string rounds_json(const std::vector<SelfTrainingRound>& rounds) { return rounds_to_json(rounds).dump(); }
+
+std::vector<SelfTrainingRound> parse_rounds(std::string_view text, const std::string& name) {
+  return parse(text, name, rounds_of);
+}
+
 LabelCounts label_counts(const SceneManifest& manifest, const ClassTable& table,
                          std::vector<TrainingLabels::Step> steps) {
   LabelCounts counts;
@@ -226,6 +267,7 @@ std::string label_counts_json(const LabelCounts& counts) {
     for (const auto& [name, value] : step.facts) facts[name] = value;
     steps.push_back({{"type", step.type}, {"facts", std::move(facts)}});
   }
+  if (!counts.rounds.empty()) out["self_training"] = rounds_to_json(counts.rounds);
   return out.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
@@ -244,6 +286,7 @@ LabelCounts parse_label_counts(std::string_view text, const std::string& name) {
       step.type = row.at("type").get<std::string>();
       for (const auto& [fact, value] : row.at("facts").items()) step.facts.emplace_back(fact, value.get<std::string>());
     }
+    counts.rounds = rounds_of(json.value("self_training", Json::array()));
     return counts;
   });
 }

@@ -57,6 +57,24 @@ std::string final_eval_json(const FinalEval& eval);
 /// Throws Error(data) naming `name` for what final_eval_json does not write.
 FinalEval parse_final_eval(std::string_view json, const std::string& name);
 
+/// What a round of self-training did (train/self_training.h).
+struct SelfTrainingRound {
+  std::int64_t step = 0;
+  std::int64_t unlabelled_px = 0;            ///< training pixels without a label of their own
+  std::int64_t added_px = 0;                 ///< of those, labelled by the round
+  std::int64_t scored_px = 0, right_px = 0;  ///< of those, with a true label, and with the same one
+  std::optional<double> accuracy() const {
+    if (scored_px == 0) return std::nullopt;
+    return static_cast<double>(right_px) / static_cast<double>(scored_px);
+  }
+  /// "self-training at step 1500: 1200 pixels labelled, 40.0 % of those without a label; ..."
+  std::string text() const;
+  bool operator==(const SelfTrainingRound&) const = default;
+};
+/// A list of objects, as in labels.json.
+std::string rounds_json(const std::vector<SelfTrainingRound>& rounds);
+std::vector<SelfTrainingRound> parse_rounds(std::string_view json, const std::string& name);
+
 /// Labels that trained a run.
 struct LabelCounts {
   std::int64_t train_frames = 0, labelled_frames = 0;
@@ -68,6 +86,7 @@ struct LabelCounts {
   };
   std::vector<Class> classes;               ///< every class that is not ignored, by ascending id
   std::vector<TrainingLabels::Step> steps;  ///< what was done to the labels, in order; counts are of what came out
+  std::vector<SelfTrainingRound> rounds{};  ///< of self-training; `labelled_px` and `classes` leave them out
 };
 
 LabelCounts label_counts(const SceneManifest& manifest, const ClassTable& classes,

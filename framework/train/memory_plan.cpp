@@ -10,6 +10,7 @@
 #include "core/memory_limit.h"
 #include "core/parallel.h"
 #include "core/words.h"
+#include "train/self_training.h"
 
 namespace semfield {
 
@@ -113,6 +114,7 @@ MemoryFacts downscaled(MemoryFacts facts, std::int64_t d) {
   facts.loaded -= std::min(saved, facts.loaded);
   facts.loading -= std::min(saved, facts.loading);
   facts.pixels /= area;
+  facts.train_pixels /= static_cast<std::int64_t>(area);
   return facts;
 }
 
@@ -154,6 +156,14 @@ MemoryPlan plan_memory(const RunConfig& config, const MemoryFacts& facts, const 
       {"checkpoint: written, then read back", network.tensors.stored},
       {"report", maps + shown * facts.pixels * kPictureBytes},
   };
+  if (!config.self_training.at.empty()) {
+    // The labels of one round, and those of the next while it is made: in a frame as read, as maps, and as a file that
+    // is read back.
+    const std::size_t labels = self_label_bytes(facts.train_pixels, facts.classes);
+    plan.held.push_back({"labels of self-training", labels});
+    plan.turns.push_back({"round of self-training",
+                          4 * labels + facts.pixels * (kMapBytes + sizeof(std::int16_t)) + kRenderRays * kRayBytes});
+  }
   plan.loading = facts.loading;
   return plan;
 }

@@ -23,6 +23,8 @@ struct MemoryFacts {
   std::size_t loaded = 0;   ///< resident with the scene
   std::size_t loading = 0;  ///< peak while it was read
   std::size_t pixels = 0;   ///< of the largest frame
+  std::int64_t train_pixels = 0;
+  int classes = 0;
 };
 
 /// The peak is that of loading, or what is held plus the largest of the things that take turns.

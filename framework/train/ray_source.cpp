@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "core/check.h"
 #include "core/error.h"
 #include "core/parallel.h"
 #include "core/rng.h"
@@ -66,9 +67,10 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
 }
 
 void RaySource::index_labels() {
-  block_offsets_.push_back(0);
+  block_offsets_.assign(1, 0);
   for (std::size_t f = 0; f < frames_.size(); ++f) {
-    const std::int64_t pixels = frames_[f].labels != nullptr ? offsets_[f + 1] - offsets_[f] : 0;
+    const std::int64_t pixels =
+        frames_[f].labels != nullptr || frames_[f].added != nullptr ? offsets_[f + 1] - offsets_[f] : 0;
     block_offsets_.push_back(block_offsets_.back() + static_cast<std::size_t>((pixels + kBlock - 1) / kBlock));
   }
   ranks_before_.assign(block_offsets_.back() + 1, 0);
@@ -128,10 +130,21 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
   return locate(static_cast<std::int64_t>(uniform_below(address, index, static_cast<std::uint64_t>(offsets_.back()))));
 }
 
-std::int16_t RaySource::label_of(const Pixel& pixel) const {
+void RaySource::add_labels(const std::vector<LabelMap>& labels) {
+  SEMFIELD_CHECK(labels.size() == frames_.size(), "a map of labels a frame");
+  for (std::size_t f = 0; f < frames_.size(); ++f) frames_[f].added = labels[f].empty() ? nullptr : &labels[f];
+  if (options_.kind == RaySourceKind::label_balanced) index_labels();
+}
+
+std::int16_t RaySource::class_of(const Pixel& pixel) const {
   const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
-  if (frame.labels == nullptr || frame.labels->empty()) return kVoid;
-  const std::int16_t cls = (*frame.labels)[static_cast<std::size_t>(pixel.index)];
+  const auto index = static_cast<std::size_t>(pixel.index);
+  const std::int16_t own = frame.labels == nullptr || frame.labels->empty() ? kVoid : (*frame.labels)[index];
+  return own == kVoid && frame.added != nullptr ? (*frame.added)[index] : own;
+}
+
+std::int16_t RaySource::label_of(const Pixel& pixel) const {
+  const std::int16_t cls = class_of(pixel);
   if (cls == kVoid || logit_of_class_.empty()) return kVoid;
   if (cls < 0 || static_cast<std::size_t>(cls) >= logit_of_class_.size()) {
     throw Error(ErrorKind::data,
@@ -165,15 +178,15 @@ void RaySource::soft_label_of(const Pixel& pixel, std::span<float> out) const {
   std::fill(out.begin(), out.end(), 0.0F);
   const std::int16_t label = label_of(pixel);
   if (label == kVoid) return;
-  const TrainingLabels::Frame& labels = *frames_[static_cast<std::size_t>(pixel.frame)].labels;
-  if (labels.soft.empty()) {
+  const TrainingLabels::Frame* labels = frames_[static_cast<std::size_t>(pixel.frame)].labels;
+  const auto index = static_cast<std::size_t>(pixel.index);
+  if (labels == nullptr || labels->soft.empty() || !labels->soft.labelled(index)) {  // hard, or added
     out[static_cast<std::size_t>(label)] = 1;
     return;
   }
   for (std::size_t c = 0; c < logit_of_class_.size(); ++c) {
     if (logit_of_class_[c] == kVoid) continue;
-    out[static_cast<std::size_t>(logit_of_class_[c])] =
-        labels.soft.at(static_cast<std::size_t>(pixel.index), static_cast<int>(c));
+    out[static_cast<std::size_t>(logit_of_class_[c])] = labels->soft.at(index, static_cast<int>(c));
   }
 }
 

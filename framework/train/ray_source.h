@@ -19,6 +19,7 @@ struct TrainFrame {
   const StoredFrame* pixels = nullptr;
   const TrainingLabels::Frame* labels = nullptr;  ///< borrowed; null: unlabelled
   std::string name = {};                          ///< for messages
+  const LabelMap* added = nullptr;                ///< borrowed; hard labels of pixels that `labels` has none of
 };
 
 /// A training pixel: frame by its place in the training split, row * width + column.
@@ -69,6 +70,10 @@ class RaySource {
   /// frame, pixel and value.
   void fill(std::int64_t step, BatchBuffers& batch) const;
 
+  /// Labels for pixels that have none of their own, one map a frame in the order of the frames, borrowed; they take the
+  /// place of those given before. A label that is no class is refused where it is met.
+  void add_labels(const std::vector<LabelMap>& labels);
+
   std::int64_t pixel_count() const { return offsets_.back(); }
   /// Frame and pixel of ray i of a step, before the tile's reordering; for messages and tests.
   using Pixel = TrainPixel;
@@ -78,6 +83,8 @@ class RaySource {
 
  private:
   Pixel locate(std::int64_t global) const;
+  /// A pixel's class, its own or an added one; kVoid without both.
+  std::int16_t class_of(const Pixel& pixel) const;
   /// The label's logit. Throws Error(data) naming frame, pixel and value for a label that is no class.
   std::int16_t label_of(const Pixel& pixel) const;
   std::string place_of(const Pixel& pixel) const;

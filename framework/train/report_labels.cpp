@@ -73,6 +73,17 @@ std::string step_facts(const ReportInput& input) {
   return out;
 }
 
+// A paragraph a round of self-training.
+std::string round_facts(const ReportInput& input) {
+  std::string out;
+  for (const ReportRun& run : input.runs) {
+    if (!run.labels) continue;
+    for (const SelfTrainingRound& round : run.labels->rounds)
+      out += fmt::format("<p class=\"hint after\">{}, {}.</p>\n", html_escape(run.name), html_escape(round.text()));
+  }
+  return out;
+}
+
 struct Column {
   const char *head, *hint;
   std::string split, key;
@@ -113,7 +124,7 @@ std::string table(const ReportInput& input, const std::string& split) {
     for (const Column& column : columns) body += value_cell(last_value(run, column.split, column.key), 4, false);
     body += "</tr>\n";
   }
-  return table_panel("Labels of each run", head + "</tr>", body) + step_facts(input);
+  return table_panel("Labels of each run", head + "</tr>", body) + step_facts(input) + round_facts(input);
 }
 
 }  // namespace

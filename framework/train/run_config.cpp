@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <functional>
 
 #include "config/compose.h"
 #include "plugin/loader.h"
@@ -50,6 +51,21 @@ void describe(ParamVisitor& visit, TrainParams& p) {
   SEMFIELD_PARAM(visit, p, rays, "rays a step", {1, 1 << 20});
   SEMFIELD_PARAM(visit, p, ray_source, "where a step's rays come from");
   SEMFIELD_PARAM(visit, p, labelled_share, "share of rays from labelled pixels, for label_balanced", {0, 1});
+}
+
+void describe(ParamVisitor& visit, SelfTrainingParams& p) {
+  SEMFIELD_PARAM(visit, p, at,
+                 "shares of train.steps, ascending, at which the field labels the training pixels that it is sure of; "
+                 "empty: never",
+                 {1e-6, 0.999999});
+  SEMFIELD_PARAM(visit, p, confidence, "least probability of a pixel's most probable class that becomes its label",
+                 {0, 1});
+  SEMFIELD_PARAM(visit, p, min_opacity, "opacity of a rendered pixel below which it gets no label", {0, 1});
+}
+
+void validate(const SelfTrainingParams& p, Diagnostics& diagnostics) {
+  if (std::is_sorted(p.at.begin(), p.at.end(), std::less_equal<>())) return;
+  diagnostics.error("train.self_training.at", "the shares do not ascend", "write the smallest first, each once");
 }
 
 void describe(ParamVisitor& visit, RuntimeParams& p) {
@@ -113,6 +129,7 @@ void each_section(Config& config, Fn&& section) {
   section("train", "length and batches of the run", config.train);
   section("train.adam", "optimiser [Kingma15]", config.adam);
   section("train.schedule", "learning rate over the steps", config.schedule);
+  section("train.self_training", "labels that the field gives to unlabelled training pixels", config.self_training);
   section("runtime", "device, threads, seed and exact savings", config.runtime);
   section("report", "what is measured and kept while training", config.report);
   section("fuse", "labels of several views combined by `semfield fuse`", config.fuse);
@@ -122,7 +139,7 @@ void each_section(Config& config, Fn&& section) {
 
 // Sub-sections of a section, which are keys of its map but no parameters.
 std::vector<std::string> nested_keys(std::string_view path) {
-  if (path == "train") return {"adam", "schedule"};
+  if (path == "train") return {"adam", "schedule", "self_training"};
   if (path == "scene.labels") return {"from", "degrade"};
   return {};
 }
@@ -226,6 +243,7 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   validate_section(tree, "scene.labels", config.labels.selection, diagnostics);
   validate_section(tree, "scene.load", config.load, diagnostics);
   validate_section(tree, "rendering", config.rendering, diagnostics);
+  validate_section(tree, "train.self_training", config.self_training, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);
   validate_section(tree, "propagate", config.propagate, diagnostics);
   read_passes(tree, registry, config, diagnostics);

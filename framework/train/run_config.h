@@ -72,6 +72,15 @@ struct TrainParams {
 };
 void describe(ParamVisitor& visit, TrainParams& params);
 
+/// Rounds of self-training (train/self_training.h).
+struct SelfTrainingParams {
+  std::vector<double> at;
+  double confidence = 0.9;
+  double min_opacity = 0.5;
+};
+void describe(ParamVisitor& visit, SelfTrainingParams& params);
+void validate(const SelfTrainingParams& params, Diagnostics& diagnostics);
+
 enum class DeviceChoice : std::uint8_t { automatic, cpu, cuda };
 template <>
 struct ChoiceNames<DeviceChoice> {
@@ -158,6 +167,7 @@ struct RunConfig {
   RenderingParams rendering;
   std::vector<PassConfig> passes;
   TrainParams train;
+  SelfTrainingParams self_training;
   AdamParams adam;
   ScheduleParams schedule;
   RuntimeParams runtime;

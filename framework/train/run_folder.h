@@ -14,6 +14,7 @@ namespace semfield {
 /// Layout (all paths relative to the folder, which may be moved as a whole):
 ///   run.yaml  classes.yaml  metrics.jsonl  events.out.tfevents.*  environment.json  left_out.json  labels.json
 ///   final_eval.json  worst_frames.json  report.html  .lock
+///   self_labels/round_00010000.safetensors (runs with self-training)
 ///   checkpoints/step_00020000.safetensors + latest    render/<split>/<frame>_{rgb,label,label_vis,depth,entropy}.*
 class RunFolder {
  public:
@@ -36,6 +37,7 @@ class RunFolder {
   std::string worst_frames_path() const { return in("worst_frames.json"); }
   std::string report_path() const { return in("report.html"); }
   std::string checkpoints_path() const { return in("checkpoints"); }
+  std::string self_labels_path() const { return in("self_labels"); }
   /// "render/test/0017_depth.png"; creates the folders. Slashes in a frame's name become '_'.
   std::string render_path(std::string_view split, std::string_view frame, std::string_view kind,
                           std::string_view extension = "png") const;

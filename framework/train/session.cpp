@@ -117,6 +117,8 @@ void measure_scene(Session& s) {
         std::max(facts.pixels, static_cast<std::size_t>(frame.width_px) * static_cast<std::size_t>(frame.height_px));
   }
   for (const TrainingLabels::Frame& frame : s.labels.frames) facts.frames += frame.bytes();
+  facts.train_pixels = s.manifest.train_pixels;
+  facts.classes = s.classes();
 }
 
 }  // namespace
@@ -236,6 +238,10 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
     diagnostics.note("runtime.precision",
                      "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
   }
+  if (options.trainable && !s.plan.semantics && !s.config.self_training.at.empty()) {
+    diagnostics.warning("train.self_training", "there are no labels to begin with, so no round gives any",
+                        "give the scene labels, or set train.self_training.at to []");
+  }
   if (options.build) build_session(s, registry, options, device);
   return s;
 }
@@ -258,11 +264,17 @@ std::vector<std::int16_t> Session::logit_of_class() const {
   return logit;
 }
 
+std::vector<int> Session::drawn_frames() const {
+  std::vector<int> drawn = scene.frames_of(Split::train);
+  std::erase_if(drawn, [&](int f) { return scene.frames[static_cast<std::size_t>(f)].rgb.empty(); });
+  return drawn;
+}
+
 std::unique_ptr<RaySource> Session::make_ray_source() const {
   std::vector<TrainFrame> frames;
-  for (std::size_t f = 0; f < scene.frames.size(); ++f) {
+  for (const int index : drawn_frames()) {
+    const auto f = static_cast<std::size_t>(index);
     const FrameInfo& info = scene.info.frames[f];
-    if (info.split != Split::train || scene.frames[f].rgb.empty()) continue;
     frames.push_back(
         {{info.camera, info.world_from_camera, plan.undistortion}, &scene.frames[f], &labels.frames[f], info.name});
   }

@@ -36,6 +36,8 @@ struct Session {
   EvalJob eval_job(std::vector<int> frames) const;
   /// Inverse of plan.class_of_logit, kVoid for absent classes.
   std::vector<std::int16_t> logit_of_class() const;
+  /// Training frames with pixels: those of the ray source, in its order.
+  std::vector<int> drawn_frames() const;
   std::unique_ptr<RaySource> make_ray_source() const;
 };
 

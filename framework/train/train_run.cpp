@@ -23,6 +23,7 @@
 #include "train/run_identity.h"
 #include "train/run_report.h"
 #include "train/run_resume.h"
+#include "train/self_training.h"
 #include "train/trainer.h"
 
 namespace semfield {
@@ -53,11 +54,10 @@ class Run {
     if (!session_.scene.info.classes.empty())
       write_file_atomic(folder_.classes_path(), session_.scene.info.classes.to_yaml());
     write_left_out();
-    write_file_atomic(
-        folder_.labels_path(),
-        label_counts_json(label_counts(session_.manifest, session_.scene.info.classes, session_.labels.steps)));
     write_environment(registry);
     rays_ = session_.make_ray_source();
+    self_training_.emplace(session_, *rays_, folder_.self_labels_path());
+    write_labels();
     trainer_ = std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule,
                                          session_.device.get());
   }
@@ -66,6 +66,8 @@ class Run {
   void go_on() {
     for (const ConfigDifference& change : point_.changed)
       note(fmt::format("from step {} on: {}", point_.step(), change.text()));
+    self_training_->resume(point_.step(), point_.facts ? point_.facts->self_labels : std::string());
+    write_labels();
     if (!point_.facts) {
       note("no checkpoint yet: starting from step 0");
       return;
@@ -112,6 +114,7 @@ class Run {
     if (hooks_.stop_waits) hooks_.stop_waits(true);
     while (trainer_->step() < config.train.steps &&
            (config.train.time_limit_s <= 0 || train_s_ < config.train.time_limit_s)) {
+      if (self_training_->due(trainer_->step()) && !make_round()) break;
       const Clock::time_point start = Clock::now();
       const std::span<const StepLosses> steps = trainer_->advance_many(steps_until_row());
       const double spent_s = seconds_since(start), step_s = spent_s / static_cast<double>(steps.size());
@@ -181,10 +184,29 @@ class Run {
     if (hooks_.note) hooks_.note(text);
   }
 
-  // Steps to the next row of the log, or to the end.
+  // Steps to the next row of the log, the next round of self-training, or the end.
   std::int64_t steps_until_row() const {
     const std::int64_t step = trainer_->step(), every = session_.config.report.log_every_steps;
-    return std::min(every - step % every, session_.config.train.steps - step);
+    return self_training_->steps_until_due(step, std::min(every - step % every, session_.config.train.steps - step));
+  }
+
+  // What it takes is training. False: a stop was asked for, and the round waits for the resume.
+  bool make_round() {
+    const Clock::time_point start = Clock::now();
+    const SelfTraining::Hooks hooks{hooks_.scoring, [&] { return hooks_.stop_signal && hooks_.stop_signal() != 0; }};
+    if (!self_training_->make_round(trainer_->step(), hooks)) return false;
+    const double spent_s = seconds_since(start);
+    train_s_ += spent_s;
+    window_start_s_ += spent_s;
+    note(self_training_->rounds().back().text());
+    write_labels();
+    return true;
+  }
+
+  void write_labels() const {
+    LabelCounts counts = label_counts(session_.manifest, session_.scene.info.classes, session_.labels.steps);
+    counts.rounds = self_training_->rounds();
+    write_file_atomic(folder_.labels_path(), label_counts_json(counts));
   }
 
   void save() {
@@ -199,6 +221,7 @@ class Run {
     facts.classes = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
     facts.scene = {session_.manifest, session_.scene.pixel_footprint_m};
     facts.inputs = inputs_;
+    facts.self_labels = self_training_->named();
     checkpoints_.save(facts.step, trainer_->state(), checkpoint_metadata(facts, identity_hash(session_.config)));
     saved_step_ = trainer_->step();
     last_checkpoint_ = Clock::now();
@@ -293,6 +316,7 @@ class Run {
   ResumePoint point_;
   SceneInputs inputs_;
   std::unique_ptr<RaySource> rays_;
+  std::optional<SelfTraining> self_training_;
   std::unique_ptr<Trainer> trainer_;
   MetricsLog* log_ = nullptr;
   EventWriter* events_ = nullptr;

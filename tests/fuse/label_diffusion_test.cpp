@@ -5,6 +5,7 @@
 
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
+#include <cmath>
 
 #include "core/parallel.h"
 #include "core/rng.h"
@@ -51,7 +52,7 @@ TEST(LabelDiffusion, AChainByHand) {
 
 TEST(LabelDiffusion, AgreesWithADirectFactorisation) {
   const Graph graph;
-  for (const double weight : {0.01, 1.0, 100.0}) {
+  for (const double weight : {0.01, 1.0, 1e4}) {
     std::vector<Eigen::Triplet<double>> entries;
     Eigen::MatrixXd right = Eigen::MatrixXd::Zero(graph.nodes, graph.classes);
     for (const GraphEdge& e : graph.edges) {
@@ -75,7 +76,7 @@ TEST(LabelDiffusion, AgreesWithADirectFactorisation) {
       float sum = 0;
       for (int c = 0; c < graph.classes; ++c) {
         const float p = out.probability[static_cast<std::size_t>(n * graph.classes + c)];
-        ASSERT_NEAR(p, exact(n, c), 1e-4) << "node " << n << ", class " << c << ", weight " << weight;
+        ASSERT_NEAR(p, exact(n, c), 2e-4) << "node " << n << ", class " << c << ", weight " << weight;
         sum += p;
       }
       ASSERT_NEAR(sum, 1, 1e-6);

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -32,6 +33,13 @@ TEST(SurfaceCells, TouchingCellsAreNeighboursOnce) {
     pairs.emplace_back(std::min(pair.a, pair.b), std::max(pair.a, pair.b));
   std::sort(pairs.begin(), pairs.end());
   EXPECT_EQ(pairs, (std::vector<std::pair<int, int>>{{0, 1}, {0, 2}, {1, 3}}));
+}
+
+TEST(SurfaceCells, ABlockHasEveryPair) {
+  SurfaceCells cells(1);
+  for (int i = 0; i < 27; ++i) cells.add({i / 9 + 0.5, i / 3 % 3 + 0.5, i % 3 + 0.5});
+  // Of 3 x 3 x 3 cells: 3 directions with 2 x 9 pairs each, 6 with 2 x 2 x 3, 4 with 2 x 2 x 2.
+  EXPECT_EQ(cells.neighbours().size(), 54u + 72u + 32u);
 }
 
 TEST(SurfaceCells, NormalsOfTheAnalyticRoom) {

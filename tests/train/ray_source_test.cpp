@@ -266,5 +266,66 @@ TEST(RaySource, SoftLabelsComeAsRowsOverLogits) {
   EXPECT_GT(hard_rows, 10);
 }
 
+TEST(RaySource, AddedLabelsServePixelsWithoutTheirOwn) {
+  Fixture f;
+  RaySourceOptions options;
+  options.kind = RaySourceKind::label_balanced;
+  options.labelled_share = 1;
+  options.rays = 256;
+  RaySource source = f.make(options);
+  std::vector<std::int16_t> a(32, kVoid), b(32, kVoid);
+  a[5] = 0;  // has its own label, 1, which stays
+  a[7] = 1;
+  b[3] = 0;
+  const auto drawn = [&] {
+    BatchBuffers batch;
+    source.fill(0, batch);
+    std::set<std::array<int, 3>> seen;
+    for (const BatchBuffers::Choice& c : batch.choices) seen.insert({c.pixel.frame, c.pixel.index, c.label});
+    return seen;
+  };
+  using Seen = std::set<std::array<int, 3>>;
+  EXPECT_EQ(drawn(), (Seen{{0, 5, 1}}));
+  const std::vector<LabelMap> first{LabelMap(a), LabelMap(b)};
+  source.add_labels(first);
+  EXPECT_EQ(drawn(), (Seen{{0, 5, 1}, {0, 7, 1}, {1, 3, 0}}));
+  const std::vector<LabelMap> second{LabelMap(), LabelMap(b)};
+  source.add_labels(second);
+  EXPECT_EQ(drawn(), (Seen{{0, 5, 1}, {1, 3, 0}})) << "the later ones replace the earlier";
+}
+
+TEST(RaySource, AddedLabelsBesideSoftOnesAreSure) {
+  Fixture f;
+  RaySourceOptions options;
+  options.kind = RaySourceKind::label_balanced;
+  options.labelled_share = 1;
+  options.rays = 64;
+  (void)f.make(options);
+  f.labels_a.hard = {};
+  f.labels_a.soft = SoftMap(32, 2);
+  f.labels_a.soft.set_row(5, std::array<float, 2>{0.25F, 0.5F});
+  RayCamera camera;
+  camera.camera.width_px = 8;
+  camera.camera.height_px = 4;
+  camera.camera.fx = camera.camera.fy = 4;
+  RaySource source({{camera, &f.stored_a, &f.labels_a}, {camera, &f.stored_b, nullptr}}, {0, 1}, f.limits, options);
+  std::vector<std::int16_t> a(32, kVoid), b(32, kVoid);
+  a[7] = b[3] = 0;  // beside the soft label, and in a frame without labels
+  const std::vector<LabelMap> added{LabelMap(a), LabelMap(b)};
+  source.add_labels(added);
+  BatchBuffers batch;
+  source.fill(0, batch);
+  ASSERT_EQ(batch.soft_classes, 2);
+  int sure = 0;
+  for (std::size_t ray = 0; ray < 64; ++ray) {  // all are labelled, so rows keep the order of rays
+    const TrainPixel pixel = batch.choices[ray].pixel;
+    const bool own = pixel.frame == 0 && pixel.index == 5;
+    EXPECT_EQ(batch.soft[2 * ray], own ? 0.25F : 1);
+    EXPECT_EQ(batch.soft[2 * ray + 1], own ? 0.5F : 0);
+    sure += pixel.index == 7 ? 1 : 0;
+  }
+  EXPECT_GT(sure, 0);
+}
+
 }  // namespace
 }  // namespace semfield

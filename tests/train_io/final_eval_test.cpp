@@ -150,6 +150,16 @@ TEST(LabelCounts, AreSummedFromTheManifestAndComeBack) {
   EXPECT_EQ(parse_label_counts(json, "labels.json").steps[0].facts, counts.steps[0].facts);
   EXPECT_THROW((void)parse_label_counts("{\"train_frames\": -1}", "labels.json"), Error);
   EXPECT_THROW((void)parse_label_counts("[]", "labels.json"), Error);
+  LabelCounts with_rounds = counts;
+  with_rounds.rounds = {{30, 400, 300, 0, 0}, {45, 400, 350, 200, 150}};
+  const LabelCounts back = parse_label_counts(label_counts_json(with_rounds), "labels.json");
+  EXPECT_EQ(back.rounds, with_rounds.rounds);
+  EXPECT_FALSE(back.rounds[0].accuracy());
+  EXPECT_EQ(back.rounds[1].text(),
+            "self-training at step 45: 350 pixels labelled, 87.5 % of those without a label; 75.0 % of them as the "
+            "scene's own labels say");
+  EXPECT_EQ(json.find("self_training"), std::string::npos);
+  EXPECT_THROW((void)parse_rounds("[{\"step\": -1}]", "labels.json"), Error);
 }
 
 }  // namespace
