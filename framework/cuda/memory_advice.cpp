@@ -22,6 +22,7 @@ RayBatch first_rays(const RayBatch& batch, std::int64_t rays) {
   out.target = first(batch.target);
   if (!batch.label.empty()) out.label = first(batch.label);
   if (!batch.soft.empty()) out.soft = first(batch.soft);
+  out.label_only_share = batch.label_only_share;
   return out;
 }
 

@@ -10,6 +10,7 @@
 #include "cuda/calls.h"
 #include "cuda/device.h"
 #include "cuda/kernel_tables.h"
+#include "cuda/layers.h"
 #include "model/ray_guard.h"
 
 namespace semfield::cuda {
@@ -122,8 +123,7 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
     SEMFIELD_CHECK(queued_.empty(), "batches of one size are queued together");
     forget_graphs();
     shapes_.clear();
-    staging_ = std::make_unique<Staging>(kSlots, batch.origin.rows, !batch.label.empty(),
-                                         batch.soft.empty() ? 0 : batch.soft.cols);
+    staging_ = std::make_unique<Staging>(kSlots, batch);
   }
   const LaunchScope scope(step_launch());
   StepCell cell;
@@ -163,7 +163,7 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
     }
   }
   staging_->fetch(slot);
-  queued_.push_back({step, cell.semantic_normaliser, rays});
+  queued_.push_back({step, cell.semantic_normaliser, color_normaliser(batch)});
 }
 
 void DevicePipeline::run(Shape& shape, std::int64_t step) {
@@ -210,6 +210,7 @@ void DevicePipeline::train_passes(const Shape& shape, const RayBatch& batch, con
   StepContext ctx = step_ctx;
   Workspace& arena = *ctx.workspace;
   const std::int64_t ray_count = batch.origin.rows;
+  const std::int64_t first_color = label_only_rays(batch.label_only_share, 0, ray_count);
   const Rays<float> rays{batch.origin, batch.direction, batch.near_far};
   Proposal<float> proposal;
   Trace previous;
@@ -228,7 +229,10 @@ void DevicePipeline::train_passes(const Shape& shape, const RayBatch& batch, con
       pass.branch_backward(branch_ctx, trace, semantic_gradient(beside_arena_, trace, batch, sums));
     }
     const View<float> d_color = arena.take<float>(ray_count, 3);
-    photometric_loss(arena, trace.color, batch.target, static_cast<double>(3 * ray_count), d_color, sums);
+    if (first_color > 0) fill(d_color.row_range(0, first_color), 0.0F);
+    const auto colored = [&](auto view) { return view.row_range(first_color, ray_count - first_color); };
+    photometric_loss(arena, colored(View<const float>(trace.color)), colored(batch.target), color_normaliser(batch),
+                     colored(d_color), sums);
     count_samples(trace.samples.first, trace.sigma, sums);
     View<float> d_logits;
     if (trace.semantic_rays > 0 && !branched) d_logits = semantic_gradient(arena, trace, batch, sums);
@@ -283,7 +287,7 @@ StepLosses DevicePipeline::losses_of(const StepSums& sums, double normaliser) co
     out.correct = pass.correct;
     if (pass.dense != 0) out.dense_passes |= 1U << p;
   }
-  const auto values = static_cast<double>(std::max<std::int64_t>(1, 3 * queued_.front().rays));
+  const double values = queued_.front().color_normaliser;
   out.color /= values;
   out.mse /= values;
   out.semantic = normaliser > 0 ? out.semantic / normaliser : 0;

@@ -82,8 +82,7 @@ class DevicePipeline final : public DeviceBackend {
   std::vector<Shape> shapes_;
   struct Queued {
     std::int64_t step;
-    double normaliser;
-    std::int64_t rays;
+    double normaliser, color_normaliser;
   };
   std::vector<Queued> queued_;
 };

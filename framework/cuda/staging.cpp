@@ -25,24 +25,29 @@ void put(std::byte* to, View<const T> from) {
   std::memcpy(to, from.data, static_cast<std::size_t>(from.size()) * sizeof(T));
 }
 
+std::int32_t soft_classes_of(const RayBatch& batch) { return batch.soft.empty() ? 0 : batch.soft.cols; }
+
 }  // namespace
 
-Staging::Staging(int slots, std::int64_t rays, bool has_labels, std::int32_t soft_classes)
-    : rays_(rays), has_labels_(has_labels), soft_classes_(soft_classes) {
+Staging::Staging(int slots, const RayBatch& like)
+    : rays_(like.origin.rows),
+      has_labels_(!like.label.empty()),
+      soft_classes_(soft_classes_of(like)),
+      label_only_share_(like.label_only_share) {
   std::size_t end = 0;
   const auto place = [&end](std::size_t bytes) {
     const std::size_t begin = end;
     end += (bytes + kAlign - 1) / kAlign * kAlign;
     return begin;
   };
-  const auto n = static_cast<std::size_t>(rays);
+  const auto n = static_cast<std::size_t>(rays_);
   place(sizeof(StepCell));
   at_.origin = place(3 * n * sizeof(double));
   at_.direction = place(3 * n * sizeof(double));
   at_.near_far = place(2 * n * sizeof(double));
   at_.target = place(3 * n * sizeof(float));
-  at_.label = place(has_labels ? n * sizeof(std::int16_t) : 0);
-  at_.soft = place(n * static_cast<std::size_t>(soft_classes) * sizeof(float));
+  at_.label = place(has_labels_ ? n * sizeof(std::int16_t) : 0);
+  at_.soft = place(n * static_cast<std::size_t>(soft_classes_) * sizeof(float));
   at_.total = end;
   host_ = pinned<std::byte>(static_cast<std::size_t>(slots) * at_.total, "pinned memory of batches");
   host_sums_ = pinned<StepSums>(static_cast<std::size_t>(slots), "pinned memory of sums");
@@ -57,8 +62,8 @@ Staging::~Staging() {
 }
 
 bool Staging::fits(const RayBatch& batch) const {
-  return batch.origin.rows == rays_ && batch.label.empty() != has_labels_ &&
-         (batch.soft.empty() ? 0 : batch.soft.cols) == soft_classes_;
+  return batch.origin.rows == rays_ && batch.label.empty() != has_labels_ && soft_classes_of(batch) == soft_classes_ &&
+         batch.label_only_share == label_only_share_;
 }
 
 void Staging::send(int slot, const StepCell& cell, const RayBatch& batch) {
@@ -90,6 +95,7 @@ RayBatch Staging::batch() const {
   out.target = view(at_.target, 3, static_cast<float*>(nullptr));
   if (has_labels_) out.label = view(at_.label, 1, static_cast<std::int16_t*>(nullptr));
   if (soft_classes_ > 0) out.soft = view(at_.soft, soft_classes_, static_cast<float*>(nullptr));
+  out.label_only_share = label_only_share_;
   return out;
 }
 

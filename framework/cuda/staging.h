@@ -22,8 +22,8 @@ struct StepSums {
 /// A batch of a step in one block: StepCell, then the rays.
 class Staging {
  public:
-  /// soft_classes 0: labels are hard; has_labels false: there are none.
-  Staging(int slots, std::int64_t rays, bool has_labels, std::int32_t soft_classes);
+  /// For batches of the shape of `like`.
+  Staging(int slots, const RayBatch& like);
   ~Staging();
   Staging(const Staging&) = delete;
   Staging& operator=(const Staging&) = delete;
@@ -49,6 +49,7 @@ class Staging {
   std::int64_t rays_;
   bool has_labels_;
   std::int32_t soft_classes_;
+  double label_only_share_;
   Layout at_;
   std::byte* host_ = nullptr;  // [slots, at_.total]
   StepSums* host_sums_ = nullptr;

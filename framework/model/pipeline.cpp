@@ -28,6 +28,16 @@ bool any_density(const PassTrace<Real>& trace) {
 
 }  // namespace
 
+std::int64_t label_only_rays(double share, std::int64_t begin, std::int64_t end) {
+  return static_cast<std::int64_t>(std::floor(static_cast<double>(end) * share)) -
+         static_cast<std::int64_t>(std::floor(static_cast<double>(begin) * share));
+}
+
+double color_normaliser(const RayBatch& batch) {
+  const std::int64_t rays = batch.origin.rows - label_only_rays(batch.label_only_share, 0, batch.origin.rows);
+  return static_cast<double>(std::max<std::int64_t>(1, 3 * rays));
+}
+
 template <class Real>
 Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
     : options_(std::move(options)), store_(options_.seed, options_.lanes, trainable) {
@@ -113,7 +123,7 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
     sum.correct += tile.correct;
     sum.dense_passes |= tile.dense_passes;
   }
-  const auto values = static_cast<double>(std::max<std::int64_t>(1, 3 * rays));  // a batch without rays has loss 0
+  const double values = color_normaliser(batch);
   sum.color /= values;
   sum.mse /= values;
   sum.semantic = normaliser > 0 ? sum.semantic / normaliser : 0;
@@ -145,7 +155,12 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
       options_.class_weight.empty()
           ? View<const float>()
           : View<const float>(options_.class_weight.data(), 1, static_cast<std::int32_t>(options_.class_weight.size()));
-  const std::int64_t all_rays = batch.origin.rows;
+  // The tile of the batch that holds these rays begins with the rays that are there for their labels.
+  const std::int64_t tile_begin = begin / tile_rays_ * tile_rays_;
+  const std::int64_t tile_end = std::min(tile_begin + tile_rays_, batch.origin.rows);
+  const std::int64_t first_color = std::clamp<std::int64_t>(
+      tile_begin + label_only_rays(batch.label_only_share, tile_begin, tile_end) - begin, 0, count);
+  const double normaliser = color_normaliser(batch);
 
   StepLosses losses;
   Proposal<Real> proposal;
@@ -158,7 +173,10 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
             ? pass.forward(ctx, lane, rays, ahead_.tiles[static_cast<std::size_t>(tile.number)], semantic_rays)
             : pass.forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
     View<Real> d_color = arena.take<Real>(count, 3);
-    const double squares = photometric_loss<Real>(trace.color, target, static_cast<double>(3 * all_rays), 1.0, d_color);
+    std::fill_n(d_color.data, 3 * first_color, Real(0));
+    const auto colored = [&](auto view) { return view.row_range(first_color, count - first_color); };
+    const double squares = photometric_loss<Real>(colored(View<const Real>(trace.color)), colored(target), normaliser,
+                                                  1.0, colored(d_color));
     losses.color += squares;
     losses.mse = squares;
     losses.samples = trace.samples.count;

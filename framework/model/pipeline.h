@@ -36,7 +36,15 @@ struct RayBatch {
   View<const float> target;        ///< [R, 3] colour in [0, 1]
   View<const std::int16_t> label;  ///< [R, 1] class or kVoid; empty when the run has no semantics
   View<const float> soft;  ///< [R, C] probabilities, a row of zeros where label is kVoid; empty: labels are hard
+  /// Share of the rays, the first ones of every tile, that have no part in the colour loss.
+  double label_only_share = 0;
 };
+
+/// How many of the rays [begin, end) of a batch, a tile, are among those: every ray whose running share crosses an
+/// integer, so that the count of a batch does not depend on its tiles.
+std::int64_t label_only_rays(double share, std::int64_t begin, std::int64_t end);
+/// What the summed squares of a batch's colours are divided by: their number, or 1 without any.
+double color_normaliser(const RayBatch& batch);
 
 struct StepLosses {
   double total = 0;

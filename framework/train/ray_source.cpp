@@ -32,6 +32,7 @@ RayBatch BatchBuffers::view(bool with_labels) const {
   batch.target = {target.data(), rays, 3};
   if (with_labels) batch.label = {label.data(), rays, 1};
   if (with_labels && soft_classes > 0) batch.soft = {soft.data(), rays, soft_classes};
+  batch.label_only_share = label_only_share;
   return batch;
 }
 
@@ -105,6 +106,16 @@ RaySource::Pixel RaySource::locate(std::int64_t global) const {
   return {frame, static_cast<std::int32_t>(global - offsets_[static_cast<std::size_t>(frame)])};
 }
 
+// Every ray whose running share crosses an integer: spread evenly over the tiles.
+bool RaySource::for_its_label(std::int64_t ray) const {
+  return options_.kind == RaySourceKind::label_balanced && label_only_rays(options_.labelled_share, ray, ray + 1) > 0;
+}
+
+RayGroup RaySource::group_of(std::int64_t ray, std::int16_t label) const {
+  if (!options_.label_rays_teach_color && for_its_label(ray)) return RayGroup::label_only;
+  return label != kVoid ? RayGroup::labelled : RayGroup::other;
+}
+
 RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
   const RandomAddress address{options_.seed, static_cast<std::uint64_t>(step), stream_id("ray_source/pixel")};
   const auto index = static_cast<std::uint64_t>(ray);
@@ -117,9 +128,7 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
       return {frame, static_cast<std::int32_t>(uniform_below(address, index, static_cast<std::uint64_t>(pixels)))};
     }
     case RaySourceKind::label_balanced: {
-      // Every ray whose running share crosses an integer is a labelled one: spread evenly over the tiles.
-      const double share = options_.labelled_share;
-      if (std::floor(static_cast<double>(ray + 1) * share) > std::floor(static_cast<double>(ray) * share)) {
+      if (for_its_label(ray)) {
         return labelled_pixel(static_cast<std::uint32_t>(uniform_below(address, index, ranks_before_.back())));
       }
       break;
@@ -165,10 +174,10 @@ std::string RaySource::place_of_row(std::int64_t step, std::int64_t row) const {
   const std::int64_t begin = row / options_.tile_rays * options_.tile_rays;
   const std::int64_t end = std::min(begin + options_.tile_rays, options_.rays);
   std::int64_t slot = begin;
-  for (const bool labelled : {true, false}) {
+  for (const RayGroup group : {RayGroup::label_only, RayGroup::labelled, RayGroup::other}) {
     for (std::int64_t ray = begin; ray < end; ++ray) {
       const Pixel pixel = choose(step, ray);
-      if ((label_of(pixel) != kVoid) == labelled && slot++ == row) return place_of(pixel);
+      if (group_of(ray, label_of(pixel)) == group && slot++ == row) return place_of(pixel);
     }
   }
   return {};
@@ -209,6 +218,8 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
 void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
   constexpr std::int64_t kPiece = 256;
   batch.resize(options_.rays, soft_logits_);
+  const bool apart = options_.kind == RaySourceKind::label_balanced && !options_.label_rays_teach_color;
+  batch.label_only_share = apart ? options_.labelled_share : 0;
   const std::int64_t tile_rays = std::min(options_.tile_rays, options_.rays);
   const std::int64_t tiles = (options_.rays + tile_rays - 1) / tile_rays;
   const std::int64_t pieces_each = (tile_rays + kPiece - 1) / kPiece;
@@ -223,28 +234,27 @@ void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
     for (std::int64_t ray = piece.begin; ray < piece.end; ++ray) {
       const Pixel pixel = choose(step, ray);
       const std::int16_t label = label_of(pixel);
-      batch.choices[static_cast<std::size_t>(ray)] = {pixel, label};
-      piece.labelled += label != kVoid ? 1 : 0;
+      const RayGroup group = group_of(ray, label);
+      batch.choices[static_cast<std::size_t>(ray)] = {pixel, label, group};
+      ++piece.count[static_cast<std::size_t>(group)];
     }
   });
   for (std::int64_t tile = 0; tile < tiles; ++tile) {
     const auto of_tile =
         std::span(pieces).subspan(static_cast<std::size_t>(tile * pieces_each), static_cast<std::size_t>(pieces_each));
     std::int64_t row = of_tile.front().begin;
-    for (Piece& piece : of_tile) {
-      piece.labelled_row = row;
-      row += piece.labelled;
-    }
-    for (Piece& piece : of_tile) {
-      piece.other_row = row;
-      row += piece.end - piece.begin - piece.labelled;
+    for (std::size_t group = 0; group < of_tile.front().count.size(); ++group) {
+      for (Piece& piece : of_tile) {
+        piece.row[group] = row;
+        row += piece.count[group];
+      }
     }
   }
   parallel_for(std::ssize(pieces), [&](std::int64_t i) {
     Piece& piece = pieces[static_cast<std::size_t>(i)];
     for (std::int64_t ray = piece.begin; ray < piece.end; ++ray) {
       const BatchBuffers::Choice& choice = batch.choices[static_cast<std::size_t>(ray)];
-      write_row(choice, choice.label != kVoid ? piece.labelled_row++ : piece.other_row++, batch);
+      write_row(choice, piece.row[static_cast<std::size_t>(choice.group)]++, batch);
     }
   });
 }

@@ -1,6 +1,7 @@
 // Which pixels a step trains on: addressed by (seed, step, ray), never consumed from a generator.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -28,6 +29,9 @@ struct TrainPixel {
   std::int32_t index = 0;
 };
 
+/// In the order in which rays stand in a tile.
+enum class RayGroup : std::uint8_t { label_only, labelled, other };
+
 /// Buffers of one batch; view() borrows them.
 struct BatchBuffers {
   std::vector<double> origin, direction, near_far;
@@ -35,13 +39,15 @@ struct BatchBuffers {
   std::vector<std::int16_t> label;  ///< the most probable class where labels are soft
   std::vector<float> soft;          ///< [rays * soft_classes]
   std::int32_t soft_classes = 0;    ///< 0: labels are hard
+  double label_only_share = 0;      ///< RayBatch::label_only_share
   struct Choice {
     TrainPixel pixel;
     std::int16_t label = 0;
+    RayGroup group = RayGroup::other;
   };
   struct Piece {
-    std::int64_t begin = 0, end = 0, labelled = 0;  // rays
-    std::int64_t labelled_row = 0, other_row = 0;   // where its rays go
+    std::int64_t begin = 0, end = 0;             // rays
+    std::array<std::int64_t, 3> count{}, row{};  // of each RayGroup: its rays, and where they go
   };
   /// Scratch of RaySource::fill: of the rays in the order of their numbers, and of pieces of tiles.
   std::vector<Choice> choices;
@@ -53,6 +59,7 @@ struct BatchBuffers {
 struct RaySourceOptions {
   RaySourceKind kind = RaySourceKind::all_images;
   double labelled_share = 0.5;
+  bool label_rays_teach_color = true;  ///< false: label_balanced's drawn rays come first in a tile, without colour loss
   std::uint64_t seed = 1;
   std::int64_t rays = 1024;
   std::int64_t tile_rays = 32;
@@ -83,6 +90,9 @@ class RaySource {
 
  private:
   Pixel locate(std::int64_t global) const;
+  /// Whether label_balanced draws the ray for its label.
+  bool for_its_label(std::int64_t ray) const;
+  RayGroup group_of(std::int64_t ray, std::int16_t label) const;
   /// A pixel's class, its own or an added one; kVoid without both.
   std::int16_t class_of(const Pixel& pixel) const;
   /// The label's logit. Throws Error(data) naming frame, pixel and value for a label that is no class.

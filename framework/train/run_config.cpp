@@ -51,6 +51,10 @@ void describe(ParamVisitor& visit, TrainParams& p) {
   SEMFIELD_PARAM(visit, p, rays, "rays a step", {1, 1 << 20});
   SEMFIELD_PARAM(visit, p, ray_source, "where a step's rays come from");
   SEMFIELD_PARAM(visit, p, labelled_share, "share of rays from labelled pixels, for label_balanced", {0, 1});
+  SEMFIELD_PARAM(
+      visit, p, label_rays_teach_color,
+      "false: rays that label_balanced draws for their labels have no part in the colour loss, which is then "
+      "that of evenly drawn rays alone; few labelled pixels, drawn again and again, spoil geometry");
 }
 
 void describe(ParamVisitor& visit, SelfTrainingParams& p) {

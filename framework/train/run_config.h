@@ -69,6 +69,7 @@ struct TrainParams {
   std::int64_t rays = 1024;
   RaySourceKind ray_source = RaySourceKind::all_images;
   double labelled_share = 0.5;
+  bool label_rays_teach_color = true;
 };
 void describe(ParamVisitor& visit, TrainParams& params);
 

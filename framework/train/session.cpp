@@ -281,6 +281,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   RaySourceOptions options;
   options.kind = config.train.ray_source;
   options.labelled_share = config.train.labelled_share;
+  options.label_rays_teach_color = config.train.label_rays_teach_color;
   options.seed = config.runtime.seed;
   options.rays = config.train.rays;
   // A device takes the batch as one tile: labelled rays come first in all of it.
