@@ -75,6 +75,10 @@ std::string branch_config(const std::string& more) {
       more + "}\n";
   return yaml.insert(yaml.find("train: "), branch);
 }
+std::string label_rays_config(const std::string& more) {
+  std::string yaml = few_labels_config("");
+  return yaml.replace(yaml.find("train: {"), 8, "train: {" + more);
+}
 const StepCaseRow kSteps[] = {
     {"two_pass", two_pass_config, ""},
     {"hash", hash_config, ""},
@@ -83,6 +87,8 @@ const StepCaseRow kSteps[] = {
     {"trunc_exp", two_pass_config, "rendering: {density_activation: trunc_exp, density_bias: -1}\n"},
     {"noise", two_pass_config, "rendering: {density_noise: 1}\n"},
     {"few_labels", few_labels_config, ""},
+    {"label_rays_apart", label_rays_config,
+     "ray_source: label_balanced, labelled_share: 0.3, label_rays_teach_color: false, "},
     {"branch", branch_config, ""},
     {"branch_of_position", branch_config, ", reads_feature: false, least_weight: 0.03"},
     {"branch_with_dropout", branch_config, ", dropout: 0.3, weight_decay: 0.1, learning_rate: 0.2"},
