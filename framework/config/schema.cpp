@@ -139,7 +139,7 @@ Json node_schema(const SchemaNode& node) {
     if (!node.is_list) map["type"] = Json::array({"object", "null"});  // a section with every line commented out
   }
   if (node.is_list) map = Json{{"type", "array"}, {"items", std::move(map)}};
-  if (node.may_be_list) map = Json{{"anyOf", Json::array({map, Json{{"type", "array"}, {"items", map}}})}};
+  if (node.may_be_list) map = Json{{"oneOf", Json::array({map, Json{{"type", "array"}, {"items", map}}})}};
   if (!node.sentence.empty()) map["description"] = node.sentence;
   return map;
 }

@@ -246,6 +246,12 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   return s;
 }
 
+std::vector<std::string> Session::choices() const {
+  std::vector<std::string> lines = chosen;
+  lines.insert(lines.end(), chosen_branches.begin(), chosen_branches.end());
+  return lines;
+}
+
 EvalJob Session::eval_job(std::vector<int> frames) const {
   EvalJob job;
   job.infos = &scene.info.frames;
@@ -347,9 +353,7 @@ std::string describe_session(const Session& s) {
                     s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
     out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
   }
-  for (const auto* lines : {&s.chosen, &s.chosen_branches}) {
-    for (const std::string& line : *lines) add("chosen    " + line);
-  }
+  for (const std::string& line : s.choices()) add("chosen    " + line);
   for (const LeftOut& row : s.plan.left_out) {
     add(fmt::format("left out  {} [{}]: {} (saves {})", row.component, static_cast<char>(row.proof), row.evidence,
                     row.saving));

@@ -33,6 +33,7 @@ struct Session {
   std::unique_ptr<DeviceBackend> device;  ///< of `pipeline`; null: the processor does everything
 
   int classes() const { return scene.info.classes.valid_count(); }
+  std::vector<std::string> choices() const;  ///< both
   EvalJob eval_job(std::vector<int> frames) const;
   /// Inverse of plan.class_of_logit, kVoid for absent classes.
   std::vector<std::int16_t> logit_of_class() const;

@@ -352,10 +352,8 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   for (const Diagnostic& finding : folded(diagnostics)) {
     if (hooks.note) hooks.note(finding.text());
   }
-  for (const auto* lines : {&session.chosen, &session.chosen_branches}) {
-    for (const std::string& line : *lines) {
-      if (hooks.note) hooks.note("chosen from the scene: " + line);
-    }
+  for (const std::string& line : session.choices()) {
+    if (hooks.note) hooks.note("chosen from the scene: " + line);
   }
   const std::string text = run_config_text(session.config, registry);
   if (!folder) folder.emplace(RunFolder::create(request.out_dir));

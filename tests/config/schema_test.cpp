@@ -57,7 +57,8 @@ json schema() {
                      {{"scene",
                        "the dataset",
                        {{"replica", "Rendered rooms", docs_of<RootParams>()}, {"grid", "", docs_of<GridParams>()}}},
-                      {"passes[].encoder", "", {{"hash_grid", "", docs_of<GridParams>()}}}}));
+                      {"passes[].encoder", "", {{"hash_grid", "", docs_of<GridParams>()}}},
+                      {"passes[].branch[?].encoder", "", {{"hash_grid", "", docs_of<GridParams>()}}}}));
 }
 
 bool has_type(const json& value, const std::string& type) {
@@ -121,7 +122,9 @@ TEST(Schema, TakesWhatTheReadersTake) {
         R"({"train": {"grid": {"mode": "linear", "betas": [0, 1]}}})",
         R"({"scene": {"type": "replica", "root": "x", "labels": {"root": "y"}}})",
         R"({"scene": {"type": "grid", "levels": 2, "labels": {}}})", R"({"scene": {"root": "x", "levels": 3}})",
-        R"({"passes": [{"encoder": {"type": "hash_grid", "levels": 4}}, {}]})"}) {
+        R"({"passes": [{"encoder": {"type": "hash_grid", "levels": 4}}, {}]})",
+        R"({"passes": [{"branch": {"encoder": {"type": "hash_grid", "levels": 4}}}, {"branch": null}]})",
+        R"({"passes": [{"branch": [{"encoder": {"type": "hash_grid", "levels": 4}}, {}]}]})"}) {
     EXPECT_TRUE(valid(json::parse(text), rule)) << text;
   }
 }
@@ -147,6 +150,8 @@ TEST(Schema, RefusesWhatTheReadersRefuse) {
                            R"({"scene": {"nothing": 1}})",
                            R"({"passes": {}})",
                            R"({"passes": [{"encoder": {"type": "hash_grid", "n": 4}}]})",
+                           R"({"passes": [{"branch": [{"encodr": {}}]}]})",
+                           R"({"passes": [{"branch": {"encoder": {"type": "hash_grid", "n": 4}}}]})",
                            R"({"passes": [{"encodr": {}}]})"}) {
     EXPECT_FALSE(valid(json::parse(text), rule)) << text;
   }
