@@ -9,39 +9,18 @@
 #include <vector>
 
 #include "cuda/feature_exchange.h"
-#include "cuda/kernel_tables.h"
-#include "device_field.h"
-#include "fields/tiny_mlp/tiny_mlp_layers.cuh"
+#include "tiny_mlp_tables.h"
 
 namespace semfield {
 namespace {
 
 using testing::DeviceField;
 using testing::DeviceMatrix;
+using testing::tiny::cpu_tables;
+using testing::tiny::device_tables;
+using testing::tiny::layer_tables;
 using testkit::FieldBench;
 using testkit::Wanted;
-
-const KernelTables& cpu_tables() {
-  static const KernelTables tables = testing::tables_of({tiny_mlp_kernels});
-  return tables;
-}
-const KernelTables& device_tables() {
-  static const KernelTables tables = testing::tables_of({cuda::add_plugin_kernels});
-  return tables;
-}
-/// Layer by layer whatever the widths.
-const KernelTables& layer_tables() {
-  static const TinyMlpKernels<float> table{cuda::tiny::layers_forward, cuda::tiny::layers_backward,
-                                           [](const TinyMlpShape&, const Tensors<float>&) {},
-                                           cuda::tiny::layers_saved_bytes};
-  static const KernelTables tables = [] {
-    KernelTables t;
-    t.add(Device::cuda, "field 'tiny_mlp'", &table);
-    t.add(Device::cuda, "field 'tiny_mlp'", &table, Precision::bf16);
-    return t;
-  }();
-  return tables;
-}
 
 struct Network {
   TinyMlpParams params;
@@ -86,11 +65,6 @@ struct Oracle {
   TinyMlp<double> field;
   FieldBench<double> bench;
 };
-
-std::string near_norm(const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance) {
-  const std::vector<double> values = testing::widen(want.read());
-  return near_norm(got, testing::host_view(values, want.view().cols), tolerance);
-}
 
 struct Tolerances {
   double output, gradient;
