@@ -66,8 +66,8 @@ TEST(BranchChoice, KindsHaveTheirBorders) {
   const auto kind = [](std::int64_t labelled, std::int64_t neighbours, std::int64_t equal) {
     return kind_of({1000000, labelled, neighbours, equal});
   };
-  EXPECT_EQ(kind(1000000, 1990000, 1900000), LabelKind::many);
-  EXPECT_EQ(kind(1000000, 1990000, 1780000), LabelKind::noisy);
+  EXPECT_EQ(kind(1000000, 1990000, 1600000), LabelKind::many);
+  EXPECT_EQ(kind(1000000, 1990000, 1580000), LabelKind::noisy);
   EXPECT_EQ(kind(1999, 0, 0), LabelKind::few);
   EXPECT_EQ(kind(2000, 0, 0), LabelKind::many);
   EXPECT_EQ(kind(1000, 1600, 1000), LabelKind::noisy) << "few and seen to be wrong";
