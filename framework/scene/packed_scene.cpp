@@ -11,6 +11,7 @@
 #include <cerrno>
 #include <cmath>
 #include <cstring>
+#include <new>
 #include <span>
 #include <utility>
 
@@ -362,6 +363,7 @@ std::vector<std::byte> PackedScene::chunk_bytes(int frame, Channel channel) cons
   uLongf made = static_cast<uLongf>(raw.size());
   const int status = ::uncompress(reinterpret_cast<Bytef*>(raw.data()), &made,
                                   reinterpret_cast<const Bytef*>(stored.data()), static_cast<uLong>(stored.size()));
+  if (status == Z_MEM_ERROR) throw std::bad_alloc();  // the file may be whole
   if (status != Z_OK || made != raw.size()) throw fail(" cannot be inflated");
   return raw;
 }

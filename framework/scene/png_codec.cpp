@@ -7,6 +7,7 @@
 #include <array>
 #include <cstdlib>
 #include <cstring>
+#include <new>
 
 #include "core/check.h"
 #include "core/error.h"
@@ -162,7 +163,9 @@ std::vector<std::uint8_t> inflate_data(const std::vector<std::span<const std::ui
   }
   std::vector<std::uint8_t> out(size);
   z_stream z{};
-  if (::inflateInit(&z) != Z_OK) throw Error(ErrorKind::failure, "zlib could not start");
+  const int started = ::inflateInit(&z);
+  if (started == Z_MEM_ERROR) throw std::bad_alloc();
+  if (started != Z_OK) throw Error(ErrorKind::failure, "zlib could not start");
   z.next_out = out.data();
   z.avail_out = static_cast<uInt>(size);
   int status = Z_OK;
@@ -174,6 +177,7 @@ std::vector<std::uint8_t> inflate_data(const std::vector<std::span<const std::ui
   }
   const std::size_t made = size - z.avail_out;
   ::inflateEnd(&z);
+  if (status == Z_MEM_ERROR) throw std::bad_alloc();
   if (status != Z_OK && status != Z_STREAM_END && status != Z_BUF_ERROR)
     damaged("is damaged: its compressed data has an error");
   if (made < size)
@@ -333,6 +337,7 @@ std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, in
   uLongf packed_size = ::compressBound(static_cast<uLong>(raw.size()));
   std::vector<std::uint8_t> packed(packed_size);
   const int status = ::compress2(packed.data(), &packed_size, raw.data(), static_cast<uLong>(raw.size()), 4);
+  if (status == Z_MEM_ERROR) throw std::bad_alloc();
   SEMFIELD_CHECK(status == Z_OK, "zlib could not compress");
   packed.resize(packed_size);
 

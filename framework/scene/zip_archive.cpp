@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <bit>
 #include <cstring>
+#include <new>
 
 #include "core/error.h"
 #include "core/files.h"
@@ -60,7 +61,9 @@ std::string inflated(std::string_view packed, std::uint64_t bytes, std::uint64_t
            kAgain);
   std::string out(wanted, '\0');
   z_stream stream{};
-  if (inflateInit2(&stream, -MAX_WBITS) != Z_OK) throw Error(ErrorKind::internal, "zlib cannot start");
+  const int started = inflateInit2(&stream, -MAX_WBITS);
+  if (started == Z_MEM_ERROR) throw std::bad_alloc();
+  if (started != Z_OK) throw Error(ErrorKind::internal, "zlib cannot start");
   stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(packed.data()));
   stream.next_out = reinterpret_cast<Bytef*>(out.data());
   std::size_t left_in = packed.size(), left_out = out.size();
@@ -75,6 +78,7 @@ std::string inflated(std::string_view packed, std::uint64_t bytes, std::uint64_t
     left_out -= room - stream.avail_out;
   }
   inflateEnd(&stream);
+  if (status == Z_MEM_ERROR) throw std::bad_alloc();
   if ((status != Z_STREAM_END && wanted == bytes) || left_out != 0)
     refuse("its packed data are damaged or cut off", kAgain);
   return out;
