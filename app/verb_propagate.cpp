@@ -74,8 +74,10 @@ int run_propagate(const PropagateOptions& options, AppContext& context) {
   if (s.manifest.train_pixels == 0) throw Error(ErrorKind::data, "the scene has no training frames");
   const PropagationParams& params = s.config.propagate;
   if (params.method == PropagationMethod::surface && params.cell_m == 0) {
-    print_note(context, fmt::format("propagate.cell_m is {:.4g}: three pixels at the scene's middle depth",
-                                    default_cell_m(s.scene)));
+    print_note(context,
+               fmt::format("propagate.cell_m is {:.4g}: three pixels at the scene's middle depth, at least 1/500 "
+                           "of its longest side",
+                           default_cell_m(s.scene)));
   }
   const auto frames = static_cast<double>(s.scene.frames_of(Split::train).size());
   FrameMaps maps;

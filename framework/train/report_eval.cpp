@@ -226,8 +226,7 @@ std::string given_table(const ReportInput& input) {
   }
   if (body.empty()) return {};
   return "<p class=\"hint after\">Entropy of the pixels of training frames, by the label that they were given. An "
-         "AUROC of "
-         "0.5 is chance; 1 means that entropy tells the two groups apart.</p>\n" +
+         "AUROC of 0.5 is chance; 1 means that entropy tells the two groups apart.</p>\n" +
          table_panel("Entropy by the label given", head + "</tr>", body);
 }
 
@@ -295,8 +294,7 @@ std::string calibration_section(const ReportInput& input) {
              "mean confidence, in 15 bins; on the dotted line it is as sure as it is right, below it too sure. "
              "Bars: share of all pixels that a bin holds. ECE is the mean distance from the line, weighted by "
              "pixels. AUROC says how well entropy finds wrong pixels: 0.5 is chance, 1 is all wrong pixels above all "
-             "right "
-             "ones.") +
+             "right ones.") +
          "<div class=\"plots\">\n" + figures + "</div>\n" + given + missing_runs(input, kNoDetail, without_detail) +
          "</section>\n";
 }
