@@ -333,7 +333,7 @@ void add_check_numerics(CLI::App& root, AppContext& context, Choice& choice) {
   auto options = std::make_shared<CheckNumericsOptions>();
   CLI::App* verb = root.add_subcommand("check-numerics", "stiff and extreme cases against their references");
   verb->add_option("--only", options->only, "ids or their beginnings: --only A,C03")->delimiter(',');
-  verb->add_option("--write", options->page, "page whose marked part becomes the table: docs/numerics.md");
+  verb->add_option("--write", options->page, "page whose marked part becomes the table: docs/evidence/numerics.md");
   verb->callback(
       [&context, &choice, options] { choice = [&context, options] { return run_check_numerics(*options, context); }; });
 }

@@ -62,7 +62,7 @@ int run_config_schema(bool of_sweeps, AppContext& context) {
                          "list of text",
                          "[]",
                          "",
-                         "plugin modules that it needs, by path; see docs/configuration.md for which are loaded",
+                         "plugin modules that it needs, by path; see docs/reference/configuration.md for which are loaded",
                          {}};
   sections.push_back({"", "", {name, base, plugins}});
   const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};

@@ -55,7 +55,7 @@ int print_json(const Registry& registry, const std::string& only) {
   return 0;
 }
 
-// The generated pages of a source tree: docs/plugins.md and the table in each plugin folder's README.
+// The generated pages of a source tree: docs/reference/plugins.md and the table in each plugin folder's README.
 int refresh_tree(const fs::path& root, const AppContext& context) {
   int written = 0;
   const auto write_if_new = [&written](const fs::path& path, const std::string& text) {
@@ -63,8 +63,8 @@ int refresh_tree(const fs::path& root, const AppContext& context) {
     write_file_atomic(path.string(), text);
     ++written;
   };
-  fs::create_directories(root / "docs");
-  write_if_new(root / "docs" / "plugins.md", plugins_markdown(context.registry));
+  fs::create_directories(root / "docs" / "reference");
+  write_if_new(root / "docs" / "reference" / "plugins.md", plugins_markdown(context.registry));
   for (const PluginEntry* entry : context.registry.entries()) {
     const fs::path readme = root / "plugins" / (std::string(kind_name(entry->kind)) + "s") / entry->name / "README.md";
     if (fs::exists(readme)) write_if_new(readme, with_parameter_table(read_text_file(readme.string()), *entry));

@@ -12,7 +12,7 @@ enum class GemmEngine : std::uint8_t { automatic, builtin, onednn };
 
 /// Chooses for the whole process; to be called at assembly, outside parallel work. automatic: oneDNN for bf16 products
 /// on processors with matrix tiles (AMX), which our kernels do not use, else our kernels, which are as fast without
-/// (docs/performance.md). Throws Error(unavailable) when oneDNN is asked for and not there.
+/// (docs/evidence/performance.md). Throws Error(unavailable) when oneDNN is asked for and not there.
 void choose_gemm_engine(GemmEngine wanted, Precision precision);
 
 /// For reports: "built-in, avx512_bf16", "oneDNN 2.6.3".

@@ -1,4 +1,4 @@
-// The degradations of training labels, one source file each; docs/label_experiments.md tells their rules.
+// The degradations of training labels, one source file each; docs/guide/label_experiments.md tells their rules.
 #pragma once
 
 #include <memory>

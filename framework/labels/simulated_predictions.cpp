@@ -1,5 +1,5 @@
 // Simulated predictions: labels with the errors of a network, made from clean ones by a seeded model; the formulas
-// stand in docs/label_experiments.md.
+// stand in docs/guide/label_experiments.md.
 #include <fmt/format.h>
 
 #include <algorithm>

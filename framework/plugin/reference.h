@@ -17,7 +17,7 @@ std::string support_matrix_text(const Registry& registry);
 
 /// Markdown table of one entry's parameters, or a sentence when it has none. Ends with a line feed.
 std::string parameter_table_markdown(const PluginEntry& entry);
-/// The whole reference page (docs/plugins.md).
+/// The whole reference page (docs/reference/plugins.md).
 std::string plugins_markdown(const Registry& registry);
 
 inline constexpr const char* kTableBegin = "<!-- parameters -->";

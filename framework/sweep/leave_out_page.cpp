@@ -131,7 +131,7 @@ LeaveOutFindings merged(const LeaveOutFindings& old, const LeaveOutFindings& fre
 std::string findings_markdown(const LeaveOutFindings& findings) {
   std::string out =
       "# Same error, less time\n\n"
-      "<!-- Written by `semfield bench pairs --write-docs docs`; not by hand. -->\n\n"
+      "<!-- Written by `semfield bench pairs --write-docs docs/reference`; not by hand. -->\n\n"
       "What a scene does not need is not built. Each line is a pair of runs of the shipped room, one with the "
       "component "
       "and\none without, and the proof that nothing was lost:\n\n"

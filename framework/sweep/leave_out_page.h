@@ -1,4 +1,4 @@
-// What pairs found, as the shipped table docs/leave_out.json and the page made from it, docs/leave_out.md.
+// What pairs found, as the shipped table docs/reference/leave_out.json and the page made from it, docs/reference/leave_out.md.
 #pragma once
 
 #include <string>

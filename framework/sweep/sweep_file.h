@@ -60,7 +60,7 @@ struct Sweep {
   std::vector<Experiment> experiments;
 };
 
-/// Reads a sweep file (docs/sweeps.md), or one with a list `sweeps:` of such files whose other keys are merged over
+/// Reads a sweep file (docs/guide/sweeps.md), or one with a list `sweeps:` of such files whose other keys are merged over
 /// each. Throws Error(config) with every error on its own line.
 Sweep read_sweep(const std::string& path);
 

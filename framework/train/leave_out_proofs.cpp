@@ -17,7 +17,7 @@ std::string shipped_saving(const std::string& component) {
   for (const auto& row : table.at("rows")) {
     if (row.at("component") == component) found = row.at("saving_measured").get<std::string>();
   }
-  return found.empty() ? found : found + "; of docs/leave_out.md, not of this run";
+  return found.empty() ? found : found + "; of docs/reference/leave_out.md, not of this run";
 }
 
 }  // namespace semfield

@@ -1,4 +1,4 @@
-// The shipped table of leave-out pairs (docs/leave_out.json), as far as a run's own list needs it.
+// The shipped table of leave-out pairs (docs/reference/leave_out.json), as far as a run's own list needs it.
 #pragma once
 
 #include <string>

@@ -73,7 +73,7 @@ PerQuantity exact_values(const RayProblem& problem, double shift);
 /// softmax(logits)[0].
 Exact class_probability(std::span<const Exact> logits);
 
-/// Where a rule takes its samples; docs/quadrature.md derives what follows for each.
+/// Where a rule takes its samples; docs/reference/quadrature.md derives what follows for each.
 enum class RuleShape : std::uint8_t {
   left,             ///< the near end of equal intervals
   paper_training,   ///< jittered points, each at the near end of the interval to the next

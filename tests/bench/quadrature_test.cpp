@@ -115,7 +115,7 @@ TEST(QuadratureConstants, LinearColour) {  // A06
   EXPECT_NEAR(middle.points[0].errors[0].mean, 0.25 * h * h * lost / 12, 0.05 * 0.25 * h * h * lost / 12);
 }
 
-// The terms of docs/quadrature.md, for every rule and quantity for which they were derived.
+// The terms of docs/reference/quadrature.md, for every rule and quantity for which they were derived.
 TEST(QuadratureConstants, PredictedErrorsAreMeasured) {
   for (const RayProblem& p : quadrature_problems()) {
     if (!p.smooth) continue;

@@ -64,11 +64,12 @@ void expect_part(const char* path, const std::string& begin, const std::string& 
 }
 
 TEST(ConfigurationPage, SectionTablesAreFresh) {
-  expect_part("docs/configuration.md", "<!-- sections -->", "<!-- /sections -->", section_tables());
+  expect_part("docs/reference/configuration.md", "<!-- sections -->", "<!-- /sections -->", section_tables());
 }
 
 TEST(LabelExperimentsPage, TablesOfDegradationsAreFresh) {
-  expect_part("docs/label_experiments.md", "<!-- degradations -->", "<!-- /degradations -->", degradation_tables());
+  expect_part("docs/guide/label_experiments.md", "<!-- degradations -->", "<!-- /degradations -->",
+              degradation_tables());
 }
 
 // A block marked `yaml` is a whole configuration, saved in configs/ as the text around it says.

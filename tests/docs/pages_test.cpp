@@ -4,12 +4,14 @@
 #include <gtest/gtest.h>
 
 #include <array>
+#include <cctype>
 #include <cstdio>
 #include <filesystem>
 #include <map>
 #include <memory>
 #include <regex>
 #include <set>
+#include <sstream>
 
 #include "core/words.h"
 
@@ -26,52 +28,106 @@ std::set<std::string> matches(const std::string& text, const std::string& patter
   return found;
 }
 
-// Keys cited as [Name07], [Name07 Eq. 3] or [Name07, Sec. 2], with the files that do.
-std::map<std::string, std::string> cited_keys() {
-  std::map<std::string, std::string> cited;
+// What `pattern` captures in the texts of the tree, with one file each that has it.
+std::map<std::string, std::string> found_in_tree(const std::string& pattern) {
+  std::map<std::string, std::string> found;
   const fs::path root = SEMFIELD_SOURCE_DIR;
-  const std::set<std::string> endings{".h", ".cpp", ".cu", ".py", ".md", ".yaml", ".cmake", ".txt"};
-  for (const char* folder : {"framework", "plugins", "app", "tests", "bench", "scripts", "configs", "docs", "."}) {
+  const std::set<std::string> endings{".h", ".cpp", ".cu", ".py", ".md", ".yaml", ".cmake", ".txt", ""};
+  for (const char* folder :
+       {"framework", "plugins", "app", "tests", "bench", "scripts", "configs", "docs", "cmake", "scenes", "."}) {
     const bool top = std::string(folder) == ".";
     for (auto it = fs::recursive_directory_iterator(root / folder); it != fs::recursive_directory_iterator(); ++it) {
       if (top && it->is_directory()) it.disable_recursion_pending();
       if (!it->is_regular_file() || !endings.contains(it->path().extension().string())) continue;
       const std::string path = fs::relative(it->path(), root).generic_string();
-      for (const std::string& key : matches(page(path), R"(\[([A-Z][A-Za-z]{2,}[0-9]{1,4})(?=[\],; :]))"))
-        cited.emplace(key, path);
+      for (const std::string& text : matches(page(path), pattern)) found.emplace(text, path);
     }
   }
-  return cited;
+  return found;
 }
 
 TEST(References, EveryCitationResolvesAndEveryEntryIsCited) {
-  const std::set<std::string> entries = matches(page("docs/references.bib"), R"(@[a-z]+\{([A-Za-z0-9]+),)");
-  std::map<std::string, std::string> cited = cited_keys();
-  cited.erase("Name07");  // this file's own example
+  const std::set<std::string> entries = matches(page("docs/reference/references.bib"), R"(@[a-z]+\{([A-Za-z0-9]+),)");
+  // Keys cited as [Zhi21], [Zhi21 Eq. 3] or [Zhi21, Sec. 2].
+  const std::map<std::string, std::string> cited = found_in_tree(R"(\[([A-Z][A-Za-z]{2,}[0-9]{1,4})(?=[\],; :]))");
   EXPECT_GE(cited.size(), 12u);
   for (const auto& [key, path] : cited)
-    EXPECT_TRUE(entries.contains(key)) << path << " cites [" << key << "], which docs/references.bib lacks";
+    EXPECT_TRUE(entries.contains(key)) << path << " cites [" << key << "], which docs/reference/references.bib lacks";
   for (const std::string& key : entries) EXPECT_TRUE(cited.contains(key)) << "nothing cites [" << key << "]";
 }
 
-TEST(Pages, LinksPointAtFiles) {
-  int checked = 0;
-  for (const std::string& path : all_pages()) {
-    for (const std::string& target : matches(page(path), R"(\]\(([^)#\s]+)[^)]*\))")) {
-      if (target.find("://") != std::string::npos || target.rfind("docs/images/", 0) == 0) continue;
-      ++checked;
-      const fs::path file = (fs::path(SEMFIELD_SOURCE_DIR) / path).parent_path() / target;
-      EXPECT_TRUE(fs::exists(file)) << path << " links to " << target;
+// Anchors that a host of Markdown gives the headings of a page: lower case, punctuation dropped, blanks to hyphens.
+std::set<std::string> anchors_of(const std::string& text) {
+  std::set<std::string> anchors;
+  std::map<std::string, int> seen;
+  std::istringstream lines(text);
+  bool fenced = false;
+  for (std::string line; std::getline(lines, line);) {
+    if (line.starts_with("```")) fenced = !fenced;
+    const std::size_t level = line.find_first_not_of('#');
+    if (fenced || level == 0 || level == std::string::npos || line[level] != ' ') continue;
+    std::string anchor;
+    for (const char c : line.substr(level + 1)) {
+      const auto byte = static_cast<unsigned char>(c);
+      if (byte >= 0x80 || std::isalnum(byte) != 0 || c == '-' || c == '_')
+        anchor += static_cast<char>(std::tolower(byte));
+      if (c == ' ') anchor += '-';
     }
+    const int earlier = seen[anchor]++;
+    anchors.insert(earlier == 0 ? anchor : anchor + "-" + std::to_string(earlier));
   }
-  EXPECT_GE(checked, 10);
+  return anchors;
 }
 
-TEST(Pages, PicturesAreThere) {
-  const fs::path folder = fs::path(SEMFIELD_SOURCE_DIR) / "docs/images";
-  if (!fs::exists(folder)) GTEST_SKIP() << "this tree has no docs/images: no picture was made yet";
-  for (const std::string& target : matches(page("README.md"), R"(\]\((docs/images/[^)]+)\))"))
-    EXPECT_TRUE(fs::exists(fs::path(SEMFIELD_SOURCE_DIR) / target)) << "README.md shows " << target;
+TEST(Pages, LinksPointAtFilesAndHeadings) {
+  int files = 0, headings = 0;
+  for (const std::string& path : all_pages()) {
+    for (const std::string& link : matches(page(path), R"(\]\(([^)\s]+)[^)]*\))")) {
+      if (link.find("://") != std::string::npos) continue;
+      const std::string target = link.substr(0, link.find('#'));
+      const fs::path file =
+          target.empty() ? fs::path(path) : (fs::path(path).parent_path() / target).lexically_normal();
+      ++files;
+      EXPECT_TRUE(fs::exists(fs::path(SEMFIELD_SOURCE_DIR) / file)) << path << " links to " << target;
+      if (target.size() == link.size() || file.extension() != ".md") continue;
+      ++headings;
+      const std::string anchor = link.substr(link.find('#') + 1);
+      EXPECT_TRUE(anchors_of(page(file.generic_string())).contains(anchor)) << path << ": no heading for " << link;
+    }
+  }
+  EXPECT_GE(files, 100);
+  EXPECT_GE(headings, 5);
+}
+
+TEST(Pages, IndexLeadsToEveryFileOfTheDocuments) {
+  const std::set<std::string> linked = matches(page("docs/index.md"), R"(\]\(([^)#\s]+)\))");
+  const fs::path docs = fs::path(SEMFIELD_SOURCE_DIR) / "docs";
+  int pages = 0;
+  for (const char* room : {"guide", "reference", "evidence", "decisions"}) {
+    for (const auto& entry : fs::directory_iterator(docs / room)) {
+      if (entry.path().extension() == ".csv") continue;  // its page names it
+      ++pages;
+      const std::string name = std::string(room) + "/" + entry.path().filename().string();
+      EXPECT_TRUE(linked.contains(name)) << "docs/index.md does not link to " << name;
+    }
+  }
+  EXPECT_GE(pages, 30);
+}
+
+// What sources, configurations, scripts and messages call docs/... is there; a decision may be named by its number.
+TEST(Pages, SourcesNameDocumentsThatExist) {
+  const fs::path root = SEMFIELD_SOURCE_DIR;
+  int named = 0;
+  for (const auto& [name, path] : found_in_tree(R"((?:^|[^A-Za-z0-9_/.-])(docs/[A-Za-z0-9_/.-]*[A-Za-z0-9_]))")) {
+    ++named;
+    bool there = fs::exists(root / name);
+    if (name.starts_with("docs/decisions/")) {
+      for (const auto& entry : fs::directory_iterator(root / "docs/decisions"))
+        there = there || fs::relative(entry.path(), root).generic_string().starts_with(name);
+    }
+    EXPECT_TRUE(there) << path << " names " << name;
+  }
+  EXPECT_GE(named, 15);
 }
 
 TEST(Architecture, EveryFolderOfTheFrameworkHasItsPlace) {

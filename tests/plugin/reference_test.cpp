@@ -63,9 +63,9 @@ TEST(Reference, TheTableInAPageIsReplacedBetweenItsMarkers) {
 TEST(CommittedPages, TheReferenceIsFresh) {
   Registry registry;
   register_linked_plugins(registry);
-  const std::filesystem::path page = std::filesystem::path(SEMFIELD_SOURCE_DIR) / "docs/plugins.md";
+  const std::filesystem::path page = std::filesystem::path(SEMFIELD_SOURCE_DIR) / "docs/reference/plugins.md";
   EXPECT_TRUE(text_of(page) == plugins_markdown(registry))
-      << "docs/plugins.md is stale; run: semfield plugins docs --out PROJECT_FOLDER";
+      << "docs/reference/plugins.md is stale; run: semfield plugins docs --out PROJECT_FOLDER";
 }
 
 TEST(CommittedPages, TheTablesOfPluginFoldersAreFresh) {

@@ -94,10 +94,10 @@ TEST(LeaveOutPage, ASavingBelowItsNoiseIsSaidToBeNone) {
 
 // The shipped page is that of the shipped table, and has a row for every pair.
 TEST(LeaveOutPage, TheShippedPageIsThatOfItsTable) {
-  const std::string json = in_source("docs/leave_out.json");
+  const std::string json = in_source("docs/reference/leave_out.json");
   const LeaveOutFindings shipped = parse_findings(read_text_file(json), json);
-  EXPECT_EQ(read_text_file(in_source("docs/leave_out.md")), findings_markdown(shipped))
-      << "renew it: semfield bench pairs --write-docs docs";
+  EXPECT_EQ(read_text_file(in_source("docs/reference/leave_out.md")), findings_markdown(shipped))
+      << "renew it: semfield bench pairs --write-docs docs/reference";
   for (const LeaveOutPair& pair : leave_out_pairs()) {
     const auto row = std::find_if(shipped.rows.begin(), shipped.rows.end(),
                                   [&](const LeaveOutFinding& r) { return r.name == pair.name; });
@@ -105,7 +105,7 @@ TEST(LeaveOutPage, TheShippedPageIsThatOfItsTable) {
     EXPECT_EQ(row->proof, std::string(1, static_cast<char>(pair.proof)));
     EXPECT_FALSE(row->saving.empty());
   }
-  EXPECT_NE(shipped_saving("undistortion").find("docs/leave_out.md"), std::string::npos);
+  EXPECT_NE(shipped_saving("undistortion").find("docs/reference/leave_out.md"), std::string::npos);
   EXPECT_EQ(shipped_saving("no such component"), "");
 }
 

@@ -1,4 +1,4 @@
-# Takes every cpp, cmake and yaml block out of docs/writing_a_plugin.md, builds them as the page says - linked, and as modules against the
+# Takes every cpp, cmake and yaml block out of docs/guide/writing_a_plugin.md, builds them as the page says - linked, and as modules against the
 # installed package - and runs the tests and laws. Called by CTest with PAGE, TREE, BUILD_DIR, WORK_DIR, APP, GENERATOR, COMPILER, LAUNCHER, FLAGS.
 cmake_minimum_required(VERSION 3.25)
 function(step what)
