@@ -53,7 +53,6 @@ void ${ARG_NAME}_kernels(KernelTables& tables) {
   target_link_libraries(${target} PUBLIC semfield PRIVATE semfield_warnings ${ARG_LIBRARIES})
   target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR}/plugins)
   set_property(GLOBAL APPEND PROPERTY SEMFIELD_LINKED_PLUGINS ${ARG_NAME})
-  set_property(GLOBAL APPEND PROPERTY SEMFIELD_PLUGIN_LIBRARIES ${ARG_LIBRARIES})
   file(GLOB tests CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*_test.cpp)
   foreach(test_file ${tests})
     set_property(GLOBAL APPEND PROPERTY SEMFIELD_PLUGIN_TESTS ${test_file})

@@ -1,29 +1,33 @@
-// Camera trajectories inside a mesh: generated in free space, or read from a file.
+// Camera trajectories: smooth ones through given poses, and those of files.
 #pragma once
 
+#include <cmath>
+#include <cstdint>
 #include <string>
 #include <vector>
 
 #include "core/small_math.h"
-#include "scene/raycast.h"
+#include "scene/camera.h"
 
 namespace semfield {
 
-struct PathSettings {
-  int poses = 0;
-  std::uint64_t seed = 0;
-  Vec3d up{0, 0, 1};          ///< one of the world's axes
-  Box region;                 ///< camera centres stay in it, world units
-  double clearance_m = 0.35;  ///< no surface is nearer to a camera centre
-  double lowest_m = 0.9;      ///< height above the floor of the region
-  double highest_m = 1.9;
+/// A right-handed frame with `up`, one of the world's axes: a and b are level, a x b = up.
+struct LevelAxes {
+  Vec3d up, a, b;
+  /// Unit direction; yaw turns from a to b, pitch towards up; radians.
+  Vec3d direction(double yaw, double pitch) const {
+    return (a * std::cos(yaw) + b * std::sin(yaw)) * std::cos(pitch) + up * std::sin(pitch);
+  }
 };
+LevelAxes level_axes(Vec3d up);
 
-/// Seeded 6-DOF path, roll locked. Key positions are free, see surfaces in nearly every direction (so they lie inside
-/// the room) and can see each other along free segments; key directions turn by the golden angle towards surfaces;
-/// poses between the keys lie on a Catmull-Rom spline, or on the straight segment where the spline would come too near
-/// to a surface. Throws Error(data) when the region has no free space.
-std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& settings);
+/// Uniform Catmull-Rom between b (t = 0) and c (t = 1).
+template <class T>
+T catmull_rom(T a, T b, T c, T d, double t) {
+  return (b * 2.0 + (c - a) * t + (a * 2.0 - b * 5.0 + c * 4.0 - d) * (t * t) +
+          (b * 3.0 - c * 3.0 + d - a) * (t * t * t)) *
+         0.5;
+}
 
 /// Camera at `position` looking along `forward`, its x axis level.
 Pose look_along(Vec3d position, Vec3d forward, Vec3d up);

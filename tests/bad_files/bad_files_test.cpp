@@ -15,8 +15,8 @@
 #include <stdexcept>
 
 #include "core/files.h"
+#include "datasets/obj_room/raycast.h"
 #include "scene/image_io.h"
-#include "scene/raycast.h"
 #include "tests/bad_files/case_file.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -1,7 +1,6 @@
 // Rows from the registry and the settings files.
 #include "tests/conformance/rows.h"
 
-#include <filesystem>
 #include <fstream>
 #include <sstream>
 
@@ -24,9 +23,8 @@ Settings parse_line(const std::string& line) {
 std::vector<Settings> settings_for(PluginKind kind, const std::string& name) {
   const std::string source = SEMFIELD_SOURCE_DIR;
   const std::string own = source + "/plugins/" + std::string(kind_name(kind)) + "s/" + name + "/conformance.txt";
-  const std::string ours = source + "/tests/conformance/rows/" + name + ".txt";
   std::vector<Settings> rows;
-  std::ifstream file(std::filesystem::exists(own) ? own : ours);
+  std::ifstream file(own);
   for (std::string line; std::getline(file, line);) {
     if (!line.empty() && line[0] != '#') rows.push_back(parse_line(line == "defaults" ? "" : line));
   }

@@ -25,8 +25,7 @@ struct Row {
 std::ostream& operator<<(std::ostream& out, const Row& row);
 
 /// Rows of one kind on a device: entry x settings. Settings are the lines "name=value name=value" of `conformance.txt`
-/// in the plugin's folder or of tests/conformance/rows/<name>.txt (for plugins whose defaults are too large for a
-/// test); without either, the defaults.
+/// in the plugin's folder; without it, the defaults.
 std::vector<Row> rows_of(PluginKind kind, Device device = Device::cpu);
 
 }  // namespace semfield::testkit

@@ -5,8 +5,8 @@
 #include <cstring>
 
 #include "core/checksum.h"
+#include "datasets/obj_room/mesh_io.h"
 #include "scene/camera_path.h"
-#include "scene/mesh_io.h"
 #include "scene/packed_scene.h"
 #include "scene/png_codec.h"
 #include "tests/fuzz/inputs.h"

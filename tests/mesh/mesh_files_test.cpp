@@ -11,10 +11,10 @@
 
 #include "core/files.h"
 #include "core/words.h"
+#include "datasets/obj_room/mesh_io.h"
+#include "datasets/obj_room/raycast.h"
 #include "mesh/class_groups.h"
 #include "mesh/marching_cubes.h"
-#include "scene/mesh_io.h"
-#include "scene/raycast.h"
 #include "tests/train/train_testing.h"
 
 namespace semfield {

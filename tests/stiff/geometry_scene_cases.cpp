@@ -3,11 +3,11 @@
 #include <cmath>
 #include <limits>
 
+#include "datasets/obj_room/mesh_io.h"
+#include "datasets/obj_room/raycast.h"
 #include "geometry_parts.h"
 #include "mesh/marching_cubes.h"
 #include "mesh/mesh_files.h"
-#include "scene/mesh_io.h"
-#include "scene/raycast.h"
 #include "stiff_room.h"
 #include "tests/scene/room_files.h"
 

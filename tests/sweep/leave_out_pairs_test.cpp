@@ -5,8 +5,8 @@
 
 #include "core/error.h"
 #include "core/files.h"
+#include "datasets/obj_room/raycast.h"
 #include "plugin/linked_plugins.h"
-#include "scene/raycast.h"
 #include "sweep/leave_out_page.h"
 #include "sweep/leave_out_side.h"
 #include "train/leave_out_proofs.h"

@@ -7,7 +7,7 @@
 #include <regex>
 
 #include "core/memory_limit.h"
-#include "scene/raycast.h"
+#include "datasets/obj_room/raycast.h"
 #include "tests/program.h"
 #include "tests/train/train_testing.h"
 #include "train/trainer.h"

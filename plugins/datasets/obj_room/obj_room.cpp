@@ -7,8 +7,8 @@
 #include <filesystem>
 
 #include "core/sorted_folder.h"
+#include "datasets/obj_room/class_rules.h"
 #include "plugin/module.h"
-#include "scene/class_rules.h"
 
 namespace semfield {
 namespace {

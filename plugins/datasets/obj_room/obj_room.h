@@ -8,9 +8,10 @@
 #include <vector>
 
 #include "config/params.h"
+#include "datasets/obj_room/mesh_render.h"
+#include "datasets/obj_room/room_path.h"
 #include "plugin/dataset.h"
 #include "scene/camera_path.h"
-#include "scene/mesh_render.h"
 
 namespace semfield {
 

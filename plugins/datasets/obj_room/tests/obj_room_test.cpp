@@ -6,9 +6,9 @@
 #include <algorithm>
 #include <set>
 
-#include "scene/class_rules.h"
+#include "datasets/obj_room/class_rules.h"
 #include "tests/datasets/rewritten_poses.h"
-#include "tests/obj/obj_testing.h"
+#include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {
 namespace {

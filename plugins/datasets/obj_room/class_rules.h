@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "scene/class_table.h"
-#include "scene/mesh_io.h"
+#include "datasets/obj_room/mesh_io.h"
 
 namespace semfield {
 

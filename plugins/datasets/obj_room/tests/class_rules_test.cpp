@@ -1,11 +1,11 @@
 // From names to classes: rules, prefixes, and what is said when a name or a table does not fit.
-#include "scene/class_rules.h"
+#include "datasets/obj_room/class_rules.h"
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 
-#include "tests/obj/obj_testing.h"
+#include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {
 namespace {

@@ -1,5 +1,5 @@
 // Class tables with rules: reading and applying.
-#include "scene/class_rules.h"
+#include "datasets/obj_room/class_rules.h"
 
 #include <filesystem>
 #include <map>

@@ -1,5 +1,5 @@
 // OBJ + MTL reading on tinyobjloader's callbacks, with every index checked here.
-#include "scene/mesh_io.h"
+#include "datasets/obj_room/mesh_io.h"
 
 #ifdef SEMFIELD_WITH_RAYCAST
 #include <tiny_obj_loader.h>

@@ -1,12 +1,12 @@
 // Rays and distances against a room in closed form.
-#include "scene/raycast.h"
+#include "datasets/obj_room/raycast.h"
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 
 #include "core/parallel.h"
-#include "tests/obj/obj_testing.h"
+#include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {
 namespace {

@@ -1,5 +1,5 @@
 // Texture lookup: pyramid by box filter, bilinear in each level, linear between levels.
-#include "scene/texture.h"
+#include "datasets/obj_room/texture.h"
 
 #include <algorithm>
 #include <cmath>

@@ -5,7 +5,7 @@
 #include "datasets/obj_room/obj_room.h"
 #include "datasets/replica/replica.h"
 #include "plugin/linked_plugins.h"
-#include "tests/obj/obj_testing.h"
+#include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {
 namespace {

@@ -1,8 +1,8 @@
 // OBJ files as they come: every bad one gets its own sentence, none a crash.
 #include <gtest/gtest.h>
 
-#include "scene/mesh_io.h"
-#include "tests/obj/obj_testing.h"
+#include "datasets/obj_room/mesh_io.h"
+#include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {
 namespace {

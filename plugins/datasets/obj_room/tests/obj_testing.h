@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "scene/mesh_io.h"
-#include "scene/raycast.h"
+#include "datasets/obj_room/mesh_io.h"
+#include "datasets/obj_room/raycast.h"
 #include "scene/scene.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -5,7 +5,7 @@
 #include <functional>
 #include <memory>
 
-#include "scene/mesh_io.h"
+#include "datasets/obj_room/mesh_io.h"
 
 namespace semfield {
 

@@ -1,10 +1,10 @@
 // OBJ files as they should be: shapes, names, materials, polygons.
-#include "scene/mesh_io.h"
+#include "datasets/obj_room/mesh_io.h"
 
 #include <gtest/gtest.h>
 
 #include "scene/image_io.h"
-#include "tests/obj/obj_testing.h"
+#include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {
 namespace {

@@ -1,5 +1,5 @@
 // Embree scene (version 3 or 4): one geometry for opaque triangles, one with a filter for cut-outs.
-#include "scene/raycast.h"
+#include "datasets/obj_room/raycast.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,12 +1,12 @@
 // Frames of a mesh: depth, class and instance in closed form, cut-outs, textures, threads.
-#include "scene/mesh_render.h"
+#include "datasets/obj_room/mesh_render.h"
 
 #include <gtest/gtest.h>
 
 #include "core/parallel.h"
 #include "scene/camera_path.h"
 #include "scene/image_io.h"
-#include "tests/obj/obj_testing.h"
+#include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {
 namespace {

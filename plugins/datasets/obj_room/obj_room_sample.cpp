@@ -4,7 +4,7 @@
 #include <sstream>
 
 #include "core/files.h"
-#include "scene/raycast.h"
+#include "datasets/obj_room/raycast.h"
 #include "tests/conformance/dataset_samples.h"
 
 namespace semfield::testkit {

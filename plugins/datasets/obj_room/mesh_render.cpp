@@ -1,5 +1,5 @@
 // Shading: interleaved sampling of the light, smoothed over pixels that show the same surface [Keller01].
-#include "scene/mesh_render.h"
+#include "datasets/obj_room/mesh_render.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,7 +1,7 @@
 // Polygons into triangles by ear clipping.
 #include <cmath>
 
-#include "scene/mesh_io.h"
+#include "datasets/obj_room/mesh_io.h"
 
 namespace semfield {
 

@@ -7,10 +7,10 @@
 #include <vector>
 
 #include "core/error.h"
-#include "scene/mesh_io.h"
-#include "scene/raycast.h"
+#include "datasets/obj_room/mesh_io.h"
+#include "datasets/obj_room/raycast.h"
 #include "scene/scene.h"
-#include "scene/texture.h"
+#include "datasets/obj_room/texture.h"
 
 namespace semfield {
 
