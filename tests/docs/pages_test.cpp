@@ -7,6 +7,7 @@
 #include <cctype>
 #include <cstdio>
 #include <filesystem>
+#include <iterator>
 #include <map>
 #include <memory>
 #include <regex>
@@ -163,15 +164,20 @@ std::string help_of(const std::string& verb) {
   return help;
 }
 
-TEST(Readme, TableOfVerbsIsThatOfTheProgram) {
+TEST(Readme, HasAtMost900Words) {
+  std::istringstream words(page("README.md"));
+  EXPECT_LE(std::distance(std::istream_iterator<std::string>(words), {}), 900) << "details belong to docs/";
+}
+
+TEST(CommandLinePage, TableOfVerbsIsThatOfTheProgram) {
   const std::string help = output_of("--help");
   const std::size_t list = help.find("Subcommands:");
   ASSERT_NE(list, std::string::npos) << help;
   const std::set<std::string> have = matches(help.substr(list), R"(\n  ([a-z-]+) )");
-  const std::string readme = page("README.md");
-  const std::size_t begin = readme.find("## Verbs");
+  const std::string text = page("docs/reference/command_line.md");
+  const std::size_t begin = text.find("## Verbs");
   ASSERT_NE(begin, std::string::npos);
-  const std::string section = readme.substr(begin, readme.find("\n## ", begin + 1) - begin);
+  const std::string section = text.substr(begin, text.find("\n## ", begin + 1) - begin);
   EXPECT_EQ(matches(section, R"(\n\| `([a-z-]+)[ `])"), have);
   for (const std::string& verb : have) {
     const std::string options = help_of(verb) + help;
@@ -182,9 +188,8 @@ TEST(Readme, TableOfVerbsIsThatOfTheProgram) {
   }
 }
 
-TEST(Readme, ExitCodesAreThoseOfTheProgram) {
-  const std::string readme = page("README.md");
-  std::set<std::string> listed = matches(readme, R"(\n\| ([0-9]+)[, |])");
+TEST(CommandLinePage, ExitCodesAreThoseOfTheProgram) {
+  std::set<std::string> listed = matches(page("docs/reference/command_line.md"), R"(\n\| ([0-9]+)[, |])");
   std::set<std::string> have = matches(page("framework/core/error.h"), R"(\n  [a-z_]+ = ([0-9]+),)");
   have.insert({"0", "130"});
   EXPECT_EQ(listed, have);

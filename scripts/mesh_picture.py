@@ -1,0 +1,150 @@
+#!/usr/bin/env python3
+"""Draws a labelled mesh from above, in its colours and by class: the picture of README.md. Needs the standard library alone.
+
+usage: mesh_picture.py MESH.ply CLASSES.yaml OUT.png [AZIMUTH_DEG ELEVATION_DEG [WIDTH_PX HEIGHT_PX]]
+e.g.   mesh_picture.py runs/demo/mesh.ply runs/demo/classes.yaml docs/images/room_mesh.png
+
+MESH.ply is what `semfield mesh RUN` writes. Faces that look away from the camera are left out, and so is what lies at the near walls and
+under the ceiling: the view into the room is open."""
+import math
+import re
+import struct
+import sys
+
+from room_png import write_png
+
+SAMPLES = 2  # a pixel's side in samples
+CUT = 0.1  # share of the box that is cut off at near walls; twice that under the ceiling
+TYPES = {"double": "d", "float": "f", "uchar": "B", "ushort": "H", "int": "i", "uint": "I"}
+
+
+def read_ply(path):
+    """A dict of the vertices' columns, and the faces as (3, corner, corner, corner)."""
+    with open(path, "rb") as file:
+        data = file.read()
+    end = data.find(b"end_header\n") + len(b"end_header\n")
+    header = data[:end].decode(errors="replace").split("\n")
+    if "format binary_little_endian 1.0" not in header or "end_header" not in header:
+        sys.exit(f"{path}: not a binary little-endian PLY; `semfield mesh RUN` writes one")
+    counts = {line.split()[1]: int(line.split()[2]) for line in header if line.startswith("element ")}
+    first = header.index(next(line for line in header if line.startswith("element face")))
+    columns = [line.split()[1:] for line in header[:first] if line.startswith("property ")]
+    row = struct.Struct("<" + "".join(TYPES[kind] for kind, _ in columns))
+    body = row.size * counts["vertex"]
+    vertices = dict(zip((name for _, name in columns), zip(*row.iter_unpack(data[end:end + body]))))
+    faces = list(struct.iter_unpack("<Biii", data[end + body:end + body + 13 * counts["face"]]))
+    return vertices, faces
+
+
+def class_colors(path):
+    text = open(path, encoding="utf-8").read()
+    found = re.findall(r"id: (\d+),.*?color: \[(\d+), (\d+), (\d+)\]", text)
+    return {int(i): (int(r), int(g), int(b)) for i, r, g, b in found}
+
+
+def camera_of(vertices, azimuth, elevation):
+    """Eye and axes (right, up, back) of a camera outside the box that looks at a point below its middle."""
+    low = [min(vertices[a]) for a in "xyz"]
+    high = [max(vertices[a]) for a in "xyz"]
+    middle = [(a + b) / 2 for a, b in zip(low, high)]
+    middle[2] -= 0.12 * (high[2] - low[2])
+    a, e = math.radians(azimuth), math.radians(elevation)
+    back = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
+    right = (-math.sin(a), math.cos(a), 0.0)
+    up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
+    eye = [m + 1.9 * math.dist(low, high) * b for m, b in zip(middle, back)]
+    return eye, right, up, back
+
+
+def in_front(vertices, faces, back):
+    """Faces without those in the cut-off parts of the box."""
+    keep = [True] * len(vertices["x"])
+    for axis, side, share in zip("xyz", back, (CUT, CUT, 2 * CUT)):
+        low, high = min(vertices[axis]), max(vertices[axis])
+        if side > 0: high -= share * (high - low)
+        else: low += share * (high - low)
+        keep = [k and low <= v <= high for k, v in zip(keep, vertices[axis])]
+    return [face for face in faces if keep[face[1]] and keep[face[2]] and keep[face[3]]]
+
+
+def project(vertices, camera):
+    """Per vertex: x to the right and y down, both divided by depth, and depth."""
+    (ex, ey, ez), right, up, back = camera
+    points = []
+    for x, y, z in zip(vertices["x"], vertices["y"], vertices["z"]):
+        x, y, z = x - ex, y - ey, z - ez
+        depth = -(x * back[0] + y * back[1] + z * back[2])
+        points.append(((x * right[0] + y * right[1] + z * right[2]) / depth,
+                       -(x * up[0] + y * up[1] + z * up[2]) / depth, depth))
+    return points
+
+
+def draw(points, faces, width, height):
+    """Per sample the vertex that is seen, or -1: the nearest corner of the nearest face that looks at the camera."""
+    xs, ys = [p[0] for p in points], [p[1] for p in points]
+    seen = set()
+    for _, a, b, c in faces:
+        (ax, ay, _), (bx, by, _), (cx, cy, _) = points[a], points[b], points[c]
+        if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < 0: seen.update((a, b, c))
+    x0, x1 = min(xs[i] for i in seen), max(xs[i] for i in seen)
+    y0, y1 = min(ys[i] for i in seen), max(ys[i] for i in seen)
+    scale = 0.98 * min(width / (x1 - x0), height / (y1 - y0))
+    ox, oy = width / 2 - scale * (x0 + x1) / 2, height / 2 - scale * (y0 + y1) / 2
+    depth, owner = [math.inf] * (width * height), [-1] * (width * height)
+    on_image = [(ox + scale * x, oy + scale * y, z) for x, y, z in points]
+    for _, a, b, c in faces:
+        ax, ay, az = on_image[a]
+        bx, by, bz = on_image[b]
+        cx, cy, cz = on_image[c]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if area >= 0: continue  # looks away
+        for row in range(max(0, math.ceil(min(ay, by, cy))), min(height - 1, math.floor(max(ay, by, cy))) + 1):
+            for column in range(max(0, math.ceil(min(ax, bx, cx))), min(width - 1, math.floor(max(ax, bx, cx))) + 1):
+                wb = ((column - ax) * (cy - ay) - (row - ay) * (cx - ax)) / area
+                wc = ((bx - ax) * (row - ay) - (by - ay) * (column - ax)) / area
+                wa = 1 - wb - wc
+                if wa < 0 or wb < 0 or wc < 0: continue
+                z = wa * az + wb * bz + wc * cz
+                at = row * width + column
+                if z < depth[at]:
+                    depth[at] = z
+                    owner[at] = a if wa >= wb and wa >= wc else (b if wb >= wc else c)
+    return owner
+
+
+def rows_of(owner, colors, width, height):
+    """Rows of RGB bytes: means of SAMPLES x SAMPLES samples over white."""
+    for top in range(0, height, SAMPLES):
+        row = bytearray()
+        for left in range(0, width, SAMPLES):
+            r = g = b = 0
+            for y in range(top, top + SAMPLES):
+                for x in range(left, left + SAMPLES):
+                    color = colors[owner[y * width + x]]
+                    r, g, b = r + color[0], g + color[1], b + color[2]
+            # Six bits a channel: the file is half the size, and nothing of it is seen.
+            row += bytes(v // (SAMPLES * SAMPLES) & 0xFC | v // (SAMPLES * SAMPLES) >> 6 for v in (r, g, b))
+        yield bytes(row)
+
+
+def main():
+    if len(sys.argv) < 4: sys.exit(__doc__)
+    mesh, classes, out = sys.argv[1:4]
+    azimuth, elevation, width, height = [float(v) for v in sys.argv[4:8]] + [312.0, 38.0, 560.0, 440.0][len(sys.argv) - 4:]
+    width, height = int(width) * SAMPLES, int(height) * SAMPLES
+    vertices, faces = read_ply(mesh)
+    camera = camera_of(vertices, azimuth, elevation)
+    owner = draw(project(vertices, camera), in_front(vertices, faces, camera[3]), width, height)
+    light = [0.15 * r + 0.6 * u + 0.6 * b for r, u, b in zip(*camera[1:])]
+    norm = math.hypot(*light)
+    by_class, table = [], class_colors(classes)
+    for nx, ny, nz, label in zip(*(vertices[k] for k in ("nx", "ny", "nz", "label"))):
+        shade = 0.7 + 0.35 * max(0.0, (nx * light[0] + ny * light[1] + nz * light[2]) / norm)
+        by_class.append([min(255, shade * v) for v in table.get(label, (0, 0, 0))])
+    photo = list(zip(*(vertices[k] for k in ("red", "green", "blue"))))
+    white = [(255, 255, 255)]
+    panels = [rows_of(owner, [tuple(int(v) for v in c) for c in colors] + white, width, height) for colors in (photo, by_class)]
+    write_png(out, 2 * width // SAMPLES, height // SAMPLES, [left + right for left, right in zip(*panels)])
+
+
+main()

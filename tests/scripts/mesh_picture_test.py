@@ -1,0 +1,82 @@
+"""scripts/mesh_picture.py on a box of a floor, a wall and a ceiling: what it draws, in which colours, and what it leaves out."""
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+import zlib
+
+HEADER = """ply
+format binary_little_endian 1.0
+element vertex {vertices}
+property double x
+property double y
+property double z
+property float nx
+property float ny
+property float nz
+property uchar red
+property uchar green
+property uchar blue
+property ushort label
+property float entropy
+element face {faces}
+property list uchar uint vertex_indices
+end_header
+"""
+
+
+def square(corners, normal, color, label):
+    return [struct.pack("<dddfffBBBHf", *corner, *normal, *color, label, 0.0) for corner in corners]
+
+
+def pixels(path):
+    """Rows of the RGB pixels of a PNG with the filters 'sub' and 'up'."""
+    data = open(path, "rb").read()
+    width, height = struct.unpack(">II", data[16:24])
+    start = data.index(b"IDAT") + 4
+    raw = zlib.decompress(data[start:start + struct.unpack(">I", data[start - 8:start - 4])[0]])
+    rows, above = [], bytes(3 * width)
+    for y in range(height):
+        kind, line = raw[y * (3 * width + 1)], bytearray(raw[y * (3 * width + 1) + 1:(y + 1) * (3 * width + 1)])
+        for i in range(3 * width):
+            line[i] = (line[i] + (above[i] if kind == 2 else line[i - 3] if i >= 3 else 0)) & 255
+        rows.append([tuple(line[i:i + 3]) for i in range(0, 3 * width, 3)])
+        above = bytes(line)
+    return rows
+
+
+def main(script):
+    vertices = square([(0, 4, 3), (4, 4, 3), (4, 0, 3), (0, 0, 3)], (0, 0, -1), (20, 200, 20), 2)  # ceiling
+    vertices += square([(0, 4, 0), (4, 4, 0), (4, 4, 2), (0, 4, 2)], (0, -1, 0), (20, 20, 200), 3)  # far wall
+    cells = 8  # the near part of the floor is cut off, so it has many faces
+    grid = [(4 * i / cells, 4 * j / cells, 0) for j in range(cells + 1) for i in range(cells + 1)]
+    first = len(vertices)
+    vertices += square(grid, (0, 0, 1), (200, 20, 20), 1)
+    faces = [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)]
+    for j in range(cells):
+        for i in range(cells):
+            a = first + j * (cells + 1) + i
+            faces += [(a, a + 1, a + cells + 2), (a, a + cells + 2, a + cells + 1)]
+    with tempfile.TemporaryDirectory() as folder:
+        mesh, classes, out = (os.path.join(folder, name) for name in ("mesh.ply", "classes.yaml", "out.png"))
+        with open(mesh, "wb") as file:
+            file.write(HEADER.format(vertices=len(vertices), faces=len(faces)).encode() + b"".join(vertices) +
+                       b"".join(struct.pack("<BIII", 3, *face) for face in faces))
+        with open(classes, "w") as file:
+            file.write("- {id: 1, name: floor, color: [250, 250, 0]}\n- {id: 2, name: ceiling, color: [0, 250, 250]}\n")
+        subprocess.run([sys.executable, script, mesh, classes, out, "270", "40", "60", "40"], check=True)
+        rows = pixels(out)
+        refused = subprocess.run([sys.executable, script, classes, classes, out], capture_output=True, text=True)
+    assert (len(rows[0]), len(rows)) == (120, 40), "two panels side by side"
+    photo = {pixel for row in rows for pixel in row[:60]}
+    by_class = {pixel for row in rows for pixel in row[60:]}
+    near = lambda color, colors: any(all(abs(a - b) <= 4 for a, b in zip(color, other)) for other in colors)
+    assert near((200, 20, 20), photo), "the floor has its own colour on the left"
+    assert not near((20, 200, 20), photo), "the ceiling is left out"
+    assert any(r > 150 and g > 150 and b < 10 for r, g, b in by_class), "the floor has its class's colour on the right"
+    assert not any(r < 10 and g > 150 and b > 150 for r, g, b in by_class), "nor does its class show"
+    assert refused.returncode != 0 and "PLY" in refused.stderr and "Traceback" not in refused.stderr, refused.stderr
+
+
+main(sys.argv[1])
