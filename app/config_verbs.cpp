@@ -6,6 +6,7 @@
 #include "config/schema.h"
 #include "sweep/sweep_schema.h"
 #include "train/label_config.h"
+#include "train/loss_config.h"
 #include "train/run_config.h"
 #include "verbs.h"
 
@@ -58,12 +59,13 @@ int run_config_schema(bool of_sweeps, AppContext& context) {
   const ParamDoc base{
       "base_dir", "text", "", "", "folder where relative paths start that no file anchors; default: the working folder",
       {}};
-  const ParamDoc plugins{"plugins",
-                         "list of text",
-                         "[]",
-                         "",
-                         "plugin modules that it needs, by path; see docs/reference/configuration.md for which are loaded",
-                         {}};
+  const ParamDoc plugins{
+      "plugins",
+      "list of text",
+      "[]",
+      "",
+      "plugin modules that it needs, by path; see docs/reference/configuration.md for which are loaded",
+      {}};
   sections.push_back({"", "", {name, base, plugins}});
   const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
   const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};
@@ -71,7 +73,10 @@ int run_config_schema(bool of_sweeps, AppContext& context) {
   std::vector<SchemaAlternative> readers, degradations;
   for (const LabelStepDoc& doc : describe_label_steps())
     (doc.key == "from" ? readers : degradations).push_back({doc.type, doc.sentence, doc.params});
+  std::vector<SchemaAlternative> losses;
+  for (const LossDoc& doc : describe_losses()) losses.push_back({doc.type, doc.sentence, doc.params});
   const std::vector<SchemaChoice> choices{
+      {"losses[]", "terms of the loss beside colour and semantics; each type once", losses},
       {"scene.labels.from", "label files that train instead of the dataset's own labels", readers},
       {"scene.labels.degrade[]", "changes of the labels that train, in order", degradations},
       {"scene", "where frames come from", alternatives(context.registry, PluginKind::dataset)},
@@ -83,7 +88,8 @@ int run_config_schema(bool of_sweeps, AppContext& context) {
       {"passes[].field", "the network", alternatives(context.registry, PluginKind::field)},
       {"passes[].semantic[?].position", "position encoder of the semantic branch",
        alternatives(context.registry, PluginKind::encoder)},
-      {"passes[].semantic[?].field", "network of the semantic branch", alternatives(context.registry, PluginKind::field)},
+      {"passes[].semantic[?].field", "network of the semantic branch",
+       alternatives(context.registry, PluginKind::field)},
   };
   std::fputs(json_schema_of("Semfield configuration", sections, choices).c_str(), stdout);
   return 0;

@@ -135,6 +135,7 @@ __global__ void __launch_bounds__(kRayThreads)
       const double after = static_cast<double>(passing(depth));                 // T_{k+1}
       double value = ray.depth * static_cast<double>(s.t) + ray.opacity + dot;  // v_k = dL/dw_k
       for (int c = 0; c < 3; ++c) value += ray.color[c] * static_cast<double>(s.rgb[c]);
+      if (!grad.weight.empty() && k >= at.begin && k < at.end) value += static_cast<double>(grad.weight(k, 0));
       Affine map;
       if (k == last) {
         map = {0, value};

@@ -8,6 +8,7 @@
 
 #include "core/rng.h"
 #include "core/view.h"
+#include "losses/loss_list.h"
 
 namespace semfield::cuda {
 
@@ -20,7 +21,8 @@ struct StepCell {
   double learning_rate = 0;   ///< of the step; for weight decay
   float adam_root_scale = 1;  ///< AdamStep::root_scale
   double semantic_normaliser = 0;
-  std::int32_t labelled = 0;  ///< rays with a label; 0: the semantic head is not updated
+  double loss_scale[kMostLossTerms] = {};  ///< LossScales::scale
+  std::int32_t labelled = 0;               ///< rays with a label; 0: the semantic head is not updated
 };
 
 /// Which stage met a value that no later stage may see.

@@ -3,14 +3,16 @@
 
 #include "core/workspace.h"
 #include "cuda/launch.h"
+#include "losses/loss_list.h"
 #include "losses/semantic_cross_entropy.h"
 
 namespace semfield::cuda {
 
 /// Sums of one pass over a batch.
 struct LossSums {
-  double squares = 0;   ///< sum of squared colour errors over rays and channels
-  double semantic = 0;  ///< weighted cross-entropy in nats, before division
+  double squares = 0;                 ///< sum of squared colour errors over rays and channels
+  double semantic = 0;                ///< weighted cross-entropy in nats, before division
+  double terms[kMostLossTerms] = {};  ///< of the list `losses`
   std::int64_t labelled = 0;
   std::int64_t correct = 0;
   std::int64_t samples = 0;  ///< in use
@@ -28,6 +30,9 @@ void photometric_loss(Workspace& arena, View<const float> color, View<const floa
 /// probability one of Stage::label; such a ray counts as unlabelled.
 void semantic_cross_entropy(Workspace& arena, View<const float> logits, const SemanticTargets& targets,
                             View<const float> class_weight, double scale, View<float> d_logits, LossSums* sums);
+
+/// *total = the sum of `count` numbers, all device memory, in an order that depends on `count` alone.
+void sum_in_order(const double* numbers, std::int64_t count, double* total);
 
 /// sums->samples = first[R], sums->dense = any sigma > 0.
 void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums);

@@ -22,6 +22,7 @@ RayBatch first_rays(const RayBatch& batch, std::int64_t rays) {
   out.target = first(batch.target);
   if (!batch.label.empty()) out.label = first(batch.label);
   if (!batch.soft.empty()) out.soft = first(batch.soft);
+  if (!batch.depth.empty()) out.depth = first(batch.depth);
   out.label_only_share = batch.label_only_share;
   return out;
 }
@@ -40,7 +41,7 @@ bool DevicePipeline::fits(std::int64_t rays, const Shape& shape, std::int64_t st
   forget_step();
   try {
     const Workspace::Scope scope(train_arena_), beside(beside_arena_);
-    const Shape smaller{std::min(shape.semantic_rays, rays), 0, nullptr};
+    const Shape smaller{std::min(shape.semantic_rays, rays), shape.terms, 0, nullptr};
     train_passes(smaller, first_rays(staging_->batch(), rays), context(step, true, train_arena_));
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::unavailable) throw;

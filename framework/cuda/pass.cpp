@@ -186,7 +186,7 @@ void Pass::composite(const StepContext& ctx, Trace& trace) const {
   }
 }
 
-void Pass::backward(const StepContext& ctx, const Trace& trace, View<const float> d_color,
+void Pass::backward(const StepContext& ctx, const Trace& trace, const RayGradients<float>& d,
                     View<const float> d_logits) const {
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
@@ -195,12 +195,14 @@ void Pass::backward(const StepContext& ctx, const Trace& trace, View<const float
   const LaunchScope live(with_live_rows(trace.samples.first.data + ray_count));
   const bool semantic = trace.semantic_rays > 0 && !d_logits.empty(), deferred = rules_.deferred_class_layer;
   SEMFIELD_CHECK(!semantic || !branch_, "gradients of a branch are branch_backward's");
-  if (semantic && !trace.rounded_hidden.empty()) return backward_in_bf16(ctx, trace, d_color, d_logits);
+  if (semantic && !trace.rounded_hidden.empty()) return backward_in_bf16(ctx, trace, d, d_logits);
   CompositeIn<float> in = composite_in(trace);
   CompositeOut<float> out;
   out.weight = trace.weight;
   CompositeGrad<float> grad;
-  grad.color = d_color;
+  grad.color = d.color;
+  grad.depth = d.depth;
+  grad.weight = d.weight;
   View<float> d_per_sample;
   Tensors<float> head_tensors;
   if (semantic) {
@@ -232,12 +234,12 @@ void Pass::backward(const StepContext& ctx, const Trace& trace, View<const float
     head_->hidden_backward(arena, head_tensors, trace.out.feature.row_range(0, trace.semantic_samples), trace.hidden,
                            d_hidden, d_feature.row_range(0, trace.semantic_samples));
   }
-  density_backward(rules_.activation, trace.out.sigma, d_sigma, d_sigma);
+  raw_density_backward(trace, d, d_sigma);
   field_backward(ctx, trace, {d_sigma, d_rgb, d_feature});
 }
 
 // The same where field and head exchange bf16: a quarter of the bytes between them.
-void Pass::backward_in_bf16(const StepContext& ctx, const Trace& trace, View<const float> d_color,
+void Pass::backward_in_bf16(const StepContext& ctx, const Trace& trace, const RayGradients<float>& d,
                             View<const float> d_logits) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t rows = trace.samples.count;
@@ -263,7 +265,9 @@ void Pass::backward_in_bf16(const StepContext& ctx, const Trace& trace, View<con
   CompositeOut<float> out;
   out.weight = trace.weight;
   CompositeGrad<float> grad;
-  grad.color = d_color;
+  grad.color = d.color;
+  grad.depth = d.depth;
+  grad.weight = d.weight;
   if (moves_density) grad.opacity = d_opacity;
   composite_backward(composite_in(trace), out, grad, d_sigma, d_rgb, {}, moves_density ? trace.semantic_rays : 0);
   FeatureExchange features;
@@ -277,11 +281,16 @@ void Pass::backward_in_bf16(const StepContext& ctx, const Trace& trace, View<con
                            d_feature);
     features.d_feature = d_feature;
   }
-  density_backward(rules_.activation, trace.out.sigma, d_sigma, d_sigma);
+  raw_density_backward(trace, d, d_sigma);
   Launch sharing = launch();
   sharing.features = &features;
   const LaunchScope scope(sharing);
   field_backward(ctx, trace, {d_sigma, d_rgb, {}});
+}
+
+void Pass::raw_density_backward(const Trace& trace, const RayGradients<float>& d, View<float> d_sigma) const {
+  if (!d.sigma.empty()) add_rows<float, float>(d.sigma, d_sigma);
+  density_backward(rules_.activation, trace.out.sigma, d_sigma, d_sigma);
 }
 
 void Pass::field_backward(const StepContext& ctx, const Trace& trace, const FieldGrad<float>& grad) const {

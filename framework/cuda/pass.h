@@ -35,8 +35,9 @@ class Pass {
   /// with a branch leaves the logits to branch_forward.
   Trace forward(const StepContext& ctx, const Rays<float>& rays, const Proposal<float>* previous,
                 std::int64_t previous_per_ray, std::int64_t semantic_rays, bool colors = true) const;
-  /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero, and with a branch) into the store.
-  void backward(const StepContext& ctx, const Trace& trace, View<const float> d_color,
+  /// Gradients from d (an empty view but for color: zero) and d_logits [semantic_rays, C] (empty: zero, and with a
+  /// branch) into the store.
+  void backward(const StepContext& ctx, const Trace& trace, const RayGradients<float>& d,
                 View<const float> d_logits) const;
 
   bool has_branch() const { return branch_.has_value(); }
@@ -55,9 +56,11 @@ class Pass {
   void composite(const StepContext& ctx, Trace& trace) const;
   bool wants_feature() const { return head_ && (!branch_ || parts_.branch->rules.reads_feature); }
   CompositeIn<float> composite_in(const Trace& trace) const;
-  void backward_in_bf16(const StepContext& ctx, const Trace& trace, View<const float> d_color,
+  void backward_in_bf16(const StepContext& ctx, const Trace& trace, const RayGradients<float>& d,
                         View<const float> d_logits) const;
   void field_backward(const StepContext& ctx, const Trace& trace, const FieldGrad<float>& grad) const;
+  /// From dL/d(sigma) of the compositor to that of the raw density, in its place.
+  void raw_density_backward(const Trace& trace, const RayGradients<float>& d, View<float> d_sigma) const;
   DensityRule density_rule(const StepContext& ctx) const;
 
   PassParts<float> parts_;

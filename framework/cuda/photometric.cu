@@ -68,8 +68,12 @@ void photometric_loss(Workspace& arena, View<const float> color, View<const floa
   error_kernel<<<blocks, kThreads, 0, launch().stream>>>(color, target, 2.0 / normaliser, d_color, of_block);
   check_launch("colour loss");
   if (blocks == 1) return;
-  total_kernel<<<1, kThreads, 0, launch().stream>>>(of_block, blocks, &sums->squares);
-  check_launch("sum of the colour loss");
+  sum_in_order(of_block, blocks, &sums->squares);
+}
+
+void sum_in_order(const double* numbers, std::int64_t count, double* total) {
+  total_kernel<<<1, kThreads, 0, launch().stream>>>(numbers, count, total);
+  check_launch("sum of a loss");
 }
 
 void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums) {

@@ -11,6 +11,7 @@
 #include "cuda/device.h"
 #include "cuda/kernel_tables.h"
 #include "cuda/layers.h"
+#include "cuda/loss_terms.h"
 #include "model/ray_guard.h"
 
 namespace semfield::cuda {
@@ -39,6 +40,7 @@ DevicePipeline::DevicePipeline(Pipeline<float>& host, std::vector<PassParts<floa
       beside_arena_(arena_source()),
       render_arena_(arena_source()) {
   SEMFIELD_CHECK(parts.size() <= static_cast<std::size_t>(kMostPasses), "a device runs at most 4 passes");
+  require_loss_kernels(host.options().losses);
   check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "making a stream");
   check(cudaStreamCreateWithFlags(&beside_, cudaStreamNonBlocking), "making a stream");
   check(cudaEventCreateWithFlags(&forked_, cudaEventDisableTiming), "making an event");
@@ -133,6 +135,8 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
   cell.adam_root_scale = static_cast<float>(update.root_scale);
   cell.semantic_normaliser = host_.batch_normaliser(batch);
   cell.labelled = static_cast<std::int32_t>(count_labels(batch));
+  const LossScales terms = host_.options().losses.scales(step, targets_of(batch), batch.origin.rows);
+  std::copy(terms.scale.begin(), terms.scale.end(), cell.loss_scale);
   const int slot = static_cast<int>(queued_.size());
   staging_->send(slot, cell, batch);
 
@@ -140,9 +144,10 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
   std::int64_t semantic_rays = host_.has_semantics() ? labelled_rays(batch) : 0;
   if (host_.options().head_on_all_rays && host_.has_semantics()) semantic_rays = rays;
   semantic_rays = std::min(rays, (semantic_rays + group - 1) / group * group);
-  auto shape =
-      std::find_if(shapes_.begin(), shapes_.end(), [&](const Shape& s) { return s.semantic_rays == semantic_rays; });
-  if (shape == shapes_.end()) shape = shapes_.insert(shapes_.end(), {semantic_rays, 0, nullptr});
+  auto shape = std::find_if(shapes_.begin(), shapes_.end(), [&](const Shape& s) {
+    return s.semantic_rays == semantic_rays && s.terms == terms.active;
+  });
+  if (shape == shapes_.end()) shape = shapes_.insert(shapes_.end(), {semantic_rays, terms.active, 0, nullptr});
   try {
     run(*shape, step);
   } catch (const Error& error) {
@@ -163,7 +168,7 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
     }
   }
   staging_->fetch(slot);
-  queued_.push_back({step, cell.semantic_normaliser, color_normaliser(batch)});
+  queued_.push_back({step, cell.semantic_normaliser, color_normaliser(batch), terms});
 }
 
 void DevicePipeline::run(Shape& shape, std::int64_t step) {
@@ -236,12 +241,31 @@ void DevicePipeline::train_passes(const Shape& shape, const RayBatch& batch, con
     count_samples(trace.samples.first, trace.sigma, sums);
     View<float> d_logits;
     if (trace.semantic_rays > 0 && !branched) d_logits = semantic_gradient(arena, trace, batch, sums);
-    pass.backward(ctx, trace, d_color, d_logits);
+    RayGradients<float> d;
+    d.color = d_color;
+    if (shape.terms != 0) add_terms(shape, batch, trace, arena, d, sums);
+    pass.backward(ctx, trace, d, d_logits);
     if (branched) join();
     previous = trace;
     proposal.samples = &previous.samples;
     proposal.weight = previous.weight;
   }
+}
+
+void DevicePipeline::add_terms(const Shape& shape, const RayBatch& batch, const Trace& trace, Workspace& arena,
+                               RayGradients<float>& d, LossSums* sums) const {
+  const auto zeroed = [&](bool wanted, std::int64_t rows) {
+    if (!wanted) return View<float>();
+    const View<float> view = arena.take<float>(rows, 1);
+    fill(view, 0.0F);
+    return view;
+  };
+  const LossList& losses = host_.options().losses;
+  const LossTraits traits = losses.traits(shape.terms);
+  d.depth = zeroed(traits.moves_depth, trace.depth.rows);
+  d.weight = zeroed(traits.moves_weight, trace.weight.rows);
+  d.sigma = zeroed(traits.moves_sigma, trace.sigma.rows);
+  add_losses(arena, losses, shape.terms, targets_of(batch), values_of<float>(batch.near_far, trace), d, sums);
 }
 
 View<float> DevicePipeline::semantic_gradient(Workspace& arena, const Trace& trace, const RayBatch& batch,
@@ -275,23 +299,26 @@ void DevicePipeline::join() const {
   check(cudaStreamWaitEvent(stream_, joined_, 0), "waiting for a semantic branch");
 }
 
-StepLosses DevicePipeline::losses_of(const StepSums& sums, double normaliser) const {
+StepLosses DevicePipeline::losses_of(const StepSums& sums, const Queued& of) const {
   StepLosses out;
   for (std::size_t p = 0; p < passes_.size(); ++p) {
     const LossSums& pass = sums.pass[p];
     out.color += pass.squares;
     out.semantic += pass.semantic;
     out.mse = pass.squares;
+    for (std::size_t i = 0; i < kMostLossTerms; ++i) out.terms[i] += pass.terms[i];
     out.samples = pass.samples;
     out.labelled = pass.labelled;
     out.correct = pass.correct;
     if (pass.dense != 0) out.dense_passes |= 1U << p;
   }
-  const double values = queued_.front().color_normaliser;
+  const double values = of.color_normaliser;
   out.color /= values;
   out.mse /= values;
-  out.semantic = normaliser > 0 ? out.semantic / normaliser : 0;
-  out.total = out.color + host_.options().semantic_weight * out.semantic;
+  out.semantic = of.normaliser > 0 ? out.semantic / of.normaliser : 0;
+  out.active = of.terms.active;
+  out.total =
+      out.color + host_.options().semantic_weight * out.semantic + host_.options().losses.finish(of.terms, out.terms);
   return out;
 }
 
@@ -302,7 +329,7 @@ DeviceSteps DevicePipeline::finish() {
   synchronize();
   for (std::size_t slot = 0; slot < queued_.size(); ++slot) {
     const StepSums& sums = staging_->sums(static_cast<int>(slot));
-    const StepLosses losses = losses_of(sums, queued_[slot].normaliser);
+    const StepLosses losses = losses_of(sums, queued_[slot]);
     if (sums.fault != kNoFault || !std::isfinite(losses.total)) {
       out.failed = queued_[slot].step;
       break;

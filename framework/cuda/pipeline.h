@@ -36,9 +36,10 @@ class DevicePipeline final : public DeviceBackend {
   static constexpr int kSlots = 32;
   static constexpr int kGroups = 8;  // shapes of a step: eighths of the batch with semantics
 
-  // One shape of a step: how many rays have semantics.
+  // One shape of a step: how many rays have semantics, and which terms of the loss there are.
   struct Shape {
     std::int64_t semantic_rays = 0;
+    std::uint32_t terms = 0;  // of the loss that work: LossScales::active
     int runs = 0;
     cudaGraphExec_t graph = nullptr;
   };
@@ -60,7 +61,15 @@ class DevicePipeline final : public DeviceBackend {
   void forget_graphs();
   /// Waits, and gives a step's memory back.
   void forget_step();
-  StepLosses losses_of(const StepSums& sums, double normaliser) const;
+  /// Gradients of the loss's terms into `d`, which gets zeroed memory for them.
+  void add_terms(const Shape& shape, const RayBatch& batch, const Trace& trace, Workspace& arena,
+                 RayGradients<float>& d, LossSums* sums) const;
+  struct Queued {
+    std::int64_t step;
+    double normaliser, color_normaliser;
+    LossScales terms;
+  };
+  StepLosses losses_of(const StepSums& sums, const Queued& of) const;
   Launch render_launch() const;
   void explain_fault(const std::function<void()>& on_the_host);
   void render_chunk(const RenderJob<float>& job, std::int64_t begin, std::int64_t count);
@@ -80,10 +89,6 @@ class DevicePipeline final : public DeviceBackend {
   Buffer<float> class_weight_;
   Buffer<FaultKey> render_fault_;
   std::vector<Shape> shapes_;
-  struct Queued {
-    std::int64_t step;
-    double normaliser, color_normaliser;
-  };
   std::vector<Queued> queued_;
 };
 

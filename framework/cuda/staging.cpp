@@ -32,6 +32,7 @@ std::int32_t soft_classes_of(const RayBatch& batch) { return batch.soft.empty() 
 Staging::Staging(int slots, const RayBatch& like)
     : rays_(like.origin.rows),
       has_labels_(!like.label.empty()),
+      has_depth_(!like.depth.empty()),
       soft_classes_(soft_classes_of(like)),
       label_only_share_(like.label_only_share) {
   std::size_t end = 0;
@@ -48,6 +49,7 @@ Staging::Staging(int slots, const RayBatch& like)
   at_.target = place(3 * n * sizeof(float));
   at_.label = place(has_labels_ ? n * sizeof(std::int16_t) : 0);
   at_.soft = place(n * static_cast<std::size_t>(soft_classes_) * sizeof(float));
+  at_.depth = place(has_depth_ ? n * sizeof(float) : 0);
   at_.total = end;
   host_ = pinned<std::byte>(static_cast<std::size_t>(slots) * at_.total, "pinned memory of batches");
   host_sums_ = pinned<StepSums>(static_cast<std::size_t>(slots), "pinned memory of sums");
@@ -62,8 +64,8 @@ Staging::~Staging() {
 }
 
 bool Staging::fits(const RayBatch& batch) const {
-  return batch.origin.rows == rays_ && batch.label.empty() != has_labels_ && soft_classes_of(batch) == soft_classes_ &&
-         batch.label_only_share == label_only_share_;
+  return batch.origin.rows == rays_ && batch.label.empty() != has_labels_ && batch.depth.empty() != has_depth_ &&
+         soft_classes_of(batch) == soft_classes_ && batch.label_only_share == label_only_share_;
 }
 
 void Staging::send(int slot, const StepCell& cell, const RayBatch& batch) {
@@ -75,6 +77,7 @@ void Staging::send(int slot, const StepCell& cell, const RayBatch& batch) {
   put(block + at_.target, batch.target);
   put(block + at_.label, batch.label);
   put(block + at_.soft, batch.soft);
+  put(block + at_.depth, batch.depth);
   check(cudaMemcpyAsync(device_.data(), block, at_.total, cudaMemcpyHostToDevice, launch().stream), "sending a batch");
 }
 
@@ -95,6 +98,7 @@ RayBatch Staging::batch() const {
   out.target = view(at_.target, 3, static_cast<float*>(nullptr));
   if (has_labels_) out.label = view(at_.label, 1, static_cast<std::int16_t*>(nullptr));
   if (soft_classes_ > 0) out.soft = view(at_.soft, soft_classes_, static_cast<float*>(nullptr));
+  if (has_depth_) out.depth = view(at_.depth, 1, static_cast<float*>(nullptr));
   out.label_only_share = label_only_share_;
   return out;
 }

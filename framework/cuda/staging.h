@@ -44,10 +44,10 @@ class Staging {
 
  private:
   struct Layout {
-    std::size_t origin = 0, direction = 0, near_far = 0, target = 0, label = 0, soft = 0, total = 0;
+    std::size_t origin = 0, direction = 0, near_far = 0, target = 0, label = 0, soft = 0, depth = 0, total = 0;
   };
   std::int64_t rays_;
-  bool has_labels_;
+  bool has_labels_, has_depth_;
   std::int32_t soft_classes_;
   double label_only_share_;
   Layout at_;

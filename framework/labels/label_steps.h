@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "config/params.h"
+#include "config/typed_params.h"
 #include "core/error.h"
 #include "scene/frame_source.h"
 #include "scene/soft_map.h"
@@ -73,10 +74,7 @@ class LabelReader : public LabelStep {
 
 /// A type that `from` or `degrade` may name.
 template <class Step>
-struct StepKind {
-  std::string_view type, sentence;
-  std::unique_ptr<Step> (*make)();
-};
+using StepKind = TypeOf<Step>;
 
 /// In the order of the reference page.
 const std::vector<StepKind<Degradation>>& degradation_kinds();

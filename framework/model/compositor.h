@@ -52,6 +52,7 @@ struct CompositeGrad {
   View<const Real> depth;            ///< [R, 1]
   View<const Real> opacity;          ///< [R, 1]
   View<const Real> hidden;           ///< [R, H]
+  View<const Real> weight;           ///< [M, 1], beside what the other ones give a weight
   bool hidden_moves_density = true;  ///< false: `hidden` reaches d_hidden only, its part of d_sigma is exactly 0
 };
 

@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "core/error.h"
+#include "losses/loss_term.h"
 
 namespace semfield {
 
@@ -140,6 +141,13 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
       {kTrainingDepth, "depth of training frames gives bounds and distances and is then dropped",
        fmt::format("no loss reads it: {} training pixels with depth", request.training_depth_px), ProofClass::bitwise,
        fmt::format("2 bytes a pixel: {:.1f} MB", depth_mb), "", fmt::format("{:.1f} MB not held", depth_mb)});
+  for (const LossKind& kind : loss_kinds()) {
+    const bool named = std::find(request.losses.begin(), request.losses.end(), kind.type) != request.losses.end();
+    planner.leave(!named,
+                  {fmt::format("loss_{}", kind.type), "not asked for",
+                   fmt::format("`losses` names no term of type {}", kind.type), ProofClass::bitwise,
+                   std::string(kind.cost), fmt::format("add {{type: {}}} to the list `losses`", kind.type), ""});
+  }
   planner.leave(request.density_noise == 0,
                 {"density_noise", "its deviation is 0", "rendering.density_noise is 0", ProofClass::bitwise,
                  "one normal variate a sample", "set rendering.density_noise", ""});

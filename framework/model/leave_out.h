@@ -30,6 +30,7 @@ struct BuildRequest {
   bool last_sampler_single_pass = false;
   EmptySpace empty_space = EmptySpace::sampled;  ///< of the last pass's sampler
   bool direction_encoder = true;                 ///< the last pass names one
+  std::vector<std::string> losses;               ///< types of the list `losses`
   double density_noise = 0;
   double early_stop = 0;
   bool balance_classes = false;

@@ -48,6 +48,7 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
   // Lanes that get a whole tile; a last one with a part of it counts for that part.
   const double busy =
       std::clamp(static_cast<double>(rays) / static_cast<double>(tile_rays), 1.0, static_cast<double>(options.lanes));
+  const std::size_t terms = options.losses.empty() ? 0 : 2;  // gradients of weight and density
   std::size_t traces = 0, backward = 0, logits = 0;
   for (std::size_t p = 0; p < passes.size(); ++p) {
     const PassParts<Real>& parts = *passes[p];
@@ -70,7 +71,7 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
     const auto semantic = static_cast<std::size_t>(kSemanticShare * static_cast<double>(samples * hidden));
     traces += (samples * (6 + feature) + semantic) * sizeof(Real) + saved;
     if (!ahead) traces += samples * (place + encoded * sizeof(Real));
-    backward = std::max(backward, (samples * (4 + feature) + semantic) * sizeof(Real) +
+    backward = std::max(backward, (samples * (4 + terms + feature) + semantic) * sizeof(Real) +
                                       static_cast<std::size_t>(
                                           static_cast<double>(samples) *
                                           backward_bytes(static_cast<double>(saved) / static_cast<double>(samples))));

@@ -311,7 +311,7 @@ void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& tr
 }
 
 template <class Real>
-void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_color,
+void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, const RayGradients<Real>& d,
                           View<const Real> d_logits, View<Real> d_encoded) const {
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
@@ -340,7 +340,9 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
     if (rays == 0) return;
     const RayGroup<Real> group(trace, rules_, begin, rays, with_semantics);
     CompositeGrad<Real> grad;
-    grad.color = d_color.row_range(begin, rays);
+    grad.color = d.color.row_range(begin, rays);
+    grad.depth = d.depth.row_range(begin, rays);
+    grad.weight = d.weight;
     View<Real> d_hidden;
     if (with_semantics) {
       grad.hidden = deferred ? View<const Real>(d_ray_hidden) : d_logits;
@@ -365,6 +367,7 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
     parts_.head->hidden_backward(ctx, head, trace.out.feature.row_range(0, trace.semantic_samples), hidden, d_hidden,
                                  d_feature.row_range(0, trace.semantic_samples));
   }
+  for (std::int64_t m = 0; m < count && !d.sigma.empty(); ++m) d_sigma(m, 0) += d.sigma(m, 0);
   View<Real> d_raw = d_sigma;
   density_backward<Real>(rules_.activation, trace.out.sigma, d_sigma, d_raw);
   FieldGrad<Real> grad;

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "losses/loss_term.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
 #include "model/domain_map.h"
@@ -88,6 +89,22 @@ struct SampledTile {
   View<Real> encoded;  ///< [M, Dp]
 };
 
+/// What terms of the loss see of a pass.
+template <class Real>
+RayValues<Real> values_of(View<const double> near_far, const PassTrace<Real>& trace) {
+  RayValues<Real> values;
+  values.near_far = near_far;
+  values.first = trace.samples.first;
+  values.t = trace.samples.t;
+  values.delta = trace.samples.delta;
+  values.sigma = trace.sigma;
+  values.weight = trace.weight;
+  values.color = trace.color;
+  values.depth = trace.depth;
+  values.opacity = trace.opacity;
+  return values;
+}
+
 template <class Real>
 class Pass {
  public:
@@ -117,9 +134,9 @@ class Pass {
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const SampledTile<Real>& tile,
                           std::int64_t semantic_rays) const;
 
-  /// Gradients from d_color [R, 3] and d_logits [semantic_rays, C] (empty: zero) into the lane's gradients, and into
-  /// d_encoded [M, Dp] (empty: not wanted), which the position encoder must scatter.
-  void backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_color,
+  /// Gradients from d (an empty view but for color: zero) and d_logits [semantic_rays, C] (empty: zero) into the lane's
+  /// gradients, and into d_encoded [M, Dp] (empty: not wanted), which the position encoder must scatter.
+  void backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, const RayGradients<Real>& d,
                 View<const Real> d_logits, View<Real> d_encoded) const;
 
   /// Encoder scatter of gradients dy [N, Dp] at coordinates x [N, 3]; outside parallel regions.

@@ -38,6 +38,8 @@ double color_normaliser(const RayBatch& batch) {
   return static_cast<double>(std::max<std::int64_t>(1, 3 * rays));
 }
 
+RayTargets targets_of(const RayBatch& batch) { return {batch.target, batch.label, batch.soft, batch.depth}; }
+
 template <class Real>
 Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
     : options_(std::move(options)), store_(options_.seed, options_.lanes, trainable) {
@@ -93,7 +95,7 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
   const std::int64_t rays = batch.origin.rows;
   const std::int64_t tiles = (rays + tile_rays_ - 1) / tile_rays_;
   guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
-  const double normaliser = batch_normaliser(batch);
+  const BatchScales scales = scales_of(step, batch);
   tile_losses_.assign(static_cast<std::size_t>(tiles), StepLosses{});
   for (auto& lane : lanes_) {
     for (EncoderInbox<Real>& inbox : lane->inbox) inbox.rows = 0;
@@ -102,8 +104,8 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
   parallel_for(options_.lanes, [&](std::int64_t lane) {
     for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
       const std::int64_t begin = tile * tile_rays_;
-      tile_losses_[static_cast<std::size_t>(tile)] = train_tile(
-          step, static_cast<int>(lane), batch, {begin, std::min(tile_rays_, rays - begin), tile}, normaliser);
+      tile_losses_[static_cast<std::size_t>(tile)] =
+          train_tile(step, static_cast<int>(lane), batch, {begin, std::min(tile_rays_, rays - begin), tile}, scales);
     }
   });
   scatter(step);
@@ -118,6 +120,7 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
     sum.color += tile.color;
     sum.semantic += tile.semantic;
     sum.mse += tile.mse;
+    for (std::size_t i = 0; i < options_.losses.entries().size(); ++i) sum.terms[i] += tile.terms[i];
     sum.samples += tile.samples;
     sum.labelled += tile.labelled;
     sum.correct += tile.correct;
@@ -126,14 +129,15 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
   const double values = color_normaliser(batch);
   sum.color /= values;
   sum.mse /= values;
-  sum.semantic = normaliser > 0 ? sum.semantic / normaliser : 0;
-  sum.total = sum.color + options_.semantic_weight * sum.semantic;
+  sum.semantic = scales.semantic > 0 ? sum.semantic / scales.semantic : 0;
+  sum.active = scales.terms.active;
+  sum.total = sum.color + options_.semantic_weight * sum.semantic + options_.losses.finish(scales.terms, sum.terms);
   return sum;
 }
 
 template <class Real>
 StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, const TileRange& tile,
-                                      double semantic_normaliser) {
+                                      const BatchScales& scales) {
   const std::int64_t begin = tile.begin, count = tile.count;
   const bool drawn = draws_ahead() && tile.number != kAlone;
   StepContext ctx = context(step, true, lane, begin);
@@ -161,6 +165,13 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
   const std::int64_t first_color = std::clamp<std::int64_t>(
       tile_begin + label_only_rays(batch.label_only_share, tile_begin, tile_end) - begin, 0, count);
   const double normaliser = color_normaliser(batch);
+
+  RayBatch of_tile = batch;
+  of_tile.near_far = rays.near_far;
+  of_tile.target = target;
+  of_tile.label = label;
+  of_tile.soft = rows_of(batch.soft, begin, count);
+  of_tile.depth = rows_of(batch.depth, begin, count);
 
   StepLosses losses;
   Proposal<Real> proposal;
@@ -190,8 +201,8 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
       } else {
         targets.soft = batch.soft.row_range(begin, semantic_rays);
       }
-      const SemanticLoss semantic = semantic_cross_entropy<Real>(
-          trace.logits, targets, class_weight, semantic_normaliser, options_.semantic_weight, d_logits, begin);
+      const SemanticLoss semantic = semantic_cross_entropy<Real>(trace.logits, targets, class_weight, scales.semantic,
+                                                                 options_.semantic_weight, d_logits, begin);
       losses.semantic += semantic.sum;
       losses.labelled = semantic.labelled;
       losses.correct = semantic.correct;
@@ -205,7 +216,10 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
     } else if (pass.scatters()) {
       d_encoded = lanes_[static_cast<std::size_t>(lane)]->inbox[p].append(trace.x, trace.encoded.cols);
     }
-    pass.backward(ctx, lane, trace, d_color, d_logits, d_encoded);
+    RayGradients<Real> d;
+    d.color = d_color;
+    if (scales.terms.active != 0) add_terms(scales.terms, of_tile, trace, arena, d, losses.terms);
+    pass.backward(ctx, lane, trace, d, d_logits, d_encoded);
     if (tile.number == kAlone) {
       RayGuard<Real>(pass.parts().name, begin, trace.samples).per_sample("gradient of the encoded position", d_encoded);
     }
@@ -214,6 +228,27 @@ StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatc
     proposal.weight = previous.weight.row_range(0, previous.samples.count);
   }
   return losses;
+}
+
+template <class Real>
+typename Pipeline<Real>::BatchScales Pipeline<Real>::scales_of(std::int64_t step, const RayBatch& batch) const {
+  return {batch_normaliser(batch), options_.losses.scales(step, targets_of(batch), batch.origin.rows)};
+}
+
+template <class Real>
+void Pipeline<Real>::add_terms(const LossScales& scales, const RayBatch& tile, const PassTrace<Real>& trace,
+                               Workspace& arena, RayGradients<Real>& d, LossNumbers& sums) const {
+  const auto zeroed = [&](bool wanted, std::int64_t rows) {
+    if (!wanted) return View<Real>();
+    const View<Real> view = arena.take<Real>(rows, 1);
+    std::fill_n(view.data, rows, Real(0));
+    return view;
+  };
+  const LossTraits traits = options_.losses.traits(scales.active);
+  d.depth = zeroed(traits.moves_depth, trace.depth.rows);
+  d.weight = zeroed(traits.moves_weight, trace.samples.count);
+  d.sigma = zeroed(traits.moves_sigma, trace.samples.count);
+  options_.losses.add<Real>(scales, targets_of(tile), values_of(tile.near_far, trace), d, sums);
 }
 
 template <class Real>

@@ -35,9 +35,10 @@ template <class Real>
 std::optional<RayFault> Pipeline<Real>::find_fault(std::int64_t step, const RayBatch& batch) {
   const ComputeFloatMode mode;
   std::optional<RayFault> fault;
-  double normaliser = 1;
+  BatchScales scales;
+  scales.semantic = 1;
   try {
-    normaliser = batch_normaliser(batch);
+    scales = scales_of(step, batch);
   } catch (const Error&) {
     // A label of some ray: that ray throws again below.
   }
@@ -47,7 +48,7 @@ std::optional<RayFault> Pipeline<Real>::find_fault(std::int64_t step, const RayB
       guard_rays<Real>(
           {batch.origin.row_range(ray, 1), batch.direction.row_range(ray, 1), batch.near_far.row_range(ray, 1)},
           batch.target.row_range(ray, 1), ray);
-      train_tile(step, 0, batch, {ray, 1, kAlone}, normaliser);
+      train_tile(step, 0, batch, {ray, 1, kAlone}, scales);
     } catch (const RayFault& found) {
       fault = found;
     } catch (const Error& error) {

@@ -151,6 +151,7 @@ PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan)
   options.tile_rays = config.runtime.tile_rays;
   options.semantic_weight = config.semantics.weight;
   options.normalisation = config.semantics.normalisation;
+  options.losses = LossList(config.losses, config.train.steps);
   options.head_on_all_rays = plan.head_on_unlabelled_rays;
   return options;
 }
@@ -171,6 +172,7 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry) {
   request.direction_encoder = config.passes.back().direction.entry != nullptr;
   request.density_noise = config.rendering.density_noise;
   request.early_stop = config.rendering.early_stop;
+  for (const LossEntry& entry : config.losses) request.losses.push_back(entry.type);
   request.balance_classes = config.semantics.balance_classes;
   request.mixed_precision = config.runtime.precision != Precision::fp32;
   request.periodic_evaluation = config.report.eval_every_s > 0;

@@ -11,44 +11,8 @@ namespace {
 // Parameters of label readers that are paths.
 constexpr const char* kPathKeys[] = {"folder", "file", "classes"};
 
-template <class Step>
-std::unique_ptr<Step> read_step(const ConfigNode& node, const std::string& path,
-                                const std::vector<StepKind<Step>>& kinds, std::string& type_out,
-                                Diagnostics& diagnostics) {
-  std::vector<std::string> types;
-  for (const StepKind<Step>& kind : kinds) types.emplace_back(kind.type);
-  const ConfigNode* type = node.is_map() ? node.find("type") : nullptr;
-  if (type == nullptr || !type->is_scalar()) {
-    diagnostics.error(node.location().text(), path + ": expected a map with 'type', one of " + join(types));
-    return nullptr;
-  }
-  const auto found = std::find(types.begin(), types.end(), type->text());
-  if (found == types.end()) {
-    const std::string near = did_you_mean(type->text(), types);
-    diagnostics.error(type->location().text(), path + ": no type '" + type->text() + "'; known: " + join(types),
-                      near.empty() ? "" : "did you mean '" + near + "'?");
-    return nullptr;
-  }
-  std::unique_ptr<Step> step = kinds[static_cast<std::size_t>(found - types.begin())].make();
-  const int errors = diagnostics.error_count();
-  read_params(node, path, [&](ParamVisitor& visit) { step->describe(visit); }, diagnostics, {"type"});
-  if (diagnostics.error_count() == errors) {
-    Diagnostics relations;
-    step->validate(relations);
-    for (const Diagnostic& finding : relations.all()) {
-      const std::string message = path + (finding.where.empty() ? "" : "." + finding.where) + ": " + finding.message;
-      diagnostics.error(node.location().text(), message, finding.remedy);
-    }
-  }
-  type_out = type->text();
-  return step;
-}
-
 ConfigNode step_config(const std::string& type, LabelStep& step) {
-  const ConfigNode params = params_to_config([&](ParamVisitor& visit) { step.describe(visit); });
-  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(type, false, {})}};
-  entries.insert(entries.end(), params.entries().begin(), params.entries().end());
-  return ConfigNode::make_map(std::move(entries), {});
+  return typed_config(type, [&](ParamVisitor& visit) { step.describe(visit); });
 }
 
 template <class Step>
@@ -72,7 +36,8 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelCo
       if (paths_are_absolute && value->location().line > 0) continue;  // --set is written in the working folder
       anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
     }
-    config.from.reader = read_step(anchored, "scene.labels.from", label_reader_kinds(), config.from.type, diagnostics);
+    config.from.reader =
+        read_typed<LabelReader>(anchored, "scene.labels.from", label_reader_kinds(), config.from.type, diagnostics);
   }
   const ConfigNode* list = labels.find("degrade");
   if (list == nullptr || list->is_null()) return;
@@ -84,7 +49,7 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelCo
   for (const ConfigNode& item : list->items()) {
     const std::string path = "scene.labels.degrade." + std::to_string(config.degrade.size());
     LabelConfig::Step step;
-    step.degradation = read_step(item, path, degradation_kinds(), step.type, diagnostics);
+    step.degradation = read_typed<Degradation>(item, path, degradation_kinds(), step.type, diagnostics);
     if (step.degradation) config.degrade.push_back(std::move(step));
   }
 }

@@ -11,13 +11,14 @@
 
 namespace semfield {
 
-void BatchBuffers::resize(std::int64_t rays, std::int32_t classes) {
+void BatchBuffers::resize(std::int64_t rays, std::int32_t classes, bool with_depth) {
   const auto n = static_cast<std::size_t>(rays);
   origin.resize(3 * n);
   direction.resize(3 * n);
   near_far.resize(2 * n);
   target.resize(3 * n);
   label.resize(n);
+  depth.resize(with_depth ? n : 0);
   choices.resize(n);
   soft_classes = classes;
   soft.resize(n * static_cast<std::size_t>(classes));
@@ -32,6 +33,7 @@ RayBatch BatchBuffers::view(bool with_labels) const {
   batch.target = {target.data(), rays, 3};
   if (with_labels) batch.label = {label.data(), rays, 1};
   if (with_labels && soft_classes > 0) batch.soft = {soft.data(), rays, soft_classes};
+  if (!depth.empty()) batch.depth = {depth.data(), rays, 1};
   batch.label_only_share = label_only_share;
   return batch;
 }
@@ -199,12 +201,22 @@ void RaySource::soft_label_of(const Pixel& pixel, std::span<float> out) const {
   }
 }
 
+// Metres along the ray; 0 where the image has none, where the ray does not reach it, and of rays that are there for
+// their labels alone, which do not shape geometry.
+float RaySource::depth_of(const BatchBuffers::Choice& choice, double cosine, const double* near_far) const {
+  const DepthMap& depth_m = frames_[static_cast<std::size_t>(choice.pixel.frame)].pixels->depth_m;
+  if (depth_m.empty() || cosine <= 0 || choice.group == RayGroup::label_only) return 0;
+  const double t = static_cast<double>(depth_m[static_cast<std::size_t>(choice.pixel.index)]) / cosine;
+  return t > near_far[0] && t < near_far[1] ? static_cast<float>(t) : 0.0F;
+}
+
 void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const {
   const TrainFrame& frame = frames_[static_cast<std::size_t>(choice.pixel.frame)];
   const std::int32_t width = frame.pixels->width_px, index = choice.pixel.index;
   const auto s = static_cast<std::size_t>(row);
-  cast_ray(frame.camera, limits_, index % width, index / width, &batch.origin[3 * s], &batch.direction[3 * s],
-           &batch.near_far[2 * s]);
+  const double cosine = cast_ray(frame.camera, limits_, index % width, index / width, &batch.origin[3 * s],
+                                 &batch.direction[3 * s], &batch.near_far[2 * s]);
+  if (options_.with_depth) batch.depth[s] = depth_of(choice, cosine, &batch.near_far[2 * s]);
   for (std::size_t i = 0; i < 3; ++i) {
     batch.target[3 * s + i] = static_cast<float>(frame.pixels->rgb[3 * static_cast<std::size_t>(index) + i]) / 255.0F;
   }
@@ -217,7 +229,7 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
 // Pieces of tiles, so that a tile that is the whole batch occupies every thread too: choose and count, then write.
 void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
   constexpr std::int64_t kPiece = 256;
-  batch.resize(options_.rays, soft_logits_);
+  batch.resize(options_.rays, soft_logits_, options_.with_depth);
   const bool apart = options_.kind == RaySourceKind::label_balanced && !options_.label_rays_teach_color;
   batch.label_only_share = apart ? options_.labelled_share : 0;
   const std::int64_t tile_rays = std::min(options_.tile_rays, options_.rays);

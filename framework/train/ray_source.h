@@ -39,6 +39,7 @@ struct BatchBuffers {
   std::vector<std::int16_t> label;  ///< the most probable class where labels are soft
   std::vector<float> soft;          ///< [rays * soft_classes]
   std::int32_t soft_classes = 0;    ///< 0: labels are hard
+  std::vector<float> depth;         ///< RayBatch::depth
   double label_only_share = 0;      ///< RayBatch::label_only_share
   struct Choice {
     TrainPixel pixel;
@@ -52,7 +53,7 @@ struct BatchBuffers {
   /// Scratch of RaySource::fill: of the rays in the order of their numbers, and of pieces of tiles.
   std::vector<Choice> choices;
   std::vector<Piece> pieces;
-  void resize(std::int64_t rays, std::int32_t soft_classes = 0);
+  void resize(std::int64_t rays, std::int32_t soft_classes = 0, bool with_depth = false);
   RayBatch view(bool with_labels) const;
 };
 
@@ -60,6 +61,7 @@ struct RaySourceOptions {
   RaySourceKind kind = RaySourceKind::all_images;
   double labelled_share = 0.5;
   bool label_rays_teach_color = true;  ///< false: label_balanced's drawn rays come first in a tile, without colour loss
+  bool with_depth = false;             ///< batches tell the depth of their rays
   std::uint64_t seed = 1;
   std::int64_t rays = 1024;
   std::int64_t tile_rays = 32;
@@ -99,6 +101,7 @@ class RaySource {
   std::int16_t label_of(const Pixel& pixel) const;
   std::string place_of(const Pixel& pixel) const;
   void soft_label_of(const Pixel& pixel, std::span<float> out) const;
+  float depth_of(const BatchBuffers::Choice& choice, double cosine, const double* near_far) const;
   void write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const;
 
   std::vector<TrainFrame> frames_;

@@ -7,6 +7,7 @@
 #include "config/compose.h"
 #include "plugin/loader.h"
 #include "train/label_config.h"
+#include "train/loss_config.h"
 #include "train/pass_config.h"
 
 namespace semfield {
@@ -119,8 +120,8 @@ void describe(ParamVisitor& visit, ReportParams& p) {
 
 namespace {
 
-constexpr std::array<std::string_view, 11> kTopKeys{"scene",  "semantics", "rendering", "passes", "train",  "runtime",
-                                                    "report", "fuse",      "propagate", "limits", "plugins"};
+constexpr std::array<std::string_view, 12> kTopKeys{"scene",   "semantics", "losses", "rendering", "passes", "train",
+                                                    "runtime", "report",    "fuse",   "propagate", "limits", "plugins"};
 
 // Calls `section(key path, params)` for every fixed section of `config`: the one list that reading, writing and
 // documenting share.
@@ -250,6 +251,7 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   validate_section(tree, "train.self_training", config.self_training, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);
   validate_section(tree, "propagate", config.propagate, diagnostics);
+  config.losses = read_losses(tree, diagnostics);
   read_passes(tree, registry, config, diagnostics);
   config.load.contracted = config.rendering.outside == Outside::contracted;
   return config;
@@ -275,6 +277,7 @@ ConfigNode resolved_config(const RunConfig& config) {
     if (std::string_view(path) == "scene.labels") section = with_label_steps(section, config.labels);
     tree = with_path(tree, path, section);
   });
+  if (!config.losses.empty()) tree = tree.with("losses", losses_config(config.losses));
   std::vector<ConfigNode> passes;
   for (const PassConfig& pass : config.passes) passes.push_back(pass_config(pass));
   tree = tree.with("passes", ConfigNode::make_list(std::move(passes), {}));

@@ -12,6 +12,7 @@
 #include "config/params_read.h"
 #include "core/gemm_engine.h"
 #include "labels/training_labels.h"
+#include "losses/loss_list.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
@@ -165,6 +166,7 @@ struct RunConfig {
   LabelConfig labels;
   SceneLoadOptions load;
   SemanticsParams semantics;
+  std::vector<LossEntry> losses;
   RenderingParams rendering;
   std::vector<PassConfig> passes;
   TrainParams train;

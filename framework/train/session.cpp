@@ -14,6 +14,7 @@
 #include "train/bounds_probe.h"
 #include "train/branch_choice.h"
 #include "train/checkpoint_facts.h"
+#include "train/loss_config.h"
 #include "train/run_identity.h"
 
 namespace semfield {
@@ -144,12 +145,15 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   load.pixels = options.pixels || !options.known;
   load.check_geometry = load.check_geometry && !options.known;  // a run that was trained is evaluated as it is
   load.with_instances = make_labels && s.config.labels.needs_instances();
-  const bool needs_depth = options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
+  const bool of_losses = options.trainable && losses_read_depth(s.config.losses);
+  const bool needs_depth =
+      of_losses || options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
   load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
   load.before_pixels = [&](std::size_t bytes, std::size_t frames, std::int32_t width_px) {
     require_frame_memory(s.config, bytes, frames, width_px);
   };
   s.scene = load_scene(*dataset, load, diagnostics);
+  if (options.trainable) require_loss_data(s.config.losses, s.scene.info, diagnostics);
   open_label_files(s.scene, s.config.labels, diagnostics);
   if (options.trained_classes) require_class_table(*options.trained_classes, s.scene.info.classes);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
@@ -288,6 +292,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   options.kind = config.train.ray_source;
   options.labelled_share = config.train.labelled_share;
   options.label_rays_teach_color = config.train.label_rays_teach_color;
+  options.with_depth = losses_read_depth(config.losses);
   options.seed = config.runtime.seed;
   options.rays = config.train.rays;
   // A device takes the batch as one tile: labelled rays come first in all of it.

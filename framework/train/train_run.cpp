@@ -241,11 +241,17 @@ class Run {
       row.set("loss", losses.total);
       row.set("loss_color", losses.color);
       if (session_.pipeline->has_semantics()) row.set("loss_semantic", losses.semantic);
+      const std::vector<LossEntry>& terms = config.losses;
+      for (std::size_t i = 0; i < terms.size(); ++i) {  // without a value while the term has not begun
+        row.set("loss_" + terms[i].type,
+                (losses.active >> i & 1U) != 0 ? std::optional(losses.terms[i]) : std::nullopt);
+      }
       row.set("psnr", psnr);
       row.set("rays_per_s", rays_per_s);
       row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(config.train.rays));
       log_->append(row);
-      for (const auto& [name, value] : row.values) events_->scalar("train/" + name, step, *value, unix_seconds());
+      for (const auto& [name, value] : row.values)
+        if (value) events_->scalar("train/" + name, step, *value, unix_seconds());
       report_progress(losses, psnr, rays_per_s);
       mse_sum_ = 0;
       mse_steps_ = 0;

@@ -171,9 +171,13 @@ void Trainer::check_step(const StepLosses& losses) const {
                 std::string(fault_remedy()));
   }
   if (!std::isfinite(losses.total)) {
-    throw Error(ErrorKind::failure,
-                fmt::format("the loss is {} (colour {}, semantic {})", losses.total, losses.color, losses.semantic),
-                std::string(fault_remedy()));
+    std::string terms;
+    const std::vector<LossEntry>& entries = pipeline_.options().losses.entries();
+    for (std::size_t i = 0; i < entries.size(); ++i) terms += fmt::format(", {} {}", entries[i].type, losses.terms[i]);
+    throw Error(
+        ErrorKind::failure,
+        fmt::format("the loss is {} (colour {}, semantic {}{})", losses.total, losses.color, losses.semantic, terms),
+        std::string(fault_remedy()));
   }
   check_states();
 }

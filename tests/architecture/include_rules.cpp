@@ -79,13 +79,16 @@ bool names_plugin(const std::string& target) {
   return starts_with(target, "plugins/");
 }
 
-std::string forbidden_in_framework(const std::string& folder, const std::string& target) {
+std::string forbidden_in_framework(const std::string& path, const std::string& target) {
+  const std::string folder = first_folder(path);
   if (names_plugin(target)) return "the framework includes no plugin";
   if (starts_with(target, "app/") || starts_with(target, "tests/"))
     return "the framework includes neither the application nor tests";
   const std::string other = first_folder(target);
   const auto floor = floors().find(folder);
   if (floor == floors().end()) return "framework/" + folder + " stands on no floor of the table";
+  // Kernels of a loss's term lie beside it.
+  if (folder == "losses" && other == "cuda" && ends_with(path, "_cuda.cu")) return {};
   if (kFrameworkFolders.contains(other) && !floor->second.contains(other)) return folder + " may not include " + other;
   return {};
 }
@@ -147,13 +150,11 @@ std::vector<Include> includes_of(const std::string& text) {
 
 std::string why_forbidden(const std::string& path, const std::string& target) {
   if (std::string why = forbidden_library(path, target); !why.empty()) return why;
-  if (starts_with(path, "framework/")) {
-    const std::string rest = path.substr(std::string("framework/").size());
-    return forbidden_in_framework(first_folder(rest), target);
-  }
-  // A plugin's test may use the testkit and whatever else it needs to feed the plugin.
+  // A test beside a plugin or a term of the loss may use the testkit and whatever else it needs to feed it.
   const bool of_a_test =
       ends_with(path, "_test.cpp") || ends_with(path, "_sample.cpp") || path.find("/tests/") != std::string::npos;
+  if (starts_with(path, "framework/") && !of_a_test)
+    return forbidden_in_framework(path.substr(std::string("framework/").size()), target);
   if (starts_with(path, "plugins/") && !of_a_test) {
     return forbidden_in_plugin(path.substr(std::string("plugins/").size()), target);
   }

@@ -25,7 +25,8 @@ void fill(RayBuffers<float>& rays, std::uint64_t seed, double density) {
     const double u = random.uniform();
     s = u < 0.3 ? 0.0F : u > 0.995 ? 1e6F : static_cast<float>(random.in(0, 2 * density));
   }
-  for (auto* v : {&rays.rgb, &rays.hidden, &rays.g_color, &rays.g_depth, &rays.g_opacity, &rays.g_hidden}) {
+  for (auto* v :
+       {&rays.rgb, &rays.hidden, &rays.g_color, &rays.g_depth, &rays.g_opacity, &rays.g_hidden, &rays.g_weight}) {
     for (float& x : *v) x = static_cast<float>(random.in(-1, 1));
   }
 }
@@ -43,6 +44,7 @@ RayBuffers<double> widened(const RayBuffers<float>& rays, const std::vector<int>
   copy(rays.g_depth, wide.g_depth);
   copy(rays.g_opacity, wide.g_opacity);
   copy(rays.g_hidden, wide.g_hidden);
+  copy(rays.g_weight, wide.g_weight);
   wide.samples = {wide.col(wide.t), wide.col(wide.delta), View<std::int32_t>(wide.ray.data(), wide.rows(), 1),
                   View<std::int32_t>(wide.first.data(), static_cast<std::int64_t>(wide.first.size()), 1), wide.rows()};
   wide.far = rays.far;
@@ -74,6 +76,7 @@ struct DeviceRays {
         g_opacity(host.g_opacity, 1, 1 + gap),
         g_hidden(std::vector<float>(host.g_hidden.begin(), host.g_hidden.begin() + labelled * host.channels),
                  host.channels, host.channels + gap),
+        g_weight(with_tail(host.g_weight, unused, 7.F), 1, 1 + gap),
         color(host.rays(), 3, 3 + gap),
         depth(host.rays(), 1, 1 + gap),
         opacity(host.rays(), 1, 1 + gap),
@@ -95,6 +98,7 @@ struct DeviceRays {
     grad.color = g_color.read_only();
     grad.depth = g_depth.read_only();
     grad.opacity = g_opacity.read_only();
+    grad.weight = g_weight.read_only();
     if (host.channels == 0) return;
     in.hidden = hidden.read_only();
     out.hidden = out_hidden.view();
@@ -118,7 +122,7 @@ struct DeviceRays {
   std::int64_t rows, labelled;
   DeviceMatrix<float> t, delta;
   DeviceMatrix<std::int32_t> ray, first;
-  DeviceMatrix<float> sigma, rgb, hidden, g_color, g_depth, g_opacity, g_hidden;
+  DeviceMatrix<float> sigma, rgb, hidden, g_color, g_depth, g_opacity, g_hidden, g_weight;
   DeviceMatrix<float> color, depth, opacity, out_hidden, weight, d_sigma, d_rgb, d_hidden;
   Samples<float> samples;
   CompositeIn<float> in;
@@ -236,7 +240,7 @@ TEST(CudaCompositor, GradientKeepsItsSignInFogOfAnyDepth) {
     fill(host, 20, tau);
     for (float& s : host.sigma) s = s == 0 || s > 1e5F ? static_cast<float>(tau) : s;
     host.space_evenly(1);
-    for (auto* v : {&host.g_depth, &host.g_opacity}) std::fill(v->begin(), v->end(), 0.F);
+    for (auto* v : {&host.g_depth, &host.g_opacity, &host.g_weight}) std::fill(v->begin(), v->end(), 0.F);
     RayBuffers<double> want = widened(host, {192, 192, 192});
     want.forward();
     want.backward();
@@ -293,6 +297,7 @@ TEST(CudaCompositor, ARayDoesNotDependOnItsNeighbours) {
   tail(both.g_depth, alone.g_depth);
   tail(both.g_opacity, alone.g_opacity);
   tail(both.g_hidden, alone.g_hidden);
+  tail(both.g_weight, alone.g_weight);
   DeviceRays a(both, 0, 0), b(alone, 33, 0);
   for (DeviceRays* rays : {&a, &b}) {
     rays->forward();
@@ -313,7 +318,7 @@ TEST(CudaCompositor, DetachedHiddenLeavesDensityAlone) {
   DeviceLaunch launch;
   RayBuffers<float> host({8, 40}, 12);
   fill(host, 11, 1.0);
-  for (auto* v : {&host.g_color, &host.g_depth, &host.g_opacity}) std::fill(v->begin(), v->end(), 0.F);
+  for (auto* v : {&host.g_color, &host.g_depth, &host.g_opacity, &host.g_weight}) std::fill(v->begin(), v->end(), 0.F);
   DeviceRays device(host, 5, 0);
   device.forward();
   device.grad.hidden_moves_density = false;

@@ -79,6 +79,10 @@ std::string label_rays_config(const std::string& more) {
   std::string yaml = few_labels_config("");
   return yaml.replace(yaml.find("train: {"), 8, "train: {" + more);
 }
+const char* const kTerms =
+    "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
+    "0.1, distance_m: 0.8}]\n";
+std::string branch_and_terms_config(const std::string& more) { return branch_config("") + more; }
 const StepCaseRow kSteps[] = {
     {"two_pass", two_pass_config, ""},
     {"hash", hash_config, ""},
@@ -92,6 +96,10 @@ const StepCaseRow kSteps[] = {
     {"branch", branch_config, ""},
     {"branch_of_position", branch_config, ", reads_feature: false, least_weight: 0.03"},
     {"branch_with_dropout", branch_config, ", dropout: 0.3, weight_decay: 0.1, learning_rate: 0.2"},
+    {"terms", two_pass_config, kTerms},
+    {"terms_hash", hash_config, kTerms},
+    {"terms_and_branch", branch_and_terms_config, kTerms},
+    {"line_of_sight", two_pass_config, "losses: [{type: depth, kind: line_of_sight, weight: 0.3}]\n"},
 };
 
 class CudaStep : public ::testing::TestWithParam<StepCaseRow> {};
@@ -115,6 +123,8 @@ TEST_P(CudaStep, LossesAndGradientsAreTheProcessors) {
     expect_near(a.color, b.color, 1e-4, what + " colour");
     expect_near(a.semantic, b.semantic, 1e-4, what + " semantic");
     expect_near(a.total, b.total, 1e-4, what + " total");
+    for (std::size_t i = 0; i < kMostLossTerms; ++i)
+      expect_near(a.terms[i], b.terms[i], 1e-4, what + " term " + std::to_string(i));
     expect_equal_gradients(cuda, cpu, 2e-3, what);
   }
 }
@@ -188,6 +198,24 @@ TEST(CudaRun, FiveHundredStepsReachTheProcessorsQuality) {
     EXPECT_NEAR(found.accuracy, expected.accuracy, 0.03) << runtime;
     std::printf("%s: PSNR %.2f (cpu %.2f), accuracy %.4f (cpu %.4f)\n", runtime, found.psnr, expected.psnr,
                 found.accuracy, expected.accuracy);
+  }
+}
+
+// A step's graph is captured for the terms that work in it.
+TEST(CudaRun, ATermThatBeginsLaterBeginsInItsStep) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  const auto steps = static_cast<double>(open_text(hash_config(), registry).config.train.steps);
+  const std::string yaml =
+      hash_config("losses: [{type: distortion, weight: 0.2, from_step: " + std::to_string(5.9 / steps) +
+                  "}, {type: depth, weight: 0.1}]\n");
+  Training cuda(registry, yaml, "device: cuda, tile_rays: 192"), cpu(registry, yaml, "device: cpu, tile_rays: 192");
+  for (std::int64_t step = 1; step <= 12; ++step) {
+    const StepLosses a = cuda.train(step), b = cpu.train(step);
+    EXPECT_EQ(a.active, step > 6 ? 3u : 2u) << step;
+    EXPECT_EQ(a.active, b.active) << step;
+    EXPECT_EQ(a.terms[0] > 0, step > 6) << step;
+    for (const std::size_t i : {0U, 1U}) expect_near(a.terms[i], b.terms[i], 0.01, "term " + std::to_string(i));
   }
 }
 

@@ -9,6 +9,7 @@
 #include "plugin/linked_plugins.h"
 #include "tests/docs/pages.h"
 #include "train/label_config.h"
+#include "train/loss_config.h"
 #include "train/run_config.h"
 
 namespace semfield::docs {
@@ -41,6 +42,8 @@ std::string section_tables() {
   std::string text = "\n";
   for (const SectionDoc& section : describe_sections())
     text += heading_and_table("`" + section.path + "`: " + section.sentence, section.params);
+  for (const LossDoc& term : describe_losses())
+    text += heading_and_table("`losses[]` with `type: " + term.type + "`: " + term.sentence, term.params);
   return text + "\n";
 }
 

@@ -10,6 +10,7 @@
 #include "core/words.h"
 #include "plugin/linked_plugins.h"
 #include "train/label_config.h"
+#include "train/loss_config.h"
 #include "train/run_config.h"
 
 namespace semfield::docs {
@@ -29,6 +30,7 @@ class Keys {
     for (const SectionDoc& section : describe_sections()) add(section.path, section.params);
     for (const LabelStepDoc& step : describe_label_steps())
       add("scene.labels." + step.key + (step.key == "degrade" ? ".N" : ""), step.params);
+    for (const LossDoc& term : describe_losses()) add("losses.N", term.params);
     // By convention every dataset of files has these.
     for (const char* key :
          {"scene.root", "scene.file", "scene.classes", "scene.type", "scene.unknown_labels", "passes.N"})

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 
 #include "model/compositor.h"
 #include "rays_of_slabs.h"
@@ -36,6 +37,7 @@ double loss_of(RayBuffers<double>& rays) {
   add(rays.depth, rays.g_depth);
   add(rays.opacity, rays.g_opacity);
   add(rays.out_hidden, rays.g_hidden);
+  add(rays.weight, rays.g_weight);
   return loss;
 }
 
@@ -44,6 +46,7 @@ TEST(CompositorGradient, AllOutputsAgainstFiniteDifferences) {  // A22
     RayBuffers<double> rays({5, 0, 1, 9}, 19);
     rays.space_evenly(3);
     fill_random(rays, 22, 1.0);
+    for (std::size_t k = 0; k < rays.g_weight.size(); ++k) rays.g_weight[k] = std::sin(static_cast<double>(k));
     rays.far = mode;
     rays.background = {0.3, -0.2, 0.9};
     rays.forward();

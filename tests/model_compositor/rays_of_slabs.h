@@ -20,7 +20,7 @@ struct RayBuffers {
       first.push_back(static_cast<std::int32_t>(ray.size()));
     }
     const std::size_t m = ray.size(), rays = counts.size(), h = static_cast<std::size_t>(channels);
-    for (auto* v : {&t, &delta, &sigma, &weight, &d_sigma}) v->assign(m, Real(0));
+    for (auto* v : {&t, &delta, &sigma, &weight, &d_sigma, &g_weight}) v->assign(m, Real(0));
     for (auto* v : {&rgb, &d_rgb}) v->assign(3 * m, Real(0));
     for (auto* v : {&hidden, &d_hidden}) v->assign(h * m, Real(0));
     for (auto* v : {&color, &g_color}) v->assign(3 * rays, Real(0));
@@ -60,6 +60,7 @@ struct RayBuffers {
     grad.color = mat(g_color, 3);
     grad.depth = col(g_depth);
     grad.opacity = col(g_opacity);
+    grad.weight = col(g_weight);
     if (channels > 0) grad.hidden = mat(g_hidden, channels);
     return grad;
   }
@@ -83,7 +84,7 @@ struct RayBuffers {
   std::int32_t channels;
   std::vector<std::int32_t> first, ray;
   std::vector<Real> t, delta, sigma, weight, d_sigma, rgb, d_rgb, hidden, d_hidden;
-  std::vector<Real> color, g_color, depth, g_depth, opacity, g_opacity, out_hidden, g_hidden;
+  std::vector<Real> color, g_color, depth, g_depth, opacity, g_opacity, out_hidden, g_hidden, g_weight;
   Samples<Real> samples;
   FarMode far = FarMode::open;
   std::array<double, 3> background{};

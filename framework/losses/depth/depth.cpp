@@ -1,0 +1,70 @@
+#include "losses/depth/depth.h"
+
+#include "losses/depth/depth_math.h"
+
+namespace semfield {
+
+void DepthLoss::describe_own(ParamVisitor& visit) {
+  DepthLossParams& p = params;
+  SEMFIELD_PARAM(visit, p, kind,
+                 "expected: the error of the rendered depth, metres; line_of_sight: the share of a ray's light from "
+                 "outside a band about the true depth [Rematas22]");
+  SEMFIELD_PARAM(visit, p, truncate_m, "of kind expected: an error beyond it has no slope, metres; 0: every one has",
+                 {0, 1e6});
+  SEMFIELD_PARAM(visit, p, band_m,
+                 "of kind line_of_sight: half the width of the band, metres; wider than the samples lie apart",
+                 {1e-6, 1e6});
+}
+
+LossTraits DepthLoss::traits() const {
+  LossTraits traits;
+  traits.reads_depth = true;
+  traits.moves_depth = params.kind == DepthLossKind::expected;
+  traits.moves_weight = params.kind == DepthLossKind::line_of_sight;
+  return traits;
+}
+
+std::int64_t DepthLoss::counted_rays(const RayTargets& batch, std::int64_t) const {
+  std::int64_t known = 0;
+  for (std::int64_t r = 0; r < batch.depth.rows; ++r) known += batch.depth(r, 0) > 0 ? 1 : 0;
+  return known;
+}
+
+template <class Real>
+double DepthLoss::sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
+                      const RayGradients<Real>& gradients) const {
+  double sum = 0;
+  for (std::int64_t r = 0; r < targets.depth.rows; ++r) {
+    const auto truth = static_cast<double>(targets.depth(r, 0));
+    if (!(truth > 0)) continue;
+    if (params.kind == DepthLossKind::expected) {
+      const LossValue loss = expected_depth_loss(static_cast<double>(values.depth(r, 0)), truth, params.truncate_m);
+      sum += loss.value;
+      gradients.depth(r, 0) += static_cast<Real>(scale * loss.slope);
+      continue;
+    }
+    double of_ray = 1;
+    for (std::int32_t m = values.first(r, 0); m < values.first(r + 1, 0); ++m) {
+      const LossValue share = line_of_sight_share(static_cast<double>(values.t(m, 0)),
+                                                  static_cast<double>(values.weight(m, 0)), truth, params.band_m);
+      of_ray += share.value;
+      gradients.weight(m, 0) += static_cast<Real>(scale * share.slope);
+    }
+    sum += of_ray;
+  }
+  return sum;
+}
+
+template double DepthLoss::sum<float>(const RayTargets&, const RayValues<float>&, double,
+                                      const RayGradients<float>&) const;
+template double DepthLoss::sum<double>(const RayTargets&, const RayValues<double>&, double,
+                                       const RayGradients<double>&) const;
+
+LossKind depth_loss();
+LossKind depth_loss() {
+  return {{"depth", "depth images of training frames; pixels without depth count for nothing",
+           [] { return std::unique_ptr<LossTerm>(new DepthLoss); }},
+          "depth of training frames in memory, two bytes a pixel, and its gradient"};
+}
+
+}  // namespace semfield

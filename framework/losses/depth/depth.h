@@ -1,0 +1,39 @@
+// Loss term `depth`: what depth images say of where a ray's light comes from.
+#pragma once
+
+#include <array>
+
+#include "losses/loss_term.h"
+
+namespace semfield {
+
+/// expected       the rendered depth lies where the image says;
+/// line_of_sight  all light comes from within a band about it [Rematas22].
+enum class DepthLossKind : std::uint8_t { expected, line_of_sight };
+template <>
+struct ChoiceNames<DepthLossKind> {
+  static constexpr std::array<std::string_view, 2> names{"expected", "line_of_sight"};
+};
+
+struct DepthLossParams {
+  DepthLossKind kind = DepthLossKind::expected;
+  double truncate_m = 0;
+  double band_m = 0.1;
+};
+
+class DepthLoss final : public LossTermOf<DepthLoss> {
+ public:
+  DepthLoss() { rule.weight = 0.1; }
+  DepthLossParams params;
+
+  LossTraits traits() const override;
+  std::int64_t counted_rays(const RayTargets& batch, std::int64_t rays) const override;
+  template <class Real>
+  double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
+             const RayGradients<Real>& gradients) const;
+
+ protected:
+  void describe_own(ParamVisitor& visit) override;
+};
+
+}  // namespace semfield

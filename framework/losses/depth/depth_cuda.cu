@@ -1,0 +1,50 @@
+// The depth loss on the device: a warp a ray.
+#include "cuda/loss_rays.cuh"
+#include "losses/depth/depth_math.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+struct Body {
+  DepthLossParams params;
+  View<const float> truth, depth, t, weight;
+  View<float> d_depth, d_weight;
+
+  __device__ double operator()(const WarpRay& at, double scale) const {
+    const double of_ray = truth(at.ray, 0);
+    if (!(of_ray > 0)) return 0;
+    if (params.kind == DepthLossKind::expected) {
+      if (at.lane != 0) return 0;
+      const LossValue loss = expected_depth_loss(depth(at.ray, 0), of_ray, params.truncate_m);
+      d_depth(at.ray, 0) += static_cast<float>(scale * loss.slope);
+      return loss.value;
+    }
+    double sum = at.lane == 0 ? 1 : 0;
+    for (std::int32_t m = at.begin + at.lane; m < at.end; m += kWarp) {
+      const LossValue share = line_of_sight_share(t(m, 0), weight(m, 0), of_ray, params.band_m);
+      sum += share.value;
+      d_weight(m, 0) += static_cast<float>(scale * share.slope);
+    }
+    return sum;
+  }
+};
+
+void add(const LossTerm& term, const LossCall& call) {
+  Body body;
+  body.params = static_cast<const DepthLoss&>(term).params;
+  body.truth = call.targets.depth;
+  body.depth = call.values.depth;
+  body.t = call.values.t;
+  body.weight = call.values.weight;
+  body.d_depth = call.gradients.depth;
+  body.d_weight = call.gradients.weight;
+  launch_over_rays(call, body, "depth loss");
+}
+
+}  // namespace
+
+LossKernel depth_loss_kernel();
+LossKernel depth_loss_kernel() { return add; }
+
+}  // namespace semfield::cuda

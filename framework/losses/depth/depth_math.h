@@ -1,0 +1,26 @@
+// The formulas of the depth loss, for processor and device.
+#pragma once
+
+#include "core/host_device.h"
+#include "losses/depth/depth.h"
+
+namespace semfield {
+
+/// |D - d|, D the rendered and d the true depth along the ray; with truncate_m > 0 an error beyond it costs truncate_m
+/// and has no slope: such a pixel is taken for a mistake of the sensor.
+SEMFIELD_HD inline LossValue expected_depth_loss(double rendered, double truth, double truncate_m) {
+  const double error = rendered - truth;
+  const double size = error < 0 ? -error : error;
+  if (truncate_m > 0 && size > truncate_m) return {truncate_m, 0};
+  return {size, error > 0 ? 1.0 : error < 0 ? -1.0 : 0.0};
+}
+
+/// 1 - sum of w over |t - d| <= band: the light that does not come from the band, which is what lies in front of it,
+/// behind it, and nowhere. The share of one sample, and its slope for w; the ray's 1 is the caller's.
+SEMFIELD_HD inline LossValue line_of_sight_share(double t, double weight, double truth, double band_m) {
+  const double off = t - truth;
+  if (off > band_m || off < -band_m) return {};
+  return {-weight, -1};
+}
+
+}  // namespace semfield

@@ -1,0 +1,48 @@
+#include "losses/near_density/near_density.h"
+
+#include "losses/near_density/near_density_math.h"
+
+namespace semfield {
+
+void NearDensityLoss::describe_own(ParamVisitor& visit) {
+  NearDensityParams& p = params;
+  SEMFIELD_PARAM(visit, p, distance_m, "how far from the camera the term reaches, metres along the ray", {1e-6, 1e6});
+}
+
+LossTraits NearDensityLoss::traits() const {
+  LossTraits traits;
+  traits.moves_sigma = true;
+  return traits;
+}
+
+template <class Real>
+double NearDensityLoss::sum(const RayTargets&, const RayValues<Real>& values, double scale,
+                            const RayGradients<Real>& gradients) const {
+  double sum = 0;
+  for (std::int64_t r = 0; r + 1 < values.first.rows; ++r) {
+    double of_ray = 0;
+    for (std::int32_t m = values.first(r, 0); m < values.first(r + 1, 0); ++m) {
+      const LossValue share =
+          near_density_share(static_cast<double>(values.t(m, 0)), static_cast<double>(values.delta(m, 0)),
+                             static_cast<double>(values.sigma(m, 0)), params.distance_m);
+      of_ray += share.value;
+      gradients.sigma(m, 0) += static_cast<Real>(scale * share.slope);
+    }
+    sum += of_ray;
+  }
+  return sum;
+}
+
+template double NearDensityLoss::sum<float>(const RayTargets&, const RayValues<float>&, double,
+                                            const RayGradients<float>&) const;
+template double NearDensityLoss::sum<double>(const RayTargets&, const RayValues<double>&, double,
+                                             const RayGradients<double>&) const;
+
+LossKind near_density_loss();
+LossKind near_density_loss() {
+  return {{"near_density", "the first decimetres in front of a camera are empty [Yang23]",
+           [] { return std::unique_ptr<LossTerm>(new NearDensityLoss); }},
+          "a gradient a sample"};
+}
+
+}  // namespace semfield

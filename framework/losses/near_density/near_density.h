@@ -1,0 +1,26 @@
+// Loss term `near_density`: the first decimetres in front of a camera are empty [Yang23].
+#pragma once
+
+#include "losses/loss_term.h"
+
+namespace semfield {
+
+struct NearDensityParams {
+  double distance_m = 0.3;
+};
+
+class NearDensityLoss final : public LossTermOf<NearDensityLoss> {
+ public:
+  NearDensityLoss() { rule.weight = 0.01; }
+  NearDensityParams params;
+
+  LossTraits traits() const override;
+  template <class Real>
+  double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
+             const RayGradients<Real>& gradients) const;
+
+ protected:
+  void describe_own(ParamVisitor& visit) override;
+};
+
+}  // namespace semfield

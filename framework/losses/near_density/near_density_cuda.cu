@@ -1,0 +1,37 @@
+// The near-density loss on the device: a warp a ray.
+#include "cuda/loss_rays.cuh"
+#include "losses/near_density/near_density.h"
+#include "losses/near_density/near_density_math.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+struct Body {
+  double distance_m;
+  View<const float> t, delta, sigma;
+  View<float> d_sigma;
+
+  __device__ double operator()(const WarpRay& at, double scale) const {
+    double sum = 0;
+    for (std::int32_t m = at.begin + at.lane; m < at.end; m += kWarp) {
+      const LossValue share = near_density_share(t(m, 0), delta(m, 0), sigma(m, 0), distance_m);
+      sum += share.value;
+      d_sigma(m, 0) += static_cast<float>(scale * share.slope);
+    }
+    return sum;
+  }
+};
+
+void add(const LossTerm& term, const LossCall& call) {
+  const Body body{static_cast<const NearDensityLoss&>(term).params.distance_m, call.values.t, call.values.delta,
+                  call.values.sigma, call.gradients.sigma};
+  launch_over_rays(call, body, "near-density loss");
+}
+
+}  // namespace
+
+LossKernel near_density_loss_kernel();
+LossKernel near_density_loss_kernel() { return add; }
+
+}  // namespace semfield::cuda

@@ -1,0 +1,18 @@
+// The formula of the near-density loss, for processor and device.
+#pragma once
+
+#include "core/host_device.h"
+#include "losses/loss_term.h"
+
+namespace semfield {
+
+/// sigma delta of a sample closer than distance_m: a ray's sum is the optical depth there, where [Yang23] takes the
+/// mean density of the first samples, which depends on how many there are. An infinite interval counts up to
+/// distance_m.
+SEMFIELD_HD inline LossValue near_density_share(double t, double delta, double sigma, double distance_m) {
+  if (!(t < distance_m)) return {};
+  const double length = delta < distance_m ? delta : distance_m;
+  return {sigma * length, length};
+}
+
+}  // namespace semfield
