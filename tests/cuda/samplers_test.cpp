@@ -26,12 +26,19 @@ std::string compare(const Sampler<float>& cpu, const Sampler<float>& device, con
   return difference(want, got);
 }
 
+constexpr std::pair<Quadrature, SampleSpacing> kRulesAndSpacings[] = {
+    {Quadrature::paper, SampleSpacing::linear},
+    {Quadrature::midpoint, SampleSpacing::linear},
+    {Quadrature::stratified_bin, SampleSpacing::linear},
+    {Quadrature::paper, SampleSpacing::disparity},
+    {Quadrature::stratified_bin, SampleSpacing::disparity}};
+
 TEST(CudaStratified, SamplesAreThoseOfTheCpu) {
   SEMFIELD_NEEDS_DEVICE();
   for (const std::int64_t rays : {1, 31, 33, 1025}) {
     for (const std::int64_t samples : {1, 31, 32, 64, 100}) {
-      for (const Quadrature rule : kRules) {
-        const Twins<Stratified> twins(StratifiedParams{samples, rule});
+      for (const auto& [rule, spacing] : kRulesAndSpacings) {
+        const Twins<Stratified> twins(StratifiedParams{samples, rule, spacing});
         for (const bool training : {false, true}) {
           const std::int64_t empty_every = (rays + samples) % 3;  // none, all, every other
           EXPECT_EQ(compare(twins.cpu, twins.device, context_at(samples, training), random_rays(rays, 1, empty_every),

@@ -11,6 +11,9 @@ void describe(ParamVisitor& visit, StratifiedParams& params) {
   SEMFIELD_PARAM(
       visit, params, quadrature,
       "Rule of the rendering integral: paper (order 1), midpoint (order 2, no jitter), stratified_bin (1.5)");
+  SEMFIELD_PARAM(visit, params, spacing,
+                 "What the bins have equal: linear, their length in metres; disparity, their length in 1 / t, with a "
+                 "near below a thousandth of far counted as that");
 }
 
 void validate(const StratifiedParams&, Diagnostics&) {}
@@ -28,8 +31,9 @@ template <class Real>
 void Stratified<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays,
                                  const Proposal<Real>*, Samples<Real>& out) const {
   const bool jitter = ctx.training && params_.quadrature != Quadrature::midpoint;
-  kernels_->sample({params_.samples, params_.quadrature, jitter, ctx.random("sampler/stratified"), ctx.first_ray},
-                   rays.near_far, out);
+  kernels_->sample(
+      {params_.samples, params_.quadrature, params_.spacing, jitter, ctx.random("sampler/stratified"), ctx.first_ray},
+      rays.near_far, out);
 }
 
 template class Stratified<float>;
@@ -38,7 +42,8 @@ template class Stratified<double>;
 namespace {
 void register_into(Registry& registry) {
   stratified_kernels(registry.kernels());
-  registry.add_sampler<Stratified, StratifiedParams>("stratified", "One sample in each of N equal bins of the ray.");
+  registry.add_sampler<Stratified, StratifiedParams>(
+      "stratified", "One sample in each of N bins of the ray, equal in distance or disparity.");
 }
 }  // namespace
 

@@ -12,12 +12,13 @@ namespace semfield {
 struct StratifiedParams {
   std::int64_t samples = 64;
   Quadrature quadrature = Quadrature::paper;
+  SampleSpacing spacing = SampleSpacing::linear;
 };
 
 void describe(ParamVisitor& visit, StratifiedParams& params);
 void validate(const StratifiedParams& params, Diagnostics& diagnostics);
 
-/// Bins are equal in distance along the ray, from near to far.
+/// Bins from near to far, equal in distance along the ray or in disparity.
 template <class Real>
 class Stratified final : public Sampler<Real> {
  public:

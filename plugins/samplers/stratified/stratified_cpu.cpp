@@ -20,14 +20,13 @@ void sample(const StratifiedArgs& args, View<const double> near_far, Samples<Rea
     double near_m = 0, far_m = 0;
     if (!ray_span(near_far, r, args.first_ray, near_m, far_m)) continue;
     const auto first_index = static_cast<std::uint64_t>((args.first_ray + r) * n);
-    const double width = (far_m - near_m) / static_cast<double>(n);
     double previous = 0;
     for (std::int64_t k = 0; k < n; ++k, ++count) {
       const double u =
           args.jitter ? static_cast<double>(uniform01(args.random, first_index + static_cast<std::uint64_t>(k))) : 0.5;
-      const double t = stratum_point(near_m, far_m, k, u, n);
+      const double t = point_of_bin(args.spacing, near_m, far_m, k, u, n);
       *out.t.row(count) = round_inside<Real>(t, near_m, far_m);
-      *out.delta.row(count) = static_cast<Real>(width);
+      *out.delta.row(count) = static_cast<Real>(length_of_bin(args.spacing, near_m, far_m, k, n));
       *out.ray_of_sample.row(count) = static_cast<std::int32_t>(r);
       if (args.quadrature == Quadrature::paper && k > 0) *out.delta.row(count - 1) = static_cast<Real>(t - previous);
       previous = t;

@@ -33,7 +33,6 @@ __global__ void __launch_bounds__(kThreads)
   if (ray < near_far.rows && *out.first.row(ray) < *out.first.row(ray + 1)) {
     const std::int64_t begin = *out.first.row(ray);
     const double near_m = near_far(ray, 0), far_m = near_far(ray, 1);
-    const double width = (far_m - near_m) / static_cast<double>(args.samples);
     const auto first_index = static_cast<std::uint64_t>((args.first_ray + ray) * args.samples);
     const RandomAddress random = at_step(args.random, cell);
     const auto n = static_cast<std::int32_t>(args.samples);
@@ -42,13 +41,14 @@ __global__ void __launch_bounds__(kThreads)
       const std::int32_t k = chunk + lane;
       const double u =
           args.jitter ? static_cast<double>(uniform01(random, first_index + static_cast<std::uint64_t>(k))) : 0.5;
-      const double t = stratum_point(near_m, far_m, k, u, args.samples);
+      const double t = point_of_bin(args.spacing, near_m, far_m, k, u, args.samples);
       const double of_next_lane = __shfl_down_sync(kFullMask, t, 1);
       const double end = k + 1 == n ? far_m : lane == kWarp - 1 ? after : of_next_lane;
       after = __shfl_sync(kFullMask, t, 0);
       if (k >= n) continue;
       *out.t.row(begin + k) = round_inside<float>(t, near_m, far_m);
-      *out.delta.row(begin + k) = static_cast<float>(args.quadrature == Quadrature::paper ? end - t : width);
+      *out.delta.row(begin + k) = static_cast<float>(
+          args.quadrature == Quadrature::paper ? end - t : length_of_bin(args.spacing, near_m, far_m, k, args.samples));
       *out.ray_of_sample.row(begin + k) = static_cast<std::int32_t>(ray);
     }
   }

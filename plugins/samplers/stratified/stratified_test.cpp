@@ -22,13 +22,13 @@ SamplerBuild room() {
 }
 
 template <class Real>
-Stratified<Real> make(std::int64_t samples, Quadrature quadrature) {
+Stratified<Real> make(std::int64_t samples, Quadrature quadrature, SampleSpacing spacing = SampleSpacing::linear) {
   static const KernelTables tables = [] {
     KernelTables t;
     stratified_kernels(t);
     return t;
   }();
-  return Stratified<Real>({samples, quadrature}, room(), tables);
+  return Stratified<Real>({samples, quadrature, spacing}, room(), tables);
 }
 
 // Rays with given limits; the sampler looks at nothing else.
@@ -181,10 +181,52 @@ TEST(Stratified, RoundingDoesNotLeaveTheLimits) {
   EXPECT_EQ(round_inside<double>(0.1, 0, 1), 0.1);
 }
 
+TEST(Stratified, DisparityPutsEachSampleIntoItsBinOfDisparity) {
+  const auto sampler = make<double>(16, Quadrature::stratified_bin, SampleSpacing::disparity);
+  for (std::int64_t step = 0; step < 20; ++step) {
+    Batch<double> batch({0.2, 5, 2, 3}, 32);
+    sampler.sample(training_at(step), {}, batch.view(), nullptr, batch.out);
+    for (std::size_t r = 0; r < 2; ++r) {
+      const double near_m = r == 0 ? 0.2 : 2, far_m = r == 0 ? 5 : 3;
+      double sum = 0;
+      for (std::size_t k = 0; k < 16; ++k) {
+        const double s = (1 / batch.t[16 * r + k] - 1 / near_m) / (1 / far_m - 1 / near_m) * 16;
+        EXPECT_GE(s, static_cast<double>(k) - 1e-9);
+        EXPECT_LE(s, static_cast<double>(k + 1) + 1e-9);
+        const double at = static_cast<double>(k) / 16, next = static_cast<double>(k + 1) / 16;
+        const auto border = [&](double x) { return 1 / (1 / near_m + x * (1 / far_m - 1 / near_m)); };
+        EXPECT_NEAR(batch.delta[16 * r + k], border(next) - border(at), 1e-12);
+        sum += batch.delta[16 * r + k];
+      }
+      EXPECT_NEAR(sum, far_m - near_m, 1e-12) << "the bins fill the ray";
+    }
+  }
+}
+
+TEST(Stratified, DisparityFromTheEyeItselfStaysOnTheRay) {
+  for (const auto rule : {Quadrature::paper, Quadrature::midpoint, Quadrature::stratified_bin}) {
+    const auto sampler = make<float>(64, rule, SampleSpacing::disparity);
+    Batch<float> batch({0, 5}, 64);
+    sampler.sample(training_at(1), {}, batch.view(), nullptr, batch.out);
+    double before = 0, sum = 0;
+    for (std::size_t k = 0; k < 64; ++k) {
+      EXPECT_GE(static_cast<double>(batch.t[k]), before);
+      EXPECT_GT(batch.delta[k], 0.F);
+      before = static_cast<double>(batch.t[k]);
+      sum += static_cast<double>(batch.delta[k]);
+    }
+    EXPECT_LE(before, 5);
+    EXPECT_NEAR(sum, rule == Quadrature::paper ? 5 - static_cast<double>(batch.t[0]) : 5, 1e-5);
+  }
+}
+
 TEST(Stratified, Laws) {
   for (const auto rule : {Quadrature::paper, Quadrature::midpoint, Quadrature::stratified_bin}) {
-    const auto failures = testkit::sampler_laws(make<float>(24, rule), make<double>(24, rule), room());
-    EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
+    for (const auto spacing : {SampleSpacing::linear, SampleSpacing::disparity}) {
+      const auto failures =
+          testkit::sampler_laws(make<float>(24, rule, spacing), make<double>(24, rule, spacing), room());
+      EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
+    }
   }
 }
 
