@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "train/step_bench.h"
-#include "train/step_work.h"
+#include "studies/step_bench.h"
+#include "studies/step_work.h"
 
 namespace semfield::app {
 

@@ -20,8 +20,8 @@
 #include "core/folder_lock.h"
 #include "core/memory_limit.h"
 #include "scene/packed_scene.h"
+#include "settings/run_config.h"
 #include "signals.h"
-#include "train/run_config.h"
 #include "verb_pack.h"
 
 namespace semfield::app {

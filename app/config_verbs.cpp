@@ -4,10 +4,10 @@
 #include "config/compose.h"
 #include "config/explain.h"
 #include "config/schema.h"
+#include "settings/label_config.h"
+#include "settings/loss_config.h"
+#include "settings/run_config.h"
 #include "sweep/sweep_schema.h"
-#include "train/label_config.h"
-#include "train/loss_config.h"
-#include "train/run_config.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <sstream>
 
-#include "train/image_output.h"
+#include "eval/image_output.h"
 
 namespace semfield::app {
 

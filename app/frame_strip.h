@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "train/evaluator.h"
-#include "train/session.h"
+#include "eval/evaluator.h"
+#include "session/session.h"
 
 namespace semfield::app {
 

@@ -8,8 +8,8 @@
 #include <nlohmann/json.hpp>
 
 #include "core/check.h"
-#include "train/report_svg.h"
-#include "train/run_folder.h"
+#include "report/report_svg.h"
+#include "run/run_folder.h"
 
 namespace semfield::app {
 

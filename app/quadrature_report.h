@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "train/quadrature_bench.h"
+#include "studies/quadrature_bench.h"
 
 namespace semfield::app {
 

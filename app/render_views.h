@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "train/session.h"
+#include "session/session.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -6,7 +6,7 @@
 
 #include "bench_step.h"
 #include "core/gemm_engine.h"
-#include "train/run_folder.h"
+#include "run/run_folder.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -14,7 +14,7 @@
 #include "core/parallel.h"
 #include "model/device_backend.h"
 #include "shared_files.h"
-#include "train/step_bench.h"
+#include "studies/step_bench.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -8,9 +8,9 @@
 
 #include "core/files.h"
 #include "core/parallel.h"
+#include "run/run_folder.h"
 #include "shared_files.h"
-#include "sweep/leave_out_page.h"
-#include "train/run_folder.h"
+#include "studies/leave_out_page.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -8,7 +8,7 @@
 #include "core/companion.h"
 #include "core/files.h"
 #include "numerics_suite.h"
-#include "train/run_folder.h"
+#include "run/run_folder.h"
 #include "verbs.h"
 
 namespace semfield::app {

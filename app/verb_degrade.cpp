@@ -12,11 +12,11 @@
 
 #include "core/files.h"
 #include "core/parallel.h"
+#include "eval/image_output.h"
+#include "eval/metrics.h"
 #include "scene/image_io.h"
 #include "scene/scene_checks.h"
 #include "scene/void_class.h"
-#include "train/image_output.h"
-#include "train/metrics.h"
 
 namespace semfield {
 namespace {

@@ -6,10 +6,10 @@
 
 #include "core/files.h"
 #include "core/findings.h"
+#include "eval/final_eval.h"
+#include "eval/json_number.h"
 #include "progress_line.h"
-#include "train/final_eval.h"
-#include "train/json_number.h"
-#include "train/train_run.h"
+#include "run/open_run.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -9,9 +9,9 @@
 #include "labels/label_export.h"
 #include "labels/small_regions.h"
 #include "progress_line.h"
+#include "run/open_run.h"
+#include "run/run_folder.h"
 #include "scene/image_io.h"
-#include "train/run_folder.h"
-#include "train/train_run.h"
 #include "verbs.h"
 
 namespace semfield::app {

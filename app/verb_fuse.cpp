@@ -10,10 +10,10 @@
 #include "config/params_read.h"
 #include "core/files.h"
 #include "core/findings.h"
+#include "eval/image_output.h"
 #include "fuse/scene_fusion.h"
 #include "progress_line.h"
 #include "scene/void_class.h"
-#include "train/image_output.h"
 #include "verb_degrade.h"
 #include "verbs.h"
 

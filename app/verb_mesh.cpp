@@ -12,7 +12,7 @@
 #include "mesh/mesh_files.h"
 #include "mesh/point_cloud.h"
 #include "progress_line.h"
-#include "train/train_run.h"
+#include "run/open_run.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -9,11 +9,11 @@
 #include <future>
 
 #include "core/findings.h"
+#include "eval/image_output.h"
 #include "frame_strip.h"
 #include "progress_line.h"
 #include "render_views.h"
-#include "train/image_output.h"
-#include "train/train_run.h"
+#include "run/open_run.h"
 #include "verbs.h"
 #include "video.h"
 

@@ -2,7 +2,7 @@
 #include <cstdio>
 
 #include "core/files.h"
-#include "train/report.h"
+#include "report/report.h"
 #include "verbs.h"
 
 namespace semfield::app {

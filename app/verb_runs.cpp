@@ -1,7 +1,7 @@
 // runs: questions about finished runs; `equal` compares two.
 #include <cstdio>
 
-#include "train/run_compare.h"
+#include "run/run_compare.h"
 #include "verbs.h"
 
 namespace semfield::app {

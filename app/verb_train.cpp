@@ -10,9 +10,10 @@
 #include "core/findings.h"
 #include "core/words.h"
 #include "progress_line.h"
+#include "report/run_report.h"
+#include "run/run_folder.h"
+#include "run/train_run.h"
 #include "signals.h"
-#include "train/run_folder.h"
-#include "train/train_run.h"
 #include "verbs.h"
 
 namespace semfield::app {
@@ -116,6 +117,7 @@ int run_train(const TrainOptions& options, AppContext& context) {
   hooks.note = [&](const std::string& text) { print_note(context, text); };
   hooks.stop_signal = stop_signal;
   hooks.save_request = take_save_request;
+  hooks.write_report = write_run_report;
   hooks.stop_waits = [&](bool waits) {
     stop_waits(waits, waits || context.quiet ? std::string()
                                              : fmt::format("\nstopped; every step is saved, go on with: semfield train "

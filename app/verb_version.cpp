@@ -3,7 +3,7 @@
 
 #include "core/isa.h"
 #include "plugin/loader.h"
-#include "train/run_folder.h"
+#include "run/run_folder.h"
 #include "verbs.h"
 
 namespace semfield::app {

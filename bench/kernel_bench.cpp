@@ -18,8 +18,8 @@
 #include "model/param_store.h"
 #include "optim/adam.h"
 #include "plugin/linked_plugins.h"
+#include "studies/step_work.h"
 #include "testkit/settings.h"
-#include "train/step_work.h"
 
 namespace {
 

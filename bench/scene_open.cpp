@@ -17,7 +17,7 @@
 #include "core/parallel.h"
 #include "plugin/linked_plugins.h"
 #include "scene/frame_source.h"
-#include "train/run_config.h"
+#include "settings/run_config.h"
 
 namespace {
 

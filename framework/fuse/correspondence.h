@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "scene/camera.h"
-#include "train/fusion_params.h"
+#include "settings/fusion_params.h"
 
 namespace semfield {
 

@@ -4,12 +4,12 @@
 #include <functional>
 
 #include "fuse/scene_fusion.h"
-#include "train/propagation_params.h"
+#include "settings/propagation_params.h"
 
 namespace semfield {
 
-/// Edge of a cell that PropagationParams::cell_m leaves open: three pixels at the scene's middle depth, at least 1/500 of
-/// the bounds' longest side. 0 where the scene tells neither.
+/// Edge of a cell that PropagationParams::cell_m leaves open: three pixels at the scene's middle depth, at least 1/500
+/// of the bounds' longest side. 0 where the scene tells neither.
 double default_cell_m(const LoadedScene& scene);
 
 /// How far the work is: classes solved (surface), or sizes of cells pooled (vote), of all.

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "fuse/fusion.h"
-#include "train/train_run.h"
+#include "run/open_run.h"
 
 namespace semfield {
 

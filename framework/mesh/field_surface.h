@@ -3,8 +3,8 @@
 
 #include <span>
 
+#include "eval/evaluator.h"
 #include "mesh/marching_cubes.h"
-#include "train/evaluator.h"
 
 namespace semfield {
 

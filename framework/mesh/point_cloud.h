@@ -6,8 +6,8 @@
 #include <string>
 #include <unordered_map>
 
+#include "eval/evaluator.h"
 #include "mesh/mesh_files.h"
-#include "train/evaluator.h"
 
 namespace semfield {
 

@@ -6,7 +6,7 @@
 #include <set>
 
 #include "core/checksum.h"
-#include "train/run_config.h"
+#include "settings/run_config.h"
 
 namespace semfield {
 

@@ -8,8 +8,8 @@
 
 #include "config/params_read.h"
 #include "core/files.h"
+#include "run/metrics_log.h"
 #include "scene/text_rows.h"
-#include "train/metrics_log.h"
 
 namespace semfield {
 

@@ -19,15 +19,21 @@ bool ends_with(const std::string& text, const std::string& end) {
   return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
-const Folders kFrameworkFolders{"core",  "config", "scene", "plugin", "labels", "losses", "model",
-                                "optim", "cuda",   "train", "fuse",   "mesh",   "sweep",  "testkit"};
+const Folders kFrameworkFolders{"core",  "config", "scene", "plugin", "labels",   "losses",
+                                "model", "optim",  "cuda",  "eval",   "settings", "session",
+                                "run",   "report", "fuse",  "mesh",   "sweep",    "testkit"};
 
-// app -> train, fuse, mesh -> model, losses, optim, labels -> plugin -> config, scene -> core. Folders of one floor may
-// use each other where the table says so: scene reads class tables through config's tree; model and labels are told
-// apart from the rest of their floor.
+// A folder includes those that stand before it; `floors` says which of them it does not need.
 const std::map<std::string, Folders>& floors() {
   static const Folders below_plugin{"core", "config", "scene"};
-  static const Folders middle{"core", "config", "scene", "plugin", "labels", "losses", "model", "optim"};
+  static const Folders model{"core", "config", "scene", "plugin", "labels", "losses", "model", "optim"};
+  const auto above = [](Folders folders, const std::string& own) {
+    folders.insert(own);
+    return folders;
+  };
+  static const Folders eval{"core", "config", "scene", "plugin", "labels", "losses", "model", "eval"};
+  static const Folders session = above(above(above(model, "eval"), "settings"), "session");
+  static const Folders run = above(session, "run");
   static const std::map<std::string, Folders> table{
       {"core", {"core"}},
       {"config", {"core", "config"}},
@@ -38,10 +44,14 @@ const std::map<std::string, Folders>& floors() {
       {"optim", {"core", "config", "plugin", "model", "optim"}},
       {"model", {"core", "config", "scene", "plugin", "losses", "model"}},
       {"cuda", {"core", "config", "scene", "plugin", "losses", "model", "optim", "cuda"}},
-      {"train", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train"}},
-      {"fuse", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "fuse"}},
-      {"mesh", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "mesh"}},
-      {"sweep", {"core", "config", "scene", "plugin", "labels", "losses", "model", "optim", "train", "sweep"}},
+      {"eval", eval},
+      {"settings", above(model, "settings")},
+      {"session", session},
+      {"run", run},
+      {"report", above(run, "report")},
+      {"fuse", above(run, "fuse")},
+      {"mesh", above(run, "mesh")},
+      {"sweep", above(above(run, "report"), "sweep")},
       {"testkit", kFrameworkFolders},
   };
   return table;
@@ -82,8 +92,9 @@ bool names_plugin(const std::string& target) {
 std::string forbidden_in_framework(const std::string& path, const std::string& target) {
   const std::string folder = first_folder(path);
   if (names_plugin(target)) return "the framework includes no plugin";
-  if (starts_with(target, "app/") || starts_with(target, "tests/"))
-    return "the framework includes neither the application nor tests";
+  for (const char* above : {"app/", "tests/", "studies/"}) {
+    if (starts_with(target, above)) return "the framework includes neither the application nor tests nor studies";
+  }
   const std::string other = first_folder(target);
   const auto floor = floors().find(folder);
   if (floor == floors().end()) return "framework/" + folder + " stands on no floor of the table";

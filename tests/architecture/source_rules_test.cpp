@@ -2,8 +2,10 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <map>
 #include <set>
 
 #include "tests/architecture/include_rules.h"
@@ -27,6 +29,21 @@ TEST(SourceRules, NoFileIsTooLong) {
   for (const SourceFile& file : files) {
     EXPECT_LE(std::count(file.text.begin(), file.text.end(), '\n'), kMostLines)
         << file.path << " wants to be two files";
+  }
+}
+
+// A header and its source count as one.
+TEST(SourceRules, NoFolderOfTheFrameworkIsTooFull) {
+  const std::set<std::string> to_be_divided{"core", "scene", "cuda"};
+  std::map<std::string, std::set<std::string>> names;
+  for (const SourceFile& file : files_under("framework", {".h", ".cpp", ".cu", ".cuh"})) {
+    const std::filesystem::path path(file.path);
+    names[path.parent_path().string()].insert(path.stem().string());
+  }
+  EXPECT_GT(names.size(), 10u);
+  for (const auto& [folder, files] : names) {
+    if (to_be_divided.contains(std::filesystem::path(folder).filename().string())) continue;
+    EXPECT_LE(files.size(), 30u) << folder << " wants to be two folders";
   }
 }
 

@@ -18,12 +18,12 @@ using Files = std::map<std::string, std::string>;  // text by path
 const std::map<std::string, std::vector<std::string>>& calls_of_headers() {
   static const std::map<std::string, std::vector<std::string>> table{
       {"algorithm",
-       {"sort(",           "stable_sort(", "nth_element(",   "partial_sort(", "any_of(",      "all_of(",
-        "none_of(",        "find_if(",     "count(",         "count_if(",     "clamp(",       "reverse(",
-        "unique(",         "remove_if(",   "lower_bound(",   "upper_bound(",  "max_element(", "min_element(",
-        "minmax_element(", "transform(",   "rotate(",        "equal(",        "fill(",        "fill_n(",
-        "copy(",           "copy_n(",      "binary_search(", "is_sorted(",    "ranges::sort(",
-        "max({",           "min({",        "find("}},
+       {"sort(",           "stable_sort(", "nth_element(",   "partial_sort(", "any_of(",       "all_of(",
+        "none_of(",        "find_if(",     "count(",         "count_if(",     "clamp(",        "reverse(",
+        "unique(",         "remove_if(",   "lower_bound(",   "upper_bound(",  "max_element(",  "min_element(",
+        "minmax_element(", "transform(",   "rotate(",        "equal(",        "fill(",         "fill_n(",
+        "copy(",           "copy_n(",      "binary_search(", "is_sorted(",    "ranges::sort(", "max({",
+        "min({",           "find("}},
       {"numeric", {"accumulate(", "iota(", "inner_product(", "partial_sum(", "midpoint(", "gcd("}},
       {"cmath",
        {"sqrt(", "exp(", "log(", "log2(", "pow(", "floor(", "ceil(", "lround(", "isfinite(", "isnan(", "fma("}},

@@ -8,8 +8,8 @@
 #include <regex>
 
 #include "plugin/linked_plugins.h"
+#include "studies/quadrature_bench.h"
 #include "tests/program.h"
-#include "train/quadrature_bench.h"
 
 namespace semfield {
 namespace {

@@ -1,5 +1,5 @@
 // Counting the work of a step against sums done by hand, and the step on made-up rays.
-#include "train/step_bench.h"
+#include "studies/step_bench.h"
 
 #include <gtest/gtest.h>
 
@@ -8,7 +8,7 @@
 
 #include "core/peak_probe.h"
 #include "plugin/linked_plugins.h"
-#include "train/step_work.h"
+#include "studies/step_work.h"
 
 namespace semfield {
 namespace {

@@ -9,10 +9,10 @@
 
 #include "core/files.h"
 #include "core/rng.h"
+#include "run/checkpoint_store.h"
 #include "scene/packed_scene.h"
 #include "tests/crash/scenarios.h"
 #include "tests/scene/tiny_scene.h"
-#include "train/checkpoint_store.h"
 
 namespace semfield::testing_crash {
 namespace {

@@ -14,9 +14,9 @@
 #include <thread>
 
 #include "core/files.h"
+#include "run/checkpoint_store.h"
 #include "tests/crash/victim_runs.h"
-#include "tests/train/train_testing.h"
-#include "train/checkpoint_store.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {

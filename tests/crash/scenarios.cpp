@@ -6,10 +6,10 @@
 
 #include "core/checksum.h"
 #include "core/files.h"
+#include "run/checkpoint_store.h"
+#include "run/run_folder.h"
 #include "scene/packed_scene.h"
 #include "tests/scene/tiny_scene.h"
-#include "train/checkpoint_store.h"
-#include "train/run_folder.h"
 
 namespace semfield::testing_crash {
 

@@ -8,11 +8,11 @@
 #include <limits>
 
 #include "core/error.h"
+#include "eval/evaluator.h"
+#include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/cuda/fused_fixture.h"
-#include "tests/train/train_testing.h"
-#include "train/evaluator.h"
-#include "train/trainer.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {

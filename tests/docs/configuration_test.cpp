@@ -7,10 +7,10 @@
 
 #include "core/files.h"
 #include "plugin/linked_plugins.h"
+#include "settings/label_config.h"
+#include "settings/loss_config.h"
+#include "settings/run_config.h"
 #include "tests/docs/pages.h"
-#include "train/label_config.h"
-#include "train/loss_config.h"
-#include "train/run_config.h"
 
 namespace semfield::docs {
 namespace {

@@ -9,9 +9,9 @@
 #include "core/files.h"
 #include "core/words.h"
 #include "plugin/linked_plugins.h"
-#include "train/label_config.h"
-#include "train/loss_config.h"
-#include "train/run_config.h"
+#include "settings/label_config.h"
+#include "settings/loss_config.h"
+#include "settings/run_config.h"
 
 namespace semfield::docs {
 namespace {

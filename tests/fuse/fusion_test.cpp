@@ -7,10 +7,10 @@
 
 #include "core/parallel.h"
 #include "core/rng.h"
+#include "eval/metrics.h"
 #include "scene/frame_source.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
-#include "train/metrics.h"
 
 namespace semfield {
 namespace {

@@ -9,7 +9,7 @@
 #include "scene/packed_scene.h"
 #include "testkit/analytic_scene.h"
 #include "tests/program.h"
-#include "tests/train/train_testing.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {

@@ -9,10 +9,10 @@
 
 #include "core/parallel.h"
 #include "core/rng.h"
+#include "eval/metrics.h"
 #include "fuse/surface_cells.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
-#include "train/metrics.h"
 
 namespace semfield {
 namespace {

@@ -10,7 +10,7 @@
 #include "scene/png_codec.h"
 #include "testkit/analytic_scene.h"
 #include "tests/program.h"
-#include "tests/train/train_testing.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {

@@ -3,10 +3,10 @@
 
 #include "config/compose.h"
 #include "config/config_tree.h"
+#include "settings/run_config.h"
 #include "sweep/sweep_file.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
-#include "train/run_config.h"
 
 namespace semfield::fuzz {
 

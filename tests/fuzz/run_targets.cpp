@@ -1,11 +1,11 @@
 // What a run left behind: checkpoints and metrics.
 #include <string>
 
+#include "run/checkpoint_facts.h"
+#include "run/metrics_log.h"
+#include "session/safetensors.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
-#include "train/checkpoint_facts.h"
-#include "train/metrics_log.h"
-#include "train/safetensors.h"
 
 namespace semfield::fuzz {
 

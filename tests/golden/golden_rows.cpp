@@ -6,9 +6,9 @@
 #include <string>
 #include <vector>
 
-#include "tests/train/train_testing.h"
-#include "train/checkpoint_store.h"
-#include "train/trainer.h"
+#include "run/checkpoint_store.h"
+#include "session/trainer.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {

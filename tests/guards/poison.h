@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "tests/train/train_testing.h"
-#include "train/trainer.h"
+#include "session/trainer.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield::testing_guards {
 

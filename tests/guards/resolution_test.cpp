@@ -3,9 +3,9 @@
 
 #include <cmath>
 
+#include "eval/final_eval.h"
 #include "model/opacity_resolution.h"
-#include "tests/train/train_testing.h"
-#include "train/final_eval.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 

@@ -5,8 +5,8 @@
 #include <fstream>
 
 #include "plugin/linked_plugins.h"
+#include "run/train_run.h"
 #include "tests/guards/poison.h"
-#include "train/train_run.h"
 
 namespace semfield {
 namespace {

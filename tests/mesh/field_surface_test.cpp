@@ -9,8 +9,8 @@
 #include "core/parallel.h"
 #include "core/rng.h"
 #include "mesh/point_cloud.h"
-#include "tests/train/train_testing.h"
-#include "train/trainer.h"
+#include "session/trainer.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {

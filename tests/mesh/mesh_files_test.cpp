@@ -15,7 +15,7 @@
 #include "datasets/obj_room/raycast.h"
 #include "mesh/class_groups.h"
 #include "mesh/marching_cubes.h"
-#include "tests/train/train_testing.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {

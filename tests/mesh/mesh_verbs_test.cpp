@@ -13,7 +13,7 @@
 #include "core/words.h"
 #include "scene/packed_scene.h"
 #include "testkit/analytic_scene.h"
-#include "tests/train/train_testing.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {

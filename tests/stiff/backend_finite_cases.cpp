@@ -13,16 +13,16 @@
 #include "core/math_functions.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/raycast.h"
+#include "eval/metrics.h"
 #include "mesh/marching_cubes.h"
 #include "model/compositor.h"
 #include "optim/adam.h"
 #include "scene/scene_checks.h"
 #include "scene/soft_map.h"
+#include "session/trainer.h"
 #include "stiff_room.h"
 #include "tests/model_compositor/rays_of_slabs.h"
 #include "tests/scene/room_files.h"
-#include "train/metrics.h"
-#include "train/trainer.h"
 
 namespace semfield::stiff {
 

@@ -9,7 +9,7 @@
 #include "core/linear.h"
 #include "core/rng.h"
 #include "model/compositor.h"
-#include "train/ray_source.h"
+#include "session/ray_source.h"
 
 namespace semfield::stiff {
 

@@ -5,8 +5,8 @@
 
 #include "backend_parts.h"
 #include "core/checksum.h"
+#include "session/trainer.h"
 #include "stiff_room.h"
-#include "train/trainer.h"
 
 namespace semfield::stiff {
 

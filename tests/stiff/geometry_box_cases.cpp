@@ -6,8 +6,8 @@
 
 #include "core/rng.h"
 #include "core/small_math.h"
+#include "eval/rays.h"
 #include "geometry_parts.h"
-#include "train/rays.h"
 
 namespace semfield::stiff {
 

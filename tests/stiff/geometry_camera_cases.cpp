@@ -6,13 +6,13 @@
 #include <fstream>
 #include <limits>
 
+#include "eval/rays.h"
 #include "geometry_parts.h"
 #include "input_parts.h"
 #include "scene/camera_path.h"
 #include "scene/frame_source.h"
 #include "scene/scene_checks.h"
 #include "tests/scene/room_files.h"
-#include "train/rays.h"
 
 namespace semfield::stiff {
 

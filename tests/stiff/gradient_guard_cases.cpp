@@ -8,7 +8,7 @@
 
 #include "optim/adam.h"
 #include "optimiser_cases.h"
-#include "train/safetensors.h"
+#include "session/safetensors.h"
 #include "training_box.h"
 
 namespace semfield::stiff {

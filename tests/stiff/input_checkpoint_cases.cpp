@@ -10,10 +10,10 @@
 #include "core/files.h"
 #include "core/rng.h"
 #include "input_parts.h"
+#include "run/checkpoint_store.h"
+#include "session/trainer.h"
 #include "stiff_room.h"
 #include "tests/scene/room_files.h"
-#include "train/checkpoint_store.h"
-#include "train/trainer.h"
 
 namespace semfield::stiff {
 

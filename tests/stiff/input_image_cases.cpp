@@ -4,13 +4,13 @@
 #include <limits>
 #include <numeric>
 
+#include "eval/metrics.h"
 #include "input_parts.h"
 #include "scene/frame_source.h"
 #include "scene/image_io.h"
 #include "scene/png_codec.h"
 #include "tests/scene/png_bytes.h"
 #include "tests/scene/room_files.h"
-#include "train/metrics.h"
 
 namespace semfield::stiff {
 

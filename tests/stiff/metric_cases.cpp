@@ -5,10 +5,10 @@
 #include <vector>
 
 #include "core/rng.h"
+#include "eval/metrics.h"
+#include "run/metrics_log.h"
 #include "scene/class_table.h"
 #include "stiff_case.h"
-#include "train/metrics.h"
-#include "train/metrics_log.h"
 
 namespace semfield::stiff {
 

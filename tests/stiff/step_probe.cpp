@@ -8,8 +8,8 @@
 #include "core/checksum.h"
 #include "core/files.h"
 #include "plugin/linked_plugins.h"
+#include "session/trainer.h"
 #include "stiff_room.h"
-#include "train/trainer.h"
 
 namespace semfield::stiff {
 namespace {

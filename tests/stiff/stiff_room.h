@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "plugin/registry.h"
-#include "train/session.h"
+#include "session/session.h"
 
 namespace semfield::stiff {
 

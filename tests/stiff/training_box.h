@@ -6,9 +6,9 @@
 #include <vector>
 
 #include "plugin/registry.h"
+#include "session/session.h"
+#include "session/trainer.h"
 #include "thread_scope.h"
-#include "train/session.h"
-#include "train/trainer.h"
 
 namespace semfield::stiff {
 

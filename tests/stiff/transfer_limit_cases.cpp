@@ -6,8 +6,8 @@
 #include <string>
 
 #include "core/parallel.h"
+#include "eval/rays.h"
 #include "model_bench.h"
-#include "train/rays.h"
 #include "training_box.h"
 #include "transfer_cases.h"
 

@@ -7,9 +7,9 @@
 #include "core/files.h"
 #include "datasets/obj_room/raycast.h"
 #include "plugin/linked_plugins.h"
-#include "sweep/leave_out_page.h"
-#include "sweep/leave_out_side.h"
-#include "train/leave_out_proofs.h"
+#include "run/leave_out_proofs.h"
+#include "studies/leave_out_page.h"
+#include "studies/leave_out_side.h"
 
 namespace semfield {
 namespace {

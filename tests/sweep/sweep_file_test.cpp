@@ -9,9 +9,9 @@
 
 #include "core/files.h"
 #include "plugin/linked_plugins.h"
+#include "settings/run_config.h"
 #include "sweep/sweep_cells.h"
 #include "sweep/sweep_schema.h"
-#include "train/run_config.h"
 
 namespace semfield {
 namespace {

@@ -1,0 +1,287 @@
+#include "eval/evaluator.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <new>
+
+#include "core/check.h"
+#include "core/float_mode.h"
+#include "core/parallel.h"
+#include "eval/pixel_stride.h"
+
+namespace semfield {
+
+namespace {
+constexpr std::int64_t kChunkRays = 8192;  // rays a render call; results do not depend on it
+constexpr std::int64_t kLeastRays = 64;    // below it a call that gets no memory is given up
+
+// Rays of some pixels on their way into a call.
+struct RayBuffers {
+  explicit RayBuffers(std::int64_t rays)
+      : origin(3 * static_cast<std::size_t>(rays)),
+        direction(3 * static_cast<std::size_t>(rays)),
+        near_far(2 * static_cast<std::size_t>(rays)),
+        cosine(static_cast<std::size_t>(rays)),
+        resolution(static_cast<std::size_t>(rays)) {}
+  std::vector<double> origin, direction, near_far, cosine;
+  std::vector<OpacityResolution> resolution;
+};
+
+// Calls render(begin, end, buffers) over all pixels, chunk by chunk; without memory for a chunk, by half of it.
+template <class Render>
+void in_chunks(std::int64_t pixels, const Render& render) {
+  std::int64_t chunk = kChunkRays;
+  for (std::int64_t begin = 0; begin < pixels;) {
+    try {
+      RayBuffers buffers(chunk);
+      for (; begin < pixels; begin += chunk) render(begin, std::min(begin + chunk, pixels), buffers);
+    } catch (const std::bad_alloc&) {
+      if (chunk / 2 < kLeastRays) throw;
+      chunk /= 2;
+    }
+  }
+}
+
+std::optional<double> value_of(const std::optional<Auroc>& found) {
+  return found ? std::optional(found->value) : std::nullopt;
+}
+
+// Labels that a frame trained with, at the pixels scored; empty for a frame without any.
+std::vector<std::int16_t> given_labels(const EvalJob& job, int frame) {
+  const TrainingLabels::Frame& labels = job.given->frames[static_cast<std::size_t>(frame)];
+  const Camera& camera = (*job.infos)[static_cast<std::size_t>(frame)].camera;
+  std::vector<std::int16_t> given(labels.empty() ? 0 : labels.size());
+  for (std::size_t i = 0; i < given.size(); ++i) given[i] = labels[i];
+  return strided(std::move(given), camera.width_px, camera.height_px, 1, job.stride);
+}
+}  // namespace
+
+RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
+                           const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth,
+                           const FrameOptions& options) {
+  SEMFIELD_CHECK(options.stride >= 1 && options.stride <= std::min(camera.camera.width_px, camera.camera.height_px),
+                 "a stride is at most the frame's shorter side");
+  const ComputeFloatMode mode;
+  RenderedFrame frame;
+  frame.stride = options.stride;
+  frame.width_px = strided_px(camera.camera.width_px, options.stride);
+  frame.height_px = strided_px(camera.camera.height_px, options.stride);
+  const std::int64_t pixels = std::int64_t{frame.width_px} * frame.height_px;
+  const auto size = static_cast<std::size_t>(pixels);
+  const bool semantics = pipeline.has_semantics();
+  frame.rgb.resize(3 * size);
+  frame.depth_m.resize(size);
+  frame.opacity.resize(size);
+  std::vector<std::int16_t> truth_logit;
+  if (semantics) {
+    frame.label.resize(size);
+    frame.entropy.resize(size);
+    frame.confidence.resize(size);
+    if (!truth.empty()) {
+      frame.truth_probability.resize(size);
+      truth_logit.resize(size, kVoid);
+      for (std::size_t i = 0; i < size; ++i) {
+        const auto logit = std::find(class_of_logit.begin(), class_of_logit.end(), static_cast<int>(truth[i]));
+        if (truth[i] >= 0 && logit != class_of_logit.end())
+          truth_logit[i] = static_cast<std::int16_t>(logit - class_of_logit.begin());
+      }
+    }
+  }
+  in_chunks(pixels, [&](std::int64_t begin, std::int64_t end, RayBuffers& rays) {
+    const std::int64_t count = end - begin;
+    for (std::int64_t i = 0; i < count; ++i) {
+      const auto [column, row] = strided_place(begin + i, frame.width_px, options.stride);
+      const auto k = static_cast<std::size_t>(i);
+      rays.cosine[k] =
+          cast_ray(camera, limits, column, row, &rays.origin[3 * k], &rays.direction[3 * k], &rays.near_far[2 * k]);
+    }
+    RenderJob<float> job;
+    job.origin = {rays.origin.data(), count, 3};
+    job.direction = {rays.direction.data(), count, 3};
+    job.near_far = {rays.near_far.data(), count, 2};
+    job.color = {frame.rgb.data() + 3 * begin, count, 3};
+    job.depth = {frame.depth_m.data() + begin, count, 1};
+    job.opacity = {frame.opacity.data() + begin, count, 1};
+    job.resolution = {rays.resolution.data(), count, 1};
+    job.footprint_per_m = 1 / std::max(camera.camera.fx, camera.camera.fy);
+    if (semantics) {
+      job.label = {frame.label.data() + begin, count, 1};
+      job.entropy = {frame.entropy.data() + begin, count, 1};
+      job.confidence = {frame.confidence.data() + begin, count, 1};
+      if (!truth_logit.empty()) {
+        job.truth = {truth_logit.data() + begin, count, 1};
+        job.truth_probability = {frame.truth_probability.data() + begin, count, 1};
+      }
+    }
+    try {
+      pipeline.render(job);
+    } catch (const RayFault& fault) {
+      const auto [column, row] = strided_place(begin + fault.ray(), frame.width_px, options.stride);
+      throw Error(fault.kind(), fmt::format("pixel x {}, y {}: {}", column, row, fault.message()), fault.remedy());
+    }
+    for (std::int64_t i = 0; i < count; ++i) {
+      frame.depth_m[static_cast<std::size_t>(begin + i)] *=
+          static_cast<float>(rays.cosine[static_cast<std::size_t>(i)]);
+      const OpacityResolution found = rays.resolution[static_cast<std::size_t>(i)];
+      frame.resolution.opaque_px += found == OpacityResolution::clear ? 0 : 1;
+      frame.resolution.under_resolved_px += found == OpacityResolution::under_resolved ? 1 : 0;
+    }
+    if (options.progress) options.progress(static_cast<double>(end) / static_cast<double>(pixels));
+  });
+  for (float& value : frame.rgb) value = std::clamp(value, 0.0F, 1.0F);
+  for (std::int16_t& label : frame.label)
+    label = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(label)]);
+  return frame;
+}
+
+RenderedFrame render_named_frame(Pipeline<float>& pipeline, const std::string& name, const RayCamera& camera,
+                                 const RayLimits& limits, const ClassOfLogit& class_of_logit,
+                                 const std::vector<std::int16_t>& truth, const FrameOptions& options) {
+  try {
+    return render_frame(pipeline, camera, limits, class_of_logit, truth, options);
+  } catch (Error& error) {
+    throw error.while_doing("while rendering frame '" + name + "'");
+  }
+}
+
+bool FrameScore::worse_than(const FrameScore& other) const {
+  if (miou_present && other.miou_present) return *miou_present < *other.miou_present;
+  return psnr_db && other.psnr_db && *psnr_db < *other.psnr_db;
+}
+
+std::string OpacityCounts::warning() const {
+  if (share().value_or(0) <= kTold) return {};
+  return fmt::format(
+      "{:.0f} % of the pixels that meet something take 90 % of their opacity from one or two steps longer than a pixel "
+      "is wide there (under_resolved): thin matter can be missed and surfaces lie anywhere within a step; raise the "
+      "sampler's samples (max_samples, or a smaller step_m, for an occupancy grid), or add an importance pass",
+      100 * *share());
+}
+
+std::optional<double> SplitScore::ssim() const {
+  if (ssim_frames == 0) return std::nullopt;
+  return ssim_sum / static_cast<double>(ssim_frames);
+}
+
+std::vector<std::pair<std::string, std::optional<double>>> SplitScore::values() const {
+  std::vector<std::pair<std::string, std::optional<double>>> out;
+  out.emplace_back("psnr", color.psnr_db());
+  out.emplace_back("ssim", ssim());
+  if (confusion.classes() > 0) {
+    out.emplace_back("miou", confusion.miou());
+    out.emplace_back("miou_present", confusion.miou_present());
+    out.emplace_back("total_accuracy", confusion.total_accuracy());
+    out.emplace_back("average_accuracy", confusion.average_accuracy());
+    out.emplace_back("ece", calibration.ece());
+    out.emplace_back("nll", calibration.nll());
+    out.emplace_back("entropy_auroc", value_of(entropy.detects_wrong()));
+  }
+  if (given.pixels() > 0) {
+    out.emplace_back("given_right_px", static_cast<double>(given.right.pixels()));
+    out.emplace_back("given_wrong_px", static_cast<double>(given.wrong.pixels()));
+    out.emplace_back("given_none_px", static_cast<double>(given.none.pixels()));
+    out.emplace_back("given_right_entropy", given.right.mean());
+    out.emplace_back("given_wrong_entropy", given.wrong.mean());
+    out.emplace_back("given_none_entropy", given.none.mean());
+    out.emplace_back("given_wrong_auroc", value_of(given.detects_wrong()));
+    out.emplace_back("given_none_auroc", value_of(given.detects_none()));
+  }
+  if (depth.valid_truth_px() > 0) {
+    out.emplace_back("absrel", depth.abs_rel());
+    out.emplace_back("absdiff", depth.abs_diff());
+    out.emplace_back("sqrel", depth.sq_rel());
+    out.emplace_back("rmse", depth.rmse());
+    out.emplace_back("delta1", depth.delta(1));
+    out.emplace_back("delta2", depth.delta(2));
+    out.emplace_back("delta3", depth.delta(3));
+    out.emplace_back("depth_coverage", depth.coverage());
+  }
+  out.emplace_back("under_resolved", resolution.share());
+  return out;
+}
+
+SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimits& limits,
+                    const ClassOfLogit& class_of_logit) {
+  const bool semantics = pipeline.has_semantics();
+  SplitScore score(semantics ? job.classes : 0, limits.far_m);
+  std::function<void(double)> part_done;
+  if (job.progress) part_done = [&](double share) { job.progress(static_cast<double>(score.frames.size()) + share); };
+  for (const int index : job.frames) {
+    if (job.stop && job.stop()) break;
+    const FrameInfo& info = (*job.infos)[static_cast<std::size_t>(index)];
+    const StoredFrame& stored = (*job.buffers)[static_cast<std::size_t>(index)];
+    const RayCamera camera{info.camera, info.world_from_camera, job.undistort};
+    const std::int32_t width = info.camera.width_px, height = info.camera.height_px;
+    const std::vector<std::int16_t> truth = strided(stored.label.expand(), width, height, 1, job.stride);
+    const RenderedFrame frame =
+        render_named_frame(pipeline, info.name, camera, limits, class_of_logit, truth, {job.stride, part_done});
+    const std::vector<std::uint8_t> stored_rgb = strided(stored.rgb, width, height, 3, job.stride);
+    std::vector<float> truth_rgb(stored_rgb.size());
+    for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(stored_rgb[i]) / 255.0F;
+    ColorError color;
+    std::optional<double> similarity;
+    if (job.stride == 1) similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3);
+    ConfusionMatrix confusion(semantics ? job.classes : 0);
+    Calibration calibration;
+    PredictedEntropy entropy;
+    GivenEntropy given;
+    DepthError depth(limits.far_m);
+    const bool labels = semantics && !truth.empty();
+    const std::function<void()> measures[] = {
+        [&] { color.add(truth_rgb, frame.rgb); },
+        [&] {
+          if (labels) confusion.add(truth, frame.label);
+        },
+        [&] {
+          if (labels) calibration.add(frame.confidence, frame.truth_probability, frame.label, truth);
+        },
+        [&] {
+          if (labels) entropy.add(frame.entropy, frame.label, truth);
+        },
+        [&] {
+          if (labels && job.given != nullptr) given.add(frame.entropy, given_labels(job, index), truth);
+        },
+        [&] {
+          if (!stored.depth_m.empty())
+            depth.add(strided(stored.depth_m.expand(), width, height, 1, job.stride), frame.depth_m);
+        }};
+    parallel_for(std::ssize(measures), [&](std::int64_t i) { measures[i](); });
+    score.resolution.opaque_px += frame.resolution.opaque_px;
+    score.resolution.under_resolved_px += frame.resolution.under_resolved_px;
+    FrameScore row;
+    row.frame = index;
+    row.name = info.name;
+    row.psnr_db = color.psnr_db();
+    score.color.merge(color);
+    if (similarity) {
+      score.ssim_sum += *similarity;
+      ++score.ssim_frames;
+    }
+    if (labels) {
+      row.miou_present = confusion.miou_present();
+      score.confusion.merge(confusion);
+      score.calibration.merge(calibration);
+      score.entropy.merge(entropy);
+      score.given.merge(given);
+    }
+    if (!stored.depth_m.empty()) {
+      row.absrel = depth.abs_rel();
+      score.depth.merge(depth);
+    }
+    score.frames.push_back(std::move(row));
+    if (job.on_frame) job.on_frame(score.frames.back(), frame);
+  }
+  return score;
+}
+
+std::vector<int> evenly_spaced(const std::vector<int>& all, int count) {
+  const auto have = static_cast<int>(all.size());
+  if (count >= have) return all;
+  std::vector<int> chosen;
+  for (int i = 0; i < count; ++i) chosen.push_back(all[static_cast<std::size_t>((2 * i + 1) * have / (2 * count))]);
+  return chosen;
+}
+
+}  // namespace semfield

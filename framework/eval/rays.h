@@ -1,0 +1,34 @@
+// From pixels to rays: unit directions, limits along the ray, clipping to the scene's bounds.
+#pragma once
+
+#include <cstdint>
+
+#include "core/small_math.h"
+#include "core/view.h"
+#include "scene/camera.h"
+
+namespace semfield {
+
+struct RayLimits {
+  double near_m = 0.05;
+  double far_m = 10;
+  bool z_depth = false;  ///< near and far are z-depths; false: distances along the ray
+  bool clip = false;     ///< clip to `bounds` (encoders whose domain is a cube)
+  Box bounds;
+};
+
+/// Pinhole camera at a pose, ready to cast. `undistort` false: the caller knows that there is no distortion.
+struct RayCamera {
+  Camera camera;
+  Pose world_from_camera;
+  bool undistort = true;
+};
+
+/// Ray through the centre of pixel (column, row): origin [3], unit direction [3] in world axes, near_far [2] in metres
+/// along the ray. A pixel without an inverse distortion, or a ray that misses the bounds, gets near = far = 0: an empty
+/// ray. Returns the cosine between the ray and the optical axis: z-depth = cosine * distance (0 for a pixel without
+/// direction).
+double cast_ray(const RayCamera& camera, const RayLimits& limits, std::int32_t column, std::int32_t row, double* origin,
+                double* direction, double* near_far);
+
+}  // namespace semfield

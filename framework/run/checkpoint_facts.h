@@ -1,0 +1,47 @@
+// What a checkpoint says of its run beside the tensors, and whether a scene is still the one that it was trained on.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "core/error.h"
+#include "scene/frame_source.h"
+#include "session/manifest_text.h"
+
+namespace semfield {
+
+/// What a network saw, as checksums in hexadecimal digits.
+struct SceneInputs {
+  std::int64_t frames = 0;
+  std::string names;    ///< of frames, with their splits, in order
+  std::string cameras;  ///< poses, lenses and sizes as loaded, to six digits
+  std::string colors;   ///< pixels; "" where none was read
+  std::string hash() const;
+};
+SceneInputs scene_inputs(const LoadedScene& scene);
+
+struct CheckpointFacts {
+  std::int64_t step = 0;
+  double train_s = 0;
+  std::uint32_t seed = 0;
+  std::string config;               ///< the resolved YAML
+  std::string classes;              ///< the class table as YAML; "" = none
+  std::optional<KnownScene> scene;  ///< these two: not in checkpoints of earlier versions
+  std::optional<SceneInputs> inputs;
+  std::string self_labels;  ///< the round of self-training whose labels train (session/self_training.h); "" = none
+};
+
+/// The metadata of a checkpoint, but for the checksums.
+TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::string& config_hash);
+/// `step` is what the file's name says. Throws Error(data) naming file and cause for another format, another step, a
+/// missing or bad value.
+CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step);
+
+/// One warning where frames, cameras or images are others. What one side does not know is not compared.
+void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Diagnostics& diagnostics);
+/// The same for the labels of a run that goes on: Error(data) where a class with a logit would be another one.
+void compare_training_labels(const KnownScene& trained, const SceneManifest& now, const ClassTable& classes,
+                             Diagnostics& diagnostics);
+
+}  // namespace semfield

@@ -1,0 +1,48 @@
+#include "run/open_run.h"
+
+#include <optional>
+
+#include "core/words.h"
+#include "run/checkpoint_facts.h"
+#include "run/checkpoint_store.h"
+#include "run/run_folder.h"
+#include "run/run_identity.h"
+#include "run/run_resume.h"
+#include "session/trainer.h"
+
+namespace semfield {
+
+OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
+                   Diagnostics& diagnostics, OpenFor purpose) {
+  OpenedRun run;
+  const RunFolder folder = RunFolder::read(run_dir);
+  run.run_dir = folder.path();
+  const CheckpointStore store = CheckpointStore::read(folder.checkpoints_path());
+  std::optional<CheckpointStore::Found> found = store.find_latest(diagnostics);
+  if (!found) {
+    throw Error(ErrorKind::no_input, run_dir + ": the run has no checkpoint yet",
+                "train it from step 0 with `semfield train --resume " + shell_word(run_dir) + "`");
+  }
+  const CheckpointFacts facts = read_checkpoint_facts(found->file, found->step);
+  RunConfig config = load_run_config(folder.config_path(), overrides, registry);
+  require_scene_places(config, run_dir);
+  SessionOptions options;
+  options.trained_classes = facts.classes;
+  options.trainable = false;
+  options.depth = purpose == OpenFor::evaluation  ? DepthKept::test
+                  : purpose == OpenFor::rendering ? DepthKept::none
+                                                  : DepthKept::all;
+  options.known = facts.scene;
+  options.pixels = purpose != OpenFor::rendering;
+  options.labels = purpose == OpenFor::evaluation_of_training_frames;
+  const bool same_scene = asks_for_the_scene_of_training(facts, config, registry);
+  run.session = open_session(std::move(config), registry, options, diagnostics);
+  if (facts.inputs && same_scene) warn_of_other_inputs(*facts.inputs, scene_inputs(run.session.scene), diagnostics);
+  load_pipeline(*run.session.pipeline, found->file);
+  if (run.session.device) run.session.device->upload();
+  run.step = facts.step;
+  run.train_s = facts.train_s;
+  return run;
+}
+
+}  // namespace semfield

@@ -1,0 +1,117 @@
+// The folder of one run: layout and lock.
+#include "run/run_folder.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+
+#include "core/error.h"
+#include "core/files.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+bool holds_files(const std::string& path) {
+  std::error_code error;
+  for (const fs::directory_entry& entry : fs::directory_iterator(path, error)) {
+    if (entry.path().filename() != ".lock") return true;
+  }
+  return false;
+}
+
+Error cannot_write(const std::string& path, int cause) {
+  const bool full = cause == ENOSPC || cause == EDQUOT;
+  const bool closed = cause == EACCES || cause == EROFS || cause == EPERM;
+  return Error(ErrorKind::cannot_create,
+               fmt::format("cannot write in the run folder '{}': {}", path,
+                           full     ? "the disk is full"
+                           : closed ? "it is read-only for this user"
+                                    : std::strerror(cause)),
+               full ? "free space, or choose a folder on another disk with --out"
+                    : "choose a folder that you may write to with --out");
+}
+
+// What killed processes left in the folder and those below; the caller holds the folder's lock.
+void remove_stale(const std::string& path) {
+  remove_stale_temporaries(path);
+  std::error_code error, ignored;
+  for (fs::recursive_directory_iterator entry(path, error), end; !error && entry != end; entry.increment(error)) {
+    if (entry->is_directory(ignored) && !entry->is_symlink(ignored)) remove_stale_temporaries(entry->path().string());
+  }
+}
+
+}  // namespace
+
+std::string RunFolder::in(std::string_view name) const { return (fs::path(path_) / name).string(); }
+
+bool RunFolder::lock(bool may_create) {
+  const int cause = lock_.take(path_, may_create);
+  if (cause == 0) return true;
+  if (cause == ENOENT && !may_create) return false;
+  if (cause != EWOULDBLOCK) throw cannot_write(path_, cause);
+  throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' is in use by {}", path_, lock_.holder()),
+              "wait for it to end, stop it, or choose another folder with --out");
+}
+
+RunFolder RunFolder::create(const std::string& path) {
+  RunFolder folder(path);
+  try {
+    create_folders(path);
+  } catch (const Error& error) {
+    throw Error(ErrorKind::cannot_create, error.message(), "choose a folder that you may write to with --out");
+  }
+  // An existing lock first: "in use by process 17" says more than "holds files". No lock file is left in a folder of
+  // others.
+  const bool locked = folder.lock(false);
+  if (locked) remove_stale_temporaries(path);  // of a run killed before its run.yaml was there
+  if (holds_files(path)) {
+    throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' holds files already", path),
+                fmt::format("go on with that run by --resume {}, or choose another folder with --out", path));
+  }
+  if (!locked) {
+    folder.lock(true);
+    if (holds_files(path))
+      throw Error(ErrorKind::cannot_create, fmt::format("another process has just used '{}'", path),
+                  "choose another folder with --out");
+  }
+  return folder;
+}
+
+RunFolder RunFolder::resume(const std::string& path) {
+  RunFolder folder = read(path);
+  folder.lock(true);
+  remove_stale(path);
+  return folder;
+}
+
+RunFolder RunFolder::read(const std::string& path) {
+  RunFolder folder(path);
+  if (!fs::is_directory(path)) {
+    throw Error(ErrorKind::no_input, fmt::format("there is no run folder '{}'", path),
+                "give the folder that `train` printed");
+  }
+  if (!fs::exists(folder.config_path())) {
+    throw Error(ErrorKind::no_input, fmt::format("'{}' holds no run.yaml: it is not a run folder", path),
+                "give the folder that `train` printed");
+  }
+  return folder;
+}
+
+std::string RunFolder::render_path(std::string_view split, std::string_view frame, std::string_view kind,
+                                   std::string_view extension) const {
+  std::string name(frame);
+  std::replace(name.begin(), name.end(), '/', '_');
+  const fs::path folder = fs::path(path_) / "render" / split;
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) throw cannot_write(folder.string(), error.value());
+  return (folder / fmt::format("{}_{}.{}", name, kind, extension)).string();
+}
+
+}  // namespace semfield

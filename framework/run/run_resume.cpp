@@ -1,0 +1,89 @@
+// What a resumed run goes on from.
+#include "run/run_resume.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "core/words.h"
+#include "run/checkpoint_store.h"
+#include "run/run_identity.h"
+
+namespace semfield {
+
+namespace {
+
+// " --set KEY=VALUE" for a shell; nothing for a value that is absent.
+std::string set_text(const std::string& key, const std::string& value) {
+  return value == kAbsent ? std::string() : " --set " + shell_word(key + "=" + value);
+}
+
+void require_same_run(const std::vector<ConfigDifference>& identity, const RunFolder& folder) {
+  if (identity.empty()) return;
+  std::string changes, keep, anew;
+  for (const ConfigDifference& change : identity) {
+    changes += (changes.empty() ? "" : ", ") + change.text();
+    keep += set_text(change.key, change.left);
+    anew += set_text(change.key, change.right);
+  }
+  throw Error(ErrorKind::config,
+              fmt::format("{}: that would be another run than the one in '{}'", changes, folder.path()),
+              fmt::format("to go on with that one: semfield train --resume {}{}; to train anew: semfield train {}{} "
+                          "--out NEW_FOLDER",
+                          shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
+}
+
+// None when a program of another version wrote them and they cannot be read.
+std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry) {
+  try {
+    Diagnostics diagnostics;
+    // Modules are loaded already, by run.yaml or by the command line.
+    RunConfig config =
+        read_run_config(parse_config_text(facts.config, "checkpoint").without("plugins"), registry, diagnostics);
+    if (!diagnostics.has_errors()) return config;
+  } catch (const Error&) {
+  }
+  return std::nullopt;
+}
+
+}  // namespace
+
+ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, Registry& registry,
+                              Diagnostics& diagnostics) {
+  ResumePoint point;
+  std::optional<RunConfig> before;
+  if (const auto found = CheckpointStore::read(folder.checkpoints_path()).find_latest(diagnostics)) {
+    point.facts = read_checkpoint_facts(found->file, found->step);
+    point.path = found->path;
+    before = settings_of_checkpoint(*point.facts, registry);
+  }
+  if (!before) before = load_run_config(folder.config_path(), {}, registry);
+  if (point.facts && point.facts->seed != before->runtime.seed) {
+    throw Error(
+        ErrorKind::data,
+        fmt::format("'{}': its seed is {}, its settings say {}", point.path, point.facts->seed, before->runtime.seed),
+        "go on from another checkpoint of the run: move this file out of the folder");
+  }
+  std::vector<ConfigDifference> refused;
+  for (ConfigDifference& change : changed_settings(resolved_config(*before), resolved_config(config)))
+    (may_change_on_resume(change.key) ? point.changed : refused).push_back(std::move(change));
+  require_same_run(refused, folder);
+  return point;
+}
+
+void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
+                           Diagnostics& diagnostics) {
+  if (facts.inputs) warn_of_other_inputs(*facts.inputs, inputs, diagnostics);
+  if (facts.scene) compare_training_labels(*facts.scene, session.manifest, session.scene.info.classes, diagnostics);
+}
+
+bool asks_for_the_scene_of_training(const CheckpointFacts& facts, const RunConfig& config, Registry& registry) {
+  const std::optional<RunConfig> trained = settings_of_checkpoint(facts, registry);
+  if (!trained) return true;
+  const std::vector<ConfigDifference> changes = changed_settings(resolved_config(*trained), resolved_config(config));
+  return std::none_of(changes.begin(), changes.end(), [](const ConfigDifference& change) {
+    return change.key.starts_with("scene.") && is_part_of_identity(change.key);
+  });
+}
+
+}  // namespace semfield

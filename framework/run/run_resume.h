@@ -1,0 +1,35 @@
+// What a resumed run goes on from: its newest checkpoint, and the settings that it may and may not change.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "config/explain.h"
+#include "run/checkpoint_facts.h"
+#include "run/run_folder.h"
+#include "session/session.h"
+#include "settings/run_config.h"
+
+namespace semfield {
+
+struct ResumePoint {
+  std::optional<CheckpointFacts> facts;   ///< of the newest checkpoint that verifies; none: the run begins at step 0
+  std::string path;                       ///< of that checkpoint
+  std::vector<ConfigDifference> changed;  ///< settings that are others than before, and may be
+  std::int64_t step() const { return facts ? facts->step : 0; }
+};
+
+/// Compares `config` with what the checkpoint was trained with, or with run.yaml where there is none. Throws
+/// Error(config) naming every setting that would make it another run, Error(data) for a bad checkpoint.
+ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, Registry& registry,
+                              Diagnostics& diagnostics);
+
+/// Warns of other inputs and other labels than the checkpoint's; Error(data) where classes have changed places.
+void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
+                           Diagnostics& diagnostics);
+
+/// False where `config` asks for other frames, sizes or bounds than those of training: then other inputs are no news.
+bool asks_for_the_scene_of_training(const CheckpointFacts& facts, const RunConfig& config, Registry& registry);
+
+}  // namespace semfield

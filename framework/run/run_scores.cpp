@@ -1,0 +1,197 @@
+#include "run/run_scores.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+
+#include "core/files.h"
+#include "eval/final_eval.h"
+#include "eval/pixel_stride.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::int64_t kProbe_px = 2048;     // scored once to learn what a pixel costs
+constexpr std::int64_t kLeastMap_px = 1024;  // of a frame at a stride; fewer pixels say little
+
+const char* name_of(Split split) { return split == Split::test ? "test" : "train"; }
+
+}  // namespace
+
+double unix_seconds() {
+  return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+}
+
+std::string ScoredPart::text() const {
+  const std::string count = frames == of ? fmt::format("{} frames", of) : fmt::format("{} of {} frames", frames, of);
+  return stride == 1 ? count : fmt::format("{} at 1 pixel in {}", count, stride * stride);
+}
+
+RunScores::RunScores(const Session& session, const ScoreFiles& files, ScoreHooks hooks, const Moment& start)
+    : session_(session),
+      files_(files),
+      hooks_(std::move(hooks)),
+      start_(start),
+      budget_(session.config.report.eval_share, session.config.train.time_limit_s),
+      test_(session.scene.frames_of(Split::test)) {}
+
+EvalJob RunScores::test_sample() const {
+  return session_.eval_job(evenly_spaced(test_, session_.config.report.eval_frames));
+}
+
+std::int64_t RunScores::pixels_of(const EvalJob& job) const {
+  std::int64_t pixels = 0;
+  for (const int f : job.frames) {
+    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
+    pixels += std::int64_t{strided_px(camera.width_px, job.stride)} * strided_px(camera.height_px, job.stride);
+  }
+  return pixels;
+}
+
+std::int32_t RunScores::most_stride(const EvalJob& job) const {
+  std::int32_t most = INT32_MAX;
+  for (const int f : job.frames) {
+    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
+    std::int32_t stride = 1;
+    while (std::int64_t{strided_px(camera.width_px, stride + 1)} * strided_px(camera.height_px, stride + 1) >=
+           kLeastMap_px)
+      ++stride;
+    most = std::min(most, stride);
+  }
+  return most;
+}
+
+void RunScores::measure_cost(EvalJob job) {
+  if (budget_.knows_cost()) return;
+  job.frames = evenly_spaced(job.frames, 1);
+  const std::int32_t most = most_stride(job);
+  while (job.stride < most && pixels_of(job) > kProbe_px) ++job.stride;
+  const double begin_s = hooks_.now_s();
+  evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);
+  budget_.spend(hooks_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
+}
+
+void RunScores::plan_sample() {
+  if (sample_stride_) return;
+  const EvalJob job = test_sample();
+  if (budget_.bounds_samples()) measure_cost(job);
+  sample_stride_ =
+      budget_.sample_stride(static_cast<double>(pixels_of(job)), session_.config.report.eval_every_s, most_stride(job));
+}
+
+SplitScore RunScores::score(EvalJob job, Split split) {
+  if (hooks_.progress) {
+    job.progress = [&](double done) { hooks_.progress({name_of(split), done, std::ssize(job.frames)}); };
+  }
+  const double begin_s = hooks_.now_s();
+  SplitScore found = evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);
+  job.frames.resize(found.frames.size());
+  if (!job.frames.empty()) budget_.spend(hooks_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
+  return found;
+}
+
+MetricsRow RunScores::row_of(const Moment& at, Split split, const ScoredPart& part, const SplitScore& score) const {
+  MetricsRow row;
+  row.kind = "eval";
+  row.step = at.step;
+  row.train_s = at.train_s;
+  row.split = name_of(split);
+  row.values = score.values();
+  row.set("frames", static_cast<double>(part.frames));
+  if (part.whole()) return row;
+  row.split += kSampleSuffix;
+  row.set("split_frames", static_cast<double>(part.of));
+  row.set("pixel_stride", part.stride);
+  return row;
+}
+
+void RunScores::log_test(MetricsRow row, const ScoredPart& part, const SplitScore& score) {
+  const std::vector<ClassScore> per_class = score.confusion.per_class();
+  for (std::size_t c = 0; c < per_class.size(); ++c) {
+    row.per_class_iou.emplace_back(session_.scene.info.classes.valid(static_cast<int>(c)).name, per_class[c].iou);
+  }
+  files_.log.append(row);
+  files_.log.sync();
+  // One tag a meaning: a sample's figures are not those of the split.
+  const std::string tag = part.whole() ? "eval/" : "eval_sample/";
+  for (const auto& [name, value] : row.values) {
+    if (value) files_.events.scalar(tag + name, row.step, *value, unix_seconds());
+  }
+  last_miou_present_ = score.confusion.miou_present();
+  last_part_ = part;
+}
+
+void RunScores::score_sample(const Moment& at) {
+  if (test_.empty() || !budget_.has_time_for_sample(at.train_s - start_.train_s)) return;
+  plan_sample();
+  EvalJob job = test_sample();
+  job.stride = *sample_stride_;
+  job.stop = [this] { return hooks_.stop_signal && hooks_.stop_signal() != 0; };
+  const SplitScore found = score(job, Split::test);
+  if (found.frames.size() < job.frames.size()) return;  // stopped between frames: no partial figures
+  const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
+  log_test(row_of(at, Split::test, part, found), part, found);
+}
+
+ScoreValues RunScores::score_end(const Moment& at) {
+  const ReportParams& report = session_.config.report;
+  if (report.eval_every_s > 0 && at.train_s >= report.eval_every_s) score_sample(at);  // the curve's last point
+  const std::vector<int> train = session_.scene.frames_of(Split::train);
+  EvalJob test_job = session_.eval_job(test_),
+          train_job = session_.eval_job(evenly_spaced(train, report.training_frames));
+  const std::size_t asked = test_job.frames.size() + train_job.frames.size();
+  if (budget_.bounds_last() && asked > 0) {
+    const EvalJob& first = test_.empty() ? train_job : test_job;
+    measure_cost(first);
+    const EvalCut cut = budget_.last(static_cast<double>(pixels_of(test_job) + pixels_of(train_job)),
+                                     static_cast<std::int64_t>(asked), at.train_s, most_stride(first));
+    for (EvalJob* job : {&test_job, &train_job}) {
+      const double frames = cut.share * static_cast<double>(job->frames.size());
+      if (!job->frames.empty()) job->frames = evenly_spaced(job->frames, std::max(1, static_cast<int>(frames)));
+      job->stride = cut.stride;
+    }
+  }
+  ScoreValues values;
+  if (!test_.empty()) values = score_test_frames(at, test_job);
+  if (!train_job.frames.empty()) score_training_frames(at, train_job);
+  return values;
+}
+
+ScoreValues RunScores::score_test_frames(const Moment& at, EvalJob job) {
+  const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
+  if (!part.whole() && hooks_.note)
+    hooks_.note(
+        fmt::format("the last evaluation scores {} to end near the time limit (report.eval_share {}); "
+                    "`semfield eval {}` scores all",
+                    part.text(), session_.config.report.eval_share, files_.folder.path()));
+  report_frames_ =
+      ReportFrames(evenly_spaced(job.frames, session_.config.report.strips), session_.config.report.worst_frames);
+  job.on_frame = [this](const FrameScore& frame, const RenderedFrame& maps) { report_frames_.add(frame, maps); };
+  const SplitScore found = score(job, Split::test);
+  const MetricsRow row = row_of(at, Split::test, part, found);
+  log_test(row, part, found);
+  if (const std::string warning = found.resolution.warning(); !warning.empty() && hooks_.note)
+    hooks_.note("warning: " + warning);
+  FinalEval detail = final_eval(found, session_.scene.info.classes, row.split);
+  detail.step = at.step;
+  detail.train_s = at.train_s;
+  write_file_atomic(files_.folder.final_eval_path(), final_eval_json(detail));
+  return found.values();
+}
+
+void RunScores::score_training_frames(const Moment& at, EvalJob job) {
+  job.given = &session_.labels;
+  const ScoredPart part{std::ssize(job.frames), std::ssize(session_.scene.frames_of(Split::train)), job.stride};
+  MetricsRow row = row_of(at, Split::train, part, score(job, Split::train));
+  const ConfusionMatrix given = score_training_labels(session_, job.frames);
+  row.set("given_miou", given.miou());
+  row.set("given_miou_present", given.miou_present());
+  row.set("given_total_accuracy", given.total_accuracy());
+  row.set("given_px", static_cast<double>(given.scored_px()));
+  files_.log.append(row);
+  files_.log.sync();
+}
+
+}  // namespace semfield

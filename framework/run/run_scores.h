@@ -1,0 +1,97 @@
+// What a training run scores: a sample of test frames now and then, test and training frames at its end.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "eval/eval_budget.h"
+#include "run/metrics_log.h"
+#include "run/report_frames.h"
+#include "run/run_folder.h"
+#include "run/tensorboard.h"
+#include "session/session.h"
+
+namespace semfield {
+
+/// The run's files that scores go into.
+struct ScoreFiles {
+  const RunFolder& folder;
+  MetricsLog& log;
+  EventWriter& events;
+};
+
+struct ScoreHooks {
+  std::function<void(const std::string&)> note;
+  std::function<void(const ScoreProgress&)> progress;
+  std::function<int()> stop_signal;  ///< asked between frames of a sample
+  std::function<double()> now_s;     ///< a clock that never runs back
+};
+
+/// Which part of a split an evaluation scored.
+struct ScoredPart {
+  std::int64_t frames = 0, of = 0;
+  std::int32_t stride = 1;
+  bool whole() const { return frames == of && stride == 1; }
+  /// "4 of 30 frames", "30 frames at 1 pixel in 4".
+  std::string text() const;
+};
+
+using ScoreValues = std::vector<std::pair<std::string, std::optional<double>>>;
+
+class RunScores {
+ public:
+  /// The state of training that is scored.
+  struct Moment {
+    std::int64_t step = 0;
+    double train_s = 0;
+  };
+
+  /// `session` and what `files` names must outlive the object; every hook but stop_signal and now_s may be null.
+  RunScores(const Session& session, const ScoreFiles& files, ScoreHooks hooks, const Moment& start);
+
+  /// A row of metrics.jsonl for `report.eval_frames` test frames; none when a stop came between them, or when
+  /// evaluations took their share of the time already.
+  void score_sample(const Moment& at);
+  /// The end of training: a sample where there are others, then test frames with final_eval.json and the report's
+  /// frames, then training frames. Values of the test frames; none without any.
+  ScoreValues score_end(const Moment& at);
+
+  std::optional<double> last_miou_present() const { return last_miou_present_; }
+  /// Of the test frames scored last.
+  const ScoredPart& last_part() const { return last_part_; }
+  const ReportFrames& report_frames() const { return report_frames_; }
+
+ private:
+  EvalJob test_sample() const;
+  std::int64_t pixels_of(const EvalJob& job) const;
+  // A stride leaves a map of this many pixels at least.
+  std::int32_t most_stride(const EvalJob& job) const;
+  // What a pixel costs, from a few of the job's, unless an evaluation told already.
+  void measure_cost(EvalJob job);
+  void plan_sample();
+  SplitScore score(EvalJob job, Split split);
+  MetricsRow row_of(const Moment& at, Split split, const ScoredPart& part, const SplitScore& score) const;
+  void log_test(MetricsRow row, const ScoredPart& part, const SplitScore& score);
+  ScoreValues score_test_frames(const Moment& at, EvalJob job);
+  // The field at the training poses against the scene's own labels, then the labels given.
+  void score_training_frames(const Moment& at, EvalJob job);
+
+  const Session& session_;
+  ScoreFiles files_;
+  ScoreHooks hooks_;
+  Moment start_;
+  EvalBudget budget_;
+  std::vector<int> test_;
+  std::optional<std::int32_t> sample_stride_;
+  std::optional<double> last_miou_present_;
+  ScoredPart last_part_;
+  ReportFrames report_frames_;
+};
+
+/// Seconds since 1970, for events.
+double unix_seconds();
+
+}  // namespace semfield

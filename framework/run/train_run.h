@@ -1,0 +1,59 @@
+// A whole training run in its folder: steps, rows, evaluations, checkpoints; started, stopped, killed and
+// resumed.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "run/run_scores.h"
+#include "settings/run_config.h"
+
+namespace semfield {
+
+struct TrainProgress {
+  std::int64_t step = 0, steps = 0;
+  double loss = 0;
+  double psnr = 0;                     ///< of the training rays since the last progress
+  std::optional<double> miou_present;  ///< of the last evaluation
+  ScoredPart scored;                   ///< which scored these test frames
+  double rays_per_s = 0;
+  double train_s = 0;      ///< seconds of training, evaluation not counted
+  double remaining_s = 0;  ///< estimate
+};
+
+struct TrainHooks {
+  std::function<void(const TrainProgress&)> progress;
+  std::function<void(const ScoreProgress&)> scoring;  ///< an evaluation is under way
+  std::function<void(const std::string&)> note;
+  std::function<int()> stop_signal;    ///< 0, or the number of the signal that asks for an orderly end
+  std::function<bool()> save_request;  ///< whether a checkpoint was asked for since the last call
+  /// true: from now on a stop waits for the step under way and its checkpoint; false: nothing is left to save, so the
+  /// process may end at once.
+  std::function<void(bool)> stop_waits;
+  std::function<double()> now_s;  ///< a clock for what evaluations take; null: the machine's
+  /// Writes the report of a run that came to its end and returns its path (report/run_report.h); null: there is none.
+  std::function<std::string(const RunFolder&, const Session&, const ReportFrames&)> write_report;
+};
+
+struct TrainRequest {
+  std::string out_dir;
+  bool resume = false;            ///< go on in out_dir from its newest checkpoint that verifies
+  std::vector<std::string> keep;  ///< components forced back in
+};
+
+struct TrainOutcome {
+  int signal = 0;  ///< the signal that ended the run early, after its checkpoint
+  std::int64_t step = 0;
+  double train_s = 0;
+  std::string run_dir;
+  std::string report_path;     ///< "" where the run was stopped or no report was asked for
+  ScoreValues values;          ///< test split, final evaluation
+  ScoredPart scored;           ///< the frames that `values` are of
+  std::size_t peak_bytes = 0;  ///< of the process
+};
+
+TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, const TrainHooks& hooks);
+
+}  // namespace semfield

@@ -1,0 +1,290 @@
+#include "session/assembly.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/error.h"
+#include "core/gemm_engine.h"
+#include "core/parallel.h"
+
+namespace semfield {
+
+namespace {
+
+// The maker of the slot's plugin for Real, one overload a kind.
+template <class Real, class Kind32, class Kind64, class Build>
+auto make(const Kind32& maker32, const Kind64& maker64, const PluginSlot& slot, const Build& build,
+          const Registry& registry) {
+  if constexpr (std::is_same_v<Real, float>) {
+    return maker32(*slot.params, build, registry.kernels());
+  } else {
+    return maker64(*slot.params, build, registry.kernels());
+  }
+}
+
+EncoderBuild encoder_build(const SceneExtent& extent, bool is_direction, Device device) {
+  EncoderBuild build;
+  build.device = device;
+  build.is_direction = is_direction;
+  const Vec3d size = extent.bounds.empty() ? Vec3d{} : extent.bounds.size();
+  // Contracted, the bounds take half of an encoder's cube.
+  build.extent_m = (extent.contracted ? 2 : 1) * std::max({size.x, size.y, size.z});
+  build.pixel_footprint_m = extent.pixel_footprint_m;
+  return build;
+}
+
+template <class Real>
+std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Registry& registry, const SceneExtent& extent,
+                                            bool is_direction, Device device, const std::string& path) {
+  std::unique_ptr<Encoder<Real>> encoder = make<Real>(slot.entry->encoder32, slot.entry->encoder64, slot,
+                                                      encoder_build(extent, is_direction, device), registry);
+  const EncoderTraits traits = encoder->traits();
+  if (traits.in_dims != 3) {
+    throw Error(ErrorKind::config, path + ": encoder '" + slot.entry->name + "' reads " +
+                                       std::to_string(traits.in_dims) + " coordinates, but the scene has 3");
+  }
+  if (!is_direction && traits.domain == Domain::direction) {
+    throw Error(ErrorKind::config, path + ": encoder '" + slot.entry->name + "' encodes unit directions, not positions",
+                "choose a position encoder, or move it to 'direction'");
+  }
+  if (is_direction && traits.domain == Domain::unit_cube) {
+    throw Error(ErrorKind::config,
+                path + ": encoder '" + slot.entry->name + "' encodes positions in a cube, not directions",
+                "choose a direction encoder");
+  }
+  return encoder;
+}
+
+// feature_dims: of the pass's field.
+template <class Real>
+std::unique_ptr<SemanticBranchParts<Real>> make_branch(const PassConfig& pass, const RunConfig& config,
+                                                       const Registry& registry, const SceneExtent& extent,
+                                                       Device device, std::int32_t feature_dims) {
+  const SemanticBranchConfig& branch = *pass.branch();
+  auto parts = std::make_unique<SemanticBranchParts<Real>>();
+  parts->rules = branch.rules;
+  parts->position = make_encoder<Real>(branch.position, registry, extent, false, device,
+                                       "passes." + pass.name + ".semantic.position");
+  parts->domain =
+      DomainMap::make(parts->position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
+  FieldBuild build;
+  build.device = device;
+  build.position_dims = parts->position->traits().out_dims + (branch.rules.reads_feature ? feature_dims : 0);
+  build.feature_only = true;
+  build.precision = config.runtime.precision;
+  parts->field = make<Real>(branch.field.entry->field32, branch.field.entry->field64, branch.field, build, registry);
+  return parts;
+}
+
+template <class Real>
+PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const Registry& registry,
+                          const BuildPlan& plan, const SceneExtent& extent, Device device) {
+  PassParts<Real> parts;
+  parts.name = pass.name;
+  SamplerBuild sampler_build;
+  sampler_build.device = device;
+  sampler_build.bounds = extent.bounds;
+  sampler_build.near_m = extent.near_m;
+  sampler_build.far_m = extent.far_m;
+  parts.sampler =
+      make<Real>(pass.sampler.entry->sampler32, pass.sampler.entry->sampler64, pass.sampler, sampler_build, registry);
+  parts.position =
+      make_encoder<Real>(pass.position, registry, extent, false, device, "passes." + pass.name + ".position");
+  parts.domain =
+      DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
+  FieldBuild field_build;
+  field_build.device = device;
+  field_build.position_dims = parts.position->traits().out_dims;
+  if (plan.view_branch && pass.direction.entry != nullptr) {
+    parts.direction =
+        make_encoder<Real>(pass.direction, registry, extent, true, device, "passes." + pass.name + ".direction");
+    field_build.direction_dims = parts.direction->traits().out_dims;
+  }
+  const bool by_branch = plan.semantics && pass.branch() != nullptr;
+  field_build.wants_feature = plan.semantics && (!by_branch || pass.branch()->rules.reads_feature);
+  field_build.savings = {config.runtime.fold_feature_layer, config.runtime.direction_once_per_ray,
+                         config.runtime.deferred_class_layer};
+  field_build.precision = config.runtime.precision;
+  parts.field = make<Real>(pass.field.entry->field32, pass.field.entry->field64, pass.field, field_build, registry);
+  if (!plan.semantics) return parts;
+  const Field<Real>* read = parts.field.get();
+  if (by_branch) {
+    parts.branch = make_branch<Real>(pass, config, registry, extent, device, read->traits().feature_dims);
+    read = parts.branch->field.get();
+  }
+  parts.head = std::make_unique<SemanticHead<Real>>(read->traits().feature_dims, config.semantics.hidden_width,
+                                                    static_cast<std::int32_t>(plan.class_of_logit.size()),
+                                                    config.runtime.precision);
+  return parts;
+}
+
+template <class Real>
+std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                                         const SceneExtent& extent, Device device = Device::cpu) {
+  std::vector<PassParts<Real>> passes;
+  for (std::size_t p = static_cast<std::size_t>(plan.first_pass); p < config.passes.size(); ++p) {
+    const PassConfig& pass = config.passes[p];
+    passes.push_back(make_pass<Real>(pass, config, registry, plan, extent, device));
+    passes.back().number = static_cast<std::uint32_t>(p);
+    if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
+      throw Error(ErrorKind::config,
+                  "passes." + pass.name + ".sampler: '" + pass.sampler.entry->name +
+                      "' refines the weights of an earlier pass, but this is the first",
+                  "put a pass with another sampler before it");
+    }
+  }
+  return passes;
+}
+
+PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan) {
+  PipelineOptions options;
+  options.rules.activation = config.rendering.density_activation;
+  options.rules.density_bias = config.rendering.density_bias;
+  options.rules.far = config.rendering.far;
+  options.rules.density_noise = config.rendering.density_noise;
+  for (std::size_t i = 0; i < 3; ++i) options.rules.background[i] = config.rendering.background[i];
+  options.rules.early_stop = plan.late_samples ? 0 : config.rendering.early_stop;
+  options.rules.stop_gradient_to_density = config.semantics.stop_gradient_to_density;
+  options.rules.deferred_class_layer = config.runtime.deferred_class_layer;
+  options.seed = config.runtime.seed;
+  options.lanes = config.runtime.lanes;
+  options.tile_rays = config.runtime.tile_rays;
+  options.semantic_weight = config.semantics.weight;
+  options.normalisation = config.semantics.normalisation;
+  options.losses = LossList(config.losses, config.train.steps);
+  options.head_on_all_rays = plan.head_on_unlabelled_rays;
+  return options;
+}
+
+}  // namespace
+
+BuildRequest build_request(const RunConfig& config, const Registry& registry) {
+  BuildRequest request;
+  const PluginSlot& sampler = config.passes.back().sampler;
+  SamplerBuild build;  // a unit box: only the traits are asked
+  build.bounds = {{-1, -1, -1}, {1, 1, 1}};
+  build.near_m = 0.1;
+  build.far_m = 1;
+  const SamplerTraits traits = sampler.entry->sampler32(*sampler.params, build, registry.kernels())->traits();
+  request.last_sampler_single_pass = traits.single_pass;
+  request.empty_space = traits.empty_space;
+  request.passes = static_cast<int>(config.passes.size());
+  request.direction_encoder = config.passes.back().direction.entry != nullptr;
+  request.density_noise = config.rendering.density_noise;
+  request.early_stop = config.rendering.early_stop;
+  for (const LossEntry& entry : config.losses) request.losses.push_back(entry.type);
+  request.balance_classes = config.semantics.balance_classes;
+  request.mixed_precision = config.runtime.precision != Precision::fp32;
+  request.periodic_evaluation = config.report.eval_every_s > 0;
+  return request;
+}
+
+std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent, Device device) {
+  std::vector<std::string> lines;
+  EncoderBuild build = encoder_build(extent, false, device);
+  if (!extent.bounds.empty()) {
+    const DomainMap map =
+        DomainMap::make(Domain::metric, extent.bounds, config.rendering.scene_scale, extent.contracted);
+    if (extent.contracted) build.largest_coordinate = 1;
+    for (int a = 0; a < 3 && !extent.contracted; ++a) {
+      for (const double corner : {extent.bounds.lo[a], extent.bounds.hi[a]})
+        build.largest_coordinate = std::max(build.largest_coordinate, std::abs(corner - map.center[a]) * map.scale);
+    }
+  }
+  for (PassConfig& pass : config.passes) {
+    std::vector<std::string> chosen;
+    pass.position.params->choose(build, chosen);
+    for (const std::string& sentence : chosen) lines.push_back("passes." + pass.name + ".position: " + sentence);
+    if (pass.branch() == nullptr) continue;
+    chosen.clear();
+    pass.branch()->position.params->choose(build, chosen);
+    for (const std::string& sentence : chosen)
+      lines.push_back("passes." + pass.name + ".semantic.position: " + sentence);
+  }
+  return lines;
+}
+
+bool needs_bounds(const RunConfig& config, const Registry& registry) {
+  EncoderBuild build;
+  for (const PassConfig& pass : config.passes) {
+    if (pass.position.entry->encoder32(*pass.position.params, build, registry.kernels())->traits().domain ==
+        Domain::unit_cube)
+      return true;
+  }
+  return false;
+}
+
+NetworkPlan plan_network(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                         const SceneExtent& extent, bool trainable) {
+  const std::vector<PassParts<float>> passes = make_passes<float>(config, registry, plan, extent);
+  std::vector<const PassParts<float>*> parts;
+  for (const PassParts<float>& pass : passes) parts.push_back(&pass);
+  return plan_network<float>(parts, pipeline_options(config, plan), config.train.rays, thread_count(), trainable);
+}
+
+template <class Real>
+std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                                         const SceneExtent& extent, std::vector<float> class_weight, bool trainable) {
+  choose_gemm_engine(config.runtime.gemm, config.runtime.precision);
+  PipelineOptions options = pipeline_options(config, plan);
+  options.class_weight = std::move(class_weight);
+  return std::make_unique<Pipeline<Real>>(make_passes<Real>(config, registry, plan, extent), std::move(options),
+                                          trainable);
+}
+
+namespace {
+// "field 'ball'": the first part of the passes without kernels for `device`; empty: all have them.
+std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
+  for (const PassConfig& pass : config.passes) {
+    std::vector<const PluginSlot*> slots{&pass.sampler, &pass.position, &pass.direction, &pass.field};
+    for (const SemanticBranchConfig& branch : pass.semantic) {
+      slots.push_back(&branch.position);
+      slots.push_back(&branch.field);
+    }
+    for (const PluginSlot* slot : slots) {
+      if (slot->entry == nullptr) continue;
+      std::string owner = std::string(kind_name(slot->entry->kind)) + " '" + slot->entry->name + "'";
+      if (!registry.kernels().has(device, owner)) return owner;
+    }
+  }
+  return {};
+}
+}  // namespace
+
+Device chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics) {
+  const DeviceChoice choice = config.runtime.device;
+  if (choice == DeviceChoice::cpu) return Device::cpu;
+  std::string why_not;
+  if (cuda_available(&why_not)) {
+    cuda_library().add_kernels(registry.kernels());
+    const std::string part = part_without_kernels(config, registry, Device::cuda);
+    if (part.empty()) return Device::cuda;
+    why_not = part + " has no cuda kernels";
+    if (choice == DeviceChoice::automatic)
+      diagnostics.note("runtime.device", why_not + ", so the run stays on the processor");
+  }
+  if (choice == DeviceChoice::automatic) return Device::cpu;
+  throw Error(ErrorKind::unavailable, "runtime.device: cuda: " + why_not, "set runtime.device: cpu, or auto");
+}
+
+std::unique_ptr<DeviceBackend> attach_device(Device device, const RunConfig& config, const Registry& registry,
+                                             const BuildPlan& plan, const SceneExtent& extent,
+                                             Pipeline<float>& pipeline, bool trainable) {
+  if (device == Device::cpu) return nullptr;
+  DeviceOptions options;
+  options.adam = {config.adam.beta1, config.adam.beta2, config.adam.epsilon};
+  options.head_precision = config.runtime.precision;
+  options.trainable = trainable;
+  options.deterministic = config.runtime.deterministic;
+  std::unique_ptr<DeviceBackend> backend =
+      cuda_library().make(pipeline, make_passes<float>(config, registry, plan, extent, device), options);
+  pipeline.attach(backend.get());
+  return backend;
+}
+
+template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
+                                                          const SceneExtent&, std::vector<float>, bool);
+template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,
+                                                            const SceneExtent&, std::vector<float>, bool);
+
+}  // namespace semfield

@@ -1,0 +1,56 @@
+// From configuration, scene and plan to a pipeline: traits are wired here and mismatches named.
+#pragma once
+
+#include <memory>
+
+#include "model/device_backend.h"
+#include "model/leave_out.h"
+#include "model/network_plan.h"
+#include "model/pipeline.h"
+#include "settings/run_config.h"
+
+namespace semfield {
+
+/// What the plan needs to know of the config.
+BuildRequest build_request(const RunConfig& config, const Registry& registry);
+
+/// Facts of the scene that components may size themselves by.
+struct SceneExtent {
+  Box bounds;
+  double near_m = 0, far_m = 0;
+  double pixel_footprint_m = 0;
+  bool contracted = false;  ///< rendering.outside
+};
+
+/// Lets position encoders replace what they choose from the scene by numbers; "passes.NAME.position: sentence" each.
+std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent, Device device);
+
+/// True when a position encoder of the plan's passes lives in the unit cube: rays must then be clipped to the bounds.
+bool needs_bounds(const RunConfig& config, const Registry& registry);
+
+/// What the pipeline will hold, before it is assembled: steps of train.rays rays on thread_count() threads.
+NetworkPlan plan_network(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                         const SceneExtent& extent, bool trainable);
+
+/// Real = float trains and renders; double is the oracle of the tests. `class_weight` [C logits] or empty.
+template <class Real>
+std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                                         const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
+
+/// The device that the run's configuration asks for; its kernels are then in the registry's tables. `auto` is cuda
+/// where build and machine have it and every part of the passes has kernels for it; a part without them is noted and
+/// leaves the run on the processor. Throws Error(unavailable) with the reason when cuda is asked for and cannot be had.
+Device chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
+
+/// The backend of `device`, which chosen_device gave, with the same parts as `pipeline`, which from now on renders
+/// there; null for the processor.
+std::unique_ptr<DeviceBackend> attach_device(Device device, const RunConfig& config, const Registry& registry,
+                                             const BuildPlan& plan, const SceneExtent& extent,
+                                             Pipeline<float>& pipeline, bool trainable);
+
+extern template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
+                                                                 const SceneExtent&, std::vector<float>, bool);
+extern template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,
+                                                                   const SceneExtent&, std::vector<float>, bool);
+
+}  // namespace semfield

@@ -1,0 +1,66 @@
+#include "session/manifest_text.h"
+
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "core/error.h"
+
+namespace semfield {
+
+namespace {
+
+// One walk for both directions, so writer and reader cannot disagree.
+template <class Field>
+void walk(KnownScene& scene, Field&& field) {
+  SceneManifest& m = scene.manifest;
+  field("classes", m.classes);
+  field("train_class_pixels", m.train_class_pixels);
+  field("train_pixels", m.train_pixels);
+  field("train_frames", m.train_frames);
+  field("labelled_frames", m.labelled_frames);
+  field("any_depth", m.any_depth);
+  field("any_distortion", m.any_distortion);
+  field("direction_spread_deg", m.direction_spread_deg);
+  field("pixel_footprint_m", scene.pixel_footprint_m);
+}
+
+}  // namespace
+
+std::string manifest_text(const KnownScene& scene) {
+  nlohmann::ordered_json json;
+  KnownScene copy = scene;
+  walk(copy, [&](const char* name, auto& value) { json[name] = value; });
+  return json.dump();
+}
+
+std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
+  const auto text = metadata.find("scene");
+  if (text == metadata.end()) return std::nullopt;
+  KnownScene scene;
+  try {
+    const nlohmann::json json = nlohmann::json::parse(text->second);
+    walk(scene, [&](const char* name, auto& value) {
+      // Not in checkpoints of before it was counted: then it stays unknown, as in the run that wrote them.
+      if (std::string_view(name) == "direction_spread_deg" && !json.contains(name)) return;
+      json.at(name).get_to(value);
+    });
+  } catch (const nlohmann::json::exception& e) {
+    throw Error(ErrorKind::data, std::string("checkpoint metadata 'scene' cannot be read: ") + e.what(),
+                "go on from another checkpoint of the run");
+  }
+  const SceneManifest& m = scene.manifest;
+  const auto negative = [](std::int64_t pixels) { return pixels < 0; };
+  if (m.classes < 0 || std::ssize(m.train_class_pixels) != m.classes ||
+      std::any_of(m.train_class_pixels.begin(), m.train_class_pixels.end(), negative) ||
+      !(scene.pixel_footprint_m > 0) || !std::isfinite(scene.pixel_footprint_m)) {
+    throw Error(ErrorKind::data,
+                "checkpoint metadata 'scene' cannot be read: " + std::to_string(m.train_class_pixels.size()) +
+                    " counts of pixels for " + std::to_string(m.classes) + " classes, a pixel of " +
+                    std::to_string(scene.pixel_footprint_m) + " m",
+                "go on from another checkpoint of the run");
+  }
+  return scene;
+}
+
+}  // namespace semfield

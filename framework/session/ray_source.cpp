@@ -1,0 +1,274 @@
+#include "session/ray_source.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "core/check.h"
+#include "core/error.h"
+#include "core/parallel.h"
+#include "core/rng.h"
+
+namespace semfield {
+
+void BatchBuffers::resize(std::int64_t rays, std::int32_t classes, bool with_depth) {
+  const auto n = static_cast<std::size_t>(rays);
+  origin.resize(3 * n);
+  direction.resize(3 * n);
+  near_far.resize(2 * n);
+  target.resize(3 * n);
+  label.resize(n);
+  depth.resize(with_depth ? n : 0);
+  choices.resize(n);
+  soft_classes = classes;
+  soft.resize(n * static_cast<std::size_t>(classes));
+}
+
+RayBatch BatchBuffers::view(bool with_labels) const {
+  const auto rays = static_cast<std::int64_t>(label.size());
+  RayBatch batch;
+  batch.origin = {origin.data(), rays, 3};
+  batch.direction = {direction.data(), rays, 3};
+  batch.near_far = {near_far.data(), rays, 2};
+  batch.target = {target.data(), rays, 3};
+  if (with_labels) batch.label = {label.data(), rays, 1};
+  if (with_labels && soft_classes > 0) batch.soft = {soft.data(), rays, soft_classes};
+  if (!depth.empty()) batch.depth = {depth.data(), rays, 1};
+  batch.label_only_share = label_only_share;
+  return batch;
+}
+
+Error no_labelled_pixel() {
+  return Error(ErrorKind::data, "train.ray_source is label_balanced, but no training pixel carries a label",
+               "draw rays from all pixels with --set train.ray_source=all_images, or give the scene labels");
+}
+
+RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> logit_of_class, const RayLimits& limits,
+                     const RaySourceOptions& options)
+    : frames_(std::move(frames)), logit_of_class_(std::move(logit_of_class)), limits_(limits), options_(options) {
+  offsets_.push_back(0);
+  for (const TrainFrame& frame : frames_) {
+    offsets_.push_back(offsets_.back() + std::int64_t{frame.pixels->width_px} * frame.pixels->height_px);
+  }
+  if (offsets_.back() == 0) {
+    throw Error(ErrorKind::data, "the training split has no pixels",
+                "check the split rule of 'scene' with `semfield inspect`");
+  }
+  if (offsets_.back() > std::int64_t{0xFFFFFFFF}) {
+    throw Error(ErrorKind::data, "the training split has more than 2^32 pixels", "reduce it with scene.load.downscale");
+  }
+  const bool soft = std::any_of(frames_.begin(), frames_.end(),
+                                [](const TrainFrame& f) { return f.labels != nullptr && !f.labels->soft.empty(); });
+  for (const std::int16_t logit : logit_of_class_) {
+    if (soft) soft_logits_ = std::max(soft_logits_, static_cast<std::int32_t>(logit) + 1);
+  }
+  if (options_.kind != RaySourceKind::label_balanced) return;
+  index_labels();
+  if (ranks_before_.back() == 0) {
+    throw no_labelled_pixel();
+  }
+}
+
+void RaySource::index_labels() {
+  block_offsets_.assign(1, 0);
+  for (std::size_t f = 0; f < frames_.size(); ++f) {
+    const std::int64_t pixels =
+        frames_[f].labels != nullptr || frames_[f].added != nullptr ? offsets_[f + 1] - offsets_[f] : 0;
+    block_offsets_.push_back(block_offsets_.back() + static_cast<std::size_t>((pixels + kBlock - 1) / kBlock));
+  }
+  ranks_before_.assign(block_offsets_.back() + 1, 0);
+  parallel_for(static_cast<std::int64_t>(frames_.size()), [&](std::int64_t frame) {
+    const auto f = static_cast<std::size_t>(frame);
+    const std::int64_t pixels = offsets_[f + 1] - offsets_[f];
+    for (std::size_t b = block_offsets_[f]; b < block_offsets_[f + 1]; ++b) {
+      const std::int64_t begin = static_cast<std::int64_t>(b - block_offsets_[f]) * kBlock;
+      for (std::int64_t p = begin; p < std::min(begin + kBlock, pixels); ++p)
+        ranks_before_[b + 1] += label_of({static_cast<std::int32_t>(f), static_cast<std::int32_t>(p)}) != kVoid ? 1 : 0;
+    }
+  });
+  for (std::size_t b = 1; b < ranks_before_.size(); ++b) ranks_before_[b] += ranks_before_[b - 1];
+}
+
+RaySource::Pixel RaySource::labelled_pixel(std::uint32_t rank) const {
+  const auto after = std::upper_bound(ranks_before_.begin(), ranks_before_.end(), rank);
+  const auto block = static_cast<std::size_t>(after - ranks_before_.begin()) - 1;
+  const auto next_frame = std::upper_bound(block_offsets_.begin(), block_offsets_.end(), block);
+  const auto frame = static_cast<std::size_t>(next_frame - block_offsets_.begin()) - 1;
+  Pixel pixel{static_cast<std::int32_t>(frame),
+              static_cast<std::int32_t>(static_cast<std::int64_t>(block - block_offsets_[frame]) * kBlock)};
+  for (std::uint32_t left = rank - ranks_before_[block];; ++pixel.index) {
+    if (label_of(pixel) == kVoid) continue;
+    if (left-- == 0) return pixel;
+  }
+}
+
+RaySource::Pixel RaySource::locate(std::int64_t global) const {
+  const auto after = std::upper_bound(offsets_.begin(), offsets_.end(), global);
+  const auto frame = static_cast<std::int32_t>(after - offsets_.begin() - 1);
+  return {frame, static_cast<std::int32_t>(global - offsets_[static_cast<std::size_t>(frame)])};
+}
+
+// Every ray whose running share crosses an integer: spread evenly over the tiles.
+bool RaySource::for_its_label(std::int64_t ray) const {
+  return options_.kind == RaySourceKind::label_balanced && label_only_rays(options_.labelled_share, ray, ray + 1) > 0;
+}
+
+RayGroup RaySource::group_of(std::int64_t ray, std::int16_t label) const {
+  if (!options_.label_rays_teach_color && for_its_label(ray)) return RayGroup::label_only;
+  return label != kVoid ? RayGroup::labelled : RayGroup::other;
+}
+
+RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
+  const RandomAddress address{options_.seed, static_cast<std::uint64_t>(step), stream_id("ray_source/pixel")};
+  const auto index = static_cast<std::uint64_t>(ray);
+  switch (options_.kind) {
+    case RaySourceKind::one_image: {
+      const RandomAddress frame_address{options_.seed, static_cast<std::uint64_t>(step), stream_id("ray_source/frame")};
+      const auto frame = static_cast<std::int32_t>(uniform_below(frame_address, 0, frames_.size()));
+      const std::int64_t pixels =
+          offsets_[static_cast<std::size_t>(frame) + 1] - offsets_[static_cast<std::size_t>(frame)];
+      return {frame, static_cast<std::int32_t>(uniform_below(address, index, static_cast<std::uint64_t>(pixels)))};
+    }
+    case RaySourceKind::label_balanced: {
+      if (for_its_label(ray)) {
+        return labelled_pixel(static_cast<std::uint32_t>(uniform_below(address, index, ranks_before_.back())));
+      }
+      break;
+    }
+    case RaySourceKind::all_images:
+      break;
+  }
+  return locate(static_cast<std::int64_t>(uniform_below(address, index, static_cast<std::uint64_t>(offsets_.back()))));
+}
+
+void RaySource::add_labels(const std::vector<LabelMap>& labels) {
+  SEMFIELD_CHECK(labels.size() == frames_.size(), "a map of labels a frame");
+  for (std::size_t f = 0; f < frames_.size(); ++f) frames_[f].added = labels[f].empty() ? nullptr : &labels[f];
+  if (options_.kind == RaySourceKind::label_balanced) index_labels();
+}
+
+std::int16_t RaySource::class_of(const Pixel& pixel) const {
+  const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
+  const auto index = static_cast<std::size_t>(pixel.index);
+  const std::int16_t own = frame.labels == nullptr || frame.labels->empty() ? kVoid : (*frame.labels)[index];
+  return own == kVoid && frame.added != nullptr ? (*frame.added)[index] : own;
+}
+
+std::int16_t RaySource::label_of(const Pixel& pixel) const {
+  const std::int16_t cls = class_of(pixel);
+  if (cls == kVoid || logit_of_class_.empty()) return kVoid;
+  if (cls < 0 || static_cast<std::size_t>(cls) >= logit_of_class_.size()) {
+    throw Error(ErrorKind::data,
+                fmt::format("{}: label {} is no class; classes are 0 to {} and void is {}", place_of(pixel), cls,
+                            logit_of_class_.size() - 1, kVoid),
+                "check the labels against the scene's class table");
+  }
+  return logit_of_class_[static_cast<std::size_t>(cls)];
+}
+
+std::string RaySource::place_of(const Pixel& pixel) const {
+  const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
+  const std::int32_t width = frame.pixels->width_px;
+  return fmt::format("frame '{}', pixel x {}, y {}", frame.name, pixel.index % width, pixel.index / width);
+}
+
+std::string RaySource::place_of_row(std::int64_t step, std::int64_t row) const {
+  const std::int64_t begin = row / options_.tile_rays * options_.tile_rays;
+  const std::int64_t end = std::min(begin + options_.tile_rays, options_.rays);
+  std::int64_t slot = begin;
+  for (const RayGroup group : {RayGroup::label_only, RayGroup::labelled, RayGroup::other}) {
+    for (std::int64_t ray = begin; ray < end; ++ray) {
+      const Pixel pixel = choose(step, ray);
+      if (group_of(ray, label_of(pixel)) == group && slot++ == row) return place_of(pixel);
+    }
+  }
+  return {};
+}
+
+void RaySource::soft_label_of(const Pixel& pixel, std::span<float> out) const {
+  std::fill(out.begin(), out.end(), 0.0F);
+  const std::int16_t label = label_of(pixel);
+  if (label == kVoid) return;
+  const TrainingLabels::Frame* labels = frames_[static_cast<std::size_t>(pixel.frame)].labels;
+  const auto index = static_cast<std::size_t>(pixel.index);
+  if (labels == nullptr || labels->soft.empty() || !labels->soft.labelled(index)) {  // hard, or added
+    out[static_cast<std::size_t>(label)] = 1;
+    return;
+  }
+  for (std::size_t c = 0; c < logit_of_class_.size(); ++c) {
+    if (logit_of_class_[c] == kVoid) continue;
+    out[static_cast<std::size_t>(logit_of_class_[c])] = labels->soft.at(index, static_cast<int>(c));
+  }
+}
+
+// Metres along the ray; 0 where the image has none, where the ray does not reach it, and of rays that are there for
+// their labels alone, which do not shape geometry.
+float RaySource::depth_of(const BatchBuffers::Choice& choice, double cosine, const double* near_far) const {
+  const DepthMap& depth_m = frames_[static_cast<std::size_t>(choice.pixel.frame)].pixels->depth_m;
+  if (depth_m.empty() || cosine <= 0 || choice.group == RayGroup::label_only) return 0;
+  const double t = static_cast<double>(depth_m[static_cast<std::size_t>(choice.pixel.index)]) / cosine;
+  return t > near_far[0] && t < near_far[1] ? static_cast<float>(t) : 0.0F;
+}
+
+void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const {
+  const TrainFrame& frame = frames_[static_cast<std::size_t>(choice.pixel.frame)];
+  const std::int32_t width = frame.pixels->width_px, index = choice.pixel.index;
+  const auto s = static_cast<std::size_t>(row);
+  const double cosine = cast_ray(frame.camera, limits_, index % width, index / width, &batch.origin[3 * s],
+                                 &batch.direction[3 * s], &batch.near_far[2 * s]);
+  if (options_.with_depth) batch.depth[s] = depth_of(choice, cosine, &batch.near_far[2 * s]);
+  for (std::size_t i = 0; i < 3; ++i) {
+    batch.target[3 * s + i] = static_cast<float>(frame.pixels->rgb[3 * static_cast<std::size_t>(index) + i]) / 255.0F;
+  }
+  batch.label[s] = choice.label;
+  if (soft_logits_ == 0) return;
+  const auto logits = static_cast<std::size_t>(soft_logits_);
+  soft_label_of(choice.pixel, std::span(batch.soft).subspan(s * logits, logits));
+}
+
+// Pieces of tiles, so that a tile that is the whole batch occupies every thread too: choose and count, then write.
+void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
+  constexpr std::int64_t kPiece = 256;
+  batch.resize(options_.rays, soft_logits_, options_.with_depth);
+  const bool apart = options_.kind == RaySourceKind::label_balanced && !options_.label_rays_teach_color;
+  batch.label_only_share = apart ? options_.labelled_share : 0;
+  const std::int64_t tile_rays = std::min(options_.tile_rays, options_.rays);
+  const std::int64_t tiles = (options_.rays + tile_rays - 1) / tile_rays;
+  const std::int64_t pieces_each = (tile_rays + kPiece - 1) / kPiece;
+  using Piece = BatchBuffers::Piece;
+  std::vector<Piece>& pieces = batch.pieces;
+  pieces.assign(static_cast<std::size_t>(tiles * pieces_each), {});
+  parallel_for(std::ssize(pieces), [&](std::int64_t i) {
+    Piece& piece = pieces[static_cast<std::size_t>(i)];
+    const std::int64_t tile = i / pieces_each, tile_end = std::min((tile + 1) * tile_rays, options_.rays);
+    piece.begin = std::min(tile * tile_rays + i % pieces_each * kPiece, tile_end);
+    piece.end = std::min(piece.begin + kPiece, tile_end);
+    for (std::int64_t ray = piece.begin; ray < piece.end; ++ray) {
+      const Pixel pixel = choose(step, ray);
+      const std::int16_t label = label_of(pixel);
+      const RayGroup group = group_of(ray, label);
+      batch.choices[static_cast<std::size_t>(ray)] = {pixel, label, group};
+      ++piece.count[static_cast<std::size_t>(group)];
+    }
+  });
+  for (std::int64_t tile = 0; tile < tiles; ++tile) {
+    const auto of_tile =
+        std::span(pieces).subspan(static_cast<std::size_t>(tile * pieces_each), static_cast<std::size_t>(pieces_each));
+    std::int64_t row = of_tile.front().begin;
+    for (std::size_t group = 0; group < of_tile.front().count.size(); ++group) {
+      for (Piece& piece : of_tile) {
+        piece.row[group] = row;
+        row += piece.count[group];
+      }
+    }
+  }
+  parallel_for(std::ssize(pieces), [&](std::int64_t i) {
+    Piece& piece = pieces[static_cast<std::size_t>(i)];
+    for (std::int64_t ray = piece.begin; ray < piece.end; ++ray) {
+      const BatchBuffers::Choice& choice = batch.choices[static_cast<std::size_t>(ray)];
+      write_row(choice, piece.row[static_cast<std::size_t>(choice.group)]++, batch);
+    }
+  });
+}
+
+}  // namespace semfield

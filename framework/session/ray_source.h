@@ -1,0 +1,126 @@
+// Which pixels a step trains on: addressed by (seed, step, ray), never consumed from a generator.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "eval/rays.h"
+#include "labels/training_labels.h"
+#include "model/pipeline.h"
+#include "scene/stored_frame.h"
+#include "settings/run_config.h"
+
+namespace semfield {
+
+/// One training frame as the source needs it; pixels are borrowed.
+struct TrainFrame {
+  RayCamera camera;
+  const StoredFrame* pixels = nullptr;
+  const TrainingLabels::Frame* labels = nullptr;  ///< borrowed; null: unlabelled
+  std::string name = {};                          ///< for messages
+  const LabelMap* added = nullptr;                ///< borrowed; hard labels of pixels that `labels` has none of
+};
+
+/// A training pixel: frame by its place in the training split, row * width + column.
+struct TrainPixel {
+  std::int32_t frame = 0;
+  std::int32_t index = 0;
+};
+
+/// In the order in which rays stand in a tile.
+enum class RayGroup : std::uint8_t { label_only, labelled, other };
+
+/// Buffers of one batch; view() borrows them.
+struct BatchBuffers {
+  std::vector<double> origin, direction, near_far;
+  std::vector<float> target;
+  std::vector<std::int16_t> label;  ///< the most probable class where labels are soft
+  std::vector<float> soft;          ///< [rays * soft_classes]
+  std::int32_t soft_classes = 0;    ///< 0: labels are hard
+  std::vector<float> depth;         ///< RayBatch::depth
+  double label_only_share = 0;      ///< RayBatch::label_only_share
+  struct Choice {
+    TrainPixel pixel;
+    std::int16_t label = 0;
+    RayGroup group = RayGroup::other;
+  };
+  struct Piece {
+    std::int64_t begin = 0, end = 0;             // rays
+    std::array<std::int64_t, 3> count{}, row{};  // of each RayGroup: its rays, and where they go
+  };
+  /// Scratch of RaySource::fill: of the rays in the order of their numbers, and of pieces of tiles.
+  std::vector<Choice> choices;
+  std::vector<Piece> pieces;
+  void resize(std::int64_t rays, std::int32_t soft_classes = 0, bool with_depth = false);
+  RayBatch view(bool with_labels) const;
+};
+
+struct RaySourceOptions {
+  RaySourceKind kind = RaySourceKind::all_images;
+  double labelled_share = 0.5;
+  bool label_rays_teach_color = true;  ///< false: label_balanced's drawn rays come first in a tile, without colour loss
+  bool with_depth = false;             ///< batches tell the depth of their rays
+  std::uint64_t seed = 1;
+  std::int64_t rays = 1024;
+  std::int64_t tile_rays = 32;
+};
+
+class RaySource {
+ public:
+  /// `logit_of_class` maps a frame's class to the head's logit, kVoid for a class without one. Throws Error(data) when
+  /// there is no training pixel, or no labelled one for label_balanced.
+  RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> logit_of_class, const RayLimits& limits,
+            const RaySourceOptions& options);
+
+  /// Fills the batch of `step`. Within a tile labelled rays come first (their order is otherwise kept), so the head's
+  /// samples are contiguous. The same for any thread count. A label that is no class is an Error(data) that names
+  /// frame, pixel and value.
+  void fill(std::int64_t step, BatchBuffers& batch) const;
+
+  /// Labels for pixels that have none of their own, one map a frame in the order of the frames, borrowed; they take the
+  /// place of those given before. A label that is no class is refused where it is met.
+  void add_labels(const std::vector<LabelMap>& labels);
+
+  std::int64_t pixel_count() const { return offsets_.back(); }
+  /// Frame and pixel of ray i of a step, before the tile's reordering; for messages and tests.
+  using Pixel = TrainPixel;
+  Pixel choose(std::int64_t step, std::int64_t ray) const;
+  /// The pixel behind row `row` of the batch that fill made: "frame 'rgb_12', pixel x 3, y 4".
+  std::string place_of_row(std::int64_t step, std::int64_t row) const;
+
+ private:
+  Pixel locate(std::int64_t global) const;
+  /// Whether label_balanced draws the ray for its label.
+  bool for_its_label(std::int64_t ray) const;
+  RayGroup group_of(std::int64_t ray, std::int16_t label) const;
+  /// A pixel's class, its own or an added one; kVoid without both.
+  std::int16_t class_of(const Pixel& pixel) const;
+  /// The label's logit. Throws Error(data) naming frame, pixel and value for a label that is no class.
+  std::int16_t label_of(const Pixel& pixel) const;
+  std::string place_of(const Pixel& pixel) const;
+  void soft_label_of(const Pixel& pixel, std::span<float> out) const;
+  float depth_of(const BatchBuffers::Choice& choice, double cosine, const double* near_far) const;
+  void write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const;
+
+  std::vector<TrainFrame> frames_;
+  std::vector<std::int16_t> logit_of_class_;
+  std::int32_t soft_logits_ = 0;  // logits a soft label spreads over; 0: every label is hard
+  RayLimits limits_;
+  RaySourceOptions options_;
+  // Labelled pixels by rank, for label_balanced alone: pixels of the labelled frames in blocks of kBlock, and how many
+  // labelled ones lie before each block. A list of the pixels themselves would outweigh the labels.
+  static constexpr std::int64_t kBlock = 64;
+  void index_labels();
+  Pixel labelled_pixel(std::uint32_t rank) const;
+
+  std::vector<std::int64_t> offsets_;        // first global pixel of each frame, and the total
+  std::vector<std::size_t> block_offsets_;   // first block of each frame, and the total
+  std::vector<std::uint32_t> ranks_before_;  // [blocks + 1]; the last entry counts all
+};
+
+/// What label_balanced says of a training split without a labelled pixel.
+Error no_labelled_pixel();
+
+}  // namespace semfield

@@ -1,0 +1,369 @@
+#include "session/session.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/cpu_kernels.h"
+#include "core/error.h"
+#include "core/gemm_engine.h"
+#include "core/memory_limit.h"
+#include "core/parallel.h"
+#include "scene/image_formats.h"
+#include "session/bounds_probe.h"
+#include "session/branch_choice.h"
+#include "session/trained_classes.h"
+#include "settings/loss_config.h"
+
+namespace semfield {
+
+namespace {
+
+// Rays through the corners of all training frames: those of the pixels between lie within their cone.
+double direction_spread_deg(const SceneInfo& info) {
+  std::vector<Vec3d> rays;
+  Vec3d sum;
+  for (const FrameInfo& frame : info.frames) {
+    if (frame.split != Split::train) continue;
+    for (const int corner : {0, 1, 2, 3}) {
+      const Camera& c = frame.camera;
+      const Vec3d local = c.direction(corner & 1 ? c.width_px : 0, corner & 2 ? c.height_px : 0);
+      if (!(local.z > 0)) return 360;  // a corner without an inverse distortion
+      rays.push_back(frame.world_from_camera.rotate(local));
+      sum = sum + rays.back();
+    }
+  }
+  if (rays.empty() || !(dot(sum, sum) > 0)) return 360;
+  const Vec3d mean = normalized(sum);
+  double widest = 0;
+  for (const Vec3d& ray : rays) {
+    const Vec3d off = cross(mean, ray);
+    widest = std::max(widest, std::atan2(std::sqrt(dot(off, off)), dot(mean, ray)));
+  }
+  return 2 * widest * 180 / M_PI;
+}
+
+SceneManifest manifest_of(const LoadedScene& scene, const TrainingLabels& labels) {
+  SceneManifest manifest;
+  manifest.classes = scene.info.classes.valid_count();
+  manifest.train_class_pixels.resize(static_cast<std::size_t>(manifest.classes));
+  for (std::size_t f = 0; f < scene.frames.size(); ++f) {
+    const FrameInfo& info = scene.info.frames[f];
+    manifest.any_depth = manifest.any_depth || info.has_depth;
+    manifest.any_distortion = manifest.any_distortion || info.camera.has_distortion();
+    if (info.split != Split::train) continue;
+    ++manifest.train_frames;
+    manifest.train_pixels += std::int64_t{scene.frames[f].width_px} * scene.frames[f].height_px;
+    if (labels.frames[f].empty()) continue;
+    ++manifest.labelled_frames;
+    for (std::size_t c = 0; c < manifest.train_class_pixels.size(); ++c)
+      manifest.train_class_pixels[c] += labels.class_pixels[f][c];
+  }
+  manifest.direction_spread_deg = direction_spread_deg(scene.info);
+  return manifest;
+}
+
+bool keeps(const RunConfig& config, std::string_view component) {
+  return std::find(config.runtime.keep.begin(), config.runtime.keep.end(), component) != config.runtime.keep.end();
+}
+
+std::int64_t training_depth_px(const LoadedScene& scene) {
+  std::int64_t pixels = 0;
+  for (const FrameInfo& frame : scene.info.frames) {
+    if (frame.split == Split::train && frame.has_depth)
+      pixels += std::int64_t{frame.camera.width_px} * frame.camera.height_px;
+  }
+  return pixels;
+}
+
+// Components that the parts themselves leave out, and know the size of once they are built.
+void add_owned_rows(Session& s) {
+  std::vector<LeftOut>& rows = s.plan.left_out;
+  for (const std::string& choice : s.chosen) {
+    rows.push_back({"table_size", "a size that the configuration leaves open is the least that the scene needs", choice,
+                    ProofClass::statistical, "memory, and reads that miss the cache",
+                    "write the size into the configuration", ""});
+  }
+  std::int64_t sparse = 0;
+  for (const Tensor<float>& t : s.pipeline->store().all()) sparse += t.spec.role == TensorRole::sparse ? t.size() : 0;
+  if (sparse > 0) {
+    rows.push_back({"untouched_rows", "a table's row is updated in the steps that give it a gradient",
+                    fmt::format("{} of {} parameters are in tables", sparse, s.pipeline->store().learned_count()),
+                    ProofClass::bitwise, "zeroing, checking and updating rows that no ray met",
+                    "it is Adam's rule for tables", ""});
+  }
+  if (!image_formats_loaded()) {
+    rows.push_back({"image_library", "loaded when the first image other than PNG is met",
+                    "no image of this scene needed it", ProofClass::bitwise,
+                    "about 250 shared libraries, a quarter of a second", "it is loaded by itself", ""});
+  }
+  if (foreign_gemm() == nullptr) {
+    rows.push_back({"matrix_library", "loaded where it is faster, or asked for",
+                    "matrix products are " + gemm_engine_text(), ProofClass::bitwise, "one shared library",
+                    "set runtime.gemm: onednn", ""});
+  }
+}
+
+// What the process holds once the scene is in memory.
+void measure_scene(Session& s) {
+  MemoryFacts& facts = s.memory_facts;
+  release_freed_memory();
+  facts.loaded = resident_bytes();
+  facts.loading = peak_resident_bytes();
+  for (const StoredFrame& frame : s.scene.frames) {
+    facts.frames += frame.bytes();
+    facts.pixels =
+        std::max(facts.pixels, static_cast<std::size_t>(frame.width_px) * static_cast<std::size_t>(frame.height_px));
+  }
+  for (const TrainingLabels::Frame& frame : s.labels.frames) facts.frames += frame.bytes();
+  facts.train_pixels = s.manifest.train_pixels;
+  facts.classes = s.classes();
+}
+
+}  // namespace
+
+void keep_components(RunConfig& config, const std::vector<std::string>& components) {
+  for (const std::string& component : components) {
+    if (!keeps(config, component)) config.runtime.keep.push_back(component);
+  }
+}
+
+namespace {
+
+// Scene, labels, manifest and plan: all that does not depend on how large the scene is.
+Session load_session(RunConfig config, Registry& registry, const SessionOptions& options, Device device,
+                     Diagnostics& diagnostics) {
+  Session s;
+  s.config = std::move(config);
+  DatasetBuild dataset_build;
+  dataset_build.config_dir = s.config.base_dir;
+  std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
+  SceneLoadOptions load = s.config.load;
+  const bool make_labels = !options.known || options.labels;
+  load.pixels = options.pixels || !options.known;
+  load.check_geometry = load.check_geometry && !options.known;  // a run that was trained is evaluated as it is
+  load.with_instances = make_labels && s.config.labels.needs_instances();
+  const bool of_losses = options.trainable && losses_read_depth(s.config.losses);
+  const bool needs_depth =
+      of_losses || options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
+  load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
+  load.before_pixels = [&](std::size_t bytes, std::size_t frames, std::int32_t width_px) {
+    require_frame_memory(s.config, bytes, frames, width_px);
+  };
+  s.scene = load_scene(*dataset, load, diagnostics);
+  if (options.trainable) require_loss_data(s.config.losses, s.scene.info, diagnostics);
+  open_label_files(s.scene, s.config.labels, diagnostics);
+  if (options.trained_classes) require_class_table(*options.trained_classes, s.scene.info.classes);
+  diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
+  if (load.pixels) read_test_labels(s.scene, s.config.labels, diagnostics);
+  if (make_labels) s.labels = make_training_labels(s.scene, s.config.labels, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::data, "the labels have problems:");
+  s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
+  if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
+  if (make_labels) s.chosen_branches = choose_branches(s.config, label_statistics(s.scene, s.labels));
+  BuildRequest request = build_request(s.config, registry);
+  request.device_cuda_available = device == Device::cuda;
+  request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
+  s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
+  return s;
+}
+
+// Derived values become part of the resolved configuration, so that a later session cannot derive others.
+void fix_extent(Session& s, const Registry& registry, Device device) {
+  const bool contracted = s.config.rendering.outside == Outside::contracted;
+  s.extent = {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m, contracted};
+  s.limits.near_m = s.scene.near_m;
+  s.limits.far_m = s.scene.far_m;
+  s.limits.bounds = s.scene.bounds;
+  s.limits.clip = !contracted && needs_bounds(s.config, registry);
+  const Box& b = s.scene.bounds;
+  s.config.load.near_m = s.scene.near_m;
+  s.config.load.far_m = s.scene.far_m;
+  s.config.load.bounds = {b.lo.x, b.lo.y, b.lo.z, b.hi.x, b.hi.y, b.hi.z};
+  s.chosen = choose_from_scene(s.config, s.extent, device);
+}
+
+void build_session(Session& s, Registry& registry, const SessionOptions& options, Device device) {
+  if (options.trainable) {
+    measure_scene(s);
+    NetworkPlan network = plan_network(s.config, registry, s.plan, s.extent, true);
+    // The host then holds the tensors alone.
+    if (device != Device::cpu) network.activations = network.logits = network.step_rows = network.density = 0;
+    s.memory = plan_memory(s.config, s.memory_facts, network);
+    require_memory(s.config, registry, s.plan, s.extent, s.memory_facts, s.memory);
+  }
+
+  std::vector<float> class_weight;
+  if (s.plan.semantics && s.config.semantics.balance_classes) {
+    std::vector<std::int64_t> pixels;
+    for (const int c : s.plan.class_of_logit)
+      pixels.push_back(s.manifest.train_class_pixels[static_cast<std::size_t>(c)]);
+    class_weight = inverse_log_frequency_weights(pixels);
+  }
+  s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
+  add_owned_rows(s);
+  s.device = attach_device(device, s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
+}
+
+// The scene is lent to a session of its own, whose sizes the guess chooses; only what it sees comes back.
+void probe_bounds(Session& s, Registry& registry, const SessionOptions& options, Device device,
+                  Diagnostics& diagnostics) {
+  Diagnostics ignored;
+  Session probe;
+  probe.config = read_run_config(resolved_config(s.config).without("plugins"), registry, ignored);
+  probe.scene = std::move(s.scene);
+  probe.labels = std::move(s.labels);
+  probe.manifest = s.manifest;
+  probe.plan = s.plan;
+  probe.memory_facts = s.memory_facts;
+  fix_extent(probe, registry, device);
+  build_session(probe, registry, options, device);
+  const std::optional<SurveyedExtent> seen = probe_extent(probe);
+  s.scene = std::move(probe.scene);
+  s.labels = std::move(probe.labels);
+  if (seen) use_probed_extent(*seen, s.scene, s.config.load, diagnostics);
+}
+
+}  // namespace
+
+Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
+  const std::size_t program_bytes = resident_bytes();
+  keep_components(config, options.keep);
+  set_thread_count(config.runtime.threads);
+  set_input_limits(config.limits);
+  const Device device = chosen_device(config, registry, diagnostics);
+  Session s = load_session(std::move(config), registry, options, device, diagnostics);
+  s.memory_facts.program = program_bytes;
+  if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, diagnostics);
+  fix_extent(s, registry, device);
+  if (device == Device::cpu && s.config.runtime.precision == Precision::bf16 && !bf16_is_native()) {
+    diagnostics.note("runtime.precision",
+                     "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
+  }
+  if (options.trainable && !s.plan.semantics && !s.config.self_training.at.empty()) {
+    diagnostics.warning("train.self_training", "there are no labels to begin with, so no round gives any",
+                        "give the scene labels, or set train.self_training.at to []");
+  }
+  if (options.build) build_session(s, registry, options, device);
+  return s;
+}
+
+std::vector<std::string> Session::choices() const {
+  std::vector<std::string> lines = chosen;
+  lines.insert(lines.end(), chosen_branches.begin(), chosen_branches.end());
+  return lines;
+}
+
+EvalJob Session::eval_job(std::vector<int> frames) const {
+  EvalJob job;
+  job.infos = &scene.info.frames;
+  job.buffers = &scene.frames;
+  job.frames = std::move(frames);
+  job.classes = classes();
+  job.undistort = plan.undistortion;
+  return job;
+}
+
+std::vector<std::int16_t> Session::logit_of_class() const {
+  std::vector<std::int16_t> logit(static_cast<std::size_t>(classes()), kVoid);
+  for (std::size_t l = 0; l < plan.class_of_logit.size(); ++l) {
+    logit[static_cast<std::size_t>(plan.class_of_logit[l])] = static_cast<std::int16_t>(l);
+  }
+  return logit;
+}
+
+std::vector<int> Session::drawn_frames() const {
+  std::vector<int> drawn = scene.frames_of(Split::train);
+  std::erase_if(drawn, [&](int f) { return scene.frames[static_cast<std::size_t>(f)].rgb.empty(); });
+  return drawn;
+}
+
+std::unique_ptr<RaySource> Session::make_ray_source() const {
+  std::vector<TrainFrame> frames;
+  for (const int index : drawn_frames()) {
+    const auto f = static_cast<std::size_t>(index);
+    const FrameInfo& info = scene.info.frames[f];
+    frames.push_back(
+        {{info.camera, info.world_from_camera, plan.undistortion}, &scene.frames[f], &labels.frames[f], info.name});
+  }
+  RaySourceOptions options;
+  options.kind = config.train.ray_source;
+  options.labelled_share = config.train.labelled_share;
+  options.label_rays_teach_color = config.train.label_rays_teach_color;
+  options.with_depth = losses_read_depth(config.losses);
+  options.seed = config.runtime.seed;
+  options.rays = config.train.rays;
+  // A device takes the batch as one tile: labelled rays come first in all of it.
+  options.tile_rays = device ? config.train.rays : pipeline->tile_rays();
+  return std::make_unique<RaySource>(std::move(frames), plan.semantics ? logit_of_class() : std::vector<std::int16_t>{},
+                                     limits, options);
+}
+
+ConfusionMatrix score_training_labels(const Session& s, const std::vector<int>& frames) {
+  ConfusionMatrix score(s.classes());
+  std::vector<ConfusionMatrix> parts(frames.size(), score);
+  parallel_for(std::ssize(frames), [&](std::int64_t k) {
+    const auto f = static_cast<std::size_t>(frames[static_cast<std::size_t>(k)]);
+    const TrainingLabels::Frame& labels = s.labels.frames[f];
+    if (labels.empty() || s.scene.frames[f].label.empty()) return;
+    std::vector<std::int16_t> given(labels.size());
+    for (std::size_t i = 0; i < given.size(); ++i) given[i] = labels[i];
+    parts[static_cast<std::size_t>(k)].add(s.scene.frames[f].label.expand(), given);
+  });
+  for (const ConfusionMatrix& part : parts) score.merge(part);
+  return score;
+}
+
+std::string describe_session(const Session& s) {
+  std::string out;
+  const auto add = [&](const std::string& line) { out += line + "\n"; };
+  const std::vector<int> train = s.scene.frames_of(Split::train), test = s.scene.frames_of(Split::test);
+  const FrameInfo& first = s.scene.info.frames.at(static_cast<std::size_t>(train.empty() ? 0 : train.front()));
+  const Vec3d size = s.extent.bounds.size();
+  add(fmt::format("scene     {}: {} training and {} test frames at {}x{}, {} classes, labels on {} training frames",
+                  s.scene.info.name, train.size(), test.size(), first.camera.width_px, first.camera.height_px,
+                  s.classes(), s.manifest.labelled_frames));
+  if (s.config.labels.from.reader) add("labels    from " + s.config.labels.from.type);
+  for (const TrainingLabels::Step& step : s.labels.steps) {
+    std::vector<std::string> facts;
+    for (const auto& [name, value] : step.facts) facts.push_back(name + " " + value);
+    add("labels    " + step.type + ": " + join(facts));
+  }
+  add(fmt::format("bounds    {:.2f} x {:.2f} x {:.2f} {} (from {}), near {:.3g}, far {:.3g} (from {})", size.x, size.y,
+                  size.z, s.scene.info.metric ? "m" : "units", s.scene.bounds_from, s.extent.near_m, s.extent.far_m,
+                  s.scene.near_far_from));
+  if (s.pipeline) {
+    for (const Pass<float>& pass : s.pipeline->passes()) {
+      std::string slots;
+      for (const PassConfig& p : s.config.passes) {
+        if (p.name != pass.parts().name) continue;
+        slots = p.sampler.entry->name + ", " + p.position.entry->name + " (" +
+                std::to_string(pass.parts().position->traits().out_dims) + ")";
+        if (pass.parts().direction) slots += ", direction " + p.direction.entry->name;
+        slots += ", " + p.field.entry->name;
+        if (pass.parts().branch) {
+          slots += ", semantics by " + p.branch()->position.entry->name + " (" +
+                   std::to_string(pass.parts().branch->position->traits().out_dims) + ") and " +
+                   p.branch()->field.entry->name;
+        }
+      }
+      add(fmt::format(
+          "pass      {}: {}{}", pass.parts().name, slots,
+          pass.parts().head ? fmt::format(", {} classes", pass.parts().head->classes()) : ", no semantics"));
+    }
+    add(fmt::format("learned   {} parameters; {} steps of {} rays, tiles of {}, {} lanes, {} threads",
+                    s.pipeline->store().learned_count(), s.config.train.steps, s.config.train.rays,
+                    s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
+    out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
+  }
+  for (const std::string& line : s.choices()) add("chosen    " + line);
+  for (const LeftOut& row : s.plan.left_out) {
+    add(fmt::format("left out  {} [{}]: {} (saves {})", row.component, static_cast<char>(row.proof), row.evidence,
+                    row.saving));
+  }
+  for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");
+  return out;
+}
+
+}  // namespace semfield

@@ -1,0 +1,74 @@
+// What train, eval and render share: configuration, loaded scene, plan and pipeline.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "eval/evaluator.h"
+#include "model/device_backend.h"
+#include "model/leave_out.h"
+#include "session/assembly.h"
+#include "session/manifest_text.h"
+#include "session/memory_plan.h"
+#include "session/ray_source.h"
+#include "settings/run_config.h"
+
+namespace semfield {
+
+struct Session {
+  RunConfig config;
+  LoadedScene scene;
+  TrainingLabels labels;  ///< of training frames; the scene's own stay in `scene` as the truth
+  SceneManifest manifest;
+  BuildPlan plan;
+  SceneExtent extent;
+  std::vector<std::string> chosen;           ///< a line for each parameter that was chosen from the scene
+  std::vector<std::string> chosen_branches;  ///< and for each pass whose semantic branch the labels chose
+  RayLimits limits;
+  MemoryFacts memory_facts;
+  MemoryPlan memory;  ///< of training; empty for sessions that do not train
+  std::unique_ptr<Pipeline<float>> pipeline;
+  std::unique_ptr<DeviceBackend> device;  ///< of `pipeline`; null: the processor does everything
+
+  int classes() const { return scene.info.classes.valid_count(); }
+  std::vector<std::string> choices() const;  ///< both
+  EvalJob eval_job(std::vector<int> frames) const;
+  /// Inverse of plan.class_of_logit, kVoid for absent classes.
+  std::vector<std::int16_t> logit_of_class() const;
+  /// Training frames with pixels: those of the ray source, in its order.
+  std::vector<int> drawn_frames() const;
+  std::unique_ptr<RaySource> make_ray_source() const;
+};
+
+/// Adds components to `runtime.keep`, which is part of the resolved configuration: whoever opens the run again must
+/// build the same network.
+void keep_components(RunConfig& config, const std::vector<std::string>& components);
+
+struct SessionOptions {
+  std::vector<std::string> keep;  ///< components forced back in
+  bool trainable = true;
+  bool build = true;                  ///< false: stop after the plan
+  DepthKept depth = DepthKept::test;  ///< what a later evaluation compares with
+  /// What training knew of the scene (manifest_text.h); then the training labels are not made again.
+  std::optional<KnownScene> known;
+  bool pixels = true;   ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
+  bool probe = false;   ///< let a short training find the bounds of a scene that only guesses them (bounds_probe.h)
+  bool labels = false;  ///< make the training labels although `known` is given
+  /// The class table that the network was trained with, as YAML; a scene with another one is refused.
+  std::optional<std::string> trained_classes;
+};
+
+/// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, plans memory
+/// and assembles; what does not fit is refused before it is allocated (memory_plan.h).
+/// Problems that do not stop go into `diagnostics`; those that do are thrown together.
+Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics);
+
+/// The labels that train, scored against the scene's own on `frames`; void labels are dropped and counted.
+ConfusionMatrix score_training_labels(const Session& session, const std::vector<int>& frames);
+
+/// `train --dry-run`: scene, network, memory, and every component left out with its reason.
+std::string describe_session(const Session& session);
+
+}  // namespace semfield

@@ -1,0 +1,81 @@
+// One optimiser step after the other, and everything of it that a checkpoint must hold.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "model/device_backend.h"
+#include "model/pipeline.h"
+#include "optim/adam.h"
+#include "optim/schedule.h"
+#include "session/ray_source.h"
+#include "session/safetensors.h"
+
+namespace semfield {
+
+/// Steps in a row without any density after which a pass counts as dead.
+inline constexpr std::int64_t kDeadSteps = 100;
+
+class Trainer {
+ public:
+  /// Borrows all; the pipeline must be trainable. With `device`, steps run there.
+  Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam, const ScheduleParams& schedule,
+          DeviceBackend* device = nullptr);
+
+  /// Steps done so far.
+  std::int64_t step() const { return step_; }
+
+  /// One step: batch, losses, gradients, checks, Adam, derived tensors, samplers' observe. A value of a ray, a
+  /// gradient, a parameter, a moment or a state that is not finite (or too large for an update) throws Error: it names
+  /// the value, frame and pixel of the ray it belongs to, and the tensor and element that it comes from. Values,
+  /// moments, samplers and the step count are then untouched. A density that is not finite where a sampler asks for it
+  /// in `observe` is found after the update: the step then counts as made and the sampler's state stays as it was. A
+  /// pass whose density is 0 at every sample for kDeadSteps steps, while colours are not explained, is an Error too:
+  /// nothing of it can learn.
+  StepLosses advance();
+  /// Up to `most` steps, as many as run without waiting in between: 1 on the processor. Their losses, in order, valid
+  /// until the next call.
+  std::span<const StepLosses> advance_many(std::int64_t most);
+  /// Brings values, moments and states from the device; before any of them is read, stored or checked.
+  void collect();
+
+  /// Throws Error(failure) naming the tensor for a value, moment or state that is not finite: such a state is no
+  /// checkpoint.
+  void check_storable() const;
+
+  /// Tensors of a checkpoint: every learned and state tensor under its name, moments under adam/m/NAME and adam/v/NAME.
+  /// Borrowed.
+  std::vector<TensorRef> state() const;
+  /// Strict: every tensor must be there with its shape and nothing else may be. Throws Error(data) naming file and
+  /// tensor; nothing is changed then.
+  void load(const TensorFile& file, std::int64_t step);
+
+ private:
+  void check_step(const StepLosses& losses) const;
+  void check_states() const;
+  std::string bad_tensor() const;
+  [[noreturn]] void fail(const Error& error);
+  void update(const StepLosses& losses);
+  StepLosses advance_on_processor();
+  double rate_of(std::int64_t step) const;
+  AdamStep rule_of(std::int64_t step) const;
+  [[noreturn]] void explain_device_fault();
+  void check_alive(const StepLosses& losses);
+
+  Pipeline<float>& pipeline_;
+  const RaySource& rays_;
+  AdamParams adam_;
+  ScheduleParams schedule_;
+  std::int64_t step_ = 0;
+  BatchBuffers batch_;
+  std::int64_t dead_steps_ = 0;  // in a row
+  DeviceBackend* device_ = nullptr;
+  std::vector<StepLosses> done_;
+};
+
+/// Tensors of a pipeline alone (no moments), for rendering: strict for those, moments are ignored.
+void load_pipeline(Pipeline<float>& pipeline, const TensorFile& file);
+
+}  // namespace semfield

@@ -1,0 +1,73 @@
+#include "settings/label_config.h"
+
+#include <algorithm>
+
+#include "config/compose.h"
+
+namespace semfield {
+
+namespace {
+
+// Parameters of label readers that are paths.
+constexpr const char* kPathKeys[] = {"folder", "file", "classes"};
+
+ConfigNode step_config(const std::string& type, LabelStep& step) {
+  return typed_config(type, [&](ParamVisitor& visit) { step.describe(visit); });
+}
+
+template <class Step>
+void add_docs(const char* key, const std::vector<StepKind<Step>>& kinds, std::vector<LabelStepDoc>& docs) {
+  for (const StepKind<Step>& kind : kinds) {
+    const std::unique_ptr<Step> step = kind.make();
+    docs.push_back({key, std::string(kind.type), std::string(kind.sentence),
+                    describe_params([&](ParamVisitor& visit) { step->describe(visit); })});
+  }
+}
+
+}  // namespace
+
+void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelConfig& config,
+                      Diagnostics& diagnostics) {
+  if (const ConfigNode* from = labels.find("from"); from != nullptr && !from->is_null()) {
+    ConfigNode anchored = *from;
+    for (const char* key : kPathKeys) {
+      const ConfigNode* value = from->is_map() ? from->find(key) : nullptr;
+      if (value == nullptr || !value->is_scalar() || value->text().empty()) continue;
+      if (paths_are_absolute && value->location().line > 0) continue;  // --set is written in the working folder
+      anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
+    }
+    config.from.reader =
+        read_typed<LabelReader>(anchored, "scene.labels.from", label_reader_kinds(), config.from.type, diagnostics);
+  }
+  const ConfigNode* list = labels.find("degrade");
+  if (list == nullptr || list->is_null()) return;
+  if (!list->is_list()) {
+    diagnostics.error(list->location().text(), "scene.labels.degrade: expected a list of steps {type, ...}",
+                      "write degrade: [{type: pixel_noise, ratio: 0.5}]");
+    return;
+  }
+  for (const ConfigNode& item : list->items()) {
+    const std::string path = "scene.labels.degrade." + std::to_string(config.degrade.size());
+    LabelConfig::Step step;
+    step.degradation = read_typed<Degradation>(item, path, degradation_kinds(), step.type, diagnostics);
+    if (step.degradation) config.degrade.push_back(std::move(step));
+  }
+}
+
+ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config) {
+  ConfigNode out = labels;
+  if (config.from.reader) out = out.with("from", step_config(config.from.type, *config.from.reader));
+  if (config.degrade.empty()) return out;
+  std::vector<ConfigNode> steps;
+  for (const LabelConfig::Step& step : config.degrade) steps.push_back(step_config(step.type, *step.degradation));
+  return out.with("degrade", ConfigNode::make_list(std::move(steps), {}));
+}
+
+std::vector<LabelStepDoc> describe_label_steps() {
+  std::vector<LabelStepDoc> docs;
+  add_docs("from", label_reader_kinds(), docs);
+  add_docs("degrade", degradation_kinds(), docs);
+  return docs;
+}
+
+}  // namespace semfield

@@ -1,0 +1,306 @@
+#include "settings/run_config.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <functional>
+
+#include "config/compose.h"
+#include "plugin/loader.h"
+#include "settings/label_config.h"
+#include "settings/loss_config.h"
+#include "settings/pass_config.h"
+
+namespace semfield {
+
+void describe(ParamVisitor& visit, SemanticsParams& p) {
+  SEMFIELD_PARAM(visit, p, weight, "lambda, weight of the semantic loss beside the colour loss [Zhi21, Eq. 7]",
+                 {0, 1e6});
+  SEMFIELD_PARAM(visit, p, stop_gradient_to_density, "true: semantics do not shape geometry");
+  SEMFIELD_PARAM(visit, p, hidden_width, "width of the semantic hidden layer [Zhi21: 128]", {1, 1024});
+  SEMFIELD_PARAM(visit, p, normalisation, "what the summed cross-entropy of a batch is divided by");
+  SEMFIELD_PARAM(visit, p, balance_classes, "weigh classes by inverse log frequency [Paszke16]");
+}
+
+void describe(ParamVisitor& visit, RenderingParams& p) {
+  SEMFIELD_PARAM(visit, p, density_activation, "raw density to attenuation in 1/m");
+  SEMFIELD_PARAM(visit, p, density_bias, "added to raw density; negative: training starts from thin fog", {-20, 20});
+  SEMFIELD_PARAM(visit, p, far, "what a ray meets behind its last sample");
+  SEMFIELD_PARAM(visit, p, density_noise, "standard deviation of the noise on raw density in training [Mildenhall20]",
+                 {0, 1e3});
+  SEMFIELD_PARAM(visit, p, background, "colour behind everything, three values in [0, 1]", {0, 1});
+  SEMFIELD_PARAM(visit, p, early_stop,
+                 "transmittance below which rendering stops a ray; the error is at most this share; 0: never",
+                 {0, 0.1});
+  SEMFIELD_PARAM(visit, p, scene_scale,
+                 "factor from metres to a metric encoder's coordinates [Zhi21: 0.1]; 0: from the scene's bounds",
+                 {0, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, outside,
+      "what lies outside the bounds: nothing, or all of space, contracted so that encoders hold it [Barron22]");
+}
+
+void validate(const RenderingParams& p, Diagnostics& diagnostics) {
+  if (p.background.size() != 3) {
+    diagnostics.error("rendering.background", "expected 3 values, got " + std::to_string(p.background.size()),
+                      "write [r, g, b]");
+  }
+}
+
+void describe(ParamVisitor& visit, TrainParams& p) {
+  SEMFIELD_PARAM(visit, p, steps, "optimiser steps of the run", {0, 1e9});
+  SEMFIELD_PARAM(visit, p, time_limit_s, "seconds of training after which the run ends early; 0: no limit", {0, 1e8});
+  SEMFIELD_PARAM(visit, p, rays, "rays a step", {1, 1 << 20});
+  SEMFIELD_PARAM(visit, p, ray_source, "where a step's rays come from");
+  SEMFIELD_PARAM(visit, p, labelled_share, "share of rays from labelled pixels, for label_balanced", {0, 1});
+  SEMFIELD_PARAM(
+      visit, p, label_rays_teach_color,
+      "false: rays that label_balanced draws for their labels have no part in the colour loss, which is then "
+      "that of evenly drawn rays alone; few labelled pixels, drawn again and again, spoil geometry");
+}
+
+void describe(ParamVisitor& visit, SelfTrainingParams& p) {
+  SEMFIELD_PARAM(visit, p, at,
+                 "shares of train.steps, ascending, at which the field labels the training pixels that it is sure of; "
+                 "empty: never",
+                 {1e-6, 0.999999});
+  SEMFIELD_PARAM(visit, p, confidence, "least probability of a pixel's most probable class that becomes its label",
+                 {0, 1});
+  SEMFIELD_PARAM(visit, p, min_opacity, "opacity of a rendered pixel below which it gets no label", {0, 1});
+}
+
+void validate(const SelfTrainingParams& p, Diagnostics& diagnostics) {
+  if (std::is_sorted(p.at.begin(), p.at.end(), std::less_equal<>())) return;
+  diagnostics.error("train.self_training.at", "the shares do not ascend", "write the smallest first, each once");
+}
+
+void describe(ParamVisitor& visit, RuntimeParams& p) {
+  SEMFIELD_PARAM(visit, p, device, "where kernels run; auto takes the fastest that this build and machine have");
+  SEMFIELD_PARAM(visit, p, precision,
+                 "of the networks' matrix products: fp32, or bf16 operands with fp32 sums, weights and gradients");
+  SEMFIELD_PARAM(visit, p, gemm,
+                 "who computes matrix products on the CPU; auto: oneDNN for bf16 on processors with matrix tiles");
+  SEMFIELD_PARAM(
+      visit, p, deterministic,
+      "on a graphics processor: sums in a fixed order, so that every run gives the same bits; the CPU always does");
+  SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
+  SEMFIELD_PARAM(visit, p, seed, "seed of every random value");
+  SEMFIELD_PARAM(visit, p, lanes,
+                 "gradient slots, also the most threads that help in a step; changes the order of sums", {1, 256});
+  SEMFIELD_PARAM(visit, p, tile_rays, "rays a tile, 0: from the samplers; changes the order of sums", {0, 1 << 16});
+  SEMFIELD_PARAM(visit, p, keep,
+                 "components built although the scene does not need them, as --keep; `train --dry-run` names them");
+  SEMFIELD_PARAM(
+      visit, p, memory_gb,
+      "most memory that training may take, GB; 0: what the system has available; more is refused at the start",
+      {0, 1e6});
+  SEMFIELD_PARAM(visit, p, fold_feature_layer, "multiply a field's feature and view layer once a step (exact)");
+  SEMFIELD_PARAM(visit, p, direction_once_per_ray, "compute the view layer's direction term once a ray (exact)");
+  SEMFIELD_PARAM(visit, p, deferred_class_layer, "apply the class layer once a ray, after compositing (exact)");
+}
+
+void describe(ParamVisitor& visit, ReportParams& p) {
+  SEMFIELD_PARAM(visit, p, log_every_steps, "steps between rows of metrics.jsonl", {1, 1e9});
+  SEMFIELD_PARAM(visit, p, eval_every_s, "seconds of training between evaluations on test frames; 0: only at the end",
+                 {0, 1e8});
+  SEMFIELD_PARAM(visit, p, eval_frames,
+                 "test frames of an evaluation while training, evenly spaced; the last one takes all", {1, 1e6});
+  SEMFIELD_PARAM(visit, p, eval_share,
+                 "share of the training time that evaluation may take: while training fewer pixels and fewer times, at "
+                 "the end of a time limit fewer frames, which is said; 0: no bound",
+                 {0, 1e6});
+  SEMFIELD_PARAM(visit, p, checkpoint_every_s, "seconds between checkpoints; 0: only at the end", {0, 1e8});
+  SEMFIELD_PARAM(visit, p, keep_checkpoints, "checkpoints that stay on disk", {2, 1e6});
+  SEMFIELD_PARAM(visit, p, strips, "test frames shown in the report", {0, 64});
+  SEMFIELD_PARAM(visit, p, training_frames,
+                 "training frames, evenly spaced, that are scored at the end against the scene's own labels, as are "
+                 "the labels given; 0: none",
+                 {0, 1e6});
+  SEMFIELD_PARAM(visit, p, worst_frames, "test frames with the lowest scores shown in the report", {0, 64});
+}
+
+namespace {
+
+constexpr std::array<std::string_view, 12> kTopKeys{"scene",   "semantics", "losses", "rendering", "passes", "train",
+                                                    "runtime", "report",    "fuse",   "propagate", "limits", "plugins"};
+
+// Calls `section(key path, params)` for every fixed section of `config`: the one list that reading, writing and
+// documenting share.
+template <class Config, class Fn>
+void each_section(Config& config, Fn&& section) {
+  section("scene.labels", "which training frames keep their labels", config.labels.selection);
+  section("scene.load", "size, bounds and distances of the loaded scene", config.load);
+  section("semantics", "the semantic head and its loss", config.semantics);
+  section("rendering", "fixed rules of volume rendering", config.rendering);
+  section("train", "length and batches of the run", config.train);
+  section("train.adam", "optimiser [Kingma15]", config.adam);
+  section("train.schedule", "learning rate over the steps", config.schedule);
+  section("train.self_training", "labels that the field gives to unlabelled training pixels", config.self_training);
+  section("runtime", "device, threads, seed and exact savings", config.runtime);
+  section("report", "what is measured and kept while training", config.report);
+  section("fuse", "labels of several views combined by `semfield fuse`", config.fuse);
+  section("propagate", "labels spread over a run's surface by `semfield propagate`", config.propagate);
+  section("limits", "how large inputs may be; what is larger is refused", config.limits);
+}
+
+// Sub-sections of a section, which are keys of its map but no parameters.
+std::vector<std::string> nested_keys(std::string_view path) {
+  if (path == "train") return {"adam", "schedule", "self_training"};
+  if (path == "scene.labels") return {"from", "degrade"};
+  return {};
+}
+
+const ConfigNode* find_path(const ConfigNode& tree, std::string_view path) {
+  const ConfigNode* node = &tree;
+  while (node != nullptr && !path.empty()) {
+    const std::size_t dot = path.find('.');
+    node = node->find(path.substr(0, dot));
+    path = dot == std::string_view::npos ? std::string_view() : path.substr(dot + 1);
+  }
+  return node;
+}
+
+// Relations between the values of a section; a finding's place is that of its key where the section's map has it.
+template <class Params>
+void validate_section(const ConfigNode& tree, const std::string& path, const Params& params, Diagnostics& diagnostics) {
+  Diagnostics relations;
+  validate(params, relations);
+  for (const Diagnostic& finding : relations.all()) {
+    const ConfigNode* section = find_path(tree, path);
+    const std::string key = finding.where.substr(std::min(finding.where.rfind('.') + 1, finding.where.size()));
+    const ConfigNode* value = section != nullptr && section->is_map() ? section->find(key) : nullptr;
+    const ConfigNode& nearest = value != nullptr ? *value : section != nullptr ? *section : tree;
+    diagnostics.error(nearest.location().text(),
+                      finding.where.empty() ? finding.message : finding.where + ": " + finding.message, finding.remedy);
+  }
+}
+
+void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
+  const ConfigNode* scene = tree.find("scene");
+  if (scene == nullptr) {
+    diagnostics.error(tree.location().text(), "scene: section is missing",
+                      "name a dataset: scene: {type: replica, root: ...}");
+    return;
+  }
+  // By convention these keys of a scene are paths: relative to the file that wrote them, or to the working folder for
+  // --set.
+  ConfigNode anchored = *scene;
+  for (const char* key : {"root", "file", "classes"}) {
+    const ConfigNode* value = scene->is_map() ? scene->find(key) : nullptr;
+    if (value == nullptr || !value->is_scalar() || value->text().empty()) continue;
+    if (!config.base_dir.empty() && value->location().line > 0) continue;  // of a run.yaml: absolute, or from base_dir
+    anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
+  }
+  config.dataset = read_slot(PluginKind::dataset, anchored, "scene", registry, diagnostics, {"labels", "load"});
+  if (const ConfigNode* labels = scene->is_map() ? scene->find("labels") : nullptr;
+      labels != nullptr && labels->is_map()) {
+    read_label_steps(*labels, !config.base_dir.empty(), config.labels, diagnostics);
+  }
+  if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
+}
+
+ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
+  const std::size_t dot = path.find('.');
+  if (dot == std::string::npos) return tree.with(path, value);
+  const std::string key = path.substr(0, dot);
+  const ConfigNode* child = tree.find(key);
+  return tree.with(key, with_path(child == nullptr ? ConfigNode() : *child, path.substr(dot + 1), value));
+}
+
+}  // namespace
+
+RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics) {
+  RunConfig config;
+  if (!tree.is_map()) {
+    diagnostics.error(tree.location().text(), "expected a map of sections at the top of the config");
+    return config;
+  }
+  std::vector<std::string> known(kTopKeys.begin(), kTopKeys.end());
+  known.insert(known.end(), {"name", "base_dir"});
+  for (const auto& [key, value] : tree.entries()) {
+    if (std::find(known.begin(), known.end(), key) != known.end()) continue;
+    const std::string near = did_you_mean(key, known);
+    diagnostics.error(value.key_location().text(), "unknown section '" + key + "'",
+                      near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
+  }
+  config.name = read_text(tree, "", "name", "run", diagnostics);
+  config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
+  if (const ConfigNode* plugins = tree.find("plugins"); plugins != nullptr && !plugins->is_null()) {
+    if (!plugins->is_list()) diagnostics.error(plugins->location().text(), "plugins: expected a list of module files");
+    bool loaded = true;
+    for (const ConfigNode& item : plugins->items()) {
+      try {
+        load_listed_module(registry, resolve_path(item));
+      } catch (const Error& error) {
+        diagnostics.error(item.location().text(), error.message(), error.remedy());
+        loaded = false;
+      }
+    }
+    if (!loaded) return config;  // every name of theirs would be an error
+  }
+  config.plugins = registry.module_files();
+  read_scene(tree, registry, config, diagnostics);
+  each_section(config, [&](const char* path, const char*, auto& params) {
+    const ConfigNode* node = find_path(tree, path);
+    if (node == nullptr || node->is_null()) return;
+    read_params(
+        *node, path, [&](ParamVisitor& visit) { describe(visit, params); }, diagnostics, nested_keys(path));
+  });
+  validate_section(tree, "scene.labels", config.labels.selection, diagnostics);
+  validate_section(tree, "scene.load", config.load, diagnostics);
+  validate_section(tree, "rendering", config.rendering, diagnostics);
+  validate_section(tree, "train.self_training", config.self_training, diagnostics);
+  validate_section(tree, "fuse", config.fuse, diagnostics);
+  validate_section(tree, "propagate", config.propagate, diagnostics);
+  config.losses = read_losses(tree, diagnostics);
+  read_passes(tree, registry, config, diagnostics);
+  config.load.contracted = config.rendering.outside == Outside::contracted;
+  return config;
+}
+
+RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
+  const ConfigNode tree = compose_config(path, overrides);
+  Diagnostics diagnostics;
+  RunConfig config = read_run_config(tree, registry, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "");
+  if (tree.find("name") == nullptr) config.name = std::filesystem::path(path).stem().string();
+  return config;
+}
+
+ConfigNode resolved_config(const RunConfig& config) {
+  ConfigNode tree = ConfigNode::make_map({}, {});
+  tree = tree.with("name", ConfigNode::make_scalar(config.name, true, {}));
+  tree = tree.with("base_dir", ConfigNode::make_scalar(config.base_dir, true, {}));
+  if (config.dataset.entry != nullptr) tree = tree.with("scene", slot_config(config.dataset));
+  RunConfig& editable = const_cast<RunConfig&>(config);  // describe() takes a mutable struct; the writer only looks
+  each_section(editable, [&](const char* path, const char*, auto& params) {
+    ConfigNode section = params_to_config([&](ParamVisitor& visit) { describe(visit, params); });
+    if (std::string_view(path) == "scene.labels") section = with_label_steps(section, config.labels);
+    tree = with_path(tree, path, section);
+  });
+  if (!config.losses.empty()) tree = tree.with("losses", losses_config(config.losses));
+  std::vector<ConfigNode> passes;
+  for (const PassConfig& pass : config.passes) passes.push_back(pass_config(pass));
+  tree = tree.with("passes", ConfigNode::make_list(std::move(passes), {}));
+  if (!config.plugins.empty()) {
+    std::vector<ConfigNode> modules;
+    for (const std::string& module : config.plugins) modules.push_back(ConfigNode::make_scalar(module, true, {}));
+    tree = tree.with("plugins", ConfigNode::make_list(std::move(modules), {}));
+  }
+  return tree;
+}
+
+std::vector<SectionDoc> describe_sections() {
+  std::vector<SectionDoc> docs;
+  RunConfig defaults;
+  each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
+    docs.push_back({path, sentence, describe_params([&](ParamVisitor& visit) { describe(visit, params); })});
+  });
+  SemanticBranchConfig branch;
+  docs.push_back({"passes[].semantic",
+                  "a network of its own for semantics, beside its plugins `position` and `field`, or a list of them "
+                  "from which the training labels choose; without this section the head reads the pass's field",
+                  describe_params([&](ParamVisitor& visit) { describe(visit, branch); }), true});
+  return docs;
+}
+
+}  // namespace semfield

@@ -1,0 +1,203 @@
+// A run's configuration as typed sections and plugin slots, read from the composed tree with every error at once.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "config/config_tree.h"
+#include "config/params_read.h"
+#include "core/gemm_engine.h"
+#include "labels/training_labels.h"
+#include "losses/loss_list.h"
+#include "losses/semantic_cross_entropy.h"
+#include "model/compositor.h"
+#include "model/density_activation.h"
+#include "model/semantic_branch.h"
+#include "optim/adam.h"
+#include "optim/schedule.h"
+#include "plugin/registry.h"
+#include "scene/frame_source.h"
+#include "scene/input_limits.h"
+#include "settings/fusion_params.h"
+#include "settings/propagation_params.h"
+
+namespace semfield {
+
+struct SemanticsParams {
+  double weight = 0.04;
+  bool stop_gradient_to_density = false;
+  int hidden_width = 128;
+  SemanticNormalisation normalisation = SemanticNormalisation::mean_labelled;
+  bool balance_classes = false;
+};
+void describe(ParamVisitor& visit, SemanticsParams& params);
+
+/// What lies outside the scene's bounds.
+///   nothing     rays end there;
+///   contracted  all of space, drawn in [Barron22]: rays go on to far.
+enum class Outside : std::uint8_t { nothing, contracted };
+template <>
+struct ChoiceNames<Outside> {
+  static constexpr std::array<std::string_view, 2> names{"nothing", "contracted"};
+};
+
+struct RenderingParams {
+  DensityActivation density_activation = DensityActivation::relu;
+  double density_bias = 0;
+  FarMode far = FarMode::open;
+  double density_noise = 0;
+  std::vector<double> background{0, 0, 0};
+  double early_stop = 1e-4;
+  double scene_scale = 0;
+  Outside outside = Outside::nothing;
+};
+void describe(ParamVisitor& visit, RenderingParams& params);
+void validate(const RenderingParams& params, Diagnostics& diagnostics);
+
+enum class RaySourceKind : std::uint8_t { all_images, one_image, label_balanced };
+template <>
+struct ChoiceNames<RaySourceKind> {
+  static constexpr std::array<std::string_view, 3> names{"all_images", "one_image", "label_balanced"};
+};
+
+struct TrainParams {
+  std::int64_t steps = 20000;
+  double time_limit_s = 0;
+  std::int64_t rays = 1024;
+  RaySourceKind ray_source = RaySourceKind::all_images;
+  double labelled_share = 0.5;
+  bool label_rays_teach_color = true;
+};
+void describe(ParamVisitor& visit, TrainParams& params);
+
+/// Rounds of self-training (session/self_training.h).
+struct SelfTrainingParams {
+  std::vector<double> at;
+  double confidence = 0.9;
+  double min_opacity = 0.5;
+};
+void describe(ParamVisitor& visit, SelfTrainingParams& params);
+void validate(const SelfTrainingParams& params, Diagnostics& diagnostics);
+
+enum class DeviceChoice : std::uint8_t { automatic, cpu, cuda };
+template <>
+struct ChoiceNames<DeviceChoice> {
+  static constexpr std::array<std::string_view, 3> names{"auto", "cpu", "cuda"};
+};
+
+template <>
+struct ChoiceNames<Precision> {
+  static constexpr std::array<std::string_view, 2> names{"fp32", "bf16"};
+};
+
+template <>
+struct ChoiceNames<GemmEngine> {
+  static constexpr std::array<std::string_view, 3> names{"auto", "builtin", "onednn"};
+};
+
+struct RuntimeParams {
+  DeviceChoice device = DeviceChoice::automatic;
+  Precision precision = Precision::fp32;
+  GemmEngine gemm = GemmEngine::automatic;
+  bool deterministic = false;
+  int threads = 0;
+  std::uint32_t seed = 1;
+  int lanes = 8;
+  int tile_rays = 0;
+  std::vector<std::string> keep;
+  double memory_gb = 0;
+  bool fold_feature_layer = true;
+  bool direction_once_per_ray = true;
+  bool deferred_class_layer = true;
+};
+void describe(ParamVisitor& visit, RuntimeParams& params);
+
+struct ReportParams {
+  std::int64_t log_every_steps = 20;
+  double eval_every_s = 10;
+  int eval_frames = 4;
+  double eval_share = 0.1;
+  double checkpoint_every_s = 60;
+  int keep_checkpoints = 2;
+  int strips = 4;
+  int training_frames = 0;
+  int worst_frames = 2;
+};
+void describe(ParamVisitor& visit, ReportParams& params);
+
+/// A plugin chosen by `type`, with its parameters read.
+struct PluginSlot {
+  const PluginEntry* entry = nullptr;  ///< null: the slot is empty
+  std::unique_ptr<PluginParams> params;
+};
+
+/// Labels that a semantic branch is meant for; branch_choice.h says which a scene has.
+enum class LabelKind : std::uint8_t { any, few, noisy, many };
+template <>
+struct ChoiceNames<LabelKind> {
+  static constexpr std::array<std::string_view, 4> names{"any", "few", "noisy", "many"};
+};
+
+/// What a pass's semantic branch is beside its plugins (model/semantic_branch.h).
+struct SemanticBranchConfig {
+  LabelKind labels = LabelKind::any;
+  PluginSlot position, field;
+  SemanticBranchRules rules;
+};
+/// All but the plugins.
+void describe(ParamVisitor& visit, SemanticBranchConfig& branch);
+
+struct PassConfig {
+  std::string name;
+  PluginSlot sampler, position, direction, field;
+  std::vector<SemanticBranchConfig> semantic;  ///< none, one, or several of which the labels choose one
+  /// The branch that is built: the first until choose_branches has been asked; null without one.
+  const SemanticBranchConfig* branch() const { return semantic.empty() ? nullptr : &semantic.front(); }
+};
+
+struct RunConfig {
+  std::string name;
+  std::string base_dir;  ///< where relative paths of plugins start that no file anchors; absolute
+  PluginSlot dataset;
+  LabelConfig labels;
+  SceneLoadOptions load;
+  SemanticsParams semantics;
+  std::vector<LossEntry> losses;
+  RenderingParams rendering;
+  std::vector<PassConfig> passes;
+  TrainParams train;
+  SelfTrainingParams self_training;
+  AdamParams adam;
+  ScheduleParams schedule;
+  RuntimeParams runtime;
+  ReportParams report;
+  FusionParams fuse;
+  PropagationParams propagate;
+  InputLimits limits;
+  std::vector<std::string> plugins;  ///< loaded modules, absolute paths
+};
+
+/// Loads the modules that `plugins:` names into `registry` (load_listed_module), then reads every section. Collects all
+/// errors in `diagnostics`.
+RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics);
+
+/// compose + read; throws Error(config) with every error on its own line.
+RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry);
+
+/// The resolved configuration: every parameter written out, absolute base_dir; reading it gives the same run.
+ConfigNode resolved_config(const RunConfig& config);
+
+/// Fixed sections and plugin slots by key path, for the schema and the reference.
+struct SectionDoc {
+  std::string path;
+  std::string sentence;
+  std::vector<ParamDoc> params;
+  bool or_list = false;  ///< a list of such maps may stand there too
+};
+std::vector<SectionDoc> describe_sections();
+
+}  // namespace semfield

@@ -1,0 +1,409 @@
+// Tensor files, checkpoints and the run folder: round trips, every damage refused, a good checkpoint at every moment.
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <nlohmann/json.hpp>
+
+#include "core/checksum.h"
+#include "core/error.h"
+#include "core/files.h"
+#include "run/checkpoint_store.h"
+#include "run/run_folder.h"
+#include "session/safetensors.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+
+class Folder : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    std::string name = (fs::temp_directory_path() / "semfield_store_XXXXXX").string();
+    ASSERT_NE(::mkdtemp(name.data()), nullptr);
+    path_ = name;
+  }
+  void TearDown() override {
+    std::error_code ignored;
+    fs::remove_all(path_, ignored);
+  }
+  std::string in(const std::string& name) const { return path_ + "/" + name; }
+  std::string path_;
+};
+
+// Runs `body` and returns the message of the Error it must throw.
+template <class Body>
+std::string error_of(Body&& body, ErrorKind kind = ErrorKind::data) {
+  try {
+    body();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), kind) << error.what();
+    return error.what();
+  }
+  ADD_FAILURE() << "no error was thrown";
+  return {};
+}
+
+std::string sample_file() {
+  static const std::vector<float> weights{1, -2.5f, 3e-30f, 4, 5, 6};
+  static const std::vector<double> exact{3.141592653589793};
+  static const std::vector<std::int64_t> steps{-1, 1ll << 40};
+  static const std::vector<std::uint8_t> grid{1, 0, 255};
+  return encode_safetensors(
+      {tensor_ref("grid", {3}, grid), tensor_ref("trunk_0/weight", {2, 3}, weights), tensor_ref("exact", {}, exact),
+       tensor_ref("steps", {2}, steps), tensor_ref("none", {0, 4}, std::span<const float>())},
+      {{"format", "semfield 1"}, {"note", "quote \" and \"semfield.crc32c\":\"11111111"}});
+}
+
+TEST(Safetensors, RoundTrip) {
+  const TensorFile file = TensorFile::decode(sample_file(), "memory", {});
+  EXPECT_EQ(file.tensors().size(), 5u);
+  EXPECT_EQ(file.floats("trunk_0/weight", 6), (std::vector<float>{1, -2.5f, 3e-30f, 4, 5, 6}));
+  EXPECT_EQ(file.integers("steps", 2), (std::vector<std::int64_t>{-1, 1ll << 40}));
+  ASSERT_NE(file.find("trunk_0/weight"), nullptr);
+  EXPECT_EQ(file.find("trunk_0/weight")->shape, (std::vector<std::int64_t>{2, 3}));
+  EXPECT_EQ(file.find("grid")->bytes[2], std::byte{255});
+  EXPECT_EQ(file.find("none")->bytes.size(), 0u);
+  EXPECT_EQ(file.metadata().at("format"), "semfield 1");
+  EXPECT_EQ(file.metadata().size(), 2u);
+  EXPECT_NE(error_of([&] { (void)file.floats("trunk_0/weight", 7); }).find("6 elements of F32, expected 7 of F32"),
+            std::string::npos);
+  EXPECT_NE(error_of([&] { (void)file.floats("absent", 1); }).find("has no tensor 'absent'"), std::string::npos);
+}
+
+// The layout as any other reader of the format sees it.
+TEST(Safetensors, LayoutReadsIndependently) {
+  const std::string file = sample_file();
+  std::uint64_t length = 0;
+  std::memcpy(&length, file.data(), 8);
+  EXPECT_EQ(length % 8, 0u);
+  EXPECT_EQ(file[8], '{');
+  const nlohmann::json header = nlohmann::json::parse(file.substr(8, length));
+  const auto& entry = header.at("trunk_0/weight");
+  EXPECT_EQ(entry.at("dtype"), "F32");
+  EXPECT_EQ(entry.at("shape"), nlohmann::json({2, 3}));
+  const std::uint64_t begin = entry.at("data_offsets")[0];
+  EXPECT_EQ(begin % 4, 0u);
+  float second = 0;
+  std::memcpy(&second, file.data() + 8 + length + begin + 4, 4);
+  EXPECT_EQ(second, -2.5f);
+  for (const auto& item : header.at("__metadata__").items()) EXPECT_TRUE(item.value().is_string());
+  const std::string data = file.substr(8 + length + begin, 24);
+  char sum[9];
+  std::snprintf(sum, sizeof(sum), "%08x", crc32c(std::as_bytes(std::span(data.data(), data.size()))));
+  EXPECT_EQ(header.at("__metadata__").at("semfield.crc32c:trunk_0/weight"), sum);
+}
+
+TEST(Safetensors, EveryFlippedBitIsRefused) {  // G09
+  const std::string good = sample_file();
+  std::size_t accepted = 0;
+  for (std::size_t byte = 0; byte < good.size(); ++byte) {
+    for (int bit = 0; bit < 8; ++bit) {
+      std::string bad = good;
+      bad[byte] = static_cast<char>(bad[byte] ^ (1 << bit));
+      try {
+        (void)TensorFile::decode(bad, "flipped", {});
+        ++accepted;
+      } catch (const Error& error) {
+        ASSERT_EQ(error.kind(), ErrorKind::data);
+      }
+    }
+  }
+  EXPECT_EQ(accepted, 0u);
+}
+
+TEST(Safetensors, EveryTruncationIsRefused) {  // G10
+  const std::string good = sample_file();
+  for (std::size_t size = 0; size < good.size(); ++size) {
+    EXPECT_THROW((void)TensorFile::decode(good.substr(0, size), "cut", {}), Error) << size;
+  }
+  EXPECT_THROW((void)TensorFile::decode(good + '\0', "grown", {}), Error);
+}
+
+std::string with_header(const std::string& header, std::size_t data_bytes) {
+  std::string file(8, '\0');
+  const std::uint64_t length = header.size();
+  std::memcpy(file.data(), &length, 8);
+  return file + header + std::string(data_bytes, '\0');
+}
+
+TEST(Safetensors, HostileHeadersAreNamed) {  // G11
+  TensorFile::Limits no_sums;
+  no_sums.require_checksums = false;
+  const auto message = [&](const std::string& header, std::size_t data_bytes) {
+    return error_of([&] { (void)TensorFile::decode(with_header(header, data_bytes), "hostile.safetensors", no_sums); });
+  };
+  const auto has = [](const std::string& text, const char* part) { return text.find(part) != std::string::npos; };
+  // The control: the same shape of header is read when it is right.
+  EXPECT_NO_THROW((void)TensorFile::decode(with_header(R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}})", 8),
+                                           "good", no_sums));
+  EXPECT_PRED2(has, message(R"({"a":{"dtype":"F32","shape":[4294967296,4294967296],"data_offsets":[0,0]}})", 0),
+               "tensor 'a': the product of its shape overflows");
+  EXPECT_PRED2(
+      has,
+      message(
+          R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]},"b":{"dtype":"F32","shape":[2],"data_offsets":[4,12]}})",
+          12),
+      "overlapping");
+  EXPECT_PRED2(
+      has,
+      message(
+          R"({"a":{"dtype":"F32","shape":[1],"data_offsets":[0,4]},"b":{"dtype":"F32","shape":[1],"data_offsets":[8,12]}})",
+          12),
+      "a hole after byte 4");
+  EXPECT_PRED2(
+      has,
+      message(
+          R"({"a":{"dtype":"F32","shape":[1],"data_offsets":[0,4]},"a":{"dtype":"F32","shape":[1],"data_offsets":[4,8]}})",
+          8),
+      "'a' stands twice");
+  EXPECT_PRED2(has, message(R"({"a":{"dtype":"F32","shape":[1],"shape":[1],"data_offsets":[0,4]}})", 4),
+               "'shape' stands twice");
+  EXPECT_PRED2(has, message(R"({"a":{"dtype":"F16","shape":[2],"data_offsets":[0,4]}})", 4), "dtype 'F16'");
+  EXPECT_PRED2(has, message(R"({"a":{"dtype":"F32","shape":[-1],"data_offsets":[0,4]}})", 4), "not a count");
+  EXPECT_PRED2(has, message(R"({"a":{"dtype":"F32","shape":[1.0],"data_offsets":[0,4]}})", 4), "not a count");
+  EXPECT_PRED2(has, message(R"({"a":{"dtype":"F32","shape":[1],"data_offsets":[4,0]}})", 4), "do not hold");
+  EXPECT_PRED2(has, message(R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}})", 4), "cut short");
+  EXPECT_PRED2(has, message(R"({"a":{"dtype":"F32","shape":[1],"data_offsets":[0,4]}})", 9),
+               "5 bytes behind the last tensor");
+  EXPECT_PRED2(has, message(R"({"__metadata__":{"a":1}})", 0), "not a text");
+  EXPECT_PRED2(has, message("[1,2]", 0), "not a JSON object");
+  EXPECT_PRED2(has, message(std::string(100000, '['), 0), "nested too deeply");
+  std::string huge = with_header("{}", 0);
+  const std::uint64_t length = 100'000'001;
+  std::memcpy(huge.data(), &length, 8);
+  EXPECT_PRED2(has, error_of([&] { (void)TensorFile::decode(huge, "huge", {}); }),
+               "exceeds the limit of 100000000 bytes");
+}
+
+TEST(Safetensors, NanWeightsAndMissingChecksumsAreRefused) {
+  const std::vector<float> values{0, std::numeric_limits<float>::quiet_NaN()};
+  const std::string file = encode_safetensors({tensor_ref("w", {2}, values)}, {});
+  EXPECT_NE(error_of([&] { (void)TensorFile::decode(file, "f", {}); }).find("tensor 'w' holds NaN"), std::string::npos);
+  EXPECT_NE(error_of([&] { (void)TensorFile::decode(with_header("{}", 0), "f", {}); }).find("no checksum"),
+            std::string::npos);
+}
+
+TEST(Safetensors, WriterChecksItsInput) {
+  const std::vector<float> values{1, 2};
+  error_of([&] { (void)encode_safetensors({tensor_ref("w", {3}, values)}, {}); }, ErrorKind::internal);
+  error_of(
+      [&] {
+        (void)encode_safetensors({tensor_ref("w", {2}, values), tensor_ref("w", {2}, values)}, {});
+      },
+      ErrorKind::internal);
+}
+
+using CheckpointTest = Folder;
+
+void save(CheckpointStore& store, std::int64_t step) {
+  const std::vector<float> values{static_cast<float>(step)};
+  store.save(step, {tensor_ref("w", {1}, values)}, {{"step", std::to_string(step)}});
+}
+
+TEST_F(CheckpointTest, KeepsTheNewestAndNamesTheLatest) {
+  CheckpointStore store(in("checkpoints"), 2);
+  Diagnostics diagnostics;
+  EXPECT_FALSE(store.find_latest(diagnostics).has_value());
+  for (std::int64_t step : {100, 200, 300}) save(store, step);
+  ASSERT_EQ(store.list().size(), 2u);
+  EXPECT_EQ(store.list()[1].step, 200);
+  EXPECT_EQ(read_text_file(in("checkpoints/latest")), "step_00000300.safetensors\n");
+  const auto found = store.find_latest(diagnostics);
+  ASSERT_TRUE(found.has_value());
+  EXPECT_EQ(found->step, 300);
+  EXPECT_EQ(found->file.floats("w", 1)[0], 300.0f);
+  EXPECT_TRUE(diagnostics.all().empty());
+}
+
+TEST_F(CheckpointTest, DamagedNewestIsReportedAndTheOlderUsed) {
+  CheckpointStore store(in("c"));
+  save(store, 100);
+  save(store, 200);
+  fs::resize_file(in("c/step_00000200.safetensors"), 50);
+  Diagnostics diagnostics;
+  EXPECT_EQ(store.find_latest(diagnostics)->step, 100);
+  ASSERT_EQ(diagnostics.all().size(), 1u);
+  EXPECT_NE(diagnostics.all()[0].text().find("step_00000200.safetensors"), std::string::npos);
+  // The run goes on from 100: the damaged later one steps aside, and never displaces a good one.
+  save(store, 150);
+  EXPECT_EQ(store.list().size(), 2u);
+  EXPECT_EQ(store.list()[0].step, 150);
+  EXPECT_TRUE(fs::exists(in("c/step_00000200.safetensors.abandoned")));
+  fs::resize_file(in("c/step_00000150.safetensors"), 0);
+  fs::resize_file(in("c/step_00000100.safetensors"), 9);
+  EXPECT_NE(error_of([&] { (void)store.find_latest(diagnostics); }).find("none of the 2 checkpoints"),
+            std::string::npos);
+}
+
+TEST_F(CheckpointTest, StaleTemporaryFilesGoAndOtherFilesStay) {
+  fs::create_directories(in("c"));
+  std::ofstream(in("c/.step_00000001.safetensors.77.0.tmp")) << "torn";
+  std::ofstream(in("c/notes.txt")) << "mine";
+  CheckpointStore store(in("c"));
+  EXPECT_FALSE(fs::exists(in("c/.step_00000001.safetensors.77.0.tmp")));
+  EXPECT_TRUE(fs::exists(in("c/notes.txt")));
+}
+
+// What evaluation uses, beside a run that trains.
+TEST_F(CheckpointTest, ReadingChangesNothing) {
+  {
+    CheckpointStore store(in("c"));
+    save(store, 100);
+  }
+  std::ofstream(in("c/.step_00000200.safetensors.0.tmp")) << "being written";
+  const CheckpointStore reader = CheckpointStore::read(in("c"));
+  Diagnostics diagnostics;
+  EXPECT_EQ(reader.find_latest(diagnostics)->step, 100);
+  EXPECT_TRUE(fs::exists(in("c/.step_00000200.safetensors.0.tmp")));
+  EXPECT_FALSE(CheckpointStore::read(in("none")).find_latest(diagnostics).has_value());
+  EXPECT_FALSE(fs::exists(in("none")));
+}
+
+// Taken for an empty one, the run would start over and put its own checkpoints aside.
+TEST_F(CheckpointTest, AFolderThatCannotBeReadIsNoEmptyFolder) {
+  std::ofstream(in("c")) << "a file where the folder should be";
+  const std::string message = error_of([&] { (void)CheckpointStore::read(in("c")).list(); }, ErrorKind::io);
+  EXPECT_NE(message.find("cannot read the folder '" + in("c") + "': Not a directory"), std::string::npos) << message;
+}
+
+TEST_F(CheckpointTest, FailedSaveLeavesTheOldOneAndNamesIt) {
+  CheckpointStore store(in("c"));
+  save(store, 100);
+  fs::create_directories(in("c/step_00000200.safetensors/x"));  // an obstacle that stops root too
+  const std::string message = error_of([&] { save(store, 200); }, ErrorKind::io);
+  EXPECT_NE(message.find("the checkpoint of step 100 is kept"), std::string::npos) << message;
+  Diagnostics diagnostics;
+  EXPECT_EQ(store.find_latest(diagnostics)->step, 100);
+  EXPECT_EQ(read_text_file(in("c/latest")), "step_00000100.safetensors\n");
+}
+
+// A process that saves without end is killed at 20 moments; each time the newest file on disk verifies.
+TEST_F(CheckpointTest, KilledWhileSavingAlwaysLeavesAGoodOne) {
+  const std::string folder = in("c");
+  {
+    CheckpointStore store(folder);
+    save(store, 1);
+  }
+  std::int64_t first = 1, last = 1;
+  for (int kill_number = 0; kill_number < 20; ++kill_number) {
+    const pid_t child = ::fork();
+    if (child == 0) {
+      const std::vector<float> values(50'000, 1.5f);
+      CheckpointStore store(folder);
+      for (std::int64_t step = last + 1;; ++step) store.save(step, {tensor_ref("w", {50'000}, values)}, {});
+    }
+    ASSERT_GT(child, 0);
+    ::usleep(static_cast<useconds_t>(3000 + 1700 * kill_number));
+    ::kill(child, SIGKILL);
+    int status = 0;
+    ::waitpid(child, &status, 0);
+    ASSERT_TRUE(WIFSIGNALED(status));
+    Diagnostics diagnostics;
+    const auto found = CheckpointStore(folder).find_latest(diagnostics);
+    ASSERT_TRUE(found.has_value());
+    EXPECT_TRUE(diagnostics.all().empty()) << "kill " << kill_number << " tore a file";
+    EXPECT_GE(found->step, last);
+    last = found->step;
+  }
+  EXPECT_GT(last, first);
+}
+
+using RunFolderTest = Folder;
+
+TEST_F(RunFolderTest, WhatKilledRunsLeftIsRemoved) {
+  // Killed before run.yaml was there: the same command works again.
+  fs::create_directories(in("run"));
+  std::ofstream(in("run/.lock")) << "77\n";
+  std::ofstream(in("run/.run.yaml.0.tmp")) << "torn";
+  {
+    const RunFolder run = RunFolder::create(in("run"));
+    EXPECT_FALSE(fs::exists(in("run/.run.yaml.0.tmp")));
+    write_file_atomic(run.config_path(), "a: 1\n");
+    fs::create_directories(in("run/render/test"));
+  }
+  for (const char* name :
+       {"run/.report.html.0.tmp", "run/render/test/.0017_rgb.png.1.tmp", "run/.classes.yaml.77.3.tmp"})
+    std::ofstream(in(name)) << "torn";
+  const RunFolder run = RunFolder::resume(in("run"));
+  for (const auto& entry : fs::recursive_directory_iterator(in("run")))
+    EXPECT_NE(entry.path().extension(), ".tmp") << entry.path();
+}
+
+TEST_F(RunFolderTest, CreateRefusesFilesAndResumeNeedsARun) {
+  {
+    const RunFolder run = RunFolder::create(in("new/run"));
+    EXPECT_EQ(run.config_path(), in("new/run/run.yaml"));
+    EXPECT_EQ(run.render_path("test", "seq/0017", "depth"), in("new/run/render/test/seq_0017_depth.png"));
+    EXPECT_TRUE(fs::is_directory(in("new/run/render/test")));
+  }
+  EXPECT_NE(
+      error_of([&] { (void)RunFolder::create(in("new/run")); }, ErrorKind::cannot_create).find("holds files already"),
+      std::string::npos);
+  EXPECT_NE(error_of([&] { (void)RunFolder::resume(in("new/run")); }, ErrorKind::no_input).find("no run.yaml"),
+            std::string::npos);
+  write_file_atomic(in("new/run/run.yaml"), "a: 1\n");
+  EXPECT_NO_THROW((void)RunFolder::resume(in("new/run")));
+  error_of([&] { (void)RunFolder::read(in("absent")); }, ErrorKind::no_input);
+  // A folder of other files stays as it was.
+  fs::create_directories(in("photos"));
+  std::ofstream(in("photos/a.jpg")) << "x";
+  error_of([&] { (void)RunFolder::create(in("photos")); }, ErrorKind::cannot_create);
+  EXPECT_FALSE(fs::exists(in("photos/.lock")));
+}
+
+TEST_F(RunFolderTest, ASecondProcessIsRefusedByNumber) {
+  int ready[2], done[2];
+  ASSERT_EQ(::pipe(ready), 0);
+  ASSERT_EQ(::pipe(done), 0);
+  const pid_t child = ::fork();
+  if (child == 0) {
+    const RunFolder run = RunFolder::create(in("run"));
+    char byte = 1;
+    if (::write(ready[1], &byte, 1) != 1 || ::read(done[0], &byte, 1) != 1) ::_exit(1);
+    ::_exit(0);
+  }
+  char byte = 0;
+  ASSERT_EQ(::read(ready[0], &byte, 1), 1);
+  const std::string message = error_of([&] { (void)RunFolder::create(in("run")); }, ErrorKind::cannot_create);
+  EXPECT_NE(message.find("is in use by process " + std::to_string(child)), std::string::npos) << message;
+  ASSERT_EQ(::write(done[1], &byte, 1), 1);
+  ::waitpid(child, nullptr, 0);
+  EXPECT_NO_THROW((void)RunFolder::create(in("run")));  // the lock died with its process
+  for (int end : {ready[0], ready[1], done[0], done[1]}) ::close(end);
+}
+
+TEST_F(RunFolderTest, EnvironmentAndLeftOutRoundTrip) {
+  Environment e = this_environment();
+  EXPECT_FALSE(e.compiler.empty());
+  EXPECT_GE(e.hardware_threads, 1);
+  e.seed = 18446744073709551615ull;
+  e.modules = {"hash_grid 1.0", "nerf_mlp 1.0"};
+  const auto entries = parse_environment(environment_json(e), "environment.json");
+  const auto value = [&](const std::string& key) {
+    for (const auto& [name, text] : entries) {
+      if (name == key) return text;
+    }
+    return std::string("absent");
+  };
+  EXPECT_EQ(value("seed"), "18446744073709551615");
+  EXPECT_EQ(value("modules"), "hash_grid 1.0, nerf_mlp 1.0");
+  const std::vector<LeftOutRow> rows{{"semantic head", "no labels", "0 label files", "B", "6.9 %", ""}};
+  const auto read = parse_left_out(left_out_json(rows), "left_out.json");
+  ASSERT_EQ(read.size(), 1u);
+  EXPECT_EQ(read[0].evidence, "0 label files");
+  EXPECT_EQ(read[0].saving_measured, "");
+  EXPECT_NE(left_out_json(rows).find("\"saving_measured\": null"), std::string::npos);
+  error_of([] { (void)parse_left_out("[{}]", "left_out.json"); });
+  error_of([] { (void)parse_environment("{", "environment.json"); });
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,324 @@
+// What is left out changes no bit of what is kept: pairs of runs, one with the component forced back in.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstring>
+
+#include "core/files.h"
+#include "core/parallel.h"
+#include "run/leave_out_proofs.h"
+#include "run/open_run.h"
+#include "run/run_folder.h"
+#include "run/train_run.h"
+#include "session/trainer.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+
+struct Trained {
+  Session session;
+  std::unique_ptr<RaySource> rays;
+  std::unique_ptr<Trainer> trainer;
+  double loss_color = 0;
+};
+
+Trained train(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep, int steps) {
+  Trained run{open_text(yaml, registry, keep), nullptr, nullptr, 0};
+  run.rays = run.session.make_ray_source();
+  run.trainer =
+      std::make_unique<Trainer>(*run.session.pipeline, *run.rays, run.session.config.adam, run.session.config.schedule);
+  for (int i = 0; i < steps; ++i) run.loss_color = run.trainer->advance().color;
+  return run;
+}
+
+bool left_out(const Session& s, const std::string& component) {
+  for (const LeftOut& row : s.plan.left_out) {
+    EXPECT_FALSE(row.rule.empty() || row.evidence.empty() || row.saving.empty()) << row.component;
+    if (row.component == component) return true;
+  }
+  return false;
+}
+
+// Every tensor that both runs have is bitwise the same.
+void expect_shared_tensors_equal(Session& a, Session& b) {
+  int shared = 0;
+  for (const Tensor<float>& t : a.pipeline->store().all()) {
+    const Tensor<float>* other = b.pipeline->store().find(t.name);
+    if (other == nullptr || !t.learned()) continue;
+    EXPECT_EQ(0, std::memcmp(t.value.data(), other->value.data(), sizeof(float) * static_cast<std::size_t>(t.size())))
+        << t.name;
+    EXPECT_EQ(0,
+              std::memcmp(t.moment2.data(), other->moment2.data(), sizeof(float) * static_cast<std::size_t>(t.size())))
+        << t.name;
+    ++shared;
+  }
+  EXPECT_GT(shared, 8);
+}
+
+TEST(LeaveOut, UnlabelledRaysAreSkippedBitwise) {
+  Registry registry = make_registry();
+  const std::string yaml =
+      "scene: {type: analytic_room, labels: {frames: 2}}\n" + hash_config().substr(hash_config().find('\n') + 1);
+  Trained out = train(yaml, registry, {}, 40);
+  Trained kept = train(yaml, registry, {"unlabelled_rays"}, 40);
+  ASSERT_TRUE(left_out(out.session, "unlabelled_rays"));
+  ASSERT_FALSE(left_out(kept.session, "unlabelled_rays"));
+  expect_shared_tensors_equal(out.session, kept.session);
+}
+
+TEST(LeaveOut, UndistortionOfAPinholeIsBitwise) {
+  Registry registry = make_registry();
+  Trained out = train(hash_config(), registry, {}, 20);
+  Trained kept = train(hash_config(), registry, {"undistortion"}, 20);
+  ASSERT_TRUE(left_out(out.session, "undistortion"));
+  expect_shared_tensors_equal(out.session, kept.session);
+}
+
+TEST(LeaveOut, CoarsePassBeforeASinglePassSamplerIsBitwise) {
+  Registry registry = make_registry();
+  std::string yaml = hash_config();
+  yaml.insert(yaml.find("  - name: main\n"),
+              "  - name: coarse\n"
+              "    sampler: {type: stratified, samples: 4}\n"
+              "    position: {type: frequency, frequencies: 2}\n"
+              "    direction: {type: spherical_harmonics, degree: 2}\n"
+              "    field: {type: tiny_mlp, hidden_width: 16, color_width: 16}\n");
+  Trained out = train(yaml, registry, {}, 20);
+  ASSERT_TRUE(left_out(out.session, "coarse_passes"));
+  EXPECT_EQ(out.session.pipeline->store().find("coarse/field/density_0/weight"), nullptr);
+  Trained kept = train(yaml, registry, {"coarse_passes"}, 20);
+  EXPECT_EQ(kept.session.pipeline->passes().size(), 2U);
+  // The tile of rays must be the same for the pair, or the sums have another order.
+  ASSERT_EQ(out.session.pipeline->tile_rays(), kept.session.pipeline->tile_rays());
+  expect_shared_tensors_equal(out.session, kept.session);
+}
+
+TEST(LeaveOut, ASceneWithoutLabelsBuildsNoHead) {
+  Registry registry = make_registry();
+  std::string yaml = hash_config();
+  yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: analytic_room, with_labels: false}");
+  Session s = open_text(yaml, registry);
+  EXPECT_TRUE(left_out(s, "semantics"));
+  EXPECT_FALSE(s.pipeline->has_semantics());
+  for (const Tensor<float>& t : s.pipeline->store().all())
+    EXPECT_EQ(t.name.find("semantic"), std::string::npos) << t.name;
+}
+
+TEST(LeaveOut, SemanticsWithNoSelectedLabelIsBitwiseTheRunWithAHead) {
+  Registry registry = make_registry();
+  std::string yaml = hash_config();
+  yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: analytic_room, labels: {frames: none}}");
+  Trained out = train(yaml, registry, {}, 40);
+  Trained kept = train(yaml, registry, {"semantics"}, 40);
+  ASSERT_TRUE(left_out(out.session, "semantics"));
+  ASSERT_TRUE(kept.session.pipeline->has_semantics());
+  EXPECT_EQ(out.loss_color, kept.loss_color);
+  expect_shared_tensors_equal(out.session, kept.session);
+}
+
+TEST(LeaveOut, AbsentClassesGetNoLogit) {
+  Registry registry = make_registry();
+  std::string yaml = hash_config();
+  yaml.replace(yaml.find("{type: analytic_room}"), 21,
+               "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
+  Session s = open_text(yaml, registry);
+  int present = 0;
+  for (const std::int64_t pixels : s.manifest.train_class_pixels) present += pixels > 0 ? 1 : 0;
+  EXPECT_LT(present, s.classes());
+  EXPECT_EQ(static_cast<int>(s.plan.class_of_logit.size()), present);
+  EXPECT_EQ(s.pipeline->passes().back().parts().head->classes(), present);
+}
+
+// The other model of the same claim: all classes, those without a pixel masked by a bias that no exponential survives.
+TEST(LeaveOut, AbsentClassesAreBitwiseTheModelThatMasksThem) {
+  Registry registry = make_registry();
+  std::string yaml = hash_config();
+  yaml.replace(yaml.find("{type: analytic_room}"), 21,
+               "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
+  Trained out = train(yaml, registry, {}, 0), kept = train(yaml, registry, {"absent_classes"}, 0);
+  const std::vector<int>& present = out.session.plan.class_of_logit;
+  const std::size_t all = kept.session.plan.class_of_logit.size();
+  ASSERT_LT(present.size(), all);
+  const auto tensor = [](Trained& run, const char* name) -> Tensor<float>& {
+    return *run.session.pipeline->store().find(std::string("main/semantic/class/") + name);
+  };
+  const auto masked_from = [&](const char* name, float absent) {
+    Tensor<float>&narrow = tensor(out, name), &wide = tensor(kept, name);
+    for (std::int64_t r = 0; r < wide.spec.rows; ++r) {
+      float* row = wide.value.data() + r * wide.spec.cols;
+      std::fill_n(row, wide.spec.cols, absent);
+      for (std::size_t l = 0; l < present.size(); ++l)
+        row[present[l]] = narrow.value.data()[r * narrow.spec.cols + static_cast<std::int64_t>(l)];
+    }
+  };
+  masked_from("weight", 0);
+  masked_from("bias", -1e18F);  // large, and below the magnitude that a step refuses
+  kept.session.pipeline->derive(0);
+  for (int i = 0; i < 30; ++i) {
+    const StepLosses a = out.trainer->advance(), b = kept.trainer->advance();
+    ASSERT_EQ(a.semantic, b.semantic) << "step " << i;
+  }
+  for (const Tensor<float>& t : out.session.pipeline->store().all()) {
+    if (!t.learned() || t.name.find("semantic/class") != std::string::npos) continue;
+    const Tensor<float>& other = *kept.session.pipeline->store().find(t.name);
+    EXPECT_EQ(0, std::memcmp(t.value.data(), other.value.data(), sizeof(float) * static_cast<std::size_t>(t.size())))
+        << t.name;
+  }
+  for (const char* name : {"weight", "bias"}) {
+    const Tensor<float>&narrow = tensor(out, name), &wide = tensor(kept, name);
+    for (std::int64_t r = 0; r < wide.spec.rows; ++r) {
+      for (std::size_t l = 0; l < present.size(); ++l) {
+        EXPECT_EQ(narrow.value.data()[r * narrow.spec.cols + static_cast<std::int64_t>(l)],
+                  wide.value.data()[r * wide.spec.cols + present[l]])
+            << name << " " << r << " " << l;
+      }
+    }
+  }
+}
+
+BuildPlan plan_of(const SceneManifest& manifest, const BuildRequest& request,
+                  const std::vector<std::string>& keep = {}) {
+  return plan_build(manifest, request, keep);
+}
+
+bool leaves(const BuildPlan& plan, const std::string& component, ProofClass* proof = nullptr) {
+  for (const LeftOut& row : plan.left_out) {
+    if (row.component != component) continue;
+    if (proof != nullptr) *proof = row.proof;
+    return true;
+  }
+  return false;
+}
+
+TEST(LeaveOut, TheViewBranchGoesWhereAllRaysAreAlmostParallel) {
+  SceneManifest manifest;
+  manifest.direction_spread_deg = 4.9;
+  ProofClass proof{};
+  EXPECT_TRUE(leaves(plan_of(manifest, {}), "view_branch", &proof));
+  EXPECT_EQ(proof, ProofClass::statistical);
+  EXPECT_FALSE(plan_of(manifest, {}).view_branch);
+  EXPECT_TRUE(plan_of(manifest, {}, {"view_branch"}).view_branch);
+  manifest.direction_spread_deg = 0;
+  EXPECT_TRUE(leaves(plan_of(manifest, {}), "view_branch", &proof));
+  EXPECT_EQ(proof, ProofClass::bitwise);
+  manifest.direction_spread_deg = 5.1;
+  EXPECT_TRUE(plan_of(manifest, {}).view_branch);
+
+  Registry registry = make_registry();
+  const Session s = open_text(hash_config(), registry);
+  EXPECT_GT(s.manifest.direction_spread_deg, 60) << "cameras inside a room look around";
+  EXPECT_LE(s.manifest.direction_spread_deg, 360);
+  EXPECT_TRUE(s.plan.view_branch);
+}
+
+TEST(LeaveOut, RowsOfSamplerAndEarlyStopNameTheirProof) {
+  BuildRequest request;
+  request.early_stop = 1e-4;
+  request.empty_space = EmptySpace::certified;
+  ProofClass proof{};
+  EXPECT_TRUE(leaves(plan_of({}, request), "late_samples", &proof));
+  EXPECT_EQ(proof, ProofClass::certified);
+  EXPECT_TRUE(leaves(plan_of({}, request), "empty_space", &proof));
+  EXPECT_EQ(proof, ProofClass::statistical) << "the grid's densities are estimates";
+  EXPECT_FALSE(plan_of({}, request).late_samples);
+  EXPECT_TRUE(plan_of({}, request, {"late_samples"}).late_samples);
+  request.empty_space = EmptySpace::threshold;
+  EXPECT_TRUE(leaves(plan_of({}, request), "empty_space", &proof));
+  EXPECT_EQ(proof, ProofClass::statistical);
+  request.empty_space = EmptySpace::sampled;
+  request.early_stop = 0;
+  EXPECT_FALSE(leaves(plan_of({}, request), "empty_space"));
+  EXPECT_FALSE(leaves(plan_of({}, request), "late_samples"));
+
+  Registry registry = make_registry();
+  EXPECT_GT(open_text(hash_config(), registry).pipeline->options().rules.early_stop, 0);
+  EXPECT_EQ(open_text(hash_config(), registry, {"late_samples"}).pipeline->options().rules.early_stop, 0);
+}
+
+TEST(LeaveOut, KeepTakesWhatIsNeededAnywayAndRefusesSettings) {
+  BuildRequest request;
+  request.training_depth_px = 10;
+  EXPECT_EQ(plan_of({}, request, {"training_depth"}).kept, std::vector<std::string>{"training_depth"});
+  request.training_depth_px = 0;  // the labels need it: one list of names fits several scenes
+  EXPECT_TRUE(plan_of({}, request, {"training_depth"}).kept.empty());
+  try {
+    plan_of({}, request, {"mixed_precision"});
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::usage);
+    EXPECT_NE(std::string(error.what()).find("runtime.precision: bf16"), std::string::npos) << error.what();
+  }
+}
+
+TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
+  Registry registry = make_registry();
+  const auto open_for_training = [&](const std::vector<std::string>& keep) {
+    Diagnostics diagnostics;
+    SessionOptions options;
+    options.keep = keep;
+    options.depth = DepthKept::test;
+    return open_session(read_run_config(parse_config_text(hash_config(), "test.yaml"), registry, diagnostics), registry,
+                        options, diagnostics);
+  };
+  const Session out = open_for_training({}), kept = open_for_training({"training_depth"});
+  ASSERT_TRUE(left_out(out, "training_depth"));
+  EXPECT_FALSE(left_out(kept, "training_depth"));
+  const int frame = out.scene.frames_of(Split::train).front();
+  EXPECT_TRUE(out.scene.frames[static_cast<std::size_t>(frame)].depth_m.empty());
+  EXPECT_FALSE(kept.scene.frames[static_cast<std::size_t>(frame)].depth_m.empty());
+  EXPECT_GT(kept.memory_facts.frames, out.memory_facts.frames);
+}
+
+// What is kept belongs to the run: it is in run.yaml, and whoever opens the run builds the same network.
+TEST(LeaveOut, ARunIsOpenedWithWhatItKept) {
+  Registry registry = make_registry();
+  const TempDir dir;
+  std::string yaml = hash_config("report: {eval_every_s: 0, strips: 0}\n");
+  yaml.replace(yaml.find("{type: analytic_room}"), 21,
+               "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
+  yaml.replace(yaml.find("steps: 200"), 10, "steps: 4");
+  Diagnostics diagnostics;
+  TrainRequest request;
+  request.out_dir = dir / "run";
+  request.keep = {"absent_classes", "late_samples"};
+  run_training(read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics), registry, request, {});
+  const OpenedRun opened = open_run(request.out_dir, {}, registry, diagnostics);
+  EXPECT_EQ(opened.step, 4);
+  EXPECT_EQ(opened.session.plan.kept, (std::vector<std::string>{"absent_classes", "late_samples"}));
+
+  request.resume = true;
+  request.keep = {};
+  RunConfig again = load_run_config(RunFolder::read(request.out_dir).config_path(), {"train.steps=6"}, registry);
+  EXPECT_EQ(run_training(std::move(again), registry, request, {}).step, 6);
+
+  // Its own list: a rule and evidence a row, and a measured saving or none, never an empty text.
+  const std::string text = read_text_file(RunFolder::read(request.out_dir).left_out_path());
+  EXPECT_EQ(text.find("\"saving_measured\": \"\""), std::string::npos);
+  bool undistortion = false;
+  for (const LeftOutRow& row : parse_left_out(text, "left_out.json")) {
+    EXPECT_NE(row.rule, row.component);
+    if (row.component == "undistortion") {
+      undistortion = true;
+      EXPECT_EQ(row.saving_measured, shipped_saving("undistortion"));
+    }
+    EXPECT_NE(row.component, "absent_classes");
+  }
+  EXPECT_TRUE(undistortion);
+}
+
+TEST(LeaveOut, KeepRefusesAnUnknownName) {
+  Registry registry = make_registry();
+  try {
+    open_text(hash_config(), registry, {"undistorsion"});
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::usage);
+    EXPECT_NE(std::string(error.what()).find("did you mean 'undistortion'?"), std::string::npos) << error.what();
+  }
+}
+
+}  // namespace
+}  // namespace semfield

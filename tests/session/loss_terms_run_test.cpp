@@ -1,0 +1,219 @@
+// Terms of the list `losses` in a run: read from the configuration, held against the scene, trained with.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/parallel.h"
+#include "eval/evaluator.h"
+#include "run/train_run.h"
+#include "session/trainer.h"
+#include "settings/loss_config.h"
+#include "testkit/analytic_scene.h"
+#include "tests/session/oracle.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+
+const char* const kEveryTerm =
+    "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
+    "0.1, distance_m: 0.8}]\n";
+
+std::string errors_of(const std::string& losses) {
+  Registry registry = make_registry();
+  Diagnostics diagnostics;
+  read_run_config(parse_config_text(hash_config(losses), "room.yaml"), registry, diagnostics);
+  std::string text;
+  for (const Diagnostic& finding : diagnostics.all()) text += finding.text() + "\n";
+  return text;
+}
+
+void expect_says(const std::string& text, const std::vector<std::string>& parts) {
+  for (const std::string& part : parts)
+    EXPECT_NE(text.find(part), std::string::npos) << "missing: " << part << "\nin:\n" << text;
+}
+
+TEST(LossConfig, MistakesAreNamedWithPlaceAndRemedy) {
+  expect_says(errors_of("losses: [{type: distorsion}]\n"),
+              {"room.yaml:", "losses.0: no type 'distorsion'; known: depth, distortion, near_density",
+               "did you mean 'distortion'?"});
+  expect_says(errors_of("losses: [{type: depth, weight: -1}]\n"),
+              {"room.yaml:", "losses.0.weight: expected number in [0, 1000000], got -1"});
+  expect_says(errors_of("losses: [{type: depth, from_step: 2000}]\n"),
+              {"losses.0.from_step: expected number in [0, 1], got 2000"});
+  expect_says(errors_of("losses: [{type: depth, wieght: 1}]\n"), {"unknown key 'wieght'", "did you mean 'weight'?"});
+  expect_says(errors_of("losses: [{weight: 1}]\n"), {"losses.0: expected a map with 'type', one of depth, distortion"});
+  expect_says(errors_of("losses: {type: depth}\n"), {"losses: expected a list of terms", "write losses: [{type:"});
+  const std::string twice = errors_of("losses:\n  - {type: depth}\n  - {type: distortion}\n  - {type: depth}\n");
+  expect_says(twice, {"losses.2: the term 'depth' stands at room.yaml:", "already", "keep one of them"});
+}
+
+TEST(LossConfig, StandsInTheResolvedFormAndOnlyThere) {
+  Registry registry = make_registry();
+  Diagnostics diagnostics;
+  const RunConfig with = read_run_config(parse_config_text(hash_config(kEveryTerm), "a.yaml"), registry, diagnostics);
+  const RunConfig without = read_run_config(parse_config_text(hash_config(), "a.yaml"), registry, diagnostics);
+  const std::string text = write_config(resolved_config(with));
+  expect_says(text, {"losses:", "type: distortion", "space: linear", "from_step: 0.0", "distance_m: 0.8"});
+  EXPECT_EQ(resolved_config(without).find("losses"), nullptr) << "old runs keep their identity";
+  const RunConfig again = read_run_config(parse_config_text(text, "run.yaml"), registry, diagnostics);
+  EXPECT_FALSE(diagnostics.has_errors());
+  EXPECT_EQ(write_config(resolved_config(again)), text);
+}
+
+TEST(LossConfig, DepthIsRefusedWhereNoTrainingFrameHasIt) {
+  std::string yaml = hash_config("losses:\n  - {type: depth}\n");
+  const std::string scene = "{type: analytic_room";
+  yaml.replace(yaml.find(scene), scene.size(), scene + ", with_depth: false");
+  Registry registry = make_registry();
+  try {
+    open_text(yaml, registry);
+    FAIL() << "a depth loss without depth was accepted";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::data);
+    expect_says(error.what(), {"the term 'depth' needs depth images of training frames, and none of the 9 training "
+                               "frames has one",
+                               "take {type: depth} out of the list `losses`"});
+  }
+}
+
+TEST(LossConfig, LeaveOutSaysOfEachTermWhyItIsNotThere) {
+  Registry registry = make_registry();
+  const auto rows = [&](const std::string& losses) {
+    std::vector<std::string> found;
+    for (const LeftOut& row : open_text(hash_config(losses), registry).plan.left_out) {
+      if (row.component.starts_with("loss_")) found.push_back(row.component + ": " + row.evidence);
+      if (row.component == kTrainingDepth) found.push_back(row.component);
+    }
+    return found;
+  };
+  EXPECT_EQ(rows(""), (std::vector<std::string>{kTrainingDepth, "loss_depth: `losses` names no term of type depth",
+                                                "loss_distortion: `losses` names no term of type distortion",
+                                                "loss_near_density: `losses` names no term of type near_density"}));
+  EXPECT_EQ(rows(kEveryTerm), std::vector<std::string>());
+}
+
+TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {
+  Registry registry = make_registry();
+  const Session session = open_text(hash_config(kEveryTerm), registry);
+  BatchBuffers batch;
+  session.make_ray_source()->fill(5, batch);
+  ASSERT_EQ(batch.depth.size(), batch.label.size());
+  double largest_angle = 0;
+  for (std::size_t r = 0; r < batch.depth.size(); ++r) {
+    const double* o = &batch.origin[3 * r];
+    const double* d = &batch.direction[3 * r];
+    const auto hit = testkit::intersect_analytic_room({o[0], o[1], o[2]}, {d[0], d[1], d[2]});
+    if (batch.depth[r] == 0) {  // the surface lies at the end of the ray, where the bounds cut it off
+      EXPECT_NEAR(hit.t_m, batch.near_far[2 * r + 1], 0.02);
+      continue;
+    }
+    EXPECT_NEAR(batch.depth[r], hit.t_m, 2e-3) << "ray " << r;
+    largest_angle = std::max(largest_angle, std::abs(d[2]));
+  }
+  EXPECT_GT(largest_angle, 0.2) << "rays far from the axis tell z-depth from distance";
+  const Session plain = open_text(hash_config(), registry);
+  plain.make_ray_source()->fill(5, batch);
+  EXPECT_TRUE(batch.depth.empty()) << "no term asks for it";
+  EXPECT_TRUE(batch.view(true).depth.empty());
+}
+
+TEST(RaySourceDepth, RaysThatAreThereForTheirLabelsTellNone) {
+  Registry registry = make_registry();
+  std::string yaml = hash_config(kEveryTerm);
+  yaml.replace(yaml.find("train: {"), 8,
+               "train: {ray_source: label_balanced, labelled_share: 0.5, label_rays_teach_color: false, ");
+  const Session session = open_text(yaml, registry);
+  BatchBuffers batch;
+  session.make_ray_source()->fill(5, batch);
+  const auto tile = static_cast<std::size_t>(session.pipeline->tile_rays());
+  for (std::size_t r = 0; r < tile / 2; ++r) EXPECT_EQ(batch.depth[r], 0) << r;
+  EXPECT_TRUE(std::any_of(batch.depth.begin(), batch.depth.end(), [](float t) { return t > 0; }));
+}
+
+TEST(PipelineGradient, WithEveryTermOfTheLoss) {
+  expect_finite_differences(
+      std::string("scene: {type: analytic_room}\nsemantics: {hidden_width: 8, weight: 0.5}\nrendering: "
+                  "{density_activation: softplus}\npasses:\n  - sampler: {type: stratified, samples: 12}\n"
+                  "    position: {type: frequency, frequencies: 3}\n    direction: {type: spherical_harmonics, degree: "
+                  "2}\n    field: {type: nerf_mlp, depth: 3, width: 12, skip_at: 1, view_width: 8}\ntrain: {rays: "
+                  "24}\n") +
+          kEveryTerm,
+      2e-4);
+}
+
+TEST(Parity, LanesAndTilesOnlyChangeTheOrderOfSumsWithTermsToo) {
+  expect_same_gradients(two_pass_config(std::string("runtime: {lanes: 1, tile_rays: 64}\n") + kEveryTerm),
+                        two_pass_config(std::string("runtime: {lanes: 3, tile_rays: 4}\n") + kEveryTerm));
+}
+
+std::uint32_t trained_bits(const std::string& yaml, int threads, std::int64_t steps) {
+  Registry registry = make_registry();
+  Session s = open_text(yaml, registry);
+  set_thread_count(threads);
+  const auto rays = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+  while (trainer.step() < steps) trainer.advance();
+  set_thread_count(0);
+  return fingerprint(s.pipeline->store());
+}
+
+TEST(Determinism, RunsWithTermsAreTheSameForAnyThreadCount) {
+  const std::uint32_t one = trained_bits(hash_config(kEveryTerm), 1, 60);
+  EXPECT_EQ(one, trained_bits(hash_config(kEveryTerm), 2, 60));
+  EXPECT_EQ(one, trained_bits(hash_config(kEveryTerm), 4, 60));
+  EXPECT_NE(one, trained_bits(hash_config(), 1, 60));
+}
+
+TEST(LossTerms, OneThatHasNotBegunChangesNoBit) {
+  const std::string late = "losses: [{type: distortion, from_step: 0.5}]\n";  // of 3000 steps or more
+  EXPECT_EQ(trained_bits(hash_config(late), 2, 20), trained_bits(hash_config(), 2, 20));
+}
+
+double abs_rel(const std::string& losses) {
+  Registry registry = make_registry();
+  Session s = open_text(hash_config(losses), registry);
+  const auto rays = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+  while (trainer.step() < 200) trainer.advance();
+  return evaluate(*s.pipeline, s.eval_job(s.scene.frames_of(Split::test)), s.limits, s.plan.class_of_logit)
+      .depth.abs_rel()
+      .value_or(1);
+}
+
+TEST(LossTerms, DepthImagesMakeDepthBetter) {
+  const double without = abs_rel(""), with = abs_rel("losses: [{type: depth, weight: 0.1}]\n");
+  EXPECT_LT(with, 0.7 * without) << "without " << without;
+  EXPECT_LT(abs_rel("losses: [{type: depth, kind: line_of_sight, weight: 0.02}]\n"), 0.9 * without);
+}
+
+TEST(LossTerms, MetricsNameEachAndSayNothingBeforeItBegins) {
+  const TempDir dir;
+  Registry registry = make_registry();
+  Diagnostics diagnostics;
+  const std::string yaml = hash_config(
+      "losses: [{type: depth}, {type: distortion, from_step: 0.5}]\nreport: "
+      "{log_every_steps: 10, eval_every_s: 0}\n");
+  RunConfig config = read_run_config(parse_config_text(yaml, "a.yaml"), registry, diagnostics);
+  ASSERT_FALSE(diagnostics.has_errors()) << diagnostics.all().front().text();
+  config.train.steps = 40;
+  TrainRequest request;
+  request.out_dir = dir / "run";
+  run_training(std::move(config), registry, request, {});
+  int rows = 0;
+  for (const MetricsRow& row : read_metrics(dir / "run/metrics.jsonl")) {
+    if (row.kind != "train") continue;
+    ++rows;
+    EXPECT_GT(row.get("loss_depth").value_or(0), 0) << row.step;
+    EXPECT_EQ(row.get("loss_distortion").has_value(), row.step > 20) << row.step;
+    const double sum = *row.get("loss_color") + 0.002 * row.get("loss_semantic").value_or(0) +
+                       0.1 * *row.get("loss_depth") + 0.002 * row.get("loss_distortion").value_or(0);
+    EXPECT_NEAR(*row.get("loss"), sum, 1e-6 * sum) << row.step;
+  }
+  EXPECT_EQ(rows, 4);
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,114 @@
+// The exact savings change no function and no gradient; the whole pipeline's gradient agrees with finite differences.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "tests/session/oracle.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+
+// Rows of one are hard labels; spread over classes, the loss is the cross-entropy with that spread.
+TEST(Parity, SoftRowsOfOneTrainAsHardLabels) {
+  Registry registry = make_registry();
+  Oracle hard(two_pass_config(), registry), soft(two_pass_config(), registry);
+  const std::int32_t logits = static_cast<std::int32_t>(soft.session.plan.class_of_logit.size());
+  BatchBuffers& batch = soft.batch;
+  batch.soft_classes = logits;
+  batch.soft.assign(batch.label.size() * static_cast<std::size_t>(logits), 0.0F);
+  for (std::size_t r = 0; r < batch.label.size(); ++r) {
+    if (batch.label[r] != kVoid)
+      batch.soft[r * static_cast<std::size_t>(logits) + static_cast<std::size_t>(batch.label[r])] = 1;
+  }
+  const StepLosses a = hard.gradients(), b = soft.gradients();
+  EXPECT_EQ(a.labelled, b.labelled);
+  EXPECT_GT(a.labelled, 0);
+  EXPECT_NEAR(a.semantic, b.semantic, 1e-12);
+  for (const Tensor<double>& t : hard.pipeline->store().all()) {
+    const Tensor<double>* other = soft.pipeline->store().find(t.name);
+    for (std::int64_t i = 0; i < t.size() && t.learned(); ++i)
+      ASSERT_NEAR(t.grad.data()[i], other->grad.data()[i], 1e-12) << t.name;
+  }
+  // Half of each label moved to another class: another loss, another gradient.
+  for (std::size_t r = 0; r < batch.label.size(); ++r) {
+    if (batch.label[r] == kVoid) continue;
+    float* row = &batch.soft[r * static_cast<std::size_t>(logits)];
+    row[batch.label[r]] = 0.5F;
+    row[(batch.label[r] + 1) % logits] = 0.5F;
+  }
+  const StepLosses c = soft.gradients();
+  EXPECT_EQ(c.labelled, a.labelled);
+  EXPECT_NE(c.semantic, a.semantic);
+}
+
+void expect_unchanged_without(const std::string& switched_off) {
+  expect_same_gradients(two_pass_config(), two_pass_config("runtime: {" + switched_off + ": false}\n"));
+}
+
+TEST(Parity, LanesAndTilesOnlyChangeTheOrderOfSums) {
+  expect_same_gradients(two_pass_config("runtime: {lanes: 1, tile_rays: 64}\n"),
+                        two_pass_config("runtime: {lanes: 3, tile_rays: 4}\n"));
+  std::string hash = hash_config();
+  hash.replace(hash.find("{type: occupancy_grid, resolution: 32, warmup_steps: 32, max_samples: 96, keep_last: true}"),
+               90, "{type: stratified, samples: 24}");
+  expect_same_gradients(hash + "runtime: {lanes: 1, tile_rays: 192}\n", hash + "runtime: {lanes: 5, tile_rays: 8}\n");
+}
+
+TEST(Parity, DeferredClassLayer) { expect_unchanged_without("deferred_class_layer"); }
+TEST(Parity, FoldedFeatureLayer) { expect_unchanged_without("fold_feature_layer"); }
+TEST(Parity, DirectionOncePerRay) { expect_unchanged_without("direction_once_per_ray"); }
+
+TEST(PipelineGradient, OnePassWithSemantics) {
+  // One pass: the sample positions do not depend on the parameters, so the loss is the derivative's own function.
+  expect_finite_differences(
+      "scene: {type: analytic_room}\nsemantics: {hidden_width: 8, weight: 0.5}\nrendering: {density_activation: "
+      "softplus}\n"
+      "passes:\n  - sampler: {type: stratified, samples: 12}\n    position: {type: frequency, frequencies: 3}\n"
+      "    direction: {type: spherical_harmonics, degree: 2}\n    field: {type: nerf_mlp, depth: 3, width: 12, "
+      "skip_at: 1, view_width: 8}\n"
+      "train: {rays: 24}\n",
+      2e-4);
+}
+
+TEST(PipelineGradient, HashGridAndTinyMlp) {
+  expect_finite_differences(
+      "scene: {type: analytic_room}\nsemantics: {hidden_width: 8, weight: 0.5}\nrendering: {density_activation: "
+      "softplus, far: background}\n"
+      "passes:\n  - sampler: {type: stratified, samples: 12}\n    position: {type: hash_grid, levels: 3, log2_entries: "
+      "8, finest_resolution: 32}\n"
+      "    direction: {type: spherical_harmonics, degree: 2}\n    field: {type: tiny_mlp, hidden_width: 8, "
+      "color_width: 8}\n"
+      "train: {rays: 24}\n",
+      2e-4);
+}
+
+TEST(Parity, StoppedSemanticGradientLeavesTheDensityLayerAlone) {
+  Registry registry = make_registry();
+  const std::string off =
+      "rendering: {density_activation: softplus}\npasses:\n  - sampler: {type: stratified, samples: 8}\n    position: "
+      "{type: frequency, frequencies: 3}\n"
+      "    direction: {type: frequency, frequencies: 2}\n    field: {type: nerf_mlp, depth: 2, width: 12, skip_at: 0, "
+      "view_width: 8}\n";
+  Oracle stopped(
+      "scene: {type: analytic_room}\ntrain: {rays: 32}\nsemantics: {weight: 5, stop_gradient_to_density: true}\n" + off,
+      registry);
+  Oracle none("scene: {type: analytic_room, with_labels: false}\ntrain: {rays: 32}\n" + off, registry);
+  Oracle flowing("scene: {type: analytic_room}\ntrain: {rays: 32}\nsemantics: {weight: 5}\n" + off, registry);
+  ASSERT_FALSE(none.pipeline->has_semantics());
+  stopped.gradients();
+  none.gradients();
+  flowing.gradients();
+  const auto density_gradient = [](Oracle& o) {
+    const Tensor<double>* t = o.pipeline->store().find("main/field/density/bias");
+    EXPECT_NE(t, nullptr);
+    return t == nullptr ? NAN : t->grad.data()[0];
+  };
+  EXPECT_EQ(density_gradient(stopped), density_gradient(none));
+  EXPECT_NE(density_gradient(flowing), density_gradient(none));
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,90 @@
+// Reading a run's configuration: every error at once, and the resolved form repeats it.
+#include "settings/run_config.h"
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include "config/explain.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+
+std::string errors_of(const std::string& yaml) {
+  Registry registry = make_registry();
+  Diagnostics diagnostics;
+  read_run_config(parse_config_text(yaml, "room.yaml"), registry, diagnostics);
+  std::string text;
+  for (const Diagnostic& finding : diagnostics.all()) text += finding.text() + "\n";
+  return text;
+}
+
+TEST(RunConfig, CollectsEveryErrorWithItsPlace) {
+  const std::string text = errors_of(
+      "scene: {type: analytic_room, framez: 3}\n"
+      "sematics: {weight: 1}\n"
+      "passes:\n"
+      "  - sampler: {type: stratified, samples: many}\n"
+      "    position: {type: hashgrid}\n"
+      "    fild: {type: tiny_mlp}\n"
+      "train: {rays: 0}\n");
+  for (const char* part :
+       {"room.yaml:1:", "unknown key 'framez'; did you mean 'frames'?",
+        "unknown section 'sematics'; did you mean 'semantics'?", "passes.0.sampler.samples: expected int, got 'many'",
+        "no encoder named 'hashgrid'", "did you mean 'hash_grid'?", "unknown key 'fild'; did you mean 'field'?",
+        "key 'field' is missing", "train.rays: expected int in [1, 1048576], got 0"}) {
+    EXPECT_NE(text.find(part), std::string::npos) << "missing: " << part << "\nin:\n" << text;
+  }
+}
+
+TEST(RunConfig, ResolvedFormReadsBackTheSame) {
+  for (const std::string& yaml : {hash_config(), two_pass_config()}) {
+    Registry registry = make_registry();
+    Diagnostics diagnostics;
+    const RunConfig first = read_run_config(parse_config_text(yaml, "/tmp/a.yaml"), registry, diagnostics);
+    const ConfigNode resolved = resolved_config(first);
+    const RunConfig second =
+        read_run_config(parse_config_text(write_config(resolved), "/elsewhere/run.yaml"), registry, diagnostics);
+    EXPECT_FALSE(diagnostics.has_errors()) << diagnostics.all().front().text();
+    EXPECT_EQ(diff_config(resolved, resolved_config(second)), "");
+    EXPECT_EQ(second.base_dir, first.base_dir);
+  }
+}
+
+TEST(RunConfig, WhatIsChosenFromTheSceneStandsInTheResolvedForm) {
+  std::string yaml = hash_config();
+  const std::string written = "log2_entries: 11, finest_resolution: 64";
+  ASSERT_NE(yaml.find(written), std::string::npos);
+  yaml.replace(yaml.find(written), written.size(), "log2_entries: 0, finest_resolution: 0");
+  Registry registry = make_registry();
+  const Session first = open_text(yaml, registry);
+  ASSERT_EQ(first.chosen.size(), 2u);
+  EXPECT_EQ(first.chosen[0].rfind("passes.main.position: finest_resolution ", 0), 0u) << first.chosen[0];
+  EXPECT_EQ(first.chosen[1].rfind("passes.main.position: log2_entries ", 0), 0u) << first.chosen[1];
+  EXPECT_NE(describe_session(first).find("chosen    " + first.chosen[0]), std::string::npos);
+  const std::string resolved = write_config(resolved_config(first.config));
+  EXPECT_EQ(resolved.find("finest_resolution: 0"), std::string::npos) << resolved;
+  const Session second = open_text(resolved, registry);
+  EXPECT_TRUE(second.chosen.empty());
+  EXPECT_EQ(fingerprint(first.pipeline->store()), fingerprint(second.pipeline->store()));
+}
+
+TEST(RunConfig, EveryShippedConfigReadsWithoutError) {
+  int read = 0;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(SEMFIELD_SOURCE_DIR "/configs")) {
+    const std::string path = entry.path().string();
+    if (entry.path().extension() != ".yaml" || path.find("/parts/") != std::string::npos ||
+        path.find("/experiments/") != std::string::npos || path.find(".classes.") != std::string::npos)
+      continue;  // sweep files are read by the tests of sweeps
+    Registry registry = make_registry();
+    EXPECT_NO_THROW(load_run_config(path, {}, registry)) << path;
+    ++read;
+  }
+  EXPECT_GT(read, 0);
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,222 @@
+// A network of its own for semantics: gradients, what it leaves alone, what leaving samples out may change, its
+// settings.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "core/error.h"
+#include "core/parallel.h"
+#include "session/trainer.h"
+#include "tests/session/oracle.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+
+// `branch` is the body of the pass's section `semantic`, "" for none.
+std::string config_of(const std::string& branch, const std::string& more = "") {
+  return "scene: {type: analytic_room}\n"
+         "semantics: {hidden_width: 8, weight: 0.5}\n"
+         "rendering: {density_activation: softplus, far: background}\n"
+         "passes:\n"
+         "  - sampler: {type: stratified, samples: 12}\n"
+         "    position: {type: hash_grid, levels: 3, log2_entries: 8, finest_resolution: 32}\n"
+         "    direction: {type: spherical_harmonics, degree: 2}\n"
+         "    field: {type: tiny_mlp, hidden_width: 8, color_width: 8}\n" +
+         (branch.empty() ? "" : "    semantic: {" + branch + "}\n") + "train: {rays: 24}\n" + more;
+}
+const std::string kPlugins =
+    "position: {type: frequency, frequencies: 3}, field: {type: tiny_mlp, hidden_width: 12, hidden_layers: 2}";
+
+// Of the tensors of branch and head: weights are constants to them, and so is which samples are left out.
+TEST(SemanticBranch, GradientsAreThoseOfFiniteDifferences) {
+  for (const char* more : {"", ", reads_feature: false", ", dropout: 0.3", ", least_weight: 0.02"}) {
+    SCOPED_TRACE(more);
+    expect_finite_differences(config_of(kPlugins + more), 2e-4, true, 8 * 3);  // two layers of branch and of head
+  }
+}
+
+TEST(SemanticBranch, TilesLanesAndTheDeferredClassLayerChangeNoGradient) {
+  for (const char* more : {"", ", dropout: 0.25", ", least_weight: 0.05"}) {
+    expect_same_gradients(config_of(kPlugins + more, "runtime: {lanes: 1, tile_rays: 24}\n"),
+                          config_of(kPlugins + more, "runtime: {lanes: 3, tile_rays: 4}\n"));
+    expect_same_gradients(config_of(kPlugins + more),
+                          config_of(kPlugins + more, "runtime: {deferred_class_layer: false}\n"));
+  }
+}
+
+// Colour and geometry learn as they do in a scene without labels, to the last bit.
+TEST(SemanticBranch, LabelsDoNotShapeTheField) {
+  Registry registry = make_registry();
+  Oracle labelled(config_of(kPlugins), registry);
+  std::string none = config_of(kPlugins);
+  none.replace(none.find("{type: analytic_room}"), 21, "{type: analytic_room, with_labels: false}");
+  Oracle unlabelled(none, registry);
+  ASSERT_FALSE(unlabelled.pipeline->has_semantics());
+  EXPECT_GT(labelled.gradients().semantic, 0);
+  unlabelled.gradients();
+  int compared = 0;
+  for (const Tensor<double>& t : unlabelled.pipeline->store().all()) {
+    if (!t.learned()) continue;
+    const Tensor<double>* other = labelled.pipeline->store().find(t.name);
+    ASSERT_NE(other, nullptr) << t.name;
+    for (std::int64_t i = 0; i < t.size(); ++i)
+      ASSERT_EQ(t.grad.data()[i], other->grad.data()[i]) << t.name << " " << i;
+    ++compared;
+  }
+  EXPECT_GT(compared, 5);
+}
+
+// |change of a logit| <= sum of the weights left out times the largest logit of a sample.
+TEST(SemanticBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
+  Registry registry = make_registry();
+  const std::string off = "runtime: {deferred_class_layer: false, tile_rays: 24, lanes: 1}\n";
+  Oracle all(config_of(kPlugins + ", least_weight: 0", off), registry);
+  const auto trace_of = [](Oracle& o, Workspace& arena) {
+    StepContext ctx;
+    ctx.workspace = &arena;
+    const RayBatch batch = o.batch.view(true);
+    return o.pipeline->passes()[0].forward(ctx, 0, {batch.origin, batch.direction, batch.near_far}, nullptr, 0,
+                                           batch.origin.rows);
+  };
+  Workspace arena_all;
+  const PassTrace<double> a = trace_of(all, arena_all);
+  std::vector<double> weights(a.weight.data, a.weight.data + a.samples.count);
+  std::sort(weights.begin(), weights.end());
+  std::int64_t before = 0;
+  for (const std::size_t part : {8, 4, 2}) {
+    const double least = weights[weights.size() / part];
+    ASSERT_LT(least, 0.1);
+    Oracle some(config_of(kPlugins + ", least_weight: " + std::to_string(least), off), registry);
+    Workspace arena_some;
+    const PassTrace<double> b = trace_of(some, arena_some);
+    double largest = 0;
+    for (std::int64_t k = 0; k < a.sample_logits.rows; ++k) {
+      for (std::int32_t c = 0; c < a.sample_logits.cols; ++c)
+        largest = std::max(largest, std::abs(a.sample_logits(k, c)));
+    }
+    double moved = 0;
+    for (std::int64_t r = 0; r < a.logits.rows; ++r) {
+      const double left_out = a.branch.share(r, 0) - b.branch.share(r, 0);
+      EXPECT_GE(left_out, -1e-15);
+      for (std::int32_t c = 0; c < a.logits.cols; ++c) {
+        const double change = std::abs(a.logits(r, c) - b.logits(r, c));
+        EXPECT_LE(change, left_out * largest + 1e-12);
+        moved = std::max(moved, change);
+      }
+    }
+    EXPECT_GT(moved, 0);
+    const std::int64_t left = a.branch.samples.count - b.branch.samples.count;
+    EXPECT_GT(left, before) << "samples of weight below " << least;
+    before = left;
+    EXPECT_GT(b.branch.samples.count, 0);
+  }
+}
+
+// One step from the same values: its tensors move by the factor, and lose their share first; all others move alike.
+TEST(SemanticBranch, ItsRateAndDecayHoldForBranchAndHeadAlone) {
+  const auto stepped = [](const std::string& more, std::vector<float>& before, std::vector<float>& after,
+                          std::vector<bool>& semantic) {
+    Registry registry = make_registry();
+    Session s = open_text(config_of(kPlugins + more), registry);
+    const auto rays = s.make_ray_source();
+    Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+    const auto copy = [&](std::vector<float>& to) {
+      for (const Tensor<float>& t : s.pipeline->store().all()) {
+        if (t.spec.role == TensorRole::dense) to.insert(to.end(), t.value.data(), t.value.data() + t.size());
+      }
+    };
+    for (const Tensor<float>& t : s.pipeline->store().all()) {
+      if (t.spec.role == TensorRole::dense)
+        semantic.insert(semantic.end(), static_cast<std::size_t>(t.size()), s.pipeline->is_semantic(t));
+    }
+    copy(before);
+    trainer.advance();
+    copy(after);
+    return s.config.adam.learning_rate;
+  };
+  std::vector<float> start, plain, start_own, own;
+  std::vector<bool> semantic, same;
+  stepped("", start, plain, semantic);
+  const double rate = stepped(", learning_rate: 0.25, weight_decay: 8", start_own, own, same);
+  ASSERT_EQ(start, start_own);
+  int moved = 0;
+  for (std::size_t i = 0; i < start.size(); ++i) {
+    if (!semantic[i]) {
+      ASSERT_EQ(own[i], plain[i]) << i;
+      continue;
+    }
+    const double was = static_cast<double>(start[i]), step = static_cast<double>(plain[i]) - was;
+    ASSERT_NEAR(static_cast<double>(own[i]), was * (1 - rate * 0.25 * 8) + 0.25 * step, 1e-6) << i;
+    moved += std::abs(step) > 1e-5 ? 1 : 0;
+  }
+  EXPECT_GT(moved, 100);
+}
+
+TEST(SemanticBranch, RunsHaveTheSameBitsForAnyThreadsAndLearn) {
+  const std::string yaml =
+      hash_config().insert(hash_config().find("train: "), "    semantic: {" + kPlugins +
+                                                              ", dropout: 0.1, "
+                                                              "weight_decay: 0.01, learning_rate: 0.2}\n");
+  const auto train = [&](int threads) {
+    Registry registry = make_registry();
+    Session s = open_text(yaml, registry);
+    set_thread_count(threads);
+    const auto rays = s.make_ray_source();
+    Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+    StepLosses last;
+    const double first = trainer.advance().semantic;
+    while (trainer.step() < 80) last = trainer.advance();
+    set_thread_count(0);
+    EXPECT_LT(last.semantic, 0.7 * first);
+    return fingerprint(s.pipeline->store());
+  };
+  EXPECT_EQ(train(1), train(3));
+}
+
+// What is wrong in the section is said with the key that is wrong.
+TEST(SemanticBranch, WrongSettingsAreNamed) {
+  const auto refusal = [](const std::string& branch) {
+    Registry registry = make_registry();
+    try {
+      open_text(config_of(branch), registry);
+    } catch (const Error& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  EXPECT_NE(refusal("field: {type: tiny_mlp}").find("passes.0.semantic: key 'position' is missing"), std::string::npos);
+  EXPECT_NE(refusal("position: {type: frequency}").find("passes.0.semantic: key 'field' is missing"),
+            std::string::npos);
+  EXPECT_NE(refusal(kPlugins + ", least_wieght: 0.1").find("least_weight"), std::string::npos);
+  EXPECT_NE(refusal(kPlugins + ", dropout: 1").find("dropout"), std::string::npos);
+  EXPECT_NE(refusal("position: {type: hash_grid}, field: {type: tiny_mlp}").find("learned tensors"), std::string::npos);
+  EXPECT_NE(refusal("position: {type: spherical_harmonics}, field: {type: tiny_mlp}").find("semantic.position"),
+            std::string::npos);
+  EXPECT_EQ(refusal(kPlugins), "");
+}
+
+// run.yaml says what was trained.
+TEST(SemanticBranch, TheResolvedConfigurationHoldsIt) {
+  Registry registry = make_registry();
+  const Session s = open_text(config_of(kPlugins + ", learning_rate: 0.3, weight_decay: 0.02, dropout: 0.1"), registry);
+  Diagnostics diagnostics;
+  const RunConfig again = read_run_config(resolved_config(s.config), registry, diagnostics);
+  EXPECT_EQ(diagnostics.error_count(), 0);
+  const SemanticBranchConfig* const branch = again.passes[0].branch();
+  ASSERT_NE(branch, nullptr);
+  EXPECT_EQ(branch->rules.learning_rate, 0.3);
+  EXPECT_EQ(branch->rules.weight_decay, 0.02);
+  EXPECT_EQ(branch->rules.dropout, 0.1);
+  EXPECT_EQ(branch->rules.least_weight, 1e-3);
+  for (const Tensor<float>& t : s.pipeline->store().all()) {
+    EXPECT_EQ(t.rule.rate, s.pipeline->is_semantic(t) ? 0.3 : 1) << t.name;
+    EXPECT_EQ(t.name.find("semantic/field/color"), std::string::npos) << "a branch has no colour: " << t.name;
+  }
+}
+
+}  // namespace
+}  // namespace semfield

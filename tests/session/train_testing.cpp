@@ -1,0 +1,165 @@
+#include "tests/session/train_testing.h"
+
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <filesystem>
+
+#include "core/checksum.h"
+#include "core/files.h"
+#include "plugin/linked_plugins.h"
+#include "run/checkpoint_store.h"
+#include "scene/packed_scene.h"
+#include "testkit/analytic_scene.h"
+
+namespace semfield {
+
+struct AnalyticRoomParams {
+  int frames = 12;
+  int width_px = 48;
+  int height_px = 36;
+  bool with_labels = true;
+  bool with_depth = true;
+  int absent_class = -1;  // of the table, but void in every frame
+};
+void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
+  SEMFIELD_PARAM(visit, p, frames, "frames", {1, 1000});
+  SEMFIELD_PARAM(visit, p, width_px, "width", {1, 1000});
+  SEMFIELD_PARAM(visit, p, height_px, "height", {1, 1000});
+  SEMFIELD_PARAM(visit, p, with_labels, "with labels");
+  SEMFIELD_PARAM(visit, p, with_depth, "with depth");
+  SEMFIELD_PARAM(visit, p, absent_class, "a class without pixels", {-1, 1000});
+}
+void validate(const AnalyticRoomParams&, Diagnostics&) {}
+
+class AnalyticRoom final : public Dataset {
+ public:
+  AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&)
+      : with_depth_(p.with_depth), absent_class_(p.absent_class) {
+    testkit::AnalyticSceneOptions options;
+    options.frames = p.frames;
+    options.width_px = p.width_px;
+    options.height_px = p.height_px;
+    options.with_depth = p.with_depth;
+    options.with_labels = p.with_labels;
+    inner_ = testkit::make_analytic_scene(options);
+  }
+  SceneInfo open(Diagnostics& diagnostics) override {
+    SceneInfo info = inner_->open(diagnostics);
+    if (!with_depth_) {  // as photographs: nothing tells the extent
+      info.bounds = Box();
+      info.near_hint_m = info.far_hint_m = 0;
+    }
+    return info;
+  }
+  void read(int frame, FrameBuffer& out) const override {
+    inner_->read(frame, out);
+    for (std::int16_t& label : out.label) {
+      if (label == absent_class_) label = kVoid;
+    }
+  }
+
+ private:
+  bool with_depth_;
+  int absent_class_;
+  std::unique_ptr<Dataset> inner_;
+};
+
+namespace testing_train {
+
+Registry make_registry() {
+  Registry registry;
+  register_linked_plugins(registry);
+  registry.add_dataset<AnalyticRoom, AnalyticRoomParams>("analytic_room", "a room of formulas");
+  return registry;
+}
+
+std::string hash_config(const std::string& more) {
+  return "scene: {type: analytic_room}\n"
+         "rendering: {density_activation: softplus, far: background}\n"
+         "semantics: {hidden_width: 32, weight: 0.002}\n"
+         "passes:\n"
+         "  - name: main\n"
+         "    sampler: {type: occupancy_grid, resolution: 32, warmup_steps: 32, max_samples: 96, keep_last: true}\n"
+         "    position: {type: hash_grid, levels: 6, log2_entries: 11, finest_resolution: 64}\n"
+         "    direction: {type: spherical_harmonics, degree: 2}\n"
+         "    field: {type: tiny_mlp, hidden_width: 32, color_width: 32}\n"
+         "train: {steps: 200, rays: 192, adam: {learning_rate: 0.02}}\n" +
+         more;
+}
+
+std::string two_pass_config(const std::string& more) {
+  return "scene: {type: analytic_room}\n"
+         "semantics: {hidden_width: 16, weight: 0.3}\n"
+         "passes:\n"
+         "  - name: coarse\n"
+         "    sampler: {type: stratified, samples: 8}\n"
+         "    position: {type: frequency, frequencies: 3}\n"
+         "    direction: {type: frequency, frequencies: 2}\n"
+         "    field: {type: nerf_mlp, depth: 4, width: 24, skip_at: 2, view_width: 12}\n"
+         "  - name: fine\n"
+         "    sampler: {type: importance, samples: 8}\n"
+         "    position: {type: frequency, frequencies: 3}\n"
+         "    direction: {type: frequency, frequencies: 2}\n"
+         "    field: {type: nerf_mlp, depth: 4, width: 24, skip_at: 2, view_width: 12}\n"
+         "train: {steps: 50, rays: 64}\n" +
+         more;
+}
+
+Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep) {
+  Diagnostics diagnostics;
+  RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "");
+  SessionOptions options;
+  options.keep = keep;
+  return open_session(std::move(config), registry, options, diagnostics);
+}
+
+std::uint32_t fingerprint(const ParamStore<float>& store) {
+  std::uint32_t crc = 0;
+  for (const Tensor<float>& t : store.all()) {
+    crc = crc32c(std::as_bytes(std::span(t.name)), crc);
+    for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2}) {
+      if (buffer->size() > 0) crc = crc32c(std::as_bytes(std::span(buffer->data(), buffer->size())), crc);
+    }
+  }
+  return crc;
+}
+
+std::string write_packed_config(const TempDir& dir, int steps, double checkpoint_every_s) {
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
+  Diagnostics diagnostics;
+  const SceneInfo info = scene->open(diagnostics);
+  write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
+  std::string yaml = hash_config("report: {eval_every_s: 0, strips: 0, log_every_steps: 5, checkpoint_every_s: " +
+                                 std::to_string(checkpoint_every_s) + "}\n");
+  yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: packed, file: room.sfpack}");
+  yaml.replace(yaml.find("steps: 200"), 10, "steps: " + std::to_string(steps));
+  write_file_atomic(dir / "config.yaml", yaml);
+  return dir / "config.yaml";
+}
+
+std::uint32_t checkpoint_fingerprint(const std::string& run_dir, std::int64_t expected_step) {
+  Diagnostics diagnostics;
+  const CheckpointStore store = CheckpointStore::read(run_dir + "/checkpoints");
+  auto found = store.find_latest(diagnostics);
+  EXPECT_TRUE(found.has_value());
+  EXPECT_TRUE(diagnostics.all().empty()) << diagnostics.all().front().text();
+  if (!found) return 0;
+  EXPECT_EQ(found->step, expected_step);
+  std::uint32_t crc = 0;
+  for (const TensorRef& t : found->file.tensors()) crc = crc32c(t.bytes, crc32c(std::as_bytes(std::span(t.name)), crc));
+  return crc;
+}
+
+TempDir::TempDir() {
+  std::string pattern = (std::filesystem::temp_directory_path() / "semfield_test_XXXXXX").string();
+  path_ = mkdtemp(pattern.data());
+}
+TempDir::~TempDir() {
+  std::error_code ignored;
+  std::filesystem::remove_all(path_, ignored);
+}
+
+}  // namespace testing_train
+}  // namespace semfield

@@ -1,0 +1,48 @@
+// Shared by the tests of training: the linked plugins plus the analytic room as a dataset, and small configurations.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "plugin/registry.h"
+#include "session/session.h"
+
+namespace semfield::testing_train {
+
+/// Linked plugins and the dataset 'analytic_room'.
+Registry make_registry();
+
+/// Hash grid behind an occupancy grid on the analytic room; `more` is YAML appended at the top level.
+std::string hash_config(const std::string& more = "");
+/// Two passes of the paper's shape (frequency, nerf_mlp, importance), narrow.
+std::string two_pass_config(const std::string& more = "");
+
+/// Reads and opens; fails the test through exceptions.
+Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep = {});
+
+/// CRC-32C over every tensor's values and moments, by name.
+std::uint32_t fingerprint(const ParamStore<float>& store);
+
+class TempDir;
+/// Packs the analytic room into `dir` and writes config.yaml, which trains on it with `hash_config` and saves so often.
+/// Returns its path.
+std::string write_packed_config(const TempDir& dir, int steps, double checkpoint_every_s);
+
+/// CRC-32C over names and values of the newest checkpoint of a run; fails the test when that is not of
+/// `expected_step`, or when any newer one is damaged.
+std::uint32_t checkpoint_fingerprint(const std::string& run_dir, std::int64_t expected_step);
+
+/// A temporary folder, removed at the end.
+class TempDir {
+ public:
+  TempDir();
+  ~TempDir();
+  const std::string& path() const { return path_; }
+  std::string operator/(const std::string& name) const { return path_ + "/" + name; }
+
+ private:
+  std::string path_;
+};
+
+}  // namespace semfield::testing_train
