@@ -26,10 +26,10 @@ struct Poison {
 /// The poison that every wrapper of this process reads; set between steps.
 Poison& poison();
 
-/// Registry of tests/train whose encoders, fields and samplers are also there as "poisoned_NAME".
+/// Registry of tests/session whose encoders, fields and samplers are also there as "poisoned_NAME".
 Registry make_poisoned_registry();
 
-/// A configuration of tests/train with every plugin in its poisoned form.
+/// A configuration of tests/session with every plugin in its poisoned form.
 std::string poisoned(std::string yaml);
 
 /// A run that stands after `steps` clean steps.
