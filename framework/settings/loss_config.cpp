@@ -1,4 +1,4 @@
-#include "train/loss_config.h"
+#include "settings/loss_config.h"
 
 #include <fmt/format.h>
 
