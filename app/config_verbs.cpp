@@ -56,9 +56,12 @@ int run_config_schema(bool of_sweeps, AppContext& context) {
   for (const SectionDoc& section : describe_sections())
     sections.push_back({section.path + (section.or_list ? "[?]" : ""), section.sentence, section.params});
   const ParamDoc name{"name", "text", "", "", "name of the run and its default folder", {}};
-  const ParamDoc base{
-      "base_dir", "text", "", "", "folder where relative paths start that no file anchors; default: the working folder",
-      {}};
+  const ParamDoc base{"base_dir",
+                      "text",
+                      "",
+                      "",
+                      "folder at which relative paths start that come from no file; default: the working folder",
+                      {}};
   const ParamDoc plugins{
       "plugins",
       "list of text",
@@ -77,8 +80,8 @@ int run_config_schema(bool of_sweeps, AppContext& context) {
   for (const LossDoc& doc : describe_losses()) losses.push_back({doc.type, doc.sentence, doc.params});
   const std::vector<SchemaChoice> choices{
       {"losses[]", "terms of the loss beside colour and semantics; each type once", losses},
-      {"scene.labels.from", "label files that train instead of the dataset's own labels", readers},
-      {"scene.labels.degrade[]", "changes of the labels that train, in order", degradations},
+      {"scene.labels.from", "label files to train on instead of the dataset's own labels", readers},
+      {"scene.labels.degrade[]", "changes of the training labels, in order", degradations},
       {"scene", "where frames come from", alternatives(context.registry, PluginKind::dataset)},
       {"passes[].sampler", "where along a ray the field is evaluated",
        alternatives(context.registry, PluginKind::sampler)},

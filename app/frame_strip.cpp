@@ -50,7 +50,7 @@ std::vector<Panel> parse_panels(const std::string& names, bool semantics) {
     panels.push_back(static_cast<Panel>(found - known.begin()));
     if (!semantics && (panels.back() == Panel::label || panels.back() == Panel::entropy)) {
       throw Error(ErrorKind::usage, "--panels: this run has no semantics, so no panel '" + name + "'",
-                  "choose of rgb, depth");
+                  "choose from rgb, depth");
     }
   }
   return panels;

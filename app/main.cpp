@@ -35,7 +35,7 @@ namespace {
     std::_Exit(static_cast<int>(semfield::ErrorKind::internal));
   }
   std::fprintf(stderr, "semfield: cannot load plugin '%s': a static initialiser of it throws: %s; %s\n", module.c_str(),
-               cause.c_str(), "mend the module, or leave it out");
+               cause.c_str(), "fix the module, or leave it out");
   std::_Exit(static_cast<int>(semfield::ErrorKind::unavailable));
 }
 

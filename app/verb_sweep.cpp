@@ -131,7 +131,7 @@ int run_sweep(const SweepOptions& options, AppContext& context) {
   write_tables(pool.folder, sweep, cells, results);
   std::printf("sweep: cells=%zu done=%zu failed=%d folder=%s\n", total, results.size(), failures, pool.folder.c_str());
   if (!whole) {
-    print_note(context, "stopped; the same command goes on where this one ended");
+    print_note(context, "stopped; the same command resumes the sweep");
     return 128 + stop_signal();
   }
   return failures > 0 ? static_cast<int>(ErrorKind::failure) : 0;

@@ -119,10 +119,11 @@ int run_train(const TrainOptions& options, AppContext& context) {
   hooks.save_request = take_save_request;
   hooks.write_report = write_run_report;
   hooks.stop_waits = [&](bool waits) {
-    stop_waits(waits, waits || context.quiet ? std::string()
-                                             : fmt::format("\nstopped; every step is saved, go on with: semfield train "
-                                                           "--resume {}\n",
-                                                           shell_word(request.out_dir)));
+    stop_waits(waits, waits || context.quiet
+                          ? std::string()
+                          : fmt::format("\nstopped; every step is saved; resume with: semfield train "
+                                        "--resume {}\n",
+                                        shell_word(request.out_dir)));
   };
   install_stop_signals();
   install_save_signal();
@@ -130,7 +131,7 @@ int run_train(const TrainOptions& options, AppContext& context) {
   const TrainOutcome outcome = run_training(std::move(config), context.registry, request, hooks);
   if (context.terminal && !context.quiet) std::fputs("\n", stderr);
   if (outcome.signal != 0) {
-    print_note(context, fmt::format("stopped at step {} after its checkpoint; go on with: semfield train --resume {}",
+    print_note(context, fmt::format("stopped at step {} after its checkpoint; resume with: semfield train --resume {}",
                                     outcome.step, shell_word(outcome.run_dir)));
     return 128 + outcome.signal;
   }

@@ -51,7 +51,7 @@ std::string video_format(const std::string& path) {
     known += (known.empty() ? "" : ", ") + std::string(name);
   }
   throw Error(ErrorKind::usage,
-              path + (ending.empty() ? ": no file ending" : ": '" + ending + "' is no ending of a video"),
+              path + (ending.empty() ? ": no file ending" : ": '" + ending + "' is not the ending of a video file"),
               "name a file such as room.mp4; known: " + known);
 }
 
@@ -88,7 +88,7 @@ VideoWriter::VideoWriter(const std::string& ffmpeg, const std::string& path, std
   for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
   argv.push_back(nullptr);  // all before the fork: the child may not allocate
   std::array<int, 2> ends{};
-  if (pipe2(ends.data(), O_CLOEXEC) != 0) throw Error(ErrorKind::unavailable, "no pipe to ffmpeg");
+  if (pipe2(ends.data(), O_CLOEXEC) != 0) throw Error(ErrorKind::unavailable, "cannot open a pipe to ffmpeg");
   old_handler_ = std::signal(SIGPIPE, SIG_IGN);  // a dead ffmpeg is an error of write(), not the end of this program
   pid_ = fork();
   if (pid_ == 0) {
@@ -132,7 +132,7 @@ void VideoWriter::fail(const std::string& what, int code) {
   const std::vector<std::byte> more(std::size_t{1} << 20);
   file_.append(more);
   throw Error(ErrorKind::io, fmt::format("{}: {} (exit code {})", path_, what, code),
-              "its own words stand above; try another file ending, or render images without --video");
+              "its own message is above; try another file ending, or render images without --video");
 }
 
 void VideoWriter::add(std::span<const std::uint8_t> rgb) {

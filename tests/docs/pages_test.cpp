@@ -188,6 +188,17 @@ TEST(CommandLinePage, TableOfVerbsIsThatOfTheProgram) {
   }
 }
 
+// A verb, option or operand without a sentence leaves its line of the help with blanks at the end.
+TEST(CommandLine, EveryVerbAndOptionHasASentence) {
+  const std::string help = output_of("--help");
+  const std::set<std::string> verbs = matches(help.substr(help.find("Subcommands:")), R"(\n  ([a-z-]+) )");
+  EXPECT_GE(verbs.size(), 15u);
+  for (const std::string& verb : verbs) {
+    for (const std::string& line : matches(help_of(verb), R"(\n(  \S[^\n]*) (?=\n))"))
+      ADD_FAILURE() << verb << ": " << line;
+  }
+}
+
 TEST(CommandLinePage, ExitCodesAreThoseOfTheProgram) {
   std::set<std::string> listed = matches(page("docs/reference/command_line.md"), R"(\n\| ([0-9]+)[, |])");
   std::set<std::string> have = matches(page("framework/core/error.h"), R"(\n  [a-z_]+ = ([0-9]+),)");

@@ -229,7 +229,7 @@ TEST_F(Verbs, VideoRefusesUnknownPanelsAndCounts) {
       << panel.err;
   const Result ending = run(*dir_, {"render", run_dir(), "--video", "--out", *dir_ / "room.mpx"});
   EXPECT_EQ(ending.code, 2);
-  EXPECT_NE(ending.err.find("'.mpx' is no ending of a video; name a file such as room.mp4; known: .mp4, "),
+  EXPECT_NE(ending.err.find("'.mpx' is not the ending of a video file; name a file such as room.mp4; known: .mp4, "),
             std::string::npos)
       << ending.err;
   EXPECT_EQ(run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "0"}).code, 2);
