@@ -40,9 +40,11 @@ void print_progress(const AppContext& context, const TrainProgress& p) {
   if (context.quiet) return;
   const std::string scored =
       p.miou_present ? fmt::format("  miou_present {:.3f} ({})", *p.miou_present, p.scored.text()) : std::string();
+  std::string terms;
+  for (const auto& [type, value] : p.terms) terms += fmt::format("  {} {:.4f}", type, value);
   const std::string line =
-      fmt::format("step {}/{}  loss {:.4f}  train psnr {:.2f}{}  {:.0f} rays/s  {} elapsed  {} left", p.step, p.steps,
-                  p.loss, p.psnr, scored, p.rays_per_s, clock_text(p.train_s), clock_text(p.remaining_s));
+      fmt::format("step {}/{}  loss {:.4f}{}  train psnr {:.2f}{}  {:.0f} rays/s  {} elapsed  {} left", p.step, p.steps,
+                  p.loss, terms, p.psnr, scored, p.rays_per_s, clock_text(p.train_s), clock_text(p.remaining_s));
   if (context.terminal) {
     std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), p.step >= p.steps ? "\n" : "");
     std::fflush(stderr);

@@ -89,14 +89,31 @@ std::string parts_sentence(const ReportInput& input, const std::string& split) {
 }
 
 struct Curve {
-  const char *key, *title, *note;
+  std::string key, title, note;
   bool from_training, log_y;
   int digits;
 };
-constexpr std::array<Curve, 4> kCurves{{{"loss", "Training loss", "logarithmic", true, true, 3},
-                                        {"psnr", "PSNR", "dB, higher is better", false, false, 3},
-                                        {"miou_present", "mIoU (present)", "higher is better", false, false, 3},
-                                        {"absrel", "Depth AbsRel", "logarithmic, lower is better", false, true, 2}}};
+
+// One for each term of the list `losses` too, in the order in which rows name them.
+std::vector<Curve> curves_of(const ReportInput& input) {
+  std::vector<Curve> curves{{"loss", "Training loss", "logarithmic", true, true, 3},
+                            {"psnr", "PSNR", "dB, higher is better", false, false, 3},
+                            {"miou_present", "mIoU (present)", "higher is better", false, false, 3},
+                            {"absrel", "Depth AbsRel", "logarithmic, lower is better", false, true, 2}};
+  constexpr std::string_view kTerm = "loss_";
+  for (const ReportRun& run : input.runs) {
+    for (const MetricsRow& row : run.rows) {
+      for (const auto& [key, value] : row.values) {
+        if (row.kind != "train" || !value || !key.starts_with(kTerm) || key == "loss_color" || key == "loss_semantic")
+          continue;
+        const auto same = [&key = key](const Curve& curve) { return curve.key == key; };
+        if (std::any_of(curves.begin(), curves.end(), same)) continue;
+        curves.push_back({key, "Loss: " + key.substr(kTerm.size()), "logarithmic, before its weight", true, true, 3});
+      }
+    }
+  }
+  return curves;
+}
 
 struct TimeUnit {
   double seconds;
@@ -146,7 +163,7 @@ PlotSeries series_of(const ReportRun& run, int color, const Curve& curve, const 
 std::string plots(const ReportInput& input, const std::string& split, const TimeUnit& unit, bool log_x) {
   const std::string part = common_part(input, split).value_or("");
   std::string figures;
-  for (const Curve& curve : kCurves) {
+  for (const Curve& curve : curves_of(input)) {
     PlotSpec spec{curve.title, unit.label, curve.log_y, !curve.from_training, curve.digits, {}};
     spec.log_x = log_x;
     for (std::size_t i = 0; i < input.runs.size(); ++i)
@@ -174,8 +191,9 @@ bool spans_a_decade(const ReportInput& input) {
 }
 
 std::string convergence_table(const ReportInput& input, const std::string& split) {
+  const std::vector<Curve> all = curves_of(input);
   std::vector<const Curve*> curves;
-  for (const Curve& curve : kCurves) {
+  for (const Curve& curve : all) {
     const auto evaluated = [&](const ReportRun& run) { return !points_of(run, curve, split).empty(); };
     if (!curve.from_training && std::any_of(input.runs.begin(), input.runs.end(), evaluated)) curves.push_back(&curve);
   }

@@ -269,6 +269,8 @@ class Run {
     p.step = trainer_->step();
     p.steps = config.train.steps;
     p.loss = losses.total;
+    for (std::size_t i = 0; i < config.losses.size(); ++i)
+      if ((losses.active >> i & 1U) != 0) p.terms.emplace_back(config.losses[i].type, losses.terms[i]);
     p.psnr = psnr;
     p.miou_present = scores_->last_miou_present();
     p.scored = scores_->last_part();

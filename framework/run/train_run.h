@@ -5,6 +5,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "run/run_scores.h"
@@ -15,9 +16,10 @@ namespace semfield {
 struct TrainProgress {
   std::int64_t step = 0, steps = 0;
   double loss = 0;
-  double psnr = 0;                     ///< of the training rays since the last progress
-  std::optional<double> miou_present;  ///< of the last evaluation
-  ScoredPart scored;                   ///< which scored these test frames
+  std::vector<std::pair<std::string, double>> terms;  ///< of the list `losses` that have begun, before their weights
+  double psnr = 0;                                    ///< of the training rays since the last progress
+  std::optional<double> miou_present;                 ///< of the last evaluation
+  ScoredPart scored;                                  ///< which scored these test frames
   double rays_per_s = 0;
   double train_s = 0;      ///< seconds of training, evaluation not counted
   double remaining_s = 0;  ///< estimate

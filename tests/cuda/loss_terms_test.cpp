@@ -127,6 +127,22 @@ TEST(CudaLossTerms, ManyRays) {
   for (const testing::LossSetting& setting : testing::loss_settings()) expect_same(setting, counts, 0);
 }
 
+// A batch without depth, as `bench step` makes it.
+TEST(CudaLossTerms, NoTargetsAreNoLoss) {
+  SEMFIELD_NEEDS_DEVICE();
+  DeviceLaunch launch;
+  const LossRays<float> host(testing::awkward_ray_lengths());
+  DeviceRays there(host, 0);
+  const DeviceMatrix<LossSums> sums(std::vector<LossSums>(1), 1);
+  for (const LossKind& kind : loss_kinds()) {
+    if (!kind.make()->traits().reads_depth) continue;
+    cuda::add_losses(launch.arena(), LossList({{std::string(kind.type), kind.make(), ""}}, 1), 1, {}, there.values(),
+                     there.gradients(), sums.data());
+    EXPECT_EQ(sums.read()[0].terms[0], 0) << kind.type;
+  }
+  EXPECT_EQ(launch.take_fault(), std::nullopt);
+}
+
 TEST(CudaLossTerms, EveryKindHasKernels) {
   for (const LossKind& kind : loss_kinds()) {
     EXPECT_NO_THROW(cuda::require_loss_kernels(LossList({{std::string(kind.type), kind.make(), ""}}, 1))) << kind.type;

@@ -81,7 +81,7 @@ std::string label_rays_config(const std::string& more) {
 }
 const char* const kTerms =
     "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
-    "0.1, distance_m: 0.8}]\n";
+    "0.1, from_step: 0, distance_m: 0.8}]\n";
 std::string branch_and_terms_config(const std::string& more) { return branch_config("") + more; }
 const StepCaseRow kSteps[] = {
     {"two_pass", two_pass_config, ""},

@@ -103,6 +103,16 @@ TEST_P(LossLaws, NoRayAndNoSampleAreNoLoss) {
   }
 }
 
+TEST_P(LossLaws, NoTargetsAreNoLossWhereTheyAreRead) {
+  const LossTerm& term = *GetParam().term;
+  LossRays<float> rays(kCounts);
+  const double sum = term.add({}, rays.values(), kScale, rays.gradients());
+  if (term.traits().reads_depth) {
+    EXPECT_EQ(sum, 0);
+    EXPECT_EQ(term.counted_rays({}, rays.rays()), 0);
+  }
+}
+
 // An interval without an end, a near of 0 and weights of 0 give finite numbers.
 TEST_P(LossLaws, ExtremesStayFinite) {
   LossRays<float> rays({4, 3, 2});

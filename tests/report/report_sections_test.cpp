@@ -118,6 +118,27 @@ TEST(CurvesSection, MarksAndTabulatesTheTimes) {
   EXPECT_EQ(count_of(single, "class=\"mk\""), 0u);
 }
 
+TEST(CurvesSection, DrawsEachTermOfTheLossByName) {
+  ReportInput input;
+  input.runs = {run_named("a")};
+  EXPECT_FALSE(holds(curves_section(input, "test"), "Loss: "));
+  for (int step = 1; step <= 3; ++step) {
+    MetricsRow row;
+    row.step = step;
+    row.train_s = 10 * step;
+    row.set("loss", 0.5);
+    row.set("loss_color", 0.2);
+    row.set("loss_semantic", 0.1);
+    row.set("loss_depth", 0.4 / step);
+    row.set("loss_distortion", step == 1 ? std::nullopt : std::optional(0.1));
+    input.runs[0].rows.push_back(row);
+  }
+  const std::string html = curves_section(input, "test");
+  EXPECT_TRUE(holds(html, "<figcaption>Loss: depth<span>logarithmic, before its weight</span>")) << html;
+  EXPECT_TRUE(holds(html, "<figcaption>Loss: distortion<span>"));
+  EXPECT_EQ(count_of(html, "<figcaption>Loss: "), 2u) << "colour and semantics are in the training loss";
+}
+
 TEST(LabelsSection, ShowsRunsThatKnowTheirLabelsAndNamesTheOthers) {
   ReportInput input;
   input.runs = {run_named("few"), run_named("many"), run_named("<old>")};

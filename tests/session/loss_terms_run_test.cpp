@@ -19,7 +19,7 @@ using namespace testing_train;
 
 const char* const kEveryTerm =
     "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
-    "0.1, distance_m: 0.8}]\n";
+    "0.1, from_step: 0, distance_m: 0.8}]\n";
 
 std::string errors_of(const std::string& losses) {
   Registry registry = make_registry();
@@ -201,7 +201,14 @@ TEST(LossTerms, MetricsNameEachAndSayNothingBeforeItBegins) {
   config.train.steps = 40;
   TrainRequest request;
   request.out_dir = dir / "run";
-  run_training(std::move(config), registry, request, {});
+  TrainProgress last;
+  TrainHooks hooks;
+  hooks.progress = [&last](const TrainProgress& progress) { last = progress; };
+  run_training(std::move(config), registry, request, hooks);
+  ASSERT_EQ(last.terms.size(), 2u);
+  EXPECT_EQ(last.terms[0].first, "depth");
+  EXPECT_EQ(last.terms[1].first, "distortion");
+  EXPECT_GT(last.terms[1].second, 0);
   int rows = 0;
   for (const MetricsRow& row : read_metrics(dir / "run/metrics.jsonl")) {
     if (row.kind != "train") continue;

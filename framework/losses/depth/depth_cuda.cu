@@ -12,7 +12,7 @@ struct Body {
   View<float> d_depth, d_weight;
 
   __device__ double operator()(const WarpRay& at, double scale) const {
-    const double of_ray = truth(at.ray, 0);
+    const double of_ray = truth.empty() ? 0 : static_cast<double>(truth(at.ray, 0));
     if (!(of_ray > 0)) return 0;
     if (params.kind == DepthLossKind::expected) {
       if (at.lane != 0) return 0;

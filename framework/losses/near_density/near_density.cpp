@@ -40,7 +40,8 @@ template double NearDensityLoss::sum<double>(const RayTargets&, const RayValues<
 
 LossKind near_density_loss();
 LossKind near_density_loss() {
-  return {{"near_density", "the first decimetres in front of a camera are empty [Yang23]",
+  return {{"near_density",
+           "the first decimetres in front of a camera are empty [Yang23]; begun early it can end all density",
            [] { return std::unique_ptr<LossTerm>(new NearDensityLoss); }},
           "a gradient a sample"};
 }

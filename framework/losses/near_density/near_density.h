@@ -11,7 +11,11 @@ struct NearDensityParams {
 
 class NearDensityLoss final : public LossTermOf<NearDensityLoss> {
  public:
-  NearDensityLoss() { rule.weight = 0.01; }
+  /// Begun with the run, or strong, it can end the density of a whole network before colours hold any.
+  NearDensityLoss() {
+    rule.weight = 0.001;
+    rule.from_step = 0.1;
+  }
   NearDensityParams params;
 
   LossTraits traits() const override;
