@@ -86,8 +86,7 @@ void add_run_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("--out", render->out,
                    "folder for the images, or the video's file (default: render/ in the run folder)");
   CLI::Option* video = verb->add_flag("--video", render->video, "write a video through ffmpeg instead of images");
-  verb->add_option("--panels", render->panels,
-                   "panels of the video, side by side: rgb,label,depth,entropy (default: all)")
+  verb->add_option("--panels", render->panels, "panels side by side: rgb,label,depth,entropy (default: all)")
       ->needs(video);
   verb->add_option("--fps", render->fps, "frames per second of the video (default: 24)");
   verb->add_flag("--npy", render->npy, "also write depth and entropy as float32 .npy");
@@ -105,8 +104,7 @@ void add_run_verbs(CLI::App& root, AppContext& context, Choice& choice) {
 
 void add_sweep(CLI::App& root, AppContext& context, Choice& choice) {
   auto options = std::make_shared<SweepOptions>();
-  CLI::App* verb =
-      root.add_subcommand("sweep", "run an experiment: a grid of differences, scenes and seeds, with tables");
+  CLI::App* verb = root.add_subcommand("sweep", "run experiments: a grid of differences, scenes and seeds");
   verb->add_option("file", options->file, "sweep file (YAML)")->required();
   verb->add_option("--out", options->out,
                    "folder of cells and tables (default: runs/<name>); an existing one is resumed");
@@ -188,7 +186,7 @@ void add_fuse(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_option("--method", options->method, "monocular, bayesian, average, with commas (default: fuse.methods)");
   verb->add_option("--depth", options->depth, "true or learned (default: fuse.depth)");
   verb->add_option("--depth-from", options->depth_from,
-                   "run folder whose field gives the depth; its own labels become another row");
+                   "run folder whose field gives depth, and another row of labels");
   verb->add_option("--out", options->out, "folder for the fused maps and fuse.json");
   verb->callback(
       [&context, &choice, options] { choice = [&context, options] { return run_fuse(*options, context); }; });
@@ -247,8 +245,7 @@ void add_config_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   verb->callback([&context, &choice, pair] {
     choice = [&context, pair] { return run_config_diff(pair->first, pair->second, context); };
   });
-  verb = group->add_subcommand("schema",
-                               "print a JSON schema of configurations, for editors; it knows the modules of --plugin");
+  verb = group->add_subcommand("schema", "print a JSON schema of configurations (and --plugin modules)");
   auto of_sweeps = std::make_shared<bool>(false);
   verb->add_flag("--sweep", *of_sweeps, "print the schema of sweep files instead");
   verb->callback([&context, &choice, of_sweeps] {
@@ -285,15 +282,14 @@ void add_plugins_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* docs = group->add_subcommand("docs", "write the reference page");
   docs->add_option("--out", *out, "file to write, or a source tree whose pages are renewed (default: stdout)");
   bind(docs, [&context, out] { return run_plugins_docs(*out, context); });
-  bind(group->add_subcommand("matrix", "print which plugin has kernels for which device"),
+  bind(group->add_subcommand("matrix", "print which plugin runs on which device"),
        [&context] { return run_plugins_matrix(context); });
 }
 
 void add_bench_quadrature(CLI::App& group, AppContext& context, Choice& choice) {
   auto options = std::make_shared<BenchQuadratureOptions>();
   CLI::App* verb = group.add_subcommand(
-      "quadrature",
-      "measure the error of the rendering integral against evaluations and time, for every rule of the samplers");
+      "quadrature", "measure the error of every sampler rule of the rendering integral, against evaluations and time");
   verb->add_option("--rays", options->rays, "number of rays for jittered rules and media with jumps (default: 1024)")
       ->check(CLI::Range(16, 1000000));
   verb->add_option("--out", options->out, "folder for plots (SVG), tables.md and quadrature.json");
@@ -307,8 +303,7 @@ void add_bench_gpu(CLI::App& group, AppContext& context, Choice& choice) {
   CLI::App* verb = group.add_subcommand("gpu", "time training steps and frames on a GPU");
   verb->add_flag("--peers", options->peers, "alternate with the same steps in PyTorch and print ratios");
   verb->add_option("--only", options->only, "measurements whose names begin with this: --only 'paper bf16'");
-  verb->add_option("--repeats", options->repeats, "number of rounds; figures are medians over them")
-      ->check(CLI::Range(1, 1000));
+  verb->add_option("--repeats", options->repeats, "rounds; figures are medians of them")->check(CLI::Range(1, 1000));
   verb->add_option("--python", options->python, "interpreter with torch (default: python3)");
   verb->callback(
       [&context, &choice, options] { choice = [&context, options] { return run_bench_gpu(*options, context); }; });
@@ -323,8 +318,7 @@ void add_bench_verbs(CLI::App& root, AppContext& context, Choice& choice) {
   CLI::App* step = group->add_subcommand("step", "time whole training steps, beside the machine's limits");
   step->add_flag("--peers", options->peers, "alternate with the same steps in PyTorch and print ratios");
   step->add_option("--threads", options->threads, "CPU threads (default: every core)")->check(CLI::Range(1, 4096));
-  step->add_option("--repeats", options->repeats, "number of rounds; figures are medians over them")
-      ->check(CLI::Range(1, 1000));
+  step->add_option("--repeats", options->repeats, "rounds; figures are medians of them")->check(CLI::Range(1, 1000));
   step->add_option("--size", options->size, "full, or tiny: narrow networks and few rays, for tests");
   step->add_option("--set", options->set, "override a value of both networks: --set runtime.gemm=onednn")
       ->expected(1)
@@ -337,8 +331,7 @@ void add_bench_verbs(CLI::App& root, AppContext& context, Choice& choice) {
 
 void add_check_numerics(CLI::App& root, AppContext& context, Choice& choice) {
   auto options = std::make_shared<CheckNumericsOptions>();
-  CLI::App* verb =
-      root.add_subcommand("check-numerics", "check stiff and extreme cases against references of higher precision");
+  CLI::App* verb = root.add_subcommand("check-numerics", "check stiff and extreme cases against their references");
   verb->add_option("--only", options->only, "case ids or prefixes of them: --only A,C03")->delimiter(',');
   verb->add_option("--write", options->page,
                    "page whose marked part is replaced by the table, such as docs/evidence/numerics.md");
