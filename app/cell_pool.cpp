@@ -292,7 +292,9 @@ void pack_scenes(const std::vector<Cell>& cells, const PoolOptions& options, Reg
     Diagnostics diagnostics;
     const RunConfig config = read_run_config(parse_config_text(cell.config, "cell"), registry, diagnostics);
     diagnostics.throw_if_errors(ErrorKind::config, "");
-    set_input_limits(config.limits);
+    WorkSettings work = work_settings();
+    work.limits = &config.limits;
+    const WorkScope scope(work);
     const std::unique_ptr<Dataset> dataset = config.dataset.entry->dataset(*config.dataset.params, {config.base_dir});
     PackOptions whole;
     whole.depth_as_mm = false;  // the same bits as from the dataset

@@ -4,14 +4,13 @@
 #include <string>
 
 #include "progress_line.h"
-#include "scene/load_progress.h"
 
 namespace semfield::app {
 
-void show_load_progress(const AppContext& context) {
+void show_load_progress(AppContext& context) {
   std::shared_ptr<ProgressLine> line;
   std::string shown;
-  set_load_progress([&context, line, shown](std::string_view doing, std::size_t done, std::size_t total) mutable {
+  context.load_progress = [&context, line, shown](std::string_view doing, std::size_t done, std::size_t total) mutable {
     if (doing == "read") return line.reset();
     const std::string what = "scene: " + std::string(doing);
     if (!line) {
@@ -21,7 +20,8 @@ void show_load_progress(const AppContext& context) {
     }
     shown = what;
     line->show(static_cast<double>(done), static_cast<double>(total));
-  });
+  };
+  context.work.load_progress = &context.load_progress;
 }
 
 }  // namespace semfield::app

@@ -5,7 +5,7 @@
 
 namespace semfield::app {
 
-/// From now on scenes that are opened show a ProgressLine. `context` outlives them.
-void show_load_progress(const AppContext& context);
+/// Scenes that are opened under context.work show a ProgressLine. `context` outlives them.
+void show_load_progress(AppContext& context);
 
 }  // namespace semfield::app

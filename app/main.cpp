@@ -9,7 +9,7 @@
 
 #include "command_line.h"
 #include "core/error.h"
-#include "core/log.h"
+#include "core/work_scope.h"
 #include "load_progress.h"
 #include "plugin/linked_plugins.h"
 #include "plugin/loader.h"
@@ -48,10 +48,7 @@ int main(int argc, char** argv) {
   std::set_terminate(on_terminate);
   context.terminal = isatty(STDERR_FILENO) != 0;
   app::show_load_progress(context);
-  set_log_sink([&](Severity severity, const std::string& text) {
-    if (context.quiet && severity == Severity::note) return;
-    std::fprintf(stderr, "%s%s\n", severity == Severity::warning ? "warning: " : "", text.c_str());
-  });
+  const WorkScope scope(context.work);
   try {
     register_linked_plugins(context.registry);
     return app::finish_stdout(app::run_command_line(argc, argv, context));

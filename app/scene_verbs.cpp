@@ -27,8 +27,7 @@ struct OpenedDataset {
 OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context) {
   OpenedDataset opened;
   opened.config = load_run_config(options.config, options.set, context.registry);
-  set_thread_count(opened.config.runtime.threads);
-  set_input_limits(opened.config.limits);
+  context.adopt(opened.config);
   DatasetBuild build;
   build.config_dir = opened.config.base_dir;
   opened.dataset = opened.config.dataset.entry->dataset(*opened.config.dataset.params, build);

@@ -5,7 +5,6 @@
 #include <nlohmann/json.hpp>
 
 #include "bench_step.h"
-#include "core/gemm_engine.h"
 #include "run/run_folder.h"
 #include "verbs.h"
 
@@ -69,7 +68,7 @@ void print_table(const BenchStepOptions& options, const BenchStepResults& r) {
     std::printf("random 8-byte reads from %-6s G/s on 1 and %d threads: %.2f, %.2f\n", size.c_str(), r.threads,
                 rates.first * 1e-9, rates.second * 1e-9);
   }
-  std::printf("matrix products: %s\n", gemm_engine_text().c_str());
+  std::printf("matrix products: %s\n", r.steps.back().gemm.c_str());
   std::printf("medians of %d rounds, every measurement once a round; networks and rays: %s\n", options.repeats,
               options.size.c_str());
   std::printf(
@@ -107,7 +106,7 @@ void print_json(const BenchStepOptions& options, const BenchStepResults& r) {
   out["threads"] = r.threads;
   out["repeats"] = options.repeats;
   out["size"] = options.size;
-  out["gemm"] = gemm_engine_text();
+  out["gemm"] = r.steps.back().gemm;
   out["peak_fp32_flops"] = {r.peak_fp32_one, r.peak_fp32};
   out["peak_bf16_flops"] = {r.peak_bf16_one, r.peak_bf16};
   for (const auto& [size, rates] : r.reads) out["random_reads_per_s"][size] = {rates.first, rates.second};

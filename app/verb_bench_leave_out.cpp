@@ -7,7 +7,6 @@
 #include <filesystem>
 
 #include "core/files.h"
-#include "core/parallel.h"
 #include "run/run_folder.h"
 #include "shared_files.h"
 #include "studies/leave_out_page.h"
@@ -42,7 +41,6 @@ int run_bench_leave_out(const LeaveOutOptions& options, AppContext& context) {
     if (std::find(names.begin(), names.end(), name) == names.end())
       throw Error(ErrorKind::usage, "--only " + name + ": there is no such pair", "choose of " + join(names));
   }
-  const int threads = thread_count();
   LeaveOutFindings findings;
   bool all_hold = true;
   // Whatever loads libraries comes last, as it is in the list.
@@ -62,7 +60,6 @@ int run_bench_leave_out(const LeaveOutOptions& options, AppContext& context) {
                 row.result.c_str(), "", row.saving.c_str(), result.seconds);
     std::fflush(stdout);
   }
-  set_thread_count(threads);
   findings.about = about(options, pairs);
   if (!options.write_docs.empty()) {
     namespace fs = std::filesystem;

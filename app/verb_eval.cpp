@@ -58,6 +58,7 @@ int run_eval(const EvalOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
                            split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames);
+  context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   Session& s = run.session;
   const std::vector<int> frames = s.scene.frames_of(split);

@@ -52,6 +52,7 @@ int run_export(const ExportOptions& options, AppContext& context) {
   check_options(options);
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   Session& s = run.session;
   if (s.plan.class_of_logit.empty())

@@ -157,6 +157,7 @@ int run_fuse(const FuseOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   std::optional<OpenedRun> run;
   RunConfig config = load_run_config(options.config.config, options.config.set, context.registry);
+  context.adopt(config);
   apply(options, config.fuse);
   if (config.fuse.depth == FusionDepth::learned)
     run = open_run(options.depth_from, {}, context.registry, diagnostics, OpenFor::rendering);

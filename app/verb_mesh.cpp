@@ -125,6 +125,7 @@ int run_mesh(const MeshOptions& options, AppContext& context) {
   }
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   Session& s = run.session;
   const SurfaceRequest request = request_of(options, s);

@@ -65,6 +65,7 @@ int run_propagate(const PropagateOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   OpenedRun run =
       open_run(options.run, options.set, context.registry, diagnostics, OpenFor::evaluation_of_training_frames);
+  context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   const Session& s = run.session;
   if (s.classes() == 0) {

@@ -121,6 +121,7 @@ int run_render(const RenderOptions& options, AppContext& context) {
     throw Error(ErrorKind::usage, fmt::format("--fps {}: expected more than 0, at most 1000", options.fps));
   Diagnostics diagnostics;
   const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   const std::vector<NamedView> views = render_views(run.session, options);
   if (options.video) {

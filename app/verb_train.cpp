@@ -79,6 +79,40 @@ std::string scores_text(const TrainOutcome& outcome) {
   return text;
 }
 
+// A run as the terminal shows it, and what signals ask of it.
+class ShownRun final : public RunListener {
+ public:
+  ShownRun(const AppContext& context, std::string out_dir) : context_(context), out_dir_(std::move(out_dir)) {}
+
+  void note(const std::string& text) override { print_note(context_, text); }
+  void progress(const TrainProgress& p) override {
+    scoring_.reset();  // one that a stop cut short
+    print_progress(context_, p);
+  }
+  void scoring(const ScoreProgress& p) override {
+    if (!scoring_) scoring_.emplace(context_, fmt::format("scored {}", p.split));
+    scoring_->show(p.done, static_cast<double>(p.frames));
+    if (p.done >= static_cast<double>(p.frames)) scoring_.reset();
+  }
+  int stop_signal() override { return app::stop_signal(); }
+  bool save_request() override { return take_save_request(); }
+  void stop_waits(bool waits) override {
+    app::stop_waits(waits, waits || context_.quiet
+                               ? std::string()
+                               : fmt::format("\nstopped; every step is saved; resume with: semfield "
+                                             "train --resume {}\n",
+                                             shell_word(out_dir_)));
+  }
+  std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override {
+    return write_run_report(folder, session, frames);
+  }
+
+ private:
+  const AppContext& context_;
+  std::string out_dir_;
+  std::optional<ProgressLine> scoring_;
+};
+
 }  // namespace
 
 int run_train(const TrainOptions& options, AppContext& context) {
@@ -105,32 +139,11 @@ int run_train(const TrainOptions& options, AppContext& context) {
   request.resume = resume;
   request.keep = options.keep;
   request.out_dir = resume ? options.resume : !options.out.empty() ? options.out : "runs/" + config.name;
-  TrainHooks hooks;
-  std::optional<ProgressLine> scoring;
-  hooks.progress = [&](const TrainProgress& p) {
-    scoring.reset();  // one that a stop cut short
-    print_progress(context, p);
-  };
-  hooks.scoring = [&](const ScoreProgress& p) {
-    if (!scoring) scoring.emplace(context, fmt::format("scored {}", p.split));
-    scoring->show(p.done, static_cast<double>(p.frames));
-    if (p.done >= static_cast<double>(p.frames)) scoring.reset();
-  };
-  hooks.note = [&](const std::string& text) { print_note(context, text); };
-  hooks.stop_signal = stop_signal;
-  hooks.save_request = take_save_request;
-  hooks.write_report = write_run_report;
-  hooks.stop_waits = [&](bool waits) {
-    stop_waits(waits, waits || context.quiet
-                          ? std::string()
-                          : fmt::format("\nstopped; every step is saved; resume with: semfield train "
-                                        "--resume {}\n",
-                                        shell_word(request.out_dir)));
-  };
+  ShownRun shown(context, request.out_dir);
   install_stop_signals();
   install_save_signal();
   stop_waits(false, context.quiet ? "" : "\nstopped before the first step\n");
-  const TrainOutcome outcome = run_training(std::move(config), context.registry, request, hooks);
+  const TrainOutcome outcome = run_training(std::move(config), context.registry, request, &shown);
   if (context.terminal && !context.quiet) std::fputs("\n", stderr);
   if (outcome.signal != 0) {
     print_note(context, fmt::format("stopped at step {} after its checkpoint; resume with: semfield train --resume {}",

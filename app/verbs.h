@@ -5,13 +5,27 @@
 #include <string>
 #include <vector>
 
+#include "core/work_scope.h"
 #include "plugin/registry.h"
+#include "settings/run_config.h"
 
 namespace semfield::app {
 
 /// What every verb gets.
 struct AppContext {
+  AppContext() { work.limits = &limits; }
+  AppContext(const AppContext&) = delete;
+  AppContext& operator=(const AppContext&) = delete;
+  /// From now on verbs work with the threads and under the limits of `config`.
+  void adopt(const RunConfig& config) {
+    work.threads = config.runtime.threads;
+    limits = config.limits;
+  }
+
   Registry registry;
+  InputLimits limits;
+  LoadProgress load_progress;
+  WorkSettings work;  ///< of the main thread
   bool quiet = false;
   bool json = false;
   bool terminal = false;  ///< stderr is a terminal: one progress line, overwritten

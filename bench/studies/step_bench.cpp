@@ -69,8 +69,6 @@ struct StepCase::Impl {
   std::unique_ptr<DeviceBackend> device;
   std::unique_ptr<RaySource> rays;
   std::unique_ptr<Trainer> trainer;
-  GemmEngine engine = GemmEngine::automatic;
-  Precision precision = Precision::fp32;
   std::int64_t samples_last = 0, samples_all = 0;
   StepLosses losses;
 };
@@ -84,8 +82,7 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   extent.near_m = 0.05;
   extent.far_m = 1;
   extent.pixel_footprint_m = 0.01;
-  impl_->engine = config.runtime.gemm;
-  impl_->precision = config.runtime.precision;
+  config.runtime.threads = 0;  // `seconds` says how many
   const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry), {});
   impl_->pipeline = assemble<float>(config, registry, plan, extent, {}, true);
   Diagnostics ignored;
@@ -133,10 +130,14 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
 StepCase::~StepCase() = default;
 StepCase::StepCase(StepCase&&) noexcept = default;
 
+std::string StepCase::gemm() const {
+  const WorkScope scope(impl_->pipeline->options().work);
+  return gemm_engine_text();
+}
+
 double StepCase::seconds(int threads, int steps) {
   const int before = thread_count();
   set_thread_count(threads);
-  choose_gemm_engine(impl_->engine, impl_->precision);  // of the process; cases of the other precision take turns
   const auto begin = std::chrono::steady_clock::now();
   for (std::int64_t done = 0; done < steps;) {
     const std::span<const StepLosses> made = impl_->trainer->advance_many(steps - done);

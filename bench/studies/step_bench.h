@@ -35,6 +35,8 @@ class StepCase {
   /// Samples that the networks of all passes evaluate in a step.
   std::int64_t samples_per_step() const;
   std::int64_t learned_count() const;
+  /// Who multiplies its matrices.
+  std::string gemm() const;
   /// Total loss of the last step.
   double loss() const;
 

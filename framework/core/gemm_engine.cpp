@@ -1,16 +1,13 @@
 #include "core/gemm_engine.h"
 
-#include <atomic>
-
 #include "core/companion.h"
 #include "core/error.h"
 #include "core/isa.h"
+#include "core/work_scope.h"
 
 namespace semfield {
 
 namespace {
-
-std::atomic<const OnednnGemm*> g_foreign{nullptr};
 
 #ifdef SEMFIELD_ONEDNN_LIBRARY
 const OnednnGemm& onednn() {
@@ -38,17 +35,17 @@ bool has_matrix_tiles() {
 
 }  // namespace
 
-void choose_gemm_engine(GemmEngine wanted, Precision precision) {
+const OnednnGemm* choose_gemm_engine(GemmEngine wanted, Precision precision) {
   const bool pays = kBuilt && precision == Precision::bf16 && has_matrix_tiles();
   const bool foreign = wanted == GemmEngine::onednn || (wanted == GemmEngine::automatic && pays);
-  g_foreign = foreign ? &onednn() : nullptr;
+  return foreign ? &onednn() : nullptr;
 }
 
 std::string gemm_engine_text() {
-  const OnednnGemm* foreign = g_foreign;
+  const OnednnGemm* foreign = foreign_gemm();
   return foreign != nullptr ? foreign->version() : "built-in, " + std::string(isa_name(isa()));
 }
 
-const OnednnGemm* foreign_gemm() { return g_foreign.load(std::memory_order_relaxed); }
+const OnednnGemm* foreign_gemm() { return work_settings().gemm; }
 
 }  // namespace semfield

@@ -5,17 +5,18 @@
 #include <string>
 
 #include "core/gemm.h"
+#include "core/work_scope.h"
 
 namespace semfield {
 
 enum class GemmEngine : std::uint8_t { automatic, builtin, onednn };
 
-/// Chooses for the whole process; to be called at assembly, outside parallel work. automatic: oneDNN for bf16 products
+/// For WorkSettings::gemm; null: our kernels. automatic: oneDNN for bf16 products
 /// on processors with matrix tiles (AMX), which our kernels do not use, else our kernels, which are as fast without
 /// (docs/evidence/performance.md). Throws Error(unavailable) when oneDNN is asked for and not there.
-void choose_gemm_engine(GemmEngine wanted, Precision precision);
+const OnednnGemm* choose_gemm_engine(GemmEngine wanted, Precision precision);
 
-/// For reports: "built-in, avx512_bf16", "oneDNN 2.6.3".
+/// For reports, of this thread's engine: "built-in, avx512_bf16", "oneDNN 2.6.3".
 std::string gemm_engine_text();
 
 /// What the library semfield_onednn brings.
@@ -26,7 +27,7 @@ struct OnednnGemm {
 };
 inline constexpr const char* kOnednnGemmSymbol = "semfield_onednn_gemm";  // OnednnGemm()
 
-/// The engine of float products in use; null: our kernels.
+/// The engine of float products of this thread's work_settings(); null: our kernels.
 const OnednnGemm* foreign_gemm();
 
 }  // namespace semfield

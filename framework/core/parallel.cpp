@@ -13,6 +13,7 @@
 #include "core/cpu_quota.h"
 #include "core/float_mode.h"
 #include "core/thread_team.h"
+#include "core/work_scope.h"
 
 namespace semfield {
 
@@ -37,6 +38,8 @@ void start_workers(int workers, const std::function<void()>& serve) {
 #endif
 }
 
+// The cores are the machine's, so the workers are the process's: two sessions that train at once would only take them
+// from each other. Results do not depend on who has them.
 struct Teams {
   std::mutex one_job;  // held while a job runs
   std::unique_ptr<ThreadTeam> team;
@@ -69,7 +72,11 @@ int hardware_threads() {
 }
 void keep_libraries_serial() { omp_set_num_threads(1); }
 void set_thread_count(int threads) { g_threads = threads; }
-int thread_count() { return g_threads > 0 ? g_threads.load() : hardware_threads(); }
+int thread_count() {
+  if (const int own = work_settings().threads; own > 0) return own;
+  const int all = g_threads;
+  return all > 0 ? all : hardware_threads();
+}
 
 void parallel_for(std::int64_t count, IndexBody body) {
   if (count <= 1 || ThreadTeam::inside_job()) return run_serially(count, body);

@@ -51,6 +51,7 @@ bool ThreadTeam::inside_job() { return t_inside; }
 
 void ThreadTeam::take_indices() {
   const ComputeFloatMode mode;
+  const WorkScope scope(*settings_);
   t_inside = true;
   for (;;) {
     const std::int64_t i = next_.fetch_add(1, std::memory_order_relaxed);
@@ -77,6 +78,7 @@ void ThreadTeam::serve() {
 
 void ThreadTeam::run(std::int64_t count, IndexBody body) {
   body_ = &body;
+  settings_ = &work_settings();
   count_ = count;
   next_.store(0, std::memory_order_relaxed);
   gate_.fetch_and(~kClosed, std::memory_order_release);

@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "core/index_body.h"
+#include "core/work_scope.h"
 
 namespace semfield {
 
@@ -40,6 +41,7 @@ class ThreadTeam {
   const int workers_;
   // The job; written while the gate is closed and nobody is inside.
   const IndexBody* body_ = nullptr;
+  const WorkSettings* settings_ = nullptr;  // of the thread that asks
   std::int64_t count_ = 0;
   std::exception_ptr failure_;
   std::mutex failure_mutex_;

@@ -61,6 +61,7 @@ std::vector<std::int16_t> given_labels(const EvalJob& job, int frame) {
 RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
                            const ClassOfLogit& class_of_logit, const std::vector<std::int16_t>& truth,
                            const FrameOptions& options) {
+  const WorkScope scope(pipeline.options().work);
   SEMFIELD_CHECK(options.stride >= 1 && options.stride <= std::min(camera.camera.width_px, camera.camera.height_px),
                  "a stride is at most the frame's shorter side");
   const ComputeFloatMode mode;
@@ -204,6 +205,7 @@ std::vector<std::pair<std::string, std::optional<double>>> SplitScore::values() 
 
 SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimits& limits,
                     const ClassOfLogit& class_of_logit) {
+  const WorkScope scope(pipeline.options().work);
   const bool semantics = pipeline.has_semantics();
   SplitScore score(semantics ? job.classes : 0, limits.far_m);
   std::function<void(double)> part_done;

@@ -71,6 +71,7 @@ StepContext Pipeline<Real>::context(std::int64_t step, bool training, int lane, 
 
 template <class Real>
 void Pipeline<Real>::derive(std::int64_t step) {
+  const WorkScope scope(options_.work);
   const ComputeFloatMode mode;
   StepContext ctx = context(step, false, 0, 0);
   for (const Pass<Real>& pass : passes_) {
@@ -81,6 +82,7 @@ void Pipeline<Real>::derive(std::int64_t step) {
 
 template <class Real>
 void Pipeline<Real>::observe(std::int64_t step) {
+  const WorkScope scope(options_.work);
   const ComputeFloatMode mode;
   StepContext ctx = context(step, true, 0, 0);
   for (const Pass<Real>& pass : passes_) {
@@ -91,6 +93,7 @@ void Pipeline<Real>::observe(std::int64_t step) {
 
 template <class Real>
 StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
+  const WorkScope scope(options_.work);
   const ComputeFloatMode mode;
   const std::int64_t rays = batch.origin.rows;
   const std::int64_t tiles = (rays + tile_rays_ - 1) / tile_rays_;
@@ -253,6 +256,7 @@ void Pipeline<Real>::add_terms(const LossScales& scales, const RayBatch& tile, c
 
 template <class Real>
 void Pipeline<Real>::render(const RenderJob<Real>& job) {
+  const WorkScope scope(options_.work);
   const std::int64_t rays = job.origin.rows;
   guard_rays<Real>({job.origin, job.direction, job.near_far}, {}, 0);
   if constexpr (std::is_same_v<Real, float>) {
@@ -269,6 +273,7 @@ void Pipeline<Real>::render(const RenderJob<Real>& job) {
 
 template <class Real>
 void Pipeline<Real>::density(View<const double> positions, View<Real> sigma) const {
+  const WorkScope scope(options_.work);
   if constexpr (std::is_same_v<Real, float>) {
     if (device_ != nullptr) return device_->density(positions, sigma);
   }

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "core/work_scope.h"
 #include "losses/loss_list.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/opacity_resolution.h"
@@ -24,6 +25,7 @@ struct PipelineOptions {
   SemanticNormalisation normalisation = SemanticNormalisation::mean_labelled;
   std::vector<float> class_weight;  ///< [C] or empty
   LossList losses;                  ///< terms beside colour and semantics
+  WorkSettings work;                ///< threads and matrix products of every call
   bool head_on_all_rays =
       false;  ///< run the head on unlabelled rays too (their gradient is exactly 0): the leave-out's pair
 };

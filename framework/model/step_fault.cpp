@@ -33,6 +33,7 @@ double Pipeline<Real>::batch_normaliser(const RayBatch& batch) const {
 
 template <class Real>
 std::optional<RayFault> Pipeline<Real>::find_fault(std::int64_t step, const RayBatch& batch) {
+  const WorkScope scope(options_.work);
   const ComputeFloatMode mode;
   std::optional<RayFault> fault;
   BatchScales scales;

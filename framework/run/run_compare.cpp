@@ -6,10 +6,10 @@
 #include <algorithm>
 
 #include "core/words.h"
-#include "run/checkpoint_facts.h"
+#include "session/checkpoint_facts.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
-#include "run/run_identity.h"
+#include "settings/run_identity.h"
 
 namespace semfield {
 

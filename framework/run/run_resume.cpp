@@ -7,7 +7,7 @@
 
 #include "core/words.h"
 #include "run/checkpoint_store.h"
-#include "run/run_identity.h"
+#include "settings/run_identity.h"
 
 namespace semfield {
 

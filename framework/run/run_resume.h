@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "config/explain.h"
-#include "run/checkpoint_facts.h"
+#include "session/checkpoint_facts.h"
 #include "run/run_folder.h"
 #include "session/session.h"
 #include "settings/run_config.h"

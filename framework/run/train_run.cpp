@@ -20,18 +20,16 @@
 #include "run/checkpoint_store.h"
 #include "run/leave_out_proofs.h"
 #include "run/run_folder.h"
-#include "run/run_identity.h"
 #include "run/run_resume.h"
 #include "session/self_training.h"
 #include "session/trainer.h"
+#include "settings/run_identity.h"
 
 namespace semfield {
 
 namespace {
 
 using Clock = std::chrono::steady_clock;
-
-double steady_seconds() { return std::chrono::duration<double>(Clock::now().time_since_epoch()).count(); }
 
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
@@ -42,43 +40,42 @@ constexpr double kStopDeadline_s = 10;
 // The run's moving parts while it trains.
 class Run {
  public:
-  Run(RunFolder folder, Session session, const Registry& registry, const TrainHooks& hooks, ResumePoint point,
+  Run(RunFolder folder, Session opened, const Registry& registry, RunListener& listener, ResumePoint point,
       SceneInputs inputs)
-      : hooks_(hooks),
+      : listener_(listener),
         folder_(std::move(folder)),
-        session_(std::move(session)),
-        checkpoints_(folder_.checkpoints_path(), session_.config.report.keep_checkpoints),
+        training_(std::move(opened), &listener, std::move(inputs)),
+        checkpoints_(folder_.checkpoints_path(), session().config.report.keep_checkpoints),
         point_(std::move(point)),
-        inputs_(std::move(inputs)) {
-    if (!session_.scene.info.classes.empty())
-      write_file_atomic(folder_.classes_path(), session_.scene.info.classes.to_yaml());
+        self_training_(session(), training_.rays(), folder_.self_labels_path()) {
+    const WorkScope scope(work_);
+    if (!session().scene.info.classes.empty())
+      write_file_atomic(folder_.classes_path(), session().scene.info.classes.to_yaml());
     write_left_out();
     write_environment(registry);
-    rays_ = session_.make_ray_source();
-    self_training_.emplace(session_, *rays_, folder_.self_labels_path());
     write_labels();
-    trainer_ = std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule,
-                                         session_.device.get());
   }
 
   /// Takes up the checkpoint of the resume point; without one the run starts at step 0.
   void go_on() {
+    const WorkScope scope(work_);
     for (const ConfigDifference& change : point_.changed)
       note(fmt::format("from step {} on: {}", point_.step(), change.text()));
-    self_training_->resume(point_.step(), point_.facts ? point_.facts->self_labels : std::string());
+    self_training_.resume(point_.step(), point_.facts ? point_.facts->self_labels : std::string());
     write_labels();
     if (!point_.facts) {
       note("no checkpoint yet: starting from step 0");
       return;
     }
-    trainer_->load(TensorFile::read(point_.path), point_.step());
-    train_s_ = point_.facts->train_s;
-    note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", point_.step(), train_s_, point_.path));
+    training_.load(point_.path);
+    note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", point_.step(), training_.train_s(),
+                     point_.path));
     say_if_done();
   }
 
   /// A write that fails ends the run; the message then tells what is left of it.
   TrainOutcome train() {
+    const WorkScope scope(work_);
     try {
       return train_to_the_end();
     } catch (Error& error) {
@@ -86,7 +83,7 @@ class Run {
       if (writing && error.message().starts_with("cannot ")) {
         const std::string kept = error.context().empty() ? checkpoints_.kept_text() + "; " : "";  // a save has said it
         error.while_doing(fmt::format("training ended at step {} ({}go on with `semfield train --resume {}`)",
-                                      trainer_->step(), kept, shell_word(folder_.path())));
+                                      training_.step(), kept, shell_word(folder_.path())));
       }
       throw;
     }
@@ -95,29 +92,29 @@ class Run {
  private:
   TrainOutcome train_to_the_end() {
     // Rows past the step taken up (all of them, for a run killed before its first checkpoint) are dropped.
-    MetricsLog log = MetricsLog::resume(folder_.metrics_path(), trainer_->step());
+    MetricsLog log = MetricsLog::resume(folder_.metrics_path(), training_.step());
     EventWriter events(folder_.path(), unix_seconds());
     log_ = &log;
     events_ = &events;
-    scores_.emplace(
-        session_, ScoreFiles{folder_, log, events},
-        ScoreHooks{hooks_.note, hooks_.scoring, hooks_.stop_signal, hooks_.now_s ? hooks_.now_s : steady_seconds},
-        moment());
-    const RunConfig& config = session_.config;
+    scores_.emplace(session(), ScoreFiles{folder_, log, events},
+                    ScoreHooks{[this](const std::string& text) { note(text); },
+                               [this](const ScoreProgress& p) { listener_.scoring(p); },
+                               [this] { return listener_.stop_signal(); }, [this] { return listener_.now_s(); }},
+                    moment());
+    const RunConfig& config = session().config;
     last_checkpoint_ = last_progress_ = Clock::now();
     next_eval_s_ = config.report.eval_every_s > 0
-                       ? (std::floor(train_s_ / config.report.eval_every_s) + 1) * config.report.eval_every_s
+                       ? (std::floor(training_.train_s() / config.report.eval_every_s) + 1) * config.report.eval_every_s
                        : INFINITY;
     int signal = 0;
-    saved_step_ = trainer_->step();
-    if (hooks_.stop_waits) hooks_.stop_waits(true);
-    while (trainer_->step() < config.train.steps &&
-           (config.train.time_limit_s <= 0 || train_s_ < config.train.time_limit_s)) {
-      if (self_training_->due(trainer_->step()) && !make_round()) break;
-      const Clock::time_point start = Clock::now();
-      const std::span<const StepLosses> steps = trainer_->advance_many(steps_until_row());
-      const double spent_s = seconds_since(start), step_s = spent_s / static_cast<double>(steps.size());
-      train_s_ += spent_s;
+    saved_step_ = training_.step();
+    listener_.stop_waits(true);
+    while (training_.step() < config.train.steps &&
+           (config.train.time_limit_s <= 0 || training_.train_s() < config.train.time_limit_s)) {
+      if (self_training_.due(training_.step()) && !make_round()) break;
+      const double before_s = training_.train_s();
+      const std::span<const StepLosses> steps = training_.advance(steps_until_row());
+      const double step_s = (training_.train_s() - before_s) / static_cast<double>(steps.size());
       if (step_s > kStopDeadline_s && !warned_of_slow_steps_) {
         warned_of_slow_steps_ = true;
         note(
@@ -126,53 +123,52 @@ class Run {
                         step_s, kStopDeadline_s));
       }
       for (std::size_t i = 0; i < steps.size(); ++i) {
-        record(steps[i], trainer_->step() - std::ssize(steps) + 1 + static_cast<std::int64_t>(i));
+        record(steps[i], training_.step() - std::ssize(steps) + 1 + static_cast<std::int64_t>(i));
       }
-      if (train_s_ >= next_eval_s_) {
+      if (training_.train_s() >= next_eval_s_) {
         next_eval_s_ += config.report.eval_every_s;
         scores_->score_sample(moment());
       }
       if (config.report.checkpoint_every_s > 0 && seconds_since(last_checkpoint_) >= config.report.checkpoint_every_s)
         save();
-      if (hooks_.save_request && hooks_.save_request()) {
+      if (listener_.save_request()) {
         save();
         note(fmt::format("checkpoint of step {} saved as asked", saved_step_));
       }
-      if (hooks_.stop_signal && (signal = hooks_.stop_signal()) != 0) break;
+      if ((signal = listener_.stop_signal()) != 0) break;
     }
-    if (trainer_->step() != saved_step_ || trainer_->step() == 0) save();
-    if (hooks_.stop_waits) hooks_.stop_waits(false);
-    if (hooks_.stop_signal) signal = hooks_.stop_signal();  // one that came during the save
+    if (training_.step() != saved_step_ || training_.step() == 0) save();
+    listener_.stop_waits(false);
+    signal = listener_.stop_signal();  // one that came during the save
     TrainOutcome outcome;
     if (signal == 0) {
       outcome.values = scores_->score_end(moment());
       outcome.scored = scores_->last_part();
     }
     outcome.signal = signal;
-    outcome.step = trainer_->step();
-    outcome.train_s = train_s_;
+    outcome.step = training_.step();
+    outcome.train_s = training_.train_s();
     outcome.run_dir = folder_.path();
     outcome.peak_bytes = peak_resident_bytes();
-    if (signal == 0 && hooks_.write_report)
-      outcome.report_path = hooks_.write_report(folder_, session_, scores_->report_frames());
+    if (signal == 0) outcome.report_path = listener_.write_report(folder_, session(), scores_->report_frames());
     return outcome;
   }
 
-  RunScores::Moment moment() const { return {trainer_->step(), train_s_}; }
+  RunScores::Moment moment() const { return {training_.step(), training_.train_s()}; }
 
   // A resume that has nothing to train is no mistake (its evaluation may have been cut off), but it is said.
   void say_if_done() const {
-    const TrainParams& train = session_.config.train;
-    const std::int64_t step = trainer_->step();
+    const TrainParams& train = session().config.train;
+    const std::int64_t step = training_.step();
     std::string done, more;
     if (step >= train.steps) {
       done = fmt::format("{} steps where train.steps is {}", step, train.steps);
       more = fmt::format(" --steps {}", 2 * std::max<std::int64_t>(step, 1));
     }
-    if (train.time_limit_s > 0 && train_s_ >= train.time_limit_s) {
+    if (train.time_limit_s > 0 && training_.train_s() >= train.time_limit_s) {
       done += fmt::format("{}{:.1f} s of training where train.time_limit_s is {}", done.empty() ? "" : " and ",
-                          train_s_, train.time_limit_s);
-      more += fmt::format(" --time {:.0f}s", std::ceil(2 * train_s_));
+                          training_.train_s(), train.time_limit_s);
+      more += fmt::format(" --time {:.0f}s", std::ceil(2 * training_.train_s()));
     }
     if (done.empty()) return;
     note(fmt::format(
@@ -180,67 +176,59 @@ class Run {
         shell_word(folder_.path()), more));
   }
 
-  void note(const std::string& text) const {
-    if (hooks_.note) hooks_.note(text);
-  }
+  const Session& session() const { return training_.session(); }
+  void note(const std::string& text) const { listener_.note(text); }
 
   // Steps to the next row of the log, the next round of self-training, or the end.
   std::int64_t steps_until_row() const {
-    const std::int64_t step = trainer_->step(), every = session_.config.report.log_every_steps;
-    return self_training_->steps_until_due(step, std::min(every - step % every, session_.config.train.steps - step));
+    const std::int64_t step = training_.step(), every = session().config.report.log_every_steps;
+    return self_training_.steps_until_due(step, std::min(every - step % every, session().config.train.steps - step));
   }
 
   // What it takes is training. False: a stop was asked for, and the round waits for the resume.
   bool make_round() {
     const Clock::time_point start = Clock::now();
-    const SelfTraining::Hooks hooks{hooks_.scoring, [&] { return hooks_.stop_signal && hooks_.stop_signal() != 0; }};
-    if (!self_training_->make_round(trainer_->step(), hooks)) return false;
+    const SelfTraining::Hooks hooks{[this](const ScoreProgress& p) { listener_.scoring(p); },
+                                    [this] { return listener_.stop_signal() != 0; }};
+    if (!self_training_.make_round(training_.step(), hooks)) return false;
     const double spent_s = seconds_since(start);
-    train_s_ += spent_s;
+    training_.add_train_s(spent_s);
     window_start_s_ += spent_s;
-    note(self_training_->rounds().back().text());
+    note(self_training_.rounds().back().text());
     write_labels();
     return true;
   }
 
   void write_labels() const {
-    LabelCounts counts = label_counts(session_.manifest, session_.scene.info.classes, session_.labels.steps);
-    counts.rounds = self_training_->rounds();
+    LabelCounts counts = label_counts(session().manifest, session().scene.info.classes, session().labels.steps);
+    counts.rounds = self_training_.rounds();
     write_file_atomic(folder_.labels_path(), label_counts_json(counts));
   }
 
   void save() {
-    trainer_->collect();
-    trainer_->check_storable();
+    const std::vector<TensorRef> tensors = training_.state();
     if (log_ != nullptr) log_->sync();  // a checkpoint that outlives a power cut has its rows
-    CheckpointFacts facts;
-    facts.step = trainer_->step();
-    facts.train_s = train_s_;
-    facts.seed = session_.config.runtime.seed;
-    facts.config = write_config(resolved_config(session_.config));
-    facts.classes = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
-    facts.scene = {session_.manifest, session_.scene.pixel_footprint_m};
-    facts.inputs = inputs_;
-    facts.self_labels = self_training_->named();
-    checkpoints_.save(facts.step, trainer_->state(), checkpoint_metadata(facts, identity_hash(session_.config)));
-    saved_step_ = trainer_->step();
+    CheckpointFacts facts = training_.facts();
+    facts.self_labels = self_training_.named();
+    checkpoints_.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
+    saved_step_ = training_.step();
     last_checkpoint_ = Clock::now();
   }
 
   void record(const StepLosses& losses, std::int64_t step) {
-    const RunConfig& config = session_.config;
+    const RunConfig& config = session().config;
     mse_sum_ += losses.mse;
     ++mse_steps_;
     const double psnr = -10 * std::log10(mse_sum_ / static_cast<double>(mse_steps_));
-    const double span = std::max(train_s_ - window_start_s_, 1e-9);
+    const double span = std::max(training_.train_s() - window_start_s_, 1e-9);
     const double rays_per_s = static_cast<double>(mse_steps_ * config.train.rays) / span;
     if (step % config.report.log_every_steps == 0 || step == config.train.steps) {
       MetricsRow row;
       row.step = step;
-      row.train_s = train_s_;
+      row.train_s = training_.train_s();
       row.set("loss", losses.total);
       row.set("loss_color", losses.color);
-      if (session_.pipeline->has_semantics()) row.set("loss_semantic", losses.semantic);
+      if (session().pipeline->has_semantics()) row.set("loss_semantic", losses.semantic);
       const std::vector<LossEntry>& terms = config.losses;
       for (std::size_t i = 0; i < terms.size(); ++i) {  // without a value while the term has not begun
         row.set("loss_" + terms[i].type,
@@ -255,18 +243,16 @@ class Run {
       report_progress(losses, psnr, rays_per_s);
       mse_sum_ = 0;
       mse_steps_ = 0;
-      window_start_s_ = train_s_;
+      window_start_s_ = training_.train_s();
     }
   }
 
   void report_progress(const StepLosses& losses, double psnr, double rays_per_s) {
-    if (!hooks_.progress ||
-        (seconds_since(last_progress_) < kProgressEvery_s && trainer_->step() < session_.config.train.steps))
-      return;
+    if (seconds_since(last_progress_) < kProgressEvery_s && training_.step() < session().config.train.steps) return;
     last_progress_ = Clock::now();
-    const RunConfig& config = session_.config;
+    const RunConfig& config = session().config;
     TrainProgress p;
-    p.step = trainer_->step();
+    p.step = training_.step();
     p.steps = config.train.steps;
     p.loss = losses.total;
     for (std::size_t i = 0; i < config.losses.size(); ++i)
@@ -275,16 +261,17 @@ class Run {
     p.miou_present = scores_->last_miou_present();
     p.scored = scores_->last_part();
     p.rays_per_s = rays_per_s;
-    p.train_s = train_s_;
-    const double per_step = train_s_ / static_cast<double>(std::max<std::int64_t>(p.step, 1));
+    p.train_s = training_.train_s();
+    const double per_step = training_.train_s() / static_cast<double>(std::max<std::int64_t>(p.step, 1));
     p.remaining_s = per_step * static_cast<double>(p.steps - p.step);
-    if (config.train.time_limit_s > 0) p.remaining_s = std::min(p.remaining_s, config.train.time_limit_s - train_s_);
-    hooks_.progress(p);
+    if (config.train.time_limit_s > 0)
+      p.remaining_s = std::min(p.remaining_s, config.train.time_limit_s - training_.train_s());
+    listener_.progress(p);
   }
 
   void write_left_out() {
     std::vector<LeftOutRow> rows;
-    for (const LeftOut& out : session_.plan.left_out) {
+    for (const LeftOut& out : session().plan.left_out) {
       rows.push_back({out.component, out.rule, out.evidence, std::string(1, static_cast<char>(out.proof)), out.saving,
                       out.measured.empty() ? shipped_saving(out.component) : out.measured});
     }
@@ -294,14 +281,14 @@ class Run {
   void write_environment(const Registry& registry) {
     Environment environment = this_environment();
     environment.threads = thread_count();
-    environment.seed = session_.config.runtime.seed;
-    environment.input_hash = inputs_.hash();
+    environment.seed = session().config.runtime.seed;
+    environment.input_hash = training_.inputs().hash();
     environment.settings_changed = settings_changed();
     for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
     environment.more.emplace_back("started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr))));
-    environment.more.emplace_back("device", session_.device ? session_.device->description() : "cpu");
-    environment.more.emplace_back("matrix products", session_.device ? "cuBLASLt and our own" : gemm_engine_text());
-    environment.more.emplace_back("precision", std::string(precision_name(session_.config.runtime.precision)));
+    environment.more.emplace_back("device", session().device ? session().device->description() : "cpu");
+    environment.more.emplace_back("matrix products", session().device ? "cuBLASLt and our own" : gemm_engine_text());
+    environment.more.emplace_back("precision", std::string(precision_name(session().config.runtime.precision)));
     write_file_atomic(folder_.environment_path(), environment_json(environment));
   }
 
@@ -317,18 +304,16 @@ class Run {
     return changes;
   }
 
-  TrainHooks hooks_;
+  RunListener& listener_;
   RunFolder folder_;
-  Session session_;
+  Training training_;
+  WorkSettings work_ = session().work();
   CheckpointStore checkpoints_;
   ResumePoint point_;
-  SceneInputs inputs_;
-  std::unique_ptr<RaySource> rays_;
-  std::optional<SelfTraining> self_training_;
-  std::unique_ptr<Trainer> trainer_;
+  SelfTraining self_training_;
   MetricsLog* log_ = nullptr;
   EventWriter* events_ = nullptr;
-  double train_s_ = 0, next_eval_s_ = 0;
+  double next_eval_s_ = 0;
   double mse_sum_ = 0, window_start_s_ = 0;
   std::int64_t mse_steps_ = 0, saved_step_ = 0;
   Clock::time_point last_checkpoint_, last_progress_;
@@ -338,7 +323,11 @@ class Run {
 
 }  // namespace
 
-TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, const TrainHooks& hooks) {
+double RunListener::now_s() { return std::chrono::duration<double>(Clock::now().time_since_epoch()).count(); }
+
+TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* told) {
+  RunListener nobody;
+  RunListener& listener = told != nullptr ? *told : nobody;
   Diagnostics diagnostics;
   SessionOptions options;
   options.keep = request.keep;
@@ -357,16 +346,11 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   Session session = open_session(std::move(config), registry, options, diagnostics);
   SceneInputs inputs = scene_inputs(session.scene);
   if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
-  for (const Diagnostic& finding : folded(diagnostics)) {
-    if (hooks.note) hooks.note(finding.text());
-  }
-  for (const std::string& line : session.choices()) {
-    if (hooks.note) hooks.note("chosen from the scene: " + line);
-  }
+  tell_findings(listener, diagnostics, session);
   const std::string text = run_config_text(session.config, registry);
   if (!folder) folder.emplace(RunFolder::create(request.out_dir));
   if (!request.resume || read_text_file(folder->config_path()) != text) write_file_atomic(folder->config_path(), text);
-  Run run(std::move(*folder), std::move(session), registry, hooks, std::move(point), std::move(inputs));
+  Run run(std::move(*folder), std::move(session), registry, listener, std::move(point), std::move(inputs));
   if (request.resume) run.go_on();
   return run.train();
 }

@@ -2,13 +2,13 @@
 // resumed.
 #pragma once
 
-#include <functional>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "run/run_scores.h"
+#include "session/training.h"
 #include "settings/run_config.h"
 
 namespace semfield {
@@ -25,18 +25,22 @@ struct TrainProgress {
   double remaining_s = 0;  ///< estimate
 };
 
-struct TrainHooks {
-  std::function<void(const TrainProgress&)> progress;
-  std::function<void(const ScoreProgress&)> scoring;  ///< an evaluation is under way
-  std::function<void(const std::string&)> note;
-  std::function<int()> stop_signal;    ///< 0, or the number of the signal that asks for an orderly end
-  std::function<bool()> save_request;  ///< whether a checkpoint was asked for since the last call
+/// What a run tells, and what it asks between steps; every call comes from the thread that trains.
+class RunListener : public TrainingListener {
+ public:
+  virtual void progress(const TrainProgress&) {}
+  virtual void scoring(const ScoreProgress&) {}  ///< an evaluation or a round of self-training is under way
+  /// 0, or the number of the signal that asks for an orderly end.
+  virtual int stop_signal() { return 0; }
+  /// Whether a checkpoint was asked for since the last call.
+  virtual bool save_request() { return false; }
   /// true: from now on a stop waits for the step under way and its checkpoint; false: nothing is left to save, so the
   /// process may end at once.
-  std::function<void(bool)> stop_waits;
-  std::function<double()> now_s;  ///< a clock for what evaluations take; null: the machine's
-  /// Writes the report of a run that came to its end and returns its path (report/run_report.h); null: there is none.
-  std::function<std::string(const RunFolder&, const Session&, const ReportFrames&)> write_report;
+  virtual void stop_waits(bool) {}
+  /// A clock for what evaluations take; it never runs back.
+  virtual double now_s();
+  /// Writes the report of a run that came to its end and returns its path (report/run_report.h); "": there is none.
+  virtual std::string write_report(const RunFolder&, const Session&, const ReportFrames&) { return ""; }
 };
 
 struct TrainRequest {
@@ -56,6 +60,8 @@ struct TrainOutcome {
   std::size_t peak_bytes = 0;  ///< of the process
 };
 
-TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, const TrainHooks& hooks);
+/// A null `listener` hears nothing and never stops the run.
+TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request,
+                          RunListener* listener = nullptr);
 
 }  // namespace semfield

@@ -4,14 +4,9 @@
 
 #include "core/error.h"
 #include "core/files.h"
+#include "core/work_scope.h"
 
 namespace semfield {
-
-namespace {
-
-InputLimits g_limits;
-
-}  // namespace
 
 void describe(ParamVisitor& visit, InputLimits& p) {
   SEMFIELD_PARAM(visit, p, image_axis_px, "pixels along an axis of an image", {1, 1 << 20});
@@ -24,8 +19,11 @@ void describe(ParamVisitor& visit, InputLimits& p) {
   SEMFIELD_PARAM(visit, p, frames, "frames of a scene", {1, 1e8});
 }
 
-const InputLimits& input_limits() { return g_limits; }
-void set_input_limits(const InputLimits& limits) { g_limits = limits; }
+const InputLimits& input_limits() {
+  static const InputLimits defaults;
+  const InputLimits* own = work_settings().limits;
+  return own != nullptr ? *own : defaults;
+}
 
 void check_input_limit(std::int64_t count, std::int64_t limit, const std::string& what, const std::string& noun,
                        const std::string& key) {
@@ -40,7 +38,7 @@ void check_image_limits(std::int64_t width, std::int64_t height, std::int64_t ch
   if (width < 1 || height < 1)
     throw Error(ErrorKind::data, "image has no pixels (" + std::to_string(width) + " x " + std::to_string(height) + ")",
                 "copy or export the file again");
-  const InputLimits& most = g_limits;
+  const InputLimits& most = input_limits();
   check_input_limit(std::max(width, height), most.image_axis_px, size, "pixels along an axis", "image_axis_px");
   check_input_limit(width * height, most.image_pixels, size, "pixels", "image_pixels");
   check_input_limit(channels, most.image_channels, size, "channels", "image_channels");
@@ -49,7 +47,7 @@ void check_image_limits(std::int64_t width, std::int64_t height, std::int64_t ch
 }
 
 std::string read_pose_file(const std::string& path) {
-  const auto most = static_cast<std::size_t>(g_limits.pose_file_bytes);
+  const auto most = static_cast<std::size_t>(input_limits().pose_file_bytes);
   try {
     return read_text_file(path, most);
   } catch (const Error& e) {

@@ -21,10 +21,8 @@ struct InputLimits {
 };
 void describe(ParamVisitor& visit, InputLimits& limits);
 
-/// The limits of this process: the defaults until set_input_limits() is called, which is to happen before a scene is
-/// opened and from one thread.
+/// Those of this thread's work_settings(), or else the defaults.
 const InputLimits& input_limits();
-void set_input_limits(const InputLimits& limits);
 
 /// Throws Error(data) "WHAT: COUNT NOUN; at most LIMIT are read" whose remedy names `limits.KEY`, when count is above
 /// limit.

@@ -225,8 +225,9 @@ NetworkPlan plan_network(const RunConfig& config, const Registry& registry, cons
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable) {
-  choose_gemm_engine(config.runtime.gemm, config.runtime.precision);
   PipelineOptions options = pipeline_options(config, plan);
+  options.work.threads = config.runtime.threads;
+  options.work.gemm = choose_gemm_engine(config.runtime.gemm, config.runtime.precision);
   options.class_weight = std::move(class_weight);
   return std::make_unique<Pipeline<Real>>(make_passes<Real>(config, registry, plan, extent), std::move(options),
                                           trainable);

@@ -57,6 +57,11 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
   if (offsets_.back() > std::int64_t{0xFFFFFFFF}) {
     throw Error(ErrorKind::data, "the training split has more than 2^32 pixels", "reduce it with scene.load.downscale");
   }
+  relabel();
+}
+
+void RaySource::relabel() {
+  soft_logits_ = 0;
   const bool soft = std::any_of(frames_.begin(), frames_.end(),
                                 [](const TrainFrame& f) { return f.labels != nullptr && !f.labels->soft.empty(); });
   for (const std::int16_t logit : logit_of_class_) {

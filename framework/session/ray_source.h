@@ -83,6 +83,10 @@ class RaySource {
   /// place of those given before. A label that is no class is refused where it is met.
   void add_labels(const std::vector<LabelMap>& labels);
 
+  /// To be called after the maps behind TrainFrame::labels have changed. Throws Error(data) as the constructor does; the
+  /// source then needs the labels of before, and another call.
+  void relabel();
+
   std::int64_t pixel_count() const { return offsets_.back(); }
   /// Frame and pixel of ray i of a step, before the tile's reordering; for messages and tests.
   using Pixel = TrainPixel;

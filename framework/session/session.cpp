@@ -98,6 +98,7 @@ void add_owned_rows(Session& s) {
                     "no image of this scene needed it", ProofClass::bitwise,
                     "about 250 shared libraries, a quarter of a second", "it is loaded by itself", ""});
   }
+  const WorkScope scope(s.pipeline->options().work);
   if (foreign_gemm() == nullptr) {
     rows.push_back({"matrix_library", "loaded where it is faster, or asked for",
                     "matrix products are " + gemm_engine_text(), ProofClass::bitwise, "one shared library",
@@ -230,8 +231,12 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
   const std::size_t program_bytes = resident_bytes();
   keep_components(config, options.keep);
-  set_thread_count(config.runtime.threads);
-  set_input_limits(config.limits);
+  const InputLimits limits = config.limits;
+  WorkSettings work = work_settings();
+  work.limits = &limits;
+  work.threads = config.runtime.threads;
+  if (options.progress) work.load_progress = &options.progress;
+  const WorkScope scope(work);
   const Device device = chosen_device(config, registry, diagnostics);
   Session s = load_session(std::move(config), registry, options, device, diagnostics);
   s.memory_facts.program = program_bytes;
@@ -247,6 +252,13 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   }
   if (options.build) build_session(s, registry, options, device);
   return s;
+}
+
+WorkSettings Session::work() const {
+  WorkSettings work = pipeline ? pipeline->options().work : WorkSettings();
+  work.threads = config.runtime.threads;
+  work.limits = &config.limits;
+  return work;
 }
 
 std::vector<std::string> Session::choices() const {
@@ -316,6 +328,8 @@ ConfusionMatrix score_training_labels(const Session& s, const std::vector<int>& 
 }
 
 std::string describe_session(const Session& s) {
+  const WorkSettings work = s.work();
+  const WorkScope scope(work);
   std::string out;
   const auto add = [&](const std::string& line) { out += line + "\n"; };
   const std::vector<int> train = s.scene.frames_of(Split::train), test = s.scene.frames_of(Split::test);

@@ -32,6 +32,8 @@ struct Session {
   std::unique_ptr<Pipeline<float>> pipeline;
   std::unique_ptr<DeviceBackend> device;  ///< of `pipeline`; null: the processor does everything
 
+  /// What this session's work is done with; borrows from it.
+  WorkSettings work() const;
   int classes() const { return scene.info.classes.valid_count(); }
   std::vector<std::string> choices() const;  ///< both
   EvalJob eval_job(std::vector<int> frames) const;
@@ -56,6 +58,7 @@ struct SessionOptions {
   bool pixels = true;   ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
   bool probe = false;   ///< let a short training find the bounds of a scene that only guesses them (bounds_probe.h)
   bool labels = false;  ///< make the training labels although `known` is given
+  LoadProgress progress = {};  ///< told while the scene is opened; null: whom the caller's WorkSettings tell
   /// The class table that the network was trained with, as YAML; a scene with another one is refused.
   std::optional<std::string> trained_classes;
 };

@@ -77,6 +77,7 @@ Trainer::Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamPar
 StepLosses Trainer::advance() { return advance_many(1).back(); }
 
 std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
+  const WorkScope scope(pipeline_.options().work);
   const ComputeFloatMode mode;
   done_.clear();
   if (device_ == nullptr) {

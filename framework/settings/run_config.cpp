@@ -257,11 +257,16 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   return config;
 }
 
-RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
-  const ConfigNode tree = compose_config(path, overrides);
+RunConfig run_config_of(const ConfigNode& tree, Registry& registry) {
   Diagnostics diagnostics;
   RunConfig config = read_run_config(tree, registry, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::config, "");
+  return config;
+}
+
+RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
+  const ConfigNode tree = compose_config(path, overrides);
+  RunConfig config = run_config_of(tree, registry);
   if (tree.find("name") == nullptr) config.name = std::filesystem::path(path).stem().string();
   return config;
 }

@@ -188,6 +188,9 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
 /// compose + read; throws Error(config) with every error on its own line.
 RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry);
 
+/// read; throws Error(config) with every error on its own line.
+RunConfig run_config_of(const ConfigNode& tree, Registry& registry);
+
 /// The resolved configuration: every parameter written out, absolute base_dir; reading it gives the same run.
 ConfigNode resolved_config(const RunConfig& config);
 

@@ -9,6 +9,7 @@
 
 #include "core/error.h"
 #include "core/rng.h"
+#include "core/work_scope.h"
 
 namespace semfield {
 namespace {
@@ -23,16 +24,20 @@ class GemmEngineTest : public ::testing::Test {
  protected:
   void SetUp() override {
     try {
-      choose_gemm_engine(GemmEngine::onednn, Precision::fp32);
+      work_.gemm = choose_gemm_engine(GemmEngine::onednn, Precision::fp32);
     } catch (const Error& error) {
       GTEST_SKIP() << error.what();
     }
   }
-  void TearDown() override { choose_gemm_engine(GemmEngine::builtin, Precision::fp32); }
+
+  WorkSettings work_;
+  WorkScope scope_{work_};
 
   // C of the product by the chosen engine, and by our kernels.
   static std::vector<float> by(GemmEngine engine, Gemm<float> g, std::vector<float> c) {
-    choose_gemm_engine(engine, g.precision);
+    WorkSettings work;
+    work.gemm = choose_gemm_engine(engine, g.precision);
+    const WorkScope scope(work);
     g.c = c.data();
     gemm(g);
     return c;
@@ -121,7 +126,6 @@ TEST_F(GemmEngineTest, SplittingRowsGivesTheSameBits) {
                   .c = whole.data(),
                   .c_row = 24,
                   .precision = precision};
-    choose_gemm_engine(GemmEngine::onednn, precision);
     gemm(g);
     for (std::int64_t row = 0, size = 1; row < 150; row += size++) {
       g.m = std::min<std::int64_t>(size, 150 - row);
@@ -135,7 +139,7 @@ TEST_F(GemmEngineTest, SplittingRowsGivesTheSameBits) {
 
 TEST_F(GemmEngineTest, IsNamed) {
   EXPECT_EQ(gemm_engine_text().rfind("oneDNN ", 0), 0u) << gemm_engine_text();
-  choose_gemm_engine(GemmEngine::builtin, Precision::fp32);
+  work_.gemm = choose_gemm_engine(GemmEngine::builtin, Precision::fp32);
   EXPECT_EQ(gemm_engine_text().rfind("built-in, ", 0), 0u) << gemm_engine_text();
 }
 

@@ -1,7 +1,7 @@
 // What a run left behind: checkpoints and metrics.
 #include <string>
 
-#include "run/checkpoint_facts.h"
+#include "session/checkpoint_facts.h"
 #include "run/metrics_log.h"
 #include "session/safetensors.h"
 #include "tests/fuzz/inputs.h"

@@ -15,3 +15,5 @@ step("configure" ${CMAKE_COMMAND} -S ${SOURCE_DIR} -B ${WORK_DIR}/build -G ${GEN
 step("build" ${CMAKE_COMMAND} --build ${WORK_DIR}/build)
 step("host" ${WORK_DIR}/build/host ${WORK_DIR}/build)
 message(STATUS "${last_output}")
+step("drive" ${WORK_DIR}/build/drive ${WORK_DIR}/build)
+message(STATUS "${last_output}")

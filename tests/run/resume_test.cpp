@@ -9,7 +9,6 @@
 #include "core/files.h"
 #include "core/parallel.h"
 #include "eval/final_eval.h"
-#include "report/run_report.h"
 #include "run/checkpoint_store.h"
 #include "run/metrics_log.h"
 #include "run/open_run.h"
@@ -97,10 +96,10 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
   const TempDir dir;
   TrainRequest request;
   request.out_dir = dir / "run";
-  TrainHooks hooks;
-  hooks.write_report = write_run_report;
+  HookListener hooks;
+  hooks.reports = true;
   const TrainOutcome outcome = run_training(config_of(hash_config("report: {eval_every_s: 0, strips: 2}\n"), registry),
-                                            registry, request, hooks);
+                                            registry, request, &hooks);
   EXPECT_EQ(outcome.step, 200);
   for (const char* file :
        {"run.yaml", "metrics.jsonl", "environment.json", "left_out.json", "classes.yaml", "report.html"}) {
@@ -179,10 +178,10 @@ TEST(TrainRun, AStopSignalSavesAndResumeGoesOn) {
   TrainRequest request;
   request.out_dir = dir / "run";
   int asked = 0;
-  TrainHooks hooks;
-  hooks.stop_signal = [&] { return ++asked >= 30 ? 15 : 0; };
+  HookListener hooks;
+  hooks.on_stop_signal = [&] { return ++asked >= 30 ? 15 : 0; };
   const std::string yaml = hash_config("report: {eval_every_s: 0}\n");
-  const TrainOutcome stopped = run_training(config_of(yaml, registry), registry, request, hooks);
+  const TrainOutcome stopped = run_training(config_of(yaml, registry), registry, request, &hooks);
   EXPECT_EQ(stopped.signal, 15);
   EXPECT_EQ(stopped.step, 30);
   request.resume = true;
@@ -227,9 +226,9 @@ TEST(TrainRun, ARunFolderInUseIsRefused) {
   const TempDir dir;
   TrainRequest request;
   request.out_dir = dir / "run";
-  TrainHooks hooks;
+  HookListener hooks;
   std::string refusal;
-  hooks.stop_signal = [&] {
+  hooks.on_stop_signal = [&] {
     TrainRequest second = request;
     second.resume = true;
     try {
@@ -239,7 +238,7 @@ TEST(TrainRun, ARunFolderInUseIsRefused) {
     }
     return 2;
   };
-  run_training(config_of(hash_config("report: {eval_every_s: 0}\n"), registry), registry, request, hooks);
+  run_training(config_of(hash_config("report: {eval_every_s: 0}\n"), registry), registry, request, &hooks);
   EXPECT_NE(refusal.find("in use"), std::string::npos) << refusal;
 }
 

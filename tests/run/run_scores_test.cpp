@@ -37,14 +37,14 @@ Scored run_scored(const std::string& more, double time_limit_s, double each_s, c
   config.train.steps = 60;
   config.train.time_limit_s = time_limit_s;
   Scored scored;
-  TrainHooks hooks;
-  hooks.note = [&](const std::string& text) { scored.notes.push_back(text); };
-  hooks.scoring = [&](const ScoreProgress& p) { scored.progress.push_back(p); };
+  HookListener hooks;
+  hooks.on_note = [&](const std::string& text) { scored.notes.push_back(text); };
+  hooks.on_scoring = [&](const ScoreProgress& p) { scored.progress.push_back(p); };
   double now_s = 0;
-  hooks.now_s = [&] { return now_s += each_s; };
+  hooks.on_now_s = [&] { return now_s += each_s; };
   TrainRequest request;
   request.out_dir = dir / "run";
-  scored.outcome = run_training(std::move(config), registry, request, hooks);
+  scored.outcome = run_training(std::move(config), registry, request, &hooks);
   for (const MetricsRow& row : read_metrics(request.out_dir + "/metrics.jsonl")) {
     if (row.kind == "eval") scored.evals.push_back(row);
   }

@@ -7,7 +7,6 @@
 #include <filesystem>
 
 #include "core/files.h"
-#include "report/run_report.h"
 #include "run/checkpoint_store.h"
 #include "run/train_run.h"
 #include "session/trainer.h"
@@ -33,11 +32,11 @@ RunConfig config_in(const TempDir& dir, Registry& registry, std::vector<std::str
   return load_run_config(dir / "config.yaml", set, registry);
 }
 
-TrainOutcome train(const TempDir& dir, Registry& registry, const std::string& out, const TrainHooks& hooks = {},
+TrainOutcome train(const TempDir& dir, Registry& registry, const std::string& out, RunListener* listener = nullptr,
                    const std::vector<std::string>& more = {}) {
   TrainRequest request;
   request.out_dir = dir / out;
-  return run_training(config_in(dir, registry, more), registry, request, hooks);
+  return run_training(config_in(dir, registry, more), registry, request, listener);
 }
 
 TrainOutcome resume(const std::string& folder, Registry& registry) {
@@ -146,23 +145,23 @@ TEST(SelfTraining, KilledAroundARoundARunEndsInTheSameBits) {
   write_packed_config(dir, kSteps, 1e-6);
   // Copies of the folder as a kill at these moments would leave it.
   int notes = 0;
-  TrainHooks hooks;
-  hooks.scoring = [&](const ScoreProgress& p) {
+  HookListener hooks;
+  hooks.on_scoring = [&](const ScoreProgress& p) {
     if (std::string(p.split) == "train" && p.done > 4 && !fs::exists(dir / "within"))
       copy_run(dir / "whole", dir / "within");
   };
-  hooks.note = [&](const std::string& text) {
+  hooks.on_note = [&](const std::string& text) {
     if (text.rfind("self-training at step", 0) == 0)
       copy_run(dir / "whole", dir / (++notes == 1 ? "after_first" : "after_second"));
   };
   bool copied = false;
-  hooks.save_request = [&] {
+  hooks.on_save_request = [&] {
     if (notes == 1 && !copied) copy_run(dir / "whole", dir / "step_after");
     copied = copied || notes == 1;
     return false;
   };
-  hooks.write_report = write_run_report;
-  train(dir, registry, "whole", hooks);
+  hooks.reports = true;
+  train(dir, registry, "whole", &hooks);
   ASSERT_EQ(notes, 2);
   const std::uint32_t bits = checkpoint_fingerprint(dir / "whole", kSteps);
   EXPECT_TRUE(fs::exists((dir / "after_first") + kFirstRound));
@@ -195,10 +194,10 @@ TEST(SelfTraining, AStopWithinARoundIsAnsweredAndTheRoundMadeAfterwards) {
   write_packed_config(dir, kSteps, 0);
   train(dir, registry, "whole");
   bool rendering = false;
-  TrainHooks hooks;
-  hooks.scoring = [&](const ScoreProgress& p) { rendering = rendering || p.done > 2; };
-  hooks.stop_signal = [&] { return rendering ? 15 : 0; };
-  const TrainOutcome stopped = train(dir, registry, "run", hooks);
+  HookListener hooks;
+  hooks.on_scoring = [&](const ScoreProgress& p) { rendering = rendering || p.done > 2; };
+  hooks.on_stop_signal = [&] { return rendering ? 15 : 0; };
+  const TrainOutcome stopped = train(dir, registry, "run", &hooks);
   EXPECT_EQ(stopped.signal, 15);
   EXPECT_EQ(stopped.step, 30);
   EXPECT_FALSE(fs::exists((dir / "run") + kFirstRound));
@@ -285,9 +284,9 @@ TEST(SelfTraining, WithoutLabelsNothingIsDueAndThatIsSaid) {
   const TempDir dir;
   write_packed_config(dir, 8, 0);
   std::string notes;
-  TrainHooks hooks;
-  hooks.note = [&](const std::string& text) { notes += text + "\n"; };
-  train(dir, registry, "run", hooks,
+  HookListener hooks;
+  hooks.on_note = [&](const std::string& text) { notes += text + "\n"; };
+  train(dir, registry, "run", &hooks,
         {"scene.labels.frames=none", "scene.labels.degrade=[]", "train.ray_source=all_images"});
   EXPECT_NE(notes.find("there are no labels to begin with"), std::string::npos) << notes;
   EXPECT_FALSE(fs::exists(dir / "run/self_labels"));

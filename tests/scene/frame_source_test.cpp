@@ -319,14 +319,17 @@ TEST(LoadScene, TellsHowFarItIsAndThatItEnded) {
   RoomDataset room;
   std::vector<std::size_t> told;
   bool ended = false;
-  set_load_progress([&](std::string_view doing, std::size_t done, std::size_t total) {
+  const LoadProgress progress = [&](std::string_view doing, std::size_t done, std::size_t total) {
     EXPECT_FALSE(ended);
     ended = doing == "read";
     if (ended) return;
     EXPECT_EQ(doing, "reading");
     EXPECT_EQ(total, 6u);
     told.push_back(done);
-  });
+  };
+  WorkSettings work;
+  work.load_progress = &progress;
+  const WorkScope scope(work);
   Diagnostics d;
   (void)load_scene(room, {}, d);
   EXPECT_TRUE(ended);
@@ -339,7 +342,6 @@ TEST(LoadScene, TellsHowFarItIsAndThatItEnded) {
   } gone;
   EXPECT_THROW((void)load_scene(gone, {}, d), Error);
   EXPECT_TRUE(ended);
-  set_load_progress({});
 }
 
 }  // namespace

@@ -236,9 +236,12 @@ TEST(Npy, AShapeThatIsNotWantedOrTooLargeIsRefusedByItsHeader) {
             "'" + c.path + "': not (2, 3)");
   InputLimits small;
   small.image_bytes = 23;  // six values of four bytes are 24
-  set_input_limits(small);
-  const std::string refused = error_of([&] { (void)read_npy(c.path, {}); });
-  set_input_limits({});
+  WorkSettings work;
+  work.limits = &small;
+  const std::string refused = error_of([&] {
+    const WorkScope scope(work);
+    (void)read_npy(c.path, {});
+  });
   EXPECT_EQ(refused, "'" + c.path +
                          "': array of the shape (2, 3): 24 bytes once decoded; at most 23 are read; check that it is "
                          "the right file, or raise limits.image_bytes in the configuration");

@@ -41,13 +41,15 @@ TEST(BoundsProbe, ShrinksWhatTheCamerasGuessToTheRoom) {
   EXPECT_TRUE(guessed.scene.extent_is_guessed);
   EXPECT_GT(volume(guessed.extent.bounds), 15 * 24);
   std::vector<std::size_t> told;
-  set_load_progress([&](std::string_view doing, std::size_t done, std::size_t total) {
+  const LoadProgress progress = [&](std::string_view doing, std::size_t done, std::size_t total) {
     if (doing != "looking for the bounds") return;
     told.push_back(done);
     EXPECT_EQ(total, 128u);
-  });
+  };
+  WorkSettings work;
+  work.load_progress = &progress;
+  const WorkScope scope(work);
   const Session s = open_probing(without_depth(""), registry, d);
-  set_load_progress({});
   EXPECT_EQ(s.scene.bounds_from, "a probe of 128 steps");
   EXPECT_GT(told.size(), 3u) << "a probe says how far it is";
   EXPECT_TRUE(std::is_sorted(told.begin(), told.end()));

@@ -57,7 +57,6 @@ TEST(Determinism, OnednnRunIsTheSameFor1And2Threads) {
   }
   const std::uint32_t one = train_fingerprint(hash_config(onednn), 1, 40);
   EXPECT_EQ(one, train_fingerprint(hash_config(onednn), 2, 40));
-  choose_gemm_engine(GemmEngine::builtin, Precision::fp32);
 }
 
 // Every third value of what a step reads and writes is subnormal.

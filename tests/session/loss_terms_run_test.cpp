@@ -202,9 +202,9 @@ TEST(LossTerms, MetricsNameEachAndSayNothingBeforeItBegins) {
   TrainRequest request;
   request.out_dir = dir / "run";
   TrainProgress last;
-  TrainHooks hooks;
-  hooks.progress = [&last](const TrainProgress& progress) { last = progress; };
-  run_training(std::move(config), registry, request, hooks);
+  HookListener hooks;
+  hooks.on_progress = [&last](const TrainProgress& progress) { last = progress; };
+  run_training(std::move(config), registry, request, &hooks);
   ASSERT_EQ(last.terms.size(), 2u);
   EXPECT_EQ(last.terms[0].first, "depth");
   EXPECT_EQ(last.terms[1].first, "distortion");

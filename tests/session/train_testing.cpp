@@ -8,6 +8,7 @@
 #include "core/checksum.h"
 #include "core/files.h"
 #include "plugin/linked_plugins.h"
+#include "report/run_report.h"
 #include "run/checkpoint_store.h"
 #include "scene/packed_scene.h"
 #include "testkit/analytic_scene.h"
@@ -113,6 +114,22 @@ Session open_text(const std::string& yaml, Registry& registry, const std::vector
   SessionOptions options;
   options.keep = keep;
   return open_session(std::move(config), registry, options, diagnostics);
+}
+
+void HookListener::progress(const TrainProgress& p) {
+  if (on_progress) on_progress(p);
+}
+void HookListener::scoring(const ScoreProgress& p) {
+  if (on_scoring) on_scoring(p);
+}
+void HookListener::note(const std::string& text) {
+  if (on_note) on_note(text);
+}
+int HookListener::stop_signal() { return on_stop_signal ? on_stop_signal() : 0; }
+bool HookListener::save_request() { return on_save_request && on_save_request(); }
+double HookListener::now_s() { return on_now_s ? on_now_s() : RunListener::now_s(); }
+std::string HookListener::write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) {
+  return reports ? write_run_report(folder, session, frames) : "";
 }
 
 std::uint32_t fingerprint(const ParamStore<float>& store) {

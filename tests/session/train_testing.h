@@ -2,10 +2,12 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 
 #include "plugin/registry.h"
+#include "run/train_run.h"
 #include "session/session.h"
 
 namespace semfield::testing_train {
@@ -23,6 +25,26 @@ Session open_text(const std::string& yaml, Registry& registry, const std::vector
 
 /// CRC-32C over every tensor's values and moments, by name.
 std::uint32_t fingerprint(const ParamStore<float>& store);
+
+/// A listener whose answers are functions; those that are null are the listener's own.
+class HookListener final : public RunListener {
+ public:
+  std::function<void(const TrainProgress&)> on_progress;
+  std::function<void(const ScoreProgress&)> on_scoring;
+  std::function<void(const std::string&)> on_note;
+  std::function<int()> on_stop_signal;
+  std::function<bool()> on_save_request;
+  std::function<double()> on_now_s;
+  bool reports = false;  ///< write_run_report
+
+  void progress(const TrainProgress& p) override;
+  void scoring(const ScoreProgress& p) override;
+  void note(const std::string& text) override;
+  int stop_signal() override;
+  bool save_request() override;
+  double now_s() override;
+  std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override;
+};
 
 class TempDir;
 /// Packs the analytic room into `dir` and writes config.yaml, which trains on it with `hash_config` and saves so often.

@@ -1,5 +1,5 @@
 // Metadata of checkpoints: written, read strictly, compared with a scene.
-#include "run/checkpoint_facts.h"
+#include "session/checkpoint_facts.h"
 
 #include <fmt/format.h>
 
@@ -115,17 +115,13 @@ TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::stri
   return metadata;
 }
 
-CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step) {
+CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
   if (const std::string format = text_of(file, "format"); format != kFormat) {
     refuse(file, fmt::format("its format is '{}', this program reads '{}'", format, kFormat),
            "use the version of the program that wrote it, or train anew");
   }
   CheckpointFacts facts;
   facts.step = number_of<std::int64_t>(file, "step");
-  if (facts.step != step) {
-    refuse(file, fmt::format("its name says step {}, its metadata step {}", step, facts.step),
-           fmt::format("name it step_{:08d}.safetensors", facts.step));
-  }
   facts.train_s = number_of<double>(file, "train_s");
   facts.seed = number_of<std::uint32_t>(file, "seed");
   facts.config = text_of(file, "config");
@@ -134,6 +130,15 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step)
   facts.inputs = inputs_of(file);
   if (const auto round = file.metadata().find("self_labels"); round != file.metadata().end())
     facts.self_labels = round->second;
+  return facts;
+}
+
+CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step) {
+  CheckpointFacts facts = read_checkpoint_facts(file);
+  if (facts.step != step) {
+    refuse(file, fmt::format("its name says step {}, its metadata step {}", step, facts.step),
+           fmt::format("name it step_{:08d}.safetensors", facts.step));
+  }
   return facts;
 }
 

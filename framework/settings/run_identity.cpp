@@ -1,5 +1,5 @@
 // Which settings make a run the run that it is, and which may change while it goes on.
-#include "run/run_identity.h"
+#include "settings/run_identity.h"
 
 #include <algorithm>
 #include <array>

@@ -37,6 +37,8 @@ TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::stri
 /// `step` is what the file's name says. Throws Error(data) naming file and cause for another format, another step, a
 /// missing or bad value.
 CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step);
+/// The same for a file whose name says no step.
+CheckpointFacts read_checkpoint_facts(const TensorFile& file);
 
 /// One warning where frames, cameras or images are others. What one side does not know is not compared.
 void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Diagnostics& diagnostics);

@@ -1,0 +1,196 @@
+#include "session/training.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include "core/checksum.h"
+#include "core/findings.h"
+#include "session/trained_classes.h"
+#include "settings/run_identity.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr const char* kSetLabels = "set_labels";
+
+Session opened(RunConfig config, Registry& registry, const SessionOptions& options, TrainingListener* listener) {
+  Diagnostics diagnostics;
+  Session session = open_session(std::move(config), registry, options, diagnostics);
+  if (listener != nullptr) tell_findings(*listener, diagnostics, session);
+  return session;
+}
+
+}  // namespace
+
+void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session) {
+  for (const Diagnostic& finding : folded(diagnostics)) listener.note(finding.text());
+  for (const std::string& line : session.choices()) listener.note("chosen from the scene: " + line);
+}
+
+Training::Training(RunConfig config, Registry& registry, const SessionOptions& options, TrainingListener* listener)
+    : Training(opened(std::move(config), registry, options, listener), listener) {}
+
+Training::Training(Session session, TrainingListener* listener, std::optional<SceneInputs> inputs)
+    : session_(std::move(session)),
+      work_(session_.work()),
+      listener_(listener),
+      rays_([this] {
+        const WorkScope scope(work_);
+        return session_.make_ray_source();
+      }()),
+      trainer_(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule, session_.device.get()),
+      was_set_(session_.scene.frames.size(), false),
+      inputs_(std::move(inputs)) {}
+
+const SceneInputs& Training::inputs() {
+  const WorkScope scope(work_);
+  if (!inputs_) inputs_ = scene_inputs(session_.scene);
+  return *inputs_;
+}
+
+std::span<const StepLosses> Training::advance(std::int64_t most) {
+  using Clock = std::chrono::steady_clock;
+  const WorkScope scope(work_);
+  const Clock::time_point start = Clock::now();
+  const std::span<const StepLosses> made = trainer_.advance_many(most);
+  train_s_ += std::chrono::duration<double>(Clock::now() - start).count();
+  losses_ = made.back();
+  if (listener_ != nullptr) listener_->stepped(step(), losses_);
+  return made;
+}
+
+std::int64_t Training::train(std::int64_t steps) {
+  std::int64_t made = 0;
+  while (made < steps && !cancelled_) made += std::ssize(advance(steps - made));
+  cancelled_ = false;
+  return made;
+}
+
+RenderedFrame Training::render(const Camera& camera, const Pose& world_from_camera, const FrameOptions& options) const {
+  const WorkScope scope(work_);
+  return render_frame(*session_.pipeline, {camera, world_from_camera, camera.has_distortion()}, session_.limits,
+                      session_.plan.class_of_logit, {}, options);
+}
+
+SplitScore Training::evaluate(std::vector<int> frames) const {
+  const WorkScope scope(work_);
+  return semfield::evaluate(*session_.pipeline, session_.eval_job(std::move(frames)), session_.limits,
+                            session_.plan.class_of_logit);
+}
+
+void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
+  const std::vector<int> drawn = session_.drawn_frames();
+  if (std::find(drawn.begin(), drawn.end(), frame) == drawn.end()) {
+    throw Error(ErrorKind::data,
+                fmt::format("frame {}: it is no training frame, so it has no labels that train", frame),
+                "name one of Session::drawn_frames");
+  }
+  const auto f = static_cast<std::size_t>(frame);
+  const FrameInfo& info = session_.scene.info.frames[f];
+  const auto refuse = [&](const std::string& what, const std::string& remedy) {
+    throw Error(ErrorKind::data, fmt::format("labels of frame '{}': {}", info.name, what), remedy);
+  };
+  const std::int32_t width = info.camera.width_px, height = info.camera.height_px;
+  if (std::ssize(labels) != std::int64_t{width} * height) {
+    refuse(fmt::format("{} values for {} x {} pixels", labels.size(), width, height),
+           "give a class index, or -1 for none, for every pixel, row by row");
+  }
+  const std::vector<std::int16_t> logit_of_class = session_.logit_of_class();
+  std::vector<std::int64_t> counts(static_cast<std::size_t>(session_.classes()) + 1);
+  for (std::size_t p = 0; p < labels.size(); ++p) {
+    const std::int16_t label = labels[p];
+    if (label == kVoid) {
+      ++counts.back();
+      continue;
+    }
+    const auto place = [&] {
+      return fmt::format("pixel x {}, y {}", p % static_cast<std::size_t>(width), p / static_cast<std::size_t>(width));
+    };
+    if (label < 0 || label >= session_.classes()) {
+      refuse(fmt::format("{}: {} is no class; there are {}", place(), label, session_.classes()),
+             "give class indices, which begin at 0, or -1 for none");
+    }
+    if (!session_.plan.semantics || logit_of_class[static_cast<std::size_t>(label)] == kVoid) {
+      refuse(fmt::format("{}: no label had class '{}' when the session opened, so the network has no logit for it",
+                         place(), session_.scene.info.classes.valid(label).name),
+             "open it with runtime.keep: [semantics, absent_classes]");
+    }
+    ++counts[static_cast<std::size_t>(label)];
+  }
+  const WorkScope scope(work_);
+  TrainingLabels::Frame& own = session_.labels.frames[f];
+  TrainingLabels::Frame fresh;
+  fresh.hard = LabelMap(std::move(labels));
+  std::swap(own, fresh);
+  try {
+    rays_->relabel();
+  } catch (const Error&) {
+    std::swap(own, fresh);
+    rays_->relabel();
+    throw;
+  }
+  session_.labels.class_pixels[f] = std::move(counts);
+  was_set_[f] = true;
+}
+
+// "" where none were set.
+std::string Training::set_labels_name() const {
+  std::uint32_t crc = 0;
+  int frames = 0;
+  for (std::size_t f = 0; f < was_set_.size(); ++f) {
+    if (!was_set_[f]) continue;
+    ++frames;
+    const std::vector<std::int16_t> labels = session_.labels.frames[f].hard.expand();
+    crc = crc32c(std::as_bytes(std::span(session_.scene.info.frames[f].name)), crc);
+    crc = crc32c(std::as_bytes(std::span(labels)), crc);
+  }
+  return frames == 0 ? "" : fmt::format("{} frames, {:08x}", frames, crc);
+}
+
+CheckpointFacts Training::facts() {
+  CheckpointFacts facts;
+  facts.step = step();
+  facts.train_s = train_s_;
+  facts.seed = session_.config.runtime.seed;
+  facts.config = write_config(resolved_config(session_.config));
+  facts.classes = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
+  facts.scene = {session_.manifest, session_.scene.pixel_footprint_m};
+  facts.inputs = inputs();
+  return facts;
+}
+
+std::vector<TensorRef> Training::state() {
+  const WorkScope scope(work_);
+  trainer_.collect();
+  trainer_.check_storable();
+  return trainer_.state();
+}
+
+void Training::save(const std::string& path) {
+  TensorMetadata metadata = checkpoint_metadata(facts(), identity_hash(session_.config));
+  if (const std::string name = set_labels_name(); !name.empty()) metadata[kSetLabels] = name;
+  write_safetensors(path, state(), metadata);
+}
+
+void Training::load(const std::string& path) {
+  const WorkScope scope(work_);
+  const TensorFile file = TensorFile::read(path);
+  const CheckpointFacts facts = read_checkpoint_facts(file);
+  require_class_table(facts.classes, session_.scene.info.classes);
+  const auto named = file.metadata().find(kSetLabels);
+  if (named != file.metadata().end() && named->second != set_labels_name()) {
+    throw Error(ErrorKind::data,
+                fmt::format("'{}': it was trained on labels that were set while it trained, and these "
+                            "are not set here",
+                            path),
+                "call set_labels with the same labels before load");
+  }
+  trainer_.load(file, facts.step);
+  train_s_ = facts.train_s;
+}
+
+}  // namespace semfield

@@ -1,0 +1,106 @@
+// An open configuration that trains: the loop that programs drive, step by step.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "session/checkpoint_facts.h"
+#include "session/ray_source.h"
+#include "session/session.h"
+#include "session/trainer.h"
+
+namespace semfield {
+
+/// What a training tells while it goes on; every call comes from the thread that asked for the work.
+class TrainingListener {
+ public:
+  TrainingListener() = default;
+  TrainingListener(const TrainingListener&) = delete;
+  TrainingListener& operator=(const TrainingListener&) = delete;
+  virtual ~TrainingListener() = default;
+  /// A finding or a choice, as a sentence.
+  virtual void note(const std::string&) {}
+  /// `step` steps are made; these are the losses of the last of them.
+  virtual void stepped(std::int64_t /*step*/, const StepLosses&) {}
+};
+
+/// Notes of what opening a session found, and of what it chose.
+void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session);
+
+/// Trainings share nothing: several of them train in threads of their own, and each gets the bits that it would get
+/// alone. One training is used by one thread at a time; cancel() alone may come from any.
+class Training {
+ public:
+  /// Opens the scene and builds the network (open_session). `registry` and `listener`, which may be null, must outlive
+  /// the object. Throws Error as open_session does.
+  Training(RunConfig config, Registry& registry, const SessionOptions& options = {},
+           TrainingListener* listener = nullptr);
+  /// The same with a session that was opened as trainable.
+  /// `inputs`: scene_inputs of its scene, where they are known.
+  explicit Training(Session session, TrainingListener* listener = nullptr, std::optional<SceneInputs> inputs = {});
+  Training(const Training&) = delete;
+  Training& operator=(const Training&) = delete;
+
+  const Session& session() const { return session_; }
+  const SceneInputs& inputs();
+  /// For rounds of self-training.
+  RaySource& rays() { return *rays_; }
+
+  /// Steps made so far, and the seconds that they took; loading takes up both.
+  std::int64_t step() const { return trainer_.step(); }
+  double train_s() const { return train_s_; }
+  /// Seconds of work between steps that is training too.
+  void add_train_s(double seconds) { train_s_ += seconds; }
+
+  /// At least one step and at most `most`: as many as run without waiting in between. Their losses, in order, valid
+  /// until the next call. Errors are Trainer::advance's.
+  std::span<const StepLosses> advance(std::int64_t most = 1);
+  /// `steps` more steps, or fewer after a cancel; returns how many.
+  std::int64_t train(std::int64_t steps);
+  /// The train() under way, or the next one, ends after the step that it is in.
+  void cancel() { cancelled_ = true; }
+  /// Of the last step made; zeros before the first.
+  const StepLosses& losses() const { return losses_; }
+
+  /// Any camera at any pose, with the options of render_frame.
+  RenderedFrame render(const Camera& camera, const Pose& world_from_camera, const FrameOptions& options = {}) const;
+  /// Scores of frames of the scene, by their numbers.
+  SplitScore evaluate(std::vector<int> frames) const;
+
+  /// From the next step on `frame`, a training frame, has these hard labels: class indices [height * width], kVoid for
+  /// none. Every class must have a logit: classes that the labels had when the session opened have one, and all of the
+  /// class table with runtime.keep: [semantics, absent_classes]. Class weights stay those of the start. A checkpoint
+  /// names the labels that were set, and load() asks for them. Throws Error(data); nothing has changed then.
+  void set_labels(int frame, std::vector<std::int16_t> labels);
+
+  /// What a checkpoint says of now, but for self-training.
+  CheckpointFacts facts();
+  /// Tensors of now, brought from the device and checked (Trainer::check_storable). Borrowed.
+  std::vector<TensorRef> state();
+  /// A checkpoint, written atomically and read back before it takes its name.
+  void save(const std::string& path);
+  /// Goes on from a checkpoint of the same network: the next steps give the bits of the training that was never
+  /// stopped. Throws Error(data) for another network, other classes or other labels set; nothing has changed then.
+  void load(const std::string& path);
+
+ private:
+  std::string set_labels_name() const;
+
+  Session session_;
+  WorkSettings work_;
+  TrainingListener* listener_;
+  std::unique_ptr<RaySource> rays_;
+  Trainer trainer_;
+  StepLosses losses_;
+  double train_s_ = 0;
+  std::atomic<bool> cancelled_{false};
+  std::vector<bool> was_set_;  // by frame: its labels are those of set_labels
+  std::optional<SceneInputs> inputs_;
+};
+
+}  // namespace semfield

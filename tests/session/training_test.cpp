@@ -1,0 +1,262 @@
+// The public loop: two trainings in two threads, labels that change between steps, saving and going on, cancelling.
+#include "session/training.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "core/error.h"
+#include "core/gemm_engine.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+
+RunConfig config_of(const std::string& yaml, Registry& registry) {
+  return run_config_of(parse_config_text(yaml, "test.yaml"), registry);
+}
+
+std::uint32_t bits_of(const Training& training) { return fingerprint(training.session().pipeline->store()); }
+
+std::uint32_t bits_after(const std::string& yaml, std::int64_t steps) {
+  Registry registry = make_registry();
+  Training training(config_of(yaml, registry), registry);
+  EXPECT_EQ(training.train(steps), steps);
+  return bits_of(training);
+}
+
+bool has_onednn() {
+  try {
+    choose_gemm_engine(GemmEngine::onednn, Precision::fp32);
+    return true;
+  } catch (const Error&) {
+    return false;
+  }
+}
+
+TEST(Training, TwoInTwoThreadsGetTheBitsThatEachGetsAlone) {
+  // Threads, limits and, where the build has two, the engine of matrix products differ: state of the process would
+  // show.
+  const std::string engine = has_onednn() ? "onednn" : "builtin";
+  const std::string yamls[] = {
+      hash_config("runtime: {threads: 2, gemm: " + engine + "}\n"),
+      two_pass_config("runtime: {threads: 3, precision: bf16, gemm: builtin}\nlimits: {frames: 12}\n")};
+  const std::int64_t steps[] = {40, 12};
+  std::uint32_t alone[2], together[2] = {0, 0};
+  for (int i = 0; i < 2; ++i) alone[i] = bits_after(yamls[i], steps[i]);
+  if (has_onednn()) {
+    std::string builtin = yamls[0];
+    builtin.replace(builtin.find("gemm: onednn"), 12, "gemm: builtin");
+    EXPECT_NE(alone[0], bits_after(builtin, steps[0])) << "the engine shows in the bits";
+  }
+  std::vector<std::thread> threads;
+  for (int i = 0; i < 2; ++i) threads.emplace_back([&, i] { together[i] = bits_after(yamls[i], steps[i]); });
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(together[0], alone[0]);
+  EXPECT_EQ(together[1], alone[1]);
+}
+
+TEST(Training, InTurnsTwoGetTheBitsThatEachGetsAlone) {
+  const std::string hash = hash_config("runtime: {gemm: builtin}\n");
+  const std::string paper = two_pass_config(has_onednn() ? "runtime: {gemm: onednn}\n" : "");
+  Registry registry = make_registry();
+  Training a(config_of(hash, registry), registry);
+  Training b(config_of(paper, registry), registry);
+  for (int i = 0; i < 6; ++i) {
+    a.advance();
+    b.advance();
+  }
+  EXPECT_EQ(bits_of(a), bits_after(hash, 6));
+  EXPECT_EQ(bits_of(b), bits_after(paper, 6));
+}
+
+TEST(Training, LimitsOfOneSessionAreNotThoseOfTheNext) {
+  Registry registry = make_registry();
+  EXPECT_THROW(Training(config_of(hash_config("limits: {frames: 3}\n"), registry), registry), Error);
+  RunConfig plain = config_of(hash_config(), registry);
+  const std::unique_ptr<Dataset> room = plain.dataset.entry->dataset(*plain.dataset.params, {});
+  Diagnostics diagnostics;
+  EXPECT_EQ(load_scene(*room, {}, diagnostics).frames.size(), 12U);
+}
+
+TEST(Training, TellsItsListenerAndObeysACancelAfterTheStep) {
+  struct Listener final : TrainingListener {
+    std::vector<std::int64_t> steps;
+    std::function<void(std::int64_t)> then;
+    void stepped(std::int64_t step, const StepLosses& losses) override {
+      EXPECT_GT(losses.total, 0);
+      steps.push_back(step);
+      then(step);
+    }
+  } listener;
+  Registry registry = make_registry();
+  Training training(config_of(hash_config(), registry), registry, {}, &listener);
+  listener.then = [&](std::int64_t step) {
+    if (step == 4) training.cancel();
+  };
+  EXPECT_EQ(training.train(100), 4);
+  EXPECT_EQ(training.step(), 4);
+  EXPECT_EQ(training.train(2), 2) << "a cancel ends one call";
+  EXPECT_EQ(listener.steps, (std::vector<std::int64_t>{1, 2, 3, 4, 5, 6}));
+  training.cancel();
+  EXPECT_EQ(training.train(5), 0) << "one that comes between calls ends the next";
+  EXPECT_EQ(bits_of(training), bits_after(hash_config(), 6));
+}
+
+TEST(Training, RendersAndEvaluatesBetweenStepsWithoutAChange) {
+  Registry registry = make_registry();
+  Training training(config_of(hash_config(), registry), registry);
+  training.train(3);
+  const FrameInfo& info = training.session().scene.info.frames.front();
+  const RenderedFrame wide = training.render(info.camera.resized(20, 10), info.world_from_camera);
+  EXPECT_EQ(wide.rgb.size(), 20U * 10U * 3U);
+  EXPECT_EQ(wide.label.size(), 20U * 10U);
+  const SplitScore score = training.evaluate(training.session().scene.frames_of(Split::test));
+  EXPECT_EQ(score.frames.size(), 3U);
+  EXPECT_TRUE(score.color.psnr_db().has_value());
+  training.train(3);
+  EXPECT_EQ(bits_of(training), bits_after(hash_config(), 6));
+}
+
+// The scene's labels of a frame, turned by one class among those that have a logit.
+std::vector<std::int16_t> turned(const Training& training, int frame) {
+  std::vector<std::int16_t> labels = training.session().scene.frames[static_cast<std::size_t>(frame)].label.expand();
+  const int classes = training.session().classes();
+  for (std::int16_t& label : labels) {
+    if (label != kVoid) label = static_cast<std::int16_t>((label + 1) % classes);
+  }
+  return labels;
+}
+
+std::string balanced(std::string yaml) {
+  yaml.replace(yaml.find("rays: 64}"), 9, "rays: 64, ray_source: label_balanced}");
+  return yaml;
+}
+
+class SetLabels : public testing::TestWithParam<std::string> {
+ protected:
+  std::unique_ptr<Training> open() {
+    return std::make_unique<Training>(config_of(GetParam(), registry_), registry_);
+  }
+  // Labels of two frames change before step 4 and of one of them again before step 8.
+  void change(Training& training) const {
+    const std::vector<int> drawn = training.session().drawn_frames();
+    if (training.step() == 4) {
+      for (const int frame : {drawn[0], drawn[2]}) training.set_labels(frame, turned(training, frame));
+    }
+    if (training.step() == 8) {
+      std::vector<std::int16_t> none = turned(training, drawn[0]);
+      std::fill(none.begin() + 100, none.end(), kVoid);
+      training.set_labels(drawn[0], std::move(none));
+    }
+  }
+  void to(Training& training, std::int64_t step) const {
+    while (training.step() < step) {
+      change(training);
+      training.advance();
+    }
+  }
+  Registry registry_ = make_registry();
+};
+INSTANTIATE_TEST_SUITE_P(RaySources, SetLabels,
+                         testing::Values(two_pass_config(), balanced(two_pass_config()), two_pass_config("runtime: {threads: 1}\n")),
+                         [](const auto& more) { return std::to_string(more.index); });
+
+TEST_P(SetLabels, TrainsOnThemAndResumesToTheSameBits) {
+  const auto whole = open();
+  to(*whole, 12);
+  EXPECT_NE(bits_of(*whole), bits_after(GetParam(), 12)) << "the labels must show";
+
+  const TempDir dir;
+  const auto before = open();
+  to(*before, 6);
+  before->save(dir / "at_6.safetensors");
+  const auto unset = open();
+  const std::uint32_t fresh = bits_of(*unset);
+  try {
+    unset->load(dir / "at_6.safetensors");
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::data);
+    EXPECT_NE(std::string(error.what()).find("call set_labels with the same labels before load"), std::string::npos)
+        << error.what();
+  }
+  EXPECT_EQ(bits_of(*unset), fresh);
+  EXPECT_EQ(unset->step(), 0);
+
+  const auto after = open();
+  const std::vector<int> drawn = after->session().drawn_frames();
+  for (const int frame : {drawn[0], drawn[2]}) after->set_labels(frame, turned(*after, frame));
+  after->load(dir / "at_6.safetensors");
+  EXPECT_EQ(after->step(), 6);
+  EXPECT_EQ(after->train_s(), before->train_s());
+  to(*after, 12);
+  EXPECT_EQ(bits_of(*after), bits_of(*whole));
+}
+
+std::string refusal(const std::function<void()>& call) {
+  try {
+    call();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::data);
+    return error.what();
+  }
+  return "no error";
+}
+
+TEST(Training, LabelsThatCannotTrainAreRefusedAndNothingChanges) {
+  Registry registry = make_registry();
+  std::string yaml = two_pass_config();
+  yaml.replace(yaml.find("analytic_room}"), 14, "analytic_room, absent_class: 3}");
+  Training training(config_of(yaml, registry), registry);
+  const int frame = training.session().drawn_frames().front();
+  const int test_frame = training.session().scene.frames_of(Split::test).front();
+  std::vector<std::int16_t> labels(48 * 36, 0);
+  EXPECT_NE(refusal([&] { training.set_labels(test_frame, labels); }).find("it is no training frame"),
+            std::string::npos);
+  EXPECT_NE(refusal([&] { training.set_labels(-1, labels); }).find("it is no training frame"), std::string::npos);
+  EXPECT_NE(refusal([&] {
+              training.set_labels(frame, {0, 1});
+            }).find("2 values for 48 x 36 pixels"),
+            std::string::npos);
+  labels[50] = 5;
+  EXPECT_NE(refusal([&] { training.set_labels(frame, labels); }).find("pixel x 2, y 1: 5 is no class; there are 5"),
+            std::string::npos);
+  labels[50] = 3;
+  const std::string absent = refusal([&] { training.set_labels(frame, labels); });
+  EXPECT_NE(absent.find("no label had class 'ball' when the session opened"), std::string::npos) << absent;
+  EXPECT_NE(absent.find("open it with runtime.keep: [semantics, absent_classes]"), std::string::npos) << absent;
+  training.train(4);
+  EXPECT_EQ(bits_of(training), bits_after(yaml, 4));
+
+  // As the remedy says.
+  Training kept(config_of(yaml + "runtime: {keep: [semantics, absent_classes]}\n", registry), registry);
+  kept.set_labels(frame, labels);
+  EXPECT_EQ(kept.train(2), 2);
+}
+
+TEST(Training, TheLastLabelCannotBeTakenFromABalancedSource) {
+  Registry registry = make_registry();
+  std::string yaml = balanced(two_pass_config());
+  yaml.replace(yaml.find("analytic_room}"), 14, "analytic_room, labels: {frames: 1}}");
+  Training training(config_of(yaml, registry), registry);
+  int labelled = -1;
+  for (const int frame : training.session().drawn_frames()) {
+    if (!training.session().labels.frames[static_cast<std::size_t>(frame)].empty()) labelled = frame;
+  }
+  ASSERT_GE(labelled, 0);
+  const std::string said = refusal([&] { training.set_labels(labelled, std::vector<std::int16_t>(48 * 36, kVoid)); });
+  EXPECT_NE(said.find("no training pixel carries a label"), std::string::npos) << said;
+  training.train(3);
+  EXPECT_EQ(bits_of(training), bits_after(yaml, 3));
+}
+
+}  // namespace
+}  // namespace semfield
