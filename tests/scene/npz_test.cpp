@@ -8,6 +8,7 @@
 
 #include "core/files.h"
 #include "core/rng.h"
+#include "core/work_scope.h"
 #include "scene/input_limits.h"
 #include "tests/scene/tiny_scene.h"
 
