@@ -48,7 +48,7 @@ Picture picture_of(const LeaveOutSide& side, const FrameInfo& info) {
     for (std::size_t p = 0; p < passes.size(); ++p) {
       ctx.pass = passes[p].parts().number;
       const PassTrace<float> next =
-          passes[p].forward(ctx, 0, rays, p == 0 ? nullptr : &proposal, per_ray, p + 1 == passes.size() ? count : 0);
+          passes[p].forward(ctx, 0, rays, p == 0 ? nullptr : &proposal, per_ray, {p + 1 == passes.size() ? count : 0});
       trace = next;
       per_ray = passes[p].capacity_per_ray(per_ray);
       proposal.samples = &trace.samples;

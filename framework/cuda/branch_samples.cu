@@ -1,7 +1,8 @@
 // Samples that a semantic branch keeps, what its network reads of them, and dropout.
 #include "cuda/ray_scan.cuh"
 #include "cuda/sampling.cuh"
-#include "cuda/semantic_branch.h"
+#include "cuda/stages.h"
+#include "model/semantic_branch.h"
 
 namespace semfield::cuda {
 

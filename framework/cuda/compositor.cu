@@ -185,7 +185,7 @@ void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& 
 }
 
 void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
-                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden, std::int64_t dotted_rays) {
+                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden) {
   const Samples<float>& samples = *in.samples;
   const std::int64_t rays = samples.first.rows - 1;
   const View<const float> d_out = in.hidden.empty() ? View<const float>() : grad.hidden;
@@ -196,7 +196,7 @@ void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>&
   }
   if (!d_sigma.empty() && d_sigma.rows > 0) {
     density_gradient_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(
-        samples, in, grad, with_dots ? d_out.rows : dotted_rays, d_sigma);
+        samples, in, grad, with_dots ? d_out.rows : grad.dotted_rays, d_sigma);
     check_launch("gradient of density");
   }
   if (!d_rgb.empty() && d_rgb.rows > 0) {

@@ -12,6 +12,8 @@ thread_local Launch t_launch;
 
 const Launch& launch() { return t_launch; }
 
+void set_launch_rows(const std::int32_t* live_rows) { t_launch.live_rows = live_rows; }
+
 LaunchScope::LaunchScope(const Launch& next) : before_(t_launch) { t_launch = next; }
 LaunchScope::~LaunchScope() { t_launch = before_; }
 

@@ -12,8 +12,6 @@
 
 namespace semfield::cuda {
 
-struct FeatureExchange;
-
 /// What changes from step to step. Kernels read it from device memory, so that a captured graph of a step stays valid.
 struct StepCell {
   std::uint64_t step = 0;
@@ -55,15 +53,16 @@ struct Launch {
   /// Rows of the batch that are in use, in device memory (a sampler's count); null: all. Rows behind it hold finite
   /// numbers and get gradient 0, so a kernel may compute or leave them.
   const std::int32_t* live_rows = nullptr;
-  FeatureExchange* features = nullptr;  ///< feature_exchange.h; null: features are exchanged in fp32
-  bool check_at_once = false;           ///< first_fault_row waits for the device and tells; false: it says -1 at once
-  bool deterministic = false;           ///< sums in a fixed order, whatever it costs
-  bool beside = false;                  ///< the stream runs at the same time as the main one: scratch memory of its own
+  bool check_at_once = false;  ///< first_fault_row waits for the device and tells; false: it says -1 at once
+  bool deterministic = false;  ///< sums in a fixed order, whatever it costs
+  bool beside = false;         ///< the stream runs at the same time as the main one: scratch memory of its own
 };
 
 /// The launch of the calling thread.
 const Launch& launch();
-/// Sets it while it lives.
+/// Sets launch().live_rows.
+void set_launch_rows(const std::int32_t* live_rows);
+/// Sets the launch while it lives.
 class LaunchScope {
  public:
   explicit LaunchScope(const Launch& next);

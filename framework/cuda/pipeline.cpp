@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "core/check.h"
 #include "core/error.h"
@@ -12,6 +13,7 @@
 #include "cuda/kernel_tables.h"
 #include "cuda/layers.h"
 #include "cuda/loss_terms.h"
+#include "cuda/stages.h"
 #include "model/ray_guard.h"
 
 namespace semfield::cuda {
@@ -50,7 +52,7 @@ DevicePipeline::DevicePipeline(Pipeline<float>& host, std::vector<PassParts<floa
   std::int64_t per_ray = 0;
   passes_.reserve(parts.size());
   for (PassParts<float>& part : parts) {
-    passes_.emplace_back(std::move(part), host.options().rules, options.head_precision, *store_);
+    passes_.emplace_back(std::move(part), host.options().rules, *store_);
     per_ray = passes_.back().capacity_per_ray(per_ray);
     per_ray_.push_back(per_ray);
   }
@@ -101,7 +103,7 @@ void DevicePipeline::upload() {
   const LaunchScope scope(step_launch());
   store_->upload();
   StepContext ctx = context(0, false, render_arena_);
-  for (const Pass& pass : passes_) pass.derive(ctx);
+  for (const Pass<float>& pass : passes_) pass.derive(ctx);
   synchronize();
 }
 
@@ -162,7 +164,7 @@ void DevicePipeline::queue(std::int64_t step, const RayBatch& batch, const Devic
   {
     const LaunchScope by_value(observing);
     StepContext ctx = context(step + 1, true, train_arena_);
-    for (const Pass& pass : passes_) {
+    for (const Pass<float>& pass : passes_) {
       ctx.pass = pass.parts().number;
       pass.observe(ctx);
     }
@@ -201,102 +203,84 @@ void DevicePipeline::step_body(const Shape& shape, std::int64_t step) {
   store_->zero_derived_gradients();
   StepContext ctx = context(step, true, train_arena_);
   train_passes(shape, staging_->batch(), ctx);
-  for (const Pass& pass : passes_) pass.derive_backward(ctx);
+  for (const Pass<float>& pass : passes_) pass.derive_backward(ctx);
   check_gradients(store_->learned(), store_->learned_count(), store_->learned_elements());
   AdamParams rule;
   rule.beta1 = options_.adam.beta1;
   rule.beta2 = options_.adam.beta2;
   rule.epsilon = options_.adam.epsilon;
   adam_update(rule, store_->learned(), store_->learned_count(), store_->learned_elements());
-  for (const Pass& pass : passes_) pass.derive(ctx);
+  for (const Pass<float>& pass : passes_) pass.derive(ctx);
 }
 
-void DevicePipeline::train_passes(const Shape& shape, const RayBatch& batch, const StepContext& step_ctx) {
-  StepContext ctx = step_ctx;
-  Workspace& arena = *ctx.workspace;
-  const std::int64_t ray_count = batch.origin.rows;
-  const std::int64_t first_color = label_only_rays(batch.label_only_share, 0, ray_count);
-  const Rays<float> rays{batch.origin, batch.direction, batch.near_far};
-  Proposal<float> proposal;
-  Trace previous;
-  for (std::size_t p = 0; p < passes_.size(); ++p) {
-    const Pass& pass = passes_[p];
-    ctx.pass = pass.parts().number;
-    LossSums* const sums = &staging_->device_sums()->pass[p];
-    Trace trace =
-        pass.forward(ctx, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], shape.semantic_rays);
-    const bool branched = pass.has_branch() && trace.semantic_rays > 0;
-    if (branched) {
-      const LaunchScope beside(fork());
-      StepContext branch_ctx = ctx;
-      branch_ctx.workspace = &beside_arena_;
-      pass.branch_forward(branch_ctx, rays, trace);
-      pass.branch_backward(branch_ctx, trace, semantic_gradient(beside_arena_, trace, batch, sums));
-    }
-    const View<float> d_color = arena.take<float>(ray_count, 3);
-    if (first_color > 0) fill(d_color.row_range(0, first_color), 0.0F);
-    const auto colored = [&](auto view) { return view.row_range(first_color, ray_count - first_color); };
-    photometric_loss(arena, colored(View<const float>(trace.color)), colored(batch.target), color_normaliser(batch),
-                     colored(d_color), sums);
-    count_samples(trace.samples.first, trace.sigma, sums);
-    View<float> d_logits;
-    if (trace.semantic_rays > 0 && !branched) d_logits = semantic_gradient(arena, trace, batch, sums);
-    RayGradients<float> d;
-    d.color = d_color;
-    if (shape.terms != 0) add_terms(shape, batch, trace, arena, d, sums);
-    pass.backward(ctx, trace, d, d_logits);
-    if (branched) join();
-    previous = trace;
-    proposal.samples = &previous.samples;
-    proposal.weight = previous.weight;
+// A batch on the device: sums go into those of the step, and semantic branches run on a stream of their own.
+class DevicePipeline::BatchExecutor final : public StepExecutor<float> {
+ public:
+  BatchExecutor(DevicePipeline& pipeline, const Shape& shape, double color_normaliser)
+      : pipeline_(pipeline), shape_(shape), color_normaliser_(color_normaliser) {}
+
+  void color_loss(std::size_t pass, Workspace& arena, View<const float> color, View<const float> target,
+                  View<float> d_color) override {
+    photometric_loss(arena, color, target, color_normaliser_, d_color, sums(pass));
   }
-}
-
-void DevicePipeline::add_terms(const Shape& shape, const RayBatch& batch, const Trace& trace, Workspace& arena,
-                               RayGradients<float>& d, LossSums* sums) const {
-  const auto zeroed = [&](bool wanted, std::int64_t rows) {
-    if (!wanted) return View<float>();
-    const View<float> view = arena.take<float>(rows, 1);
-    fill(view, 0.0F);
-    return view;
-  };
-  const LossList& losses = host_.options().losses;
-  const LossTraits traits = losses.traits(shape.terms);
-  d.depth = zeroed(traits.moves_depth, trace.depth.rows);
-  d.weight = zeroed(traits.moves_weight, trace.weight.rows);
-  d.sigma = zeroed(traits.moves_sigma, trace.sigma.rows);
-  add_losses(arena, losses, shape.terms, targets_of(batch), values_of<float>(batch.near_far, trace), d, sums);
-}
-
-View<float> DevicePipeline::semantic_gradient(Workspace& arena, const Trace& trace, const RayBatch& batch,
-                                              LossSums* sums) const {
-  const PipelineOptions& options = host_.options();
-  const View<float> d_logits = arena.take<float>(trace.semantic_rays, trace.logits.cols);
-  SemanticTargets targets;
-  if (batch.soft.empty()) {
-    targets.hard = batch.label.row_range(0, trace.semantic_rays);
-  } else {
-    targets.soft = batch.soft.row_range(0, trace.semantic_rays);
+  void semantic_loss(std::size_t pass, Workspace& arena, View<const float> logits, const SemanticTargets& targets,
+                     View<float> d_logits) override {
+    const auto classes = static_cast<std::int32_t>(pipeline_.class_weight_.size());
+    semantic_cross_entropy(arena, logits, targets,
+                           classes == 0 ? View<const float>() : pipeline_.class_weight_.view(1, classes),
+                           pipeline_.host_.options().semantic_weight, d_logits, sums(pass));
   }
-  const View<const float> class_weight = options.class_weight.empty()
-                                             ? View<const float>()
-                                             : class_weight_.view(1, static_cast<std::int32_t>(class_weight_.size()));
-  semantic_cross_entropy(arena, trace.logits, targets, class_weight, options.semantic_weight, d_logits, sums);
-  return d_logits;
-}
+  LossTraits active_terms() const override {
+    return shape_.terms != 0 ? pipeline_.host_.options().losses.traits(shape_.terms) : LossTraits{};
+  }
+  void add_terms(std::size_t pass, Workspace& arena, const RayTargets& targets, const RayValues<float>& values,
+                 const RayGradients<float>& gradients) override {
+    add_losses(arena, pipeline_.host_.options().losses, shape_.terms, targets, values, gradients, sums(pass));
+  }
+  void count(std::size_t pass, const PassTrace<float>& trace) override {
+    count_samples(trace.samples.first, trace.sigma, sums(pass));
+  }
+  View<float> encoded_gradient(std::size_t, const PassTrace<float>& trace, Workspace& arena) override {
+    return arena.take<float>(trace.encoded.rows, trace.encoded.cols);
+  }
+  void use_encoded_gradient(std::size_t pass, const PassTrace<float>& trace, const StepContext& ctx,
+                            View<float> d_encoded) override {
+    const LiveRows<float> live(stages(), trace.samples);
+    pipeline_.passes_[pass].scatter(ctx, trace.x, d_encoded);
+  }
+  StepContext begin_branch(const StepContext& ctx) override {
+    check(cudaEventRecord(pipeline_.forked_, pipeline_.stream_), "marking a step");
+    check(cudaStreamWaitEvent(pipeline_.beside_, pipeline_.forked_, 0), "waiting for a step");
+    Launch next = launch();
+    next.stream = pipeline_.beside_;
+    next.beside = true;
+    branch_.emplace(next);
+    StepContext beside = ctx;
+    beside.workspace = &pipeline_.beside_arena_;
+    return beside;
+  }
+  void end_branch() override { branch_.reset(); }
+  void join_branch() override {
+    check(cudaEventRecord(pipeline_.joined_, pipeline_.beside_), "marking a semantic branch");
+    check(cudaStreamWaitEvent(pipeline_.stream_, pipeline_.joined_, 0), "waiting for a semantic branch");
+  }
 
-Launch DevicePipeline::fork() const {
-  check(cudaEventRecord(forked_, stream_), "marking a step");
-  check(cudaStreamWaitEvent(beside_, forked_, 0), "waiting for a step");
-  Launch next = launch();
-  next.stream = beside_;
-  next.beside = true;
-  return next;
-}
+ private:
+  LossSums* sums(std::size_t pass) const { return &pipeline_.staging_->device_sums()->pass[pass]; }
 
-void DevicePipeline::join() const {
-  check(cudaEventRecord(joined_, beside_), "marking a semantic branch");
-  check(cudaStreamWaitEvent(stream_, joined_, 0), "waiting for a semantic branch");
+  DevicePipeline& pipeline_;
+  const Shape& shape_;
+  double color_normaliser_;
+  std::optional<LaunchScope> branch_;
+};
+
+void DevicePipeline::train_passes(const Shape& shape, const RayBatch& batch, const StepContext& ctx) {
+  TrainedRays rays;
+  rays.batch = batch;
+  rays.semantic_rays = shape.semantic_rays;
+  rays.first_color = label_only_rays(batch.label_only_share, 0, batch.origin.rows);
+  BatchExecutor executor(*this, shape, color_normaliser(batch));
+  train_rays<float>(passes_, per_ray_, rays, ctx, executor);
 }
 
 StepLosses DevicePipeline::losses_of(const StepSums& sums, const Queued& of) const {
@@ -359,6 +343,7 @@ std::unique_ptr<semfield::DeviceBackend> make(semfield::Pipeline<float>& host,
 
 extern "C" const semfield::DeviceLibrary* semfield_device_library();
 extern "C" const semfield::DeviceLibrary* semfield_device_library() {
-  static const semfield::DeviceLibrary library{add_kernels, describe, make, semfield::cuda::device_calls()};
+  static const semfield::DeviceLibrary library{add_kernels, &semfield::cuda::stages(), describe, make,
+                                               semfield::cuda::device_calls()};
   return &library;
 }

@@ -7,8 +7,8 @@
 
 #include "cuda/losses.h"
 #include "cuda/memory.h"
-#include "cuda/pass.h"
 #include "cuda/staging.h"
+#include "cuda/store.h"
 #include "model/device_backend.h"
 
 namespace semfield::cuda {
@@ -47,12 +47,8 @@ class DevicePipeline final : public DeviceBackend {
   StepContext context(std::int64_t step, bool training, Workspace& arena) const;
   void run(Shape& shape, std::int64_t step);
   void step_body(const Shape& shape, std::int64_t step);
-  void train_passes(const Shape& shape, const RayBatch& batch, const StepContext& step_ctx);
-  /// dL/dlogits of a pass, its sums into those of the step.
-  View<float> semantic_gradient(Workspace& arena, const Trace& trace, const RayBatch& batch, LossSums* sums) const;
-  /// A launch on beside_ of work that follows all that is queued so far; join() makes later work follow it.
-  Launch fork() const;
-  void join() const;
+  void train_passes(const Shape& shape, const RayBatch& batch, const StepContext& ctx);
+  class BatchExecutor;
   std::int64_t growths() const { return train_arena_.growth_count() + beside_arena_.growth_count(); }
   /// Whether a step's forward and backward of its first `rays` rays do (memory_advice.cpp).
   bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
@@ -61,9 +57,6 @@ class DevicePipeline final : public DeviceBackend {
   void forget_graphs();
   /// Waits, and gives a step's memory back.
   void forget_step();
-  /// Gradients of the loss's terms into `d`, which gets zeroed memory for them.
-  void add_terms(const Shape& shape, const RayBatch& batch, const Trace& trace, Workspace& arena,
-                 RayGradients<float>& d, LossSums* sums) const;
   struct Queued {
     std::int64_t step;
     double normaliser, color_normaliser;
@@ -80,7 +73,7 @@ class DevicePipeline final : public DeviceBackend {
   cudaStream_t beside_ = nullptr;  // semantic branches, which need nothing of the colour gradients; in a step alone
   cudaEvent_t forked_ = nullptr, joined_ = nullptr;
   std::unique_ptr<Store> store_;
-  std::vector<Pass> passes_;
+  std::vector<Pass<float>> passes_;
   std::vector<std::int64_t> per_ray_;  // most samples a ray after each pass
   Workspace train_arena_, beside_arena_, render_arena_;
   std::int64_t chunk_rays_ = 16384;  // rendered at a time; halved where memory is short

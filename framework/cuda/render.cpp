@@ -6,6 +6,7 @@
 
 #include "core/error.h"
 #include "cuda/pipeline.h"
+#include "cuda/rendering.h"
 #include "model/ray_guard.h"
 
 namespace semfield::cuda {
@@ -125,12 +126,13 @@ void DevicePipeline::render_chunk(const RenderJob<float>& job, std::int64_t begi
   rays.near_far = sent(arena, job.near_far, begin, count);
   const bool semantics = host_.has_semantics() && !(job.label.empty() && job.entropy.empty() && job.confidence.empty());
   Proposal<float> proposal;
-  Trace trace;
+  PassTrace<float> trace;
   for (std::size_t p = 0; p < passes_.size(); ++p) {
     ctx.pass = passes_[p].parts().number;
     const bool last = p + 1 == passes_.size();
-    const Trace next = passes_[p].forward(ctx, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1],
-                                          last && semantics ? count : 0, last);
+    const PassTrace<float> next =
+        passes_[p].forward(ctx, kMainGradient, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1],
+                           {last && semantics ? count : 0, last});
     trace = next;
     proposal.samples = &trace.samples;
     proposal.weight = trace.weight;

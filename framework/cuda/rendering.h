@@ -1,4 +1,4 @@
-// Stages of a pass on the device, twins of model/{pass,density_activation,compositor,opacity_resolution}. All views are
+// Stages of a pass on the device, with the meaning of model/stages.h. All views are
 // device memory; everything is queued on launch().stream.
 //
 // A batch of samples is as large as the samplers' capacity, because the host does not wait for their number: rows
@@ -24,13 +24,6 @@ void map_positions(View<const double> positions, const DomainMap& map, View<doub
 /// sigma = f(raw + bias + deviation N(0, 1)); raw is overwritten with what f saw. deviation 0: no noise. Sample k of
 /// ray first_ray + r draws at index (first_ray + r) 2^20 + k, as on the CPU. A result that is not in [0, inf) is a
 /// fault of Stage::density, a raw value that is not finite one of Stage::raw_density; row = sample.
-struct DensityRule {
-  DensityActivation activation = DensityActivation::relu;
-  double bias = 0;
-  double deviation = 0;
-  RandomAddress random;
-  std::int64_t first_ray = 0;
-};
 void density_forward(const DensityRule& rule, const Samples<float>* samples, View<float> raw, View<float> sigma);
 /// d_raw = d_sigma f'(raw); may be the same memory.
 void density_backward(DensityActivation activation, View<const float> raw, View<const float> d_sigma,
@@ -41,10 +34,9 @@ void density_backward(DensityActivation activation, View<const float> raw, View<
 /// Stage::color with its row.
 void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& out);
 /// As semfield::composite_backward. Gradients of unused rows, and of samples behind the first grad.hidden.rows rays in
-/// d_hidden, are 0. d_sigma is scratch on the way. dotted_rays: without in.hidden, d_sigma holds dL/d(hidden) . h of
-/// the samples of the first so many rays on entry (hidden_channels.h).
+/// d_hidden, are 0. d_sigma is scratch on the way.
 void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
-                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden, std::int64_t dotted_rays = 0);
+                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden);
 
 /// As opacity_resolution, for every ray: 0 clear, 1 resolved, 2 under_resolved. result [R, 1].
 void opacity_resolutions(const Samples<float>& samples, View<const float> weight, FarMode far, double footprint_per_m,

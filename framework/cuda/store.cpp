@@ -81,7 +81,7 @@ View<float> Store::grad_of(std::size_t tensor) const {
   return {block + places_[tensor].learned, spec.rows, spec.cols, spec.cols, Device::cuda};
 }
 
-int Store::add(const Parametric<float>& part) {
+int Store::add(const std::string&, const Parametric<float>& part, const LearningRule&) {
   Matcher matcher(host_.store().all(), next_);
   part.declare(matcher);
   Component component;
@@ -93,7 +93,7 @@ int Store::add(const Parametric<float>& part) {
   return static_cast<int>(components_.size()) - 1;
 }
 
-Tensors<float> Store::tensors(int component) const {
+Tensors<float> Store::tensors(int component, int) const {
   const Component& c = components_[static_cast<std::size_t>(component)];
   return {c.values, c.grads};
 }

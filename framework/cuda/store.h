@@ -11,14 +11,15 @@
 namespace semfield::cuda {
 
 /// Mirrors the store of `host`, which it borrows. Gradients are zero between steps.
-class Store {
+class Store final : public TensorStore<float> {
  public:
   Store(Pipeline<float>& host, bool trainable);
 
   /// The next component's tensors, in the order in which parts were added to the host's store; throws Error(internal)
   /// where `part` declares others.
-  int add(const Parametric<float>& part);
-  Tensors<float> tensors(int component) const;
+  int add(const std::string& prefix, const Parametric<float>& part, const LearningRule& rule = {}) override;
+  /// There are no lanes.
+  Tensors<float> tensors(int component, int lane = kMainGradient) const override;
 
   void upload();
   void download() const;

@@ -58,6 +58,7 @@ struct LossTraits {
   bool reads_depth = false;  ///< needs RayTargets::depth
   /// Gradients that it adds to.
   bool moves_color = false, moves_depth = false, moves_weight = false, moves_sigma = false;
+  bool any() const { return moves_color || moves_depth || moves_weight || moves_sigma; }
 };
 
 class LossTerm {

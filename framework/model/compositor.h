@@ -48,11 +48,14 @@ struct CompositeOut {
 /// dL/d(outputs); empty view = zero, and a view with fewer than R rows is zero for the other rays.
 template <class Real>
 struct CompositeGrad {
-  View<const Real> color;            ///< [R, 3]
-  View<const Real> depth;            ///< [R, 1]
-  View<const Real> opacity;          ///< [R, 1]
-  View<const Real> hidden;           ///< [R, H]
-  View<const Real> weight;           ///< [M, 1], beside what the other ones give a weight
+  View<const Real> color;    ///< [R, 3]
+  View<const Real> depth;    ///< [R, 1]
+  View<const Real> opacity;  ///< [R, 1]
+  View<const Real> hidden;   ///< [R, H]
+  View<const Real> weight;   ///< [M, 1], beside what the other ones give a weight
+  /// Without CompositeIn::hidden: d_sigma holds dL/d(hidden) . h of the samples of the first so many rays on entry. On
+  /// a device alone (Stages::rounded_sum_backward).
+  std::int64_t dotted_rays = 0;
   bool hidden_moves_density = true;  ///< false: `hidden` reaches d_hidden only, its part of d_sigma is exactly 0
 };
 

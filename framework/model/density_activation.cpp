@@ -87,8 +87,16 @@ void add_density_noise(const RandomAddress& address, std::int64_t first_ray, Vie
   }
 }
 
+template <class Real>
+void density_forward(const DensityRule& rule, const Samples<Real>* samples, View<Real> raw, View<Real> sigma) {
+  for (std::int64_t m = 0; m < raw.rows && rule.bias != 0; ++m) raw(m, 0) += static_cast<Real>(rule.bias);
+  if (rule.deviation > 0) add_density_noise<Real>(rule.random, rule.first_ray, samples->first, rule.deviation, raw);
+  density_forward<Real>(rule.activation, raw, sigma);
+}
+
 #define SEMFIELD_INSTANTIATE(Real)                                                                            \
   template void density_forward<Real>(DensityActivation, View<const Real>, View<Real>);                       \
+  template void density_forward<Real>(const DensityRule&, const Samples<Real>*, View<Real>, View<Real>);      \
   template void density_backward<Real>(DensityActivation, View<const Real>, View<const Real>, View<Real>);    \
   template void add_density_noise<Real>(const RandomAddress&, std::int64_t, View<const std::int32_t>, double, \
                                         View<Real>);

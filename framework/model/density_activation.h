@@ -8,6 +8,7 @@
 #include "config/params.h"
 #include "core/rng.h"
 #include "core/view.h"
+#include "plugin/sampler.h"
 
 namespace semfield {
 
@@ -35,6 +36,18 @@ void density_forward(DensityActivation activation, View<const Real> raw, View<Re
 /// d_raw = d_sigma * f'(raw), elementwise; [M, 1] each; d_raw may be the memory of d_sigma.
 template <class Real>
 void density_backward(DensityActivation activation, View<const Real> raw, View<const Real> d_sigma, View<Real> d_raw);
+
+/// From raw density to sigma: bias, noise in training, activation.
+struct DensityRule {
+  DensityActivation activation = DensityActivation::relu;
+  double bias = 0;       ///< added to raw density
+  double deviation = 0;  ///< of the noise; 0: none
+  RandomAddress random;  ///< of the noise
+  std::int64_t first_ray = 0;
+};
+/// sigma = f(raw + bias + noise), [M, 1] each; raw is overwritten with what f saw. samples may be null without noise.
+template <class Real>
+void density_forward(const DensityRule& rule, const Samples<Real>* samples, View<Real> raw, View<Real> sigma);
 
 /// raw += deviation * N(0, 1) (training noise of preset `paper` [Mildenhall20]). Sample k of ray r draws at index
 /// (first_ray + r) * 2^20 + k, so the values do not depend on how rays are cut into tiles. raw [M, 1]; first [R + 1,

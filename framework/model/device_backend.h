@@ -24,7 +24,6 @@ struct DeviceUpdate {
 
 struct DeviceOptions {
   DeviceAdam adam;
-  Precision head_precision = Precision::fp32;  ///< of the semantic head's hidden layer
   bool trainable = true;
   bool deterministic = false;  ///< sums in a fixed order: the same bits in every run
 };
@@ -74,6 +73,8 @@ struct DeviceCalls {
 struct DeviceLibrary {
   /// Adds the device's kernel tables of the linked plugins.
   void (*add_kernels)(KernelTables& tables) = nullptr;
+  /// What passes are made of beside plugins.
+  const Stages<float>* stages = nullptr;
   /// Throws Error(unavailable) when this machine has no such device.
   std::string (*describe)() = nullptr;
   /// `parts` were built for the device and have the tensors of `host`.
@@ -88,6 +89,15 @@ bool has_cuda_library() noexcept;
 /// They, loaded without asking for a device. Throws Error(unavailable) when the build has none or their library cannot
 /// be loaded.
 const DeviceLibrary& cuda_library();
+/// The stages of a device; those of a processor in either precision. Throws as cuda_library().
+template <class Real>
+const Stages<Real>& stages_of(Device device) {
+  if constexpr (std::is_same_v<Real, float>) {
+    if (device == Device::cuda) return *cuda_library().stages;
+  }
+  return processor_stages<Real>();
+}
+
 /// Whether this build has CUDA kernels and this machine a device for them; `why_not` gets the reason.
 bool cuda_available(std::string* why_not = nullptr);
 

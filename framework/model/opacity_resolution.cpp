@@ -20,8 +20,8 @@ OpacityResolution opacity_resolution(const Samples<Real>& samples, View<const Re
     }
   }
   if (sums.opacity == 0) return OpacityResolution::clear;  // a ray without samples has no sample `at`
-  return resolution_of(sums, static_cast<double>(samples.t(sums.at, 0)),
-                       static_cast<double>(samples.delta(sums.at, 0)), footprint_per_m);
+  return resolution_of(sums, static_cast<double>(samples.t(sums.at, 0)), static_cast<double>(samples.delta(sums.at, 0)),
+                       footprint_per_m);
 }
 
 template OpacityResolution opacity_resolution<float>(const Samples<float>&, View<const float>, FarMode, std::int64_t,

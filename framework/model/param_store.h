@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "plugin/parametric.h"
+#include "model/tensor_store.h"
 
 namespace semfield {
 
@@ -27,12 +27,6 @@ class AlignedBuffer {
   };
   std::unique_ptr<Real[], Free> data_;
   std::size_t size_ = 0;
-};
-
-/// How a component's learned tensors differ from the run's rule.
-struct LearningRule {
-  double rate = 1;   ///< factor to the learning rate
-  double decay = 0;  ///< a step takes (learning rate) * decay of each value, beside Adam's [Loshchilov19]
 };
 
 template <class Real>
@@ -63,24 +57,21 @@ struct TensorBytes {
 template <class Real>
 TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainable);
 
-/// Where the gradients of a call go.
-inline constexpr int kMainGradient = -1;
-
 /// Owns the tensors of a pipeline. A component is what one Parametric declared.
 ///
 /// Gradients of dense tensors are summed in `lanes` fixed slots (tile t belongs to lane t mod lanes, a lane's tiles run
 /// in order, lanes are added in order), so the sum's tree depends on the tile numbering alone. Sparse tensors have one
 /// gradient, written outside parallel regions by their owner.
 template <class Real>
-class ParamStore {
+class ParamStore final : public TensorStore<Real> {
  public:
   ParamStore(std::uint64_t seed, int lanes, bool trainable);
 
   /// Declares `part` under `prefix`, allocates and initialises; returns the component's number.
-  int add(const std::string& prefix, const Parametric<Real>& part, const LearningRule& rule = {});
+  int add(const std::string& prefix, const Parametric<Real>& part, const LearningRule& rule = {}) override;
 
   /// lane: 0..lanes-1, or kMainGradient.
-  Tensors<Real> tensors(int component, int lane = kMainGradient) const;
+  Tensors<Real> tensors(int component, int lane = kMainGradient) const override;
 
   /// grad += sum over lanes, in lane order; lanes are zero afterwards.
   void reduce_lanes();

@@ -4,81 +4,34 @@
 #include <cmath>
 #include <cstring>
 
+#include "core/check.h"
 #include "core/error.h"
-#include "core/parallel.h"
-#include "model/ray_guard.h"
+#include "model/param_store.h"
 
 namespace semfield {
 
 namespace {
 constexpr std::int64_t kRound = 16;  // samples a ray advances before early stop is tested
-
-template <class T>
-void fill_zero(View<T> view) {
-  for (std::int64_t r = 0; r < view.rows; ++r) std::fill_n(view.row(r), view.cols, T(0));
-}
-
-// Rays [begin, begin + count) of the samples: `first` keeps its absolute offsets, so the sample arrays stay whole.
-template <class Real>
-Samples<Real> rays_of(const Samples<Real>& samples, std::int64_t begin, std::int64_t count) {
-  Samples<Real> part = samples;
-  part.first = samples.first.row_range(begin, count + 1);
-  return part;
-}
-// Rays [begin, begin + count) of a trace as the compositor reads and writes them.
-template <class Real>
-struct RayGroup {
-  RayGroup(const PassTrace<Real>& trace, const RenderRules& rules, std::int64_t begin, std::int64_t count,
-           bool with_semantics)
-      : samples(rays_of(trace.samples, begin, count)) {
-    in.samples = &samples;
-    in.sigma = trace.sigma;
-    in.rgb = trace.out.rgb;
-    in.far = rules.far;
-    in.background = rules.background;
-    out.color = trace.color.row_range(begin, count);
-    out.depth = trace.depth.row_range(begin, count);
-    out.opacity = trace.opacity.row_range(begin, count);
-    out.weight = trace.weight;
-    if (!with_semantics) return;
-    in.hidden = rules.deferred_class_layer ? trace.hidden : trace.sample_logits;
-    out.hidden = rules.deferred_class_layer ? trace.ray_hidden : trace.logits;
-  }
-  RayGroup(const RayGroup&) = delete;
-  RayGroup& operator=(const RayGroup&) = delete;
-
-  Samples<Real> samples;
-  CompositeIn<Real> in;
-  CompositeOut<Real> out;
-};
 }  // namespace
 
 template <class Real>
-Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, ParamStore<Real>& store)
-    : parts_(std::move(parts)), rules_(rules), store_(&store) {
+Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, TensorStore<Real>& store)
+    : parts_(std::move(parts)), rules_(rules), store_(&store), stages_(parts_.stages) {
   const std::string& name = parts_.name;
-  sampler_ = store.add(name + "/sampler", *parts_.sampler);
-  const std::size_t before = store.all().size();
-  position_ = store.add(name + "/position", *parts_.position);
-  for (std::size_t i = before; i < store.all().size(); ++i)
-    encoder_learns_ = encoder_learns_ || store.all()[i].learned();
-  if (parts_.direction) {
-    const std::size_t first = store.all().size();
-    direction_ = store.add(name + "/direction", *parts_.direction);
-    for (std::size_t i = first; i < store.all().size(); ++i) {
-      if (store.all()[i].learned()) {
-        throw Error(
-            ErrorKind::config,
-            "pass '" + name +
-                "': the direction encoder has learned tensors; directions are encoded once a ray without gradients",
-            "choose a direction encoder without learned tensors");
-      }
-    }
+  encoder_learns_ = declared_bytes<Real>(*parts_.position, 1, true).learns;
+  if (parts_.direction && declared_bytes<Real>(*parts_.direction, 1, true).learns) {
+    throw Error(ErrorKind::config,
+                "pass '" + name +
+                    "': the direction encoder has learned tensors; directions are encoded once a ray without gradients",
+                "choose a direction encoder without learned tensors");
   }
+  sampler_ = store.add(name + "/sampler", *parts_.sampler);
+  position_ = store.add(name + "/position", *parts_.position);
+  if (parts_.direction) direction_ = store.add(name + "/direction", *parts_.direction);
   field_ = store.add(name + "/field", *parts_.field);
   const LearningRule rule = parts_.branch ? parts_.branch->rules.learning() : LearningRule{};
   if (parts_.head) head_ = store.add(name + "/semantic", *parts_.head, rule);
-  if (parts_.head && parts_.branch) branch_.emplace(*parts_.branch, name, store);
+  if (parts_.head && parts_.branch) branch_.emplace(*parts_.branch, name, store, *stages_);
 }
 
 template <class Real>
@@ -107,16 +60,7 @@ void Pass<Real>::sample(const StepContext& ctx, const Rays<Real>& rays, const Pr
 template <class Real>
 void Pass<Real>::locate(const StepContext& ctx, const Rays<Real>& rays, const Samples<Real>& samples,
                         View<double> x) const {
-  const DomainMap& map = parts_.domain;
-  for (std::int64_t m = 0; m < samples.count; ++m) {
-    const std::int64_t r = samples.ray_of_sample(m, 0);
-    const double t = static_cast<double>(samples.t(m, 0));
-    Vec3d p;
-    for (int i = 0; i < 3; ++i) p[i] = rays.origin(r, i) + t * rays.direction(r, i);
-    const Vec3d at = map(p);
-    for (int i = 0; i < 3; ++i) x(m, i) = at[i];
-  }
-  RayGuard<Real>(parts_.name, ctx.first_ray, samples).samples(x);
+  stages_->locate(place(ctx, samples), rays, parts_.domain, x);
 }
 
 template <class Real>
@@ -125,100 +69,129 @@ void Pass<Real>::encode(const StepContext& ctx, int lane, View<const double> x, 
 }
 
 template <class Real>
+DensityRule Pass<Real>::density_rule(const StepContext& ctx) const {
+  DensityRule rule;
+  rule.activation = rules_.activation;
+  rule.bias = rules_.density_bias;
+  rule.first_ray = ctx.first_ray;
+  if (!ctx.training || rules_.density_noise <= 0) return rule;
+  rule.deviation = rules_.density_noise;
+  rule.random = ctx.random("density_noise");
+  return rule;
+}
+
+template <class Real>
+FeatureForm Pass<Real>::feature_form() const {
+  const bool rounded = parts_.head && !branch_ && parts_.head->takes_rounded() && rules_.deferred_class_layer;
+  return rounded ? parts_.field->feature_form(parts_.head->hidden_width()) : FeatureForm::full;
+}
+
+template <class Real>
 PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
                                     const Proposal<Real>* previous, std::int64_t previous_per_ray,
-                                    std::int64_t semantic_rays) const {
+                                    const PassRequest& request) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t ray_count = rays.origin.rows;
   const std::int64_t capacity = parts_.sampler->capacity(ray_count, previous_per_ray);
   SampledTile<Real> tile;
+  tile.per_ray = capacity_per_ray(previous_per_ray);
   tile.samples.t = arena.take<Real>(capacity, 1);
   tile.samples.delta = arena.take<Real>(capacity, 1);
   tile.samples.ray_of_sample = arena.take<std::int32_t>(capacity, 1);
   tile.samples.first = arena.take<std::int32_t>(ray_count + 1, 1);
   sample(ctx, rays, previous, tile.samples);
+  const LiveRows<Real> live(*stages_, tile.samples);
   tile.x = arena.take<double>(tile.samples.count, 3);
   locate(ctx, rays, tile.samples, tile.x);
-  return forward(ctx, lane, rays, tile, semantic_rays);
+  return forward(ctx, lane, rays, tile, request);
 }
 
 template <class Real>
 PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
-                                    const SampledTile<Real>& tile, std::int64_t semantic_rays) const {
+                                    const SampledTile<Real>& tile, const PassRequest& request) const {
   Workspace& arena = *ctx.workspace;
-  const std::int64_t ray_count = rays.origin.rows;
+  const std::int64_t ray_count = rays.origin.rows, count = tile.samples.count;
+  const LiveRows<Real> live(*stages_, tile.samples);
   PassTrace<Real> trace;
   trace.samples = tile.samples;
   trace.x = tile.x;
   trace.encoded = tile.encoded;
-  const std::int64_t count = trace.samples.count;
-  trace.semantic_rays = parts_.head ? semantic_rays : 0;
-  trace.semantic_samples = trace.samples.first(trace.semantic_rays, 0);
+  trace.semantic_rays = parts_.head ? request.semantic_rays : 0;
+  trace.semantic_samples = stages_->host_memory ? trace.samples.first(trace.semantic_rays, 0)
+                                                : std::min(count, trace.semantic_rays * tile.per_ray);
   if (parts_.direction) {
+    const LiveRows<Real> all_rays(*stages_, nullptr);
     trace.direction = arena.take<Real>(ray_count, parts_.direction->traits().out_dims);
     parts_.direction->forward(ctx, store_->tensors(direction_), rays.direction, trace.direction);
-    RayGuard<Real>(parts_.name, ctx.first_ray, trace.samples).per_ray("encoded direction", trace.direction);
+    stages_->guard(place(ctx, trace.samples), Guarded::encoded_direction, trace.direction);
   }
   trace.sigma = arena.take<Real>(count, 1);
   trace.weight = arena.take<Real>(count, 1);
   trace.out.sigma = arena.take<Real>(count, 1);
-  trace.out.rgb = arena.take<Real>(count, 3);
-  if (parts_.head) {
+  if (request.colors) trace.out.rgb = arena.take<Real>(count, 3);
+  if (trace.semantic_rays > 0) {
     trace.ray_hidden = arena.take<Real>(trace.semantic_rays, parts_.head->hidden_width());
     trace.logits = arena.take<Real>(trace.semantic_rays, parts_.head->classes());
-  }
-  if (parts_.head && !branch_) {
-    trace.hidden = arena.take<Real>(trace.semantic_samples, parts_.head->hidden_width());
-    if (!rules_.deferred_class_layer)
+    if (!branch_ && feature_form() == FeatureForm::full)
+      trace.hidden = arena.take<Real>(trace.semantic_samples, parts_.head->hidden_width());
+    if (!branch_ && !rules_.deferred_class_layer)
       trace.sample_logits = arena.take<Real>(trace.semantic_samples, parts_.head->classes());
   }
-  trace.color = arena.take<Real>(ray_count, 3);
+  if (request.colors) trace.color = arena.take<Real>(ray_count, 3);
   trace.depth = arena.take<Real>(ray_count, 1);
   trace.opacity = arena.take<Real>(ray_count, 1);
-  if (!ctx.training && rules_.early_stop > 0 && count > ray_count * kRound) {
-    evaluate_in_rounds(ctx, lane, trace);
+  if (stages_->host_memory && !ctx.training && rules_.early_stop > 0 && count > ray_count * kRound) {
+    evaluate_in_rounds(ctx, lane, trace, request.colors);
   } else {
-    evaluate(ctx, lane, trace, ctx.training);
+    evaluate(ctx, lane, trace, request.colors);
   }
   composite(ctx, lane, trace);
-  if (branch_ && trace.semantic_rays > 0) branch_forward(ctx, lane, rays, trace);
-  const RayGuard<Real> guard(parts_.name, ctx.first_ray, trace.samples);
-  guard.per_ray("logits", trace.logits);
+  if (branch_ && trace.semantic_rays > 0 && !ctx.training) branch_forward(ctx, lane, rays, trace);
   return trace;
 }
 
 template <class Real>
-void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool training) const {
+void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t count = trace.samples.count;
+  const GuardPlace<Real> here = place(ctx, trace.samples);
   if (trace.encoded.empty()) {
     trace.encoded = arena.take<Real>(count, encoded_dims());
     encode(ctx, lane, trace.x, trace.encoded);
   }
-  const RayGuard<Real> guard(parts_.name, ctx.first_ray, trace.samples);
-  guard.per_sample("encoded position", trace.encoded);
-  if (wants_feature()) trace.out.feature = arena.take<Real>(count, parts_.field->traits().feature_dims);
-  if (training) {
+  stages_->guard(here, Guarded::encoded_position, trace.encoded);
+  const std::int32_t width = parts_.field->traits().feature_dims;
+  const bool semantic = trace.semantic_rays > 0;
+  const FeatureForm form = semantic ? feature_form() : FeatureForm::full;
+  if (form == FeatureForm::hidden_layer) {
+    trace.out.layer = parts_.head->hidden_layer(head_tensors(lane));
+    trace.out.hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
+    trace.rounded_hidden = trace.out.hidden;
+  } else if (form == FeatureForm::rounded) {
+    trace.out.rounded_feature = arena.take<Bf16>(count, width);
+  } else if (semantic && wants_feature()) {
+    trace.out.feature = arena.take<Real>(count, width);
+  }
+  if (ctx.training) {
     const std::size_t bytes = parts_.field->saved_bytes(count, trace.samples.first.rows - 1);
     trace.saved = Saved(arena.take_bytes(bytes), bytes);
   }
   const View<const std::int32_t> ray_of_sample = trace.samples.ray_of_sample.row_range(0, count);
   parts_.field->forward(ctx, store_->tensors(field_, lane), {trace.encoded, trace.direction, ray_of_sample}, trace.out,
                         trace.saved);
-  guard.per_sample("raw density", trace.out.sigma);
-  guard.per_sample("colour", trace.out.rgb);
-  if (wants_feature()) guard.per_sample("feature", trace.out.feature.row_range(0, trace.semantic_samples));
-  if (rules_.density_bias != 0) {
-    for (std::int64_t m = 0; m < count; ++m) trace.out.sigma(m, 0) += static_cast<Real>(rules_.density_bias);
-  }
-  if (training && rules_.density_noise > 0) {
-    add_density_noise<Real>(ctx.random("density_noise"), ctx.first_ray, trace.samples.first, rules_.density_noise,
-                            trace.out.sigma);
-  }
-  density_forward<Real>(rules_.activation, trace.out.sigma, trace.sigma);
-  if (parts_.head && !branch_ && trace.semantic_samples > 0) {
-    parts_.head->hidden_forward(ctx, store_->tensors(head_, lane),
-                                trace.out.feature.row_range(0, trace.semantic_samples), trace.hidden);
+  stages_->guard(here, Guarded::raw_density, trace.out.sigma);
+  if (colors) stages_->guard(here, Guarded::sample_color, trace.out.rgb);
+  if (!trace.out.feature.empty())
+    stages_->guard(here, Guarded::feature, trace.out.feature.row_range(0, trace.semantic_samples));
+  stages_->density_forward(density_rule(ctx), &trace.samples, trace.out.sigma, trace.sigma);
+  if (!semantic || branch_) return;
+  if (form == FeatureForm::rounded) {
+    trace.rounded_hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
+    parts_.head->hidden_forward(ctx, head_tensors(lane), trace.out.rounded_feature.row_range(0, trace.semantic_samples),
+                                trace.rounded_hidden);
+  } else if (form == FeatureForm::full) {
+    parts_.head->hidden_forward(ctx, head_tensors(lane), trace.out.feature.row_range(0, trace.semantic_samples),
+                                trace.hidden);
   }
 }
 
@@ -227,20 +200,21 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
 // certified). Under far: background the last sample takes the rest, black and with the logits of no feature, which
 // count as values too.
 template <class Real>
-void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace) const {
+void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t ray_count = trace.samples.first.rows - 1;
   View<std::int32_t> next = arena.take<std::int32_t>(ray_count, 1);
   View<Real> tau = arena.take<Real>(ray_count, 1);
   for (std::int64_t r = 0; r < ray_count; ++r) next(r, 0) = trace.samples.first(r, 0);
-  fill_zero(tau);
-  fill_zero(trace.sigma);
-  fill_zero(trace.out.rgb);
-  const bool fills_hidden = parts_.head && !branch_, fills_feature = branch_ && wants_feature();
-  if (fills_hidden) fill_zero(trace.hidden);
+  stages_->fill(tau, Real(0));
+  stages_->fill(trace.sigma, Real(0));
+  if (colors) stages_->fill(trace.out.rgb, Real(0));
+  const bool semantic = trace.semantic_rays > 0;
+  const bool fills_hidden = semantic && !branch_, fills_feature = semantic && branch_ && wants_feature();
+  if (fills_hidden) stages_->fill(trace.hidden, Real(0));
   if (fills_feature) {
     trace.out.feature = arena.take<Real>(trace.samples.count, parts_.field->traits().feature_dims);
-    fill_zero(trace.out.feature);
+    stages_->fill(trace.out.feature, Real(0));
   }
   const double tau_stop = -std::log(rules_.early_stop);
   View<std::int32_t> source = arena.take<std::int32_t>(ray_count * kRound, 1);
@@ -262,21 +236,22 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
     }
     if (rows == 0) break;
     round.samples.count = rows;
+    round.semantic_rays = trace.semantic_rays;
     round.semantic_samples = semantic_rows;
     round.x = arena.take<double>(rows, 3);
     round.direction = trace.direction;
     round.sigma = arena.take<Real>(rows, 1);
     round.out.sigma = arena.take<Real>(rows, 1);
-    round.out.rgb = arena.take<Real>(rows, 3);
+    if (colors) round.out.rgb = arena.take<Real>(rows, 3);
     if (fills_hidden) round.hidden = arena.take<Real>(semantic_rows, parts_.head->hidden_width());
     for (std::int64_t i = 0; i < rows; ++i) std::memcpy(round.x.row(i), trace.x.row(source(i, 0)), 3 * sizeof(double));
-    evaluate(ctx, lane, round, false);
+    evaluate(ctx, lane, round, colors);
     for (std::int64_t i = 0; i < rows; ++i) {
       const std::int64_t m = source(i, 0);
       const std::int64_t r = round.samples.ray_of_sample(i, 0);
       trace.sigma(m, 0) = round.sigma(i, 0);
       tau(r, 0) += round.sigma(i, 0) * trace.samples.delta(m, 0);
-      std::copy_n(round.out.rgb.row(i), 3, trace.out.rgb.row(m));
+      if (colors) std::copy_n(round.out.rgb.row(i), 3, trace.out.rgb.row(m));
       if (fills_hidden && i < semantic_rows) std::copy_n(round.hidden.row(i), round.hidden.cols, trace.hidden.row(m));
       if (fills_feature) std::copy_n(round.out.feature.row(i), trace.out.feature.cols, trace.out.feature.row(m));
       next(r, 0) = static_cast<std::int32_t>(m + 1);
@@ -285,29 +260,43 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
 }
 
 template <class Real>
+CompositeIn<Real> Pass<Real>::composite_in(const PassTrace<Real>& trace) const {
+  CompositeIn<Real> in;
+  in.samples = &trace.samples;
+  in.sigma = trace.sigma;
+  in.rgb = trace.out.rgb;
+  in.far = rules_.far;
+  in.background = rules_.background;
+  return in;
+}
+
+template <class Real>
 void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& trace) const {
-  const std::int64_t ray_count = trace.samples.first.rows - 1;
-  const std::int64_t labelled = branch_ ? 0 : trace.semantic_rays;  // the branch follows the weights
-  const bool deferred = rules_.deferred_class_layer;
-  check_density<Real>(trace.samples, trace.sigma, ctx.first_ray);
-  if (labelled > 0 && !deferred) {
-    parts_.head->class_forward(ctx, store_->tensors(head_, lane), trace.hidden, {}, trace.sample_logits);
+  const GuardPlace<Real> here = place(ctx, trace.samples);
+  if (stages_->guard_density != nullptr) stages_->guard_density(here, trace.sigma);
+  CompositeIn<Real> in = composite_in(trace);
+  CompositeOut<Real> out;
+  out.color = trace.color;
+  out.depth = trace.depth;
+  out.opacity = trace.opacity;
+  out.weight = trace.weight;
+  const bool semantic = trace.semantic_rays > 0 && !branch_;  // a branch follows the weights
+  const bool deferred = rules_.deferred_class_layer, rounded = !trace.rounded_hidden.empty();
+  if (semantic && !rounded) {
+    if (!deferred) parts_.head->class_forward(ctx, head_tensors(lane), trace.hidden, {}, trace.sample_logits);
+    in.hidden = deferred ? trace.hidden : trace.sample_logits;
+    out.hidden = deferred ? trace.ray_hidden : trace.logits;
   }
-  const auto run = [&](std::int64_t begin, std::int64_t count, bool with_semantics) {
-    if (count == 0) return;
-    const RayGroup<Real> group(trace, rules_, begin, count, with_semantics);
-    composite_forward<Real>(group.in, group.out);
-  };
-  run(0, labelled, true);
-  run(labelled, ray_count - labelled, false);
-  if (labelled > 0 && deferred) {
-    parts_.head->class_forward(ctx, store_->tensors(head_, lane), trace.ray_hidden,
-                               trace.opacity.row_range(0, labelled), trace.logits);
+  stages_->composite_forward(in, out);
+  if (semantic && rounded) stages_->rounded_sum(trace.samples, trace.weight, trace.rounded_hidden, trace.ray_hidden);
+  if (semantic && deferred) {
+    parts_.head->class_forward(ctx, head_tensors(lane), trace.ray_hidden,
+                               trace.opacity.row_range(0, trace.semantic_rays), trace.logits);
   }
-  const RayGuard<Real> guard(parts_.name, ctx.first_ray, trace.samples);
-  guard.per_ray("colour", trace.color);
-  guard.per_ray("depth", trace.depth);
-  guard.per_ray("opacity", trace.opacity);
+  stages_->guard(here, Guarded::color, trace.color);
+  stages_->guard(here, Guarded::depth, trace.depth);
+  stages_->guard(here, Guarded::opacity, trace.opacity);
+  if (semantic) stages_->guard(here, Guarded::logits, trace.logits);
 }
 
 template <class Real>
@@ -316,67 +305,94 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
   const std::int64_t count = trace.samples.count;
-  const std::int64_t ray_count = trace.samples.first.rows - 1;
-  const bool by_branch = branch_.has_value();
-  const std::int64_t labelled = d_logits.empty() || by_branch ? 0 : trace.semantic_rays;
   if (count == 0) return;
-  if (by_branch && !d_logits.empty()) branch_backward(ctx, lane, trace, d_logits);
-  const Tensors<Real> head = head_ < 0 ? Tensors<Real>{} : store_->tensors(head_, lane);
-  View<Real> d_sigma = arena.take<Real>(count, 1);
-  View<Real> d_rgb = arena.take<Real>(count, 3);
-  View<Real> d_per_sample, d_ray_hidden, d_opacity;
-  const bool deferred = rules_.deferred_class_layer;
-  if (labelled > 0) {
-    d_per_sample =
-        arena.take<Real>(trace.semantic_samples, deferred ? parts_.head->hidden_width() : parts_.head->classes());
+  const LiveRows<Real> live(*stages_, trace.samples);
+  const bool semantic = trace.semantic_rays > 0 && !d_logits.empty();
+  SEMFIELD_CHECK(!semantic || !branch_, "gradients of a branch are branch_backward's");
+  const bool deferred = rules_.deferred_class_layer, rounded = !trace.rounded_hidden.empty();
+  const bool moves_density = !rules_.stop_gradient_to_density;
+  const View<Real> d_sigma = arena.take<Real>(count, 1), d_rgb = arena.take<Real>(count, 3);
+  CompositeIn<Real> in = composite_in(trace);
+  CompositeOut<Real> out;
+  out.weight = trace.weight;
+  CompositeGrad<Real> grad;
+  grad.color = d.color;
+  grad.depth = d.depth;
+  grad.weight = d.weight;
+  FieldGrad<Real> of_field;
+  View<Real> d_per_sample;
+  if (semantic) {
+    grad.hidden = d_logits;
     if (deferred) {
-      d_ray_hidden = arena.take<Real>(labelled, parts_.head->hidden_width());
-      d_opacity = arena.take<Real>(labelled, 1);
-      parts_.head->class_backward(ctx, head, trace.ray_hidden, trace.opacity.row_range(0, labelled), d_logits,
-                                  d_ray_hidden, d_opacity);
+      const View<Real> d_ray_hidden = arena.take<Real>(trace.semantic_rays, parts_.head->hidden_width());
+      const View<Real> d_opacity = arena.take<Real>(trace.semantic_rays, 1);
+      parts_.head->class_backward(ctx, head_tensors(lane), trace.ray_hidden,
+                                  trace.opacity.row_range(0, trace.semantic_rays), d_logits, d_ray_hidden, d_opacity);
+      grad.hidden = d_ray_hidden;
+      if (moves_density) grad.opacity = d_opacity;
+    }
+    grad.hidden_moves_density = moves_density;
+    if (rounded) {
+      rounded_backward(ctx, lane, trace, grad.hidden, moves_density ? d_sigma : View<Real>(), of_field);
+      grad.dotted_rays = moves_density ? trace.semantic_rays : 0;
+      grad.hidden = {};
+    } else {
+      in.hidden = deferred ? trace.hidden : trace.sample_logits;
+      d_per_sample = arena.take<Real>(trace.semantic_samples, in.hidden.cols);
     }
   }
-  const auto run = [&](std::int64_t begin, std::int64_t rays, bool with_semantics) {
-    if (rays == 0) return;
-    const RayGroup<Real> group(trace, rules_, begin, rays, with_semantics);
-    CompositeGrad<Real> grad;
-    grad.color = d.color.row_range(begin, rays);
-    grad.depth = d.depth.row_range(begin, rays);
-    grad.weight = d.weight;
-    View<Real> d_hidden;
-    if (with_semantics) {
-      grad.hidden = deferred ? View<const Real>(d_ray_hidden) : d_logits;
-      grad.hidden_moves_density = !rules_.stop_gradient_to_density;
-      if (deferred && grad.hidden_moves_density) grad.opacity = d_opacity;
-      d_hidden = d_per_sample;
-    }
-    composite_backward<Real>(group.in, group.out, grad, d_sigma, d_rgb, d_hidden);
-  };
-  run(0, labelled, true);
-  run(labelled, ray_count - labelled, false);
-  View<Real> d_feature;
-  if (labelled > 0) {
-    View<Real> d_hidden = d_per_sample;
-    const View<const Real> hidden = trace.hidden;
-    if (!deferred) {
-      d_hidden = arena.take<Real>(trace.semantic_samples, parts_.head->hidden_width());
-      parts_.head->class_backward(ctx, head, hidden, {}, d_per_sample, d_hidden, {});
-    }
-    d_feature = arena.take<Real>(count, parts_.field->traits().feature_dims);
-    fill_zero(d_feature.row_range(trace.semantic_samples, count - trace.semantic_samples));
-    parts_.head->hidden_backward(ctx, head, trace.out.feature.row_range(0, trace.semantic_samples), hidden, d_hidden,
-                                 d_feature.row_range(0, trace.semantic_samples));
-  }
-  for (std::int64_t m = 0; m < count && !d.sigma.empty(); ++m) d_sigma(m, 0) += d.sigma(m, 0);
-  View<Real> d_raw = d_sigma;
-  density_backward<Real>(rules_.activation, trace.out.sigma, d_sigma, d_raw);
-  FieldGrad<Real> grad;
-  grad.sigma = d_raw;
-  grad.rgb = d_rgb;
-  grad.feature = d_feature;
+  stages_->composite_backward(in, out, grad, d_sigma, d_rgb, d_per_sample);
+  if (semantic && !rounded) hidden_backward(ctx, lane, trace, d_per_sample, of_field);
+  if (!d.sigma.empty()) stages_->add(d.sigma, d_sigma);
+  stages_->density_backward(rules_.activation, trace.out.sigma, d_sigma, d_sigma);
+  of_field.sigma = d_sigma;
+  of_field.rgb = d_rgb;
   const View<const std::int32_t> ray_of_sample = trace.samples.ray_of_sample.row_range(0, count);
   parts_.field->backward(ctx, store_->tensors(field_, lane), {trace.encoded, trace.direction, ray_of_sample}, trace.out,
-                         grad, trace.saved, d_encoded);
+                         of_field, trace.saved, d_encoded);
+}
+
+// d_per_sample: dL/d(hidden), or dL/d(logits of the samples) with the deferral switched off.
+template <class Real>
+void Pass<Real>::hidden_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
+                                 View<Real> d_per_sample, FieldGrad<Real>& grad) const {
+  Workspace& arena = *ctx.workspace;
+  const std::int64_t count = trace.samples.count, rows = trace.semantic_samples;
+  View<Real> d_hidden = d_per_sample;
+  if (!rules_.deferred_class_layer) {
+    d_hidden = arena.take<Real>(rows, parts_.head->hidden_width());
+    parts_.head->class_backward(ctx, head_tensors(lane), trace.hidden, {}, d_per_sample, d_hidden, {});
+  }
+  const View<Real> d_feature = arena.take<Real>(count, parts_.field->traits().feature_dims);
+  stages_->fill(d_feature.row_range(rows, count - rows), Real(0));
+  parts_.head->hidden_backward(ctx, head_tensors(lane), trace.out.feature.row_range(0, rows), trace.hidden, d_hidden,
+                               d_feature.row_range(0, rows));
+  grad.feature = d_feature;
+}
+
+// Where field and head exchange bf16: a quarter of the bytes between them.
+template <class Real>
+void Pass<Real>::rounded_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
+                                  View<const Real> d_ray_hidden, View<Real> dots, FieldGrad<Real>& grad) const {
+  Workspace& arena = *ctx.workspace;
+  const bool by_field = !trace.out.hidden.empty();  // the hidden layer
+  const std::int64_t rows = trace.semantic_samples;
+  RoundedSumBackward<Real> sum;
+  sum.weight = trace.weight;
+  sum.hidden = trace.rounded_hidden;
+  sum.d_out = d_ray_hidden;
+  sum.dots = dots;
+  sum.d_hidden = arena.take<Bf16>(by_field ? blocked_rows(rows) : rows, parts_.head->hidden_width());
+  sum.blocked = by_field;
+  stages_->rounded_sum_backward(trace.samples, sum);
+  if (by_field) {
+    grad.hidden = sum.d_hidden.data;
+    return;
+  }
+  const View<Bf16> d_feature = arena.take<Bf16>(rows, trace.out.rounded_feature.cols);
+  parts_.head->hidden_backward(ctx, head_tensors(lane), trace.out.rounded_feature.row_range(0, rows), sum.d_hidden,
+                               d_feature);
+  grad.rounded_feature = d_feature;
 }
 
 template <class Real>

@@ -1,4 +1,5 @@
-// One pass over a tile of rays: sample -> encode -> field -> semantic head -> composite, and the same backward.
+// One pass over a tile or batch of rays: sample, encode, field, semantic head, composite; and the same backward.
+// Written on the stages of a device (model/stages.h).
 #pragma once
 
 #include <array>
@@ -11,9 +12,10 @@
 #include "model/compositor.h"
 #include "model/density_activation.h"
 #include "model/domain_map.h"
-#include "model/param_store.h"
 #include "model/semantic_branch.h"
 #include "model/semantic_head.h"
+#include "model/stages.h"
+#include "model/tensor_store.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/sampler.h"
@@ -43,6 +45,7 @@ struct PassParts {
   std::unique_ptr<SemanticHead<Real>> head;           ///< null: no semantics
   std::unique_ptr<SemanticBranchParts<Real>> branch;  ///< null: the head reads the field's feature
   DomainMap domain;
+  const Stages<Real>* stages = &processor_stages<Real>();  ///< of the device that all parts were built for
 };
 
 /// What forward leaves for backward and for the next pass; lives in the tile's workspace.
@@ -60,6 +63,7 @@ struct PassTrace {
   std::int64_t semantic_samples = 0;  ///< their samples come first
   SemanticBranchTrace<Real> branch;  ///< of a pass with a branch: its kept samples stand for the semantic samples below
   View<Real> hidden;                 ///< [semantic_samples, H]
+  View<Bf16> rounded_hidden;         ///< the same in bf16, in its place, where head and field exchange such numbers
   View<Real> sample_logits;          ///< [semantic_samples, C]; only with the deferral switched off
   View<Real> ray_hidden;             ///< [semantic_rays, H]
   // Results a ray.
@@ -81,12 +85,19 @@ struct EncoderInbox {
   View<Real> append(View<const double> tile_x, std::int32_t dims);
 };
 
-/// Samples of a tile, with the encoder's output for them where that was made ahead (empty views: made by forward).
+/// Samples of rays, with the encoder's output for them where that was made ahead (empty views: made by forward).
 template <class Real>
 struct SampledTile {
   Samples<Real> samples;
-  View<double> x;      ///< [M, 3] encoder coordinates
-  View<Real> encoded;  ///< [M, Dp]
+  View<double> x;            ///< [M, 3] encoder coordinates
+  View<Real> encoded;        ///< [M, Dp]
+  std::int64_t per_ray = 0;  ///< most samples of a ray
+};
+
+/// What a call of Pass::forward is asked for.
+struct PassRequest {
+  std::int64_t semantic_rays = 0;  ///< the first rays of the call, which get logits
+  bool colors = true;              ///< false: weights alone are wanted, for a later pass
 };
 
 /// What terms of the loss see of a pass.
@@ -108,8 +119,8 @@ RayValues<Real> values_of(View<const double> near_far, const PassTrace<Real>& tr
 template <class Real>
 class Pass {
  public:
-  /// Adds the parts' tensors to `store` under the pass's name.
-  Pass(PassParts<Real> parts, const RenderRules& rules, ParamStore<Real>& store);
+  /// Adds the parts' tensors to `store`, which it borrows, under the pass's name.
+  Pass(PassParts<Real> parts, const RenderRules& rules, TensorStore<Real>& store);
 
   const PassParts<Real>& parts() const { return parts_; }
   /// Most samples a ray.
@@ -117,11 +128,13 @@ class Pass {
     return parts_.sampler->capacity(1, previous_per_ray);
   }
   bool scatters() const { return encoder_learns_; }
+  bool has_branch() const { return branch_.has_value(); }
 
-  /// Everything of a tile, in ctx.workspace (the caller's scope keeps it until backward is done). The first
-  /// `semantic_rays` rays get logits. A value of a stage that is not finite is a RayFault (model/ray_guard.h).
+  /// Everything of the rays, in ctx.workspace (the caller's scope keeps it until backward is done). A value of a stage
+  /// that is not finite is a fault: RayFault on a processor (model/ray_guard.h). In training a pass with a branch
+  /// leaves the logits to branch_forward.
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const Proposal<Real>* previous,
-                          std::int64_t previous_per_ray, std::int64_t semantic_rays) const;
+                          std::int64_t previous_per_ray, const PassRequest& request) const;
 
   /// The two steps that forward begins with, for callers that take them ahead: samples of `rays` into `out`, and
   /// encoder coordinates x [samples.count, 3].
@@ -132,12 +145,18 @@ class Pass {
   std::int32_t encoded_dims() const { return parts_.position->traits().out_dims; }
   /// The rest of forward.
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const SampledTile<Real>& tile,
-                          std::int64_t semantic_rays) const;
+                          const PassRequest& request) const;
 
-  /// Gradients from d (an empty view but for color: zero) and d_logits [semantic_rays, C] (empty: zero) into the lane's
-  /// gradients, and into d_encoded [M, Dp] (empty: not wanted), which the position encoder must scatter.
+  /// Gradients from d (an empty view but for color: zero) and d_logits [semantic_rays, C] (empty: zero, and with a
+  /// branch) into the lane's gradients, and into d_encoded [M, Dp] (empty: not wanted), which the position encoder must
+  /// scatter.
   void backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, const RayGradients<Real>& d,
                 View<const Real> d_logits, View<Real> d_encoded) const;
+
+  /// Logits of the semantic rays by way of the branch, and its gradients from them. Neither touches what backward does,
+  /// so both may run beside it, with a workspace of their own.
+  void branch_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const;
+  void branch_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_logits) const;
 
   /// Encoder scatter of gradients dy [N, Dp] at coordinates x [N, 3]; outside parallel regions.
   void scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const;
@@ -151,19 +170,29 @@ class Pass {
   void density(const StepContext& ctx, View<const double> positions, View<Real> sigma) const;
 
  private:
-  void evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool training) const;
-  void evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace) const;
+  void evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const;
+  void evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const;
   void composite(const StepContext& ctx, int lane, PassTrace<Real>& trace) const;
+  void hidden_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<Real> d_hidden,
+                       FieldGrad<Real>& grad) const;
+  void rounded_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_ray_hidden,
+                        View<Real> dots, FieldGrad<Real>& grad) const;
   /// True when the field's feature is wanted of every sample.
   bool wants_feature() const { return parts_.head && (!branch_ || branch_->rules().reads_feature); }
-  /// Logits of the semantic rays by way of the branch, and its gradients from them.
-  void branch_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const;
-  void branch_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_logits) const;
+  /// How field and head exchange it in training and rendering, without a branch.
+  FeatureForm feature_form() const;
+  CompositeIn<Real> composite_in(const PassTrace<Real>& trace) const;
+  DensityRule density_rule(const StepContext& ctx) const;
+  GuardPlace<Real> place(const StepContext& ctx, const Samples<Real>& samples) const {
+    return {parts_.name, ctx.first_ray, &samples};
+  }
+  Tensors<Real> head_tensors(int lane) const { return store_->tensors(head_, lane); }
 
   PassParts<Real> parts_;
   std::optional<SemanticBranch<Real>> branch_;
   RenderRules rules_;
-  ParamStore<Real>* store_;
+  TensorStore<Real>* store_;
+  const Stages<Real>* stages_;
   int sampler_ = 0, position_ = 0, direction_ = -1, field_ = 0, head_ = -1;
   bool encoder_learns_ = false;
 };

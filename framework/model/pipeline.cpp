@@ -138,120 +138,104 @@ StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
   return sum;
 }
 
+// A tile on the processor: sums are the tile's, gradients at encoders are collected for the scatter of whole lanes.
+template <class Real>
+class Pipeline<Real>::TileExecutor final : public StepExecutor<Real> {
+ public:
+  TileExecutor(Pipeline& pipeline, int lane, const TileRange& tile, const BatchScales& scales, double color_normaliser)
+      : pipeline_(pipeline), lane_(lane), tile_(tile), scales_(scales), color_normaliser_(color_normaliser) {}
+
+  StepLosses losses;
+
+  const SampledTile<Real>* drawn() const override {
+    const bool drawn = pipeline_.draws_ahead() && tile_.number != kAlone;
+    return drawn ? &pipeline_.ahead_.tiles[static_cast<std::size_t>(tile_.number)] : nullptr;
+  }
+  void color_loss(std::size_t, Workspace&, View<const Real> color, View<const float> target,
+                  View<Real> d_color) override {
+    losses.mse = photometric_loss<Real>(color, target, color_normaliser_, 1.0, d_color);
+    losses.color += losses.mse;
+  }
+  void semantic_loss(std::size_t, Workspace&, View<const Real> logits, const SemanticTargets& targets,
+                     View<Real> d_logits) override {
+    const PipelineOptions& options = pipeline_.options_;
+    const auto classes = static_cast<std::int32_t>(options.class_weight.size());
+    const View<const float> class_weight =
+        classes == 0 ? View<const float>() : View<const float>(options.class_weight.data(), 1, classes);
+    const SemanticLoss semantic = semantic_cross_entropy<Real>(logits, targets, class_weight, scales_.semantic,
+                                                               options.semantic_weight, d_logits, tile_.begin);
+    losses.semantic += semantic.sum;
+    losses.labelled = semantic.labelled;
+    losses.correct = semantic.correct;
+  }
+  LossTraits active_terms() const override {
+    return scales_.terms.active != 0 ? pipeline_.options_.losses.traits(scales_.terms.active) : LossTraits{};
+  }
+  void add_terms(std::size_t, Workspace&, const RayTargets& targets, const RayValues<Real>& values,
+                 const RayGradients<Real>& gradients) override {
+    pipeline_.options_.losses.template add<Real>(scales_.terms, targets, values, gradients, losses.terms);
+  }
+  void count(std::size_t pass, const PassTrace<Real>& trace) override {
+    losses.samples = trace.samples.count;
+    if (any_density(trace)) losses.dense_passes |= 1U << pass;
+  }
+  View<Real> encoded_gradient(std::size_t pass, const PassTrace<Real>& trace, Workspace& arena) override {
+    const std::int32_t dims = trace.encoded.cols;
+    if (tile_.number == kAlone) return arena.take<Real>(trace.samples.count, dims);
+    Ahead& ahead = pipeline_.ahead_;
+    if (drawn() == nullptr) return pipeline_.lanes_[static_cast<std::size_t>(lane_)]->inbox[pass].append(trace.x, dims);
+    const std::int64_t row = ahead.row[static_cast<std::size_t>(tile_.number)];
+    return {ahead.d_encoded.data() + dims * row, trace.samples.count, dims};
+  }
+  void use_encoded_gradient(std::size_t pass, const PassTrace<Real>& trace, const StepContext&,
+                            View<Real> d_encoded) override {
+    if (tile_.number != kAlone) return;
+    RayGuard<Real>(pipeline_.passes_[pass].parts().name, tile_.begin, trace.samples)
+        .per_sample("gradient of the encoded position", d_encoded);
+  }
+
+ private:
+  Pipeline& pipeline_;
+  int lane_;
+  TileRange tile_;
+  const BatchScales& scales_;
+  double color_normaliser_;
+};
+
 template <class Real>
 StepLosses Pipeline<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, const TileRange& tile,
                                       const BatchScales& scales) {
   const std::int64_t begin = tile.begin, count = tile.count;
-  const bool drawn = draws_ahead() && tile.number != kAlone;
-  StepContext ctx = context(step, true, lane, begin);
-  Workspace& arena = *ctx.workspace;
-  const Workspace::Scope tile_scope(arena);
-  Rays<Real> rays;
-  rays.origin = batch.origin.row_range(begin, count);
-  rays.direction = batch.direction.row_range(begin, count);
-  rays.near_far = batch.near_far.row_range(begin, count);
-  const View<const float> target = batch.target.row_range(begin, count);
-  const View<const std::int16_t> label = rows_of(batch.label, begin, count);
-  std::int64_t semantic_rays = 0;
-  if (has_semantics() && !label.empty()) {
+  const StepContext ctx = context(step, true, lane, begin);
+  const Workspace::Scope tile_scope(*ctx.workspace);
+  TrainedRays rays;
+  rays.lane = lane;
+  rays.batch = batch;
+  rays.batch.origin = batch.origin.row_range(begin, count);
+  rays.batch.direction = batch.direction.row_range(begin, count);
+  rays.batch.near_far = batch.near_far.row_range(begin, count);
+  rays.batch.target = batch.target.row_range(begin, count);
+  rays.batch.label = rows_of(batch.label, begin, count);
+  rays.batch.soft = rows_of(batch.soft, begin, count);
+  rays.batch.depth = rows_of(batch.depth, begin, count);
+  if (has_semantics() && !batch.label.empty()) {
     for (std::int64_t r = 0; r < count; ++r) {
-      if (options_.head_on_all_rays || label(r, 0) != kVoid) semantic_rays = r + 1;
+      if (options_.head_on_all_rays || rays.batch.label(r, 0) != kVoid) rays.semantic_rays = r + 1;
     }
   }
-  const View<const float> class_weight =
-      options_.class_weight.empty()
-          ? View<const float>()
-          : View<const float>(options_.class_weight.data(), 1, static_cast<std::int32_t>(options_.class_weight.size()));
   // The tile of the batch that holds these rays begins with the rays that are there for their labels.
   const std::int64_t tile_begin = begin / tile_rays_ * tile_rays_;
   const std::int64_t tile_end = std::min(tile_begin + tile_rays_, batch.origin.rows);
-  const std::int64_t first_color = std::clamp<std::int64_t>(
+  rays.first_color = std::clamp<std::int64_t>(
       tile_begin + label_only_rays(batch.label_only_share, tile_begin, tile_end) - begin, 0, count);
-  const double normaliser = color_normaliser(batch);
-
-  RayBatch of_tile = batch;
-  of_tile.near_far = rays.near_far;
-  of_tile.target = target;
-  of_tile.label = label;
-  of_tile.soft = rows_of(batch.soft, begin, count);
-  of_tile.depth = rows_of(batch.depth, begin, count);
-
-  StepLosses losses;
-  Proposal<Real> proposal;
-  PassTrace<Real> previous;
-  for (std::size_t p = 0; p < passes_.size(); ++p) {
-    ctx.pass = passes_[p].parts().number;
-    const Pass<Real>& pass = passes_[p];
-    PassTrace<Real> trace =
-        drawn
-            ? pass.forward(ctx, lane, rays, ahead_.tiles[static_cast<std::size_t>(tile.number)], semantic_rays)
-            : pass.forward(ctx, lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray_[p - 1], semantic_rays);
-    View<Real> d_color = arena.take<Real>(count, 3);
-    std::fill_n(d_color.data, 3 * first_color, Real(0));
-    const auto colored = [&](auto view) { return view.row_range(first_color, count - first_color); };
-    const double squares = photometric_loss<Real>(colored(View<const Real>(trace.color)), colored(target), normaliser,
-                                                  1.0, colored(d_color));
-    losses.color += squares;
-    losses.mse = squares;
-    losses.samples = trace.samples.count;
-    if (any_density(trace)) losses.dense_passes |= 1U << p;
-    View<Real> d_logits;
-    if (semantic_rays > 0) {
-      d_logits = arena.take<Real>(semantic_rays, trace.logits.cols);
-      SemanticTargets targets;
-      if (batch.soft.empty()) {
-        targets.hard = label.row_range(0, semantic_rays);
-      } else {
-        targets.soft = batch.soft.row_range(begin, semantic_rays);
-      }
-      const SemanticLoss semantic = semantic_cross_entropy<Real>(trace.logits, targets, class_weight, scales.semantic,
-                                                                 options_.semantic_weight, d_logits, begin);
-      losses.semantic += semantic.sum;
-      losses.labelled = semantic.labelled;
-      losses.correct = semantic.correct;
-    }
-    View<Real> d_encoded;
-    if (tile.number == kAlone) {
-      if (pass.scatters()) d_encoded = arena.take<Real>(trace.samples.count, trace.encoded.cols);
-    } else if (drawn) {
-      const std::int64_t row = ahead_.row[static_cast<std::size_t>(tile.number)];
-      d_encoded = {ahead_.d_encoded.data() + trace.encoded.cols * row, trace.samples.count, trace.encoded.cols};
-    } else if (pass.scatters()) {
-      d_encoded = lanes_[static_cast<std::size_t>(lane)]->inbox[p].append(trace.x, trace.encoded.cols);
-    }
-    RayGradients<Real> d;
-    d.color = d_color;
-    if (scales.terms.active != 0) add_terms(scales.terms, of_tile, trace, arena, d, losses.terms);
-    pass.backward(ctx, lane, trace, d, d_logits, d_encoded);
-    if (tile.number == kAlone) {
-      RayGuard<Real>(pass.parts().name, begin, trace.samples).per_sample("gradient of the encoded position", d_encoded);
-    }
-    previous = trace;
-    proposal.samples = &previous.samples;
-    proposal.weight = previous.weight.row_range(0, previous.samples.count);
-  }
-  return losses;
+  TileExecutor executor(*this, lane, tile, scales, color_normaliser(batch));
+  train_rays<Real>(passes_, per_ray_, rays, ctx, executor);
+  return executor.losses;
 }
 
 template <class Real>
 typename Pipeline<Real>::BatchScales Pipeline<Real>::scales_of(std::int64_t step, const RayBatch& batch) const {
   return {batch_normaliser(batch), options_.losses.scales(step, targets_of(batch), batch.origin.rows)};
-}
-
-template <class Real>
-void Pipeline<Real>::add_terms(const LossScales& scales, const RayBatch& tile, const PassTrace<Real>& trace,
-                               Workspace& arena, RayGradients<Real>& d, LossNumbers& sums) const {
-  const auto zeroed = [&](bool wanted, std::int64_t rows) {
-    if (!wanted) return View<Real>();
-    const View<Real> view = arena.take<Real>(rows, 1);
-    std::fill_n(view.data, rows, Real(0));
-    return view;
-  };
-  const LossTraits traits = options_.losses.traits(scales.active);
-  d.depth = zeroed(traits.moves_depth, trace.depth.rows);
-  d.weight = zeroed(traits.moves_weight, trace.samples.count);
-  d.sigma = zeroed(traits.moves_sigma, trace.samples.count);
-  options_.losses.add<Real>(scales, targets_of(tile), values_of(tile.near_far, trace), d, sums);
 }
 
 template <class Real>
@@ -304,7 +288,7 @@ void Pipeline<Real>::render_tile(int lane, const RenderJob<Real>& job, std::int6
     ctx.pass = passes_[p].parts().number;
     const bool last = p + 1 == passes_.size();
     PassTrace<Real> next = passes_[p].forward(ctx, lane, rays, p == 0 ? nullptr : &proposal,
-                                              p == 0 ? 0 : per_ray_[p - 1], last && semantics ? count : 0);
+                                              p == 0 ? 0 : per_ray_[p - 1], {last && semantics ? count : 0, last});
     trace = next;
     proposal.samples = &trace.samples;
     proposal.weight = trace.weight.row_range(0, trace.samples.count);

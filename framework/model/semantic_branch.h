@@ -4,11 +4,13 @@
 
 #include <memory>
 #include <string>
+#include <string_view>
 
 #include "core/host_device.h"
 #include "core/rng.h"
 #include "model/domain_map.h"
-#include "model/param_store.h"
+#include "model/stages.h"
+#include "model/tensor_store.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/sampler.h"
@@ -35,7 +37,7 @@ struct SemanticBranchParts {
 /// K kept samples of the first R rays; lives in the tile's workspace.
 template <class Real>
 struct SemanticBranchTrace {
-  Samples<Real> samples;      ///< count K, ray_of_sample [K, 1], first [R + 1, 1]; t and delta are empty
+  Samples<Real> samples;
   View<std::int32_t> source;  ///< [K, 1] number of the sample in the pass
   View<Real> weight;          ///< [K, 1] compositing weight, a constant here
   View<Real> share;           ///< [R, 1] sum of a ray's kept weights
@@ -52,17 +54,19 @@ template <class Real>
 class SemanticBranch {
  public:
   /// Adds the parts' tensors to `store` under "PASS/semantic/...". Throws Error(config) where the encoder learns.
-  /// Borrows the parts.
-  SemanticBranch(const SemanticBranchParts<Real>& parts, const std::string& pass, ParamStore<Real>& store);
+  /// Borrows all.
+  SemanticBranch(const SemanticBranchParts<Real>& parts, const std::string& pass, TensorStore<Real>& store,
+                 const Stages<Real>& stages);
 
   std::int32_t feature_dims() const { return parts_->field->traits().feature_dims; }
   const SemanticBranchRules& rules() const { return parts_->rules; }
 
   /// Of the first `semantic_rays` rays: keeps the samples that weigh, encodes them and runs the network, in
-  /// ctx.workspace. weight [M, 1]; feature [M, F] of the pass's field (empty unless it is read).
+  /// ctx.workspace. weight [M, 1] and feature [M, F] of the pass (feature empty unless it is read); these rays have at
+  /// most `most` samples.
   SemanticBranchTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
                                     const Samples<Real>& samples, View<const Real> weight, View<const Real> feature,
-                                    std::int64_t semantic_rays) const;
+                                    std::int64_t semantic_rays, std::int64_t most) const;
   /// d_feature [K, B] of trace.feature; it is changed (dropout). Gradients go into the lane's.
   void backward(const StepContext& ctx, int lane, const SemanticBranchTrace<Real>& trace, View<Real> d_feature) const;
 
@@ -70,12 +74,14 @@ class SemanticBranch {
   void derive_backward(const StepContext& ctx) const;
 
  private:
-  void keep(const Samples<Real>& samples, View<const Real> weight, std::int64_t semantic_rays, Workspace& arena,
-            SemanticBranchTrace<Real>& trace) const;
-  void drop_out(const StepContext& ctx, const SemanticBranchTrace<Real>& trace, View<Real> values) const;
+  FieldIn<Real> field_in(const SemanticBranchTrace<Real>& trace) const;
+  bool drops_out(const SemanticBranchTrace<Real>& trace) const { return trace.feature.data != trace.out.feature.data; }
+  Dropout dropout(const StepContext& ctx) const;
 
   const SemanticBranchParts<Real>* parts_;
-  ParamStore<Real>* store_;
+  std::string pass_;
+  TensorStore<Real>* store_;
+  const Stages<Real>* stages_;
   int position_ = 0, field_ = 0;
 };
 
@@ -100,14 +106,6 @@ SEMFIELD_HD inline DropoutFactors dropout_factors(const RandomAddress& address, 
     factors.of[i] = static_cast<double>(block.v[i]) < below ? 0.0F : stays;
   return factors;
 }
-
-/// out [R, H] = sum over each ray's samples of weight [K, 1] times values [K, H].
-template <class Real>
-void sum_by_weight(const Samples<Real>& samples, View<const Real> weight, View<const Real> values, View<Real> out);
-/// d_values [K, H] = weight times d_out [R, H] of the sample's ray.
-template <class Real>
-void sum_by_weight_backward(const Samples<Real>& samples, View<const Real> weight, View<const Real> d_out,
-                            View<Real> d_values);
 
 extern template class SemanticBranch<float>;
 extern template class SemanticBranch<double>;

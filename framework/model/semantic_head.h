@@ -2,8 +2,8 @@
 // once a ray.
 #pragma once
 
-#include "core/gemm.h"
-#include "plugin/parametric.h"
+#include "model/head_kernels.h"
+#include "plugin/field.h"
 
 namespace semfield {
 
@@ -13,22 +13,33 @@ namespace semfield {
 template <class Real>
 class SemanticHead final : public Parametric<Real> {
  public:
-  /// precision: of the hidden layer, a product a sample; the class layer, once a ray, stays fp32.
-  SemanticHead(std::int32_t feature_dims, std::int32_t hidden_width, std::int32_t classes,
-               Precision precision = Precision::fp32);
+  /// `kernels` must live as long as the head.
+  explicit SemanticHead(const HeadShape& shape, const HeadKernels<Real>& kernels = processor_head_kernels<Real>())
+      : shape_(shape), kernels_(&kernels) {}
 
-  std::int32_t hidden_width() const { return hidden_; }
-  std::int32_t classes() const { return classes_; }
+  std::int32_t hidden_width() const { return shape_.hidden; }
+  std::int32_t classes() const { return shape_.classes; }
+  /// Whether it takes a feature in bf16, or the activations of a field that computes its hidden layer.
+  bool takes_rounded() const {
+    return shape_.precision == Precision::bf16 && kernels_->rounded_hidden_forward != nullptr;
+  }
 
   void declare(ParamDeclarer& declarer) const override;
   void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override;
 
+  /// The hidden layer for a field that computes it; with gradients where the tensors have them.
+  HiddenLayer<Real> hidden_layer(const Tensors<Real>& tensors) const;
   /// hidden [M, H] = relu(feature [M, F] W1 + b1).
   void hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
                       View<Real> hidden) const;
   /// d_hidden [M, H] is overwritten (masked by the ReLU); d_feature [M, F] = dL/dfeature.
   void hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
                        View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const;
+  /// The same in bf16 from end to end; d_hidden is already the gradient before the ReLU. Only where takes_rounded().
+  void hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Bf16> feature,
+                      View<Bf16> hidden) const;
+  void hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Bf16> feature,
+                       View<const Bf16> d_hidden, View<Bf16> d_feature) const;
 
   /// logits [N, C] = h [N, H] W2 + share [N, 1] b2. Once a ray: h composited, share the opacity. Once a sample (the
   /// deferral switched off): h the hidden activations, share empty (taken as 1).
@@ -39,8 +50,8 @@ class SemanticHead final : public Parametric<Real> {
                       View<const Real> d_logits, View<Real> d_h, View<Real> d_share) const;
 
  private:
-  std::int32_t feature_, hidden_, classes_;
-  Precision precision_;
+  HeadShape shape_;
+  const HeadKernels<Real>* kernels_;
 };
 
 extern template class SemanticHead<float>;

@@ -34,6 +34,25 @@ void check_outputs(const char* call, const FieldTraits& traits, const FieldIn<Re
   view_checks::require_or_empty(call, "feature", out.feature, samples, traits.feature_dims, device);
 }
 
+// The feature goes out in one form, and only in one that the field has.
+template <class Real>
+void check_form(const char* call, const Field<Real>& field, const FieldIn<Real>& in, const FieldOut<Real>& out) {
+  const std::int32_t dims = field.traits().feature_dims;
+  view_checks::require_or_empty(call, "rounded_feature", out.rounded_feature, in.position.rows, dims,
+                                in.position.device);
+  const int forms =
+      (out.feature.empty() ? 0 : 1) + (out.rounded_feature.empty() ? 0 : 1) + (out.hidden.empty() ? 0 : 1);
+  if (forms > 1) view_checks::fail(call, "the feature is wanted in more than one form");
+  if (!out.rounded_feature.empty() && field.feature_form(0) == FeatureForm::full)
+    view_checks::fail(call, "rounded_feature is wanted of a field that has no such form");
+  if (out.hidden.empty()) return;
+  if (field.feature_form(out.hidden.cols) != FeatureForm::hidden_layer)
+    view_checks::fail(call, "hidden is wanted of a field that does not compute such a layer");
+  view_checks::require(call, "layer.weight", out.layer.weight, dims, out.hidden.cols, in.position.device);
+  view_checks::require(call, "layer.bias", out.layer.bias, 1, out.hidden.cols, in.position.device);
+  if (out.hidden.rows > in.position.rows) view_checks::fail(call, "hidden has more rows than there are samples");
+}
+
 void check_saved(const char* call, Saved saved, std::size_t bytes) {
   if (saved.size() < bytes) {
     view_checks::fail(call, "saved has " + std::to_string(saved.size()) + " bytes, expected " + std::to_string(bytes));
@@ -52,6 +71,7 @@ void Field<Real>::forward(const StepContext& ctx, const Tensors<Real>& tensors, 
   const FieldTraits shape = traits();
   check_inputs(kCall, shape, in, !out.rgb.empty());
   check_outputs(kCall, shape, in, out);
+  check_form(kCall, *this, in, out);
   if (in.position.rows == 0) return;
   if (!saved.empty()) check_saved(kCall, saved, saved_bytes(in.position.rows, in.direction.rows));
   do_forward(ctx, tensors, in, out, saved);
@@ -67,6 +87,9 @@ void Field<Real>::backward(const StepContext& ctx, const Tensors<Real>& tensors,
   const Device device = in.position.device;
   check_inputs(kCall, shape, in, !grad.rgb.empty());
   check_outputs(kCall, shape, in, out);
+  if ((!grad.rounded_feature.empty() && feature_form(0) == FeatureForm::full) ||
+      (grad.hidden != nullptr && feature_form(out.hidden.cols) != FeatureForm::hidden_layer))
+    view_checks::fail(kCall, "the feature's gradient comes in a form that the field does not have");
   view_checks::require_or_empty(kCall, "grad.sigma", grad.sigma, samples, 1, device);
   view_checks::require_or_empty(kCall, "grad.rgb", grad.rgb, samples, 3, device);
   view_checks::require_or_empty(kCall, "grad.feature", grad.feature, samples, shape.feature_dims, device);

@@ -81,6 +81,7 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
                           const BuildPlan& plan, const SceneExtent& extent, Device device) {
   PassParts<Real> parts;
   parts.name = pass.name;
+  parts.stages = &stages_of<Real>(device);
   SamplerBuild sampler_build;
   sampler_build.device = device;
   sampler_build.bounds = extent.bounds;
@@ -112,9 +113,9 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
     parts.branch = make_branch<Real>(pass, config, registry, extent, device, read->traits().feature_dims);
     read = parts.branch->field.get();
   }
-  parts.head = std::make_unique<SemanticHead<Real>>(read->traits().feature_dims, config.semantics.hidden_width,
-                                                    static_cast<std::int32_t>(plan.class_of_logit.size()),
-                                                    config.runtime.precision);
+  const HeadShape shape{read->traits().feature_dims, config.semantics.hidden_width,
+                        static_cast<std::int32_t>(plan.class_of_logit.size()), config.runtime.precision};
+  parts.head = std::make_unique<SemanticHead<Real>>(shape, *parts.stages->head);
   return parts;
 }
 
@@ -274,7 +275,6 @@ std::unique_ptr<DeviceBackend> attach_device(Device device, const RunConfig& con
   if (device == Device::cpu) return nullptr;
   DeviceOptions options;
   options.adam = {config.adam.beta1, config.adam.beta2, config.adam.epsilon};
-  options.head_precision = config.runtime.precision;
   options.trainable = trainable;
   options.deterministic = config.runtime.deterministic;
   std::unique_ptr<DeviceBackend> backend =

@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include <cuda_bf16.h>
+
 #include "device_fixture.h"
 #include "plugin/field.h"
 #include "testkit/compare.h"
@@ -14,6 +16,11 @@ namespace semfield::testing {
 
 using testkit::FieldBench;
 using testkit::Wanted;
+
+/// bf16 numbers of the device as the field contract names them.
+inline View<Bf16> as_rounded(View<__nv_bfloat16> v) {
+  return {reinterpret_cast<Bf16*>(v.data), v.rows, v.cols, v.row_stride, v.device};
+}
 
 class DeviceField {
  public:

@@ -1,5 +1,6 @@
 // The class layer once a ray on the device against plain sums in float64: few classes and many take different kernels.
-#include "cuda/head.h"
+#include "cuda/stages.h"
+#include "model/semantic_head.h"
 
 #include <cmath>
 #include <vector>
@@ -56,8 +57,9 @@ TEST(CudaHead, ClassLayerAndItsGradients) {
     const double tolerance = cut ? 2e-3 : 1e-6;
     SCOPED_TRACE(std::to_string(s.rays) + " rays, hidden " + std::to_string(s.hidden) + ", classes " +
                  std::to_string(s.classes) + (s.precision == Precision::bf16 ? ", bf16" : ""));
-    const SemanticHead<float> host(kFeature, s.hidden, s.classes);
-    const cuda::Head head(host, s.precision);
+    const SemanticHead<float> head({kFeature, s.hidden, s.classes, s.precision}, cuda::head_kernels());
+    StepContext ctx;
+    ctx.workspace = &launch.arena();
     const std::vector<float> h = random_floats(s.rays * s.hidden, 1, -1, 1), share = random_floats(s.rays, 2, 0, 1);
     const std::vector<float> w = random_floats(s.hidden * s.classes, 3, -1, 1), b = random_floats(s.classes, 4, -1, 1);
     const std::vector<float> g = random_floats(s.rays * s.classes, 5, -1, 1);
@@ -70,8 +72,8 @@ TEST(CudaHead, ClassLayerAndItsGradients) {
     const std::vector<View<float>> values{hidden_weight.view(), hidden_bias.view(), d_w.view(), d_b.view()};
     const std::vector<View<float>> grads{hidden_weight.view(), hidden_bias.view(), grad_w.view(), grad_b.view()};
     const Tensors<float> tensors{values, grads};
-    head.class_forward(launch.arena(), tensors, d_h.view(), d_share.view(), logits.view());
-    head.class_backward(launch.arena(), tensors, d_h.view(), d_share.view(), d_g.view(), of_h.view(), of_share.view());
+    head.class_forward(ctx, tensors, d_h.view(), d_share.view(), logits.view());
+    head.class_backward(ctx, tensors, d_h.view(), d_share.view(), d_g.view(), of_h.view(), of_share.view());
 
     std::vector<double> want = product(h, w, s.rays, s.hidden, s.classes, false, false);
     for (std::size_t i = 0; i < want.size(); ++i) {

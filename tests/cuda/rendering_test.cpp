@@ -145,7 +145,7 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
         raw[i] = std::vector<float>{0, -0.F, 1e-30F, -100, 15, 80}[i];
       const std::vector<float> d_sigma = testing::random_floats(count, 6, -1, 1);
       const DeviceMatrix<float> raw_there(raw, 1, 3), sigma(count, 1, 2), d_there(d_sigma, 1, 2);
-      cuda::DensityRule rule;
+      DensityRule rule;
       rule.activation = activation;
       rule.bias = -0.25;
       cuda::density_forward(rule, nullptr, raw_there.view(), sigma.view());
@@ -178,7 +178,7 @@ TEST(CudaDensity, NoiseIsThatOfTheProcessor) {
   launch.set_cell(cell);
   const Batch host(100, 40);
   const DeviceBatch device(host);
-  cuda::DensityRule rule;
+  DensityRule rule;
   rule.deviation = 1.5;
   rule.bias = 0.5;
   rule.first_ray = 7000;
@@ -210,7 +210,7 @@ TEST(CudaDensity, FaultsNameTheStage) {
     std::vector<float> raw(host.t.size(), 0.5F);
     raw[at] = value;
     const DeviceMatrix<float> there(raw, 1), sigma(device.rows, 1);
-    cuda::DensityRule rule;
+    DensityRule rule;
     rule.activation = activation;
     rule.bias = bias;
     cuda::density_forward(rule, &device.samples, there.view(), sigma.view());

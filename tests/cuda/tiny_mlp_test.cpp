@@ -8,7 +8,6 @@
 #include <string>
 #include <vector>
 
-#include "cuda/feature_exchange.h"
 #include "tiny_mlp_tables.h"
 
 namespace semfield {
@@ -301,21 +300,19 @@ TEST(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
   plain.backward();
 
   const DeviceMatrix<__nv_bfloat16> room(kRows, width);
-  cuda::FeatureExchange features;
-  features.room = room.view();
-  cuda::Launch launch = cuda::launch();
-  launch.features = &features;
-  const cuda::LaunchScope scope(launch);
-  sharing.forward();
-  ASSERT_EQ(features.feature.data, room.data());
+  ASSERT_EQ(sharing.field.feature_form(64), FeatureForm::rounded);
+  FieldOut<float> out = sharing.out({true, true, false});
+  out.rounded_feature = testing::as_rounded(room.view());
+  sharing.field.forward(sharing.ctx, sharing.tensors(), sharing.in(), out, sharing.space());
   const std::vector<__nv_bfloat16> got = room.read();
   const std::vector<float> want = plain.feature->read();
   for (std::size_t i = 0; i < got.size(); ++i)
     ASSERT_EQ(__bfloat162float(got[i]), __bfloat162float(__float2bfloat16(want[i]))) << i;
 
-  features = {};
-  features.d_feature = d_feature.view();
-  sharing.backward({true, true, false});
+  FieldGrad<float> grad = sharing.weights({true, true, false});
+  grad.rounded_feature = testing::as_rounded(d_feature.view());
+  sharing.field.backward(sharing.ctx, sharing.tensors(), sharing.in(), out, grad, sharing.space(),
+                         sharing.d_position->view());
   EXPECT_EQ(sharing.d_position->read(), plain.d_position->read());
   for (std::size_t i = 0; i < plain.grads.size(); ++i) EXPECT_EQ(sharing.grads[i]->read(), plain.grads[i]->read());
 }

@@ -80,7 +80,7 @@ TEST(SemanticBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
     ctx.workspace = &arena;
     const RayBatch batch = o.batch.view(true);
     return o.pipeline->passes()[0].forward(ctx, 0, {batch.origin, batch.direction, batch.near_far}, nullptr, 0,
-                                           batch.origin.rows);
+                                           {batch.origin.rows});
   };
   Workspace arena_all;
   const PassTrace<double> a = trace_of(all, arena_all);

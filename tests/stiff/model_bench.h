@@ -39,7 +39,7 @@ PassParts<Real> small_pass(const Registry& registry, const std::string& samples 
   const PluginEntry& field = registry.get(PluginKind::field, "tiny_mlp");
   parts.field = make_part<Real>(field.field32, field.field64, field, {{"hidden_width", "16"}, {"color_width", "16"}},
                                 build, registry);
-  parts.head = std::make_unique<SemanticHead<Real>>(parts.field->traits().feature_dims, 16, 5);
+  parts.head = std::make_unique<SemanticHead<Real>>(HeadShape{parts.field->traits().feature_dims, 16, 5});
   parts.domain = domain;
   return parts;
 }
@@ -66,7 +66,7 @@ struct ModelBench {
     ctx.training = training;
     const Rays<Real> rays{View<const double>(origin.data(), kRays, 3), View<const double>(direction.data(), kRays, 3),
                           View<const double>(near_far.data(), kRays, 2)};
-    return pass.forward(ctx, 0, rays, nullptr, 0, kRays);
+    return pass.forward(ctx, 0, rays, nullptr, 0, {kRays});
   }
   ParamStore<Real> store;
   Pass<Real> pass;

@@ -21,7 +21,7 @@ constexpr std::int16_t kLabel = 5;
 template <class Real>
 struct SemanticRay {
   explicit SemanticRay(int samples)
-      : head(4, kHidden, kClasses), box(head, 3, 0.0), rays({samples}, kHidden), logits(kClasses), slope(kClasses) {
+      : head(HeadShape{4, kHidden, kClasses}), box(head, 3, 0.0), rays({samples}, kHidden), logits(kClasses), slope(kClasses) {
     rays.space_evenly(samples * 0.75);
     Numbers numbers(41);
     for (Real& h : rays.hidden) h = static_cast<Real>(numbers.in(0, 2));

@@ -36,6 +36,9 @@ class NerfMlp final : public Field<Real> {
  public:
   NerfMlp(const NerfMlpParams& params, const FieldBuild& build, const KernelTables& kernels);
   FieldTraits traits() const noexcept override { return {shape_.width, shape_.has_direction()}; }
+  FeatureForm feature_form(std::int32_t hidden_width) const noexcept override {
+    return kernels_->feature_form == nullptr ? FeatureForm::full : kernels_->feature_form(shape_, hidden_width);
+  }
   std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
   void declare(ParamDeclarer& declarer) const override;
   void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override;

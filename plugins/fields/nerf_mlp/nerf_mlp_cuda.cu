@@ -77,7 +77,11 @@ std::size_t saved_bytes(const NerfMlpShape& s, std::int64_t samples) {
   return (FusedNerfMlp::serves(s) ? FusedNerfMlp::saved_bytes : Layered::saved_bytes)(s, samples);
 }
 
-constexpr NerfMlpKernels<float> kBf16{forward, backward, derive, derive_backward, saved_bytes};
+FeatureForm feature_form(const NerfMlpShape& s, std::int32_t hidden_width) {
+  return FusedNerfMlp::serves(s) && FusedNerfMlp::computes_layer(hidden_width) ? FeatureForm::hidden_layer : FeatureForm::rounded;
+}
+
+constexpr NerfMlpKernels<float> kBf16{forward, backward, derive, derive_backward, saved_bytes, feature_form};
 
 }  // namespace
 

@@ -1,7 +1,7 @@
 #include <type_traits>
 
 #include "core/check.h"
-#include "cuda/feature_exchange.h"
+#include "cuda/bf16.h"
 #include "cuda/launch.h"
 #include "cuda/layers.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
@@ -97,13 +97,8 @@ bool pairs(View<const float> m) {
   return m.row_stride % 2 == 0 && reinterpret_cast<std::uintptr_t>(m.data) % (2 * sizeof(float)) == 0;
 }
 
-/// Whether the semantic head's hidden layer is one that the kernels have, and `wanted`.
-bool takes(const HiddenLayer& layer, bool wanted) {
-  return wanted && layer.weight.rows == fused::kWidth && layer.weight.cols == fused::kView;
-}
-
 void weights_backward(const NerfMlpShape& s, const Tensors<float>& t, const Kept& kept,
-                      const fused::InputGradient& from, const HiddenLayer& semantic, Workspace& arena) {
+                      const fused::InputGradient& from, const HiddenLayer<float>& semantic, Workspace& arena) {
   const std::int64_t blocks = from.blocks, piece = blocks * fused::kRows * fused::kWidth;
   fused::WeightGradients call;
   const auto add = [&](fused::WeightGradient gradient) {
@@ -171,6 +166,8 @@ bool FusedNerfMlp::serves(const NerfMlpShape& s) {
          s.depth <= fused::kMaxDepth && !s.has_feature_activation() && (!s.has_direction() || s.direction_once);
 }
 
+bool FusedNerfMlp::computes_layer(std::int32_t hidden_width) { return hidden_width == fused::kView; }
+
 std::size_t FusedNerfMlp::saved_bytes(const NerfMlpShape& s, std::int64_t samples) {
   return Kept(s, blocks_for(samples), nullptr).bytes;
 }
@@ -191,14 +188,10 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
   fused::pack_position(in.position, call.blocks, kept.position);
   call.depth = s.depth;
   call.skip_at = s.skip_at;
-  FeatureExchange* const exchange = launch().features;
-  if (exchange != nullptr && takes(exchange->layer, with_color && !exchange->layer.hidden.empty())) {
-    call.semantic = exchange->layer.hidden;
-    call.semantic_bias = exchange->layer.bias.data;
-    exchange->hidden_is_done = true;
-  }
-  call.weights =
-      forward_slabs(s, t, with_color, call.semantic.empty() ? View<const float>() : exchange->layer.weight, arena);
+  SEMFIELD_CHECK(out.hidden.empty() || with_color, "the hidden layer is computed together with the colour");
+  call.semantic = as_bf16(out.hidden);
+  if (!out.hidden.empty()) call.semantic_bias = out.layer.bias.data;
+  call.weights = forward_slabs(s, t, with_color, out.hidden.empty() ? View<const float>() : out.layer.weight, arena);
   call.position = kept.position;
   for (std::size_t i = 0; i < s.trunk.size(); ++i) call.bias[i] = value(t, s.trunk[i].bias).data;
   call.density_weight = value(t, s.density.weight).data;
@@ -225,17 +218,10 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
   } else {
     call.view_bias = value(t, s.view.bias).data;
   }
-  if (!call.semantic.empty()) {
-    call.feature = {};
-  } else if (exchange != nullptr) {
-    call.feature = {};
-    call.rounded_feature = exchange->room;
-    exchange->feature = exchange->room;
-  } else if (!out.feature.empty() && !pairs(out.feature)) {
-    call.feature = arena.take<float>(call.rows, fused::kWidth);
-  }
+  call.rounded_feature = as_bf16(out.rounded_feature);
+  if (!out.feature.empty() && !pairs(out.feature)) call.feature = arena.take<float>(call.rows, fused::kWidth);
   fused::forward(call);
-  if (exchange == nullptr && call.feature.data != out.feature.data) convert<float, float>(call.feature, out.feature);
+  if (call.feature.data != out.feature.data) convert<float, float>(call.feature, out.feature);
 }
 
 void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t,
@@ -243,13 +229,9 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
                             Saved saved, View<float> d_position) {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
-  View<const Bf16> d_rounded_feature;
-  HiddenLayer semantic;
-  if (launch().features != nullptr) {
-    d_rounded_feature = launch().features->d_feature;
-    semantic = launch().features->layer;
-  }
-  const bool with_semantic = takes(semantic, semantic.d_hidden != nullptr);
+  const View<const Bf16> d_rounded_feature = as_bf16(grad.rounded_feature);
+  const HiddenLayer<float>& semantic = out.layer;
+  const bool with_semantic = grad.hidden != nullptr;
   if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && d_rounded_feature.empty() && !with_semantic) {
     if (!d_position.empty()) cuda::fill(d_position, 0.0F);
     return;
@@ -277,8 +259,8 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
     call.d_feature = copy;
   }
   if (with_semantic) {
-    call.d_semantic = semantic.d_hidden;
-    call.semantic_blocks = blocked_rows(semantic.hidden.rows) / fused::kRows;
+    call.d_semantic = as_bf16(grad.hidden);
+    call.semantic_blocks = blocked_rows(out.hidden.rows) / fused::kRows;
   }
   call.d_trunk = arena.take<Bf16>(s.depth * rows, fused::kWidth).data;
   if (with_color) {

@@ -11,6 +11,8 @@ struct FusedNerfMlp {
   /// 64 numbers, depth 2 to 15, direction once a ray and feature layer folded (or no direction); compute
   /// capability 9.0.
   static bool serves(const NerfMlpShape& shape);
+  /// Whether they compute a semantic hidden layer of that many numbers.
+  static bool computes_layer(std::int32_t hidden_width);
   /// false: `serves` says no. For tests and measurements; must not change between a forward and its backward.
   static bool& enabled();
 

@@ -46,6 +46,8 @@ struct NerfMlpKernels {
   void (*derive)(const NerfMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
   void (*derive_backward)(const NerfMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
   std::size_t (*saved_bytes)(const NerfMlpShape& shape, std::int64_t samples) = nullptr;
+  /// Null: FeatureForm::full.
+  FeatureForm (*feature_form)(const NerfMlpShape& shape, std::int32_t hidden_width) = nullptr;
 };
 
 void nerf_mlp_kernels(KernelTables& tables);

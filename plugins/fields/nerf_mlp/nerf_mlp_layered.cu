@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "core/check.h"
-#include "cuda/feature_exchange.h"
+#include "cuda/bf16.h"
 #include "cuda/launch.h"
 #include "cuda/layers.h"
 #include "cuda/matmul.h"
@@ -82,6 +82,13 @@ Activations<Act> in_workspace(const NerfMlpShape& s, std::int64_t samples, bool 
 
 View<const float> value(const Tensors<float>& t, int index) { return t.value[static_cast<std::size_t>(index)]; }
 View<float> grad_of(const Tensors<float>& t, int index) { return t.grad[static_cast<std::size_t>(index)]; }
+
+void copy_rows(View<const __nv_bfloat16> from, View<__nv_bfloat16> to) {
+  const auto bytes = [](std::int64_t numbers) { return sizeof(__nv_bfloat16) * static_cast<std::size_t>(numbers); };
+  check(cudaMemcpy2DAsync(to.data, bytes(to.row_stride), from.data, bytes(from.row_stride), bytes(from.cols),
+                          static_cast<std::size_t>(from.rows), cudaMemcpyDeviceToDevice, launch().stream),
+        "copying a feature");
+}
 
 template <class Act>
 void trunk_forward(const NerfMlpShape& s, const NerfMlpWeights<Act>& w, const Tensors<float>& t,
@@ -228,7 +235,7 @@ View<Act> heads_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpW
   const View<const Act> h = a.trunk[last];
   View<const Act> d_rounded_feature;
   if constexpr (kRounds<Act>) {
-    if (launch().features != nullptr) d_rounded_feature = launch().features->d_feature;
+    d_rounded_feature = as_bf16(grad.rounded_feature);
   }
   const bool with_density = !grad.sigma.empty() || !grad.feature.empty() || !d_rounded_feature.empty();
   if (with_density) {
@@ -336,13 +343,11 @@ void LayeredNerfMlp<Act>::forward(const NerfMlpShape& s, const StepContext& ctx,
   density.bias = value(t, s.density.bias);
   density.sigma = out.sigma;
   density.feature = out.feature;
-  if constexpr (kRounds<Act>) {
-    if (launch().features != nullptr && !saved.empty() && density.h.cols == s.width) {
-      launch().features->feature = density.h;
-      density.feature = {};
-    }
-  }
   density_forward(density);
+  if constexpr (kRounds<Act>) {
+    const View<const Act> h = density.h.col_range(0, s.width);
+    if (!out.rounded_feature.empty()) copy_rows(h, as_bf16(out.rounded_feature));
+  }
   if (!out.rgb.empty()) color_forward(s, arena, w, t, in, a, out.rgb);
 }
 
@@ -352,8 +357,7 @@ void LayeredNerfMlp<Act>::backward(const NerfMlpShape& s, const StepContext& ctx
                                    Saved saved, View<float> d_position) {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
-  const bool exchanged = launch().features != nullptr && !launch().features->d_feature.empty();
-  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && !exchanged) {
+  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && grad.rounded_feature.empty()) {
     if (!d_position.empty()) cuda::fill(d_position, 0.0F);
     return;
   }

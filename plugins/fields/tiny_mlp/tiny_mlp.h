@@ -40,6 +40,9 @@ class TinyMlp final : public Field<Real> {
  public:
   TinyMlp(const TinyMlpParams& params, const FieldBuild& build, const KernelTables& kernels);
   FieldTraits traits() const noexcept override { return {shape_.feature_dims(), shape_.has_direction()}; }
+  FeatureForm feature_form(std::int32_t hidden_width) const noexcept override {
+    return kernels_->feature_form == nullptr ? FeatureForm::full : kernels_->feature_form(shape_, hidden_width);
+  }
   std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
   void declare(ParamDeclarer& declarer) const override;
   void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override;

@@ -45,7 +45,11 @@ std::size_t saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
   return tiny::feature_applies(s) ? tiny::feature_saved_bytes(s, samples) : tiny::layers_saved_bytes(s, samples);
 }
 
-constexpr TinyMlpKernels<float> kTable{forward, backward, derive, saved_bytes};
+FeatureForm feature_form(const TinyMlpShape& s, std::int32_t) {
+  return tiny::fused_applies(s) && tiny::shares_feature(s) ? FeatureForm::rounded : FeatureForm::full;
+}
+
+constexpr TinyMlpKernels<float> kTable{forward, backward, derive, saved_bytes, feature_form};
 
 }  // namespace
 

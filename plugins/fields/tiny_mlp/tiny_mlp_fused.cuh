@@ -12,6 +12,8 @@ namespace semfield::cuda::tiny {
 inline constexpr std::size_t kMostSharedMemory = 112 * 1024;
 /// Whether the fused kernels compute this network on the current device.
 bool fused_applies(const TinyMlpShape& shape);
+/// Whether they hand the feature on in bf16 too.
+bool shares_feature(const TinyMlpShape& shape);
 
 /// Arguments of either kernel.
 struct FusedCall {

@@ -2,7 +2,7 @@
 // a block's tiles in registers too.
 #include <algorithm>
 
-#include "cuda/feature_exchange.h"
+#include "cuda/bf16.h"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
 #include "fields/tiny_mlp/tiny_mlp_math.h"
 #include "fields/tiny_mlp/tiny_mlp_weight_sums.cuh"
@@ -262,9 +262,8 @@ void fused_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<float
   if (in.position.rows == 0) return;
   const Workspace::Scope scope(arena);
   const FusedCall call = fused_call(s, t, in);
-  Gradients gradients{grad, {}, rgb, d_position, allows_vectors(grad.feature), allows_vectors(d_position)};
-  if (launch().features != nullptr && s.feature == TinyFeature::hidden)
-    gradients.shared_feature = launch().features->d_feature;
+  const Gradients gradients{grad, as_bf16(grad.rounded_feature), rgb, d_position, allows_vectors(grad.feature),
+                            allows_vectors(d_position)};
   const auto d = network_of<float>(s, [&](int index) { return t.grad[static_cast<std::size_t>(index)]; });
   with_tiles(s, [&]<int kPositionTiles, int kDirectionTiles>() {
     const auto kernel = backward_kernel<kPositionTiles, kDirectionTiles>;

@@ -2,7 +2,7 @@
 #include <algorithm>
 
 #include "core/check.h"
-#include "cuda/feature_exchange.h"
+#include "cuda/bf16.h"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
 
 namespace semfield::cuda::tiny {
@@ -148,6 +148,8 @@ bool fused_applies(const TinyMlpShape& s) {
          s.direction_dims <= kGroup && shared_memory_limit() >= kMostSharedMemory;
 }
 
+bool shares_feature(const TinyMlpShape& s) { return s.feature == TinyFeature::hidden && s.hidden_width % kGroup == 0; }
+
 FusedCall fused_call(const TinyMlpShape& s, const Tensors<float>& t, const FieldIn<float>& in) {
   FusedCall call;
   call.network = network_of<const float>(
@@ -172,14 +174,7 @@ void fused_forward(const TinyMlpShape& s, const Tensors<float>& t, const FieldIn
                    const FieldOut<float>& wanted) {
   if (in.position.rows == 0) return;
   FusedCall call = fused_call(s, t, in);
-  Outputs out{wanted, {}};
-  FeatureExchange* const exchange = launch().features;
-  if (exchange != nullptr && !exchange->room.empty() && !out.feature.empty() && call.hidden_feature &&
-      s.hidden_width % kGroup == 0) {
-    out.shared = exchange->room;
-    out.feature = {};
-    exchange->feature = exchange->room;
-  }
+  Outputs out{wanted, as_bf16(wanted.rounded_feature)};
   call.vector_feature = allows_vectors(out.feature);
   with_tiles(s, [&]<int kPositionTiles, int kDirectionTiles>() {
     const auto kernel = forward_kernel<kPositionTiles, kDirectionTiles>;

@@ -49,6 +49,8 @@ struct TinyMlpKernels {
                    View<Real> d_position) = nullptr;
   void (*derive)(const TinyMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
   std::size_t (*saved_bytes)(const TinyMlpShape& shape, std::int64_t samples) = nullptr;
+  /// Null: FeatureForm::full.
+  FeatureForm (*feature_form)(const TinyMlpShape& shape, std::int32_t hidden_width) = nullptr;
 };
 
 void tiny_mlp_kernels(KernelTables& tables);

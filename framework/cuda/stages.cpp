@@ -1,0 +1,102 @@
+#include "cuda/stages.h"
+
+#include "cuda/bf16.h"
+#include "cuda/hidden_channels.h"
+#include "cuda/layers.h"
+#include "cuda/rendering.h"
+#include "model/semantic_branch.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+constexpr std::int64_t kDensityBatch = std::int64_t{1} << 18;
+
+const std::int32_t* set_live_rows(const std::int32_t* count) {
+  const std::int32_t* const before = launch().live_rows;
+  set_launch_rows(count);
+  return before;
+}
+
+void locate_samples(const GuardPlace<float>& place, const Rays<float>& rays, const DomainMap& map, View<double> x) {
+  locate(rays, *place.samples, map, x);
+}
+
+void keep(Workspace& arena, const Samples<float>& samples, View<const float> weight, float least, std::int64_t most,
+          SemanticBranchTrace<float>& trace) {
+  trace.samples.t = arena.take<float>(most, 1);
+  trace.samples.delta = arena.take<float>(most, 1);
+  trace.samples.ray_of_sample = arena.take<std::int32_t>(most, 1);
+  trace.samples.count = most;
+  trace.source = arena.take<std::int32_t>(most, 1);
+  trace.weight = arena.take<float>(most, 1);
+  keep_samples(samples, weight, least, trace);
+}
+
+void sum_by_weight(const Samples<float>& samples, View<const float> weight, View<const float> values, View<float> out) {
+  hidden_forward<float>(samples, weight, values, out);
+}
+
+void sum_by_weight_backward(const Samples<float>& samples, View<const float> weight, View<const float> d_out,
+                            View<float> d_values) {
+  HiddenBackward<float> call;
+  call.weight = weight;
+  call.d_out = d_out;
+  call.d_hidden = d_values;
+  hidden_backward(samples, call);
+}
+
+void rounded_sum(const Samples<float>& samples, View<const float> weight, View<const Bf16> hidden, View<float> out) {
+  hidden_forward<__nv_bfloat16>(samples, weight, as_bf16(hidden), out);
+}
+
+void rounded_sum_backward(const Samples<float>& samples, const RoundedSumBackward<float>& sum) {
+  HiddenBackward<__nv_bfloat16> call;
+  call.weight = sum.weight;
+  call.hidden = as_bf16(sum.hidden);
+  call.d_out = sum.d_out;
+  call.dots = sum.dots;
+  call.d_hidden = as_bf16(sum.d_hidden);
+  call.blocked = sum.blocked;
+  call.relu_output = true;
+  hidden_backward(samples, call);
+}
+
+// The other values are looked at by the kernels that make or read them.
+void guard(const GuardPlace<float>&, Guarded value, View<const float> values) {
+  if (value == Guarded::semantic_feature) guard_finite(Stage::feature, values);
+}
+
+Stages<float> make_stages() {
+  Stages<float> s;
+  s.head = &head_kernels();
+  s.host_memory = false;
+  s.density_batch = kDensityBatch;
+  s.set_live_rows = set_live_rows;
+  s.locate = locate_samples;
+  s.map_positions = cuda::map_positions;
+  s.density_forward = cuda::density_forward;
+  s.density_backward = cuda::density_backward;
+  s.composite_forward = cuda::composite_forward;
+  s.composite_backward = cuda::composite_backward;
+  s.fill = cuda::fill;
+  s.add = cuda::add_rows<float, float>;
+  s.keep = keep;
+  s.join = join_inputs;
+  s.drop_out = cuda::drop_out;
+  s.sum_by_weight = sum_by_weight;
+  s.sum_by_weight_backward = sum_by_weight_backward;
+  s.rounded_sum = rounded_sum;
+  s.rounded_sum_backward = rounded_sum_backward;
+  s.guard = guard;
+  return s;
+}
+
+}  // namespace
+
+const Stages<float>& stages() {
+  static const Stages<float> table = make_stages();
+  return table;
+}
+
+}  // namespace semfield::cuda

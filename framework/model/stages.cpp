@@ -1,0 +1,222 @@
+// The stages of a pass on the processor.
+#include "model/stages.h"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+#include "core/check.h"
+#include "core/error.h"
+#include "model/ray_guard.h"
+#include "model/semantic_branch.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::int64_t kDensityBatch = 1024;
+
+Workspace& query_arena() {
+  static thread_local Workspace arena;  // scratch alone: nothing in it outlives a query
+  return arena;
+}
+
+template <class Real>
+void locate(const GuardPlace<Real>& place, const Rays<Real>& rays, const DomainMap& map, View<double> x) {
+  const Samples<Real>& samples = *place.samples;
+  for (std::int64_t m = 0; m < samples.count; ++m) {
+    const std::int64_t r = samples.ray_of_sample(m, 0);
+    const double t = static_cast<double>(samples.t(m, 0));
+    Vec3d p;
+    for (int i = 0; i < 3; ++i) p[i] = rays.origin(r, i) + t * rays.direction(r, i);
+    const Vec3d at = map(p);
+    for (int i = 0; i < 3; ++i) x(m, i) = at[i];
+  }
+  RayGuard<Real>(place.pass, place.first_ray, samples).samples(x);
+}
+
+void map_positions(View<const double> positions, const DomainMap& map, View<double> x) {
+  for (std::int64_t m = 0; m < positions.rows; ++m) {
+    const Vec3d at = map({positions(m, 0), positions(m, 1), positions(m, 2)});
+    for (int i = 0; i < 3; ++i) x(m, i) = at[i];
+  }
+}
+
+template <class Real>
+void composite(const CompositeIn<Real>& in, const CompositeOut<Real>& out, const CompositeGrad<Real>& grad,
+               View<Real> d_sigma, View<Real> d_rgb, View<Real> d_hidden) {
+  SEMFIELD_CHECK(grad.dotted_rays == 0, "a processor's compositor multiplies hidden activations itself");
+  composite_backward<Real>(in, out, grad, d_sigma, d_rgb, d_hidden);
+}
+
+template <class Real>
+void fill(View<Real> values, Real value) {
+  for (std::int64_t r = 0; r < values.rows; ++r) std::fill_n(values.row(r), values.cols, value);
+}
+
+template <class Real>
+void add(View<const Real> from, View<Real> to) {
+  for (std::int64_t r = 0; r < to.rows; ++r) {
+    for (std::int32_t c = 0; c < to.cols; ++c) to(r, c) += from(r, c);
+  }
+}
+
+template <class Real>
+void keep(Workspace& arena, const Samples<Real>& samples, View<const Real> weight, Real least, std::int64_t,
+          SemanticBranchTrace<Real>& trace) {
+  const std::int64_t rays = trace.share.rows;
+  const std::int32_t all = samples.first(rays, 0);
+  Samples<Real>& kept = trace.samples;
+  kept.count = std::count_if(weight.data, weight.data + all, [least](Real w) { return w >= least && w > 0; });
+  kept.t = arena.take<Real>(kept.count, 1);
+  kept.delta = arena.take<Real>(kept.count, 1);
+  kept.ray_of_sample = arena.take<std::int32_t>(kept.count, 1);
+  trace.source = arena.take<std::int32_t>(kept.count, 1);
+  trace.weight = arena.take<Real>(kept.count, 1);
+  std::int32_t k = 0;
+  for (std::int64_t r = 0; r < rays; ++r) {
+    kept.first(r, 0) = k;
+    Real share = 0;
+    for (std::int32_t m = samples.first(r, 0); m < samples.first(r + 1, 0); ++m) {
+      const Real w = weight(m, 0);
+      if (!(w >= least && w > 0)) continue;
+      kept.t(k, 0) = samples.t(m, 0);
+      kept.delta(k, 0) = samples.delta(m, 0);
+      kept.ray_of_sample(k, 0) = static_cast<std::int32_t>(r);
+      trace.source(k, 0) = m;
+      trace.weight(k, 0) = w;
+      share += w;
+      ++k;
+    }
+    trace.share(r, 0) = share;
+  }
+  kept.first(rays, 0) = k;
+}
+
+template <class Real>
+void join(const SemanticBranchTrace<Real>& trace, View<const Real> position, View<const Real> feature) {
+  for (std::int64_t k = 0; k < trace.samples.count; ++k) {
+    std::copy_n(position.row(k), position.cols, trace.input.row(k));
+    if (!feature.empty())
+      std::copy_n(feature.row(trace.source(k, 0)), feature.cols, trace.input.row(k) + position.cols);
+  }
+}
+
+template <class Real>
+void drop_out(const Dropout& rule, const Samples<Real>& samples, View<const Real> from, View<Real> to) {
+  for (std::int64_t k = 0; k < samples.count; ++k) {
+    const std::int32_t ray = samples.ray_of_sample(k, 0);
+    const std::int64_t of_ray = k - samples.first(ray, 0);
+    for (std::int32_t c = 0; c < to.cols; c += kDropoutGroup) {
+      const DropoutFactors factors =
+          dropout_factors(rule.random, rule.share, rule.first_ray + ray, of_ray, c / kDropoutGroup, to.cols);
+      for (std::int32_t i = 0; i < std::min(kDropoutGroup, to.cols - c); ++i)
+        to(k, c + i) = from(k, c + i) * static_cast<Real>(factors.of[i]);
+    }
+  }
+}
+
+template <class Real>
+void sum_by_weight(const Samples<Real>& samples, View<const Real> weight, View<const Real> values, View<Real> out) {
+  for (std::int64_t r = 0; r < out.rows; ++r) {
+    Real* const sum = out.row(r);
+    std::fill_n(sum, out.cols, Real(0));
+    for (std::int32_t k = samples.first(r, 0); k < samples.first(r + 1, 0); ++k) {
+      const Real* const value = values.row(k);
+      const Real w = weight(k, 0);
+      for (std::int32_t c = 0; c < out.cols; ++c) sum[c] += w * value[c];
+    }
+  }
+}
+
+template <class Real>
+void sum_by_weight_backward(const Samples<Real>& samples, View<const Real> weight, View<const Real> d_out,
+                            View<Real> d_values) {
+  for (std::int64_t k = 0; k < samples.count; ++k) {
+    const Real* const d = d_out.row(samples.ray_of_sample(k, 0));
+    const Real w = weight(k, 0);
+    for (std::int32_t c = 0; c < d_values.cols; ++c) d_values(k, c) = w * d[c];
+  }
+}
+
+template <class Real>
+void guard(const GuardPlace<Real>& place, Guarded value, View<const Real> values) {
+  const RayGuard<Real> guard(place.pass, place.first_ray, *place.samples);
+  switch (value) {
+    case Guarded::encoded_position:
+      return guard.per_sample("encoded position", values);
+    case Guarded::encoded_direction:
+      return guard.per_ray("encoded direction", values);
+    case Guarded::raw_density:
+      return guard.per_sample("raw density", values);
+    case Guarded::sample_color:
+      return guard.per_sample("colour", values);
+    case Guarded::feature:
+      return guard.per_sample("feature", values);
+    case Guarded::semantic_feature:
+      return guard.per_sample("semantic feature", values);
+    case Guarded::color:
+      return guard.per_ray("colour", values);
+    case Guarded::depth:
+      return guard.per_ray("depth", values);
+    case Guarded::opacity:
+      return guard.per_ray("opacity", values);
+    case Guarded::logits:
+      return guard.per_ray("logits", values);
+  }
+}
+
+template <class Real>
+void guard_density(const GuardPlace<Real>& place, View<const Real> sigma) {
+  check_density<Real>(*place.samples, sigma, place.first_ray);
+}
+
+// Densities asked for by position belong to no ray: the message names the place.
+template <class Real>
+void guard_density_at(View<const double> positions, View<const Real> raw, View<const Real> sigma) {
+  for (std::int64_t m = 0; m < sigma.rows; ++m) {
+    if (std::isfinite(raw(m, 0)) && std::isfinite(sigma(m, 0))) continue;
+    throw Error(ErrorKind::failure,
+                "density at (" + std::to_string(positions(m, 0)) + ", " + std::to_string(positions(m, 1)) + ", " +
+                    std::to_string(positions(m, 2)) + ") m is not finite (raw value " + std::to_string(raw(m, 0)) + ")",
+                std::string(fault_remedy()));
+  }
+}
+
+template <class Real>
+Stages<Real> make_stages() {
+  Stages<Real> s;
+  s.head = &processor_head_kernels<Real>();
+  s.density_batch = kDensityBatch;
+  s.query_arena = query_arena;
+  s.locate = locate<Real>;
+  s.map_positions = map_positions;
+  s.density_forward = density_forward<Real>;
+  s.density_backward = density_backward<Real>;
+  s.composite_forward = composite_forward<Real>;
+  s.composite_backward = composite<Real>;
+  s.fill = fill<Real>;
+  s.add = add<Real>;
+  s.keep = keep<Real>;
+  s.join = join<Real>;
+  s.drop_out = drop_out<Real>;
+  s.sum_by_weight = sum_by_weight<Real>;
+  s.sum_by_weight_backward = sum_by_weight_backward<Real>;
+  s.guard = guard<Real>;
+  s.guard_density = guard_density<Real>;
+  s.guard_density_at = guard_density_at<Real>;
+  return s;
+}
+
+}  // namespace
+
+template <class Real>
+const Stages<Real>& processor_stages() {
+  static const Stages<Real> stages = make_stages<Real>();
+  return stages;
+}
+
+template const Stages<float>& processor_stages<float>();
+template const Stages<double>& processor_stages<double>();
+
+}  // namespace semfield

@@ -1,0 +1,144 @@
+// The stages of a pass that are no plugins, as a table of functions for a device.
+#pragma once
+
+#include <cstdint>
+#include <string_view>
+
+#include "core/bf16.h"
+#include "model/compositor.h"
+#include "model/density_activation.h"
+#include "model/domain_map.h"
+#include "model/head_kernels.h"
+#include "plugin/sampler.h"
+
+namespace semfield {
+
+template <class Real>
+struct SemanticBranchTrace;
+
+/// Values that the end of a stage looks at.
+enum class Guarded : std::uint8_t {
+  encoded_position,
+  encoded_direction,
+  raw_density,
+  sample_color,
+  feature,
+  semantic_feature,
+  color,
+  depth,
+  opacity,
+  logits,
+};
+
+/// Whose values they are, for messages.
+template <class Real>
+struct GuardPlace {
+  std::string_view pass;
+  std::int64_t first_ray = 0;
+  const Samples<Real>* samples = nullptr;
+};
+
+/// Dropout of the semantic branch's feature.
+struct Dropout {
+  RandomAddress random;
+  std::int64_t first_ray = 0;
+  double share = 0;
+};
+
+/// Backward of the sum of hidden activations in bf16 along rays, and of the ReLU that made them.
+template <class Real>
+struct RoundedSumBackward {
+  View<const Real> weight;  ///< [M, 1]
+  View<const Bf16> hidden;  ///< [N, H], activations
+  View<const Real> d_out;   ///< [rays, H]
+  View<Real> dots;          ///< [M, 1] dL/d(out) . h of the samples of those rays; empty: not wanted
+  View<Bf16> d_hidden;   ///< N rows or more: dL/d(hidden) before the ReLU, 0 in rows behind the samples of those rays
+  bool blocked = false;  ///< d_hidden lies in 8 x 8 blocks (FieldGrad::hidden)
+};
+
+/// Functions on views of one device. On a processor a pass works on a tile and knows how many samples it has. On
+/// another device it works on a batch with room for all samples that there can be; rows behind those in use hold finite
+/// numbers and get gradient 0. Entries that may be null say so.
+template <class Real>
+struct Stages {
+  const HeadKernels<Real>* head = nullptr;
+  bool host_memory = true;         ///< counts of samples can be read
+  std::int64_t density_batch = 0;  ///< positions that a density query evaluates at once
+
+  /// Rows of a batch that are in use, for the stages that follow: device memory, null: all. Gives what was set before.
+  /// Null where host_memory.
+  const std::int32_t* (*set_live_rows)(const std::int32_t* count) = nullptr;
+  /// Scratch of a density query, which may run inside a parallel region. Null: that of the step.
+  Workspace& (*query_arena)() = nullptr;
+
+  /// x [M, 3] = map(origin + t direction), in float64. Distances, intervals and positions must be finite.
+  void (*locate)(const GuardPlace<Real>& place, const Rays<Real>& rays, const DomainMap& map, View<double> x) = nullptr;
+  /// The same for positions [N, 3] in world metres.
+  void (*map_positions)(View<const double> positions, const DomainMap& map, View<double> x) = nullptr;
+  void (*density_forward)(const DensityRule& rule, const Samples<Real>* samples, View<Real> raw,
+                          View<Real> sigma) = nullptr;
+  void (*density_backward)(DensityActivation activation, View<const Real> raw, View<const Real> d_sigma,
+                           View<Real> d_raw) = nullptr;
+  void (*composite_forward)(const CompositeIn<Real>& in, const CompositeOut<Real>& out) = nullptr;
+  void (*composite_backward)(const CompositeIn<Real>& in, const CompositeOut<Real>& out,
+                             const CompositeGrad<Real>& grad, View<Real> d_sigma, View<Real> d_rgb,
+                             View<Real> d_hidden) = nullptr;
+  void (*fill)(View<Real> values, Real value) = nullptr;
+  /// to += from.
+  void (*add)(View<const Real> from, View<Real> to) = nullptr;
+
+  /// Of the semantic branch. keep: samples of the first trace.share.rows rays with weight >= least and > 0, in order,
+  /// at most `most`; fills trace.samples, source, weight and share in `arena`.
+  void (*keep)(Workspace& arena, const Samples<Real>& samples, View<const Real> weight, Real least, std::int64_t most,
+               SemanticBranchTrace<Real>& trace) = nullptr;
+  /// trace.input = [position, row `source` of feature]; feature may be empty.
+  void (*join)(const SemanticBranchTrace<Real>& trace, View<const Real> position, View<const Real> feature) = nullptr;
+  /// to = from with a share of its values set to 0 and the others divided by 1 - share (dropout_factors).
+  void (*drop_out)(const Dropout& rule, const Samples<Real>& samples, View<const Real> from, View<Real> to) = nullptr;
+  /// out [R, H] = sum over each ray's samples of weight [K, 1] times values [K, H].
+  void (*sum_by_weight)(const Samples<Real>& samples, View<const Real> weight, View<const Real> values,
+                        View<Real> out) = nullptr;
+  /// d_values [K, H] = weight times d_out [R, H] of the sample's ray.
+  void (*sum_by_weight_backward)(const Samples<Real>& samples, View<const Real> weight, View<const Real> d_out,
+                                 View<Real> d_values) = nullptr;
+
+  /// Of heads that take activations in bf16 (SemanticHead::takes_rounded); else null.
+  void (*rounded_sum)(const Samples<Real>& samples, View<const Real> weight, View<const Bf16> hidden,
+                      View<Real> out) = nullptr;
+  void (*rounded_sum_backward)(const Samples<Real>& samples, const RoundedSumBackward<Real>& call) = nullptr;
+
+  /// Values must be finite, a row a sample or a ray. A processor throws RayFault; a device notes the fault, and may
+  /// leave a value to the stage that makes or reads it.
+  void (*guard)(const GuardPlace<Real>& place, Guarded value, View<const Real> values) = nullptr;
+  /// Density after activation must be in [0, inf); null: density_forward looked.
+  void (*guard_density)(const GuardPlace<Real>& place, View<const Real> sigma) = nullptr;
+  /// The same for positions that belong to no ray.
+  void (*guard_density_at)(View<const double> positions, View<const Real> raw, View<const Real> sigma) = nullptr;
+};
+
+/// Those of the processor.
+template <class Real>
+const Stages<Real>& processor_stages();
+
+/// Stages work on the rows in use while it lives.
+template <class Real>
+class LiveRows {
+ public:
+  /// count: device memory; null: all rows.
+  LiveRows(const Stages<Real>& stages, const std::int32_t* count) : set_(stages.set_live_rows) {
+    if (set_ != nullptr) before_ = set_(count);
+  }
+  LiveRows(const Stages<Real>& stages, const Samples<Real>& samples)
+      : LiveRows(stages, samples.first.data + samples.first.rows - 1) {}
+  ~LiveRows() {
+    if (set_ != nullptr) (void)set_(before_);
+  }
+  LiveRows(const LiveRows&) = delete;
+  LiveRows& operator=(const LiveRows&) = delete;
+
+ private:
+  const std::int32_t* (*set_)(const std::int32_t*);
+  const std::int32_t* before_ = nullptr;
+};
+
+}  // namespace semfield
