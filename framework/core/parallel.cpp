@@ -7,6 +7,7 @@
 #include <atomic>
 #include <memory>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -87,7 +88,11 @@ void parallel_for(std::int64_t count, IndexBody body) {
   std::unique_ptr<ThreadTeam>& team = teams().team;
   if (!team || team->workers() != workers) {
     team.reset();
-    team = std::make_unique<ThreadTeam>(workers, start_workers);
+    try {
+      team = std::make_unique<ThreadTeam>(workers, start_workers);
+    } catch (const std::system_error&) {  // no memory or no right to another thread: the same values, only later
+      return run_serially(count, body);
+    }
   }
   team->run(count, body);
 }
