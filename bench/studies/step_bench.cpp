@@ -86,7 +86,7 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry), {});
   impl_->pipeline = assemble<float>(config, registry, plan, extent, {}, true);
   Diagnostics ignored;
-  const Device device = chosen_device(config, registry, ignored);
+  const Device device = chosen_device(config, registry, ignored).device;
   impl_->device = attach_device(device, config, registry, plan, extent, *impl_->pipeline, true);
 
   std::int64_t per_ray = 0, all = 0;

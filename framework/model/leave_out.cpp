@@ -154,9 +154,9 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
   planner.leave(!request.mixed_precision,
                 {"mixed_precision", "not asked for", "runtime.precision is fp32", ProofClass::bitwise,
                  "bf16 copies of operands; a second matrix library", "set runtime.precision: bf16", ""});
-  planner.leave(!request.device_cuda_available,
-                {"cuda", "no kernels for it", "this build has no CUDA kernels", ProofClass::bitwise,
-                 "start-up of the device", "build with CUDA kernels", ""});
+  planner.leave(!request.no_cuda.empty(),
+                {"cuda", "the run stays on the processor", request.no_cuda, ProofClass::bitwise,
+                 "start-up of the device", "set runtime.device: cuda, which says what is missing", ""});
   planner.leave(!request.periodic_evaluation,
                 {"periodic_evaluation", "not asked for", "report.eval_every_s is 0", ProofClass::bitwise,
                  "rendering test frames while training", "set report.eval_every_s", ""});

@@ -253,19 +253,19 @@ std::string part_without_kernels(const RunConfig& config, const Registry& regist
 }
 }  // namespace
 
-Device chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics) {
+ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics) {
   const DeviceChoice choice = config.runtime.device;
-  if (choice == DeviceChoice::cpu) return Device::cpu;
+  if (choice == DeviceChoice::cpu) return {Device::cpu, "runtime.device is cpu"};
   std::string why_not;
   if (cuda_available(&why_not)) {
     cuda_library().add_kernels(registry.kernels());
     const std::string part = part_without_kernels(config, registry, Device::cuda);
-    if (part.empty()) return Device::cuda;
+    if (part.empty()) return {Device::cuda, ""};
     why_not = part + " has no cuda kernels";
     if (choice == DeviceChoice::automatic)
       diagnostics.note("runtime.device", why_not + ", so the run stays on the processor");
   }
-  if (choice == DeviceChoice::automatic) return Device::cpu;
+  if (choice == DeviceChoice::automatic) return {Device::cpu, why_not};
   throw Error(ErrorKind::unavailable, "runtime.device: cuda: " + why_not, "set runtime.device: cpu, or auto");
 }
 

@@ -37,10 +37,14 @@ template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
 
+struct ChosenDevice {
+  Device device = Device::cpu;
+  std::string no_cuda;  ///< why it is the processor
+};
 /// The device that the run's configuration asks for; its kernels are then in the registry's tables. `auto` is cuda
 /// where build and machine have it and every part of the passes has kernels for it; a part without them is noted and
 /// leaves the run on the processor. Throws Error(unavailable) with the reason when cuda is asked for and cannot be had.
-Device chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
+ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
 
 /// The backend of `device`, which chosen_device gave, with the same parts as `pipeline`, which from now on renders
 /// there; null for the processor.

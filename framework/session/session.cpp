@@ -133,7 +133,7 @@ void keep_components(RunConfig& config, const std::vector<std::string>& componen
 namespace {
 
 // Scene, labels, manifest and plan: all that does not depend on how large the scene is.
-Session load_session(RunConfig config, Registry& registry, const SessionOptions& options, Device device,
+Session load_session(RunConfig config, Registry& registry, const SessionOptions& options, const ChosenDevice& chosen,
                      Diagnostics& diagnostics) {
   Session s;
   s.config = std::move(config);
@@ -164,7 +164,7 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
   if (make_labels) s.chosen_branches = choose_branches(s.config, label_statistics(s.scene, s.labels));
   BuildRequest request = build_request(s.config, registry);
-  request.device_cuda_available = device == Device::cuda;
+  request.no_cuda = chosen.no_cuda;
   request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
   s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
   return s;
@@ -237,8 +237,9 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   work.threads = config.runtime.threads;
   if (options.progress) work.load_progress = &options.progress;
   const WorkScope scope(work);
-  const Device device = chosen_device(config, registry, diagnostics);
-  Session s = load_session(std::move(config), registry, options, device, diagnostics);
+  const ChosenDevice chosen = chosen_device(config, registry, diagnostics);
+  const Device device = chosen.device;
+  Session s = load_session(std::move(config), registry, options, chosen, diagnostics);
   s.memory_facts.program = program_bytes;
   if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, diagnostics);
   fix_extent(s, registry, device);

@@ -69,6 +69,22 @@ TEST(LeaveOut, UnlabelledRaysAreSkippedBitwise) {
   expect_shared_tensors_equal(out.session, kept.session);
 }
 
+// The reason is that of this run: what it was asked for, or what the build, the machine or a part lacks.
+TEST(LeaveOut, ADeviceIsLeftOutForTheReasonThatItIs) {
+  const auto reason_of = [](const std::string& more) {
+    Registry registry = make_registry();
+    const Session s = open_text(hash_config() + more, registry);
+    for (const LeftOut& row : s.plan.left_out) {
+      if (row.component == "cuda") return row.evidence;
+    }
+    return std::string("it is there");
+  };
+  EXPECT_EQ(reason_of("runtime: {device: cpu}\n"), "runtime.device is cpu");
+  std::string why_not = "it is there";
+  (void)cuda_available(&why_not);
+  EXPECT_EQ(reason_of("runtime: {device: auto}\n"), why_not);
+}
+
 TEST(LeaveOut, UndistortionOfAPinholeIsBitwise) {
   Registry registry = make_registry();
   Trained out = train(hash_config(), registry, {}, 20);
