@@ -132,7 +132,7 @@ void add_mesh(CLI::App& root, AppContext& context, Choice& choice) {
   verb->add_flag("--points", options->points, "also write a labelled point cloud from the depth of the training views");
   verb->add_option("--out", options->out, "file to write (default: mesh.ply in the run folder)");
   verb->add_option("--keep-components", options->keep_components,
-                   "keep connected parts with at least this share of all faces (default: 0.01; 0 keeps all)");
+                   "keep connected parts with at least this share of all faces (default: 0.002; 0 keeps all)");
   run_options(verb, options->set);
   verb->callback(
       [&context, &choice, options] { choice = [&context, options] { return run_mesh(*options, context); }; });

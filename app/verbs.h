@@ -85,7 +85,7 @@ struct MeshOptions {
   std::optional<long long> resolution;  ///< cells along the longest side of the bounds
   std::optional<double> voxel;          ///< edge of a cell instead, world units
   std::optional<double> level;          ///< density of the surface, 1/m
-  double keep_components = 0.01;        ///< least share of the faces
+  double keep_components = 0.002;       ///< least share of the faces: a chair is one, a floater is not
   bool points = false;                  ///< also a point cloud from the training views
   std::vector<std::string> set;
 };
