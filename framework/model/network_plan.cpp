@@ -80,12 +80,14 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
       plan.tensors += declared_bytes<Real>(*parts.branch->field, options.lanes, trainable);
       const auto kept = static_cast<std::int64_t>(kKeptShare * static_cast<double>(samples));
       const std::size_t branch_saved = parts.branch->field->saved_bytes(kept, tile_rays);
-      const std::size_t dims = size(parts.branch->position->traits().out_dims) + feature +
-                               size(parts.branch->field->traits().feature_dims) + size(parts.head->hidden_width());
-      traces += size(kept) * 2 * dims * sizeof(Real) + branch_saved;
-      backward = std::max(backward, static_cast<std::size_t>(
-                                        static_cast<double>(kept) *
-                                        backward_bytes(static_cast<double>(branch_saved) / static_cast<double>(kept))));
+      const std::size_t out = size(parts.branch->field->traits().feature_dims) + size(parts.head->hidden_width());
+      const std::size_t in = size(parts.branch->position->traits().out_dims) + feature;
+      traces += size(kept) * (2 * in + out) * sizeof(Real) + branch_saved;
+      // Its backward is done before that of the pass begins.
+      backward = std::max(backward, size(kept) * out * sizeof(Real) +
+                                        static_cast<std::size_t>(static_cast<double>(kept) *
+                                                                 backward_bytes(static_cast<double>(branch_saved) /
+                                                                                static_cast<double>(kept))));
     }
     if (parts.head) {
       const std::size_t rows = options.rules.deferred_class_layer ? size(tile_rays) : samples;
