@@ -179,7 +179,8 @@ class Pool {
 
   void start(const Cell& cell, const fs::path& folder, FolderLock lock) {
     const std::string config =
-        cell.pack.empty() ? cell.config : with_packed_scene(cell.config, pack_file(options_, cell).string());
+        cell.pack.empty() ? cell.config
+                          : with_packed_scene(cell.config, options_.pack_reader, pack_file(options_, cell).string());
     write_file_atomic((folder / "config.yaml").string(), config);
     const std::vector<std::string> words = words_of(cell, folder);
     const OutputFile out((folder / "output.txt").string()), log((folder / "log.txt").string());

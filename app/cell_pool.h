@@ -17,6 +17,7 @@ struct PoolOptions {
   double memory_gb = 0;  ///< of all together; 0: what the machine has available
   bool keep_checkpoints = false;
   std::vector<std::string> modules;  ///< files of plugins that cells load
+  std::string pack_reader;           ///< Registry::pack_reader, where a cell has a packed scene
 };
 
 struct CellOutcome {

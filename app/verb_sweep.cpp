@@ -83,6 +83,8 @@ int run_sweep(const SweepOptions& options, AppContext& context) {
   pool.memory_gb = options.memory_gb.value_or(0);
   pool.keep_checkpoints = options.keep_checkpoints;
   pool.modules = context.registry.module_files();
+  if (std::any_of(cells.begin(), cells.end(), [](const Cell& cell) { return !cell.pack.empty(); }))
+    pool.pack_reader = context.registry.pack_reader();
 
   FolderLock lock;
   if (!options.dry_run) lock = lock_of(pool.folder);

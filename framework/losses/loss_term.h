@@ -82,10 +82,21 @@ class LossTerm {
   virtual void describe_own(ParamVisitor& visit) = 0;
 };
 
-/// Base of a term whose one code for both is `template <class Real> double sum(targets, values, scale, gradients)`.
-template <class Term>
+namespace loss_detail {
+/// `describe` of a term's parameters, out of sight of LossTerm::describe.
+template <class Params>
+void describe_params(ParamVisitor& visit, Params& params) {
+  describe(visit, params);
+}
+}  // namespace loss_detail
+
+/// Base of a term with parameters, declared by a function describe(ParamVisitor&, Params&), whose one code for both
+/// precisions is `template <class Real> double sum(targets, values, scale, gradients)`.
+template <class Term, class Params>
 class LossTermOf : public LossTerm {
  public:
+  Params params;
+
   double add(const RayTargets& targets, const RayValues<float>& values, double scale,
              const RayGradients<float>& gradients) const final {
     return static_cast<const Term&>(*this).template sum<float>(targets, values, scale, gradients);
@@ -94,6 +105,9 @@ class LossTermOf : public LossTerm {
              const RayGradients<double>& gradients) const final {
     return static_cast<const Term&>(*this).template sum<double>(targets, values, scale, gradients);
   }
+
+ protected:
+  void describe_own(ParamVisitor& visit) final { loss_detail::describe_params(visit, params); }
 };
 
 /// A type that `losses` may name, one a folder of framework/losses; `cost` is what its absence saves.

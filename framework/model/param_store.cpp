@@ -106,6 +106,8 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
                                    : View<Real>(tensor.lanes.data() + static_cast<std::size_t>(lane) * count,
                                                 tensor.spec.rows, tensor.spec.cols));
     }
+    for (std::int64_t i = 0; tensor.lanes.size() > 0 && i < tensor.size(); i += kChunk)
+      pieces_.push_back({tensors_.size(), i, std::min(i + kChunk, tensor.size())});
     tensors_.push_back(std::move(tensor));
   }
   component.end = tensors_.size();
@@ -121,23 +123,13 @@ Tensors<Real> ParamStore<Real>::tensors(int component, int lane) const {
 
 template <class Real>
 void ParamStore<Real>::reduce_lanes() {
-  struct Task {
-    Tensor<Real>* tensor;
-    std::int64_t begin, end;
-  };
-  static thread_local std::vector<Task> tasks;  // keeps its capacity: no allocation in a steady state
-  tasks.clear();
-  for (Tensor<Real>& t : tensors_) {
-    if (t.lanes.size() == 0) continue;
-    for (std::int64_t i = 0; i < t.size(); i += kChunk) tasks.push_back({&t, i, std::min(i + kChunk, t.size())});
-  }
-  const std::vector<Task>& work = tasks;
-  parallel_for(static_cast<std::int64_t>(work.size()), [&work, this](std::int64_t index) {
-    const Task& task = work[static_cast<std::size_t>(index)];
-    Real* const sum = task.tensor->grad.data();
+  parallel_for(static_cast<std::int64_t>(pieces_.size()), [this](std::int64_t index) {
+    const Piece& piece = pieces_[static_cast<std::size_t>(index)];
+    const Tensor<Real>& tensor = tensors_[piece.tensor];
+    Real* const sum = tensor.grad.data();
     for (int lane = 0; lane < lanes_; ++lane) {
-      Real* const part = task.tensor->lanes.data() + static_cast<std::int64_t>(lane) * task.tensor->size();
-      for (std::int64_t i = task.begin; i < task.end; ++i) {
+      Real* const part = tensor.lanes.data() + static_cast<std::int64_t>(lane) * tensor.size();
+      for (std::int64_t i = piece.begin; i < piece.end; ++i) {
         sum[i] += part[i];
         part[i] = 0;
       }

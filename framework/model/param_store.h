@@ -95,9 +95,15 @@ class ParamStore final : public TensorStore<Real> {
     std::vector<View<Real>> values;
     std::vector<std::vector<View<Real>>> grads;  // [0] main, [1 + lane]
   };
+  // Elements of a tensor with lanes that one call of reduce_lanes adds up.
+  struct Piece {
+    std::size_t tensor;
+    std::int64_t begin, end;
+  };
   std::uint64_t seed_;
   int lanes_;
   bool trainable_;
+  std::vector<Piece> pieces_;
   std::vector<Tensor<Real>> tensors_;
   std::vector<Component> components_;
 };

@@ -29,6 +29,14 @@ void Registry::add(PluginEntry entry) {
   entries_.emplace(std::move(key), std::move(entry));
 }
 
+const std::string& Registry::pack_reader() const {
+  for (const auto& [key, entry] : entries_) {
+    if (entry.reads_packs) return entry.name;
+  }
+  throw Error(ErrorKind::unavailable, "no dataset of this build reads packed scenes",
+              "take `pack` out of the sweep's scenes");
+}
+
 const PluginEntry* Registry::find(PluginKind kind, std::string_view name) const {
   const auto found = entries_.find({kind, std::string(name)});
   return found == entries_.end() ? nullptr : &found->second;

@@ -28,8 +28,8 @@ class PluginParams {
   virtual void describe(ParamVisitor& visit) = 0;
   /// Only relations between parameters; ranges are checked while reading.
   virtual void validate(Diagnostics& diagnostics) const = 0;
-  /// Replaces values that stand for "chosen from the scene" by numbers and adds a sentence for each; called once, before
-  /// anything is built, so that the resolved configuration holds what was chosen.
+  /// Replaces values that stand for "chosen from the scene" by numbers and adds a sentence for each; called once,
+  /// before anything is built, so that the resolved configuration holds what was chosen.
   virtual void choose(const EncoderBuild&, std::vector<std::string>&) {}
 };
 
@@ -80,6 +80,7 @@ struct PluginEntry {
   std::function<std::unique_ptr<Sampler<double>>(const PluginParams&, const SamplerBuild&, const KernelTables&)>
       sampler64;
   std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
+  bool reads_packs = false;  ///< a dataset that opens what scene/packed_scene.h writes, by its parameter `file`
 };
 
 class Registry {
@@ -87,8 +88,8 @@ class Registry {
   /// Throws Error(unavailable) for a name taken in its kind, naming both modules.
   void add(PluginEntry entry);
 
-  /// add_encoder<HashGrid, HashGridParams>("hash_grid", "sentence"): HashGrid<Real>(const HashGridParams&, const
-  /// EncoderBuild&, const KernelTables&).
+  /// add_encoder<Waves, WavesParams>("waves", "sentence"): Waves<Real>(const WavesParams&, const EncoderBuild&, const
+  /// KernelTables&).
   template <template <class> class Impl, class Params>
   void add_encoder(std::string name, std::string summary) {
     PluginEntry e = entry<Params>(PluginKind::encoder, std::move(name), std::move(summary));
@@ -112,8 +113,9 @@ class Registry {
   }
   /// Impl(const Params&, const DatasetBuild&).
   template <class Impl, class Params>
-  void add_dataset(std::string name, std::string summary) {
+  void add_dataset(std::string name, std::string summary, bool reads_packs = false) {
     PluginEntry e = entry<Params>(PluginKind::dataset, std::move(name), std::move(summary));
+    e.reads_packs = reads_packs;
     e.dataset = [](const PluginParams& p, const DatasetBuild& build) -> std::unique_ptr<Dataset> {
       return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build);
     };
@@ -127,6 +129,8 @@ class Registry {
   const PluginEntry* find(PluginKind kind, std::string_view name) const;
   /// Throws Error(config): "no encoder named 'hashgrid'; known: ...; did you mean 'hash_grid'?".
   const PluginEntry& get(PluginKind kind, std::string_view name) const;
+  /// Name of the dataset that reads packed scenes. Throws Error(unavailable) where none does.
+  const std::string& pack_reader() const;
   /// Every entry, by kind then name.
   std::vector<const PluginEntry*> entries() const;
   std::vector<std::string> names(PluginKind kind) const;

@@ -61,10 +61,10 @@ std::string scene_section(const std::string& config) {
 
 }  // namespace
 
-std::string with_packed_scene(const std::string& config, const std::string& file) {
+std::string with_packed_scene(const std::string& config, const std::string& reader, const std::string& file) {
   const ConfigNode root = parse_config_text(config, "cell");
   ConfigNode scene = ConfigNode::make_map({}, {});
-  scene = scene.with("type", ConfigNode::make_scalar("packed", false, {}));
+  scene = scene.with("type", ConfigNode::make_scalar(reader, false, {}));
   scene = scene.with("file", ConfigNode::make_scalar(file, true, {}));
   for (const char* key : {"labels", "load"}) {
     if (const ConfigNode* part = root.find("scene")->find(key)) scene = scene.with(key, *part);

@@ -34,7 +34,8 @@ struct Cell {
 /// scene.labels.seed. Throws Error(config) with every error of every cell's configuration, each named once.
 std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry);
 
-/// `config` with its dataset replaced by the packed scene `file`; labels and sizes stay.
-std::string with_packed_scene(const std::string& config, const std::string& file);
+/// `config` with its dataset replaced by `reader` (Registry::pack_reader) of the packed scene `file`; labels and sizes
+/// stay.
+std::string with_packed_scene(const std::string& config, const std::string& reader, const std::string& file);
 
 }  // namespace semfield

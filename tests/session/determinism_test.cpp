@@ -18,17 +18,6 @@ namespace {
 
 using namespace testing_train;
 
-std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64_t steps) {
-  Registry registry = make_registry();
-  Session s = open_text(yaml, registry);
-  set_thread_count(threads);
-  const auto rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
-  while (trainer.step() < steps) trainer.advance();
-  set_thread_count(0);
-  return fingerprint(s.pipeline->store());
-}
-
 TEST(Determinism, HashRunOf200StepsIsTheSameFor1And2And4Threads) {
   const std::uint32_t one = train_fingerprint(hash_config(), 1, 200);
   EXPECT_EQ(one, train_fingerprint(hash_config(), 2, 200));

@@ -16,17 +16,10 @@ using namespace testing_train;
 
 // With a branch of the position alone, so labels shape nothing else.
 std::string config_of(const std::string& train, const std::string& more = "") {
-  return "scene: {type: analytic_room, labels: {frames: 1}}\n"
-         "semantics: {hidden_width: 8, weight: 0.5}\n"
-         "rendering: {density_activation: softplus, far: background}\n"
-         "passes:\n"
-         "  - sampler: {type: stratified, samples: 12}\n"
-         "    position: {type: hash_grid, levels: 3, log2_entries: 8, finest_resolution: 32}\n"
-         "    direction: {type: spherical_harmonics, degree: 2}\n"
-         "    field: {type: tiny_mlp, hidden_width: 8, color_width: 8}\n"
-         "    semantic: {position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 8}, reads_feature: false}\n"
-         "train: {rays: 26, ray_source: label_balanced, " +
-         train + "}\n" + more;
+  return stratified_config(
+      "type: analytic_room, labels: {frames: 1}",
+      "    semantic: {position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 8}, reads_feature: false}\n",
+      "rays: 26, ray_source: label_balanced, " + train, more);
 }
 const std::string kApart = "labelled_share: 0.3, label_rays_teach_color: false";
 

@@ -149,27 +149,16 @@ TEST(Parity, LanesAndTilesOnlyChangeTheOrderOfSumsWithTermsToo) {
                         two_pass_config(std::string("runtime: {lanes: 3, tile_rays: 4}\n") + kEveryTerm));
 }
 
-std::uint32_t trained_bits(const std::string& yaml, int threads, std::int64_t steps) {
-  Registry registry = make_registry();
-  Session s = open_text(yaml, registry);
-  set_thread_count(threads);
-  const auto rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
-  while (trainer.step() < steps) trainer.advance();
-  set_thread_count(0);
-  return fingerprint(s.pipeline->store());
-}
-
 TEST(Determinism, RunsWithTermsAreTheSameForAnyThreadCount) {
-  const std::uint32_t one = trained_bits(hash_config(kEveryTerm), 1, 60);
-  EXPECT_EQ(one, trained_bits(hash_config(kEveryTerm), 2, 60));
-  EXPECT_EQ(one, trained_bits(hash_config(kEveryTerm), 4, 60));
-  EXPECT_NE(one, trained_bits(hash_config(), 1, 60));
+  const std::uint32_t one = train_fingerprint(hash_config(kEveryTerm), 1, 60);
+  EXPECT_EQ(one, train_fingerprint(hash_config(kEveryTerm), 2, 60));
+  EXPECT_EQ(one, train_fingerprint(hash_config(kEveryTerm), 4, 60));
+  EXPECT_NE(one, train_fingerprint(hash_config(), 1, 60));
 }
 
 TEST(LossTerms, OneThatHasNotBegunChangesNoBit) {
   const std::string late = "losses: [{type: distortion, from_step: 0.5}]\n";  // of 3000 steps or more
-  EXPECT_EQ(trained_bits(hash_config(late), 2, 20), trained_bits(hash_config(), 2, 20));
+  EXPECT_EQ(train_fingerprint(hash_config(late), 2, 20), train_fingerprint(hash_config(), 2, 20));
 }
 
 double abs_rel(const std::string& losses) {

@@ -18,15 +18,8 @@ using namespace testing_train;
 
 // `branch` is the body of the pass's section `semantic`, "" for none.
 std::string config_of(const std::string& branch, const std::string& more = "") {
-  return "scene: {type: analytic_room}\n"
-         "semantics: {hidden_width: 8, weight: 0.5}\n"
-         "rendering: {density_activation: softplus, far: background}\n"
-         "passes:\n"
-         "  - sampler: {type: stratified, samples: 12}\n"
-         "    position: {type: hash_grid, levels: 3, log2_entries: 8, finest_resolution: 32}\n"
-         "    direction: {type: spherical_harmonics, degree: 2}\n"
-         "    field: {type: tiny_mlp, hidden_width: 8, color_width: 8}\n" +
-         (branch.empty() ? "" : "    semantic: {" + branch + "}\n") + "train: {rays: 24}\n" + more;
+  return stratified_config("type: analytic_room", branch.empty() ? "" : "    semantic: {" + branch + "}\n", "rays: 24",
+                           more);
 }
 const std::string kPlugins =
     "position: {type: frequency, frequencies: 3}, field: {type: tiny_mlp, hidden_width: 12, hidden_layers: 2}";

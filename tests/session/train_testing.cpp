@@ -7,10 +7,12 @@
 
 #include "core/checksum.h"
 #include "core/files.h"
+#include "core/parallel.h"
 #include "plugin/linked_plugins.h"
 #include "report/run_report.h"
 #include "run/checkpoint_store.h"
 #include "scene/packed_scene.h"
+#include "session/trainer.h"
 #include "testkit/analytic_scene.h"
 
 namespace semfield {
@@ -130,6 +132,30 @@ bool HookListener::save_request() { return on_save_request && on_save_request();
 double HookListener::now_s() { return on_now_s ? on_now_s() : RunListener::now_s(); }
 std::string HookListener::write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) {
   return reports ? write_run_report(folder, session, frames) : "";
+}
+
+std::string stratified_config(const std::string& scene, const std::string& pass_end, const std::string& train,
+                              const std::string& more) {
+  return "scene: {" + scene + "}\n" +
+         "semantics: {hidden_width: 8, weight: 0.5}\n"
+         "rendering: {density_activation: softplus, far: background}\n"
+         "passes:\n"
+         "  - sampler: {type: stratified, samples: 12}\n"
+         "    position: {type: hash_grid, levels: 3, log2_entries: 8, finest_resolution: 32}\n"
+         "    direction: {type: spherical_harmonics, degree: 2}\n"
+         "    field: {type: tiny_mlp, hidden_width: 8, color_width: 8}\n" +
+         pass_end + "train: {" + train + "}\n" + more;
+}
+
+std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64_t steps) {
+  Registry registry = make_registry();
+  Session s = open_text(yaml, registry);
+  set_thread_count(threads);
+  const auto rays = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+  while (trainer.step() < steps) trainer.advance();
+  set_thread_count(0);
+  return fingerprint(s.pipeline->store());
 }
 
 std::uint32_t fingerprint(const ParamStore<float>& store) {

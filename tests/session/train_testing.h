@@ -23,8 +23,15 @@ std::string two_pass_config(const std::string& more = "");
 /// Reads and opens; fails the test through exceptions.
 Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep = {});
 
+/// A small hash grid behind a stratified sampler, whose one pass ends in `pass_end` ("" or lines of YAML of the pass).
+/// `scene` is the body of the section, `train` that of its own.
+std::string stratified_config(const std::string& scene, const std::string& pass_end, const std::string& train,
+                              const std::string& more = "");
+
 /// CRC-32C over every tensor's values and moments, by name.
 std::uint32_t fingerprint(const ParamStore<float>& store);
+/// The same after so many steps on so many threads.
+std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64_t steps);
 
 /// A listener whose answers are functions; those that are null are the listener's own.
 class HookListener final : public RunListener {

@@ -144,7 +144,8 @@ TEST_F(SweepFile, PackedCellsKeepLabelsAndSizes) {
       "variants: {x: , y: {set: {scene.labels.frames: 50%}}, z: {set: {scene.hfov_deg: 80}}}\n");
   EXPECT_EQ(all[0].pack, all[1].pack) << "labels are no part of the packed scene";
   EXPECT_NE(all[0].pack, all[2].pack);
-  const ConfigNode config = parse_config_text(with_packed_scene(all[0].config, "/p.sfpack"), "t");
+  const ConfigNode config =
+      parse_config_text(with_packed_scene(all[0].config, registry_.pack_reader(), "/p.sfpack"), "t");
   const ConfigNode& scene = *config.find("scene");
   EXPECT_EQ(scene.find("type")->text(), "packed");
   EXPECT_EQ(scene.find("root"), nullptr);

@@ -4,8 +4,7 @@
 
 namespace semfield {
 
-void DepthLoss::describe_own(ParamVisitor& visit) {
-  DepthLossParams& p = params;
+void describe(ParamVisitor& visit, DepthLossParams& p) {
   SEMFIELD_PARAM(visit, p, kind,
                  "expected: the error of the rendered depth, metres; line_of_sight: the share of a ray's light from "
                  "outside a band about the true depth [Rematas22]");

@@ -21,19 +21,17 @@ struct DepthLossParams {
   double band_m = 0.1;
 };
 
-class DepthLoss final : public LossTermOf<DepthLoss> {
+void describe(ParamVisitor& visit, DepthLossParams& params);
+
+class DepthLoss final : public LossTermOf<DepthLoss, DepthLossParams> {
  public:
   DepthLoss() { rule.weight = 0.1; }
-  DepthLossParams params;
 
   LossTraits traits() const override;
   std::int64_t counted_rays(const RayTargets& batch, std::int64_t rays) const override;
   template <class Real>
   double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
              const RayGradients<Real>& gradients) const;
-
- protected:
-  void describe_own(ParamVisitor& visit) override;
 };
 
 }  // namespace semfield

@@ -4,8 +4,7 @@
 
 namespace semfield {
 
-void DistortionLoss::describe_own(ParamVisitor& visit) {
-  DistortionParams& p = params;
+void describe(ParamVisitor& visit, DistortionParams& p) {
   SEMFIELD_PARAM(visit, p, space, "how distances of a ray are brought to [0, 1]: linear, or by 1 / t [Barron22]");
 }
 

@@ -20,21 +20,19 @@ struct DistortionParams {
   DistortionSpace space = DistortionSpace::linear;
 };
 
-class DistortionLoss final : public LossTermOf<DistortionLoss> {
+void describe(ParamVisitor& visit, DistortionParams& params);
+
+class DistortionLoss final : public LossTermOf<DistortionLoss, DistortionParams> {
  public:
   DistortionLoss() {
     rule.weight = 0.002;
     rule.from_step = 0.2;
   }
-  DistortionParams params;
 
   LossTraits traits() const override;
   template <class Real>
   double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
              const RayGradients<Real>& gradients) const;
-
- protected:
-  void describe_own(ParamVisitor& visit) override;
 };
 
 }  // namespace semfield

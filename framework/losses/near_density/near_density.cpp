@@ -4,8 +4,7 @@
 
 namespace semfield {
 
-void NearDensityLoss::describe_own(ParamVisitor& visit) {
-  NearDensityParams& p = params;
+void describe(ParamVisitor& visit, NearDensityParams& p) {
   SEMFIELD_PARAM(visit, p, distance_m, "how far from the camera the term reaches, metres along the ray", {1e-6, 1e6});
 }
 

@@ -9,22 +9,20 @@ struct NearDensityParams {
   double distance_m = 0.3;
 };
 
-class NearDensityLoss final : public LossTermOf<NearDensityLoss> {
+void describe(ParamVisitor& visit, NearDensityParams& params);
+
+class NearDensityLoss final : public LossTermOf<NearDensityLoss, NearDensityParams> {
  public:
   /// Begun with the run, or strong, it can end the density of a whole network before colours hold any.
   NearDensityLoss() {
     rule.weight = 0.001;
     rule.from_step = 0.1;
   }
-  NearDensityParams params;
 
   LossTraits traits() const override;
   template <class Real>
   double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
              const RayGradients<Real>& gradients) const;
-
- protected:
-  void describe_own(ParamVisitor& visit) override;
 };
 
 }  // namespace semfield

@@ -41,8 +41,8 @@ void Packed::read(int frame, FrameBuffer& out) const {
 
 namespace {
 void register_into(Registry& registry) {
-  registry.add_dataset<Packed, PackedParams>("packed",
-                                             "One-file scenes written by `semfield pack`; need no image library.");
+  registry.add_dataset<Packed, PackedParams>(
+      "packed", "One-file scenes written by `semfield pack`; need no image library.", true);
 }
 }  // namespace
 
