@@ -8,7 +8,7 @@
 #include <cstdlib>
 #include <new>
 
-#include "core/foreign_call.h"
+#include "compute/foreign_call.h"
 
 namespace {
 

@@ -8,9 +8,9 @@
 
 #include "allocation_count.h"
 #include "bench_peers.h"
+#include "compute/parallel.h"
+#include "compute/peak_probe.h"
 #include "core/error.h"
-#include "core/parallel.h"
-#include "core/peak_probe.h"
 #include "shared_files.h"
 
 namespace semfield::app {

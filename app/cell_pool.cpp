@@ -16,12 +16,12 @@
 #include <set>
 #include <thread>
 
-#include "core/files.h"
-#include "core/folder_lock.h"
-#include "core/memory_limit.h"
-#include "scene/packed_scene.h"
+#include "loading/packed_scene.h"
 #include "settings/run_config.h"
 #include "signals.h"
+#include "system/files.h"
+#include "system/folder_lock.h"
+#include "system/memory_limit.h"
 #include "verb_pack.h"
 
 namespace semfield::app {

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <cstdio>
 
+#include "compute/parallel.h"
 #include "core/findings.h"
-#include "core/parallel.h"
 #include "progress_line.h"
 #include "session/ray_source.h"
 #include "settings/run_config.h"
@@ -92,7 +92,7 @@ int run_capture(const ConfigOptions& options, const std::string& out, AppContext
   OpenedDataset opened = dataset_of(options, context);
   Diagnostics diagnostics;
   SceneInfo info = opened.dataset->open(diagnostics);
-  mend_info(info, opened.config.load.mend);
+  convert_info(info, opened.config.load.convention);
   for (const Diagnostic& finding : folded(diagnostics)) {
     if (finding.severity != Severity::error) print_note(context, finding.text());
   }
@@ -101,7 +101,8 @@ int run_capture(const ConfigOptions& options, const std::string& out, AppContext
   {
     ProgressLine progress(context, "captured");
     report = capture_replica(
-        *opened.dataset, info, out, [&](int done, int total) { progress.show(done, total); }, opened.config.load.mend);
+        *opened.dataset, info, out, [&](int done, int total) { progress.show(done, total); },
+        opened.config.load.convention);
   }
   std::printf("capture: frames=%d bytes=%lld folder=%s\n", report.frames, static_cast<long long>(report.bytes),
               out.c_str());

@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "bench_peers.h"
+#include "compute/parallel.h"
 #include "core/error.h"
-#include "core/parallel.h"
 #include "model/device_backend.h"
 #include "shared_files.h"
 #include "studies/step_bench.h"

@@ -6,10 +6,10 @@
 #include <ctime>
 #include <filesystem>
 
-#include "core/files.h"
 #include "run/run_folder.h"
 #include "shared_files.h"
 #include "studies/leave_out_page.h"
+#include "system/files.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -4,8 +4,8 @@
 #include <cstdio>
 #include <filesystem>
 
-#include "core/files.h"
 #include "quadrature_report.h"
+#include "system/files.h"
 #include "verbs.h"
 
 namespace semfield::app {

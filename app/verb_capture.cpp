@@ -7,9 +7,9 @@
 #include <cmath>
 #include <filesystem>
 
-#include "core/files.h"
-#include "scene/image_io.h"
-#include "scene/void_class.h"
+#include "classes/void_class.h"
+#include "formats/image_io.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {
@@ -82,7 +82,8 @@ void write_frame(const FrameInfo& info, const FrameBuffer& frame, const ClassTab
 }  // namespace
 
 CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, const std::string& out_dir,
-                              const std::function<void(int done, int total)>& progress, const PoseMend& mend) {
+                              const std::function<void(int done, int total)>& progress,
+                              const PoseConvention& convention) {
   if (info.frames.empty()) throw Error(ErrorKind::data, "the scene has no frames");
   check_cameras(info);
   const fs::path folder(out_dir);
@@ -108,7 +109,7 @@ CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, con
   std::string trajectory;
   for (std::size_t i = 0; i < info.frames.size(); ++i) {
     dataset.read(static_cast<int>(i), frame);
-    mend_depth(frame, mend);
+    convert_depth(frame, convention);
     write_frame(info.frames[i], frame, classes, folder, i, report);
     const Pose& p = info.frames[i].world_from_camera;
     for (int row = 0; row < 3; ++row) {

@@ -5,10 +5,10 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
-#include "core/companion.h"
-#include "core/files.h"
 #include "numerics_suite.h"
 #include "run/run_folder.h"
+#include "system/files.h"
+#include "system/shared_library.h"
 #include "verbs.h"
 
 namespace semfield::app {
@@ -148,8 +148,8 @@ void print_json(const std::vector<NumericsRow>& rows) {
 
 int run_check_numerics(const CheckNumericsOptions& options, AppContext& context) {
   const auto suite = reinterpret_cast<NumericsSuite>(
-      companion_symbol("libsemfield_numerics.so", kNumericsSuiteSymbol, "the suite of numerical cases cannot be loaded",
-                       "build with -DBUILD_TESTING=ON, which also builds the suite"));
+      library_symbol("libsemfield_numerics.so", kNumericsSuiteSymbol, "the suite of numerical cases cannot be loaded",
+                     "build with -DBUILD_TESTING=ON, which also builds the suite"));
   std::vector<NumericsRow> rows;
   suite(context.registry, options.only, rows);
   if (context.json) {

@@ -3,8 +3,8 @@
 #include <cstdio>
 #include <filesystem>
 
-#include "core/files.h"
-#include "scene/class_import.h"
+#include "classes/class_import.h"
+#include "system/files.h"
 #include "verbs.h"
 
 namespace semfield::app {

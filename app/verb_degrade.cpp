@@ -10,13 +10,13 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
-#include "core/files.h"
-#include "core/parallel.h"
+#include "classes/void_class.h"
+#include "compute/parallel.h"
 #include "eval/image_output.h"
 #include "eval/metrics.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
 #include "scene/scene_checks.h"
-#include "scene/void_class.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -4,12 +4,12 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
-#include "core/files.h"
 #include "core/findings.h"
 #include "eval/final_eval.h"
 #include "eval/json_number.h"
 #include "progress_line.h"
 #include "run/open_run.h"
+#include "system/files.h"
 #include "verbs.h"
 
 namespace semfield::app {

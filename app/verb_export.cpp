@@ -6,12 +6,12 @@
 #include <optional>
 
 #include "core/findings.h"
+#include "formats/image_io.h"
 #include "labels/label_export.h"
 #include "labels/small_regions.h"
 #include "progress_line.h"
 #include "run/open_run.h"
 #include "run/run_folder.h"
-#include "scene/image_io.h"
 #include "verbs.h"
 
 namespace semfield::app {

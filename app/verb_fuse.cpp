@@ -6,14 +6,14 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "classes/void_class.h"
 #include "config/config_tree.h"
 #include "config/params_read.h"
-#include "core/files.h"
 #include "core/findings.h"
 #include "eval/image_output.h"
 #include "fuse/scene_fusion.h"
 #include "progress_line.h"
-#include "scene/void_class.h"
+#include "system/files.h"
 #include "verb_degrade.h"
 #include "verbs.h"
 

@@ -8,8 +8,8 @@
 #include <map>
 #include <span>
 
-#include "core/files.h"
 #include "core/findings.h"
+#include "system/files.h"
 
 namespace semfield {
 

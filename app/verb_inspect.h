@@ -4,7 +4,7 @@
 #include <string>
 
 #include "core/error.h"
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 
 namespace semfield {
 

@@ -12,7 +12,7 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
   validate(size, diagnostics);
   SceneInfo info = dataset.open(diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene cannot be packed:");
-  mend_info(info, size.mend);
+  convert_info(info, size.convention);
   for (FrameInfo& frame : info.frames) {
     if (!scaled_camera(frame.camera, size, frame.camera)) {
       throw Error(ErrorKind::usage, frame_place(frame) + ": frame is smaller than the size asked for",
@@ -30,7 +30,7 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
       [&](int frame, FrameBuffer& out) {
         FrameBuffer whole;
         dataset.read(frame, whole);
-        mend_depth(whole, size.mend);
+        convert_depth(whole, size.convention);
         const Camera& camera = info.frames[static_cast<std::size_t>(frame)].camera;
         out = resize_frame(whole, camera.width_px, camera.height_px);
       },

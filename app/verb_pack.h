@@ -4,9 +4,9 @@
 #include <cstdint>
 #include <string>
 
+#include "loading/frame_source.h"
+#include "loading/packed_scene.h"
 #include "plugin/dataset.h"
-#include "scene/frame_source.h"
-#include "scene/packed_scene.h"
 
 namespace semfield {
 

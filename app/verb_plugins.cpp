@@ -5,9 +5,9 @@
 
 #include "config/params_read.h"
 #include "core/error.h"
-#include "core/files.h"
 #include "model/device_backend.h"
 #include "plugin/reference.h"
+#include "system/files.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -1,8 +1,8 @@
 // report: error against run time of one or several runs, one self-contained page.
 #include <cstdio>
 
-#include "core/files.h"
 #include "report/report.h"
+#include "system/files.h"
 #include "verbs.h"
 
 namespace semfield::app {

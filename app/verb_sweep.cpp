@@ -8,12 +8,12 @@
 #include <thread>
 
 #include "cell_pool.h"
-#include "core/files.h"
-#include "core/folder_lock.h"
-#include "core/parallel.h"
-#include "scene/text_rows.h"
+#include "compute/parallel.h"
+#include "formats/text_rows.h"
 #include "signals.h"
 #include "sweep/sweep_tables.h"
+#include "system/files.h"
+#include "system/folder_lock.h"
 #include "verbs.h"
 
 namespace semfield::app {

@@ -8,7 +8,7 @@
 
 #include "config/compose.h"
 #include "core/findings.h"
-#include "core/words.h"
+#include "core/text.h"
 #include "progress_line.h"
 #include "report/run_report.h"
 #include "run/run_folder.h"

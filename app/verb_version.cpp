@@ -1,7 +1,7 @@
 // version: what this binary is.
 #include <cstdio>
 
-#include "core/isa.h"
+#include "compute/isa.h"
 #include "plugin/loader.h"
 #include "run/run_folder.h"
 #include "verbs.h"

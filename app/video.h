@@ -5,7 +5,7 @@
 #include <span>
 #include <string>
 
-#include "core/files.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

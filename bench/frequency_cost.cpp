@@ -8,7 +8,7 @@
 #include <cstdio>
 #include <vector>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 #include "encoders/frequency/frequency.h"
 

@@ -10,7 +10,7 @@
 #include <cstdlib>
 #include <vector>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 #include "encoders/hash_grid/hash_grid.h"
 
@@ -18,7 +18,7 @@ namespace {
 
 using namespace semfield;
 
-constexpr std::int64_t kRows = 30720;     // 1,024 rays of 30 samples
+constexpr std::int64_t kRows = 30720;  // 1,024 rays of 30 samples
 constexpr int kRepeats = 9;
 
 struct Problem {

@@ -11,8 +11,8 @@
 #include <string>
 #include <vector>
 
-#include "core/gemm.h"
-#include "core/parallel.h"
+#include "compute/gemm.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 #include "model/compositor.h"
 #include "model/param_store.h"

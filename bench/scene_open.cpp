@@ -14,9 +14,9 @@
 #include <string>
 #include <vector>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
+#include "loading/frame_source.h"
 #include "plugin/linked_plugins.h"
-#include "scene/frame_source.h"
 #include "settings/run_config.h"
 
 namespace {

@@ -1,4 +1,4 @@
-# Kernels compiled once per instruction set, chosen when the program starts (core/isa.h).
+# Kernels compiled once per instruction set, chosen when the program starts (compute/isa.h).
 #
 # SEMFIELD_ISAS lists the variants. "build" alone means one variant with the compiler flags of the build (SEMFIELD_MARCH): quick to compile, for
 # development and sanitizers, and for processors other than x86-64.

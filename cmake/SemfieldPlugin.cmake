@@ -23,7 +23,7 @@ function(semfield_add_plugin)
     set(generated ${CMAKE_CURRENT_BINARY_DIR}/${ARG_NAME}_devices.cpp)
     file(GENERATE OUTPUT ${generated} CONTENT
 "// Generated: the kernel tables that this build has for '${ARG_NAME}'.
-#include \"core/isa.h\"
+#include \"compute/isa.h\"
 #include \"isa_list.h\"
 #include \"plugin/kernels.h\"
 namespace semfield {

@@ -14,8 +14,8 @@
 #include <thread>
 #include <vector>
 
-#include "core/files.h"
-#include "core/words.h"
+#include "core/text.h"
+#include "system/files.h"
 
 namespace semfield::testing_program {
 

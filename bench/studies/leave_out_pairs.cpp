@@ -5,10 +5,10 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/sha256.h"
 #include "studies/leave_out_side.h"
 #include "studies/step_bench.h"
 #include "sweep/sweep_tables.h"
+#include "system/sha256.h"
 
 namespace semfield {
 

@@ -10,10 +10,10 @@
 #include <memory>
 
 #include "core/error.h"
-#include "core/sha256.h"
-#include "scene/image_formats.h"
-#include "scene/image_io.h"
+#include "formats/image_formats.h"
+#include "formats/image_io.h"
 #include "studies/step_bench.h"
+#include "system/sha256.h"
 
 namespace semfield {
 

@@ -4,9 +4,9 @@
 #include <chrono>
 #include <cmath>
 
+#include "compute/gemm_engine.h"
+#include "compute/parallel.h"
 #include "core/check.h"
-#include "core/gemm_engine.h"
-#include "core/parallel.h"
 #include "core/rng.h"
 #include "session/assembly.h"
 #include "session/ray_source.h"

@@ -15,8 +15,8 @@
 #include <utility>
 
 #include "core/error.h"
-#include "core/files.h"
-#include "core/words.h"
+#include "core/text.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -3,7 +3,7 @@
 #include <algorithm>
 
 #include "core/findings.h"
-#include "core/words.h"
+#include "core/text.h"
 
 namespace semfield {
 

@@ -17,9 +17,9 @@ using LoadProgress = std::function<void(std::string_view doing, std::size_t done
 
 /// What it points to must outlive every scope that was given it.
 struct WorkSettings {
-  int threads = 0;                              ///< 0: the default of the process (core/parallel.h)
+  int threads = 0;                              ///< 0: the default of the process (compute/parallel.h)
   const OnednnGemm* gemm = nullptr;             ///< of float products; null: our kernels
-  const InputLimits* limits = nullptr;          ///< null: the defaults (scene/input_limits.h)
+  const InputLimits* limits = nullptr;          ///< null: the defaults (formats/input_limits.h)
   const LoadProgress* load_progress = nullptr;  ///< null: nobody is told
 };
 

@@ -1,5 +1,5 @@
 // From raw density to attenuation and back, one thread a sample.
-#include "core/math_functions.h"
+#include "compute/math_functions.h"
 #include "cuda/device_code.cuh"
 #include "cuda/rendering.h"
 

@@ -1,10 +1,10 @@
 // Linear layers over a batch on the device, for activations kept as fp32 or bf16: what fields and the semantic head are
-// made of. Twins of core/linear.h. Everything is queued on launch().stream; products go through cuda/matmul.h.
+// made of. Twins of compute/linear.h. Everything is queued on launch().stream; products go through cuda/matmul.h.
 #pragma once
 
 #include <cuda_bf16.h>
 
-#include "core/linear.h"
+#include "compute/linear.h"
 #include "core/view.h"
 #include "core/workspace.h"
 

@@ -6,9 +6,9 @@
 #include <cmath>
 #include <new>
 
+#include "compute/float_mode.h"
+#include "compute/parallel.h"
 #include "core/check.h"
-#include "core/float_mode.h"
-#include "core/parallel.h"
 #include "eval/pixel_stride.h"
 
 namespace semfield {

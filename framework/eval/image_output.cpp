@@ -8,7 +8,7 @@
 
 #include "core/check.h"
 #include "core/error.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
 
 namespace semfield {
 

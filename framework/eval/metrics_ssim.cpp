@@ -3,8 +3,8 @@
 #include <array>
 #include <cmath>
 
+#include "compute/parallel.h"
 #include "core/check.h"
-#include "core/parallel.h"
 #include "eval/metrics.h"
 
 namespace semfield {

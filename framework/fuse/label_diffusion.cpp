@@ -7,9 +7,9 @@
 #include <mutex>
 #include <numeric>
 
+#include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "core/parallel.h"
 
 namespace semfield {
 

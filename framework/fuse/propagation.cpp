@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "fuse/label_diffusion.h"
 #include "fuse/surface_cells.h"
 

@@ -3,8 +3,8 @@
 #include <cmath>
 #include <limits>
 
+#include "compute/parallel.h"
 #include "core/check.h"
-#include "core/parallel.h"
 
 namespace semfield {
 

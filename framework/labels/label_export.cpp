@@ -4,9 +4,9 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "core/files.h"
 #include "labels/mask_outlines.h"
 #include "labels/run_lengths.h"
+#include "system/files.h"
 
 namespace semfield {
 

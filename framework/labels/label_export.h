@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "scene/class_table.h"
+#include "classes/class_table.h"
 
 namespace semfield {
 

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <filesystem>
 
-#include "core/sorted_folder.h"
+#include "system/sorted_folder.h"
 
 namespace semfield {
 

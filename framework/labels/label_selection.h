@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "config/params.h"
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 
 namespace semfield {
 

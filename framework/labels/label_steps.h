@@ -9,11 +9,11 @@
 #include <utility>
 #include <vector>
 
+#include "classes/soft_map.h"
 #include "config/params.h"
 #include "config/typed_params.h"
 #include "core/error.h"
-#include "scene/frame_source.h"
-#include "scene/soft_map.h"
+#include "loading/frame_source.h"
 
 namespace semfield {
 

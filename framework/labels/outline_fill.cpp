@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "scene/png_codec.h"
+#include "formats/png_codec.h"
 
 namespace semfield {
 

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <optional>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "labels/label_files.h"
 #include "scene/scene_checks.h"
 #include "scene/unknown_labels.h"

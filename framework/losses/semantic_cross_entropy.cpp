@@ -4,9 +4,9 @@
 #include <cmath>
 #include <string>
 
+#include "compute/math_functions.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "core/math_functions.h"
 
 namespace semfield {
 namespace {

@@ -7,7 +7,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "core/files.h"
+#include "system/files.h"
 
 namespace semfield {
 

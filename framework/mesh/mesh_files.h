@@ -4,8 +4,8 @@
 #include <span>
 #include <string>
 
+#include "classes/class_table.h"
 #include "mesh/surface.h"
-#include "scene/class_table.h"
 
 namespace semfield {
 

@@ -6,9 +6,9 @@
 #include <limits>
 #include <string>
 
+#include "compute/math_functions.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "core/math_functions.h"
 #include "model/compositor_math.h"
 #include "model/ray_guard.h"
 

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "compute/math_functions.h"
 #include "core/check.h"
-#include "core/math_functions.h"
 
 namespace semfield {
 namespace {

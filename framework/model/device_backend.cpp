@@ -2,8 +2,8 @@
 
 #include <dlfcn.h>
 
-#include "core/companion.h"
 #include "core/error.h"
+#include "system/shared_library.h"
 
 namespace semfield {
 
@@ -18,8 +18,8 @@ bool has_cuda_library() noexcept {
 const DeviceLibrary& cuda_library() {
 #ifdef SEMFIELD_CUDA_LIBRARY
   static const DeviceLibrary* const loaded = reinterpret_cast<const DeviceLibrary* (*)()>(
-      companion_symbol(SEMFIELD_CUDA_LIBRARY, kDeviceLibrarySymbol, "the CUDA kernels cannot be loaded",
-                       "install the CUDA runtime and cuBLASLt, or set runtime.device: cpu"))();
+      library_symbol(SEMFIELD_CUDA_LIBRARY, kDeviceLibrarySymbol, "the CUDA kernels cannot be loaded",
+                     "install the CUDA runtime and cuBLASLt, or set runtime.device: cpu"))();
   return *loaded;
 #else
   throw Error(ErrorKind::unavailable, "runtime.device: this build has no CUDA kernels (has: cpu)",

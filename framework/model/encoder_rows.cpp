@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <cstring>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "model/pipeline.h"
 
 namespace semfield {

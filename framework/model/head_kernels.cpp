@@ -1,7 +1,7 @@
 // The semantic head on the processor.
 #include "model/head_kernels.h"
 
-#include "core/linear.h"
+#include "compute/linear.h"
 
 namespace semfield {
 

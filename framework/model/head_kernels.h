@@ -1,8 +1,8 @@
 // What a device computes for the semantic head.
 #pragma once
 
+#include "compute/gemm.h"
 #include "core/bf16.h"
-#include "core/gemm.h"
 #include "plugin/parametric.h"
 
 namespace semfield {

@@ -2,8 +2,8 @@
 
 #include <algorithm>
 
+#include "compute/parallel.h"
 #include "core/check.h"
-#include "core/parallel.h"
 #include "core/rng.h"
 
 namespace semfield {

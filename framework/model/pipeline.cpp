@@ -4,9 +4,9 @@
 #include <cmath>
 #include <type_traits>
 
+#include "compute/float_mode.h"
+#include "compute/parallel.h"
 #include "core/check.h"
-#include "core/float_mode.h"
-#include "core/parallel.h"
 #include "losses/photometric.h"
 #include "model/device_backend.h"
 #include "model/network_plan.h"

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "classes/class_table.h"
 #include "core/work_scope.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/opacity_resolution.h"
@@ -14,7 +15,6 @@
 #include "model/ray_batch.h"
 #include "model/ray_guard.h"
 #include "model/train_rays.h"
-#include "scene/class_table.h"
 
 namespace semfield {
 

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <limits>
 
-#include "core/math_functions.h"
+#include "compute/math_functions.h"
 
 namespace semfield {
 

@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <string>
 
-#include "core/float_mode.h"
-#include "core/math_functions.h"
+#include "compute/float_mode.h"
+#include "compute/math_functions.h"
 #include "model/pipeline.h"
 
 namespace semfield {

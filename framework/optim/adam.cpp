@@ -7,9 +7,9 @@
 #include <limits>
 #include <type_traits>
 
+#include "compute/isa.h"
+#include "compute/parallel.h"
 #include "core/check.h"
-#include "core/isa.h"
-#include "core/parallel.h"
 #include "isa_list.h"
 #include "optim/adam_kernels.h"
 

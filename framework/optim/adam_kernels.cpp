@@ -4,7 +4,7 @@
 #include <cmath>
 #include <type_traits>
 
-#include "core/isa.h"
+#include "compute/isa.h"
 
 namespace semfield::SEMFIELD_ISA {
 

@@ -1,4 +1,4 @@
-// The loops of Adam over one range of a tensor, compiled once per instruction set (core/isa.h).
+// The loops of Adam over one range of a tensor, compiled once per instruction set (compute/isa.h).
 #pragma once
 
 #include <cstdint>

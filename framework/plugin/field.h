@@ -1,8 +1,8 @@
 // Field: encoded position (and, for colour alone, encoded direction) to density, colour and a position-only feature.
 #pragma once
 
+#include "compute/gemm.h"
 #include "core/bf16.h"
-#include "core/gemm.h"
 #include "plugin/parametric.h"
 
 namespace semfield {

@@ -10,7 +10,7 @@
 #include <typeinfo>
 #include <vector>
 
-#include "core/gemm.h"
+#include "compute/gemm.h"
 #include "core/view.h"
 
 namespace semfield {

@@ -80,7 +80,7 @@ struct PluginEntry {
   std::function<std::unique_ptr<Sampler<double>>(const PluginParams&, const SamplerBuild&, const KernelTables&)>
       sampler64;
   std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
-  bool reads_packs = false;  ///< a dataset that opens what scene/packed_scene.h writes, by its parameter `file`
+  bool reads_packs = false;  ///< a dataset that opens what loading/packed_scene.h writes, by its parameter `file`
 };
 
 class Registry {

@@ -8,12 +8,12 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "classes/class_table.h"
 #include "config/config_tree.h"
 #include "core/error.h"
-#include "core/files.h"
-#include "core/sorted_folder.h"
 #include "report/report.h"
-#include "scene/class_table.h"
+#include "system/files.h"
+#include "system/sorted_folder.h"
 
 namespace semfield {
 

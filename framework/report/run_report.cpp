@@ -2,11 +2,11 @@
 
 #include <fmt/format.h>
 
-#include "core/files.h"
 #include "eval/image_output.h"
 #include "eval/pixel_stride.h"
+#include "formats/image_io.h"
 #include "report/report.h"
-#include "scene/image_io.h"
+#include "system/files.h"
 
 namespace semfield {
 

@@ -8,7 +8,7 @@
 #include <filesystem>
 
 #include "core/check.h"
-#include "core/files.h"
+#include "system/files.h"
 
 namespace semfield {
 

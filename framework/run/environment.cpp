@@ -6,8 +6,8 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
+#include "compute/parallel.h"
 #include "core/error.h"
-#include "core/parallel.h"
 #include "plugin/abi_tag.h"
 #include "run/run_folder.h"
 

@@ -11,8 +11,8 @@
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
-#include "core/files.h"
 #include "eval/json_number.h"
+#include "system/files.h"
 
 namespace semfield {
 

@@ -2,13 +2,13 @@
 
 #include <optional>
 
-#include "core/words.h"
-#include "session/checkpoint_facts.h"
+#include "core/text.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
-#include "settings/run_identity.h"
 #include "run/run_resume.h"
+#include "session/checkpoint_facts.h"
 #include "session/trainer.h"
+#include "settings/run_identity.h"
 
 namespace semfield {
 

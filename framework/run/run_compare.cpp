@@ -5,10 +5,10 @@
 
 #include <algorithm>
 
-#include "core/words.h"
-#include "session/checkpoint_facts.h"
+#include "core/text.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
+#include "session/checkpoint_facts.h"
 #include "settings/run_identity.h"
 
 namespace semfield {

@@ -9,7 +9,7 @@
 #include <filesystem>
 
 #include "core/error.h"
-#include "core/files.h"
+#include "system/files.h"
 
 namespace semfield {
 

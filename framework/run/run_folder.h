@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/folder_lock.h"
+#include "system/folder_lock.h"
 
 namespace semfield {
 

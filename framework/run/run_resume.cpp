@@ -5,7 +5,7 @@
 
 #include <algorithm>
 
-#include "core/words.h"
+#include "core/text.h"
 #include "run/checkpoint_store.h"
 #include "settings/run_identity.h"
 

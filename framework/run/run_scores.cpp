@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <chrono>
 
-#include "core/files.h"
 #include "eval/final_eval.h"
 #include "eval/pixel_stride.h"
+#include "system/files.h"
 
 namespace semfield {
 

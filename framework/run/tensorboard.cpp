@@ -10,9 +10,9 @@
 #include <cstring>
 #include <span>
 
-#include "core/checksum.h"
 #include "core/error.h"
-#include "core/files.h"
+#include "system/checksum.h"
+#include "system/files.h"
 
 namespace semfield {
 

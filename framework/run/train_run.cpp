@@ -9,13 +9,11 @@
 #include <ctime>
 #include <filesystem>
 
+#include "compute/gemm_engine.h"
+#include "compute/parallel.h"
 #include "config/compose.h"
-#include "core/files.h"
 #include "core/findings.h"
-#include "core/gemm_engine.h"
-#include "core/memory_limit.h"
-#include "core/parallel.h"
-#include "core/words.h"
+#include "core/text.h"
 #include "eval/final_eval.h"
 #include "run/checkpoint_store.h"
 #include "run/leave_out_proofs.h"
@@ -24,6 +22,8 @@
 #include "session/self_training.h"
 #include "session/trainer.h"
 #include "settings/run_identity.h"
+#include "system/files.h"
+#include "system/memory_limit.h"
 
 namespace semfield {
 

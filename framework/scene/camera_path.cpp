@@ -8,8 +8,8 @@
 #include <system_error>
 
 #include "core/check.h"
-#include "core/files.h"
-#include "scene/input_limits.h"
+#include "formats/input_limits.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -4,7 +4,7 @@
 #include <array>
 #include <cmath>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 
 namespace semfield {
 

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "compute/gemm_engine.h"
+#include "compute/parallel.h"
 #include "core/error.h"
-#include "core/gemm_engine.h"
-#include "core/parallel.h"
 
 namespace semfield {
 

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "scene/load_progress.h"
+#include "loading/load_progress.h"
 #include "session/trainer.h"
 
 namespace semfield {

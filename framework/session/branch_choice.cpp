@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "compute/parallel.h"
 #include "core/check.h"
-#include "core/parallel.h"
 
 namespace semfield {
 

@@ -7,8 +7,8 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "core/checksum.h"
-#include "core/parallel.h"
+#include "compute/parallel.h"
+#include "system/checksum.h"
 
 namespace semfield {
 

@@ -6,7 +6,7 @@
 #include <string>
 
 #include "core/error.h"
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 #include "session/manifest_text.h"
 
 namespace semfield {

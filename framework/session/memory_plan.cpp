@@ -6,11 +6,11 @@
 #include <cmath>
 #include <functional>
 
+#include "compute/parallel.h"
 #include "core/error.h"
-#include "core/memory_limit.h"
-#include "core/parallel.h"
-#include "core/words.h"
+#include "core/text.h"
 #include "session/self_training.h"
+#include "system/memory_limit.h"
 
 namespace semfield {
 

@@ -4,9 +4,9 @@
 
 #include <algorithm>
 
+#include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "core/parallel.h"
 #include "core/rng.h"
 
 namespace semfield {

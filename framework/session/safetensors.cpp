@@ -12,9 +12,9 @@
 #include <set>
 
 #include "core/check.h"
-#include "core/checksum.h"
 #include "core/error.h"
-#include "core/files.h"
+#include "system/checksum.h"
+#include "system/files.h"
 
 namespace semfield {
 

@@ -7,11 +7,11 @@
 #include <cmath>
 #include <filesystem>
 
-#include "core/checksum.h"
-#include "core/files.h"
-#include "core/parallel.h"
-#include "core/sorted_folder.h"
+#include "compute/parallel.h"
 #include "session/safetensors.h"
+#include "system/checksum.h"
+#include "system/files.h"
+#include "system/sorted_folder.h"
 
 namespace semfield {
 

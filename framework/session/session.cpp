@@ -5,16 +5,16 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/cpu_kernels.h"
+#include "compute/cpu_kernels.h"
+#include "compute/gemm_engine.h"
+#include "compute/parallel.h"
 #include "core/error.h"
-#include "core/gemm_engine.h"
-#include "core/memory_limit.h"
-#include "core/parallel.h"
-#include "scene/image_formats.h"
+#include "formats/image_formats.h"
 #include "session/bounds_probe.h"
 #include "session/branch_choice.h"
 #include "session/trained_classes.h"
 #include "settings/loss_config.h"
+#include "system/memory_limit.h"
 
 namespace semfield {
 

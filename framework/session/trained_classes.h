@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "scene/class_table.h"
+#include "classes/class_table.h"
 
 namespace semfield {
 

@@ -7,8 +7,8 @@
 #include <cstring>
 #include <set>
 
+#include "compute/float_mode.h"
 #include "core/error.h"
-#include "core/float_mode.h"
 
 namespace semfield {
 

@@ -6,10 +6,10 @@
 #include <chrono>
 #include <utility>
 
-#include "core/checksum.h"
 #include "core/findings.h"
 #include "session/trained_classes.h"
 #include "settings/run_identity.h"
+#include "system/checksum.h"
 
 namespace semfield {
 

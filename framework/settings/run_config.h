@@ -8,10 +8,12 @@
 #include <string_view>
 #include <vector>
 
+#include "compute/gemm_engine.h"
 #include "config/config_tree.h"
 #include "config/params_read.h"
-#include "core/gemm_engine.h"
+#include "formats/input_limits.h"
 #include "labels/training_labels.h"
+#include "loading/frame_source.h"
 #include "losses/loss_list.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
@@ -20,8 +22,6 @@
 #include "optim/adam.h"
 #include "optim/schedule.h"
 #include "plugin/registry.h"
-#include "scene/frame_source.h"
-#include "scene/input_limits.h"
 #include "settings/fusion_params.h"
 #include "settings/propagation_params.h"
 

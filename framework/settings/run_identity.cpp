@@ -6,8 +6,8 @@
 #include <filesystem>
 
 #include "core/check.h"
-#include "core/checksum.h"
-#include "core/words.h"
+#include "core/text.h"
+#include "system/checksum.h"
 
 namespace semfield {
 

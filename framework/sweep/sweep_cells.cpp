@@ -5,8 +5,8 @@
 #include <map>
 #include <set>
 
-#include "core/checksum.h"
 #include "settings/run_config.h"
+#include "system/checksum.h"
 
 namespace semfield {
 

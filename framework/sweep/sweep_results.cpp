@@ -7,9 +7,9 @@
 #include <tuple>
 
 #include "config/params_read.h"
-#include "core/files.h"
+#include "formats/text_rows.h"
 #include "run/metrics_log.h"
-#include "scene/text_rows.h"
+#include "system/files.h"
 
 namespace semfield {
 

@@ -8,8 +8,8 @@
 
 #include "config/params_read.h"
 #include "core/check.h"
+#include "formats/text_rows.h"
 #include "report/report_svg.h"
-#include "scene/text_rows.h"
 
 namespace semfield {
 

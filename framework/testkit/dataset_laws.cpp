@@ -3,7 +3,7 @@
 #include <cmath>
 #include <set>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "testkit/laws.h"
 
 namespace semfield::testkit {

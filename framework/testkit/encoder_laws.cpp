@@ -3,7 +3,7 @@
 #include <cmath>
 #include <numeric>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 #include "testkit/compare.h"
 #include "testkit/gradient_check.h"

@@ -19,39 +19,46 @@ bool ends_with(const std::string& text, const std::string& end) {
   return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
-const Folders kFrameworkFolders{"core",  "config", "scene", "plugin", "labels",   "losses",
-                                "model", "optim",  "cuda",  "eval",   "settings", "session",
-                                "run",   "report", "fuse",  "mesh",   "sweep",    "testkit"};
+const Folders kFrameworkFolders{"core",     "system",  "compute", "config", "formats", "classes", "scene", "survey",
+                                "loading",  "plugin",  "labels",  "losses", "model",   "optim",   "cuda",  "eval",
+                                "settings", "session", "run",     "report", "fuse",    "mesh",    "sweep", "testkit"};
 
-// A folder includes those that stand before it; `floors` says which of them it does not need.
+// A folder and those that it may include. Folders inside a folder stand on its floor.
 const std::map<std::string, Folders>& floors() {
-  static const Folders below_plugin{"core", "config", "scene"};
-  static const Folders model{"core", "config", "scene", "plugin", "labels", "losses", "model", "optim"};
-  const auto above = [](Folders folders, const std::string& own) {
-    folders.insert(own);
+  const auto with = [](Folders folders, const Folders& more) {
+    folders.insert(more.begin(), more.end());
     return folders;
   };
-  static const Folders eval{"core", "config", "scene", "plugin", "labels", "losses", "model", "eval"};
-  static const Folders session = above(above(above(model, "eval"), "settings"), "session");
-  static const Folders run = above(session, "run");
+  static const Folders ground{"core", "system", "compute"};
+  static const Folders scene = with(ground, {"config", "formats", "classes", "scene"});
+  static const Folders loading = with(scene, {"survey", "loading"});
+  static const Folders model = with(scene, {"plugin", "losses", "model"});
+  static const Folders settings = with(model, {"survey", "loading", "labels", "optim", "settings"});
+  static const Folders run = with(settings, {"eval", "session", "run"});
   static const std::map<std::string, Folders> table{
       {"core", {"core"}},
-      {"config", {"core", "config"}},
-      {"scene", below_plugin},
-      {"plugin", {"core", "config", "scene", "plugin"}},
-      {"labels", {"core", "config", "scene", "plugin", "labels"}},
-      {"losses", {"core", "config", "losses"}},
-      {"optim", {"core", "config", "plugin", "model", "optim"}},
-      {"model", {"core", "config", "scene", "plugin", "losses", "model"}},
-      {"cuda", {"core", "config", "scene", "plugin", "losses", "model", "optim", "cuda"}},
-      {"eval", eval},
-      {"settings", above(model, "settings")},
-      {"session", session},
+      {"system", {"core", "system"}},
+      {"compute", ground},
+      {"config", with(ground, {"config"})},
+      {"formats", with(ground, {"config", "formats"})},
+      {"classes", with(ground, {"config", "formats", "classes"})},
+      {"scene", scene},
+      {"survey", with(scene, {"survey"})},
+      {"loading", loading},
+      {"plugin", with(scene, {"plugin"})},
+      {"labels", with(loading, {"plugin", "labels"})},
+      {"losses", with(ground, {"config", "losses"})},
+      {"optim", with(ground, {"config", "plugin", "model", "optim"})},
+      {"model", model},
+      {"cuda", with(model, {"optim", "cuda"})},
+      {"eval", with(model, {"survey", "loading", "labels", "eval"})},
+      {"settings", settings},
+      {"session", with(settings, {"eval", "session"})},
       {"run", run},
-      {"report", above(run, "report")},
-      {"fuse", above(run, "fuse")},
-      {"mesh", above(run, "mesh")},
-      {"sweep", above(above(run, "report"), "sweep")},
+      {"report", with(run, {"report"})},
+      {"fuse", with(run, {"fuse"})},
+      {"mesh", with(run, {"mesh"})},
+      {"sweep", with(run, {"report", "sweep"})},
       {"testkit", kFrameworkFolders},
   };
   return table;
@@ -62,10 +69,10 @@ std::string forbidden_library(const std::string& path, const std::string& target
   static const std::vector<std::pair<std::string, std::string>> only{
       {"yaml-cpp/", "framework/config/config_tree.cpp"},
       {"yaml.h", "framework/config/config_tree.cpp"},
-      {"OpenImageIO/", "framework/scene/image_formats.cpp"},
+      {"OpenImageIO/", "framework/formats/image_formats.cpp"},
       {"tiny_obj_loader.h", "plugins/datasets/obj_room/mesh_io.cpp"},
-      {"omp.h", "framework/core/parallel.cpp"},
-      {"dnnl.hpp", "framework/core/gemm_onednn.cpp"},
+      {"omp.h", "framework/compute/parallel.cpp"},
+      {"dnnl.hpp", "framework/compute/gemm_onednn.cpp"},
   };
   for (const auto& [library, user] : only) {
     if (starts_with(target, library) && path != user) return "only " + user + " may include " + library;
@@ -114,12 +121,14 @@ std::string forbidden_in_plugin(const std::string& inside, const std::string& ta
   }
   const std::string other = first_folder(target);
   if (!kFrameworkFolders.contains(other) || target.find('/') == std::string::npos) return {};
-  if (other == "core" || other == "plugin" || target == "config/params.h") return {};
-  if ((other == "scene" || target == "config/config_tree.h") && kind == "datasets") return {};
+  static const Folders sdk{"core", "system", "compute", "plugin"};
+  static const Folders of_scenes{"formats", "classes", "scene", "survey", "loading"};
+  if (sdk.contains(other) || target == "config/params.h") return {};
+  if ((of_scenes.contains(other) || target == "config/config_tree.h") && kind == "datasets") return {};
   if (other == "cuda" && (ends_with(inside, ".cu") || ends_with(inside, ".cuh"))) return {};
   if (kind == "fused" && target == "model/encoded_field.h") return {};
-  return "a plugin sees core, config/params.h, plugin" +
-         std::string(kind == "datasets" ? " and scene, config/config_tree.h" : "") + " alone";
+  return "a plugin sees core, system, compute, config/params.h, plugin" +
+         std::string(kind == "datasets" ? " and the folders of scenes, config/config_tree.h" : "") + " alone";
 }
 
 }  // namespace

@@ -9,7 +9,7 @@
 #include <sstream>
 #include <string>
 
-#include "core/words.h"
+#include "core/text.h"
 
 namespace semfield {
 namespace {

@@ -14,9 +14,9 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "core/files.h"
 #include "datasets/obj_room/raycast.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
+#include "system/files.h"
 #include "tests/bad_files/case_file.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -9,9 +9,9 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "core/checksum.h"
-#include "core/files.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
+#include "system/checksum.h"
+#include "system/files.h"
 
 namespace semfield::bad_files {
 

@@ -10,7 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <regex>
 
-#include "core/words.h"
+#include "core/text.h"
 
 namespace semfield {
 namespace {

@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/peak_probe.h"
+#include "compute/peak_probe.h"
 #include "plugin/linked_plugins.h"
 #include "studies/step_work.h"
 

@@ -8,10 +8,10 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "core/files.h"
-#include "core/parallel.h"
-#include "scene/frame_source.h"
-#include "scene/image_io.h"
+#include "compute/parallel.h"
+#include "formats/image_io.h"
+#include "loading/frame_source.h"
+#include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/rows.h"
 
@@ -120,10 +120,10 @@ SceneLoadOptions by_remedy(const std::string& remedy) {
     if (word.rfind(prefix, 0) != 0 || word.find('=') == std::string::npos) continue;
     const std::string key = word.substr(prefix.size(), word.find('=') - prefix.size());
     const std::string value = word.substr(word.find('=') + 1);
-    if (key == "flip_camera_axes") out.mend.flip_camera_axes = value == "true";
-    if (key == "invert_poses") out.mend.invert_poses = value == "true";
-    if (key == "pose_scale") out.mend.pose_scale = std::stod(value);
-    if (key == "depth_scale") out.mend.depth_scale = std::stod(value);
+    if (key == "flip_camera_axes") out.convention.flip_camera_axes = value == "true";
+    if (key == "invert_poses") out.convention.invert_poses = value == "true";
+    if (key == "pose_scale") out.convention.pose_scale = std::stod(value);
+    if (key == "depth_scale") out.convention.depth_scale = std::stod(value);
   }
   return out;
 }
@@ -139,7 +139,7 @@ std::vector<Diagnostic> findings(const Diagnostics& diagnostics) {
 struct Case {
   const char* what;
   Break how;
-  PoseMend mend;
+  PoseConvention convention;
   std::vector<std::string> named;
 };
 
@@ -183,7 +183,7 @@ TEST_P(PoseConventions, EachBreakIsNamedAndItsRemedyRestoresTheScene) {
     EXPECT_EQ(said[0].severity, Severity::error);
     for (const std::string& name : c.named) EXPECT_NE(said[0].message.find(name), std::string::npos) << said[0].text();
     const SceneLoadOptions options = by_remedy(said[0].remedy);
-    EXPECT_EQ(options.mend, c.mend) << said[0].remedy;
+    EXPECT_EQ(options.convention, c.convention) << said[0].remedy;
     const std::unique_ptr<Opened> mended = sample.open(options);
     EXPECT_TRUE(findings(mended->diagnostics).empty()) << findings(mended->diagnostics).front().text();
     EXPECT_EQ(mended->scene.geometry, right->scene.geometry);

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <filesystem>
 
-#include "core/files.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
+#include "system/files.h"
 #include "testkit/analytic_scene.h"
 
 namespace semfield::testkit {

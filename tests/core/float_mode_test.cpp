@@ -1,5 +1,5 @@
 // Compute threads flush subnormals, on every thread and in every call; the caller's own mode comes back.
-#include "core/float_mode.h"
+#include "compute/float_mode.h"
 
 #include <gtest/gtest.h>
 
@@ -8,7 +8,7 @@
 #include <limits>
 #include <stdexcept>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 
 namespace semfield {
 namespace {

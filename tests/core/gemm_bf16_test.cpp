@@ -8,7 +8,7 @@
 #include <limits>
 #include <vector>
 
-#include "core/gemm.h"
+#include "compute/gemm.h"
 #include "core/rng.h"
 
 namespace semfield {

@@ -1,5 +1,5 @@
 // oneDNN as the engine of matrix products: the results of our kernels within rounding, and the same promises.
-#include "core/gemm_engine.h"
+#include "compute/gemm_engine.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // The matrix product against Eigen, its bitwise promises, and what it must not touch.
-#include "core/gemm.h"
+#include "compute/gemm.h"
 
 #include <gtest/gtest.h>
 

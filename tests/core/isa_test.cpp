@@ -1,5 +1,5 @@
 // The choice of an instruction set.
-#include "core/isa.h"
+#include "compute/isa.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // Linear layers: values by hand-written loops, gradients by central differences, ray terms, elementary functions.
-#include "core/linear.h"
+#include "compute/linear.h"
 
 #include <gtest/gtest.h>
 
@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-#include "core/math_functions.h"
+#include "compute/math_functions.h"
 #include "core/rng.h"
 
 namespace semfield {

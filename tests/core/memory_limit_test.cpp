@@ -1,5 +1,5 @@
 // Memory that is left, from texts as Linux writes them.
-#include "core/memory_limit.h"
+#include "system/memory_limit.h"
 
 #include <gtest/gtest.h>
 #include <unistd.h>

@@ -1,5 +1,5 @@
 // parallel_for: every index once, exceptions, nesting, concurrent callers, changing thread counts; limits of groups.
-#include "core/parallel.h"
+#include "compute/parallel.h"
 
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -13,7 +13,7 @@
 #include <thread>
 #include <vector>
 
-#include "core/cpu_quota.h"
+#include "system/cpu_quota.h"
 
 namespace semfield {
 namespace {

@@ -1,5 +1,5 @@
 // SHA-256 against the published examples, and against itself cut into pieces.
-#include "core/sha256.h"
+#include "system/sha256.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // Folders are read in the order of names on every file system.
-#include "core/sorted_folder.h"
+#include "system/sorted_folder.h"
 
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -7,7 +7,7 @@
 #include <algorithm>
 
 #include "core/error.h"
-#include "core/files.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -1,10 +1,10 @@
 // Words, lines and numbers of text files.
-#include "core/words.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <cstdio>
+
+#include "core/text.h"
 
 namespace semfield {
 namespace {

@@ -6,7 +6,7 @@
 #include <atomic>
 #include <thread>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 
 namespace semfield {
 namespace {

@@ -7,10 +7,10 @@
 #include <algorithm>
 #include <filesystem>
 
-#include "core/files.h"
 #include "core/rng.h"
+#include "loading/packed_scene.h"
 #include "run/checkpoint_store.h"
-#include "scene/packed_scene.h"
+#include "system/files.h"
 #include "tests/crash/scenarios.h"
 #include "tests/scene/tiny_scene.h"
 

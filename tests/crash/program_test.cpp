@@ -13,8 +13,8 @@
 #include <functional>
 #include <thread>
 
-#include "core/files.h"
 #include "run/checkpoint_store.h"
+#include "system/files.h"
 #include "tests/crash/victim_runs.h"
 #include "tests/session/train_testing.h"
 

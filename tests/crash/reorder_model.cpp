@@ -7,7 +7,7 @@
 #include <limits>
 #include <set>
 
-#include "core/files.h"
+#include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::testing_crash {

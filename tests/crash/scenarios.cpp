@@ -4,11 +4,11 @@
 #include <filesystem>
 #include <vector>
 
-#include "core/checksum.h"
-#include "core/files.h"
+#include "loading/packed_scene.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
-#include "scene/packed_scene.h"
+#include "system/checksum.h"
+#include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::testing_crash {

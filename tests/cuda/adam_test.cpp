@@ -7,7 +7,7 @@
 #include <limits>
 #include <memory>
 
-#include "core/isa.h"
+#include "compute/isa.h"
 #include "device_fixture.h"
 #include "model/param_store.h"
 

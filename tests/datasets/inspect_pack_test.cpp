@@ -56,7 +56,7 @@ TEST(Pack, WhatIsPackedIsMended) {
   Replica replica(room_params(folder), {});
   Diagnostics d;
   SceneLoadOptions options;
-  options.mend = {true, true, 0.5, 2};
+  options.convention = {true, true, 0.5, 2};
   (void)pack_scene(replica, folder + "/room.semfield", options, {}, d);
   Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
   options.check_geometry = false;

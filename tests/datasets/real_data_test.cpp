@@ -6,7 +6,7 @@
 #include "datasets/colmap/colmap.h"
 #include "datasets/replica/replica.h"
 #include "datasets/transforms_json/transforms_json.h"
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 #include "tests/datasets/rewritten_poses.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -5,7 +5,7 @@
 
 #include <string>
 
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 
 namespace semfield {
 
@@ -13,10 +13,10 @@ namespace semfield {
 template <class Real>
 struct Rewritten {
   Real& dataset;
-  PoseMend how;
+  PoseConvention how;
   SceneInfo open(Diagnostics& diagnostics) {
     SceneInfo info = dataset.open(diagnostics);
-    for (FrameInfo& f : info.frames) f.world_from_camera = mended_pose(f.world_from_camera, how, info.opengl_files);
+    for (FrameInfo& f : info.frames) f.world_from_camera = converted_pose(f.world_from_camera, how, info.opengl_files);
     return info;
   }
   void read(int frame, FrameBuffer& out) const { dataset.read(frame, out); }
@@ -34,7 +34,7 @@ void expect_conventions_told(Real& dataset, const std::string& agrees) {
     EXPECT_EQ(d.text().find("do not agree"), std::string::npos) << d.text();
   }
   struct {
-    PoseMend how;
+    PoseConvention how;
     const char *named, *remedy;
   } const breaks[] = {{{.flip_camera_axes = true}, "OpenGL axes", "add --set scene.load.flip_camera_axes=true "},
                       {{.invert_poses = true}, "world-to-camera", "add --set scene.load.invert_poses=true "}};
@@ -46,11 +46,11 @@ void expect_conventions_told(Real& dataset, const std::string& agrees) {
     for (const Diagnostic& x : d.all()) errors += x.severity == Severity::error ? x.text() : "";
     EXPECT_NE(errors.find(b.named), std::string::npos) << errors;
     EXPECT_NE(errors.find(b.remedy), std::string::npos) << errors;
-    load.mend = b.how;
+    load.convention = b.how;
     Diagnostics mended;
     EXPECT_NE(load_scene(broken, load, mended).geometry.find(agrees), std::string::npos);
     EXPECT_FALSE(mended.has_errors());
-    load.mend = {};
+    load.convention = {};
   }
 }
 

@@ -5,11 +5,11 @@
 #include <cstdlib>
 #include <filesystem>
 
-#include "core/files.h"
 #include "plugin/linked_plugins.h"
 #include "settings/label_config.h"
 #include "settings/loss_config.h"
 #include "settings/run_config.h"
+#include "system/files.h"
 #include "tests/docs/pages.h"
 
 namespace semfield::docs {

@@ -6,12 +6,12 @@
 #include <regex>
 #include <set>
 
-#include "core/files.h"
-#include "core/words.h"
+#include "core/text.h"
 #include "plugin/linked_plugins.h"
 #include "settings/label_config.h"
 #include "settings/loss_config.h"
 #include "settings/run_config.h"
+#include "system/files.h"
 
 namespace semfield::docs {
 namespace {

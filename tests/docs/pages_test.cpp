@@ -14,7 +14,7 @@
 #include <set>
 #include <sstream>
 
-#include "core/words.h"
+#include "core/text.h"
 
 namespace semfield::docs {
 namespace {

@@ -3,7 +3,7 @@
 
 #include "datasets/replica/replica.h"
 #include "datasets/transforms_json/transforms_json.h"
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

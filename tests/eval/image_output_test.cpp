@@ -10,8 +10,8 @@
 #include <limits>
 
 #include "core/error.h"
-#include "core/files.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

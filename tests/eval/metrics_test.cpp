@@ -6,8 +6,8 @@
 #include <cmath>
 #include <limits>
 
+#include "compute/parallel.h"
 #include "core/error.h"
-#include "core/parallel.h"
 
 namespace semfield {
 namespace {

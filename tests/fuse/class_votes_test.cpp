@@ -6,8 +6,8 @@
 #include <array>
 #include <cmath>
 
+#include "classes/class_table.h"
 #include "core/error.h"
-#include "scene/class_table.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

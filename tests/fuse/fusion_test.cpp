@@ -5,10 +5,10 @@
 
 #include <algorithm>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
 

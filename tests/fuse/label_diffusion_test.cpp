@@ -7,7 +7,7 @@
 #include <Eigen/SparseCore>
 #include <cmath>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 
 namespace semfield {

@@ -5,8 +5,8 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "core/files.h"
-#include "scene/packed_scene.h"
+#include "loading/packed_scene.h"
+#include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <limits>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
 #include "fuse/surface_cells.h"

@@ -3,7 +3,7 @@
 
 #include "datasets/replica/replica.h"
 #include "fuse/scene_fusion.h"
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -4,10 +4,10 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "core/files.h"
-#include "scene/image_io.h"
-#include "scene/packed_scene.h"
-#include "scene/png_codec.h"
+#include "formats/image_io.h"
+#include "formats/png_codec.h"
+#include "loading/packed_scene.h"
+#include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"

@@ -1,8 +1,8 @@
 // Class tables and the rules that give mesh parts their classes.
 #include <string>
 
+#include "classes/class_import.h"
 #include "datasets/obj_room/class_rules.h"
-#include "scene/class_import.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
 

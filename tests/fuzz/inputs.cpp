@@ -10,8 +10,8 @@
 
 #include "config/config_tree.h"
 #include "config/params_read.h"
+#include "formats/image_io.h"
 #include "plugin/linked_plugins.h"
-#include "scene/image_io.h"
 
 namespace semfield::fuzz {
 

@@ -4,8 +4,8 @@
 
 #include "config/config_tree.h"
 #include "config/params_read.h"
+#include "formats/npz.h"
 #include "labels/label_steps.h"
-#include "scene/npz.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
 

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <filesystem>
 
-#include "core/files.h"
+#include "system/files.h"
 #include "tests/fuzz/targets.h"
 
 namespace semfield::fuzz {

@@ -4,11 +4,11 @@
 #include <cmath>
 #include <cstring>
 
-#include "core/checksum.h"
 #include "datasets/obj_room/mesh_io.h"
+#include "formats/png_codec.h"
+#include "loading/packed_scene.h"
 #include "scene/camera_path.h"
-#include "scene/packed_scene.h"
-#include "scene/png_codec.h"
+#include "system/checksum.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
 

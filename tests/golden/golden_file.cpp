@@ -6,7 +6,7 @@
 #include <sstream>
 
 #include "core/error.h"
-#include "core/files.h"
+#include "system/files.h"
 
 namespace semfield::testing_golden {
 

@@ -5,7 +5,7 @@
 #include <filesystem>
 #include <sstream>
 
-#include "core/isa.h"
+#include "compute/isa.h"
 #include "tests/golden/golden_file.h"
 #include "tests/program.h"
 

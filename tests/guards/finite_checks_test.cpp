@@ -4,7 +4,7 @@
 #include <cmath>
 #include <limits>
 
-#include "core/math_functions.h"
+#include "compute/math_functions.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
 #include "model/ray_guard.h"

@@ -1,8 +1,8 @@
 // Label images, class probabilities and clicks: values to classes, names of files, every refusal.
 #include <gtest/gtest.h>
 
-#include "scene/image_io.h"
-#include "scene/npz.h"
+#include "formats/image_io.h"
+#include "formats/npz.h"
 #include "tests/labels/reader_case.h"
 
 namespace semfield {

@@ -1,6 +1,6 @@
 // Degradations on Replica frames, where they are at hand: the figures that the page of experiments states.
 #include "datasets/replica/replica.h"
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 #include "tests/labels/degradation_testing.h"
 
 namespace semfield {

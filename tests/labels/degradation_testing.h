@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
+#include "compute/parallel.h"
 #include "config/config_tree.h"
 #include "config/params_read.h"
-#include "core/parallel.h"
 #include "core/rng.h"
 #include "labels/label_steps.h"
 #include "tests/scene/tiny_scene.h"

@@ -4,8 +4,8 @@
 #include <cstring>
 #include <nlohmann/json.hpp>
 
-#include "core/files.h"
-#include "scene/class_table.h"
+#include "classes/class_table.h"
+#include "system/files.h"
 #include "tests/labels/degradation_testing.h"
 #include "tests/program.h"
 

@@ -1,10 +1,10 @@
 // `semfield export` and `semfield classes`: the program on a tiny room; what it wrote is compared with what it renders.
 #include <cstdlib>
 
-#include "core/files.h"
+#include "classes/class_import.h"
+#include "formats/image_io.h"
 #include "labels/mask_outlines.h"
-#include "scene/class_import.h"
-#include "scene/image_io.h"
+#include "system/files.h"
 #include "tests/labels/reader_case.h"
 #include "tests/program.h"
 

@@ -9,7 +9,7 @@
 #include <sstream>
 
 #include "core/rng.h"
-#include "core/words.h"
+#include "core/text.h"
 #include "labels/mask_outlines.h"
 #include "labels/run_lengths.h"
 #include "tests/labels/reader_case.h"

@@ -6,7 +6,7 @@
 
 #include "datasets/replica/replica.h"
 #include "datasets/transforms_json/transforms_json.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
 #include "tests/labels/reader_case.h"
 
 namespace semfield {

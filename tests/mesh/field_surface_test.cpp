@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 #include "mesh/point_cloud.h"
 #include "session/trainer.h"

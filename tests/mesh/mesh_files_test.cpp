@@ -9,12 +9,12 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
-#include "core/files.h"
-#include "core/words.h"
+#include "core/text.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/raycast.h"
 #include "mesh/class_groups.h"
 #include "mesh/marching_cubes.h"
+#include "system/files.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

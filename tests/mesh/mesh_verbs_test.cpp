@@ -9,9 +9,9 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "core/files.h"
-#include "core/words.h"
-#include "scene/packed_scene.h"
+#include "core/text.h"
+#include "loading/packed_scene.h"
+#include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/session/train_testing.h"
 

@@ -7,7 +7,7 @@
 #include <limits>
 #include <vector>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 
 namespace semfield {

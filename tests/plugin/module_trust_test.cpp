@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "core/files.h"
+#include "system/files.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
 
@@ -147,10 +147,8 @@ TEST_F(ModuleTrust, ARunTrainedWithAModuleRecordsItAndAsksForItAgain) {
   const Result trained = run({"train", folder_ + "/base.yaml", "--out", out, "--plugin", module});
   ASSERT_EQ(trained.code, 0) << trained.err;
   EXPECT_NE(read_text_file(out + "/run.yaml").find("probe_sound.so"), std::string::npos);
-  const std::vector<Words> verbs{{"eval", out},
-                                 {"render", out},
-                                 {"export", out, "--out", folder_ + "/labels.json"},
-                                 {"train", "--resume", out}};
+  const std::vector<Words> verbs{
+      {"eval", out}, {"render", out}, {"export", out, "--out", folder_ + "/labels.json"}, {"train", "--resume", out}};
   for (Words verb : verbs) {
     const Result alone = run(verb);
     EXPECT_EQ(alone.code, 78) << verb[0] << ": " << alone.err;

@@ -7,10 +7,10 @@
 #include <filesystem>
 
 #include "core/error.h"
-#include "core/files.h"
 #include "report/report.h"
 #include "report/report_convergence.h"
 #include "report/report_parts.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

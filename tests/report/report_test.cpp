@@ -11,11 +11,11 @@
 #include <tuple>
 
 #include "core/error.h"
-#include "core/files.h"
 #include "eval/image_output.h"
+#include "formats/image_io.h"
 #include "report/html.h"
 #include "report/report_svg.h"
-#include "scene/image_io.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -10,9 +10,9 @@
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
-#include "core/files.h"
 #include "run/metrics_log.h"
 #include "run/tensorboard.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -9,10 +9,10 @@
 #include <filesystem>
 #include <thread>
 
-#include "core/files.h"
 #include "core/rng.h"
 #include "model/device_backend.h"
 #include "run/checkpoint_store.h"
+#include "system/files.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 

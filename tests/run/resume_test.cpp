@@ -6,14 +6,14 @@
 #include <filesystem>
 #include <fstream>
 
-#include "core/files.h"
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "eval/final_eval.h"
 #include "run/checkpoint_store.h"
 #include "run/metrics_log.h"
 #include "run/open_run.h"
 #include "run/train_run.h"
 #include "session/trainer.h"
+#include "system/files.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

@@ -5,9 +5,9 @@
 
 #include <map>
 
-#include "core/files.h"
 #include "eval/pixel_stride.h"
 #include "run/train_run.h"
+#include "system/files.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

@@ -5,10 +5,10 @@
 #include <functional>
 #include <regex>
 
-#include "core/files.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 #include "session/safetensors.h"
+#include "system/files.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 

@@ -6,10 +6,10 @@
 #include <algorithm>
 #include <filesystem>
 
-#include "core/files.h"
 #include "run/checkpoint_store.h"
 #include "run/train_run.h"
 #include "session/trainer.h"
+#include "system/files.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

@@ -11,12 +11,12 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
-#include "core/checksum.h"
 #include "core/error.h"
-#include "core/files.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 #include "session/safetensors.h"
+#include "system/checksum.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

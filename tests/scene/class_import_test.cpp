@@ -1,10 +1,10 @@
 // Class tables of other tools.
-#include "scene/class_import.h"
+#include "classes/class_import.h"
 
 #include <gtest/gtest.h>
 
-#include "core/files.h"
-#include "scene/class_names.h"
+#include "classes/class_names.h"
+#include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -1,11 +1,11 @@
 // Class tables: three file formats, numbering, refusals.
-#include "scene/class_table.h"
+#include "classes/class_table.h"
 
 #include <gtest/gtest.h>
 
 #include <set>
 
-#include "core/files.h"
+#include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -1,5 +1,5 @@
 // Whole files, atomically.
-#include "core/files.h"
+#include "system/files.h"
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
@@ -11,8 +11,8 @@
 
 #include <csignal>
 
-#include "scene/image_io.h"
-#include "scene/packed_scene.h"
+#include "formats/image_io.h"
+#include "loading/packed_scene.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

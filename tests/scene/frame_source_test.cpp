@@ -1,13 +1,13 @@
 // Loading: sizes, bounds, near and far, histograms, every problem in one pass, any number of threads.
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <sstream>
 
-#include "core/parallel.h"
-#include "scene/load_progress.h"
+#include "compute/parallel.h"
+#include "loading/load_progress.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

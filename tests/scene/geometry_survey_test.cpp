@@ -1,12 +1,12 @@
 // Poses against pixels: every convention is named from depth and from photographs, and right scenes are left in peace.
-#include "scene/geometry_survey.h"
+#include "survey/geometry_survey.h"
 
 #include <gtest/gtest.h>
 
 #include <functional>
 
-#include "core/parallel.h"
-#include "scene/frame_source.h"
+#include "compute/parallel.h"
+#include "loading/frame_source.h"
 #include "scene/scene_checks.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -203,7 +203,7 @@ TEST(GeometrySurvey, DepthOfAnotherUnitIsToldFromPosesOfAnother) {
         std::string::npos)
         << a.error;
     SceneLoadOptions mended;
-    mended.mend.depth_scale = 1 / by;
+    mended.convention.depth_scale = 1 / by;
     expect_quiet(ask(room, mended), "poses agree with depth");
   }
   room.spoiled = [](int, FrameBuffer&) {};
@@ -230,7 +230,7 @@ TEST(GeometrySurvey, DepthInWholeMetresAndInStepsOfOtherSensorsIsTold) {
 TEST(GeometrySurvey, AMendThatIsNotNeededIsTakenBack) {
   Room room{.poses = walk(24)};
   SceneLoadOptions options;
-  options.mend = {true, true, 1000, 1};
+  options.convention = {true, true, 1000, 1};
   const std::string error = ask(room, options).error;
   for (const char* part : {"poses should not be inverted", "camera axes should not be flipped",
                            "camera centres should not be scaled", "--set scene.load.invert_poses=false",
@@ -249,7 +249,7 @@ TEST(GeometrySurvey, PhotographsWithoutDepthNameAxesAndInverse) {
   struct {
     std::function<Pose(const Pose&)> written;
     std::vector<std::string> said;
-    PoseMend mend;
+    PoseConvention mend;
   } const cases[] = {
       {flip, {"OpenGL axes", "--set scene.load.flip_camera_axes=true"}, {.flip_camera_axes = true}},
       {inverse, {"world-to-camera", "--set scene.load.invert_poses=true"}, {.invert_poses = true}},
@@ -262,7 +262,7 @@ TEST(GeometrySurvey, PhotographsWithoutDepthNameAxesAndInverse) {
     const Answer a = ask(room);
     for (const std::string& part : c.said) EXPECT_NE(a.error.find(part), std::string::npos) << a.error << a.geometry;
     SceneLoadOptions mended;
-    mended.mend = c.mend;
+    mended.convention = c.convention;
     expect_quiet(ask(room, mended), "poses agree with the photographs: ");
   }
 }

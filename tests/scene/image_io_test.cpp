@@ -1,13 +1,13 @@
 // Images: round trips, ids unchanged, damage named, area resize.
-#include "scene/image_io.h"
+#include "formats/image_io.h"
 
 #include <gtest/gtest.h>
 
 #include <cstring>
 #include <numeric>
 
-#include "core/files.h"
-#include "scene/png_codec.h"
+#include "formats/png_codec.h"
+#include "system/files.h"
 #include "tests/scene/png_bytes.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -1,15 +1,15 @@
 // NumPy arrays: types, orders, archives, and files that lie.
-#include "scene/npz.h"
+#include "formats/npz.h"
 
 #include <gtest/gtest.h>
 #include <zlib.h>
 
 #include <cstring>
 
-#include "core/files.h"
 #include "core/rng.h"
 #include "core/work_scope.h"
-#include "scene/input_limits.h"
+#include "formats/input_limits.h"
+#include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -1,9 +1,9 @@
 // Packed scenes: round trip, damage of any byte, lies about sizes.
-#include "scene/packed_scene.h"
+#include "loading/packed_scene.h"
 
 #include <gtest/gtest.h>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

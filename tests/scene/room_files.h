@@ -9,9 +9,9 @@
 #include <string>
 #include <vector>
 
-#include "core/files.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
 #include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield::testing_room {
 

@@ -1,9 +1,9 @@
 // ScanNet's label table: columns by name, maps, refusals.
-#include "scene/scannet_labels.h"
+#include "classes/scannet_labels.h"
 
 #include <gtest/gtest.h>
 
-#include "core/files.h"
+#include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

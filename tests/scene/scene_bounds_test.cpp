@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 
 namespace semfield {
 namespace {

@@ -7,9 +7,9 @@
 #include <cstring>
 #include <limits>
 
-#include "core/parallel.h"
-#include "scene/frame_files.h"
-#include "scene/frame_source.h"
+#include "compute/parallel.h"
+#include "loading/frame_files.h"
+#include "loading/frame_source.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -10,8 +10,8 @@
 #include <fstream>
 #include <string>
 
-#include "core/files.h"
-#include "core/words.h"
+#include "core/text.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "config/config_tree.h"
-#include "scene/load_progress.h"
+#include "loading/load_progress.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

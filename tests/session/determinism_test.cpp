@@ -6,10 +6,10 @@
 #include <cmath>
 #include <limits>
 
+#include "compute/float_mode.h"
+#include "compute/gemm_engine.h"
+#include "compute/parallel.h"
 #include "core/error.h"
-#include "core/float_mode.h"
-#include "core/gemm_engine.h"
-#include "core/parallel.h"
 #include "session/trainer.h"
 #include "tests/session/train_testing.h"
 

@@ -4,13 +4,13 @@
 #include <algorithm>
 #include <cstring>
 
-#include "core/files.h"
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "run/leave_out_proofs.h"
 #include "run/open_run.h"
 #include "run/run_folder.h"
 #include "run/train_run.h"
 #include "session/trainer.h"
+#include "system/files.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "eval/evaluator.h"
 #include "run/train_run.h"
 #include "session/trainer.h"

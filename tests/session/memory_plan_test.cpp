@@ -6,9 +6,9 @@
 #include <cmath>
 #include <regex>
 
-#include "core/memory_limit.h"
 #include "datasets/obj_room/raycast.h"
 #include "session/trainer.h"
+#include "system/memory_limit.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 

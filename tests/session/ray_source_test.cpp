@@ -7,7 +7,7 @@
 #include <numeric>
 #include <set>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 
 namespace semfield {

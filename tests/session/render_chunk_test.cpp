@@ -6,7 +6,7 @@
 #include <limits>
 #include <new>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "eval/evaluator.h"
 #include "tests/session/train_testing.h"
 

@@ -6,8 +6,8 @@
 #include <cmath>
 #include <vector>
 
+#include "compute/parallel.h"
 #include "core/error.h"
-#include "core/parallel.h"
 #include "session/trainer.h"
 #include "tests/session/oracle.h"
 

@@ -5,14 +5,14 @@
 #include <cstdlib>
 #include <filesystem>
 
-#include "core/checksum.h"
-#include "core/files.h"
-#include "core/parallel.h"
+#include "compute/parallel.h"
+#include "loading/packed_scene.h"
 #include "plugin/linked_plugins.h"
 #include "report/run_report.h"
 #include "run/checkpoint_store.h"
-#include "scene/packed_scene.h"
 #include "session/trainer.h"
+#include "system/checksum.h"
+#include "system/files.h"
 #include "testkit/analytic_scene.h"
 
 namespace semfield {

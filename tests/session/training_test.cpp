@@ -10,8 +10,8 @@
 #include <thread>
 #include <vector>
 
+#include "compute/gemm_engine.h"
 #include "core/error.h"
-#include "core/gemm_engine.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -142,9 +142,7 @@ std::string balanced(std::string yaml) {
 
 class SetLabels : public testing::TestWithParam<std::string> {
  protected:
-  std::unique_ptr<Training> open() {
-    return std::make_unique<Training>(config_of(GetParam(), registry_), registry_);
-  }
+  std::unique_ptr<Training> open() { return std::make_unique<Training>(config_of(GetParam(), registry_), registry_); }
   // Labels of two frames change before step 4 and of one of them again before step 8.
   void change(Training& training) const {
     const std::vector<int> drawn = training.session().drawn_frames();
@@ -166,7 +164,8 @@ class SetLabels : public testing::TestWithParam<std::string> {
   Registry registry_ = make_registry();
 };
 INSTANTIATE_TEST_SUITE_P(RaySources, SetLabels,
-                         testing::Values(two_pass_config(), balanced(two_pass_config()), two_pass_config("runtime: {threads: 1}\n")),
+                         testing::Values(two_pass_config(), balanced(two_pass_config()),
+                                         two_pass_config("runtime: {threads: 1}\n")),
                          [](const auto& more) { return std::to_string(more.index); });
 
 TEST_P(SetLabels, TrainsOnThemAndResumesToTheSameBits) {

@@ -4,12 +4,12 @@
 #include <algorithm>
 
 #include "core/error.h"
-#include "core/files.h"
 #include "datasets/obj_room/raycast.h"
 #include "plugin/linked_plugins.h"
 #include "run/leave_out_proofs.h"
 #include "studies/leave_out_page.h"
 #include "studies/leave_out_side.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -7,11 +7,11 @@
 #include <set>
 #include <sstream>
 
-#include "core/files.h"
 #include "plugin/linked_plugins.h"
 #include "settings/run_config.h"
 #include "sweep/sweep_cells.h"
 #include "sweep/sweep_schema.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -7,7 +7,7 @@
 #include <algorithm>
 #include <filesystem>
 
-#include "core/files.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

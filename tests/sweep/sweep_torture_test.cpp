@@ -12,7 +12,7 @@
 #include <string>
 #include <thread>
 
-#include "core/words.h"
+#include "core/text.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
 

@@ -9,7 +9,7 @@
 #include <thread>
 #include <vector>
 
-#include "core/files.h"
+#include "system/files.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
 

@@ -5,7 +5,7 @@
 #include <map>
 #include <string>
 
-#include "core/files.h"
+#include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::testing_sweep {

@@ -5,9 +5,9 @@
 #include <cmath>
 #include <filesystem>
 
+#include "formats/image_io.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
-#include "scene/image_io.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {

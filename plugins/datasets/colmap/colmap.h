@@ -7,8 +7,8 @@
 
 #include "config/params.h"
 #include "datasets/colmap/colmap_model.h"
+#include "loading/frame_files.h"
 #include "plugin/dataset.h"
-#include "scene/frame_files.h"
 
 namespace semfield {
 

@@ -3,9 +3,9 @@
 #include <cstring>
 #include <filesystem>
 
-#include "core/files.h"
 #include "datasets/colmap/colmap_model.h"
-#include "scene/input_limits.h"
+#include "formats/input_limits.h"
+#include "system/files.h"
 
 namespace semfield {
 

@@ -5,10 +5,10 @@
 #include <cmath>
 #include <filesystem>
 
-#include "core/files.h"
-#include "core/words.h"
-#include "scene/input_limits.h"
-#include "scene/text_rows.h"
+#include "core/text.h"
+#include "formats/input_limits.h"
+#include "formats/text_rows.h"
+#include "system/files.h"
 
 namespace semfield {
 

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "scene/class_table.h"
+#include "classes/class_table.h"
 #include "datasets/obj_room/mesh_io.h"
 
 namespace semfield {

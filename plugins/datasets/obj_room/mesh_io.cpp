@@ -14,8 +14,8 @@
 #include <sstream>
 #include <string_view>
 
-#include "core/files.h"
-#include "scene/input_limits.h"
+#include "formats/input_limits.h"
+#include "system/files.h"
 
 namespace semfield {
 

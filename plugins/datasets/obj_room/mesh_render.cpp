@@ -5,7 +5,7 @@
 #include <cmath>
 #include <map>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 
 namespace semfield {

@@ -6,9 +6,9 @@
 #include <cstdio>
 #include <filesystem>
 
-#include "core/sorted_folder.h"
 #include "datasets/obj_room/class_rules.h"
 #include "plugin/module.h"
+#include "system/sorted_folder.h"
 
 namespace semfield {
 namespace {

@@ -3,8 +3,8 @@
 #include <filesystem>
 #include <sstream>
 
-#include "core/files.h"
 #include "datasets/obj_room/raycast.h"
+#include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 
 namespace semfield::testkit {

@@ -5,7 +5,7 @@
 #include <cmath>
 
 #include "core/error.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
 
 namespace semfield {
 

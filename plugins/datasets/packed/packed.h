@@ -5,8 +5,8 @@
 #include <string>
 
 #include "config/params.h"
+#include "loading/packed_scene.h"
 #include "plugin/dataset.h"
-#include "scene/packed_scene.h"
 
 namespace semfield {
 

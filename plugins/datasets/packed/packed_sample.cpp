@@ -1,7 +1,7 @@
 // A tiny packed scene.
 #include <filesystem>
 
-#include "scene/packed_scene.h"
+#include "loading/packed_scene.h"
 #include "testkit/analytic_scene.h"
 #include "tests/conformance/dataset_samples.h"
 

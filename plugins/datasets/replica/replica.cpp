@@ -8,14 +8,14 @@
 #include <numeric>
 #include <tuple>
 
-#include "core/sorted_folder.h"
-#include "core/words.h"
+#include "core/text.h"
+#include "formats/image_io.h"
+#include "formats/input_limits.h"
+#include "formats/text_rows.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
-#include "scene/image_io.h"
-#include "scene/input_limits.h"
 #include "scene/scene_checks.h"
-#include "scene/text_rows.h"
+#include "system/sorted_folder.h"
 
 namespace semfield {
 
@@ -53,7 +53,8 @@ void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
   if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
   check_test_every(p.test_every, diagnostics);
   if (p.split == ReplicaSplit::paper && (p.train_step > 0 || p.test_step > 0))
-    diagnostics.error("split", "paper has steps of its own", "drop scene.train_step and scene.test_step, or set scene.split: auto");
+    diagnostics.error("split", "paper has steps of its own",
+                      "drop scene.train_step and scene.test_step, or set scene.split: auto");
   if (p.train_step == 0 && p.test_step == 1)
     diagnostics.error("test_step", "1 leaves no frame to train on", "take 2 or more, or 0 for test_every");
   // Two arithmetic sequences meet when their offsets agree modulo the greatest common divisor of their steps.

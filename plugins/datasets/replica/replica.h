@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "config/params.h"
+#include "loading/frame_files.h"
 #include "plugin/dataset.h"
-#include "scene/frame_files.h"
 
 namespace semfield {
 

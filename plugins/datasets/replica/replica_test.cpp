@@ -7,7 +7,7 @@
 
 #include "core/findings.h"
 #include "labels/training_labels.h"
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 #include "tests/labels/reader_case.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -7,16 +7,16 @@
 #include <map>
 #include <optional>
 
-#include "core/files.h"
-#include "core/sorted_folder.h"
-#include "core/words.h"
+#include "classes/scannet_labels.h"
+#include "core/text.h"
+#include "formats/image_io.h"
+#include "formats/text_rows.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
-#include "scene/image_io.h"
-#include "scene/scannet_labels.h"
 #include "scene/scene_checks.h"
-#include "scene/text_rows.h"
 #include "scene/unknown_labels.h"
+#include "system/files.h"
+#include "system/sorted_folder.h"
 
 namespace semfield {
 

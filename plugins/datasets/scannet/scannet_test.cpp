@@ -5,7 +5,7 @@
 
 #include <algorithm>
 
-#include "scene/frame_source.h"
+#include "loading/frame_source.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -7,10 +7,10 @@
 #include <nlohmann/json.hpp>
 #include <unordered_set>
 
-#include "core/files.h"
-#include "core/words.h"
+#include "core/text.h"
 #include "datasets/transforms_json/transforms_keys.h"
-#include "scene/input_limits.h"
+#include "formats/input_limits.h"
+#include "system/files.h"
 
 namespace semfield {
 

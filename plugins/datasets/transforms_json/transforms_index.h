@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "core/error.h"
-#include "scene/frame_files.h"
+#include "loading/frame_files.h"
 #include "scene/scene.h"
 
 namespace semfield {

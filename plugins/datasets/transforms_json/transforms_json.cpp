@@ -6,10 +6,10 @@
 #include <filesystem>
 #include <map>
 
+#include "formats/image_io.h"
+#include "formats/input_limits.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
-#include "scene/image_io.h"
-#include "scene/input_limits.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {

@@ -7,8 +7,8 @@
 
 #include "config/params.h"
 #include "datasets/transforms_json/transforms_index.h"
+#include "loading/frame_files.h"
 #include "plugin/dataset.h"
-#include "scene/frame_files.h"
 
 namespace semfield {
 

@@ -2,8 +2,8 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "core/files.h"
-#include "scene/image_io.h"
+#include "formats/image_io.h"
+#include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <vector>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 
 namespace semfield {

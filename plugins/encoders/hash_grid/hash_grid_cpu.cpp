@@ -4,8 +4,8 @@
 #include <cstring>
 #include <limits>
 
-#include "core/isa.h"
-#include "core/parallel.h"
+#include "compute/isa.h"
+#include "compute/parallel.h"
 #include "core/workspace.h"
 #include "encoders/hash_grid/hash_grid_kernels.h"
 #include "encoders/hash_grid/hash_grid_lanes.h"
@@ -113,8 +113,8 @@ void for_groups(const HashGridLevel& level, View<const double> x, const Real* ta
   }
 }
 
-/// Values of a block of rows, level by level: level l's are [rows, F] from value(l) on. Kernels read and write them as a
-/// stream, where a level's share of a row of y would cost a cache line a row.
+/// Values of a block of rows, level by level: level l's are [rows, F] from value(l) on. Kernels read and write them as
+/// a stream, where a level's share of a row of y would cost a cache line a row.
 template <class Real>
 struct Columns {
   Real* data;

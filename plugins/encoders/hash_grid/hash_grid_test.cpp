@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "core/rng.h"
 
 namespace semfield {
@@ -77,8 +77,8 @@ struct Grid {
   std::vector<Real> backward(const std::vector<double>& x, const std::vector<Real>& dy) {
     const auto rows = static_cast<std::int64_t>(x.size() / 3);
     std::vector<Real> dx(x.size(), static_cast<Real>(NAN));
-    encoder.backward(context(), tensors(), View<const double>(x.data(), rows, 3), View<const Real>(dy.data(), rows, width),
-                     View<Real>(dx.data(), rows, 3));
+    encoder.backward(context(), tensors(), View<const double>(x.data(), rows, 3),
+                     View<const Real>(dy.data(), rows, width), View<Real>(dx.data(), rows, 3));
     return dx;
   }
   HashGrid<Real> encoder;
@@ -305,7 +305,8 @@ TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
   for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 8191, 8192, 8999}) {
     std::vector<float> part(33, -1.f);  // 3 rows of stride 11
     const std::int64_t count = std::min<std::int64_t>(3, rows - begin);
-    grid.encoder.forward(grid.context(), grid.tensors(), View<const double>(&x[static_cast<std::size_t>(3 * begin)], count, 3),
+    grid.encoder.forward(grid.context(), grid.tensors(),
+                         View<const double>(&x[static_cast<std::size_t>(3 * begin)], count, 3),
                          View<float>(part.data(), count, 10, 11));
     for (std::int64_t r = 0; r < count; ++r) {
       for (std::int64_t c = 0; c < 10; ++c) {

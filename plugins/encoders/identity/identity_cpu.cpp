@@ -1,7 +1,7 @@
 // CPU kernels of the identity encoder: one row at a time, memory-bound.
 #include <cmath>
 
-#include "core/isa.h"
+#include "compute/isa.h"
 #include "encoders/identity/identity_kernels.h"
 #include "plugin/kernels.h"
 

@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/isa.h"
-#include "core/parallel.h"
+#include "compute/isa.h"
+#include "compute/parallel.h"
 #include "encoders/one_blob/one_blob_kernels.h"
 #include "plugin/kernels.h"
 

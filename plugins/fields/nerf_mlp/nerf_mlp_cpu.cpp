@@ -2,10 +2,10 @@
 #include <array>
 #include <string>
 
+#include "compute/isa.h"
+#include "compute/linear.h"
+#include "compute/math_functions.h"
 #include "core/check.h"
-#include "core/isa.h"
-#include "core/linear.h"
-#include "core/math_functions.h"
 #include "fields/nerf_mlp/nerf_mlp_kernels.h"
 #include "fields/nerf_mlp/nerf_mlp_math.h"
 #include "plugin/kernels.h"

@@ -2,10 +2,10 @@
 #include <array>
 #include <utility>
 
+#include "compute/isa.h"
+#include "compute/linear.h"
+#include "compute/math_functions.h"
 #include "core/check.h"
-#include "core/isa.h"
-#include "core/linear.h"
-#include "core/math_functions.h"
 #include "fields/tiny_mlp/tiny_mlp_kernels.h"
 #include "fields/tiny_mlp/tiny_mlp_math.h"
 #include "plugin/kernels.h"

@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "core/gemm.h"
+#include "compute/gemm.h"
 #include "core/view.h"
 #include "core/workspace.h"
 

@@ -3,8 +3,8 @@
 #include <cmath>
 #include <string>
 
+#include "compute/isa.h"
 #include "core/check.h"
-#include "core/isa.h"
 #include "plugin/kernels.h"
 #include "samplers/importance/importance_kernels.h"
 #include "samplers/importance/importance_math.h"

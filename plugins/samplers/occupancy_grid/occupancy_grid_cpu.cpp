@@ -6,10 +6,10 @@
 #include <limits>
 #include <string>
 
+#include "compute/isa.h"
+#include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "core/isa.h"
-#include "core/parallel.h"
 #include "plugin/kernels.h"
 #include "plugin/quadrature.h"
 #include "samplers/occupancy_grid/occupancy_grid_kernels.h"

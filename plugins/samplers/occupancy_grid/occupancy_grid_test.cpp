@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "testkit/laws.h"
 #include "testkit/tensor_box.h"
 

@@ -1,6 +1,6 @@
 // CPU kernels of the stratified sampler: a ray after the other; one Philox block a jittered sample is nearly all of the
 // time.
-#include "core/isa.h"
+#include "compute/isa.h"
 #include "plugin/kernels.h"
 #include "samplers/stratified/stratified_kernels.h"
 #include "samplers/stratified/stratified_math.h"

@@ -3,8 +3,8 @@
 
 #include <gtest/gtest.h>
 
-#include "scene/image_io.h"
 #include "datasets/obj_room/tests/obj_testing.h"
+#include "formats/image_io.h"
 
 namespace semfield {
 namespace {

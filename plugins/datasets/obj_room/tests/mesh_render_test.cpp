@@ -3,10 +3,10 @@
 
 #include <gtest/gtest.h>
 
-#include "core/parallel.h"
-#include "scene/camera_path.h"
-#include "scene/image_io.h"
+#include "compute/parallel.h"
 #include "datasets/obj_room/tests/obj_testing.h"
+#include "formats/image_io.h"
+#include "scene/camera_path.h"
 
 namespace semfield {
 namespace {

@@ -5,7 +5,7 @@
 
 #include <algorithm>
 
-#include "core/parallel.h"
+#include "compute/parallel.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {

@@ -1,0 +1,74 @@
+#include "compute/cpu_kernels.h"
+
+#include "compute/isa.h"
+#include "isa_list.h"
+
+namespace semfield {
+
+#define SEMFIELD_DECLARE(name)              \
+  namespace isa_##name {                    \
+    void gemm_kernels(CpuKernels<float>&);  \
+    void gemm_kernels(CpuKernels<double>&); \
+    void loop_kernels(CpuKernels<float>&);  \
+    void loop_kernels(CpuKernels<double>&); \
+  }
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
+#undef SEMFIELD_DECLARE
+#define SEMFIELD_DECLARE(name)          \
+  namespace isa_##name {                \
+    void bf16_gemm(const Gemm<float>&); \
+  }
+SEMFIELD_FOR_EVERY_ISA(SEMFIELD_DECLARE)
+#undef SEMFIELD_DECLARE
+
+namespace {
+
+template <class Real>
+CpuKernels<Real> chosen_kernels() {
+  using Fill = void (*)(CpuKernels<Real>&);
+  static constexpr IsaVariant<Fill> kGemm[] = {
+#define SEMFIELD_LIST(name) {Isa::name, isa_##name::gemm_kernels},
+      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
+#undef SEMFIELD_LIST
+  };
+  static constexpr IsaVariant<Fill> kLoops[] = {
+#define SEMFIELD_LIST(name) {Isa::name, isa_##name::loop_kernels},
+      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
+#undef SEMFIELD_LIST
+  };
+  CpuKernels<Real> kernels{};
+  best_variant(kGemm)(kernels);
+  best_variant(kLoops)(kernels);
+  return kernels;
+}
+
+}  // namespace
+
+template <class Real>
+const CpuKernels<Real>& cpu_kernels() {
+  static const CpuKernels<Real> kernels = chosen_kernels<Real>();
+  return kernels;
+}
+
+Bf16Gemm bf16_gemm() {
+  static constexpr IsaVariant<Bf16Gemm> kVariants[] = {
+#define SEMFIELD_LIST(name) {Isa::name, isa_##name::bf16_gemm},
+      SEMFIELD_FOR_EVERY_ISA(SEMFIELD_LIST)
+#undef SEMFIELD_LIST
+  };
+  static const Bf16Gemm chosen = best_variant(kVariants);
+  return chosen;
+}
+
+bool bf16_is_native() {
+#if defined(__AVX512BF16__)
+  return true;  // the whole build has them
+#else
+  return isa() == Isa::avx512_bf16;
+#endif
+}
+
+template const CpuKernels<float>& cpu_kernels<float>();
+template const CpuKernels<double>& cpu_kernels<double>();
+
+}  // namespace semfield

@@ -1,0 +1,51 @@
+#include "compute/gemm_engine.h"
+
+#include "compute/isa.h"
+#include "core/error.h"
+#include "core/work_scope.h"
+#include "system/shared_library.h"
+
+namespace semfield {
+
+namespace {
+
+#ifdef SEMFIELD_ONEDNN_LIBRARY
+const OnednnGemm& onednn() {
+  static const OnednnGemm loaded = reinterpret_cast<OnednnGemm (*)()>(
+      library_symbol(SEMFIELD_ONEDNN_LIBRARY, kOnednnGemmSymbol, "oneDNN cannot be loaded",
+                     "install Semfield again, or set runtime.gemm to builtin"))();
+  return loaded;
+}
+constexpr bool kBuilt = true;
+#else
+const OnednnGemm& onednn() {
+  throw Error(ErrorKind::unavailable, "runtime.gemm: this build has no oneDNN",
+              "set it to builtin or auto, or build where oneDNN is installed (package libdnnl-dev)");
+}
+constexpr bool kBuilt = false;
+#endif
+
+bool has_matrix_tiles() {
+#if defined(__x86_64__) && !defined(__clang__)  // clang 14 does not know the name
+  return __builtin_cpu_supports("amx-bf16");
+#else
+  return false;
+#endif
+}
+
+}  // namespace
+
+const OnednnGemm* choose_gemm_engine(GemmEngine wanted, Precision precision) {
+  const bool pays = kBuilt && precision == Precision::bf16 && has_matrix_tiles();
+  const bool foreign = wanted == GemmEngine::onednn || (wanted == GemmEngine::automatic && pays);
+  return foreign ? &onednn() : nullptr;
+}
+
+std::string gemm_engine_text() {
+  const OnednnGemm* foreign = foreign_gemm();
+  return foreign != nullptr ? foreign->version() : "built-in, " + std::string(isa_name(isa()));
+}
+
+const OnednnGemm* foreign_gemm() { return work_settings().gemm; }
+
+}  // namespace semfield

@@ -1,0 +1,26 @@
+// Threads: OpenMP lives behind this header alone.
+#pragma once
+
+#include <cstdint>
+
+#include "compute/index_body.h"
+
+namespace semfield {
+
+/// Threads that parallel_for uses here: those of the thread's WorkSettings, or else the default. Results never depend
+/// on it.
+int thread_count();
+/// The default of this process; 0 means every core. Sessions do not touch it: it is for work under no session's
+/// settings, such as that of tests and benchmarks.
+void set_thread_count(int threads);
+/// Libraries that use OpenMP themselves run in this thread alone when it calls them.
+void keep_libraries_serial();
+/// Cores this process may run on: its affinity, and the quota of its control groups.
+int hardware_threads();
+
+/// Calls body(i) for every i in [0, count), each exactly once, in any order, on thread_count() threads. The first
+/// exception thrown by a body is rethrown here after all bodies have ended. Bodies run under this thread's
+/// work_settings(). Nested calls run serially, and so does a call while another thread's call has the workers.
+void parallel_for(std::int64_t count, IndexBody body);
+
+}  // namespace semfield

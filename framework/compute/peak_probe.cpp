@@ -1,0 +1,196 @@
+#include "compute/peak_probe.h"
+
+#include <array>
+#include <atomic>
+#include <bit>
+#include <chrono>
+#include <cstdint>
+#include <vector>
+
+#include "compute/parallel.h"
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+namespace semfield {
+
+namespace {
+
+// Two products a cycle with a latency of four or five need ten chains; twelve and two operands fit into 16 registers.
+constexpr int kChains = 12;
+constexpr std::int64_t kRounds = 20000;  // of one call: 0.1 ms
+
+std::atomic<double> g_sink;  // results go here, so that no loop is left out
+
+using Loop = double (*)(float start);
+
+// A chain a = a * scale + shift settles at shift / (1 - scale) = 1: no overflow, no subnormal numbers. Chains start
+// from different values, or the compiler would keep one for all.
+#define SEMFIELD_FMA_LOOP(name, bytes, attribute)                                                        \
+  attribute double name(float start) {                                                                   \
+    typedef float Vector __attribute__((vector_size(bytes)));                                            \
+    Vector chain[kChains];                                                                               \
+    for (int i = 0; i < kChains; ++i) chain[i] = Vector{} + (start + static_cast<float>(i));             \
+    Vector scale = Vector{} + 0.999F, shift = Vector{} + 0.001F;                                         \
+    asm volatile("" : "+m"(scale), "+m"(shift)); /* not known to the compiler */                         \
+    for (std::int64_t round = 0; round < kRounds; ++round) {                                             \
+      _Pragma("GCC unroll 12") for (int i = 0; i < kChains; ++i) chain[i] = chain[i] * scale + shift;    \
+    }                                                                                                    \
+    double sum = 0;                                                                                      \
+    for (int i = 0; i < kChains; ++i) {                                                                  \
+      for (std::size_t k = 0; k < (bytes) / sizeof(float); ++k) sum += static_cast<double>(chain[i][k]); \
+    }                                                                                                    \
+    return sum;                                                                                          \
+  }
+
+SEMFIELD_FMA_LOOP(fma_loop_16, 16, )
+#if defined(__x86_64__)
+SEMFIELD_FMA_LOOP(fma_loop_32, 32, __attribute__((target("avx2,fma"))))
+SEMFIELD_FMA_LOOP(fma_loop_64, 64, __attribute__((target("avx512f"))))
+
+__attribute__((target("avx512f,avx512bf16"))) double bf16_loop(float start) {
+  __m512 chain[kChains];
+  for (int i = 0; i < kChains; ++i) chain[i] = _mm512_set1_ps(start + static_cast<float>(i));
+  // Sums only grow here, but too slowly to reach infinity in a call.
+  const __m512bh a = _mm512_cvtne2ps_pbh(_mm512_set1_ps(start * 0.001F), _mm512_set1_ps(0.002F));
+  const __m512bh b = _mm512_cvtne2ps_pbh(_mm512_set1_ps(0.003F), _mm512_set1_ps(start));
+  for (std::int64_t round = 0; round < kRounds; ++round) {
+#pragma GCC unroll 12
+    for (int i = 0; i < kChains; ++i) chain[i] = _mm512_dpbf16_ps(chain[i], a, b);
+  }
+  double sum = 0;
+  for (int i = 0; i < kChains; ++i) {
+    alignas(64) std::array<float, 16> values;
+    _mm512_store_ps(values.data(), chain[i]);
+    for (const float v : values) sum += static_cast<double>(v);
+  }
+  return sum;
+}
+#endif
+
+struct Width {
+  Loop loop;
+  int floats;
+};
+
+Width widest() {
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx512f")) return {fma_loop_64, 16};
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return {fma_loop_32, 8};
+#endif
+  return {fma_loop_16, 4};
+}
+
+/// Units a second: `call` does `units` of them, and every thread repeats it for `seconds`.
+template <class Call>
+double rate(int threads, double seconds, double units, const Call& call) {
+  using Clock = std::chrono::steady_clock;
+  const int before = thread_count();
+  set_thread_count(threads);
+  std::atomic<std::int64_t> calls{0};
+  const auto begin = Clock::now();
+  const auto elapsed = [&] { return std::chrono::duration<double>(Clock::now() - begin).count(); };
+  parallel_for(threads, [&](std::int64_t thread) {
+    double sum = 0;
+    std::int64_t mine = 0;
+    for (const double end = elapsed() + seconds; mine == 0 || elapsed() < end; ++mine) sum += call(thread + mine);
+    calls += mine;
+    g_sink = sum;
+  });
+  const double wall = elapsed();
+  set_thread_count(before);
+  return units * static_cast<double>(calls) / wall;
+}
+
+constexpr int kLanes = 16;  // independent generators, so that reads overlap
+
+using ReadLoop = double (*)(const std::uint64_t* table, std::uint32_t mask, std::uint32_t seed, std::int64_t reads);
+using LaneStates = std::array<std::uint32_t, kLanes>;
+
+LaneStates first_states(std::uint32_t seed) {
+  LaneStates state;
+  for (std::uint32_t l = 0; l < kLanes; ++l) state[l] = (seed * 977U + 1U) * 2654435761U + l * 2246822519U;
+  return state;
+}
+
+// A linear congruence a lane; its high bits are the random ones.
+constexpr std::uint32_t kFactor = 1664525U, kIncrement = 1013904223U, kLowBits = 5;
+
+double read_loop(const std::uint64_t* table, std::uint32_t mask, std::uint32_t seed, std::int64_t reads) {
+  LaneStates state = first_states(seed);
+  std::array<std::uint64_t, kLanes> sum{};
+  for (std::int64_t r = 0; r < reads; ++r) {
+    for (std::size_t l = 0; l < kLanes; ++l) {
+      state[l] = state[l] * kFactor + kIncrement;
+      sum[l] += table[(state[l] >> kLowBits) & mask];
+    }
+  }
+  std::uint64_t all = 0;
+  for (const std::uint64_t s : sum) all += s;
+  return static_cast<double>(all);
+}
+
+#if defined(__x86_64__)
+// The same reads by gathers.
+__attribute__((target("avx512f"))) double read_loop_avx512(const std::uint64_t* table, std::uint32_t mask,
+                                                           std::uint32_t seed, std::int64_t reads) {
+  const LaneStates first = first_states(seed);
+  __m512i state = _mm512_loadu_si512(first.data());
+  const __m512i factor = _mm512_set1_epi32(static_cast<int>(kFactor));
+  const __m512i increment = _mm512_set1_epi32(static_cast<int>(kIncrement));
+  const __m512i wanted = _mm512_set1_epi32(static_cast<int>(mask));
+  __m512i low = _mm512_setzero_si512(), high = low;
+  for (std::int64_t r = 0; r < reads; ++r) {
+    state = _mm512_add_epi32(_mm512_mullo_epi32(state, factor), increment);
+    const __m512i index = _mm512_and_si512(_mm512_srli_epi32(state, kLowBits), wanted);
+    low = _mm512_add_epi64(low, _mm512_i32gather_epi64(_mm512_castsi512_si256(index), table, 8));
+    high = _mm512_add_epi64(high, _mm512_i32gather_epi64(_mm512_extracti64x4_epi64(index, 1), table, 8));
+  }
+  alignas(64) std::uint64_t lanes[8];  // summed without a sign: sums wrap around
+  _mm512_store_si512(lanes, _mm512_add_epi64(low, high));
+  std::uint64_t sum = 0;
+  for (const std::uint64_t lane : lanes) sum += lane;
+  return static_cast<double>(sum);
+}
+#endif
+
+ReadLoop best_read_loop() {
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx512f")) return read_loop_avx512;
+#endif
+  return read_loop;
+}
+
+}  // namespace
+
+double peak_fp32_flops(int threads, double seconds) {
+  const Width width = widest();
+  const double flop = 2.0 * kChains * kRounds * width.floats;
+  return rate(threads, seconds, flop,
+              [&](std::int64_t n) { return width.loop(1 + 0.01F * static_cast<float>(n % 8)); });
+}
+
+double peak_bf16_flops(int threads, double seconds) {
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx512bf16")) {
+    const double flop = 2.0 * kChains * kRounds * 32;
+    return rate(threads, seconds, flop,
+                [](std::int64_t n) { return bf16_loop(1 + 0.01F * static_cast<float>(n % 8)); });
+  }
+#endif
+  (void)threads, (void)seconds;
+  return 0;
+}
+
+double random_reads(int threads, std::size_t bytes, double seconds) {
+  constexpr std::int64_t kReads = 1 << 14;  // of one call and lane
+  std::vector<std::uint64_t> table(std::bit_floor(bytes / sizeof(std::uint64_t)));
+  for (std::size_t i = 0; i < table.size(); ++i) table[i] = i * 0x9E3779B97F4A7C15ULL;
+  const auto mask = static_cast<std::uint32_t>(table.size() - 1);
+  const ReadLoop loop = best_read_loop();
+  return rate(threads, seconds, double{kLanes} * kReads,
+              [&](std::int64_t n) { return loop(table.data(), mask, static_cast<std::uint32_t>(n), kReads); });
+}
+
+}  // namespace semfield

@@ -1,0 +1,261 @@
+// Images in and out: PNG by our own codec, every other format through image_formats.h.
+#include "formats/image_io.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "core/check.h"
+#include "core/error.h"
+#include "formats/image_formats.h"
+#include "formats/png_codec.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::size_t kMaxFileBytes = std::size_t{1} << 30;
+
+std::span<const std::byte> bytes_of(const std::string& text) {
+  return std::as_bytes(std::span<const char>(text.data(), text.size()));
+}
+
+// Runs `body`; an error on the way names the file.
+template <class Body>
+auto naming(const std::string& path, Body&& body) {
+  try {
+    return body();
+  } catch (Error& e) {
+    if (e.message().find(path) != std::string::npos) throw;
+    throw Error(e.kind(), "'" + path + "': " + e.message(), e.remedy());
+  }
+}
+
+std::uint8_t blend(unsigned value, unsigned alpha, int background) {
+  const unsigned mixed = value * alpha + static_cast<unsigned>(background) * (255 - alpha);
+  return static_cast<std::uint8_t>((mixed + 127) / 255);
+}
+
+Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background) {
+  Image<std::uint8_t> out{png.width_px, png.height_px, 3, {}};
+  if (png.channels == 3 && png.bits == 8) {
+    out.pixels = std::move(png.bytes);
+    return out;
+  }
+  const std::size_t pixels = static_cast<std::size_t>(png.width_px) * static_cast<std::size_t>(png.height_px);
+  out.pixels.resize(pixels * 3);
+  const unsigned top = (1u << png.bits) - 1;
+  const auto channels = static_cast<std::size_t>(png.channels);
+  const auto to8 = [top](unsigned v) { return top == 255 ? v : (v * 255 + top / 2) / top; };
+  for (std::size_t i = 0; i < pixels; ++i) {
+    const std::size_t first = i * channels;
+    unsigned rgb[3], alpha = 255;
+    if (png.palette) {
+      const std::size_t index = png.sample(first);
+      if (index * 3 + 2 >= png.palette_rgb.size()) {
+        throw Error(ErrorKind::data, "PNG is damaged: palette index " + std::to_string(index) + " has no colour",
+                    "export the file again");
+      }
+      for (std::size_t c = 0; c < 3; ++c) rgb[c] = png.palette_rgb[index * 3 + c];
+      if (index < png.palette_alpha.size()) alpha = png.palette_alpha[index];
+    } else {
+      for (std::size_t c = 0; c < 3; ++c) rgb[c] = to8(png.sample(first + (channels >= 3 ? c : 0)));
+      if (channels == 2 || channels == 4) alpha = to8(png.sample(first + channels - 1));
+    }
+    for (std::size_t c = 0; c < 3; ++c) {
+      out.pixels[i * 3 + c] =
+          alpha_background < 0 ? static_cast<std::uint8_t>(rgb[c]) : blend(rgb[c], alpha, alpha_background);
+    }
+  }
+  return out;
+}
+
+// A JPEG cut short decodes to grey without an error, so the end-of-image marker is looked for first.
+void check_jpeg_end(const std::string& file) {
+  const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(file[i]); };
+  if (file.size() < 4 || byte(0) != 0xFF || byte(1) != 0xD8) return;
+  std::size_t at = 2;
+  while (at + 1 < file.size()) {
+    if (byte(at) != 0xFF) {
+      ++at;  // entropy-coded data
+      continue;
+    }
+    const unsigned marker = byte(at + 1);
+    if (marker == 0xD9) return;
+    if (marker == 0xFF) {
+      ++at;
+    } else if (marker == 0x00 || marker == 0x01 || (marker >= 0xD0 && marker <= 0xD8)) {
+      at += 2;
+    } else {
+      if (at + 3 >= file.size()) break;
+      at += 2 + static_cast<std::size_t>(byte(at + 2) << 8 | byte(at + 3));
+    }
+  }
+  throw Error(ErrorKind::data,
+              "JPEG is truncated: it ends after " + std::to_string(file.size()) + " bytes, before its end marker",
+              "copy or export the file again");
+}
+
+void write_bytes(const std::string& path, const std::vector<std::uint8_t>& bytes) {
+  write_file_atomic(path, std::as_bytes(std::span<const std::uint8_t>(bytes)));
+}
+
+}  // namespace
+
+ImageSize image_size(const std::string& path) {
+  return naming(path, [&]() -> ImageSize {
+    std::string head = read_file_start(path, 64);
+    if (looks_like_png(bytes_of(head))) return png_size(bytes_of(head));
+    return image_formats().size(path);
+  });
+}
+
+Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background) {
+  return naming(path, [&]() -> Image<std::uint8_t> {
+    const std::string file = read_text_file(path, kMaxFileBytes);
+    if (looks_like_png(bytes_of(file))) return rgb_of_png(decode_png(bytes_of(file)), alpha_background);
+    check_jpeg_end(file);
+    Image<std::uint8_t> in = image_formats().read8(path);
+    if (in.channels == 3) return in;
+    Image<std::uint8_t> out{in.width_px, in.height_px, 3, {}};
+    const auto channels = static_cast<std::size_t>(in.channels);
+    const std::size_t pixels = in.pixels.size() / channels;
+    out.pixels.resize(pixels * 3);
+    for (std::size_t i = 0; i < pixels; ++i) {
+      const std::uint8_t* s = in.pixels.data() + i * channels;
+      const unsigned alpha = channels == 2 || channels == 4 ? s[channels - 1] : 255u;
+      for (std::size_t c = 0; c < 3; ++c) {
+        const std::uint8_t value = s[channels >= 3 ? c : 0];
+        out.pixels[i * 3 + c] = alpha_background < 0 ? value : blend(value, alpha, alpha_background);
+      }
+    }
+    return out;
+  });
+}
+
+Image<std::uint16_t> read_ids(const std::string& path) {
+  return naming(path, [&]() -> Image<std::uint16_t> {
+    const std::string file = read_text_file(path, kMaxFileBytes);
+    Image<std::uint16_t> out;
+    if (looks_like_png(bytes_of(file))) {
+      PngImage png = decode_png(bytes_of(file));
+      out = {png.width_px, png.height_px, png.channels, std::move(png.words)};
+      if (png.bits < 16) out.pixels.assign(png.bytes.begin(), png.bytes.end());
+    } else {
+      check_jpeg_end(file);
+      if (image_formats().size(path).bits == 8) {
+        const Image<std::uint8_t> narrow = image_formats().read8(path);
+        out = {narrow.width_px, narrow.height_px, narrow.channels, {narrow.pixels.begin(), narrow.pixels.end()}};
+      } else {
+        out = image_formats().read16(path);
+      }
+    }
+    if (out.channels != 1) {
+      throw Error(ErrorKind::data, "expected one channel of ids, the image has " + std::to_string(out.channels),
+                  "export ids or millimetres as a grey or palette PNG, not a coloured picture of them");
+    }
+    return out;
+  });
+}
+
+Image<float> read_float(const std::string& path) {
+  return naming(path, [&]() -> Image<float> {
+    (void)read_file_start(path, 1);  // a missing file is told apart from an unreadable one
+    Image<float> in = image_formats().read_float(path);
+    if (in.channels == 1) return in;
+    Image<float> out{in.width_px, in.height_px, 1, {}};
+    for (std::size_t i = 0; i < in.pixels.size(); i += static_cast<std::size_t>(in.channels))
+      out.pixels.push_back(in.pixels[i]);
+    return out;
+  });
+}
+
+std::vector<std::uint8_t> encode_png_rgb(std::int32_t width, std::int32_t height, std::span<const std::uint8_t> rgb) {
+  return encode_png(width, height, 2, 8, rgb);
+}
+
+void write_png_rgb(const std::string& path, std::int32_t width, std::int32_t height,
+                   std::span<const std::uint8_t> rgb) {
+  write_bytes(path, encode_png(width, height, 2, 8, rgb));
+}
+
+void write_png_gray16(const std::string& path, std::int32_t width, std::int32_t height,
+                      std::span<const std::uint16_t> values) {
+  std::vector<std::uint8_t> rows;
+  rows.reserve(values.size() * 2);
+  for (const std::uint16_t v : values)
+    rows.insert(rows.end(), {static_cast<std::uint8_t>(v >> 8), static_cast<std::uint8_t>(v)});
+  write_bytes(path, encode_png(width, height, 0, 16, rows));
+}
+
+void write_png_gray8(const std::string& path, std::int32_t width, std::int32_t height,
+                     std::span<const std::uint8_t> values) {
+  write_bytes(path, encode_png(width, height, 0, 8, values));
+}
+
+void write_png_palette(const std::string& path, std::int32_t width, std::int32_t height,
+                       std::span<const std::uint8_t> index, std::span<const std::uint8_t> palette_rgb) {
+  write_bytes(path, encode_png(width, height, 3, 8, index, palette_rgb));
+}
+
+void write_npy(const std::string& path, std::span<const std::int64_t> shape, std::span<const float> values) {
+  std::string dims;
+  std::int64_t count = 1;
+  for (const std::int64_t n : shape) {
+    dims += std::to_string(n) + ", ";
+    count *= n;
+  }
+  if (shape.size() > 1) dims.resize(dims.size() - 2);
+  if (shape.size() == 1) dims.resize(dims.size() - 1);  // "(3,)"
+  SEMFIELD_CHECK(count == static_cast<std::int64_t>(values.size()), "npy shape does not match the values");
+  // Format 1.0: magic, version, header length, a Python dict, padded so that the data starts at a multiple of 64 bytes.
+  std::string header = "{'descr': '<f4', 'fortran_order': False, 'shape': (" + dims + "), }";
+  header.append(63 - (10 + header.size()) % 64, ' ');
+  header += '\n';
+  std::string out("\x93NUMPY\x01\x00", 8);
+  out += static_cast<char>(header.size() & 0xFF);
+  out += static_cast<char>(header.size() >> 8);
+  out += header;
+  AtomicFile file(path);
+  file.append(bytes_of(out));
+  file.append(std::as_bytes(values));
+  file.commit();
+}
+
+Image<std::uint8_t> resize_area(const Image<std::uint8_t>& image, std::int32_t width, std::int32_t height) {
+  SEMFIELD_CHECK(width > 0 && height > 0 && width <= image.width_px && height <= image.height_px,
+                 "resize_area only shrinks");
+  if (width == image.width_px && height == image.height_px) return image;
+  const auto channels = static_cast<std::size_t>(image.channels);
+  Image<std::uint8_t> out{width, height, image.channels, {}};
+  out.pixels.resize(static_cast<std::size_t>(width) * static_cast<std::size_t>(height) * channels);
+  // In units of 1 / target size the overlaps of source and target intervals are whole numbers, so the averages are
+  // exact before their one rounding.
+  const std::int64_t sw = image.width_px, sh = image.height_px;
+  std::vector<std::int64_t> sums(static_cast<std::size_t>(width) * channels);
+  for (std::int64_t y = 0; y < height; ++y) {
+    std::fill(sums.begin(), sums.end(), 0);
+    const std::int64_t y0 = y * sh, y1 = y0 + sh;
+    for (std::int64_t sy = y0 / height; sy * height < y1; ++sy) {
+      const std::int64_t wy = std::min(y1, (sy + 1) * height) - std::max(y0, sy * height);
+      const std::uint8_t* row = image.pixels.data() + static_cast<std::size_t>(sy * sw) * channels;
+      for (std::int64_t x = 0; x < width; ++x) {
+        const std::int64_t x0 = x * sw, x1 = x0 + sw;
+        for (std::int64_t sx = x0 / width; sx * width < x1; ++sx) {
+          const std::int64_t weight = wy * (std::min(x1, (sx + 1) * width) - std::max(x0, sx * width));
+          for (std::size_t c = 0; c < channels; ++c) {
+            sums[static_cast<std::size_t>(x) * channels + c] +=
+                weight * row[static_cast<std::size_t>(sx) * channels + c];
+          }
+        }
+      }
+    }
+    const std::int64_t area = sw * sh;
+    std::uint8_t* to = out.pixels.data() + static_cast<std::size_t>(y * width) * channels;
+    for (std::size_t i = 0; i < sums.size(); ++i) to[i] = static_cast<std::uint8_t>((sums[i] + area / 2) / area);
+  }
+  return out;
+}
+
+}  // namespace semfield

@@ -1,0 +1,251 @@
+#include "formats/npz.h"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <filesystem>
+
+#include "core/check.h"
+#include "core/error.h"
+#include "core/half.h"
+#include "formats/input_limits.h"
+#include "formats/text_rows.h"
+#include "formats/zip_archive.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::size_t kMaxFileBytes = std::size_t{2} << 30;
+constexpr std::size_t kMaxAxes = 8;
+constexpr std::size_t kHeadBytes = std::size_t{1} << 17;  // more than a header of version 1 can be
+
+[[noreturn]] void refuse(const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, message, remedy);
+}
+
+const char* kAgain = "save the file again, or copy it again in full";
+
+// `size` bytes as one number.
+std::uint64_t element(const char* at, std::size_t size, bool big_endian) {
+  std::uint64_t bits = 0;
+  for (std::size_t i = 0; i < size; ++i)
+    bits |= std::uint64_t{static_cast<unsigned char>(at[big_endian ? size - 1 - i : i])} << (8 * i);
+  return bits;
+}
+
+struct Header {
+  std::string type;
+  bool fortran = false;
+  std::vector<std::int64_t> shape;
+  std::size_t data_at = 0;
+};
+
+// Text behind 'KEY': in the header, a Python dictionary; up to `end`, which is left out.
+std::string_view value_of(std::string_view header, std::string_view key, std::string_view end) {
+  for (const char quote : {'\'', '"'}) {
+    const std::string wanted = quote + std::string(key) + quote;
+    const std::size_t at = header.find(wanted);
+    if (at == std::string_view::npos) continue;
+    const std::size_t first = header.find_first_not_of(" :", at + wanted.size());
+    const std::size_t last = header.find_first_of(end, first);
+    if (first != std::string_view::npos && last != std::string_view::npos) return header.substr(first, last - first);
+  }
+  refuse("the header has no '" + std::string(key) + "'", kAgain);
+}
+
+Header header_of(std::string_view bytes) {
+  if (bytes.size() < 10 || bytes.substr(0, 6) != "\x93NUMPY") refuse("no NumPy array: the first bytes are others");
+  const int version = bytes[6];
+  if (version < 1 || version > 3) refuse("NumPy format version " + std::to_string(version) + " is not read");
+  const std::size_t start = version == 1 ? 10 : 12;
+  if (bytes.size() < start) refuse("the header runs past the end of the file", kAgain);
+  const std::size_t length = static_cast<std::size_t>(element(bytes.data() + 8, start - 8, false));
+  if (length > kHeadBytes - start) refuse("a header of " + std::to_string(length) + " bytes is not read", kAgain);
+  if (length > bytes.size() - start) refuse("the header runs past the end of the file", kAgain);
+  const std::string_view text = bytes.substr(start, length);
+
+  Header header;
+  header.data_at = start + length;
+  const std::string_view type = value_of(text, "descr", ",}");
+  if (type.size() < 3) refuse("the header's 'descr' cannot be read", kAgain);
+  header.type = type.substr(1, type.size() - 2);
+  const std::string_view order = value_of(text, "fortran_order", ",}");
+  if (order != "True" && order != "False") refuse("the header's 'fortran_order' is neither True nor False", kAgain);
+  header.fortran = order == "True";
+  std::string_view axes = value_of(text, "shape", ")");
+  if (axes.empty() || axes[0] != '(') refuse("the header's 'shape' is no tuple", kAgain);
+  axes.remove_prefix(1);
+  while (!axes.empty()) {
+    const std::size_t end = std::min(axes.find(','), axes.size());
+    std::string_view number = axes.substr(0, end);
+    axes.remove_prefix(std::min(end + 1, axes.size()));
+    while (!number.empty() && number.front() == ' ') number.remove_prefix(1);
+    if (number.empty() && axes.empty()) break;  // "(3,)"
+    std::int64_t axis = 0;
+    if (!parse_whole(number, axis) || axis < 0) refuse("the header's shape has the axis '" + std::string(number) + "'");
+    header.shape.push_back(axis);
+  }
+  if (header.shape.size() > kMaxAxes)
+    refuse(std::to_string(header.shape.size()) + " axes; at most " + std::to_string(kMaxAxes) + " are read");
+  return header;
+}
+
+// Elements of the array; every factor is checked against what the file can hold.
+std::uint64_t element_count(const Header& header, std::uint64_t bytes, std::uint64_t element_bytes) {
+  const std::uint64_t most = bytes / element_bytes;
+  std::uint64_t count = 1;
+  bool fits = true;
+  if (std::find(header.shape.begin(), header.shape.end(), 0) != header.shape.end()) {
+    count = 0;
+  } else {
+    for (const std::int64_t axis : header.shape) {
+      fits = fits && static_cast<std::uint64_t>(axis) <= most / count;
+      if (fits) count *= static_cast<std::uint64_t>(axis);
+    }
+  }
+  if (!fits || count * element_bytes != bytes) {
+    refuse("the header states the shape " + shape_text(header.shape) + " of type " + header.type + ", " +
+               std::to_string(bytes) + " bytes follow it",
+           kAgain);
+  }
+  return count;
+}
+
+float value_at(const char* at, char kind, std::size_t size, bool big_endian) {
+  if (kind == 'u') return static_cast<float>(static_cast<unsigned char>(*at)) / 255.0F;
+  const std::uint64_t bits = element(at, size, big_endian);
+  if (size == 2) return float_of_half(static_cast<std::uint16_t>(bits));
+  if (size == 4) return std::bit_cast<float>(static_cast<std::uint32_t>(bits));
+  return static_cast<float>(std::bit_cast<double>(bits));
+}
+
+// Place in C order of element i of Fortran order.
+std::size_t c_order(std::size_t i, const std::vector<std::int64_t>& shape) {
+  std::size_t place = 0, stride = 1;
+  std::array<std::size_t, kMaxAxes> index{};
+  for (std::size_t a = 0; a < shape.size(); ++a) {
+    index[a] = i % static_cast<std::size_t>(shape[a]);
+    i /= static_cast<std::size_t>(shape[a]);
+  }
+  for (std::size_t a = shape.size(); a-- > 0; stride *= static_cast<std::size_t>(shape[a])) place += index[a] * stride;
+  return place;
+}
+
+// The header of an array of `bytes` bytes in all, which begins as `start` does: checked, and taken by `accept`.
+Header checked_header(std::string_view start, std::uint64_t bytes, const AcceptShape& accept) {
+  const Header header = header_of(start);
+  static const std::vector<std::string> kinds{"f2", "f4", "f8", "u1"};
+  const std::string kind = header.type.substr(1);
+  if (std::find(kinds.begin(), kinds.end(), kind) == kinds.end() ||
+      std::string_view("<>=|").find(header.type[0]) == std::string_view::npos) {
+    refuse("arrays of type '" + header.type + "' are not read", "save it as float16, float32, float64 or uint8");
+  }
+  const auto size = static_cast<std::size_t>(kind[1] - '0');
+  const std::uint64_t count = element_count(header, bytes - header.data_at, size);
+  if (accept) accept(header.shape);
+  check_input_limit(static_cast<std::int64_t>(count * std::max(size, sizeof(float))), input_limits().image_bytes,
+                    "array of the shape " + shape_text(header.shape) + ": ", "bytes once decoded", "image_bytes");
+  return header;
+}
+
+NumpyArray array_of(const Header& header, std::string_view bytes) {
+  const std::string_view data = bytes.substr(header.data_at);
+  const char kind = header.type[1];
+  const auto size = static_cast<std::size_t>(header.type[2] - '0');
+  const std::uint64_t count = element_count(header, data.size(), size);  // a file may shrink after its header is read
+  NumpyArray array{header.shape, std::vector<float>(count), kind == 'u'};
+  const bool big_endian = header.type[0] == '>';
+  for (std::size_t i = 0; i < count; ++i) {
+    array.values[header.fortran ? c_order(i, header.shape) : i] =
+        value_at(data.data() + i * size, kind, size, big_endian);
+  }
+  return array;
+}
+
+std::string npy_bytes(const NpzEntry& entry) {
+  std::int64_t count = 1;
+  std::string shape;
+  for (const std::int64_t axis : entry.shape) {
+    count *= axis;
+    shape += std::to_string(axis) + ", ";
+  }
+  SEMFIELD_CHECK(count == static_cast<std::int64_t>(entry.values.size()), "shape of another size");
+  std::string header = "{'descr': '<f2', 'fortran_order': False, 'shape': (" + shape + "), }";
+  header += std::string(63 - (header.size() + 10) % 64, ' ') + "\n";  // the data begins at a multiple of 64
+  std::string out("\x93NUMPY\x01\x00", 8);
+  out += static_cast<char>(header.size() & 0xFF);
+  out += static_cast<char>(header.size() >> 8);
+  out += header;
+  for (const float value : entry.values) {
+    const std::uint16_t half = half_of(value);
+    out += static_cast<char>(half & 0xFF);
+    out += static_cast<char>(half >> 8);
+  }
+  return out;
+}
+
+std::string key_of(const std::string& name) {
+  return name.size() > 4 && name.substr(name.size() - 4) == ".npy" ? name.substr(0, name.size() - 4) : name;
+}
+
+}  // namespace
+
+std::string shape_text(std::span<const std::int64_t> shape) {
+  std::string out = "(";
+  for (std::size_t a = 0; a < shape.size(); ++a) {
+    if (a > 0) out += ", ";
+    out += std::to_string(shape[a]);
+  }
+  out += shape.size() == 1 ? ",)" : ")";
+  return out;
+}
+
+NumpyArray read_npy(const std::string& path, const AcceptShape& accept) {
+  try {
+    const std::string start = read_file_start(path, kHeadBytes);
+    const Header header = checked_header(start, std::filesystem::file_size(path), accept);
+    return array_of(header, read_text_file(path, kMaxFileBytes));
+  } catch (const Error& e) {
+    if (e.message().find(path) != std::string::npos) throw;
+    throw Error(e.kind(), "'" + path + "': " + e.message(), e.remedy());
+  }
+}
+
+NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept) {
+  const std::string file = read_text_file(path, kMaxFileBytes);
+  std::string place = "'" + path + "'";
+  try {
+    std::vector<std::string> keys;
+    for (const ZipEntry& entry : zip_entries(file)) {
+      keys.push_back(key_of(entry.name));
+      if (keys.back() != key) continue;
+      place += ", entry '" + key + "'";
+      const Header header = checked_header(zip_start(file, entry, kHeadBytes), entry.bytes, accept);
+      return array_of(header, zip_contents(file, entry));
+    }
+    refuse("no array '" + key + "' in it", "it has: " + join(keys));
+  } catch (const Error& e) {
+    throw Error(e.kind(), place + ": " + e.message(), e.remedy());
+  }
+}
+
+std::vector<std::string> npz_keys(const std::string& path) {
+  const std::string file = read_text_file(path, kMaxFileBytes);
+  try {
+    std::vector<std::string> keys;
+    for (const ZipEntry& entry : zip_entries(file)) keys.push_back(key_of(entry.name));
+    return keys;
+  } catch (const Error& e) {
+    throw Error(e.kind(), "'" + path + "': " + e.message(), e.remedy());
+  }
+}
+
+void write_npz(const std::string& path, std::span<const NpzEntry> entries) {
+  ZipWriter archive(path);
+  for (const NpzEntry& entry : entries) archive.add(entry.key + ".npy", npy_bytes(entry));
+  archive.write();
+}
+
+}  // namespace semfield

@@ -1,0 +1,267 @@
+// Frames kept as image files.
+#include "loading/frame_files.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <iterator>
+
+#include "core/text.h"
+#include "formats/image_io.h"
+#include "loading/load_progress.h"
+#include "scene/scene_checks.h"
+#include "scene/unknown_labels.h"
+
+namespace semfield {
+
+namespace {
+
+std::string size_text(std::int32_t width, std::int32_t height) {
+  return std::to_string(width) + " x " + std::to_string(height);
+}
+
+bool is_there(const std::string& path) {
+  std::error_code ignored;
+  return std::filesystem::exists(path, ignored);
+}
+
+// Channels that a frame can do without.
+constexpr std::pair<const char*, std::string FrameFiles::*> kOptional[] = {{"depth image", &FrameFiles::depth},
+                                                                           {"label image", &FrameFiles::label},
+                                                                           {"instance image", &FrameFiles::instance}};
+
+bool is_optional(const std::string& what) {
+  return std::any_of(std::begin(kOptional), std::end(kOptional), [&](const auto& one) { return what == one.first; });
+}
+
+// "a, b, c, ..."
+std::string first_names(const std::vector<std::string>& names) {
+  constexpr std::size_t kNamed = 8;
+  if (names.size() <= kNamed) return join(names);
+  return join({names.begin(), names.begin() + kNamed}) + ", ...";
+}
+
+// A picture beside `path` that is called like it up to the extension; "" when there is none.
+std::string same_with_other_extension(const std::filesystem::path& path) {
+  for (const char* extension : {".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff", ".exr"}) {
+    const std::string other = std::filesystem::path(path).replace_extension(extension).string();
+    if (other != path && is_there(other)) return other;
+  }
+  return "";
+}
+
+// The pattern of scene.labels.from that gives this file for this frame.
+std::string label_pattern(const FrameInfo& frame, const std::filesystem::path& label) {
+  const std::string stem = label.stem().string(), extension = label.extension().string();
+  if (stem == frame.name) return "{name}" + extension;
+  if (stem == std::filesystem::path(frame.source).stem().string()) return "{stem}" + extension;
+  const std::size_t digits = stem.find_last_not_of("0123456789") + 1;
+  const std::size_t own = frame.name.find_last_not_of("0123456789") + 1;
+  if (digits < stem.size() && own < frame.name.size()) return stem.substr(0, digits) + "{number}" + extension;
+  return "{name}" + extension;
+}
+
+template <class T>
+void check_size(const Image<T>& image, const FrameInfo& frame, const std::string& path) {
+  if (image.width_px == frame.camera.width_px && image.height_px == frame.camera.height_px) return;
+  throw Error(ErrorKind::data,
+              "'" + path + "' is " + size_text(image.width_px, image.height_px) + " pixels, the camera " +
+                  size_text(frame.camera.width_px, frame.camera.height_px),
+              "colour, depth and labels of a frame need the size that its camera states");
+}
+
+void read_depth(const FrameInfo& frame, const std::string& path, double unit_m, std::vector<float>& out) {
+  const std::string extension = std::filesystem::path(path).extension().string();
+  if (extension == ".exr" || extension == ".tiff" || extension == ".tif" || extension == ".pfm") {
+    Image<float> image = read_float(path);
+    check_size(image, frame, path);
+    for (float& d : image.pixels) {
+      if (!std::isfinite(d) || d < 0) d = 0;
+    }
+    out = std::move(image.pixels);
+    return;
+  }
+  const Image<std::uint16_t> image = read_ids(path);
+  check_size(image, frame, path);
+  out.resize(image.pixels.size());
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    out[i] = image.pixels[i] == 65535 ? 0.0f : static_cast<float>(image.pixels[i] * unit_m);
+  }
+}
+
+void read_labels(const FrameInfo& frame, const std::string& path, bool unknown_void, const ClassTable& classes,
+                 std::vector<std::int16_t>& out) {
+  const Image<std::uint16_t> image = read_ids(path);
+  check_size(image, frame, path);
+  out.resize(image.pixels.size());
+  UnknownValues unknown;
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    const int index = classes.index_of(image.pixels[i]);
+    if (index == -2 && !unknown_void) unknown.try_emplace(std::to_string(image.pixels[i]), i);
+    out[i] = index < 0 ? kVoid : static_cast<std::int16_t>(index);
+  }
+  if (!unknown.empty())
+    throw UnknownLabelError("label id", std::move(unknown), path, image.width_px, kUnknownLabelRemedy);
+}
+
+// Settings that read this file as one of label files in place of the scene's own; `more` are further keys.
+std::string label_settings(const FrameInfo& frame, const std::filesystem::path& label, const std::string& labels_key,
+                           const std::string& more) {
+  return (labels_key.empty() ? std::string() : "--set 'scene." + labels_key + "=\"\"' ") + "--set " +
+         shell_word("scene.labels.from={type: images, folder: \"" + label.parent_path().string() + "\", pattern: \"" +
+                    label_pattern(frame, label) + "\"" + more + "}");
+}
+
+}  // namespace
+
+bool FrameFileCheck::present(const FrameInfo& frame, FrameFiles& files, Diagnostics& diagnostics) {
+  tell_load_progress("checking", ++checked_, frames_);
+  if (!present(frame, "colour image", files.color, diagnostics)) return false;
+  for (const auto& [what, path] : kOptional) {
+    if (!(files.*path).empty() && !present(frame, what, files.*path, diagnostics)) (files.*path).clear();
+  }
+  return true;
+}
+
+bool FrameFileCheck::present(const FrameInfo& frame, const char* what, const std::string& path,
+                             Diagnostics& diagnostics) {
+  if (is_there(path)) return true;
+  left_out_[what].push_back(frame.name);
+  if (missing_ == MissingFiles::skip) return false;
+  const std::string other = same_with_other_extension(path);
+  diagnostics.error(
+      frame_place(frame),
+      std::string(what) + " '" + path + "' is missing" + (other.empty() ? "" : ", but there is '" + other + "'"),
+      other.empty() ? "restore the file, drop the frame from the index, or leave out what is missing with --set "
+                      "scene.missing=skip"
+                    : "rename it, or write its name in the index");
+  return false;
+}
+
+void FrameFileCheck::check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) const {
+  check_header(frame, "colour image", files.color, diagnostics);
+  for (const auto& [what, path] : kOptional) check_header(frame, what, files.*path, diagnostics);
+}
+
+void FrameFileCheck::check_header(const FrameInfo& frame, const char* what, const std::string& path,
+                                  Diagnostics& diagnostics) const {
+  if (path.empty()) return;
+  const bool is_label = what == kOptional[1].first;
+  try {
+    const ImageSize size = image_size(path);
+    if (size.width_px != frame.camera.width_px || size.height_px != frame.camera.height_px) {
+      const std::string same_size = "colour, depth and labels of a frame need the size that its camera states";
+      diagnostics.error(frame_place(frame),
+                        std::string(what) + " '" + path + "' is " + size_text(size.width_px, size.height_px) +
+                            " pixels, the camera " + size_text(frame.camera.width_px, frame.camera.height_px),
+                        is_label ? same_size + "; labels of another one are scaled with " +
+                                       label_settings(frame, path, labels_key_, "")
+                                 : same_size);
+    } else if (is_label) {
+      report_color_labels(frame, path, size.channels, labels_key_, diagnostics);
+    }
+  } catch (const Error& e) {
+    diagnostics.error(frame_place(frame), std::string(what) + " " + e.message(), e.remedy());
+  }
+}
+
+void FrameFileCheck::report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const {
+  if (missing_ == MissingFiles::error) return;
+  std::size_t lost = 0;
+  for (const auto& [what, names] : left_out_) {
+    const std::string count = std::to_string(names.size());
+    if (is_optional(what)) {
+      diagnostics.note(source, count + " of " + std::to_string(frames_left) + " frames go without a " + what +
+                                   ", which is missing: " + first_names(names));
+    } else {
+      lost += names.size();
+      diagnostics.note(source, count + (names.size() == 1 ? " frame is" : " frames are") + " left out, whose " + what +
+                                   " is missing: " + first_names(names));
+    }
+  }
+  if (lost > 0 && frames_left == 0)
+    diagnostics.error(source, "the files of all " + std::to_string(lost) + " frames are missing", "check the path");
+}
+
+void report_color_labels(const FrameInfo& frame, const std::string& path, int channels, const std::string& labels_key,
+                         Diagnostics& diagnostics) {
+  if (channels == 1) return;
+  diagnostics.error(frame_place(frame),
+                    "label image '" + path + "' has " + std::to_string(channels) +
+                        " channels: it is a picture in colours, not one of class ids",
+                    "let the colours of the class table tell the classes with " +
+                        label_settings(frame, path, labels_key, ", kind: color"));
+}
+
+void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const FrameReadRules& rules,
+                      const ClassTable& classes, FrameBuffer& out) {
+  try {
+    out = {};
+    out.width_px = frame.camera.width_px;
+    out.height_px = frame.camera.height_px;
+    Image<std::uint8_t> color = read_rgb(files.color, rules.alpha_background);
+    check_size(color, frame, files.color);
+    out.rgb = std::move(color.pixels);
+    if (!files.depth.empty()) read_depth(frame, files.depth, rules.depth_unit_m, out.depth_m);
+    if (!files.label.empty() && !classes.empty())
+      read_labels(frame, files.label, rules.unknown_labels_void, classes, out.label);
+    if (!files.instance.empty()) {
+      const Image<std::uint16_t> image = read_ids(files.instance);
+      check_size(image, frame, files.instance);
+      out.instance.assign(image.pixels.begin(), image.pixels.end());
+    }
+  } catch (Error& e) {
+    e.while_doing("frame '" + frame.name + "'");
+    throw;  // not a copy: an UnknownLabelError stays one
+  }
+}
+
+std::string find_class_file(const std::vector<std::string>& folders) {
+  std::error_code ignored;
+  for (const std::string& folder : folders) {
+    for (const char* name : {"classes.yaml", "classes.yml", "classes.csv", "info_semantic.json"}) {
+      const std::filesystem::path path = std::filesystem::path(folder) / name;
+      if (std::filesystem::is_regular_file(path, ignored)) return path.string();
+    }
+  }
+  return {};
+}
+
+ClassTable load_class_file(const std::string& path, const std::vector<std::string>& folders, bool has_labels,
+                           Diagnostics& diagnostics) {
+  const std::string found = path.empty() ? find_class_file(folders) : path;
+  try {
+    if (!found.empty()) {
+      ClassTable table = ClassTable::load(found);
+      if (has_labels && table.empty()) diagnostics.error(found, "no classes in it", "write one {id, name} a class");
+      return table;
+    }
+  } catch (const Error& e) {
+    const bool named = e.message().find(found) != std::string::npos;
+    diagnostics.error(named ? "" : found, e.message(), e.remedy());
+    return {};
+  }
+  if (has_labels) {
+    diagnostics.error(
+        folders.front(),
+        "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
+        "write classes.yaml there, one line such as '- {id: 1, name: wall}' a class, or name a table with --set "
+        "scene.classes=FILE");
+  }
+  return {};
+}
+
+std::string FrameNames::of(const std::string& image_path) {
+  const std::filesystem::path path(image_path);
+  std::string name = path.stem().string();
+  if (next_.count(name) > 0) {
+    name = (path.parent_path().filename() / path.stem()).string();
+    for (char& c : name) c = c == '/' ? '_' : c;
+  }
+  const std::string base = name;
+  while (next_.count(name) > 0) name = base + "_" + std::to_string(next_[base]++);
+  next_.emplace(name, 2);
+  return name;
+}
+
+}  // namespace semfield

@@ -1,0 +1,343 @@
+// Loading a scene: open, read in parallel, scale, count.
+#include "loading/frame_source.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <optional>
+#include <set>
+
+#include "compute/parallel.h"
+#include "config/params_read.h"
+#include "core/check.h"
+#include "formats/image_io.h"
+#include "formats/input_limits.h"
+#include "loading/load_progress.h"
+#include "scene/scene_checks.h"
+#include "scene/unknown_labels.h"
+#include "survey/geometry_survey.h"
+
+namespace semfield {
+
+namespace {
+
+// Nearest source pixel of target pixel i: the one that holds its centre.
+std::vector<std::size_t> nearest(std::int32_t source, std::int32_t target) {
+  std::vector<std::size_t> out(static_cast<std::size_t>(target));
+  for (std::int64_t i = 0; i < target; ++i) {
+    out[static_cast<std::size_t>(i)] = static_cast<std::size_t>((2 * i + 1) * source / (2 * std::int64_t{target}));
+  }
+  return out;
+}
+
+template <class T>
+std::vector<T> pick(const std::vector<T>& in, std::int32_t width, const std::vector<std::size_t>& cols,
+                    const std::vector<std::size_t>& rows) {
+  if (in.empty()) return {};
+  std::vector<T> out;
+  out.reserve(cols.size() * rows.size());
+  for (const std::size_t y : rows) {
+    const T* row = in.data() + y * static_cast<std::size_t>(width);
+    for (const std::size_t x : cols) out.push_back(row[x]);
+  }
+  return out;
+}
+
+std::string size_text(std::int32_t width, std::int32_t height) {
+  return std::to_string(width) + " x " + std::to_string(height);
+}
+
+// Pixels of each class, the last entry void; empty without labels.
+std::vector<std::int64_t> class_pixels_of(const std::vector<std::int16_t>& label, int classes) {
+  if (label.empty()) return {};
+  const auto valid = static_cast<std::size_t>(classes);
+  std::vector<std::int64_t> counts(valid + 1);
+  for (const std::int16_t c : label) ++counts[c < 0 ? valid : static_cast<std::size_t>(c)];
+  return counts;
+}
+
+// A label that is no class would be counted, trained on and scored as one.
+void check_labels(const FrameBuffer& b, int classes) {
+  const auto bad = std::find_if(b.label.begin(), b.label.end(),
+                                [classes](std::int16_t c) { return c != kVoid && (c < 0 || c >= classes); });
+  if (bad == b.label.end()) return;
+  const auto at = bad - b.label.begin();
+  throw Error(ErrorKind::data,
+              "label " + std::to_string(*bad) + " at x " + std::to_string(at % b.width_px) + ", y " +
+                  std::to_string(at / b.width_px) + " is no class; classes are 0 to " + std::to_string(classes - 1) +
+                  " and void is " + std::to_string(kVoid),
+              "this is a defect of the dataset plugin: it maps ids to classes");
+}
+
+// Whether a frame's depth stays in memory.
+bool keeps_depth(const SceneLoadOptions& options, Split split) {
+  return options.depth == DepthKept::all || (options.depth == DepthKept::test && split == Split::test);
+}
+
+// What StoredFrame will hold of a frame, if its depth is in whole millimetres.
+std::size_t stored_bytes(const FrameInfo& f, const Camera& camera, const SceneLoadOptions& options, int classes) {
+  const std::size_t pixels = static_cast<std::size_t>(camera.width_px) * static_cast<std::size_t>(camera.height_px);
+  std::size_t each = 3;
+  if (f.has_labels) each += classes > 254 ? 2 : 1;
+  if (f.has_depth && keeps_depth(options, f.split)) each += 2;
+  if (f.has_instances && options.with_instances) each += 4;
+  return pixels * each;
+}
+
+void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
+  const std::size_t pixels = static_cast<std::size_t>(f.camera.width_px) * static_cast<std::size_t>(f.camera.height_px);
+  const auto fits = [pixels](std::size_t size, bool wanted) { return size == (wanted ? pixels : 0); };
+  if (b.width_px != f.camera.width_px || b.height_px != f.camera.height_px || b.rgb.size() != pixels * 3 ||
+      !fits(b.depth_m.size(), f.has_depth) || !fits(b.label.size(), f.has_labels) ||
+      !fits(b.instance.size(), f.has_instances)) {
+    throw Error(ErrorKind::internal, "dataset delivered other channels or sizes than open() told",
+                "this is a defect of the dataset plugin");
+  }
+}
+
+constexpr double kMostDistance_m = 1e6, kMostCoordinate_m = 1e7;
+
+// What is derived keeps to the limits of what can be written: a run stores it as settings, and reads it again.
+void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
+  double reach = 0, camera_at = 0;
+  bool finite = std::isfinite(scene.far_m);
+  for (int a = 0; a < 3; ++a) {
+    finite = finite && std::isfinite(scene.bounds.lo[a]) && std::isfinite(scene.bounds.hi[a]);
+    reach = std::max({reach, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
+  }
+  if (!finite || scene.bounds.empty()) return;  // reported already
+  const FrameInfo* farthest = nullptr;
+  for (const FrameInfo& frame : scene.info.frames) {
+    const double at = length(frame.world_from_camera.t);
+    if (frame.split != Split::train || at < camera_at) continue;
+    camera_at = at;
+    farthest = &frame;
+  }
+  if (scene.far_m <= kMostDistance_m && reach <= kMostCoordinate_m) return;
+  const std::string unit = scene.info.metric ? " m" : " units";
+  const std::string found = scene.far_m > kMostDistance_m
+                                ? "far is " + shortest_number(scene.far_m) + unit + " (from " + scene.near_far_from +
+                                      "), at most " + shortest_number(kMostDistance_m) + " are sampled"
+                                : "coordinates reach " + shortest_number(reach) + unit + " (bounds from " +
+                                      scene.bounds_from + "), at most " + shortest_number(kMostCoordinate_m) +
+                                      " are used";
+  diagnostics.error(scene.info.name, found,
+                    (farthest == nullptr ? std::string()
+                                         : "the farthest camera is that of " + frame_place(*farthest) + ", " +
+                                               shortest_number(camera_at) + unit + " from the origin: ") +
+                        "leave a stray pose out, or divide all poses and depths by one factor");
+}
+
+}  // namespace
+
+void describe(ParamVisitor& visit, SceneLoadOptions& p) {
+  SEMFIELD_PARAM(visit, p, width_px, "width to load frames at, pixels; 0 = as stored, or in proportion to height_px",
+                 {0, 1 << 20});
+  SEMFIELD_PARAM(visit, p, height_px, "height to load frames at, pixels; 0 = as stored, or in proportion to width_px",
+                 {0, 1 << 20});
+  SEMFIELD_PARAM(visit, p, downscale, "divides width and height of every frame", {1, 64});
+  SEMFIELD_PARAM(visit, p, near_m,
+                 "nearest distance along a ray that is sampled, metres; 0 = from the dataset or derived",
+                 {0, kMostDistance_m});
+  SEMFIELD_PARAM(visit, p, far_m,
+                 "farthest distance along a ray that is sampled, metres; 0 = from the dataset or derived",
+                 {0, kMostDistance_m});
+  SEMFIELD_PARAM(visit, p, bounds, "world box of the content, metres: [x0, y0, z0, x1, y1, z1]; empty = derived",
+                 {-kMostCoordinate_m, kMostCoordinate_m});
+  SEMFIELD_PARAM(
+      visit, p.convention, flip_camera_axes,
+      "the camera axes in the files are the other of OpenCV's and OpenGL's than the dataset expects: y and z "
+      "are flipped");
+  SEMFIELD_PARAM(
+      visit, p.convention, invert_poses,
+      "the poses in the files are inverse to what the dataset expects, mostly world-to-camera matrices: they are "
+      "inverted");
+  SEMFIELD_PARAM(visit, p.convention, pose_scale, "multiplies camera centres; 0.001 for poses in millimetres",
+                 {1e-6, 1e6});
+  SEMFIELD_PARAM(visit, p.convention, depth_scale,
+                 "multiplies depth as read; 1000 for metres that were read as millimetres", {1e-6, 1e6});
+  SEMFIELD_PARAM(visit, p, check_geometry,
+                 "whether poses that contradict depth or photographs, and bounds that no ray meets, are refused");
+  SEMFIELD_PARAM(visit, p, probe_steps,
+                 "steps of a short training whose depth replaces bounds and far that only the cameras tell, in runs of "
+                 "at least four times as many; 0 = no probe",
+                 {0, 1e6});
+}
+
+void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {
+  if (p.downscale != 1 && (p.width_px > 0 || p.height_px > 0)) {
+    diagnostics.error("scene.load.downscale", "downscale and width_px or height_px exclude each other",
+                      "keep one of them");
+  }
+  if (p.near_m > 0 && p.far_m > 0 && p.near_m >= p.far_m)
+    diagnostics.error("scene.load.near_m", "near_m must be below far_m", "swap them");
+  if (!p.bounds.empty() && p.bounds.size() != 6) {
+    diagnostics.error("scene.load.bounds", "expected 6 numbers, got " + std::to_string(p.bounds.size()),
+                      "write [x0, y0, z0, x1, y1, z1]");
+  }
+  for (std::size_t i = 0; i < 3 && p.bounds.size() == 6; ++i) {
+    if (!(p.bounds[i] < p.bounds[i + 3]))
+      diagnostics.error("scene.load.bounds", "the first corner must be below the second on every axis", "swap them");
+  }
+}
+
+bool scaled_camera(const Camera& camera, const SceneLoadOptions& options, Camera& out) {
+  double width = camera.width_px / options.downscale, height = camera.height_px / options.downscale;
+  if (options.width_px > 0) width = options.width_px;
+  if (options.height_px > 0) height = options.height_px;
+  if (options.width_px > 0 && options.height_px == 0) height = width * camera.height_px / camera.width_px;
+  if (options.height_px > 0 && options.width_px == 0) width = height * camera.width_px / camera.height_px;
+  const auto w = static_cast<std::int32_t>(std::max(1L, std::lround(width)));
+  const auto h = static_cast<std::int32_t>(std::max(1L, std::lround(height)));
+  if (w > camera.width_px || h > camera.height_px) return false;
+  out = camera.resized(w, h);
+  return true;
+}
+
+FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int32_t height) {
+  if (width == frame.width_px && height == frame.height_px) return frame;
+  FrameBuffer out;
+  out.width_px = width;
+  out.height_px = height;
+  out.rgb = resize_area({frame.width_px, frame.height_px, 3, frame.rgb}, width, height).pixels;
+  const std::vector<std::size_t> cols = nearest(frame.width_px, width), rows = nearest(frame.height_px, height);
+  out.depth_m = pick(frame.depth_m, frame.width_px, cols, rows);
+  out.label = pick(frame.label, frame.width_px, cols, rows);
+  out.instance = pick(frame.instance, frame.width_px, cols, rows);
+  return out;
+}
+
+std::vector<int> LoadedScene::frames_of(Split split) const {
+  std::vector<int> out;
+  for (std::size_t i = 0; i < info.frames.size(); ++i) {
+    if (info.frames[i].split == split) out.push_back(static_cast<int>(i));
+  }
+  return out;
+}
+
+LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& options, Diagnostics& diagnostics) {
+  LoadedScene scene;
+  const struct AtTheEnd {
+    ~AtTheEnd() { tell_load_progress("read", 0, 0); }
+  } whatever_happens;
+  validate(options, diagnostics);
+  SEMFIELD_CHECK(options.pixels || (options.bounds.size() == 6 && options.near_m > 0 && options.far_m > 0),
+                 "without pixels, bounds and distances must be given");
+  const SceneInfo as_opened = reader.open(diagnostics);
+  scene.info = as_opened;
+  convert_info(scene.info, options.convention);
+  check_manifest_numbers(scene.info, diagnostics);
+  std::vector<FrameInfo>& frames = scene.info.frames;
+  check_input_limit(std::ssize(frames), input_limits().frames, "scene '" + scene.info.name + "': ", "frames", "frames");
+  if (frames.empty() && !diagnostics.has_errors())
+    diagnostics.error(scene.info.name, "the scene has no frames", "check the path");
+  if (frames.size() == 1 && options.pixels && !diagnostics.has_errors()) {
+    diagnostics.error(frame_place(frames[0]), "is the only frame of the scene; shape needs views from several places",
+                      "give two frames at least, better some dozens");
+  }
+  scene.frames.resize(frames.size());
+  // Why there are no classes is told already; every labelled frame would only tell it again.
+  const bool labels_can_be_read = !scene.info.classes.empty() || !diagnostics.has_errors();
+  for (FrameInfo& frame : frames) frame.has_labels = frame.has_labels && labels_can_be_read;
+
+  // A frame whose files already failed a check would only fail again.
+  std::set<std::string> failed;
+  for (const Diagnostic& d : diagnostics.all()) {
+    if (d.severity == Severity::error) failed.insert(d.where);
+  }
+  std::vector<std::optional<Error>> errors(frames.size());
+  std::vector<std::optional<UnknownLabelError>> unknown(frames.size());
+  bool stretched = false;
+  std::vector<Camera> cameras(frames.size());
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    const std::string place = frame_place(frames[i]);
+    if (failed.count(place) > 0) continue;
+    if (!scaled_camera(frames[i].camera, options, cameras[i])) {
+      diagnostics.error(place,
+                        "frame is " + size_text(frames[i].camera.width_px, frames[i].camera.height_px) +
+                            " pixels, smaller than the size asked for",
+                        "ask for at most the stored size");
+      continue;
+    }
+    const double stretch = cameras[i].fx / frames[i].camera.fx * frames[i].camera.fy / cameras[i].fy;
+    stretched = stretched || std::abs(stretch - 1) > 0.01;
+  }
+  if (stretched)
+    diagnostics.warning("scene.load.width_px", "the size asked for changes the aspect ratio; cameras follow it",
+                        "give scene.load.width_px or scene.load.height_px alone");
+
+  if (!options.pixels) {
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      if (cameras[i].width_px > 0) frames[i].camera = cameras[i];
+    }
+    scene.class_pixels.resize(frames.size());
+    scene.near_m = options.near_m;
+    scene.far_m = options.far_m;
+    scene.bounds = box_of(options.bounds);
+    scene.bounds_from = scene.near_far_from = "the configuration";
+    return scene;
+  }
+  std::int64_t train_pixels = 0;
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    if (frames[i].split == Split::train) train_pixels += std::int64_t{cameras[i].width_px} * cameras[i].height_px;
+  }
+  if (options.before_pixels) {
+    std::size_t bytes = 0;
+    std::int32_t width_px = 0;
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      bytes += stored_bytes(frames[i], cameras[i], options, scene.info.classes.valid_count());
+      width_px = std::max(width_px, cameras[i].width_px);
+    }
+    options.before_pixels(bytes, frames.size(), width_px);
+  }
+  const std::int32_t step = survey_step(train_pixels);
+  std::vector<SurveyPoints> surveyed(frames.size());
+  const int classes = scene.info.classes.valid_count();
+  scene.class_pixels.assign(frames.size(), {});
+  std::optional<GeometrySurvey> geometry;
+  if (options.check_geometry) geometry.emplace(as_opened, cameras, options.convention);
+  std::atomic<std::size_t> read{0};
+  parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t index) {
+    const auto i = static_cast<std::size_t>(index);
+    tell_load_progress("reading", ++read, frames.size());
+    if (cameras[i].width_px == 0) return;
+    try {
+      FrameBuffer frame;
+      reader.read(static_cast<int>(i), frame);
+      if (!labels_can_be_read) frame.label = std::vector<std::int16_t>();
+      check_buffer(frame, frames[i]);
+      convert_depth(frame, options.convention);
+      check_labels(frame, classes);
+      // A vector assigned {} keeps its memory; one that is moved from another does not.
+      if (!options.with_instances) frame.instance = std::vector<std::int32_t>();
+      const bool same = cameras[i].width_px == frame.width_px && cameras[i].height_px == frame.height_px;
+      if (!same) frame = resize_frame(frame, cameras[i].width_px, cameras[i].height_px);
+      scene.class_pixels[i] = class_pixels_of(frame.label, classes);
+      if (frames[i].split == Split::train && !frame.depth_m.empty())
+        surveyed[i] = survey_frame(cameras[i], frames[i].world_from_camera, frame, step);
+      if (geometry) geometry->look_at(i, cameras[i], frame);
+      if (!keeps_depth(options, frames[i].split)) frame.depth_m = std::vector<float>();
+      scene.frames[i] = StoredFrame(std::move(frame));
+    } catch (const UnknownLabelError& e) {
+      unknown[i] = e;
+    } catch (const Error& e) {
+      errors[i] = e;
+    }
+  });
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    if (errors[i]) diagnostics.error(frame_place(frames[i]), errors[i]->message(), errors[i]->remedy());
+    if (cameras[i].width_px > 0) frames[i].camera = cameras[i];
+    if (!options.with_instances) frames[i].has_instances = false;
+  }
+  report_unknown_labels(frames, unknown, diagnostics);
+  const int before = diagnostics.error_count();
+  if (geometry) scene.geometry = geometry->conclude(diagnostics);
+  // What poses of another convention do to bounds and distances would hide the cause.
+  Diagnostics consequences;
+  Diagnostics& heard = diagnostics.error_count() > before ? consequences : diagnostics;
+  derive_extent(scene, std::move(surveyed), options, heard);
+  check_extent(scene, heard);
+  return scene;
+}
+
+}  // namespace semfield

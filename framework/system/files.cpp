@@ -1,0 +1,310 @@
+// Whole files in and out: a reader or a crash sees the old file or the new one.
+#include "system/files.h"
+
+#include <fcntl.h>
+#include <sys/file.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <sys/statvfs.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+
+namespace semfield {
+
+namespace {
+
+std::string cause_text(int cause) { return std::strerror(cause); }
+
+// Calls that POSIX lets a signal interrupt are made again.
+template <class Call>
+auto uninterrupted(Call&& call) {
+  auto result = call();
+  while (result < 0 && errno == EINTR) result = call();
+  return result;
+}
+
+bool place_refuses(int cause) {
+  return cause == EACCES || cause == EPERM || cause == EROFS || cause == ENOENT || cause == ENOTDIR || cause == ELOOP ||
+         cause == ENAMETOOLONG;
+}
+
+std::string write_remedy(int cause) {
+  switch (cause) {
+    case ENOENT:
+      return "create the folder first";
+    case EACCES:
+    case EPERM:
+    case EROFS:
+      return "choose a folder that you may write to";
+    case EISDIR:
+    case ENOTDIR:
+      return "choose another name";
+    case ENOSPC:
+    case EDQUOT:
+      return "free some space or choose another disk";
+    case EFBIG:
+      return "raise it with `ulimit -f`, or choose a file system for larger files";
+    case EMFILE:
+    case ENFILE:
+      return "raise the number of open files with `ulimit -n`";
+    case EIO:
+      return "check the disk";
+    default:
+      return "try again, or choose another folder";
+  }
+}
+
+std::string folder_of(const std::string& path) {
+  const std::filesystem::path target(path);
+  return target.has_parent_path() ? target.parent_path().string() : std::string(".");
+}
+
+// ".NAME.N.tmp"
+bool is_temporary_name(std::string_view name) {
+  if (!name.starts_with('.') || !name.ends_with(".tmp")) return false;
+  name.remove_suffix(4);
+  const std::size_t digits = name.size() - 1 - name.find_last_not_of("0123456789");
+  return digits > 0 && digits + 2 < name.size() && name[name.size() - digits - 1] == '.';
+}
+
+// Nobody holds its lock, so nobody writes it any more. Never a link, never another kind of file.
+bool remove_if_stale(const std::string& path) {
+  const int file = ::open(path.c_str(), O_RDWR | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
+  if (file < 0) return false;
+  struct stat about {};
+  const bool stale = ::fstat(file, &about) == 0 && S_ISREG(about.st_mode) && ::flock(file, LOCK_EX | LOCK_NB) == 0;
+  const bool removed = stale && ::unlink(path.c_str()) == 0;
+  ::close(file);
+  return removed;
+}
+
+// Makes the entries of a folder durable. A folder that may not be read, and a file system that cannot sync one, have
+// nothing to add.
+int sync_folder(int folder) {
+  if (folder < 0 || uninterrupted([&] { return ::fsync(folder); }) == 0) return 0;
+  return errno == EINVAL || errno == ENOTSUP ? 0 : errno;
+}
+
+int open_folder(const std::string& folder) {
+  return uninterrupted([&] { return ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC); });
+}
+
+[[noreturn]] void refuse_special(const std::string& path, mode_t mode) {
+  const char* what = S_ISDIR(mode)                    ? "folder"
+                     : S_ISFIFO(mode)                 ? "pipe"
+                     : S_ISSOCK(mode)                 ? "socket"
+                     : S_ISCHR(mode) || S_ISBLK(mode) ? "device"
+                                                      : "special file";
+  throw Error(ErrorKind::no_input, "'" + path + "' is a " + what + ", not a file", "check the path");
+}
+
+}  // namespace
+
+std::string read_text_file(const std::string& path, std::size_t limit_bytes) {
+  // Where the size is known, nothing of a file that is too large is read.
+  std::error_code unknown;
+  const auto size = std::filesystem::file_size(path, unknown);
+  std::string out;
+  if (unknown || size <= limit_bytes) out = read_file_start(path, limit_bytes + 1);
+  if ((!unknown && size > limit_bytes) || out.size() > limit_bytes) {
+    throw Error(ErrorKind::data, "'" + path + "' is larger than " + std::to_string(limit_bytes) + " bytes",
+                "check that it is the right file");
+  }
+  return out;
+}
+
+int open_for_reading(const std::string& path) {
+  // Without O_NONBLOCK opening a pipe waits for its writer, which may never come.
+  const int file = uninterrupted([&] { return ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK); });
+  if (file < 0) {
+    const int cause = errno;
+    if (cause == ENXIO) refuse_special(path, S_IFSOCK);
+    throw Error(ErrorKind::no_input, "cannot open '" + path + "': " + cause_text(cause),
+                cause == ENOENT ? "check the path" : "check the permissions");
+  }
+  struct stat about {};
+  if (::fstat(file, &about) == 0 && S_ISREG(about.st_mode)) return file;
+  ::close(file);
+  refuse_special(path, about.st_mode);
+}
+
+std::string read_file_start(const std::string& path, std::size_t bytes) {
+  const int file = open_for_reading(path);
+  std::string out;
+  int cause = 0;
+  struct stat about {};
+  if (::fstat(file, &about) == 0 && about.st_size > 0)
+    out.reserve(std::min(bytes, static_cast<std::size_t>(about.st_size)));
+  std::vector<char> block(std::min(bytes, std::size_t{1} << 16));
+  while (out.size() < bytes) {
+    const ssize_t got =
+        uninterrupted([&] { return ::read(file, block.data(), std::min(block.size(), bytes - out.size())); });
+    if (got == 0) break;
+    if (got < 0) {
+      cause = errno;
+      break;
+    }
+    out.append(block.data(), static_cast<std::size_t>(got));
+  }
+  ::close(file);
+  if (cause != 0)
+    throw Error(ErrorKind::no_input, "cannot read '" + path + "': " + cause_text(cause), "check the path");
+  return out;
+}
+
+Error write_error(std::string_view doing, const std::string& path, int cause, std::uint64_t needed_bytes) {
+  std::string text = cause_text(cause);
+  if (cause == ENOSPC || cause == EDQUOT) {
+    text = "disk full: need " + std::to_string(needed_bytes) + " bytes";
+    struct statvfs disk {};
+    if (::statvfs(folder_of(path).c_str(), &disk) == 0) {
+      text += ", have " + std::to_string(static_cast<std::uint64_t>(disk.f_bavail) * disk.f_frsize);
+    }
+    if (cause == EDQUOT) text += " (" + cause_text(cause) + ")";
+  } else if (cause == EFBIG) {
+    text = "the limit of a file's size is reached: need " + std::to_string(needed_bytes) + " bytes";
+    rlimit limit{};
+    if (::getrlimit(RLIMIT_FSIZE, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY)
+      text += ", the process may write " + std::to_string(limit.rlim_cur);
+  }
+  return Error(place_refuses(cause) ? ErrorKind::cannot_create : ErrorKind::io,
+               "cannot " + std::string(doing) + " '" + path + "': " + text, write_remedy(cause));
+}
+
+void create_folders(const std::string& path) {
+  std::filesystem::path made;
+  for (const std::filesystem::path& part : std::filesystem::path(path)) {
+    made /= part;
+    if (part.empty() || ::mkdir(made.c_str(), 0777) == 0) {
+      if (part.empty()) continue;
+      const int above = open_folder(folder_of(made.string()));
+      const int cause = above < 0 && errno != EACCES ? errno : sync_folder(above);
+      if (above >= 0) ::close(above);
+      if (cause != 0) throw write_error("create the folder", made.string(), cause);
+    } else if (const int cause = errno; !std::filesystem::is_directory(made)) {
+      throw write_error("create the folder", path, cause == EEXIST ? ENOTDIR : cause);
+    }
+  }
+}
+
+void append_all(int file, const std::string& path, std::string_view bytes) {
+  const std::size_t needed = bytes.size();
+  while (!bytes.empty()) {
+    const ssize_t wrote = uninterrupted([&] { return ::write(file, bytes.data(), bytes.size()); });
+    if (wrote <= 0) throw write_error("append to", path, wrote < 0 ? errno : ENOSPC, needed);
+    bytes.remove_prefix(static_cast<std::size_t>(wrote));
+  }
+}
+
+void sync_file(int file, const std::string& path) {
+  if (uninterrupted([&] { return ::fsync(file); }) != 0) throw write_error("write", path, errno);
+}
+
+int remove_stale_temporaries(const std::string& folder) {
+  std::vector<std::string> found;
+  std::error_code error;
+  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error)) {
+    if (is_temporary_name(entry->path().filename().string())) found.push_back(entry->path().string());
+  }
+  return static_cast<int>(std::count_if(found.begin(), found.end(), remove_if_stale));
+}
+
+AtomicFile::AtomicFile(std::string path) : path_(std::move(path)), folder_(folder_of(path_)) {
+  const std::string prefix = folder_ + "/." + std::filesystem::path(path_).filename().string() + ".";
+  for (int number = 0; number < 100; ++number) {
+    const std::string name = prefix + std::to_string(number) + ".tmp";
+    if (open_temporary(name)) return;
+    if (errno != EEXIST) break;
+    if (remove_if_stale(name) && open_temporary(name)) return;
+    errno = EEXIST;
+  }
+  fail("create", errno, 0);
+}
+
+// False with errno. A file that another process took for stale between its creation and its lock counts as existing.
+bool AtomicFile::open_temporary(const std::string& name) {
+  file_ =
+      uninterrupted([&] { return ::open(name.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666); });
+  if (file_ < 0) return false;
+  temporary_ = name;
+  struct stat about {};
+  const bool locked = uninterrupted([&] { return ::flock(file_, LOCK_EX | LOCK_NB); }) == 0 || errno != EWOULDBLOCK;
+  if (locked && ::fstat(file_, &about) == 0 && about.st_nlink > 0) return true;
+  discard();
+  errno = EEXIST;
+  return false;
+}
+
+AtomicFile::~AtomicFile() { discard(); }
+
+void AtomicFile::discard() noexcept {
+  if (!temporary_.empty()) ::unlink(temporary_.c_str());
+  temporary_.clear();
+  if (file_ >= 0) ::close(file_);
+  file_ = -1;
+}
+
+void AtomicFile::fail(const char* doing, int cause, std::uint64_t needed_bytes) {
+  discard();  // first, so that the space told is what a next attempt finds
+  throw write_error(doing, path_, cause, needed_bytes);
+}
+
+void AtomicFile::write_at(std::uint64_t offset, std::span<const std::byte> bytes) {
+  const std::uint64_t needed = std::max(size_, offset + bytes.size());
+  while (!bytes.empty()) {
+    const ssize_t wrote =
+        uninterrupted([&] { return ::pwrite(file_, bytes.data(), bytes.size(), static_cast<off_t>(offset)); });
+    if (wrote <= 0) fail("write", wrote < 0 ? errno : ENOSPC, needed);
+    bytes = bytes.subspan(static_cast<std::size_t>(wrote));
+    offset += static_cast<std::uint64_t>(wrote);
+  }
+}
+
+void AtomicFile::append(std::span<const std::byte> bytes) {
+  write_at(size_, bytes);
+  size_ += bytes.size();
+}
+
+void AtomicFile::overwrite(std::uint64_t offset, std::span<const std::byte> bytes) { write_at(offset, bytes); }
+
+void AtomicFile::count_written() {
+  struct stat about {};
+  if (::fstat(file_, &about) != 0) fail("write", errno, size_);
+  size_ = static_cast<std::uint64_t>(about.st_size);
+}
+
+void AtomicFile::commit(const std::function<void(const std::string&)>& verify) {
+  if (uninterrupted([&] { return ::fsync(file_); }) != 0) fail("write", errno, size_);
+  if (verify) verify(temporary_);
+  // Opened before the rename: where it fails, the old file is still there.
+  const int folder = open_folder(folder_);
+  if (folder < 0 && errno != EACCES) fail("write", errno, size_);
+  if (::rename(temporary_.c_str(), path_.c_str()) != 0) {
+    const int cause = errno;
+    if (folder >= 0) ::close(folder);
+    fail("replace", cause, size_);
+  }
+  temporary_.clear();
+  // Everything is on the disk, so closing has nothing left to report. The rename itself must survive a power cut.
+  ::close(file_);
+  file_ = -1;
+  const int cause = sync_folder(folder);
+  if (folder >= 0) ::close(folder);
+  if (cause != 0) fail("write", cause, size_);
+}
+
+void write_file_atomic(const std::string& path, std::span<const std::byte> bytes) {
+  AtomicFile file(path);
+  file.append(bytes);
+  file.commit();
+}
+
+void write_file_atomic(const std::string& path, std::string_view text) {
+  write_file_atomic(path, std::as_bytes(std::span<const char>(text.data(), text.size())));
+}
+
+}  // namespace semfield

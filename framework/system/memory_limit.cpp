@@ -1,0 +1,93 @@
+#include "system/memory_limit.h"
+
+#include <fmt/format.h>
+#include <malloc.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <fstream>
+#include <optional>
+#include <sstream>
+
+namespace semfield {
+
+namespace {
+
+std::string text_of(const std::string& path) {
+  std::ifstream file(path);
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+// The number behind a word of a text of "word number" lines, or the text's only number when the word is "".
+std::optional<std::size_t> number_in(const std::string& text, const std::string& word) {
+  std::istringstream words(text);
+  std::string name;
+  std::uint64_t value = 0;
+  if (word.empty()) return words >> value ? std::optional<std::size_t>(value) : std::nullopt;
+  while (words >> name) {
+    if (name == word && words >> value) return value;
+  }
+  return std::nullopt;
+}
+
+// What one group leaves; kNoMemoryLimit without a limit ("max", or a file that is not there).
+std::size_t room_in(const std::string& folder, const char* limit_file, const char* usage_file, const char* cache) {
+  const std::optional<std::size_t> limit = number_in(text_of(folder + limit_file), "");
+  const std::optional<std::size_t> usage = number_in(text_of(folder + usage_file), "");
+  if (!limit || !usage) return kNoMemoryLimit;
+  const std::size_t dropped = std::min(*usage, number_in(text_of(folder + "/memory.stat"), cache).value_or(0));
+  const std::size_t held = *usage - dropped;
+  return *limit > held ? *limit - held : 0;
+}
+
+}  // namespace
+
+std::size_t available_memory(const std::string& meminfo, const std::string& groups, const std::string& root) {
+  std::size_t least = kNoMemoryLimit;
+  if (const auto kilobytes = number_in(meminfo, "MemAvailable:")) least = *kilobytes * 1024;
+  std::istringstream lines(groups);
+  for (std::string line; std::getline(lines, line);) {  // number:controllers:path; version 2 names no controller
+    const std::size_t first = line.find(':'), second = line.find(':', first + 1);
+    if (second == std::string::npos) continue;
+    const std::string controllers = "," + line.substr(first + 1, second - first - 1) + ",";
+    const bool unified = controllers == ",,";
+    if (!unified && controllers.find(",memory,") == std::string::npos) continue;
+    for (std::string path = line.substr(second + 1);; path.resize(path.rfind('/'))) {
+      if (path == "/") path.clear();
+      least = std::min(least, unified ? room_in(root + path, "/memory.max", "/memory.current", "inactive_file")
+                                      : room_in(root + "/memory" + path, "/memory.limit_in_bytes",
+                                                "/memory.usage_in_bytes", "total_inactive_file"));
+      if (path.rfind('/') == std::string::npos) break;
+    }
+  }
+  return least;
+}
+
+std::size_t available_memory() {
+  return available_memory(text_of("/proc/meminfo"), text_of("/proc/self/cgroup"), "/sys/fs/cgroup");
+}
+
+std::size_t resident_bytes() {
+  std::istringstream pages(text_of("/proc/self/statm"));
+  std::size_t all = 0, resident = 0;
+  return pages >> all >> resident ? resident * static_cast<std::size_t>(sysconf(_SC_PAGESIZE)) : 0;
+}
+
+std::size_t peak_resident_bytes() {
+  rusage usage{};
+  if (getrusage(RUSAGE_SELF, &usage) != 0) return 0;
+  return static_cast<std::size_t>(usage.ru_maxrss) * 1024;
+}
+
+void release_freed_memory() { malloc_trim(0); }
+
+std::string memory_text(std::size_t bytes) {
+  const double mb = static_cast<double>(bytes) / (1 << 20);
+  return mb < 1000 ? fmt::format("{:.0f} MB", mb) : fmt::format("{:.1f} GB", mb / 1024);
+}
+
+}  // namespace semfield

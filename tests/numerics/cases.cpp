@@ -1,0 +1,40 @@
+// The suite: every group's cases in order, and the symbol that `check-numerics` loads.
+#include <algorithm>
+
+#include "named_case.h"
+
+namespace semfield::numerics {
+
+std::vector<Case> all_cases() {
+  std::vector<Case> all;
+  for (const std::span<const Case> group :
+       {transfer_cases(), sampling_cases(), encoder_cases(), loss_cases(), optimiser_cases(), geometry_cases(),
+        input_cases(), metric_cases(), backend_cases()}) {
+    all.insert(all.end(), group.begin(), group.end());
+  }
+  return all;
+}
+
+std::vector<app::NumericsRow> run_suite(const Registry& registry, const std::vector<std::string>& ids) {
+  const std::vector<Case> all = all_cases();
+  for (const std::string& id : ids) {
+    if (std::none_of(all.begin(), all.end(), [&](const Case& one) { return one.id.starts_with(id); })) {
+      throw Error(ErrorKind::usage, "no case begins with '" + id + "'",
+                  "ids are A01 to I07; A stands for all of its group");
+    }
+  }
+  std::vector<app::NumericsRow> rows;
+  for (const Case& one : all) {
+    const auto named = [&](const std::string& id) { return one.id.starts_with(id); };
+    if (!ids.empty() && std::none_of(ids.begin(), ids.end(), named)) continue;
+    for (app::NumericsRow& row : run_case(one, registry)) rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+}  // namespace semfield::numerics
+
+extern "C" void semfield_numerics_suite(const semfield::Registry& registry, const std::vector<std::string>& ids,
+                                        std::vector<semfield::app::NumericsRow>& rows) {
+  rows = semfield::numerics::run_suite(registry, ids);
+}

@@ -1,0 +1,104 @@
+// A stiff or extreme case: what it feeds in, what it compares with, and the rows it gives.
+#pragma once
+
+#include <chrono>
+#include <functional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <vector>
+
+#include "app/numerics_suite.h"
+#include "core/error.h"
+#include "plugin/registry.h"
+
+namespace semfield::numerics {
+
+/// Collects what one case measured. A row without a single check fails, and so does one whose error is NaN.
+class CaseRun {
+ public:
+  CaseRun(const Registry& registry, app::NumericsRow blank);
+  ~CaseRun();
+  CaseRun(const CaseRun&) = delete;
+  CaseRun& operator=(const CaseRun&) = delete;
+
+  const Registry& registry() const { return registry_; }
+  /// Opens a row; what follows belongs to it. "fp32", "float64", "bf16", "-".
+  void row(std::string_view precision);
+  /// error <= tolerance (0: exactly). The row shows the error with the worst ratio; `what` names it when it fails.
+  void measure(double error, double tolerance, std::string_view what = {});
+  /// A claim without a number.
+  void expect(bool holds, std::string_view claim);
+  /// `call` throws Error of `kind` whose text holds every one of `words`.
+  void expect_error(ErrorKind kind, const std::vector<std::string>& words, const std::function<void()>& call);
+  /// A figure worth seeing beside the row; several are joined.
+  void note(std::string_view text);
+  /// What the row is about does not exist in this build.
+  void absent(std::string_view reason);
+  /// An empty folder of this case, removed with it.
+  const std::string& folder();
+
+  /// Closes the last row; a case that threw fails with `thrown`.
+  std::vector<app::NumericsRow> finish(std::string_view thrown = {});
+
+ private:
+  app::NumericsRow& current();
+  void fail(std::string_view text);
+  void close();
+  const Registry& registry_;
+  app::NumericsRow blank_;
+  std::vector<app::NumericsRow> rows_;
+  std::chrono::steady_clock::time_point begin_;
+  double worst_ratio_ = -1;
+  bool failed_ = false, absent_ = false;
+  std::string failures_, folder_;
+};
+
+struct Case {
+  std::string_view id, name;
+  std::string_view what;       ///< the input, one short sentence
+  std::string_view reference;  ///< closed form, long double, __float128, exact, ...
+  void (*run)(CaseRun&);
+  std::string_view known_failure = {};  ///< why it fails today; it is then shown as failing, and must fail
+};
+
+/// The groups, each a list in the order of ids; cases.cpp joins them.
+std::span<const Case> transfer_cases();   // A
+std::span<const Case> sampling_cases();   // B
+std::span<const Case> encoder_cases();    // C
+std::span<const Case> loss_cases();       // D
+std::span<const Case> optimiser_cases();  // E
+std::span<const Case> geometry_cases();   // F
+std::span<const Case> input_cases();      // G
+std::span<const Case> metric_cases();     // H
+std::span<const Case> backend_cases();    // I
+
+std::vector<Case> all_cases();
+std::vector<app::NumericsRow> run_case(const Case& one, const Registry& registry);
+
+template <class Real>
+constexpr std::string_view precision_name() {
+  return std::is_same_v<Real, float> ? "fp32" : "float64";
+}
+/// The tolerance of Real: as given in fp32, at most 1e-12 in float64 (an absolute or relative error as the case says).
+template <class Real>
+constexpr double tolerance_of(double fp32, double float64 = 1e-12) {
+  return std::is_same_v<Real, float> ? fp32 : float64;
+}
+/// Calls body(float{}) and body(double{}), each in a row of its own.
+template <class Body>
+void in_both_precisions(CaseRun& run, const Body& body) {
+  run.row(precision_name<float>());
+  body(float{});
+  run.row(precision_name<double>());
+  body(double{});
+}
+/// |a - b| / |b|; |a| where b is 0.
+inline double relative_error(long double a, long double b) {
+  const long double difference = a > b ? a - b : b - a;
+  const long double scale = b < 0 ? -b : b;
+  return static_cast<double>(scale == 0 ? difference : difference / scale);
+}
+
+}  // namespace semfield::numerics

@@ -1,0 +1,144 @@
+// Rays through a registered sampler, a field given by formulas on its samples, and the integral along them.
+#pragma once
+
+#include <algorithm>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "named_case.h"
+#include "testkit/settings.h"
+#include "testkit/tensor_box.h"
+#include "tests/model_compositor/rays_of_slabs.h"
+
+namespace semfield::numerics {
+
+using testing::RayBuffers;
+using testing::TestNumbers;
+
+inline SamplerBuild unit_build() {
+  SamplerBuild build;
+  build.bounds = {{-1, -1, -1}, {1, 1, 1}};
+  build.near_m = 0.1;
+  build.far_m = 10;
+  return build;
+}
+
+template <class Real>
+std::unique_ptr<Sampler<Real>> make_sampler(const Registry& registry, const std::string& name,
+                                            const testkit::Settings& settings,
+                                            const SamplerBuild& build = unit_build()) {
+  const PluginEntry& entry = registry.get(PluginKind::sampler, name);
+  const std::unique_ptr<PluginParams> params = testkit::make_params(entry, settings);
+  if constexpr (std::is_same_v<Real, float>) {
+    return entry.sampler32(*params, build, registry.kernels());
+  } else {
+    return entry.sampler64(*params, build, registry.kernels());
+  }
+}
+
+/// One sampler and buffers for what it writes. Rays start at the origin along x unless `origin` is changed.
+template <class Real>
+struct RayBench {
+  RayBench(const Registry& registry, const std::string& name, const testkit::Settings& settings,
+           const SamplerBuild& build = unit_build())
+      : sampler(make_sampler<Real>(registry, name, settings, build)), box(*sampler, 1, 0.0) {
+    ctx.seed = 1;
+    ctx.workspace = &workspace;
+  }
+  /// `limits`: near and far of each ray.
+  void set_rays(std::vector<double> limits) {
+    near_far = std::move(limits);
+    count = static_cast<std::int64_t>(near_far.size()) / 2;
+    origin.assign(static_cast<std::size_t>(3 * count), 0.0);
+    direction = origin;
+    for (std::size_t r = 0; r < static_cast<std::size_t>(count); ++r) direction[3 * r] = 1;
+  }
+  void set_rays(std::int64_t rays, double near_m, double far_m) {
+    std::vector<double> limits;
+    for (std::int64_t r = 0; r < rays; ++r) limits.insert(limits.end(), {near_m, far_m});
+    set_rays(std::move(limits));
+  }
+  void draw(const Proposal<Real>* previous = nullptr, std::int64_t previous_per_ray = 0) {
+    const std::int64_t capacity = sampler->capacity(count, previous_per_ray);
+    t.assign(static_cast<std::size_t>(capacity), Real(-1));
+    delta = t;
+    ray.assign(t.size(), -1);
+    first.assign(static_cast<std::size_t>(count + 1), -1);
+    out = {View<Real>(t.data(), capacity, 1), View<Real>(delta.data(), capacity, 1),
+           View<std::int32_t>(ray.data(), capacity, 1), View<std::int32_t>(first.data(), count + 1, 1), 0};
+    const Rays<Real> rays{View<const double>(origin.data(), count, 3), View<const double>(direction.data(), count, 3),
+                          View<const double>(near_far.data(), count, 2)};
+    sampler->sample(ctx, box.values_only(), rays, previous, out);
+    t.resize(static_cast<std::size_t>(out.count));
+    delta.resize(t.size());
+  }
+  /// The samples as rays to be composited.
+  RayBuffers<Real> buffers(std::int32_t hidden_channels = 0) const {
+    std::vector<int> counts;
+    for (std::size_t r = 0; r < static_cast<std::size_t>(count); ++r) counts.push_back(first[r + 1] - first[r]);
+    RayBuffers<Real> rays(counts, hidden_channels);
+    std::copy(t.begin(), t.end(), rays.t.begin());
+    std::copy(delta.begin(), delta.end(), rays.delta.begin());
+    return rays;
+  }
+
+  std::unique_ptr<Sampler<Real>> sampler;
+  testkit::TensorBox<Real> box;
+  Workspace workspace;
+  StepContext ctx;
+  std::int64_t count = 0;
+  std::vector<double> origin, direction, near_far;
+  std::vector<Real> t, delta;
+  std::vector<std::int32_t> ray, first;
+  Samples<Real> out;
+};
+
+/// Colour channels of a rendered ray: the field's colour, what is seen of a white background, white light.
+enum RayChannel : std::uint8_t { kColour, kTransmittance, kOpacity };
+
+/// Fills density and colour from field(t) -> {sigma, c} and composites.
+template <class Real, class Field>
+void render(RayBuffers<Real>& rays, const Field& field) {
+  for (std::size_t k = 0; k < rays.t.size(); ++k) {
+    const auto [sigma, colour] = field(static_cast<double>(rays.t[k]));
+    rays.sigma[k] = static_cast<Real>(sigma);
+    rays.rgb[3 * k + kColour] = static_cast<Real>(colour);
+    rays.rgb[3 * k + kTransmittance] = 0;
+    rays.rgb[3 * k + kOpacity] = 1;
+  }
+  rays.far = FarMode::open;
+  rays.background = {0, 1, 0};
+  rays.forward();
+}
+template <class Real>
+double channel(const RayBuffers<Real>& rays, std::size_t ray, RayChannel which) {
+  return static_cast<double>(rays.color[3 * ray + which]);
+}
+
+/// `n` equal intervals of one ray, samples at `share` of them: 0 the near end, 1/2 the middle.
+template <class Real>
+RayBuffers<Real> lattice(int n, double near_m, double far_m, double share) {
+  RayBuffers<Real> rays({n}, 0);
+  const double h = (far_m - near_m) / n;
+  for (int k = 0; k < n; ++k) {
+    rays.t[static_cast<std::size_t>(k)] = static_cast<Real>(near_m + (k + share) * h);
+    rays.delta[static_cast<std::size_t>(k)] = static_cast<Real>(h);
+  }
+  return rays;
+}
+
+/// The samples of one ray by a rule of the stratified sampler without jitter.
+template <class Real>
+RayBuffers<Real> sampled_ray(const Registry& registry, const std::string& rule, int n, double near_m, double far_m) {
+  RayBench<Real> bench(registry, "stratified", {{"samples", std::to_string(n)}, {"quadrature", rule}});
+  bench.set_rays(1, near_m, far_m);
+  bench.draw();
+  return bench.buffers();
+}
+
+/// "1.02", "4.8e-04": a measured figure for a note.
+std::string figure(double value);
+
+}  // namespace semfield::numerics
