@@ -249,7 +249,7 @@ TEST(GeometrySurvey, PhotographsWithoutDepthNameAxesAndInverse) {
   struct {
     std::function<Pose(const Pose&)> written;
     std::vector<std::string> said;
-    PoseConvention mend;
+    PoseConvention convention;
   } const cases[] = {
       {flip, {"OpenGL axes", "--set scene.load.flip_camera_axes=true"}, {.flip_camera_axes = true}},
       {inverse, {"world-to-camera", "--set scene.load.invert_poses=true"}, {.invert_poses = true}},
