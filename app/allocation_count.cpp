@@ -1,7 +1,7 @@
 // The global operator new and delete of the program, counting. One definition serves the executable and every shared
 // library it loads, so `bench step` sees allocations wherever they happen. Blocks that a ForeignCall keeps are not
 // taken from the heap again, and not counted again.
-#include "allocation_count.h"
+#include "app/allocation_count.h"
 
 #include <algorithm>
 #include <atomic>

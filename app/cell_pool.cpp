@@ -1,4 +1,4 @@
-#include "cell_pool.h"
+#include "app/cell_pool.h"
 
 #include <fcntl.h>
 #include <fmt/format.h>
@@ -16,13 +16,13 @@
 #include <set>
 #include <thread>
 
+#include "app/scene/pack_scene.h"
+#include "app/signals.h"
 #include "loading/packed_scene.h"
 #include "settings/run_config.h"
-#include "signals.h"
 #include "system/files.h"
 #include "system/folder_lock.h"
 #include "system/memory_limit.h"
-#include "verb_pack.h"
 
 namespace semfield::app {
 

@@ -1,7 +1,7 @@
 // Words to verbs: the only user of CLI11.
 #pragma once
 
-#include "verbs.h"
+#include "app/app_context.h"
 
 namespace semfield::app {
 

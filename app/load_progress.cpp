@@ -1,9 +1,9 @@
-#include "load_progress.h"
+#include "app/load_progress.h"
 
 #include <memory>
 #include <string>
 
-#include "progress_line.h"
+#include "app/progress_line.h"
 
 namespace semfield::app {
 

@@ -1,7 +1,7 @@
 // The line that shows how far the opening of a scene is.
 #pragma once
 
-#include "verbs.h"
+#include "app/app_context.h"
 
 namespace semfield::app {
 

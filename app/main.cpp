@@ -7,14 +7,14 @@
 #include <filesystem>
 #include <string>
 
-#include "command_line.h"
+#include "app/app_context.h"
+#include "app/command_line.h"
+#include "app/load_progress.h"
+#include "app/signals.h"
 #include "core/error.h"
 #include "core/work_scope.h"
-#include "load_progress.h"
 #include "plugin/linked_plugins.h"
 #include "plugin/loader.h"
-#include "signals.h"
-#include "verbs.h"
 
 namespace {
 

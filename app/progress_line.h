@@ -4,7 +4,7 @@
 #include <functional>
 #include <string>
 
-#include "verbs.h"
+#include "app/app_context.h"
 
 namespace semfield::app {
 

@@ -1,4 +1,4 @@
-#include "shared_files.h"
+#include "app/shared_files.h"
 
 #include <filesystem>
 

@@ -75,7 +75,7 @@ TEST(IncludeRules, KnownViolationsAreForbidden) {
       {"plugins/datasets/replica/replica.cpp", "session/trainer.h"},
       {"plugins/datasets/replica/replica.cpp", "OpenImageIO/imageio.h"},
       {"app/main.cpp", "encoders/hash_grid/hash_grid.h"},
-      {"app/verbs.h", "CLI/CLI.hpp"},
+      {"app/verb.h", "CLI/CLI.hpp"},
   };
   for (const Arrow& arrow : violations)
     EXPECT_NE(why_forbidden(arrow.path, arrow.target), "") << arrow.path << " -> " << arrow.target;

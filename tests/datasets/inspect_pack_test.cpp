@@ -1,8 +1,8 @@
 // inspect and pack over the Replica layout: what a user reads, and that a packed scene is the scene.
 #include <gtest/gtest.h>
 
-#include "app/verb_inspect.h"
-#include "app/verb_pack.h"
+#include "app/scene/inspect_report.h"
+#include "app/scene/pack_scene.h"
 #include "datasets/packed/packed.h"
 #include "datasets/replica/replica.h"
 #include "tests/scene/tiny_scene.h"

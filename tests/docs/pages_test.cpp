@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <cctype>
 #include <cstdio>
@@ -186,6 +187,29 @@ TEST(CommandLinePage, TableOfVerbsIsThatOfTheProgram) {
     for (const std::string& option : matches(*rows.begin(), R"((--[a-z][a-z-]*))"))
       EXPECT_NE(options.find(option), std::string::npos) << "`semfield " << verb << "` has no " << option;
   }
+}
+
+// Every app/verbs/**/verb_NAME.cpp by its file, "config_check", and every verb and group of the help written that way.
+TEST(CommandLine, EveryVerbFileIsAVerbAndEveryVerbHasItsFile) {
+  std::set<std::string> files, verbs;
+  for (const auto& entry : fs::recursive_directory_iterator(fs::path(SEMFIELD_SOURCE_DIR) / "app")) {
+    const std::string name = entry.path().filename().string();
+    if (name.starts_with("verb_") && name.ends_with(".cpp")) files.insert(name.substr(5, name.size() - 9));
+  }
+  const auto words_of = [](const std::string& help) {
+    const std::size_t list = help.find("Subcommands:");
+    return list == std::string::npos ? std::set<std::string>() : matches(help.substr(list), R"(\n  ([a-z-]+) )");
+  };
+  const auto file_of = [](std::string verb) {
+    std::replace(verb.begin(), verb.end(), '-', '_');
+    return verb;
+  };
+  for (const std::string& verb : words_of(output_of("--help"))) {
+    verbs.insert(file_of(verb));
+    for (const std::string& word : words_of(output_of(verb + " --help"))) verbs.insert(file_of(verb + "_" + word));
+  }
+  EXPECT_GE(files.size(), 30u);
+  EXPECT_EQ(verbs, files);
 }
 
 // A verb, option or operand without a sentence leaves its line of the help with blanks at the end.

@@ -1,7 +1,7 @@
 // A captured room is the room: every channel through the Replica layout and back.
 #include <gtest/gtest.h>
 
-#include "app/verb_capture.h"
+#include "app/scene/capture_replica.h"
 #include "datasets/obj_room/obj_room.h"
 #include "datasets/replica/replica.h"
 #include "plugin/linked_plugins.h"

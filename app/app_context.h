@@ -1,0 +1,34 @@
+// What every verb gets from the program. Results go to stdout, sentences to stderr.
+#pragma once
+
+#include <string>
+
+#include "core/work_scope.h"
+#include "plugin/registry.h"
+#include "settings/run_config.h"
+
+namespace semfield::app {
+
+struct AppContext {
+  AppContext() { work.limits = &limits; }
+  AppContext(const AppContext&) = delete;
+  AppContext& operator=(const AppContext&) = delete;
+  /// From now on verbs work with the threads and under the limits of `config`.
+  void adopt(const RunConfig& config) {
+    work.threads = config.runtime.threads;
+    limits = config.limits;
+  }
+
+  Registry registry;
+  InputLimits limits;
+  LoadProgress load_progress;
+  WorkSettings work;  ///< of the main thread
+  bool quiet = false;
+  bool json = false;
+  bool terminal = false;  ///< stderr is a terminal: one progress line, overwritten
+};
+
+/// A sentence on stderr, unless the program is to be quiet.
+void print_note(const AppContext& context, const std::string& text);
+
+}  // namespace semfield::app

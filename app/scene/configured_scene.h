@@ -1,0 +1,22 @@
+// The dataset that a configuration names, opened without training.
+#pragma once
+
+#include <memory>
+
+#include "app/verb.h"
+#include "loading/frame_source.h"
+
+namespace semfield::app {
+
+struct OpenedDataset {
+  RunConfig config;
+  std::unique_ptr<Dataset> dataset;
+};
+
+/// From here on the program works under the limits and with the threads of the configuration.
+OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context);
+
+/// The scene with what its label steps ask for.
+LoadedScene load_for_labels(const OpenedDataset& opened, Diagnostics& diagnostics);
+
+}  // namespace semfield::app

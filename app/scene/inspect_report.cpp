@@ -1,0 +1,184 @@
+#include "app/scene/inspect_report.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <span>
+
+#include "core/findings.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+std::string vector_text(Vec3d v) { return fmt::format("({:.3f}, {:.3f}, {:.3f})", v.x, v.y, v.z); }
+
+std::string extent_text(const Box& box) {
+  if (box.empty()) return "none";
+  return vector_text(box.lo) + " to " + vector_text(box.hi);
+}
+
+std::string size_list(const LoadedScene& scene) {
+  std::map<std::pair<int, int>, int> sizes;
+  for (const FrameInfo& f : scene.info.frames) ++sizes[{f.camera.width_px, f.camera.height_px}];
+  std::vector<std::string> parts;
+  for (const auto& [size, count] : sizes)
+    parts.push_back(fmt::format("{} x {} ({} frames)", size.first, size.second, count));
+  return parts.size() > 4 ? fmt::format("{} different sizes", parts.size()) : join(parts);
+}
+
+std::string share_text(std::int64_t part, std::int64_t whole) {
+  return whole == 0 ? "-" : fmt::format("{:.2f} %", 100.0 * static_cast<double>(part) / static_cast<double>(whole));
+}
+
+struct SplitCounts {
+  std::vector<std::int64_t> pixels;  // a class, then void
+  std::vector<int> frames;           // labelled frames that see it
+  std::int64_t total = 0;
+  int labelled = 0;
+};
+
+SplitCounts counts_of(const LoadedScene& scene, Split split) {
+  const auto size = static_cast<std::size_t>(scene.info.classes.valid_count()) + 1;
+  SplitCounts out{std::vector<std::int64_t>(size), std::vector<int>(size), 0, 0};
+  for (const int i : scene.frames_of(split)) {
+    const std::vector<std::int64_t>& counts = scene.class_pixels[static_cast<std::size_t>(i)];
+    if (counts.empty()) continue;
+    ++out.labelled;
+    for (std::size_t c = 0; c < size; ++c) {
+      out.pixels[c] += counts[c];
+      out.frames[c] += counts[c] > 0 ? 1 : 0;
+      out.total += counts[c];
+    }
+  }
+  return out;
+}
+
+std::string class_table(const LoadedScene& scene) {
+  const ClassTable& classes = scene.info.classes;
+  const SplitCounts train = counts_of(scene, Split::train), test = counts_of(scene, Split::test);
+  if (train.labelled + test.labelled == 0) return "classes     no labels\n";
+  std::string out = fmt::format(
+      "classes     {} in the table; labelled frames: {} train, {} test; shares are of all pixels of labelled frames\n",
+      classes.valid_count(), train.labelled, test.labelled);
+  out += fmt::format("  {:>5}  {:<28} {:>10} {:>10}  {}\n", "id", "class", "train", "test", "train frames that see it");
+  int unseen = 0;
+  for (int c = 0; c <= classes.valid_count(); ++c) {
+    const auto i = static_cast<std::size_t>(c);
+    const bool is_void = c == classes.valid_count();
+    if (train.pixels[i] + test.pixels[i] == 0) {
+      unseen += is_void ? 0 : 1;
+      continue;
+    }
+    const std::string id = is_void ? "-" : std::to_string(classes.valid(c).id);
+    const std::string name = is_void ? "(void)" : classes.valid(c).name;
+    out +=
+        fmt::format("  {:>5}  {:<28} {:>10} {:>10}  {} of {}{}\n", id, name, share_text(train.pixels[i], train.total),
+                    share_text(test.pixels[i], test.total), train.frames[i], train.labelled,
+                    !is_void && train.pixels[i] == 0 ? "  <- in no training label: it cannot be learned" : "");
+  }
+  if (unseen > 0) out += fmt::format("  {} classes of the table occur in no label\n", unseen);
+  return out;
+}
+
+// Which preset suits the way the cameras stand; scenes with depth say enough by themselves.
+std::string preset_text(const LoadedScene& scene, int frames_with_depth) {
+  if (frames_with_depth > 0 || scene.bounds.empty()) return "";
+  if (scene.plain_background) {
+    const auto& c = scene.plain_background->color;
+    const std::string set = c[0] == 255 && c[1] == 255 && c[2] == 255
+                                ? ""
+                                : fmt::format(" with rendering.background: [{:.3g}, {:.3g}, {:.3g}]", c[0] / 255.0,
+                                              c[1] / 255.0, c[2] / 255.0);
+    return fmt::format(
+        "preset      parts/object.yaml{}: the cameras stand around an object before one colour, ({}, {}, {})\n", set,
+        c[0], c[1], c[2]);
+  }
+  return scene.rig.inward
+             ? "preset      parts/unbounded.yaml: the cameras stand around one place and see what lies behind it\n"
+             : "preset      parts/hash_room.yaml: the cameras do not stand around one place\n";
+}
+
+std::string problems(const Diagnostics& diagnostics) {
+  const std::vector<Diagnostic> findings = folded(diagnostics);
+  std::string out;
+  for (const Severity severity : {Severity::error, Severity::warning, Severity::note}) {
+    const char* word = severity == Severity::error ? "error" : severity == Severity::warning ? "warning" : "note";
+    for (const Diagnostic& d : findings) {
+      if (d.severity == severity) out += fmt::format("{:<11} {}\n", word, d.text());
+    }
+  }
+  return out.empty() ? "problems    none\n" : out;
+}
+
+template <class T>
+void put(std::string& out, T value) {
+  out.append(reinterpret_cast<const char*>(&value), sizeof value);
+}
+
+}  // namespace
+
+std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics) {
+  const std::vector<int> train = scene.frames_of(Split::train), test = scene.frames_of(Split::test);
+  int depth = 0, read = 0;
+  Box cameras;
+  for (std::size_t i = 0; i < scene.info.frames.size(); ++i) {
+    depth += scene.info.frames[i].has_depth ? 1 : 0;
+    read += scene.frames[i].width_px > 0 ? 1 : 0;
+    cameras.include(scene.info.frames[i].world_from_camera.t);
+  }
+  std::string out = fmt::format("scene       {}\n", scene.info.name);
+  out += fmt::format("frames      {} ({} train, {} test), {} read, {} with depth\n", scene.info.frames.size(),
+                     train.size(), test.size(), read, depth);
+  out += fmt::format("size        {}\n", size_list(scene));
+  out += fmt::format("unit        {}\n", scene.info.metric ? "metres" : "unknown (poses without a scale)");
+  out += fmt::format("cameras     {}\n", extent_text(cameras));
+  out += fmt::format("bounds      {}{}\n", extent_text(scene.bounds),
+                     scene.bounds_from.empty() ? "" : " from " + scene.bounds_from);
+  out += fmt::format("near, far   {:.4g}, {:.4g}{}\n", scene.near_m, scene.far_m,
+                     scene.near_far_from.empty() ? "" : " from " + scene.near_far_from);
+  out += fmt::format("pixel       {:.4g} at the middle depth\n", scene.pixel_footprint_m);
+  if (!scene.geometry.empty()) out += "geometry    " + scene.geometry + "\n";
+  out += preset_text(scene, depth);
+  return out + class_table(scene) + problems(diagnostics);
+}
+
+void write_frusta_ply(const std::string& path, const LoadedScene& scene, double depth_m) {
+  const std::size_t frames = scene.info.frames.size();
+  if (depth_m <= 0) depth_m = scene.bounds.empty() ? 0.1 : 0.02 * length(scene.bounds.size());
+  std::string out = fmt::format(
+      "ply\nformat binary_little_endian 1.0\ncomment camera frusta in world coordinates\nelement vertex {}\nproperty "
+      "float x\nproperty float y\n"
+      "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face {}\nproperty list "
+      "uchar int vertex_indices\nend_header\n",
+      frames * 5, frames * 5);
+  for (const FrameInfo& f : scene.info.frames) {
+    const std::uint8_t train[3] = {40, 90, 220}, test[3] = {240, 140, 20};
+    for (int corner = 0; corner < 5; ++corner) {
+      Vec3d p = f.world_from_camera.t;
+      if (corner > 0) {
+        // Corners in order around the image, by the straight (undistorted) pinhole.
+        const double u = corner == 2 || corner == 3 ? f.camera.width_px : 0, v = corner >= 3 ? f.camera.height_px : 0;
+        p = f.world_from_camera.apply(Vec3d{(u - f.camera.cx) / f.camera.fx, (v - f.camera.cy) / f.camera.fy, 1} *
+                                      depth_m);
+      }
+      for (int a = 0; a < 3; ++a) put(out, static_cast<float>(p[a]));
+      for (const std::uint8_t c : f.split == Split::test ? test : train) put(out, c);
+    }
+  }
+  for (std::size_t i = 0; i < frames; ++i) {
+    const auto base = static_cast<std::int32_t>(i * 5);
+    for (int side = 1; side <= 4; ++side) {
+      put(out, std::uint8_t{3});
+      for (const std::int32_t v : {base, base + side, base + side % 4 + 1}) put(out, v);
+    }
+    put(out, std::uint8_t{4});
+    for (const std::int32_t v : {base + 1, base + 4, base + 3, base + 2}) put(out, v);
+  }
+  write_file_atomic(path, out);
+}
+
+}  // namespace semfield

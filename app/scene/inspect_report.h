@@ -1,0 +1,19 @@
+// What a scene holds, as text, and its cameras as a mesh.
+#pragma once
+
+#include <string>
+
+#include "core/error.h"
+#include "loading/frame_source.h"
+
+namespace semfield {
+
+/// Frames, splits, sizes, extent, bounds, near and far, class table with pixel shares of train and test and how many
+/// labelled training frames see each class, then every problem with its remedy. Ends with a line feed.
+std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics);
+
+/// Camera frusta as binary PLY: a pyramid a frame of `depth_m` height (0 = 2 % of the bounds' diagonal), train blue,
+/// test orange.
+void write_frusta_ply(const std::string& path, const LoadedScene& scene, double depth_m = 0);
+
+}  // namespace semfield

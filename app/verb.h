@@ -1,0 +1,98 @@
+// How a file verbs/**/verb_NAME.cpp makes a verb: it defines `Verb verb_NAME()`, which the build finds.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "app/app_context.h"
+
+namespace CLI {
+class App;
+}
+
+namespace semfield::app {
+
+/// A configuration, and what `--set a.b=c` and the flags that are short forms of it say.
+struct ConfigOptions {
+  std::string config;
+  std::vector<std::string> set;
+};
+
+/// The words that a verb takes, declared one by one. Values are written when the command line is read, into variables
+/// that live as long as the verb. T is std::string, int, long long, double, or an optional of a number.
+class VerbWords {
+ public:
+  explicit VerbWords(CLI::App& verb) : verb_(verb) {}
+
+  /// A word that must be there.
+  void operand(const std::string& name, std::string& into, const std::string& help);
+  void optional_operand(const std::string& name, std::string& into, const std::string& help);
+  /// One word or several.
+  void operands(const std::string& name, std::vector<std::string>& into, const std::string& help);
+
+  void flag(const std::string& name, bool& into, const std::string& help);
+  template <class T>
+  void value(const std::string& name, T& into, const std::string& help);
+  template <class T>
+  void value_in(const std::string& name, T& into, int low, int high, const std::string& help);
+  /// A finite number above 0.
+  template <class T>
+  void positive(const std::string& name, T& into, const std::string& help);
+  void required(const std::string& name, std::string& into, const std::string& help);
+  /// May be given several times, a value each.
+  void repeated(const std::string& name, std::vector<std::string>& into, const std::string& help);
+  /// Values with commas between them.
+  void list(const std::string& name, std::vector<std::string>& into, const std::string& help);
+
+  /// A short form of `--set KEY=...`: added behind `--set`, whose values it follows.
+  void setting(std::vector<std::string>& set, const std::string& name, const std::string& key, const std::string& help);
+  void threads(std::vector<std::string>& set);
+  /// A configuration file and `--set`.
+  void config(ConfigOptions& options);
+  /// `--set` and `--threads` of a verb that opens a run.
+  void run_settings(std::vector<std::string>& set);
+
+  /// Of options declared before.
+  void needs(const std::string& name, const std::string& other);
+  void excludes(const std::string& name, const std::string& other);
+
+ private:
+  CLI::App& verb_;
+};
+
+/// A verb of the program, or a group of verbs.
+struct Verb {
+  using Run = std::function<int(AppContext&)>;
+
+  std::string name;  ///< "train"; "config check" is the verb `check` of the group `config`
+  int rank = 0;      ///< the help lists verbs in this order, those of a group among themselves
+  std::string sentence;
+  std::function<Run(VerbWords&)> declare;  ///< what runs when the words are read; empty: a group
+};
+
+/// `words` declares what `run` gets; `run` returns the exit code.
+template <class Options>
+Verb make_verb(std::string name, int rank, std::string sentence, void (*words)(VerbWords&, Options&),
+               int (*run)(const Options&, AppContext&)) {
+  return {std::move(name), rank, std::move(sentence), [words, run](VerbWords& to) -> Verb::Run {
+            auto options = std::make_shared<Options>();
+            words(to, *options);
+            return [options, run](AppContext& context) { return run(*options, context); };
+          }};
+}
+
+/// A verb without words of its own.
+inline Verb make_verb(std::string name, int rank, std::string sentence, int (*run)(AppContext&)) {
+  return {std::move(name), rank, std::move(sentence), [run](VerbWords&) -> Verb::Run { return run; }};
+}
+
+inline Verb make_group(std::string name, int rank, std::string sentence) {
+  return {std::move(name), rank, std::move(sentence), {}};
+}
+
+/// Every verb_NAME() of the build, in no order. The build writes it (app/CMakeLists.txt).
+std::vector<Verb> all_verbs();
+
+}  // namespace semfield::app

@@ -1,0 +1,24 @@
+// config check: a configuration read as a run would, every error reported.
+#include <cstdio>
+
+#include "app/verb.h"
+
+namespace semfield::app {
+
+namespace {
+
+int run(const ConfigOptions& options, AppContext& context) {
+  load_run_config(options.config, options.set, context.registry);
+  std::printf("%s: no errors\n", options.config.c_str());
+  return 0;
+}
+
+void words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
+
+}  // namespace
+
+Verb verb_config_check() {
+  return make_verb("config check", 10, "read a configuration and report every error", words, run);
+}
+
+}  // namespace semfield::app

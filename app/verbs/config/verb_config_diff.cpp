@@ -1,0 +1,33 @@
+// config diff: what differs between two configurations.
+#include <cstdio>
+
+#include "app/verb.h"
+#include "config/explain.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct DiffOptions {
+  std::string a, b;
+};
+
+int run(const DiffOptions& options, AppContext& context) {
+  const RunConfig first = load_run_config(options.a, {}, context.registry);
+  const RunConfig second = load_run_config(options.b, {}, context.registry);
+  std::fputs(diff_config(resolved_config(first), resolved_config(second)).c_str(), stdout);
+  return 0;
+}
+
+void words(VerbWords& verb, DiffOptions& options) {
+  verb.operand("a", options.a, "configuration file (YAML), such as a run.yaml");
+  verb.operand("b", options.b, "the other one");
+}
+
+}  // namespace
+
+Verb verb_config_diff() {
+  return make_verb("config diff", 30, "print what differs between two configurations", words, run);
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,27 @@
+// config explain: the final tree, with where each value comes from.
+#include <cstdio>
+
+#include "app/verb.h"
+#include "config/compose.h"
+#include "config/explain.h"
+
+namespace semfield::app {
+
+namespace {
+
+int run(const ConfigOptions& options, AppContext& context) {
+  const ConfigNode written = compose_config(options.config, options.set);
+  const RunConfig config = load_run_config(options.config, options.set, context.registry);
+  std::fputs(explain_config(with_origins(resolved_config(config), written)).c_str(), stdout);
+  return 0;
+}
+
+void words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
+
+}  // namespace
+
+Verb verb_config_explain() {
+  return make_verb("config explain", 20, "print the final tree, with the origin of every value", words, run);
+}
+
+}  // namespace semfield::app

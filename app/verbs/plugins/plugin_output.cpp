@@ -1,0 +1,52 @@
+#include "app/verbs/plugins/plugin_output.h"
+
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "config/params_read.h"
+#include "core/error.h"
+#include "model/device_backend.h"
+
+namespace semfield::app {
+
+namespace {
+
+nlohmann::ordered_json entry_json(const PluginEntry& entry) {
+  nlohmann::ordered_json json{
+      {"kind", kind_name(entry.kind)}, {"name", entry.name}, {"summary", entry.summary}, {"module", entry.module}};
+  json["parameters"] = nlohmann::ordered_json::array();
+  const std::unique_ptr<PluginParams> params = entry.new_params();
+  for (const ParamDoc& doc : describe_params([&params](ParamVisitor& visit) { params->describe(visit); })) {
+    nlohmann::ordered_json parameter{{"name", doc.name},
+                                     {"type", doc.type},
+                                     {"default", doc.default_value},
+                                     {"range", doc.range},
+                                     {"help", doc.help}};
+    if (!doc.choices.empty()) parameter["choices"] = doc.choices;
+    json["parameters"].push_back(std::move(parameter));
+  }
+  return json;
+}
+
+}  // namespace
+
+void print_text(const std::string& text) { std::fwrite(text.data(), 1, text.size(), stdout); }
+
+void print_plugins_json(const Registry& registry, const std::string& only) {
+  nlohmann::ordered_json all = nlohmann::ordered_json::array();
+  for (const PluginEntry* entry : registry.entries()) {
+    if (only.empty() || entry->name == only) all.push_back(entry_json(*entry));
+  }
+  print_text(all.dump(1) + "\n");
+}
+
+void add_cuda_kernels(AppContext& context) {
+  if (!has_cuda_library()) return;
+  try {
+    cuda_library().add_kernels(context.registry.kernels());
+  } catch (const Error& error) {
+    print_note(context, error.what());
+  }
+}
+
+}  // namespace semfield::app

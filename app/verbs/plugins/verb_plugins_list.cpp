@@ -1,0 +1,23 @@
+// plugins list: every plugin with one sentence.
+#include "app/verb.h"
+#include "app/verbs/plugins/plugin_output.h"
+#include "plugin/reference.h"
+
+namespace semfield::app {
+
+namespace {
+
+int run(AppContext& context) {
+  if (context.json) {
+    print_plugins_json(context.registry);
+  } else {
+    print_text(plugins_list_text(context.registry));
+  }
+  return 0;
+}
+
+}  // namespace
+
+Verb verb_plugins_list() { return make_verb("plugins list", 10, "list every plugin with one sentence", run); }
+
+}  // namespace semfield::app

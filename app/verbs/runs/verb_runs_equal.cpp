@@ -1,0 +1,40 @@
+// runs equal: whether two finished runs are the same training.
+#include <cstdio>
+
+#include "app/verb.h"
+#include "run/run_compare.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct EqualOptions {
+  std::string a, b;
+};
+
+int run(const EqualOptions& options, AppContext& context) {
+  Diagnostics diagnostics;
+  const RunComparison found = compare_runs(options.a, options.b, diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  if (!found.difference.empty()) {
+    std::printf("runs: different: %s\n", found.difference.c_str());
+    return static_cast<int>(ErrorKind::failure);
+  }
+  std::printf("runs: equal step=%lld tensors=%zu\n", static_cast<long long>(found.step), found.tensors);
+  return 0;
+}
+
+void words(VerbWords& verb, EqualOptions& options) {
+  verb.operand("a", options.a, "run folder");
+  verb.operand("b", options.b, "run folder");
+}
+
+}  // namespace
+
+Verb verb_runs_equal() {
+  return make_verb("runs equal", 10,
+                   "check whether two runs are the same training, bit by bit; times, threads and places do not count",
+                   words, run);
+}
+
+}  // namespace semfield::app

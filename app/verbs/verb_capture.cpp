@@ -1,0 +1,50 @@
+// capture: any dataset written out in Replica layout.
+#include <cstdio>
+
+#include "app/progress_line.h"
+#include "app/scene/capture_replica.h"
+#include "app/scene/configured_scene.h"
+#include "app/verb.h"
+#include "core/findings.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct CaptureOptions {
+  ConfigOptions config;
+  std::string out;
+};
+
+int run(const CaptureOptions& options, AppContext& context) {
+  OpenedDataset opened = dataset_of(options.config, context);
+  Diagnostics diagnostics;
+  SceneInfo info = opened.dataset->open(diagnostics);
+  convert_info(info, opened.config.load.convention);
+  for (const Diagnostic& finding : folded(diagnostics)) {
+    if (finding.severity != Severity::error) print_note(context, finding.text());
+  }
+  diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
+  CaptureReport report;
+  {
+    ProgressLine progress(context, "captured");
+    report = capture_replica(
+        *opened.dataset, info, options.out, [&](int done, int total) { progress.show(done, total); },
+        opened.config.load.convention);
+  }
+  std::printf("capture: frames=%d bytes=%lld folder=%s\n", report.frames, static_cast<long long>(report.bytes),
+              options.out.c_str());
+  return 0;
+}
+
+void words(VerbWords& verb, CaptureOptions& options) {
+  verb.config(options.config);
+  verb.threads(options.config.set);
+  verb.required("--out", options.out, "folder to create");
+}
+
+}  // namespace
+
+Verb verb_capture() { return make_verb("capture", 80, "write a scene's frames in Replica layout", words, run); }
+
+}  // namespace semfield::app

@@ -1,0 +1,181 @@
+// check-numerics: the stiff and extreme cases as a table, a JSON object or a page.
+#include <fmt/format.h>
+
+#include <cstdio>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "app/numerics_suite.h"
+#include "app/verb.h"
+#include "run/run_folder.h"
+#include "system/files.h"
+#include "system/shared_library.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct CheckNumericsOptions {
+  std::vector<std::string> only;  ///< beginnings of ids; empty: every case
+  std::string page;               ///< Markdown page whose marked part the table replaces; "" = none
+};
+
+constexpr const char* kBegin = "<!-- check-numerics: the rest up to the end mark is written by the program -->";
+constexpr const char* kEnd = "<!-- check-numerics: end -->";
+
+struct Counts {
+  int passed = 0, failed = 0, absent = 0, cases = 0;
+};
+
+// By case: failed in one precision is failed; absent only when no precision of it exists.
+Counts count_cases(const std::vector<NumericsRow>& rows) {
+  std::set<std::string> all, failed, passed;
+  for (const NumericsRow& row : rows) {
+    all.insert(row.id);
+    if (row.status == NumericsStatus::failed) failed.insert(row.id);
+    if (row.status == NumericsStatus::passed) passed.insert(row.id);
+  }
+  Counts counts;
+  counts.cases = static_cast<int>(all.size());
+  for (const std::string& id : all) {
+    if (failed.contains(id)) {
+      ++counts.failed;
+    } else if (passed.contains(id)) {
+      ++counts.passed;
+    } else {
+      ++counts.absent;
+    }
+  }
+  return counts;
+}
+
+std::string last_line(const Counts& counts) {
+  return fmt::format("check-numerics: passed={} failed={} cases={}{}", counts.passed, counts.failed, counts.cases,
+                     counts.absent > 0 ? fmt::format(" absent={}", counts.absent) : "");
+}
+
+const char* status_text(const NumericsRow& row) {
+  switch (row.status) {
+    case NumericsStatus::passed:
+      return "passed";
+    case NumericsStatus::absent:
+      return "absent";
+    case NumericsStatus::failed:
+      break;
+  }
+  return row.known_failure.empty() ? "FAILED" : "FAILED (known)";
+}
+
+std::string number(const NumericsRow& row, double value) {
+  if (row.status == NumericsStatus::absent) return "-";
+  if (row.error == 0 && row.tolerance == 0) return "exact";
+  return value == 0 ? "0" : fmt::format("{:.2g}", value);
+}
+
+std::string time_text(double seconds) {
+  return seconds >= 1 ? fmt::format("{:.2f} s", seconds) : fmt::format("{:.2f} ms", 1e3 * seconds);
+}
+
+void print_table(const std::vector<NumericsRow>& rows) {
+  std::printf("%-4s %-22s %-8s %-18s %9s %9s %7s %10s  %s\n", "id", "case", "", "reference", "error", "allowed",
+              "checks", "time", "status");
+  for (const NumericsRow& row : rows) {
+    std::printf("%-4s %-22s %-8s %-18s %9s %9s %7d %10s  %s\n", row.id.c_str(), row.name.c_str(), row.precision.c_str(),
+                row.reference.c_str(), number(row, row.error).c_str(), number(row, row.tolerance).c_str(), row.checks,
+                time_text(row.seconds).c_str(), status_text(row));
+    if (row.status == NumericsStatus::failed) std::printf("     %s\n", row.note.c_str());
+    if (row.status == NumericsStatus::failed && !row.known_failure.empty()) {
+      std::printf("     known: %s\n", row.known_failure.c_str());
+    }
+  }
+}
+
+std::string cell(std::string text) {
+  for (std::size_t at = 0; (at = text.find('|', at)) != std::string::npos; at += 2) text.insert(at, "\\");
+  return text;
+}
+
+std::string page_part(const std::vector<NumericsRow>& rows) {
+  const Environment e = this_environment();
+  std::string text = fmt::format(
+      "{}\n\n`{}`\n\n{}; {}, {}. `exact`: claims without a tolerance, all of which hold.\n\n| id | case | input | "
+      "reference | precision | error | allowed | checks | time | status |\n|---|---|---|---|---|---|---|---|---|---|\n",
+      kBegin, last_line(count_cases(rows)), e.cpu, e.compiler, e.build_type);
+  std::string notes;
+  for (const NumericsRow& row : rows) {
+    text += fmt::format("| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |\n", row.id, row.name, cell(row.what),
+                        cell(row.reference), row.precision, number(row, row.error), number(row, row.tolerance),
+                        row.checks, time_text(row.seconds), status_text(row));
+    const std::string note = row.known_failure.empty()
+                                 ? row.note
+                                 : row.note + (row.note.empty() ? "" : "; ") + "known: " + row.known_failure;
+    if (!note.empty()) notes += fmt::format("- **{} {}** ({}): {}\n", row.id, row.name, row.precision, note);
+  }
+  if (!notes.empty()) text += "\nNotes of the run:\n\n" + notes;
+  return text + "\n" + kEnd;
+}
+
+// Replaces what stands between the marks; the words around them are the reader's.
+void write_page(const std::string& path, const std::vector<NumericsRow>& rows) {
+  std::string page = read_text_file(path);
+  const std::size_t begin = page.find(kBegin), end = page.find(kEnd);
+  if (begin == std::string::npos || end == std::string::npos || end < begin) {
+    throw Error(ErrorKind::data, path + ": no place for the table",
+                fmt::format("put the lines '{}' and '{}' where it should stand", kBegin, kEnd));
+  }
+  page.replace(begin, end + std::string_view(kEnd).size() - begin, page_part(rows));
+  write_file_atomic(path, page);
+}
+
+void print_json(const std::vector<NumericsRow>& rows) {
+  using Json = nlohmann::ordered_json;
+  const Counts counts = count_cases(rows);
+  Json out = {{"passed", counts.passed}, {"failed", counts.failed}, {"absent", counts.absent}, {"cases", counts.cases}};
+  out["rows"] = Json::array();
+  for (const NumericsRow& row : rows) {
+    out["rows"].push_back({{"id", row.id},
+                           {"name", row.name},
+                           {"precision", row.precision},
+                           {"what", row.what},
+                           {"reference", row.reference},
+                           {"error", row.error},
+                           {"tolerance", row.tolerance},
+                           {"checks", row.checks},
+                           {"seconds", row.seconds},
+                           {"status", status_text(row)},
+                           {"note", row.note},
+                           {"known_failure", row.known_failure}});
+  }
+  std::printf("%s\n", out.dump().c_str());
+}
+
+int run(const CheckNumericsOptions& options, AppContext& context) {
+  const auto suite = reinterpret_cast<NumericsSuite>(
+      library_symbol("libsemfield_numerics.so", kNumericsSuiteSymbol, "the suite of numerical cases cannot be loaded",
+                     "build with -DBUILD_TESTING=ON, which also builds the suite"));
+  std::vector<NumericsRow> rows;
+  suite(context.registry, options.only, rows);
+  if (context.json) {
+    print_json(rows);
+  } else {
+    print_table(rows);
+  }
+  if (!options.page.empty()) write_page(options.page, rows);
+  const Counts counts = count_cases(rows);
+  if (!context.json) std::printf("%s\n", last_line(counts).c_str());
+  return counts.failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
+}
+
+void words(VerbWords& verb, CheckNumericsOptions& options) {
+  verb.list("--only", options.only, "case ids or prefixes of them: --only A,C03");
+  verb.value("--write", options.page,
+             "page whose marked part is replaced by the table, such as docs/evidence/numerics.md");
+}
+
+}  // namespace
+
+Verb verb_check_numerics() {
+  return make_verb("check-numerics", 190, "check stiff and extreme cases against their references", words, run);
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,87 @@
+// classes: class tables from and to the forms of other tools.
+#include <algorithm>
+#include <cstdio>
+#include <filesystem>
+
+#include "app/verb.h"
+#include "classes/class_import.h"
+#include "system/files.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct ClassesOptions {
+  std::string in;               ///< file, or the name of a published table
+  std::string format = "yaml";  ///< yaml, csv or cvat
+  std::string ids = "raw";      ///< of ScanNet's table: raw, nyu40 or nyu13
+  std::string colors = "keep";  ///< keep, pascal or semfield
+  std::string out;              ///< file; "" = stdout
+};
+
+void check_choice(const std::string& option, const std::string& value, const std::vector<std::string>& known) {
+  if (std::find(known.begin(), known.end(), value) != known.end()) return;
+  const std::string near = did_you_mean(value, known);
+  throw Error(ErrorKind::usage, option + " " + value + ": expected one of " + join(known),
+              near.empty() ? "" : "did you mean " + near + "?");
+}
+
+ClassTable table_of(const ClassesOptions& options) {
+  const bool scannet = std::filesystem::path(options.in).extension() == ".tsv";
+  if (options.ids != "raw" && !scannet) {
+    throw Error(ErrorKind::usage, "--ids " + options.ids + ": '" + options.in + "' is no table of ScanNet",
+                "give scannetv2-labels.combined.tsv");
+  }
+  const std::vector<std::string> published = published_class_names();
+  if (std::find(published.begin(), published.end(), options.in) != published.end())
+    return published_classes(options.in);
+  if (scannet) {
+    return load_scannet_classes(options.in, options.ids == "raw"     ? ScannetIds::raw
+                                            : options.ids == "nyu40" ? ScannetIds::nyu40
+                                                                     : ScannetIds::nyu13);
+  }
+  return import_classes(options.in);
+}
+
+ClassTable recolored(const ClassTable& table, const std::string& colors) {
+  std::vector<ClassEntry> entries = table.entries();
+  for (ClassEntry& entry : entries) {
+    if (colors == "pascal") entry.color = pascal_color(entry.id);
+    if (colors == "semfield") entry.color = ClassTable::default_color(entry.id);
+  }
+  return ClassTable(std::move(entries));
+}
+
+int run(const ClassesOptions& options, AppContext&) {
+  check_choice("--format", options.format, {"yaml", "csv", "cvat"});
+  check_choice("--ids", options.ids, {"raw", "nyu40", "nyu13"});
+  check_choice("--colors", options.colors, {"keep", "pascal", "semfield"});
+  const ClassTable table = recolored(table_of(options), options.colors);
+  const std::string text = options.format == "yaml"  ? table.to_yaml()
+                           : options.format == "csv" ? to_class_csv(table)
+                                                     : to_cvat_labelmap(table);
+  if (options.out.empty()) {
+    std::fputs(text.c_str(), stdout);
+  } else {
+    write_file_atomic(options.out, text);
+    std::printf("classes: %d classes, %zu entries, file=%s\n", table.valid_count(), table.entries().size(),
+                options.out.c_str());
+  }
+  return 0;
+}
+
+void words(VerbWords& verb, ClassesOptions& options) {
+  verb.operand("in", options.in, "table (.yaml, .csv, .json, CVAT's .txt, ScanNet's .tsv), or nyu13, nyu40, scannet20");
+  verb.value("--format", options.format, "yaml, csv or cvat");
+  verb.value("--ids", options.ids, "ids to take from ScanNet's .tsv: raw, nyu40 or nyu13");
+  verb.value("--colors", options.colors, "keep, pascal (VOC's bit pattern) or semfield");
+  verb.value("--out", options.out, "file to write (default: stdout)");
+}
+
+}  // namespace
+
+Verb verb_classes() {
+  return make_verb("classes", 140, "convert class tables from and to the formats of other tools", words, run);
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,50 @@
+// degrade: the labels that would train, written out as images with a manifest.
+#include <fmt/format.h>
+
+#include <cstdio>
+
+#include "app/scene/configured_scene.h"
+#include "app/scene/label_folder.h"
+#include "app/verb.h"
+#include "core/findings.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct DegradeOptions {
+  ConfigOptions config;
+  std::string out;
+};
+
+int run(const DegradeOptions& options, AppContext& context) {
+  refuse_used_folder(options.out);
+  const OpenedDataset opened = dataset_of(options.config, context);
+  Diagnostics diagnostics;
+  const LoadedScene scene = load_for_labels(opened, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
+  const TrainingLabels labels = make_training_labels(scene, opened.config.labels, diagnostics);
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  const DegradeSource source{write_config(resolved_config(opened.config)), opened.config.labels.from.type,
+                             opened.config.labels.selection.seed};
+  const DegradeReport report = write_degraded(scene, labels, source, options.out);
+  const auto number = [](const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "-"; };
+  std::printf("degrade: frames=%d labelled_px=%lld accuracy=%s miou_present=%s folder=%s\n", report.frames,
+              static_cast<long long>(report.labelled_px), number(report.accuracy).c_str(),
+              number(report.miou_present).c_str(), options.out.c_str());
+  return 0;
+}
+
+void words(VerbWords& verb, DegradeOptions& options) {
+  verb.config(options.config);
+  verb.threads(options.config.set);
+  verb.required("--out", options.out, "folder to create");
+}
+
+}  // namespace
+
+Verb verb_degrade() {
+  return make_verb("degrade", 100, "write the training labels, degraded as the configuration says", words, run);
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,227 @@
+// fuse: predictions of a scene's training frames combined over views, scored, and written as maps.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "app/progress_line.h"
+#include "app/scene/label_folder.h"
+#include "app/verb.h"
+#include "classes/void_class.h"
+#include "config/config_tree.h"
+#include "config/params_read.h"
+#include "core/findings.h"
+#include "eval/image_output.h"
+#include "fuse/scene_fusion.h"
+#include "system/files.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct FuseOptions {
+  ConfigOptions config;
+  std::string method;      ///< names with commas; replaces fuse.methods
+  std::string depth;       ///< true or learned; replaces fuse.depth
+  std::string depth_from;  ///< run folder
+  std::string out;
+};
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+std::vector<std::string> words_of(const std::string& list) {
+  std::vector<std::string> words;
+  for (std::size_t at = 0; at <= list.size();) {
+    const std::size_t comma = std::min(list.find(',', at), list.size());
+    words.push_back(list.substr(at, comma - at));
+    at = comma + 1;
+  }
+  return words;
+}
+
+// The words of the command line over the section `fuse`.
+void apply(const FuseOptions& options, FusionParams& params) {
+  if (!options.method.empty()) {
+    params.methods = words_of(options.method);
+    (void)fusion_methods(params.methods);
+  }
+  if (!options.depth.empty()) {
+    if (options.depth != "true" && options.depth != "learned")
+      throw Error(ErrorKind::usage, "--depth " + options.depth + ": expected true or learned");
+    params.depth = options.depth == "true" ? FusionDepth::truth : FusionDepth::learned;
+  }
+  if (!options.depth_from.empty()) {
+    if (options.depth == "true")
+      throw Error(ErrorKind::usage, "--depth true and --depth-from exclude each other", "drop one of them");
+    params.depth = FusionDepth::learned;
+  }
+  if (params.depth == FusionDepth::learned && options.depth_from.empty())
+    throw Error(ErrorKind::usage, "learned depth is asked for, and no run is named",
+                "name its folder: --depth-from RUN");
+}
+
+Json number(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
+std::string text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "none"; }
+
+std::string depth_name(const FusionParams& params) {
+  return std::string(ChoiceNames<FusionDepth>::names[static_cast<std::size_t>(params.depth)]);
+}
+
+Json scores_json(const SceneFusion& fusion, const FusionParams& params) {
+  Json rows = Json::array();
+  for (const FusionScore& score : fusion.scores) {
+    rows.push_back({{"method", score.method},
+                    {"depth", depth_name(params)},
+                    {"miou", number(score.confusion.miou())},
+                    {"miou_present", number(score.confusion.miou_present())},
+                    {"total_accuracy", number(score.confusion.total_accuracy())},
+                    {"average_accuracy", number(score.confusion.average_accuracy())},
+                    {"visible_views_mean", number(score.views_mean)},
+                    {"scored_px", score.confusion.scored_px()},
+                    {"void_predicted_px", score.confusion.void_predicted_px()}});
+  }
+  return rows;
+}
+
+// Maps of one folder: OUT/METHOD/FRAME_label.png, readable again as label images through the class table beside them.
+class MapWriter {
+ public:
+  MapWriter(std::string folder, const SceneInfo& info)
+      : folder_(std::move(folder)), info_(info), classes_(with_void(info.classes)) {
+    refuse_used_folder(folder_);
+    make_folder(folder_);
+    write_file_atomic((fs::path(folder_) / "classes.yaml").string(), classes_.to_yaml());
+  }
+  void write(const std::string& method, int frame, const std::vector<std::int16_t>& label) const {
+    const FrameInfo& info = info_.frames[static_cast<std::size_t>(frame)];
+    std::string stem = info.name;
+    std::replace(stem.begin(), stem.end(), '/', '_');
+    const fs::path folder = fs::path(folder_) / method;
+    make_folder(folder.string());
+    const MapSize size{info.camera.width_px, info.camera.height_px};
+    write_label_ids((folder / (stem + "_label.png")).string(), size, label, classes_);
+    write_label_colors((folder / (stem + "_label_vis.png")).string(), size, label, classes_);
+  }
+  void write_manifest(const Json& manifest) const {
+    write_file_atomic((fs::path(folder_) / "fuse.json").string(),
+                      manifest.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+  }
+
+ private:
+  static void make_folder(const std::string& path) {
+    std::error_code failed;
+    fs::create_directories(path, failed);
+    if (failed)
+      throw Error(ErrorKind::cannot_create, path + ": cannot create the folder: " + failed.message(),
+                  "choose another --out");
+  }
+  std::string folder_;
+  const SceneInfo& info_;
+  ClassTable classes_;  // with an id for void
+};
+
+Json manifest_of(const Session& s, const FusionParams& params, const FrameMaps& maps, const SceneFusion& fusion) {
+  Json out;
+  out["format"] = "semfield-fuse-1";
+  out["scene"] = s.scene.info.name;
+  out["frames"] = maps.frames.size();
+  out["labels_from"] = s.config.labels.from.type.empty() ? "scene" : s.config.labels.from.type;
+  out["degrade"] = Json::array();
+  for (const TrainingLabels::Step& step : s.labels.steps) {
+    Json facts = {{"type", step.type}};
+    for (const auto& [name, value] : step.facts) facts[name] = value;
+    out["degrade"].push_back(facts);
+  }
+  FusionParams written = params;
+  out["parameters"] = write_config(params_to_config([&](ParamVisitor& visit) { describe(visit, written); }));
+  out["pixels"] = fusion.counts.pixels;
+  out["without_depth_px"] = fusion.counts.without_depth;
+  out["without_prediction_px"] = fusion.counts.unlabelled;
+  out["filled_px"] = fusion.counts.filled;
+  out["scores"] = scores_json(fusion, params);
+  return out;
+}
+
+void print_scores(const SceneFusion& fusion, const FusionParams& params) {
+  const FusionCounts& counts = fusion.counts;
+  for (const FusionScore& score : fusion.scores) {
+    const ConfusionMatrix& m = score.confusion;
+    const bool fused = score.method != "monocular" && score.method != "field";
+    std::printf(
+        "fuse: method=%s depth=%s miou_present=%s miou=%s total_accuracy=%s average_accuracy=%s filled=%lld "
+        "views=%s\n",
+        score.method.c_str(), depth_name(params).c_str(), text(m.miou_present()).c_str(), text(m.miou()).c_str(),
+        text(m.total_accuracy()).c_str(), text(m.average_accuracy()).c_str(),
+        static_cast<long long>(fused ? counts.filled : 0), text(score.views_mean).c_str());
+  }
+}
+
+int run(const FuseOptions& options, AppContext& context) {
+  Diagnostics diagnostics;
+  std::optional<OpenedRun> run;
+  RunConfig config = load_run_config(options.config.config, options.config.set, context.registry);
+  context.adopt(config);
+  apply(options, config.fuse);
+  if (config.fuse.depth == FusionDepth::learned)
+    run = open_run(options.depth_from, {}, context.registry, diagnostics, OpenFor::rendering);
+  SessionOptions opening;
+  opening.build = false;
+  opening.depth = DepthKept::all;
+  const Session s = open_session(std::move(config), context.registry, opening, diagnostics);
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  if (s.classes() == 0)
+    throw Error(ErrorKind::data, "the scene has no classes, so there is nothing to fuse", "see `semfield inspect`");
+  if (!s.config.labels.from.reader && s.config.labels.degrade.empty())
+    print_note(context, "predictions are the scene's own labels: name others in scene.labels.from or .degrade");
+  const FusionParams& params = s.config.fuse;
+
+  const auto frames = static_cast<double>(s.scene.frames_of(Split::train).size());
+  if (frames == 0) throw Error(ErrorKind::data, "the scene has no training frames", "see `semfield inspect`");
+  ProgressLine progress(context, "rendered");
+  const FrameMaps maps =
+      run ? learned_depth(*run, s.scene, params.min_opacity, [&](int done) { progress.show(done, frames); })
+          : true_depth(s.scene);
+  progress.restart("fused");
+  if (run && run->session.pipeline->has_semantics() && maps.label.front().empty())
+    print_note(context, options.depth_from + ": another class table, so the field's own labels are not scored");
+  std::optional<MapWriter> writer;
+  if (!options.out.empty()) writer.emplace(options.out, s.scene.info);
+  const SceneFusion fusion =
+      fuse_scene(s.scene, s.labels, maps, params,
+                 [&](const std::string& method, int frame, const std::vector<std::int16_t>& label) {
+                   if (writer) writer->write(method, frame, label);
+                   const auto done = std::find(maps.frames.begin(), maps.frames.end(), frame) - maps.frames.begin() + 1;
+                   progress.show(done, frames);
+                 });
+  if (writer) {
+    Json manifest = manifest_of(s, params, maps, fusion);
+    if (run) manifest["depth_from"] = {{"run", run->run_dir}, {"step", run->step}, {"train_s", run->train_s}};
+    writer->write_manifest(manifest);
+  }
+  if (context.json) {
+    std::printf("%s\n", scores_json(fusion, params).dump().c_str());
+  } else {
+    print_scores(fusion, params);
+  }
+  return 0;
+}
+
+void words(VerbWords& verb, FuseOptions& options) {
+  verb.config(options.config);
+  verb.threads(options.config.set);
+  verb.value("--method", options.method, "monocular, bayesian, average, with commas (default: fuse.methods)");
+  verb.value("--depth", options.depth, "true or learned (default: fuse.depth)");
+  verb.value("--depth-from", options.depth_from, "run folder whose field gives depth, and another row of labels");
+  verb.value("--out", options.out, "folder for the fused maps and fuse.json");
+}
+
+}  // namespace
+
+Verb verb_fuse() {
+  return make_verb("fuse", 110, "combine predictions of several views by depth, and score them", words, run);
+}
+
+}  // namespace semfield::app

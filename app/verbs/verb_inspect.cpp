@@ -1,0 +1,73 @@
+// inspect: what a scene holds, and what training would find wrong with it.
+#include <algorithm>
+#include <cstdio>
+
+#include "app/scene/configured_scene.h"
+#include "app/scene/inspect_report.h"
+#include "app/verb.h"
+#include "session/ray_source.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct InspectOptions {
+  ConfigOptions config;
+  std::string frusta;
+};
+
+// What an inspection shows of training frames are the labels that would train.
+void show_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
+  read_test_labels(scene, config, diagnostics);
+  TrainingLabels labels;
+  try {
+    labels = make_training_labels(scene, config, diagnostics);
+  } catch (const Error& e) {
+    if (!diagnostics.has_errors()) diagnostics.error("", e.message(), e.remedy());
+    return;
+  }
+  for (const int f : scene.frames_of(Split::train)) {
+    const auto i = static_cast<std::size_t>(f);
+    scene.info.frames[i].has_labels = !labels.frames[i].empty();
+    scene.class_pixels[i] = labels.class_pixels[i];
+  }
+}
+
+// Training would refuse it at its first step.
+void check_ray_source(const LoadedScene& scene, const TrainParams& params, Diagnostics& diagnostics) {
+  if (params.ray_source != RaySourceKind::label_balanced) return;
+  for (const int f : scene.frames_of(Split::train)) {
+    const std::vector<std::int64_t>& pixels = scene.class_pixels[static_cast<std::size_t>(f)];
+    if (!pixels.empty() && std::any_of(pixels.begin(), pixels.end() - 1, [](std::int64_t n) { return n > 0; })) return;
+  }
+  const Error refused = no_labelled_pixel();
+  diagnostics.error("", refused.message(), refused.remedy());
+}
+
+int run(const InspectOptions& options, AppContext& context) {
+  OpenedDataset opened = dataset_of(options.config, context);
+  Diagnostics diagnostics;
+  LoadedScene scene = load_for_labels(opened, diagnostics);
+  if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
+  if (!diagnostics.has_errors()) check_ray_source(scene, opened.config.train, diagnostics);
+  std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
+  if (!options.frusta.empty()) {
+    write_frusta_ply(options.frusta, scene);
+    print_note(context, "cameras written to " + options.frusta);
+  }
+  return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
+}
+
+void words(VerbWords& verb, InspectOptions& options) {
+  verb.config(options.config);
+  verb.threads(options.config.set);
+  verb.value("--frusta", options.frusta, "write the cameras as a PLY file");
+}
+
+}  // namespace
+
+Verb verb_inspect() {
+  return make_verb("inspect", 70, "print what a scene contains, and every problem with its remedy", words, run);
+}
+
+}  // namespace semfield::app

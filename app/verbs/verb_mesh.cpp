@@ -1,0 +1,215 @@
+// mesh: the surface of a run's field with colours and class ids, and a point cloud of what its cameras saw.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "app/progress_line.h"
+#include "app/verb.h"
+#include "core/findings.h"
+#include "mesh/field_surface.h"
+#include "mesh/mesh_files.h"
+#include "mesh/point_cloud.h"
+#include "run/open_run.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct MeshOptions {
+  std::string run;
+  std::string out;                      ///< default: mesh.ply in the run folder
+  std::vector<std::string> formats;     ///< ply, obj, glb; empty: what `out` ends with, or ply
+  std::optional<long long> resolution;  ///< cells along the longest side of the bounds
+  std::optional<double> voxel;          ///< edge of a cell instead, world units
+  std::optional<double> level;          ///< density of the surface, 1/m
+  double keep_components = 0.002;       ///< least share of the faces: a chair is one, a floater is not
+  bool points = false;                  ///< also a point cloud from the training views
+  std::vector<std::string> set;
+};
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+constexpr long long kDefaultResolution = 256;
+constexpr int kSightLines = 4096;
+constexpr double kOffsetCells = 1.5;  // where texture rays begin, in cells outside the surface
+
+const std::vector<std::string>& known_formats() {
+  static const std::vector<std::string> names{"ply", "obj", "glb"};
+  return names;
+}
+
+void check_format(const std::string& name, const std::string& where) {
+  if (std::find(known_formats().begin(), known_formats().end(), name) != known_formats().end()) return;
+  throw Error(ErrorKind::usage, where + ": unknown mesh format '" + name + "'",
+              "one of " + join(known_formats()) +
+                  (did_you_mean(name, known_formats()).empty()
+                       ? std::string()
+                       : "; did you mean " + did_you_mean(name, known_formats()) + "?"));
+}
+
+struct Targets {
+  fs::path stem;  ///< path without extension
+  std::vector<std::string> formats;
+  std::string file(const std::string& format) const { return stem.string() + "." + format; }
+};
+
+Targets targets_of(const MeshOptions& options) {
+  Targets targets;
+  fs::path out = options.out.empty() ? fs::path(options.run) / "mesh" : fs::path(options.out);
+  std::string ending = options.out.empty() || !out.has_extension() ? "" : out.extension().string().substr(1);
+  const bool ending_known = std::find(known_formats().begin(), known_formats().end(), ending) != known_formats().end();
+  targets.formats = options.formats;
+  if (targets.formats.empty()) {
+    if (!ending.empty()) check_format(ending, "--out " + options.out);
+    targets.formats = {ending.empty() ? "ply" : ending};
+  }
+  for (const std::string& format : targets.formats) check_format(format, "--format");
+  targets.stem = ending_known ? out.replace_extension() : out;  // "scan.v2" keeps its name
+  return targets;
+}
+
+double positive(double value, const char* option) {
+  if (value > 0 && std::isfinite(value)) return value;
+  throw Error(ErrorKind::usage, fmt::format("{} {}: expected a positive number", option, value));
+}
+
+VoxelGrid grid_of(const MeshOptions& options, const Box& bounds) {
+  if (options.voxel) return VoxelGrid::covering(bounds, positive(*options.voxel, "--voxel"));
+  const long long cells = options.resolution.value_or(kDefaultResolution);
+  if (cells < 1 || cells > 4095) {
+    throw Error(ErrorKind::usage, fmt::format("--resolution {}: expected 1 to 4095 cells", cells));
+  }
+  const Vec3d size = bounds.size();
+  return VoxelGrid::covering(bounds, std::max({size.x, size.y, size.z}) / static_cast<double>(cells));
+}
+
+SurfaceRequest request_of(const MeshOptions& options, const Session& s) {
+  SurfaceRequest request;
+  request.grid = grid_of(options, s.extent.bounds);
+  request.opaque_border = s.limits.clip && s.config.rendering.far == FarMode::background;
+  if (options.level) {
+    request.level_per_m = positive(*options.level, "--level");
+    return request;
+  }
+  std::vector<RayCamera> cameras;
+  for (const int f : s.scene.frames_of(Split::train)) {
+    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
+    cameras.push_back({info.camera, info.world_from_camera, s.plan.undistortion});
+  }
+  request.level_per_m = choose_level(*s.pipeline, request, look(*s.pipeline, cameras, s.limits, kSightLines));
+  return request;
+}
+
+PointSet points_of(const Session& s, double voxel, const AppContext& context) {
+  PointCloud cloud(voxel, s.pipeline->options().rules.background);
+  const std::vector<int> frames = s.scene.frames_of(Split::train);
+  ProgressLine progress(context, "points of", "views");
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frames[i])];
+    const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
+    const auto part_done = [&](double share) {
+      progress.show(static_cast<double>(i) + share, static_cast<double>(frames.size()));
+    };
+    cloud.add(camera,
+              render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done}));
+  }
+  return cloud.points();
+}
+
+void write_surface(const std::string& format, const std::string& path, const Surface& surface,
+                   const ClassTable& classes) {
+  if (format == "ply") write_ply(path, surface, classes);
+  if (format == "obj") write_obj(path, surface, classes);
+  if (format == "glb") write_glb(path, surface, classes);
+}
+
+int run(const MeshOptions& options, AppContext& context) {
+  const Targets targets = targets_of(options);
+  if (!(options.keep_components >= 0 && options.keep_components <= 1)) {
+    throw Error(ErrorKind::usage, fmt::format("--keep-components {}: expected 0 to 1", options.keep_components));
+  }
+  Diagnostics diagnostics;
+  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  context.adopt(run.session.config);
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  Session& s = run.session;
+  const SurfaceRequest request = request_of(options, s);
+  const VoxelGrid& grid = request.grid;
+  const double level = request.level_per_m;
+  std::error_code failed;
+  if (targets.stem.has_parent_path()) fs::create_directories(targets.stem.parent_path(), failed);
+  if (failed) {
+    throw Error(ErrorKind::cannot_create,
+                targets.stem.parent_path().string() + ": cannot create the folder: " + failed.message(),
+                "choose another --out");
+  }
+  print_note(context, fmt::format("{} x {} x {} points, {:.4g} {} apart, surface at a density of {:.4g} / {}", grid.nx,
+                                  grid.ny, grid.nz, grid.spacing, s.scene.info.metric ? "m" : "units", level,
+                                  s.scene.info.metric ? "m" : "unit"));
+  Surface surface = density_surface(*s.pipeline, request);
+  const std::int64_t components = drop_small_components(surface, options.keep_components);
+  if (surface.triangles.empty()) {
+    throw Error(ErrorKind::data, fmt::format("{}: no surface at a density of {:.4g}", options.run, level),
+                "lower --level, or --keep-components, or train longer");
+  }
+  surface.attributes = render_attributes(*s.pipeline, surface.positions, surface.normals, kOffsetCells * grid.spacing,
+                                         s.limits, s.plan.class_of_logit);
+  std::vector<std::string> files;
+  for (const std::string& format : targets.formats) {
+    files.push_back(targets.file(format));
+    write_surface(format, files.back(), surface, s.scene.info.classes);
+  }
+  std::size_t points = 0;
+  if (options.points) {
+    const PointSet cloud = points_of(s, grid.spacing, context);
+    points = cloud.positions.size();
+    files.push_back(targets.stem.string() + "_points.ply");
+    write_ply(files.back(), cloud, s.scene.info.classes);
+  }
+  if (context.json) {
+    Json out{{"run", options.run},
+             {"step", run.step},
+             {"spacing", grid.spacing},
+             {"level", level},
+             {"vertices", surface.positions.size()},
+             {"faces", surface.triangles.size()},
+             {"components", components},
+             {"files", files}};
+    if (options.points) out["points"] = points;
+    std::printf("%s\n", out.dump(-1, ' ', false, Json::error_handler_t::replace).c_str());
+    return 0;
+  }
+  const std::string of_points = options.points ? fmt::format(" points={}", points) : "";
+  std::printf("mesh: vertices=%zu faces=%zu components=%lld%s file=%s\n", surface.positions.size(),
+              surface.triangles.size(), static_cast<long long>(components), of_points.c_str(),
+              join(files, ",").c_str());
+  return 0;
+}
+
+void words(VerbWords& verb, MeshOptions& options) {
+  verb.operand("run", options.run, "run folder");
+  verb.value("--resolution", options.resolution, "cells along the longest side of the scene (default: 256)");
+  verb.value("--voxel", options.voxel, "edge of a cell in metres, instead of --resolution");
+  verb.excludes("--voxel", "--resolution");
+  verb.value("--level", options.level,
+             "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
+  verb.list("--format", options.formats, "ply, obj, glb; several with commas");
+  verb.flag("--points", options.points, "also write a labelled point cloud from the depth of the training views");
+  verb.value("--out", options.out, "file to write (default: mesh.ply in the run folder)");
+  verb.value("--keep-components", options.keep_components,
+             "keep connected parts with at least this share of all faces (default: 0.002; 0 keeps all)");
+  verb.run_settings(options.set);
+}
+
+}  // namespace
+
+Verb verb_mesh() {
+  return make_verb("mesh", 60, "write the field's surface with colour and class, as PLY, OBJ or GLB", words, run);
+}
+
+}  // namespace semfield::app

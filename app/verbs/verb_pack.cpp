@@ -1,0 +1,40 @@
+// pack: any dataset into one file.
+#include <cstdio>
+
+#include "app/scene/configured_scene.h"
+#include "app/scene/pack_scene.h"
+#include "app/verb.h"
+#include "core/findings.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct PackVerbOptions {
+  ConfigOptions config;
+  std::string out;
+};
+
+int run(const PackVerbOptions& options, AppContext& context) {
+  OpenedDataset opened = dataset_of(options.config, context);
+  Diagnostics diagnostics;
+  const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  std::printf("pack: frames=%d bytes=%llu file=%s\n", summary.frames, static_cast<unsigned long long>(summary.bytes),
+              options.out.c_str());
+  return 0;
+}
+
+void words(VerbWords& verb, PackVerbOptions& options) {
+  verb.config(options.config);
+  verb.threads(options.config.set);
+  verb.required("--out", options.out, "file to write (.sfpack)");
+}
+
+}  // namespace
+
+Verb verb_pack() {
+  return make_verb("pack", 90, "write a scene as one file, for machines without image libraries", words, run);
+}
+
+}  // namespace semfield::app

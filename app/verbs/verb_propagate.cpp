@@ -1,0 +1,120 @@
+// propagate: training labels of a run spread over the surface that it has learned, written as soft labels and scored.
+#include <fmt/format.h>
+
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "app/progress_line.h"
+#include "app/scene/label_folder.h"
+#include "app/verb.h"
+#include "core/findings.h"
+#include "fuse/propagation.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct PropagateOptions {
+  std::string run, out;
+  std::vector<std::string> set;
+};
+
+using Json = nlohmann::ordered_json;
+
+std::string method_name(const PropagationParams& params) {
+  return std::string(ChoiceNames<PropagationMethod>::names[static_cast<std::size_t>(params.method)]);
+}
+
+// Labels as they were and as they became: of all training pixels, and against the scene's own.
+struct Worth {
+  double share = 0;
+  std::optional<double> accuracy, miou_present;
+};
+
+Worth worth_of_given(const Session& s) {
+  const ConfusionMatrix score = score_training_labels(s, s.scene.frames_of(Split::train));
+  std::int64_t labelled = 0;
+  for (const int f : s.scene.frames_of(Split::train)) {
+    const std::vector<std::int64_t>& counts = s.labels.class_pixels[static_cast<std::size_t>(f)];
+    for (std::size_t c = 0; c + 1 < counts.size(); ++c) labelled += counts[c];
+  }
+  return {static_cast<double>(labelled) / static_cast<double>(s.manifest.train_pixels), score.total_accuracy(),
+          score.miou_present()};
+}
+
+Json number(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
+std::string text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "-"; }
+
+void print_worth(const AppContext& context, const PropagateOptions& options, const PropagationParams& params,
+                 const Worth& before, const Worth& after) {
+  if (context.json) {
+    const auto pair = [](Json a, Json b) { return Json{{"before", std::move(a)}, {"after", std::move(b)}}; };
+    const Json out{{"method", method_name(params)},
+                   {"labelled_share", pair(before.share, after.share)},
+                   {"accuracy", pair(number(before.accuracy), number(after.accuracy))},
+                   {"miou_present", pair(number(before.miou_present), number(after.miou_present))},
+                   {"folder", options.out}};
+    std::printf("%s\n", out.dump(-1, ' ', false, Json::error_handler_t::replace).c_str());
+    return;
+  }
+  std::printf("propagate: method=%s labelled_share=%.4f->%.4f accuracy=%s->%s miou_present=%s->%s folder=%s\n",
+              method_name(params).c_str(), before.share, after.share, text(before.accuracy).c_str(),
+              text(after.accuracy).c_str(), text(before.miou_present).c_str(), text(after.miou_present).c_str(),
+              options.out.c_str());
+}
+
+int run(const PropagateOptions& options, AppContext& context) {
+  refuse_used_folder(options.out);
+  Diagnostics diagnostics;
+  OpenedRun run =
+      open_run(options.run, options.set, context.registry, diagnostics, OpenFor::evaluation_of_training_frames);
+  context.adopt(run.session.config);
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  const Session& s = run.session;
+  if (s.classes() == 0) {
+    throw Error(ErrorKind::data, options.run + ": the run's scene has no classes, so there are no labels to spread",
+                "give the scene labels, see `semfield inspect`");
+  }
+  if (s.manifest.train_pixels == 0) throw Error(ErrorKind::data, "the scene has no training frames");
+  const PropagationParams& params = s.config.propagate;
+  if (params.method == PropagationMethod::surface && params.cell_m == 0) {
+    print_note(context,
+               fmt::format("propagate.cell_m is {:.4g}: three pixels at the scene's middle depth, at least 1/500 "
+                           "of its longest side",
+                           default_cell_m(s.scene)));
+  }
+  const auto frames = static_cast<double>(s.scene.frames_of(Split::train).size());
+  FrameMaps maps;
+  {
+    ProgressLine progress(context, "rendered");
+    maps = learned_depth(run, s.scene, params.min_opacity, [&](int done) { progress.show(done, frames); });
+  }
+  TrainingLabels spread;
+  {
+    const bool surface = params.method == PropagationMethod::surface;
+    ProgressLine progress(context, surface ? "spread" : "pooled", surface ? "classes" : "sizes of cells");
+    spread = propagate_labels(s.scene, s.labels, maps, params, [&](int done, int of) { progress.show(done, of); });
+  }
+  const DegradeSource source{write_config(resolved_config(s.config)), s.config.labels.from.type,
+                             s.config.labels.selection.seed};
+  const DegradeReport report = write_degraded(s.scene, spread, source, options.out);
+  print_worth(context, options, params, worth_of_given(s),
+              {static_cast<double>(report.labelled_px) / static_cast<double>(s.manifest.train_pixels), report.accuracy,
+               report.miou_present});
+  return 0;
+}
+
+void words(VerbWords& verb, PropagateOptions& options) {
+  verb.operand("run", options.run, "run folder");
+  verb.required("--out", options.out, "folder to create");
+  verb.run_settings(options.set);
+  verb.setting(options.set, "--method", "propagate.method", "surface (diffusion) or vote (pooling)");
+}
+
+}  // namespace
+
+Verb verb_propagate() {
+  return make_verb("propagate", 120, "spread training labels over the surface that a run has learned", words, run);
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,155 @@
+// render: images, or a video, of a run's field for a split or a trajectory.
+#include <fmt/format.h>
+
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <functional>
+#include <future>
+
+#include "app/progress_line.h"
+#include "app/render/frame_strip.h"
+#include "app/render/render_views.h"
+#include "app/render/video.h"
+#include "app/verb.h"
+#include "core/findings.h"
+#include "eval/image_output.h"
+#include "run/open_run.h"
+
+namespace semfield::app {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+using FrameSink = std::function<void(const std::string& name, const RenderedFrame& frame)>;
+
+void write_frame(const std::string& base, const RenderedFrame& frame, const Session& s, bool npy) {
+  const MapSize size{frame.width_px, frame.height_px};
+  write_color(base + "_rgb.png", size, frame.rgb);
+  write_depth_mm(base + "_depth.png", size, frame.depth_m);
+  if (npy) write_map_npy(base + "_depth.npy", size, frame.depth_m);
+  if (frame.label.empty()) return;
+  const int logits = static_cast<int>(s.plan.class_of_logit.size());
+  write_label_ids(base + "_label.png", size, frame.label, s.scene.info.classes);
+  write_label_colors(base + "_label_vis.png", size, frame.label, s.scene.info.classes);
+  write_entropy(base + "_entropy.png", size, frame.entropy, logits);
+  if (npy) write_map_npy(base + "_entropy.npy", size, frame.entropy);
+}
+
+void create_folder(const fs::path& folder) {
+  std::error_code failed;
+  if (!folder.empty()) fs::create_directories(folder, failed);
+  if (failed)
+    throw Error(ErrorKind::cannot_create, folder.string() + ": cannot create the folder: " + failed.message(),
+                "choose another --out");
+}
+
+// Seconds a frame. A frame's files are compressed and written while the next is rendered.
+double render_all(const Session& s, const std::vector<NamedView>& views, const FrameSink& sink,
+                  const AppContext& context) {
+  const auto begin = std::chrono::steady_clock::now();
+  std::future<void> written;
+  ProgressLine progress(context, "rendered");
+  std::size_t done = 0;
+  const auto part_done = [&](double share) {
+    progress.show(static_cast<double>(done) + share, static_cast<double>(views.size()));
+  };
+  for (const NamedView& view : views) {
+    RenderedFrame frame =
+        render_named_frame(*s.pipeline, view.name, view.camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
+    if (written.valid()) written.get();
+    written = std::async(std::launch::async, [&view, &sink, frame = std::move(frame)] { sink(view.name, frame); });
+    ++done;
+  }
+  written.get();
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return seconds / static_cast<double>(done);
+}
+
+void render_images(const RenderOptions& options, const Session& s, const std::vector<NamedView>& views,
+                   const AppContext& context) {
+  const fs::path folder =
+      options.out.empty() ? fs::path(options.run) / "render" / render_name(options) : fs::path(options.out);
+  create_folder(folder);
+  const double seconds = render_all(
+      s, views,
+      [&](std::string name, const RenderedFrame& frame) {
+        for (char& c : name) c = c == '/' ? '_' : c;
+        write_frame((folder / name).string(), frame, s, options.npy);
+      },
+      context);
+  std::printf("render: frames=%zu s_per_frame=%.3f folder=%s\n", views.size(), seconds, folder.string().c_str());
+}
+
+fs::path video_file(const RenderOptions& options) {
+  return options.out.empty() ? fs::path(options.run) / "render" / (render_name(options) + ".mp4")
+                             : fs::path(options.out);
+}
+
+void render_video(const RenderOptions& options, const std::string& ffmpeg, const Session& s,
+                  const std::vector<NamedView>& views, const AppContext& context) {
+  const std::vector<Panel> panels = parse_panels(options.panels, s.pipeline->has_semantics());
+  const Camera& first = views.front().camera.camera;
+  for (const NamedView& view : views) {
+    const Camera& c = view.camera.camera;
+    if (c.width_px == first.width_px && c.height_px == first.height_px) continue;
+    throw Error(ErrorKind::data,
+                fmt::format("--video: view {} has {}x{} pixels and view {} has {}x{}", views.front().name,
+                            first.width_px, first.height_px, view.name, c.width_px, c.height_px),
+                "a video has one size: use --trajectory, whose views have the first frame's camera");
+  }
+  const fs::path file = video_file(options);
+  create_folder(file.parent_path());
+  VideoWriter video(ffmpeg, file.string(), first.width_px * static_cast<std::int32_t>(panels.size()), first.height_px,
+                    options.fps);
+  const double seconds = render_all(
+      s, views, [&](const std::string&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); },
+      context);
+  video.finish();
+  std::printf("render: frames=%zu s_per_frame=%.3f file=%s\n", views.size(), seconds, file.string().c_str());
+}
+
+int run(const RenderOptions& options, AppContext& context) {
+  // Before anything that takes time.
+  if (options.video) (void)video_format(video_file(options).string());
+  const std::string ffmpeg = options.video ? find_ffmpeg() : std::string();
+  if (!(options.fps > 0 && options.fps <= 1000))
+    throw Error(ErrorKind::usage, fmt::format("--fps {}: expected more than 0, at most 1000", options.fps));
+  Diagnostics diagnostics;
+  const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  context.adopt(run.session.config);
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  const std::vector<NamedView> views = render_views(run.session, options);
+  if (options.video) {
+    render_video(options, ffmpeg, run.session, views, context);
+  } else {
+    render_images(options, run.session, views, context);
+  }
+  return 0;
+}
+
+void words(VerbWords& verb, RenderOptions& options) {
+  verb.operand("run", options.run, "run folder");
+  verb.value("--split", options.split, "train or test");
+  verb.value("--trajectory", options.trajectory,
+             "file with one camera-to-world matrix per line (12 or 16 numbers), or 'smooth' for a path through the "
+             "training cameras, instead of a split");
+  verb.value("--frames", options.frames, "number of frames of the smooth path (default: 240)");
+  verb.value("--out", options.out, "folder for the images, or the video's file (default: render/ in the run folder)");
+  verb.flag("--video", options.video, "write a video through ffmpeg instead of images");
+  verb.value("--panels", options.panels, "panels side by side: rgb,label,depth,entropy (default: all)");
+  verb.needs("--panels", "--video");
+  verb.value("--fps", options.fps, "frames per second of the video (default: 24)");
+  verb.flag("--npy", options.npy, "also write depth and entropy as float32 .npy");
+  verb.run_settings(options.set);
+}
+
+}  // namespace
+
+Verb verb_render() {
+  return make_verb("render", 30, "render colour, label, depth and entropy images from a run's field", words, run);
+}
+
+}  // namespace semfield::app

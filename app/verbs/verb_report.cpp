@@ -1,0 +1,33 @@
+// report: error against run time of one or several runs, one self-contained page.
+#include <cstdio>
+
+#include "app/verb.h"
+#include "report/report.h"
+#include "system/files.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct ReportOptions {
+  std::vector<std::string> runs;
+  std::string out;
+};
+
+int run(const ReportOptions& options, AppContext&) {
+  const std::string path = options.out.empty() ? options.runs.front() + "/report.html" : options.out;
+  write_file_atomic(path, make_report(read_report_input(options.runs)));
+  std::printf("report: runs=%zu file=%s\n", options.runs.size(), path.c_str());
+  return 0;
+}
+
+void words(VerbWords& verb, ReportOptions& options) {
+  verb.operands("runs", options.runs, "run folders");
+  verb.value("--out", options.out, "file to write (default: report.html of the first run)");
+}
+
+}  // namespace
+
+Verb verb_report() { return make_verb("report", 40, "write one HTML page about one or several runs", words, run); }
+
+}  // namespace semfield::app

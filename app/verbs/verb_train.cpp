@@ -1,0 +1,191 @@
+// train: start, resume, or only say what would be done.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+
+#include "app/progress_line.h"
+#include "app/signals.h"
+#include "app/verb.h"
+#include "config/compose.h"
+#include "core/findings.h"
+#include "core/text.h"
+#include "report/run_report.h"
+#include "run/run_folder.h"
+#include "run/train_run.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct TrainOptions {
+  ConfigOptions config;
+  std::string out;
+  std::string resume;
+  std::string time;  ///< "90s", "5m", "1h"
+  std::vector<std::string> keep;
+  bool dry_run = false;
+};
+
+double parse_seconds(const std::string& text) {
+  std::size_t end = 0;
+  double value = 0;
+  try {
+    value = std::stod(text, &end);
+  } catch (const std::exception&) {
+    end = 0;
+  }
+  const std::string unit = text.substr(end);
+  const double factor = unit.empty() || unit == "s" ? 1 : unit == "m" ? 60 : unit == "h" ? 3600 : -1;
+  if (end == 0 || factor < 0 || !(value > 0) || !std::isfinite(value)) {
+    throw Error(ErrorKind::usage, "--time " + text + ": expected a positive time such as 90s, 5m or 1h");
+  }
+  return value * factor;
+}
+
+std::string number(const std::vector<std::pair<std::string, std::optional<double>>>& values, const std::string& name,
+                   const char* format) {
+  for (const auto& [key, value] : values) {
+    if (key == name && value) return fmt::format(fmt::runtime(format), *value);
+  }
+  return "-";
+}
+
+// Figures of a part of the test frames have names of their own, so that nobody takes them for those of all.
+std::string scores_text(const TrainOutcome& outcome) {
+  const ScoredPart& part = outcome.scored;
+  const bool whole = part.frames == 0 || part.whole();
+  std::string text = whole ? "" : fmt::format("sample={}/{} ", part.frames, part.of);
+  if (part.stride > 1) text += fmt::format("sample_pixels=1/{} ", part.stride * part.stride);
+  const std::pair<const char*, const char*> figures[] = {
+      {"miou_present", "{:.4f}"}, {"total_accuracy", "{:.4f}"}, {"psnr", "{:.2f}"}, {"absrel", "{:.4f}"}};
+  for (const auto& [name, format] : figures)
+    text += fmt::format("{}{}={} ", whole ? "" : "sample_", name, number(outcome.values, name, format));
+  text.pop_back();
+  return text;
+}
+
+std::string progress_text(const TrainProgress& p) {
+  const std::string scored =
+      p.miou_present ? fmt::format("  miou_present {:.3f} ({})", *p.miou_present, p.scored.text()) : std::string();
+  std::string terms;
+  for (const auto& [type, value] : p.terms) terms += fmt::format("  {} {:.4f}", type, value);
+  return fmt::format("step {}/{}  loss {:.4f}{}  train psnr {:.2f}{}  {:.0f} rays/s  {} elapsed  {} left", p.step,
+                     p.steps, p.loss, terms, p.psnr, scored, p.rays_per_s, clock_text(p.train_s),
+                     clock_text(p.remaining_s));
+}
+
+// A run as the terminal shows it, and what signals ask of it.
+class ShownRun final : public RunListener {
+ public:
+  ShownRun(const AppContext& context, std::string out_dir) : context_(context), out_dir_(std::move(out_dir)) {}
+
+  void note(const std::string& text) override { print_note(context_, text); }
+  void progress(const TrainProgress& p) override {
+    scoring_.reset();  // one that a stop cut short
+    if (!context_.quiet) print_progress(p);
+  }
+  void scoring(const ScoreProgress& p) override {
+    if (!scoring_) scoring_.emplace(context_, fmt::format("scored {}", p.split));
+    scoring_->show(p.done, static_cast<double>(p.frames));
+    if (p.done >= static_cast<double>(p.frames)) scoring_.reset();
+  }
+  int stop_signal() override { return app::stop_signal(); }
+  bool save_request() override { return take_save_request(); }
+  void stop_waits(bool waits) override {
+    app::stop_waits(waits, waits || context_.quiet
+                               ? std::string()
+                               : fmt::format("\nstopped; every step is saved; resume with: semfield "
+                                             "train --resume {}\n",
+                                             shell_word(out_dir_)));
+  }
+  std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override {
+    return write_run_report(folder, session, frames);
+  }
+
+ private:
+  // One line that is overwritten on a terminal; plain lines elsewhere, about one every two seconds.
+  void print_progress(const TrainProgress& p) {
+    const std::string line = progress_text(p);
+    if (context_.terminal) {
+      std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), p.step >= p.steps ? "\n" : "");
+      std::fflush(stderr);
+      return;
+    }
+    if (p.train_s < next_line_s_ && p.step < p.steps) return;
+    next_line_s_ = p.train_s + 2;
+    std::fprintf(stderr, "%s\n", line.c_str());
+  }
+
+  const AppContext& context_;
+  std::string out_dir_;
+  double next_line_s_ = 0;
+  std::optional<ProgressLine> scoring_;
+};
+
+int run(const TrainOptions& options, AppContext& context) {
+  const bool resume = !options.resume.empty();
+  if (resume == !options.config.config.empty()) {
+    throw Error(ErrorKind::usage, "train: expected either a configuration file or --resume RUN",
+                "see `semfield train --help`");
+  }
+  std::vector<std::string> settings = options.config.set;
+  if (!options.time.empty())
+    settings.push_back("--time train.time_limit_s=" + shortest_number(parse_seconds(options.time)));
+  RunConfig config = load_run_config(resume ? RunFolder::read(options.resume).config_path() : options.config.config,
+                                     settings, context.registry);
+  if (options.dry_run) {
+    Diagnostics diagnostics;
+    SessionOptions session_options;
+    session_options.keep = options.keep;
+    const Session session = open_session(std::move(config), context.registry, session_options, diagnostics);
+    for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+    std::fputs(describe_session(session).c_str(), stdout);
+    return 0;
+  }
+  TrainRequest request;
+  request.resume = resume;
+  request.keep = options.keep;
+  request.out_dir = resume ? options.resume : !options.out.empty() ? options.out : "runs/" + config.name;
+  ShownRun shown(context, request.out_dir);
+  install_stop_signals();
+  install_save_signal();
+  stop_waits(false, context.quiet ? "" : "\nstopped before the first step\n");
+  const TrainOutcome outcome = run_training(std::move(config), context.registry, request, &shown);
+  if (context.terminal && !context.quiet) std::fputs("\n", stderr);
+  if (outcome.signal != 0) {
+    print_note(context, fmt::format("stopped at step {} after its checkpoint; resume with: semfield train --resume {}",
+                                    outcome.step, shell_word(outcome.run_dir)));
+    return 128 + outcome.signal;
+  }
+  if (outcome.scored.frames == 0)
+    print_note(context, "the scene has no test frames, so the field was not scored; see `semfield inspect`");
+  std::printf("train: %s train_s=%.1f steps=%lld peak_mb=%zu report=%s\n", scores_text(outcome).c_str(),
+              outcome.train_s, static_cast<long long>(outcome.step), outcome.peak_bytes >> 20,
+              outcome.report_path.c_str());
+  return 0;
+}
+
+void words(VerbWords& verb, TrainOptions& options) {
+  verb.optional_operand("config", options.config.config, "configuration file (YAML)");
+  std::vector<std::string>& set = options.config.set;
+  verb.repeated("--set", set, "override a value: --set train.rays=2048");
+  verb.value("--out", options.out, "run folder to create (default: runs/<name>)");
+  verb.value("--resume", options.resume, "run folder to resume");
+  verb.value("--time", options.time, "end after this much training: 90s, 5m, 1h");
+  verb.setting(set, "--steps", "train.steps", "end after this many steps");
+  verb.threads(set);
+  verb.setting(set, "--memory", "runtime.memory_gb",
+               "GB that the run may use; a run that needs more is refused (default: what is free)");
+  verb.setting(set, "--device", "runtime.device", "auto, cpu or cuda");
+  verb.repeated("--keep", options.keep, "keep a component that would be left out");
+  verb.flag("--dry-run", options.dry_run, "print what would be built, left out and needed, then stop");
+}
+
+}  // namespace
+
+Verb verb_train() { return make_verb("train", 10, "train a field on a scene; writes a run folder", words, run); }
+
+}  // namespace semfield::app
