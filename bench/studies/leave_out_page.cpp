@@ -36,21 +36,22 @@ std::string cell(std::string text) {
   return text;
 }
 
-// Components that other software of this kind has, and this has not: nothing to leave out.
-constexpr const char* kNotThere =
-    "There is nothing to leave out of a background or environment model, appearance and exposure codes, pose "
-    "refinement,\nloss scaling, an anomaly detector and a server: this software has none. Decisions that are settings "
-    "and not findings\n(`density_noise`, `mixed_precision`, `cuda`, `matrix_library`, `depth_metrics`) stand in every "
-    "run's list without a pair.\n";
+std::string mark(const std::string& part, const char* edge) {
+  return "<!-- bench pairs: " + part + " " + edge + " -->";
+}
 
-constexpr const char* kConsidered =
-    "**Considered and kept.** Two colour channels of a grey scene: the colour layer's two further columns are 128 of "
-    "the\n8,000 multiply-adds of a sample of the small network (1.6 %), 256 of 593,408 of the deep one, for a field "
-    "with another\noutput. Semantic samples of tiny weight, when rendering: the whole head, class layer included, is "
-    "what `semantic_outputs` "
-    "saves;\nits hidden layer is the part that could be skipped, and finding out which samples may be skipped costs a "
-    "norm and two copies of each "
-    "sample's\nfeature.\n";
+// `text` between the marks of `part` on the page; what stands around them is the writer's.
+void put_part(std::string& page, const std::string& part, const std::string& text, const std::string& name) {
+  const std::string begin = mark(part, "begin"), end = mark(part, "end");
+  const std::size_t from = page.find(begin);
+  const std::size_t to = from == std::string::npos ? from : page.find(end, from);
+  if (to == std::string::npos) {
+    throw Error(ErrorKind::data, "'" + name + "' has no place for the part '" + part + "'",
+                "put the lines '" + begin + "' and '" + end + "' where it should stand");
+  }
+  const std::size_t at = from + begin.size();
+  page.replace(at, to - at, "\n\n" + text + "\n");
+}
 
 }  // namespace
 
@@ -128,43 +129,24 @@ LeaveOutFindings merged(const LeaveOutFindings& old, const LeaveOutFindings& fre
   return all;
 }
 
-std::string findings_markdown(const LeaveOutFindings& findings) {
-  std::string out =
-      "# Same error, less time\n\n"
-      "<!-- Written by `semfield bench pairs --write-docs docs/reference`; not by hand. -->\n\n"
-      "What a scene does not need is not built. Each line is a pair of runs of the shipped room, one with the "
-      "component "
-      "and\none without, and the proof that nothing was lost:\n\n"
-      "- **B**, bitwise: SHA-256 of every tensor that both have with its moments, or of the pictures, is the same;\n"
-      "- **C**, certified: the run knows a bound, and the measured difference is below it;\n"
-      "- **S**, statistical: the 95 % interval of the mean paired difference over seeds lies above -0.1 dB PSNR and "
-      "-0.5 "
-      "points\n  of mIoU.\n\n"
-      "Times are processor seconds of one thread, medians of alternating rounds with half their middle half as noise; "
-      "bytes are\nthose of scene, parameters and activations. A run's own list, with the evidence found in its scene, "
-      "is "
-      "`left_out.json` and\na section of its report.\n\n";
-  out += findings.about + "\n\n## Left out\n\n";
-  out += "| component | rule | proof | result | saving, measured | kept by |\n|---|---|---|---|---|---|\n";
-  for (const LeaveOutFinding& row : findings.rows) {
-    if (!row.but.empty()) continue;
-    out += fmt::format("| `{}` | {} | {}{} | {} | {} | {} |\n", row.name, cell(row.rule), row.proof,
-                       row.holds ? "" : ", **does not hold**", cell(row.result), cell(row.saving), cell(row.kept_by));
-  }
-  out +=
-      "\n## Kept, because\n\n| component | it would be left out when | saving, measured | cost in quality | kept, "
-      "because |\n"
+std::string with_findings(std::string page, const LeaveOutFindings& findings, const std::string& name) {
+  std::string out = "| component | rule | proof | result | saving, measured | kept by |\n|---|---|---|---|---|---|\n";
+  std::string kept =
+      "| component | it would be left out when | saving, measured | cost in quality | kept, because |\n"
       "|---|---|---|---|---|\n";
   for (const LeaveOutFinding& row : findings.rows) {
-    if (row.but.empty()) continue;
-    out += fmt::format("| `{}` | {} | {} | {} | {} |\n", row.name, cell(row.rule), cell(row.saving),
-                       row.result.empty() ? "not measured" : cell(row.result), cell(row.but));
+    if (row.but.empty()) {
+      out += fmt::format("| `{}` | {} | {}{} | {} | {} | {} |\n", row.name, cell(row.rule), row.proof,
+                         row.holds ? "" : ", **does not hold**", cell(row.result), cell(row.saving), cell(row.kept_by));
+    } else {
+      kept += fmt::format("| `{}` | {} | {} | {} | {} |\n", row.name, cell(row.rule), cell(row.saving),
+                          row.result.empty() ? "not measured" : cell(row.result), cell(row.but));
+    }
   }
-  out += "\n";
-  out += kConsidered;
-  out += "\n## Not there\n\n";
-  out += kNotThere;
-  return out;
+  put_part(page, "measured", findings.about + "\n", name);
+  put_part(page, "left out", out, name);
+  put_part(page, "kept", kept, name);
+  return page;
 }
 
 }  // namespace semfield

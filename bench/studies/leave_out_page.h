@@ -1,4 +1,4 @@
-// What pairs found, as the shipped table docs/reference/leave_out.json and the page made from it,
+// What pairs found, as the shipped data docs/reference/leave_out.json and the tables of the page
 // docs/reference/leave_out.md.
 #pragma once
 
@@ -30,6 +30,8 @@ std::string findings_json(const LeaveOutFindings& findings);
 LeaveOutFindings parse_findings(const std::string& json, const std::string& name);
 /// `fresh` in the place of the rows of the same name, in the order of leave_out_pairs(); others stay.
 LeaveOutFindings merged(const LeaveOutFindings& old, const LeaveOutFindings& fresh);
-std::string findings_markdown(const LeaveOutFindings& findings);
+/// `page` with its tables renewed; its words are nobody's but the writer's. `name` of the file. Throws Error(data)
+/// where a mark is missing.
+std::string with_findings(std::string page, const LeaveOutFindings& findings, const std::string& name);
 
 }  // namespace semfield

@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <ctime>
 #include <filesystem>
+#include <optional>
 
 #include "app/shared_files.h"
 #include "app/verb.h"
@@ -15,6 +16,8 @@
 namespace semfield::app {
 
 namespace {
+
+namespace fs = std::filesystem;
 
 struct LeaveOutOptions {
   std::vector<std::string> only;  ///< names of pairs; empty: all
@@ -35,7 +38,28 @@ std::string about(const LeaveOutOptions& options, const PairOptions& pairs) {
                      utc.tm_mday, pairs.rounds, join(pairs.set));
 }
 
+// leave_out.json and the tables of leave_out.md in a folder.
+class DocsFolder {
+ public:
+  // Before anything is measured: a page without a place for its tables is refused.
+  explicit DocsFolder(const fs::path& folder)
+      : json_((folder / "leave_out.json").string()), page_((folder / "leave_out.md").string()) {
+    (void)with_findings(read_text_file(page_), {}, page_);
+  }
+  void write(const LeaveOutFindings& fresh) const {
+    const LeaveOutFindings all =
+        fs::exists(json_) ? merged(parse_findings(read_text_file(json_), json_), fresh) : fresh;
+    write_file_atomic(page_, with_findings(read_text_file(page_), all, page_));
+    write_file_atomic(json_, findings_json(all));
+  }
+
+ private:
+  std::string json_, page_;
+};
+
 int run(const LeaveOutOptions& options, AppContext& context) {
+  std::optional<DocsFolder> docs;
+  if (!options.write_docs.empty()) docs.emplace(options.write_docs);
   PairOptions pairs;
   pairs.rounds = options.rounds;
   pairs.seeds = options.seeds;
@@ -67,13 +91,7 @@ int run(const LeaveOutOptions& options, AppContext& context) {
     std::fflush(stdout);
   }
   findings.about = about(options, pairs);
-  if (!options.write_docs.empty()) {
-    namespace fs = std::filesystem;
-    const std::string json = (fs::path(options.write_docs) / "leave_out.json").string();
-    if (fs::exists(json)) findings = merged(parse_findings(read_text_file(json), json), findings);
-    write_file_atomic(json, findings_json(findings));
-    write_file_atomic((fs::path(options.write_docs) / "leave_out.md").string(), findings_markdown(findings));
-  }
+  if (docs) docs->write(findings);
   return all_hold ? 0 : static_cast<int>(ErrorKind::failure);
 }
 
