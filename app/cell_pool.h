@@ -37,7 +37,7 @@ struct PoolHooks {
 void pack_scenes(const std::vector<Cell>& cells, const PoolOptions& options, Registry& registry,
                  const PoolHooks& hooks);
 
-/// Runs every cell without a result.json, in order; a cell whose run was stopped goes on from its checkpoint, one that
+/// Runs every cell without a result.json, in order; a cell whose run was stopped resumes from its checkpoint, one that
 /// failed before starts anew. A cell's folder is locked by its process, so one that a killed sweep's process still has
 /// is waited for. A failed cell does not stop the others. Results are added to `results`. Ends early, with the
 /// children's checkpoints written, when a stop signal comes; returns false then. The caller holds the folder's lock.

@@ -74,7 +74,7 @@ FolderLock lock_of(const std::string& folder) {
   if (cause == EWOULDBLOCK)
     throw Error(ErrorKind::cannot_create,
                 fmt::format("the sweep folder '{}' is in use by {}, another sweep", folder, lock.holder()),
-                "wait for it to end, stop it (the next sweep goes on from there), or choose another folder with --out; "
+                "wait for it to end, stop it (the next sweep continues from there), or choose another folder with --out; "
                 "--dry-run tells which cells are done");
   if (cause != 0) throw write_error("lock", folder, cause);
   return lock;

@@ -120,7 +120,7 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   for (int c = 0; c < options.classes; ++c) logit_of_class.push_back(static_cast<std::int16_t>(c));
   RaySourceOptions source;
   source.seed = config.runtime.seed;
-  source.rays = options.rays;
+  source.train.rays = options.rays;
   source.tile_rays = impl_->device ? options.rays : impl_->pipeline->tile_rays();
   impl_->rays = std::make_unique<RaySource>(std::move(frames), std::move(logit_of_class), limits, source);
   impl_->trainer =

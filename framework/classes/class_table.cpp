@@ -36,7 +36,7 @@ std::string trimmed(std::string_view text) {
   throw Error(ErrorKind::data, place + ": " + message, remedy);
 }
 
-constexpr const char* kCsvRemedy = "write one line 'id,name' a class";
+constexpr const char* kCsvRemedy = "write one line 'id,name' for each class";
 constexpr const char* kYamlRemedy = "write lines such as - {id: 3, name: lamp}";
 
 ClassTable load_csv(const std::string& path) {
@@ -65,7 +65,7 @@ ClassTable load_csv(const std::string& path) {
     entry.name = std::move(name);
     entries.push_back(std::move(entry));
   }
-  if (entries.empty()) refuse(path, "no classes in it", "write one line 'id,name' a class");
+  if (entries.empty()) refuse(path, "no classes in it", "write one line 'id,name' for each class");
   return ClassTable(std::move(entries));
 }
 
@@ -228,7 +228,7 @@ ClassTable ClassTable::load(const std::string& path) {
     if (e.message().find(path) != std::string::npos) throw;
     throw Error(e.kind(), path + ": " + e.message(), e.remedy());
   }
-  throw Error(ErrorKind::data, "'" + path + "' is no class table", "give a .yaml, .csv or .json file");
+  throw Error(ErrorKind::data, "'" + path + "' is not a class table", "give a .yaml, .csv or .json file");
 }
 
 std::string ClassTable::to_yaml() const {

@@ -34,7 +34,7 @@ std::int32_t number_at(const TextRow& row, const Column& column, std::int64_t hi
     throw Error(ErrorKind::data,
                 row.place + ": " + std::string(column.name) + ": expected a number from 0 to " +
                     std::to_string(highest) + ", got '" + text + "'",
-                "restore the table as ScanNet gives it out");
+                "restore the table as ScanNet distributes it");
   }
   return static_cast<std::int32_t>(value);
 }

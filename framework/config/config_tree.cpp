@@ -286,7 +286,7 @@ std::string plain_message(const std::string& message) {
   if (message == YAML::ErrorMsg::END_OF_MAP_FLOW) return "a '{' or an entry of it is not closed";
   if (message == YAML::ErrorMsg::END_OF_SEQ_FLOW) return "a '[' or an item of it is not closed";
   if (message == YAML::ErrorMsg::EOF_IN_SCALAR) return kUnclosedQuote;
-  if (message == YAML::ErrorMsg::FLOW_END) return "a closing bracket that nothing opened";
+  if (message == YAML::ErrorMsg::FLOW_END) return "a closing bracket without an opening one";
   if (message == YAML::ErrorMsg::BLOCK_ENTRY) return "a '-' where no list item can stand";
   if (message.starts_with(YAML::ErrorMsg::UNKNOWN_ANCHOR))  // yaml-cpp 0.8 adds the name
     return "aliases are not allowed (use 'include' or write the value out)";

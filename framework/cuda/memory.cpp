@@ -29,7 +29,7 @@ std::byte* allocate(std::size_t bytes, const char* what) {
                 fmt::format("CUDA: no device memory for '{}': requested {:.1f} MB, free {:.1f} MB of {:.1f} MB", what,
                             static_cast<double>(bytes) / kMega, static_cast<double>(unused) / kMega,
                             static_cast<double>(total) / kMega),
-                "lower train.rays, take fewer samples a ray, or set runtime.precision: bf16");
+                "lower train.rays, take fewer samples per ray, or set runtime.precision: bf16");
   }
   check(status, what);
   return static_cast<std::byte*>(memory);

@@ -56,7 +56,7 @@ std::string_view value_of(std::string_view header, std::string_view key, std::st
 }
 
 Header header_of(std::string_view bytes) {
-  if (bytes.size() < 10 || bytes.substr(0, 6) != "\x93NUMPY") refuse("no NumPy array: the first bytes are others");
+  if (bytes.size() < 10 || bytes.substr(0, 6) != "\x93NUMPY") refuse("not a NumPy array: it begins with other bytes");
   const int version = bytes[6];
   if (version < 1 || version > 3) refuse("NumPy format version " + std::to_string(version) + " is not read");
   const std::size_t start = version == 1 ? 10 : 12;
@@ -75,7 +75,7 @@ Header header_of(std::string_view bytes) {
   if (order != "True" && order != "False") refuse("the header's 'fortran_order' is neither True nor False", kAgain);
   header.fortran = order == "True";
   std::string_view axes = value_of(text, "shape", ")");
-  if (axes.empty() || axes[0] != '(') refuse("the header's 'shape' is no tuple", kAgain);
+  if (axes.empty() || axes[0] != '(') refuse("the header's 'shape' is not a tuple", kAgain);
   axes.remove_prefix(1);
   while (!axes.empty()) {
     const std::size_t end = std::min(axes.find(','), axes.size());

@@ -135,7 +135,7 @@ std::vector<ZipEntry> zip_entries(std::string_view file) {
       break;
     }
   }
-  if (end == std::string_view::npos) refuse("no archive: the end of a zip file is not there", kAgain);
+  if (end == std::string_view::npos) refuse("not a zip archive: its end is missing", kAgain);
   std::uint64_t count = little<std::uint16_t>(file, end + 10), at = little<std::uint32_t>(file, end + 16);
   if (end >= 20 && little<std::uint32_t>(file, end - 20) == kLocator64) {
     const auto end64 = little<std::uint64_t>(file, end - 12);

@@ -161,7 +161,7 @@ void require_labels_and_depth(const Surface& surface) {
   }
   if (!depth) {
     throw Error(ErrorKind::data, "no training pixel has depth: its rays meet no surface that is dense enough",
-                "train the run on, or lower propagate.min_opacity");
+                "train the run longer, or lower propagate.min_opacity");
   }
 }
 

@@ -125,8 +125,8 @@ void open_label_files(LoadedScene& scene, const LabelConfig& config, Diagnostics
   };
   const std::vector<FrameInfo>& frames = scene.info.frames;
   if (!diagnostics.has_errors() && !frames.empty() && std::none_of(frames.begin(), frames.end(), trains)) {
-    diagnostics.error("scene.labels.from", "there are labels of no training frame",
-                      "call the frames by their names, such as '" + frames.front().name + "'");
+    diagnostics.error("scene.labels.from", "no training frame has labels",
+                      "use the names of the frames, such as '" + frames.front().name + "'");
   }
   if (scene.info.classes.empty()) scene.info.classes = table;
   if (scene.info.classes.empty() && !diagnostics.has_errors()) {

@@ -189,7 +189,7 @@ void report_color_labels(const FrameInfo& frame, const std::string& path, int ch
   diagnostics.error(frame_place(frame),
                     "label image '" + path + "' has " + std::to_string(channels) +
                         " channels: it is a picture in colours, not one of class ids",
-                    "let the colours of the class table tell the classes with " +
+                    "read the classes from the colours of the class table with " +
                         label_settings(frame, path, labels_key, ", kind: color"));
 }
 
@@ -233,7 +233,8 @@ ClassTable load_class_file(const std::string& path, const std::vector<std::strin
   try {
     if (!found.empty()) {
       ClassTable table = ClassTable::load(found);
-      if (has_labels && table.empty()) diagnostics.error(found, "no classes in it", "write one {id, name} a class");
+      if (has_labels && table.empty())
+        diagnostics.error(found, "no classes in it", "write one {id, name} for each class");
       return table;
     }
   } catch (const Error& e) {
@@ -245,7 +246,8 @@ ClassTable load_class_file(const std::string& path, const std::vector<std::strin
     diagnostics.error(
         folders.front(),
         "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
-        "write classes.yaml there, one line such as '- {id: 1, name: wall}' a class, or name a table with --set "
+        "write classes.yaml there, with a line such as '- {id: 1, name: wall}' for each class, or name a table with "
+        "--set "
         "scene.classes=FILE");
   }
   return {};

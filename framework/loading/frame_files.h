@@ -28,7 +28,7 @@ struct ChoiceNames<UnknownLabels> {
 
 /// What every dataset with that parameter says to ids outside the table.
 inline constexpr const char* kUnknownLabelRemedy =
-    "add what is missing to the class table, or take it for void with --set scene.unknown_labels=void";
+    "add what is missing to the class table, or read it as void with --set scene.unknown_labels=void";
 
 struct FrameReadRules {
   double depth_unit_m = 0.001;       ///< metres of one step of an integer depth image; float images are in metres
@@ -45,7 +45,8 @@ struct ChoiceNames<MissingFiles> {
 };
 /// What those datasets say of the parameter.
 inline constexpr const char* kMissingSentence =
-    "what missing files are: an error, or left out: a frame without its image or pose, of other frames the channel";
+    "what happens when files are missing: error, or skip: a frame without image or pose is left out, and other "
+    "frames go without the channel";
 
 /// The files of a scene's frames before any is decoded: there or not, of the right size or not.
 class FrameFileCheck {

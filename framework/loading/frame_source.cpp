@@ -146,22 +146,22 @@ void describe(ParamVisitor& visit, SceneLoadOptions& p) {
                  {-kMostCoordinate_m, kMostCoordinate_m});
   SEMFIELD_PARAM(
       visit, p.convention, flip_camera_axes,
-      "the camera axes in the files are the other of OpenCV's and OpenGL's than the dataset expects: y and z "
-      "are flipped");
+      "the files have OpenGL camera axes where the dataset expects OpenCV's, or the reverse: y and z are flipped");
   SEMFIELD_PARAM(
       visit, p.convention, invert_poses,
-      "the poses in the files are inverse to what the dataset expects, mostly world-to-camera matrices: they are "
-      "inverted");
+      "the poses in the files are the inverse of what the dataset expects, usually world-to-camera matrices: they "
+      "are inverted");
   SEMFIELD_PARAM(visit, p.convention, pose_scale, "multiplies camera centres; 0.001 for poses in millimetres",
                  {1e-6, 1e6});
   SEMFIELD_PARAM(visit, p.convention, depth_scale,
                  "multiplies depth as read; 1000 for metres that were read as millimetres", {1e-6, 1e6});
   SEMFIELD_PARAM(visit, p, check_geometry,
                  "whether poses that contradict depth or photographs, and bounds that no ray meets, are refused");
-  SEMFIELD_PARAM(visit, p, probe_steps,
-                 "steps of a short training whose depth replaces bounds and far that only the cameras tell, in runs of "
-                 "at least four times as many; 0 = no probe",
-                 {0, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, probe_steps,
+      "steps of a short training whose depth replaces bounds and far that were guessed from the cameras; only "
+      "in runs of at least four times as many steps; 0 = no probe",
+      {0, 1e6});
 }
 
 void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {

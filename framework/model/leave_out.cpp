@@ -84,7 +84,7 @@ void plan_semantics(const SceneManifest& manifest, const BuildRequest& request, 
       some;
   planner.leave(plan.semantics && !request.balance_classes,
                 {"class_weights", "not asked for", "semantics.balance_classes is false", ProofClass::bitwise,
-                 "a factor a labelled ray", "set semantics.balance_classes: true", ""});
+                 "one factor for each labelled ray", "set semantics.balance_classes: true", ""});
 }
 
 void plan_passes(const SceneManifest& manifest, const BuildRequest& request, Planner& planner, BuildPlan& plan) {
@@ -112,7 +112,7 @@ void plan_passes(const SceneManifest& manifest, const BuildRequest& request, Pla
       {"empty_space", "the sampler passes over cells that it knows to be empty",
        certified ? "its budget bounds what a ray loses by the grid's densities, estimates that lag behind the field"
                  : "cells below a fixed density count as empty, which bounds no error",
-       ProofClass::statistical, "samples in air", "set the skip rule of passes.N.sampler", ""});
+       ProofClass::statistical, "samples in empty space", "set the skip rule of passes.N.sampler", ""});
   plan.late_samples = !planner.leave(
       request.early_stop > 0,
       {"late_samples", "rendering ends a ray whose transmittance is below rendering.early_stop",
@@ -131,7 +131,7 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
   plan_passes(manifest, request, planner, plan);
   plan.undistortion = !planner.leave(!manifest.any_distortion,
                                      {"undistortion", "every distortion coefficient is 0", "0 cameras with distortion",
-                                      ProofClass::bitwise, "Newton iterations a ray", "", ""});
+                                      ProofClass::bitwise, "Newton iterations for each ray", "", ""});
   plan.depth_metrics = !planner.leave(
       !manifest.any_depth, {"depth_metrics", "the scene has no depth maps", "0 frames with depth", ProofClass::bitwise,
                             "depth buffers and their metrics", "give the scene depth maps", ""});
@@ -150,7 +150,7 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
   }
   planner.leave(request.density_noise == 0,
                 {"density_noise", "its deviation is 0", "rendering.density_noise is 0", ProofClass::bitwise,
-                 "one normal variate a sample", "set rendering.density_noise", ""});
+                 "one normal variate for each sample", "set rendering.density_noise", ""});
   planner.leave(!request.mixed_precision,
                 {"mixed_precision", "not asked for", "runtime.precision is fp32", ProofClass::bitwise,
                  "bf16 copies of operands; a second matrix library", "set runtime.precision: bf16", ""});

@@ -36,7 +36,7 @@ RayFault::RayFault(std::int64_t ray, ErrorKind kind, std::string message, std::s
     : Error(kind, std::move(message), std::move(remedy)), ray_(ray) {}
 
 std::string_view fault_remedy() {
-  return "lower train.adam.learning_rate, or go on from the last checkpoint with another runtime.seed";
+  return "lower train.adam.learning_rate, or resume from the last checkpoint with another runtime.seed";
 }
 
 template <class Real>

@@ -7,10 +7,10 @@
 namespace semfield {
 
 void describe(ParamVisitor& visit, ScheduleParams& params) {
-  SEMFIELD_PARAM(visit, params, kind, "How the learning rate falls");
-  SEMFIELD_PARAM(visit, params, factor, "Multiplier of the learning rate after decay_steps", {0, 1});
-  SEMFIELD_PARAM(visit, params, decay_steps, "Steps until the multiplier is `factor`", {1, 1e12});
-  SEMFIELD_PARAM(visit, params, warmup_steps, "Steps of linear rise at the start; 0 = none", {0, 1e12});
+  SEMFIELD_PARAM(visit, params, kind, "how the learning rate falls");
+  SEMFIELD_PARAM(visit, params, factor, "multiplier of the learning rate after decay_steps", {0, 1});
+  SEMFIELD_PARAM(visit, params, decay_steps, "steps until the multiplier is `factor`", {1, 1e12});
+  SEMFIELD_PARAM(visit, params, warmup_steps, "steps of linear rise at the start; 0 = none", {0, 1e12});
 }
 
 double schedule_factor(const ScheduleParams& params, std::int64_t step) {

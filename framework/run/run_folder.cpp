@@ -72,7 +72,7 @@ RunFolder RunFolder::create(const std::string& path) {
   if (locked) remove_stale_temporaries(path);  // of a run killed before its run.yaml was there
   if (holds_files(path)) {
     throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' holds files already", path),
-                fmt::format("go on with that run by --resume {}, or choose another folder with --out", path));
+                fmt::format("resume that run with --resume {}, or choose another folder with --out", path));
   }
   if (!locked) {
     folder.lock(true);

@@ -28,7 +28,7 @@ void require_same_run(const std::vector<ConfigDifference>& identity, const RunFo
   }
   throw Error(ErrorKind::config,
               fmt::format("{}: that would be another run than the one in '{}'", changes, folder.path()),
-              fmt::format("to go on with that one: semfield train --resume {}{}; to train anew: semfield train {}{} "
+              fmt::format("to resume that one: semfield train --resume {}{}; to train anew: semfield train {}{} "
                           "--out NEW_FOLDER",
                           shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
 }
@@ -62,7 +62,7 @@ ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, 
     throw Error(
         ErrorKind::data,
         fmt::format("'{}': its seed is {}, its settings say {}", point.path, point.facts->seed, before->runtime.seed),
-        "go on from another checkpoint of the run: move this file out of the folder");
+        "resume from another checkpoint of the run: move this file out of the folder");
   }
   std::vector<ConfigDifference> refused;
   for (ConfigDifference& change : changed_settings(resolved_config(*before), resolved_config(config)))

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 
+#include "core/text.h"
 #include "eval/final_eval.h"
 #include "eval/pixel_stride.h"
 #include "system/files.h"
@@ -24,15 +25,10 @@ double unix_seconds() {
   return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
 }
 
-std::string ScoredPart::text() const {
-  const std::string count = frames == of ? fmt::format("{} frames", of) : fmt::format("{} of {} frames", frames, of);
-  return stride == 1 ? count : fmt::format("{} at 1 pixel in {}", count, stride * stride);
-}
-
-RunScores::RunScores(const Session& session, const ScoreFiles& files, ScoreHooks hooks, const Moment& start)
+RunScores::RunScores(const Session& session, const ScoreFiles& files, RunListener& listener, const Moment& start)
     : session_(session),
       files_(files),
-      hooks_(std::move(hooks)),
+      listener_(listener),
       start_(start),
       budget_(session.config.report.eval_share, session.config.train.time_limit_s),
       test_(session.scene.frames_of(Split::test)) {}
@@ -68,9 +64,9 @@ void RunScores::measure_cost(EvalJob job) {
   job.frames = evenly_spaced(job.frames, 1);
   const std::int32_t most = most_stride(job);
   while (job.stride < most && pixels_of(job) > kProbe_px) ++job.stride;
-  const double begin_s = hooks_.now_s();
+  const double begin_s = listener_.now_s();
   evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);
-  budget_.spend(hooks_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
+  budget_.spend(listener_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
 }
 
 void RunScores::plan_sample() {
@@ -82,13 +78,11 @@ void RunScores::plan_sample() {
 }
 
 SplitScore RunScores::score(EvalJob job, Split split) {
-  if (hooks_.progress) {
-    job.progress = [&](double done) { hooks_.progress({name_of(split), done, std::ssize(job.frames)}); };
-  }
-  const double begin_s = hooks_.now_s();
+  job.progress = [&](double done) { listener_.scoring({name_of(split), done, std::ssize(job.frames)}); };
+  const double begin_s = listener_.now_s();
   SplitScore found = evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);
   job.frames.resize(found.frames.size());
-  if (!job.frames.empty()) budget_.spend(hooks_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
+  if (!job.frames.empty()) budget_.spend(listener_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
   return found;
 }
 
@@ -128,7 +122,7 @@ void RunScores::score_sample(const Moment& at) {
   plan_sample();
   EvalJob job = test_sample();
   job.stride = *sample_stride_;
-  job.stop = [this] { return hooks_.stop_signal && hooks_.stop_signal() != 0; };
+  job.stop = [this] { return listener_.stop_signal() != 0; };
   const SplitScore found = score(job, Split::test);
   if (found.frames.size() < job.frames.size()) return;  // stopped between frames: no partial figures
   const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
@@ -161,19 +155,18 @@ ScoreValues RunScores::score_end(const Moment& at) {
 
 ScoreValues RunScores::score_test_frames(const Moment& at, EvalJob job) {
   const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
-  if (!part.whole() && hooks_.note)
-    hooks_.note(
+  if (!part.whole())
+    listener_.note(
         fmt::format("the last evaluation scores {} to end near the time limit (report.eval_share {}); "
                     "`semfield eval {}` scores all",
-                    part.text(), session_.config.report.eval_share, files_.folder.path()));
+                    part.text(), session_.config.report.eval_share, shell_word(files_.folder.path())));
   report_frames_ =
       ReportFrames(evenly_spaced(job.frames, session_.config.report.strips), session_.config.report.worst_frames);
   job.on_frame = [this](const FrameScore& frame, const RenderedFrame& maps) { report_frames_.add(frame, maps); };
   const SplitScore found = score(job, Split::test);
   const MetricsRow row = row_of(at, Split::test, part, found);
   log_test(row, part, found);
-  if (const std::string warning = found.resolution.warning(); !warning.empty() && hooks_.note)
-    hooks_.note("warning: " + warning);
+  if (const std::string warning = found.resolution.warning(); !warning.empty()) listener_.note("warning: " + warning);
   FinalEval detail = final_eval(found, session_.scene.info.classes, row.split);
   detail.step = at.step;
   detail.train_s = at.train_s;

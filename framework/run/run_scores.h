@@ -11,6 +11,7 @@
 #include "run/metrics_log.h"
 #include "run/report_frames.h"
 #include "run/run_folder.h"
+#include "run/run_listener.h"
 #include "run/tensorboard.h"
 #include "session/session.h"
 
@@ -23,22 +24,6 @@ struct ScoreFiles {
   EventWriter& events;
 };
 
-struct ScoreHooks {
-  std::function<void(const std::string&)> note;
-  std::function<void(const ScoreProgress&)> progress;
-  std::function<int()> stop_signal;  ///< asked between frames of a sample
-  std::function<double()> now_s;     ///< a clock that never runs back
-};
-
-/// Which part of a split an evaluation scored.
-struct ScoredPart {
-  std::int64_t frames = 0, of = 0;
-  std::int32_t stride = 1;
-  bool whole() const { return frames == of && stride == 1; }
-  /// "4 of 30 frames", "30 frames at 1 pixel in 4".
-  std::string text() const;
-};
-
 using ScoreValues = std::vector<std::pair<std::string, std::optional<double>>>;
 
 class RunScores {
@@ -49,8 +34,9 @@ class RunScores {
     double train_s = 0;
   };
 
-  /// `session` and what `files` names must outlive the object; every hook but stop_signal and now_s may be null.
-  RunScores(const Session& session, const ScoreFiles& files, ScoreHooks hooks, const Moment& start);
+  /// `session`, `listener` and what `files` names must outlive the object. The listener is told and asked as in a
+  /// training; a stop signal ends a sample between its frames.
+  RunScores(const Session& session, const ScoreFiles& files, RunListener& listener, const Moment& start);
 
   /// A row of metrics.jsonl for `report.eval_frames` test frames; none when a stop came between them, or when
   /// evaluations took their share of the time already.
@@ -81,7 +67,7 @@ class RunScores {
 
   const Session& session_;
   ScoreFiles files_;
-  ScoreHooks hooks_;
+  RunListener& listener_;
   Moment start_;
   EvalBudget budget_;
   std::vector<int> test_;

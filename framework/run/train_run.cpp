@@ -82,7 +82,7 @@ class Run {
       const bool writing = error.kind() == ErrorKind::io || error.kind() == ErrorKind::cannot_create;
       if (writing && error.message().starts_with("cannot ")) {
         const std::string kept = error.context().empty() ? checkpoints_.kept_text() + "; " : "";  // a save has said it
-        error.while_doing(fmt::format("training ended at step {} ({}go on with `semfield train --resume {}`)",
+        error.while_doing(fmt::format("training ended at step {} ({}resume with `semfield train --resume {}`)",
                                       training_.step(), kept, shell_word(folder_.path())));
       }
       throw;
@@ -96,11 +96,7 @@ class Run {
     EventWriter events(folder_.path(), unix_seconds());
     log_ = &log;
     events_ = &events;
-    scores_.emplace(session(), ScoreFiles{folder_, log, events},
-                    ScoreHooks{[this](const std::string& text) { note(text); },
-                               [this](const ScoreProgress& p) { listener_.scoring(p); },
-                               [this] { return listener_.stop_signal(); }, [this] { return listener_.now_s(); }},
-                    moment());
+    scores_.emplace(session(), ScoreFiles{folder_, log, events}, listener_, moment());
     const RunConfig& config = session().config;
     last_checkpoint_ = last_progress_ = Clock::now();
     next_eval_s_ = config.report.eval_every_s > 0
@@ -322,8 +318,6 @@ class Run {
 };
 
 }  // namespace
-
-double RunListener::now_s() { return std::chrono::duration<double>(Clock::now().time_since_epoch()).count(); }
 
 TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* told) {
   RunListener nobody;

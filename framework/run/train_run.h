@@ -7,41 +7,12 @@
 #include <utility>
 #include <vector>
 
+#include "run/run_listener.h"
 #include "run/run_scores.h"
 #include "session/training.h"
 #include "settings/run_config.h"
 
 namespace semfield {
-
-struct TrainProgress {
-  std::int64_t step = 0, steps = 0;
-  double loss = 0;
-  std::vector<std::pair<std::string, double>> terms;  ///< of the list `losses` that have begun, before their weights
-  double psnr = 0;                                    ///< of the training rays since the last progress
-  std::optional<double> miou_present;                 ///< of the last evaluation
-  ScoredPart scored;                                  ///< which scored these test frames
-  double rays_per_s = 0;
-  double train_s = 0;      ///< seconds of training, evaluation not counted
-  double remaining_s = 0;  ///< estimate
-};
-
-/// What a run tells, and what it asks between steps; every call comes from the thread that trains.
-class RunListener : public TrainingListener {
- public:
-  virtual void progress(const TrainProgress&) {}
-  virtual void scoring(const ScoreProgress&) {}  ///< an evaluation or a round of self-training is under way
-  /// 0, or the number of the signal that asks for an orderly end.
-  virtual int stop_signal() { return 0; }
-  /// Whether a checkpoint was asked for since the last call.
-  virtual bool save_request() { return false; }
-  /// true: from now on a stop waits for the step under way and its checkpoint; false: nothing is left to save, so the
-  /// process may end at once.
-  virtual void stop_waits(bool) {}
-  /// A clock for what evaluations take; it never runs back.
-  virtual double now_s();
-  /// Writes the report of a run that came to its end and returns its path (report/run_report.h); "": there is none.
-  virtual std::string write_report(const RunFolder&, const Session&, const ReportFrames&) { return ""; }
-};
 
 struct TrainRequest {
   std::string out_dir;

@@ -9,46 +9,10 @@
 
 #include "core/check.h"
 #include "formats/input_limits.h"
+#include "scene/rotation.h"
 #include "system/files.h"
 
 namespace semfield {
-namespace {
-
-using Quaternion = std::array<double, 4>;  // w, x, y, z
-
-// Of the rotation's four expressions the one with the largest divisor.
-Quaternion quaternion_of(const Pose& pose) {
-  const auto& r = pose.r;
-  const double squares[4] = {1 + r[0][0] + r[1][1] + r[2][2], 1 + r[0][0] - r[1][1] - r[2][2],
-                             1 - r[0][0] + r[1][1] - r[2][2], 1 - r[0][0] - r[1][1] + r[2][2]};
-  const auto largest = std::max_element(std::begin(squares), std::end(squares)) - std::begin(squares);
-  const double s = 0.5 / std::sqrt(squares[largest]), q = squares[largest] * s;
-  const double xw = (r[2][1] - r[1][2]) * s, yw = (r[0][2] - r[2][0]) * s, zw = (r[1][0] - r[0][1]) * s;
-  const double xy = (r[0][1] + r[1][0]) * s, xz = (r[0][2] + r[2][0]) * s, yz = (r[1][2] + r[2][1]) * s;
-  switch (largest) {
-    case 0:
-      return {q, xw, yw, zw};
-    case 1:
-      return {xw, q, xy, xz};
-    case 2:
-      return {yw, xy, q, yz};
-    default:
-      return {zw, xz, yz, q};
-  }
-}
-
-void set_rotation(Pose& pose, Quaternion q) {
-  double size = 0;
-  for (const double v : q) size += v * v;
-  const double scale = 1 / std::sqrt(size);
-  for (double& v : q) v *= scale;
-  const auto [w, x, y, z] = q;
-  pose.r = {{{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
-             {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
-             {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}}};
-}
-
-}  // namespace
 
 LevelAxes level_axes(Vec3d up) {
   const Vec3d helper = std::abs(up.x) < 0.9 ? Vec3d{1, 0, 0} : Vec3d{0, 1, 0};
@@ -119,14 +83,12 @@ Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes 
   if (axes != CameraAxes::right_down_forward) column[1] = column[1] * -1.0;
   if (axes == CameraAxes::right_up_backward) column[2] = column[2] * -1.0;
   if (axes == CameraAxes::left_up_forward) column[0] = column[0] * -1.0;
-  const Vec3d z = normalized(column[2]);
-  const Vec3d x = normalized(column[0] - z * dot(column[0], z));
-  const Vec3d y = cross(z, x);
   Pose pose;
   for (int row = 0; row < 3; ++row) {
     auto& r = pose.r[static_cast<std::size_t>(row)];
-    r = {x[row], y[row], z[row]};
+    r = {column[0][row], column[1][row], column[2][row]};
   }
+  make_rotation(pose);
   pose.t = {m[3], m[7], m[11]};
   return pose;
 }

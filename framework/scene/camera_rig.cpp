@@ -1,7 +1,8 @@
 #include "scene/camera_rig.h"
 
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <algorithm>
-#include <array>
 #include <cmath>
 
 #include "compute/parallel.h"
@@ -15,32 +16,25 @@ constexpr double kSeenBy = 0.9;            // of the cameras
 constexpr double kMostOneSided = 0.75;     // length of the mean direction to the cameras: 0.64 for half a circle
 constexpr int kRounds = 8;                 // of reweighting
 
-// The symmetric system sum w (I - d d^T) p = sum w (I - d d^T) c by Cramer's rule; false when all axes are parallel.
-bool solve(const std::array<Vec3d, 3>& rows, Vec3d right, double scale, Vec3d& out) {
-  const double det = dot(rows[0], cross(rows[1], rows[2]));
-  if (!(det > 1e-6 * scale * scale * scale)) return false;
-  out = (cross(rows[1], rows[2]) * right.x + cross(rows[2], rows[0]) * right.y + cross(rows[0], rows[1]) * right.z) *
-        (1 / det);
-  return true;
-}
-
 // The point whose distances to the view axes have the least sum (not of squares: a stray camera must not pull it).
 bool find_focus(const Cameras& cameras, Vec3d& focus) {
   std::vector<double> weight(cameras.size(), 1.0);
   for (int round = 0; round < kRounds; ++round) {
-    std::array<Vec3d, 3> rows{};
-    Vec3d right;
+    Eigen::Matrix3d across = Eigen::Matrix3d::Zero();  // sum w (I - d d^T)
+    Eigen::Vector3d right = Eigen::Vector3d::Zero();   // sum w (I - d d^T) c
     double total = 0;
     for (std::size_t i = 0; i < cameras.size(); ++i) {
-      const Vec3d d = cameras[i]->world_from_camera.axis(2), c = cameras[i]->world_from_camera.t;
-      for (int row = 0; row < 3; ++row) {
-        for (int col = 0; col < 3; ++col)
-          rows[static_cast<std::size_t>(row)][col] += weight[i] * ((row == col ? 1.0 : 0.0) - d[row] * d[col]);
-      }
-      right = right + (c - d * dot(d, c)) * weight[i];
+      const Pose& pose = cameras[i]->world_from_camera;
+      const Vec3d d = pose.axis(2);
+      const Eigen::Vector3d axis(d.x, d.y, d.z), center(pose.t.x, pose.t.y, pose.t.z);
+      const Eigen::Matrix3d one = weight[i] * (Eigen::Matrix3d::Identity() - axis * axis.transpose());
+      across += one;
+      right += one * center;
       total += weight[i];
     }
-    if (!solve(rows, right, total, focus)) return false;
+    if (!(across.determinant() > 1e-6 * total * total * total)) return false;  // all axes are parallel
+    const Eigen::Vector3d solution = across.ldlt().solve(right);
+    focus = {solution[0], solution[1], solution[2]};
     for (std::size_t i = 0; i < cameras.size(); ++i) {
       const Vec3d from = focus - cameras[i]->world_from_camera.t, d = cameras[i]->world_from_camera.axis(2);
       weight[i] = 1 / std::max(length(from - d * dot(d, from)), 1e-3 * length(from) + 1e-12);

@@ -7,6 +7,7 @@
 #include <set>
 
 #include "core/check.h"
+#include "scene/rotation.h"
 
 namespace semfield {
 
@@ -63,10 +64,6 @@ double orthonormal_error(const Pose& pose) {
       worst = std::max(worst, std::abs(dot(pose.axis(a), pose.axis(b)) - (a == b ? 1.0 : 0.0)));
   }
   return worst;
-}
-
-void set_axis(Pose& pose, int col, Vec3d axis) {
-  for (int row = 0; row < 3; ++row) pose.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(col)] = axis[row];
 }
 
 }  // namespace
@@ -129,13 +126,7 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
     diagnostics.warning(place, "pose is " + number(error) + " off orthonormal and was made orthonormal",
                         "export poses with more digits");
   }
-  if (error > 1e-9) {
-    const Vec3d z = normalized(pose.axis(2));
-    const Vec3d x = normalized(cross(pose.axis(1), z));
-    set_axis(pose, 0, x);
-    set_axis(pose, 1, cross(z, x));
-    set_axis(pose, 2, z);
-  }
+  if (error > 1e-9) make_rotation(pose);
   return PoseState::good;
 }
 

@@ -32,9 +32,9 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
 void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source,
                     Diagnostics& diagnostics);
 
-/// Every number of a manifest that becomes a ray: poses, intrinsics, bounds and near and far hints must be finite, focal
-/// lengths positive, whatever dataset told them. An error a frame; frames that `diagnostics` names already are passed
-/// over.
+/// Every number of a manifest that becomes a ray: poses, intrinsics, bounds and near and far hints must be finite,
+/// focal lengths positive, whatever dataset told them. An error a frame; frames that `diagnostics` names already are
+/// passed over.
 void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics);
 
 /// Focal lengths positive, principal point at most one image size outside, lens invertible over the image (else a

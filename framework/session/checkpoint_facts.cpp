@@ -15,7 +15,7 @@ namespace semfield {
 namespace {
 
 constexpr const char* kFormat = "semfield-checkpoint-1";
-constexpr const char* kOtherCheckpoint = "go on from another checkpoint of the run: move this file out of the folder";
+constexpr const char* kOtherCheckpoint = "resume from another checkpoint of the run: move this file out of the folder";
 
 [[noreturn]] void refuse(const TensorFile& file, const std::string& what,
                          const std::string& remedy = kOtherCheckpoint) {

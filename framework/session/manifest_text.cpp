@@ -47,7 +47,7 @@ std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
     });
   } catch (const nlohmann::json::exception& e) {
     throw Error(ErrorKind::data, std::string("checkpoint metadata 'scene' cannot be read: ") + e.what(),
-                "go on from another checkpoint of the run");
+                "resume from another checkpoint of the run");
   }
   const SceneManifest& m = scene.manifest;
   const auto negative = [](std::int64_t pixels) { return pixels < 0; };
@@ -58,7 +58,7 @@ std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
                 "checkpoint metadata 'scene' cannot be read: " + std::to_string(m.train_class_pixels.size()) +
                     " counts of pixels for " + std::to_string(m.classes) + " classes, a pixel of " +
                     std::to_string(scene.pixel_footprint_m) + " m",
-                "go on from another checkpoint of the run");
+                "resume from another checkpoint of the run");
   }
   return scene;
 }

@@ -67,7 +67,7 @@ void RaySource::relabel() {
   for (const std::int16_t logit : logit_of_class_) {
     if (soft) soft_logits_ = std::max(soft_logits_, static_cast<std::int32_t>(logit) + 1);
   }
-  if (options_.kind != RaySourceKind::label_balanced) return;
+  if (options_.train.ray_source != RaySourceKind::label_balanced) return;
   index_labels();
   if (ranks_before_.back() == 0) {
     throw no_labelled_pixel();
@@ -115,18 +115,19 @@ RaySource::Pixel RaySource::locate(std::int64_t global) const {
 
 // Every ray whose running share crosses an integer: spread evenly over the tiles.
 bool RaySource::for_its_label(std::int64_t ray) const {
-  return options_.kind == RaySourceKind::label_balanced && label_only_rays(options_.labelled_share, ray, ray + 1) > 0;
+  return options_.train.ray_source == RaySourceKind::label_balanced &&
+         label_only_rays(options_.train.labelled_share, ray, ray + 1) > 0;
 }
 
 RayGroup RaySource::group_of(std::int64_t ray, std::int16_t label) const {
-  if (!options_.label_rays_teach_color && for_its_label(ray)) return RayGroup::label_only;
+  if (!options_.train.label_rays_teach_color && for_its_label(ray)) return RayGroup::label_only;
   return label != kVoid ? RayGroup::labelled : RayGroup::other;
 }
 
 RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
   const RandomAddress address{options_.seed, static_cast<std::uint64_t>(step), stream_id("ray_source/pixel")};
   const auto index = static_cast<std::uint64_t>(ray);
-  switch (options_.kind) {
+  switch (options_.train.ray_source) {
     case RaySourceKind::one_image: {
       const RandomAddress frame_address{options_.seed, static_cast<std::uint64_t>(step), stream_id("ray_source/frame")};
       const auto frame = static_cast<std::int32_t>(uniform_below(frame_address, 0, frames_.size()));
@@ -149,7 +150,7 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
 void RaySource::add_labels(const std::vector<LabelMap>& labels) {
   SEMFIELD_CHECK(labels.size() == frames_.size(), "a map of labels a frame");
   for (std::size_t f = 0; f < frames_.size(); ++f) frames_[f].added = labels[f].empty() ? nullptr : &labels[f];
-  if (options_.kind == RaySourceKind::label_balanced) index_labels();
+  if (options_.train.ray_source == RaySourceKind::label_balanced) index_labels();
 }
 
 std::int16_t RaySource::class_of(const Pixel& pixel) const {
@@ -179,7 +180,7 @@ std::string RaySource::place_of(const Pixel& pixel) const {
 
 std::string RaySource::place_of_row(std::int64_t step, std::int64_t row) const {
   const std::int64_t begin = row / options_.tile_rays * options_.tile_rays;
-  const std::int64_t end = std::min(begin + options_.tile_rays, options_.rays);
+  const std::int64_t end = std::min(begin + options_.tile_rays, options_.train.rays);
   std::int64_t slot = begin;
   for (const RayGroup group : {RayGroup::label_only, RayGroup::labelled, RayGroup::other}) {
     for (std::int64_t ray = begin; ray < end; ++ray) {
@@ -234,18 +235,19 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
 // Pieces of tiles, so that a tile that is the whole batch occupies every thread too: choose and count, then write.
 void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
   constexpr std::int64_t kPiece = 256;
-  batch.resize(options_.rays, soft_logits_, options_.with_depth);
-  const bool apart = options_.kind == RaySourceKind::label_balanced && !options_.label_rays_teach_color;
-  batch.label_only_share = apart ? options_.labelled_share : 0;
-  const std::int64_t tile_rays = std::min(options_.tile_rays, options_.rays);
-  const std::int64_t tiles = (options_.rays + tile_rays - 1) / tile_rays;
+  batch.resize(options_.train.rays, soft_logits_, options_.with_depth);
+  const bool apart =
+      options_.train.ray_source == RaySourceKind::label_balanced && !options_.train.label_rays_teach_color;
+  batch.label_only_share = apart ? options_.train.labelled_share : 0;
+  const std::int64_t tile_rays = std::min(options_.tile_rays, options_.train.rays);
+  const std::int64_t tiles = (options_.train.rays + tile_rays - 1) / tile_rays;
   const std::int64_t pieces_each = (tile_rays + kPiece - 1) / kPiece;
   using Piece = BatchBuffers::Piece;
   std::vector<Piece>& pieces = batch.pieces;
   pieces.assign(static_cast<std::size_t>(tiles * pieces_each), {});
   parallel_for(std::ssize(pieces), [&](std::int64_t i) {
     Piece& piece = pieces[static_cast<std::size_t>(i)];
-    const std::int64_t tile = i / pieces_each, tile_end = std::min((tile + 1) * tile_rays, options_.rays);
+    const std::int64_t tile = i / pieces_each, tile_end = std::min((tile + 1) * tile_rays, options_.train.rays);
     piece.begin = std::min(tile * tile_rays + i % pieces_each * kPiece, tile_end);
     piece.end = std::min(piece.begin + kPiece, tile_end);
     for (std::int64_t ray = piece.begin; ray < piece.end; ++ray) {

@@ -58,12 +58,9 @@ struct BatchBuffers {
 };
 
 struct RaySourceOptions {
-  RaySourceKind kind = RaySourceKind::all_images;
-  double labelled_share = 0.5;
-  bool label_rays_teach_color = true;  ///< false: label_balanced's drawn rays come first in a tile, without colour loss
-  bool with_depth = false;             ///< batches tell the depth of their rays
+  TrainParams train;        ///< rays a step, and where they come from
+  bool with_depth = false;  ///< batches tell the depth of their rays
   std::uint64_t seed = 1;
-  std::int64_t rays = 1024;
   std::int64_t tile_rays = 32;
 };
 
@@ -83,8 +80,8 @@ class RaySource {
   /// place of those given before. A label that is no class is refused where it is met.
   void add_labels(const std::vector<LabelMap>& labels);
 
-  /// To be called after the maps behind TrainFrame::labels have changed. Throws Error(data) as the constructor does; the
-  /// source then needs the labels of before, and another call.
+  /// To be called after the maps behind TrainFrame::labels have changed. Throws Error(data) as the constructor does;
+  /// the source then needs the labels of before, and another call.
   void relabel();
 
   std::int64_t pixel_count() const { return offsets_.back(); }

@@ -21,7 +21,7 @@ namespace fs = std::filesystem;
 
 constexpr const char* kFormat = "semfield-self-labels-1";
 constexpr const char* kRemedy =
-    "go on from a checkpoint of an earlier step: move the later ones out of the folder checkpoints; the round is then "
+    "resume from a checkpoint of an earlier step: move the later ones out of the folder checkpoints; the round is then "
     "made again";
 
 // Bytes of a class index on disk; the largest value of so many stands for none.

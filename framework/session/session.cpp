@@ -301,12 +301,9 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
         {{info.camera, info.world_from_camera, plan.undistortion}, &scene.frames[f], &labels.frames[f], info.name});
   }
   RaySourceOptions options;
-  options.kind = config.train.ray_source;
-  options.labelled_share = config.train.labelled_share;
-  options.label_rays_teach_color = config.train.label_rays_teach_color;
+  options.train = config.train;
   options.with_depth = losses_read_depth(config.losses);
   options.seed = config.runtime.seed;
-  options.rays = config.train.rays;
   // A device takes the batch as one tile: labelled rays come first in all of it.
   options.tile_rays = device ? config.train.rays : pipeline->tile_rays();
   return std::make_unique<RaySource>(std::move(frames), plan.semantics ? logit_of_class() : std::vector<std::int16_t>{},
@@ -374,7 +371,7 @@ std::string describe_session(const Session& s) {
   }
   for (const std::string& line : s.choices()) add("chosen    " + line);
   for (const LeftOut& row : s.plan.left_out) {
-    add(fmt::format("left out  {} [{}]: {} (saves {})", row.component, static_cast<char>(row.proof), row.evidence,
+    add(fmt::format("left out  {} [{}]: {}; this saves {}", row.component, static_cast<char>(row.proof), row.evidence,
                     row.saving));
   }
   for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");

@@ -22,7 +22,7 @@ std::map<std::int64_t, std::string> classes_by_id(const std::string& yaml) {
     list = parse_config_text(yaml, "checkpoint metadata 'classes'");
   } catch (const Error& error) {
     throw Error(ErrorKind::data, error.message(),
-                "go on from another checkpoint of the run: move this file out of the folder");
+                "resume from another checkpoint of the run: move this file out of the folder");
   }
   for (const ConfigNode& item : list.items()) {
     const ConfigNode *id = item.find("id"), *name = item.find("name"), *ignore = item.find("ignore");

@@ -284,7 +284,7 @@ void Trainer::check_storable() const {
           ErrorKind::failure,
           fmt::format("no checkpoint of step {}: {}'{}' holds {} at {}", step_,
                       buffer == &t.value ? "" : "a moment of ", t.name, buffer->data()[bad], element_text(t, bad)),
-          "go on from the last checkpoint");
+          "resume from the last checkpoint");
     }
   }
 }

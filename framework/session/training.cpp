@@ -28,7 +28,7 @@ Session opened(RunConfig config, Registry& registry, const SessionOptions& optio
 
 void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session) {
   for (const Diagnostic& finding : folded(diagnostics)) listener.note(finding.text());
-  for (const std::string& line : session.choices()) listener.note("chosen from the scene: " + line);
+  for (const std::string& line : session.choices()) listener.note(line);
 }
 
 Training::Training(RunConfig config, Registry& registry, const SessionOptions& options, TrainingListener* listener)

@@ -7,15 +7,18 @@ namespace semfield {
 
 void describe(ParamVisitor& visit, FusionParams& p) {
   SEMFIELD_PARAM(visit, p, methods, "what is computed: monocular (a view's own prediction), bayesian, average");
-  SEMFIELD_PARAM(visit, p, depth, "depth that finds a point in other views: the scene's own, or a run's field");
+  SEMFIELD_PARAM(visit, p, depth,
+                 "depth that locates a point in other views: the scene's own, or that of a run's field");
   SEMFIELD_PARAM(visit, p, min_opacity, "learned depth: opacity of a rendered pixel below which it has no depth",
                  {0.01, 1});
-  SEMFIELD_PARAM(visit, p, tolerance, "m by which a point's depth and a view's depth may differ, else it is hidden",
+  SEMFIELD_PARAM(visit, p, tolerance,
+                 "metres by which the depth of a point and of a view may differ; beyond them the point is hidden",
                  {0, 1e6});
   SEMFIELD_PARAM(visit, p, relative_tolerance, "share of the point's depth that is added to tolerance", {0, 1});
   SEMFIELD_PARAM(visit, p, floor, "bayesian: least probability of a class in one view", {1e-12, 0.5});
   SEMFIELD_PARAM(visit, p, views, "other views asked for each frame; 0: all", {0, 1e6});
-  SEMFIELD_PARAM(visit, p, choose, "which ones, where views is not 0: nearest cameras, or evenly over the frames");
+  SEMFIELD_PARAM(visit, p, choose,
+                 "which views are asked when `views` is not 0: those of the nearest cameras, or evenly spaced frames");
   SEMFIELD_PARAM(
       visit, p, neighbourhood,
       "side of the window of pixels whose predictions are averaged in another view; odd; 1: the nearest pixel",

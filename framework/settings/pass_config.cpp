@@ -8,23 +8,24 @@ namespace semfield {
 void describe(ParamVisitor& visit, SemanticBranchConfig& branch) {
   SEMFIELD_PARAM(
       visit, branch, labels,
-      "in a list, the labels that this branch is for: noisy: neighbouring labels often differ; few: under one "
-      "training pixel in 500 has a label; many: the others; any: all of them");
+      "in a list, the labels that this branch is for; noisy: neighbouring labels often differ; few: fewer than one "
+      "training pixel in 500 has a label; many: all others; any: every kind");
   SemanticBranchRules& p = branch.rules;
   SEMFIELD_PARAM(visit, p, reads_feature,
                  "the branch reads the field's feature beside the position; no gradient goes back into the field");
-  SEMFIELD_PARAM(visit, p, least_weight,
-                 "samples of a smaller compositing weight are left out; a logit changes by at most the weights left "
-                 "out times the largest logit of a sample",
-                 {0, 0.1});
+  SEMFIELD_PARAM(
+      visit, p, least_weight,
+      "samples of a smaller compositing weight are left out; this changes a logit by at most the sum of their "
+      "weights times the largest logit of a sample",
+      {0, 0.1});
   SEMFIELD_PARAM(visit, p, dropout, "share of the branch's feature set to 0 in a training step [Srivastava14]",
                  {0, 0.9});
-  SEMFIELD_PARAM(visit, p, learning_rate, "of branch and semantic head, as a factor to train.adam.learning_rate",
-                 {0, 1e3});
-  SEMFIELD_PARAM(
-      visit, p, weight_decay,
-      "of branch and semantic head: a step takes the learning rate times this share of a value [Loshchilov19]",
-      {0, 10});
+  SEMFIELD_PARAM(visit, p, learning_rate,
+                 "learning rate of branch and semantic head, as a factor of train.adam.learning_rate", {0, 1e3});
+  SEMFIELD_PARAM(visit, p, weight_decay,
+                 "weight decay of branch and semantic head: a step subtracts the learning rate times this share of a "
+                 "value [Loshchilov19]",
+                 {0, 10});
 }
 
 PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,

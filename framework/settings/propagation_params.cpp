@@ -10,7 +10,7 @@ void describe(ParamVisitor& visit, PropagationParams& p) {
   SEMFIELD_PARAM(visit, p, min_opacity, "opacity of a rendered pixel below which it has no depth", {0.01, 1});
   SEMFIELD_PARAM(visit, p, cell_m,
                  "surface: edge of a cell, m; 0: three pixels at the scene's middle depth, at least 1/500 of its "
-                 "longest side, which is said",
+                 "longest side; the verb prints it",
                  {0, 1e6});
   SEMFIELD_PARAM(visit, p, color_sigma, "surface: difference of colour (0 to 1) at which a weight falls to exp(-1/2)",
                  {1e-3, 1e3});
@@ -19,10 +19,12 @@ void describe(ParamVisitor& visit, PropagationParams& p) {
   SEMFIELD_PARAM(visit, p, vote_weight,
                  "surface: how strongly one labelled pixel holds its cell, where an edge between equal cells is 1",
                  {1e-6, 1e6});
-  SEMFIELD_PARAM(visit, p, min_confidence, "pixels whose most probable class has less stay void", {0, 1});
+  SEMFIELD_PARAM(visit, p, min_confidence, "pixels whose most probable class is less probable than this stay void",
+                 {0, 1});
   SEMFIELD_PARAM(visit, p, vote_cells_m, "vote: edges of cells, m, ascending; the first with enough votes counts",
                  {1e-6, 1e6});
-  SEMFIELD_PARAM(visit, p, least_votes, "vote: votes that are enough; the last edge takes what there is", {1, 1e9});
+  SEMFIELD_PARAM(visit, p, least_votes, "vote: how many votes are enough; the largest cell takes what there is",
+                 {1, 1e9});
 }
 
 void validate(const PropagationParams& p, Diagnostics& diagnostics) {

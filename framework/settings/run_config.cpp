@@ -15,10 +15,10 @@ namespace semfield {
 void describe(ParamVisitor& visit, SemanticsParams& p) {
   SEMFIELD_PARAM(visit, p, weight, "lambda, weight of the semantic loss beside the colour loss [Zhi21, Eq. 7]",
                  {0, 1e6});
-  SEMFIELD_PARAM(visit, p, stop_gradient_to_density, "true: semantics do not shape geometry");
+  SEMFIELD_PARAM(visit, p, stop_gradient_to_density, "true: the semantic loss does not shape geometry");
   SEMFIELD_PARAM(visit, p, hidden_width, "width of the semantic hidden layer [Zhi21: 128]", {1, 1024});
   SEMFIELD_PARAM(visit, p, normalisation, "what the summed cross-entropy of a batch is divided by");
-  SEMFIELD_PARAM(visit, p, balance_classes, "weigh classes by inverse log frequency [Paszke16]");
+  SEMFIELD_PARAM(visit, p, balance_classes, "weight classes by inverse log frequency [Paszke16]");
 }
 
 void describe(ParamVisitor& visit, RenderingParams& p) {
@@ -49,13 +49,13 @@ void validate(const RenderingParams& p, Diagnostics& diagnostics) {
 void describe(ParamVisitor& visit, TrainParams& p) {
   SEMFIELD_PARAM(visit, p, steps, "optimiser steps of the run", {0, 1e9});
   SEMFIELD_PARAM(visit, p, time_limit_s, "seconds of training after which the run ends early; 0: no limit", {0, 1e8});
-  SEMFIELD_PARAM(visit, p, rays, "rays a step", {1, 1 << 20});
+  SEMFIELD_PARAM(visit, p, rays, "rays per step", {1, 1 << 20});
   SEMFIELD_PARAM(visit, p, ray_source, "where a step's rays come from");
   SEMFIELD_PARAM(visit, p, labelled_share, "share of rays from labelled pixels, for label_balanced", {0, 1});
   SEMFIELD_PARAM(
       visit, p, label_rays_teach_color,
-      "false: rays that label_balanced draws for their labels have no part in the colour loss, which is then "
-      "that of evenly drawn rays alone; few labelled pixels, drawn again and again, spoil geometry");
+      "false: rays that label_balanced draws for their labels do not enter the colour loss, which then "
+      "comes from evenly drawn rays alone. A few labelled pixels that are drawn again and again spoil geometry");
 }
 
 void describe(ParamVisitor& visit, SelfTrainingParams& p) {
@@ -75,27 +75,29 @@ void validate(const SelfTrainingParams& p, Diagnostics& diagnostics) {
 
 void describe(ParamVisitor& visit, RuntimeParams& p) {
   SEMFIELD_PARAM(visit, p, device, "where kernels run; auto takes the fastest that this build and machine have");
-  SEMFIELD_PARAM(visit, p, precision,
-                 "of the networks' matrix products: fp32, or bf16 operands with fp32 sums, weights and gradients");
-  SEMFIELD_PARAM(visit, p, gemm,
-                 "who computes matrix products on the CPU; auto: oneDNN for bf16 on processors with matrix tiles");
   SEMFIELD_PARAM(
-      visit, p, deterministic,
-      "on a graphics processor: sums in a fixed order, so that every run gives the same bits; the CPU always does");
+      visit, p, precision,
+      "precision of the networks' matrix products: fp32, or bf16 operands with fp32 sums, weights and gradients");
+  SEMFIELD_PARAM(
+      visit, p, gemm,
+      "which code computes matrix products on the CPU; auto: oneDNN for bf16 on processors with matrix tiles");
+  SEMFIELD_PARAM(visit, p, deterministic,
+                 "a GPU sums in a fixed order, so that every run gives the same bits; the CPU always does");
   SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
   SEMFIELD_PARAM(visit, p, seed, "seed of every random value");
-  SEMFIELD_PARAM(visit, p, lanes,
-                 "gradient slots, also the most threads that help in a step; changes the order of sums", {1, 256});
-  SEMFIELD_PARAM(visit, p, tile_rays, "rays a tile, 0: from the samplers; changes the order of sums", {0, 1 << 16});
-  SEMFIELD_PARAM(visit, p, keep,
-                 "components built although the scene does not need them, as --keep; `train --dry-run` names them");
+  SEMFIELD_PARAM(visit, p, lanes, "gradient slots, which also limit the threads of a step; changes the order of sums",
+                 {1, 256});
+  SEMFIELD_PARAM(visit, p, tile_rays, "rays per tile; 0: from the samplers; changes the order of sums", {0, 1 << 16});
+  SEMFIELD_PARAM(
+      visit, p, keep,
+      "components to build although the scene does not need them, like --keep; `train --dry-run` names them");
   SEMFIELD_PARAM(
       visit, p, memory_gb,
-      "most memory that training may take, GB; 0: what the system has available; more is refused at the start",
+      "most memory that training may take, GB; 0: what is free; a run that needs more is refused at the start",
       {0, 1e6});
-  SEMFIELD_PARAM(visit, p, fold_feature_layer, "multiply a field's feature and view layer once a step (exact)");
-  SEMFIELD_PARAM(visit, p, direction_once_per_ray, "compute the view layer's direction term once a ray (exact)");
-  SEMFIELD_PARAM(visit, p, deferred_class_layer, "apply the class layer once a ray, after compositing (exact)");
+  SEMFIELD_PARAM(visit, p, fold_feature_layer, "multiply a field's feature and view layer once per step (exact)");
+  SEMFIELD_PARAM(visit, p, direction_once_per_ray, "compute the view layer's direction term once per ray (exact)");
+  SEMFIELD_PARAM(visit, p, deferred_class_layer, "apply the class layer once per ray, after compositing (exact)");
 }
 
 void describe(ParamVisitor& visit, ReportParams& p) {
@@ -104,24 +106,23 @@ void describe(ParamVisitor& visit, ReportParams& p) {
                  {0, 1e8});
   SEMFIELD_PARAM(visit, p, eval_frames,
                  "test frames of an evaluation while training, evenly spaced; the last one takes all", {1, 1e6});
-  SEMFIELD_PARAM(visit, p, eval_share,
-                 "share of the training time that evaluation may take: while training fewer pixels and fewer times, at "
-                 "the end of a time limit fewer frames, which is said; 0: no bound",
-                 {0, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, eval_share,
+      "share of the training time that evaluation may take; to stay within it, evaluations become rarer and read "
+      "fewer pixels, and the last one before a time limit scores fewer frames and says so; 0: no bound",
+      {0, 1e6});
   SEMFIELD_PARAM(visit, p, checkpoint_every_s, "seconds between checkpoints; 0: only at the end", {0, 1e8});
   SEMFIELD_PARAM(visit, p, keep_checkpoints, "checkpoints that stay on disk", {2, 1e6});
   SEMFIELD_PARAM(visit, p, strips, "test frames shown in the report", {0, 64});
-  SEMFIELD_PARAM(visit, p, training_frames,
-                 "training frames, evenly spaced, that are scored at the end against the scene's own labels, as are "
-                 "the labels given; 0: none",
-                 {0, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, training_frames,
+      "training frames, evenly spaced, on which the field and the training labels are scored at the end against "
+      "the scene's own labels; 0: none",
+      {0, 1e6});
   SEMFIELD_PARAM(visit, p, worst_frames, "test frames with the lowest scores shown in the report", {0, 64});
 }
 
 namespace {
-
-constexpr std::array<std::string_view, 12> kTopKeys{"scene",   "semantics", "losses", "rendering", "passes", "train",
-                                                    "runtime", "report",    "fuse",   "propagate", "limits", "plugins"};
 
 // Calls `section(key path, params)` for every fixed section of `config`: the one list that reading, writing and
 // documenting share.
@@ -140,6 +141,18 @@ void each_section(Config& config, Fn&& section) {
   section("fuse", "labels of several views combined by `semfield fuse`", config.fuse);
   section("propagate", "labels spread over a run's surface by `semfield propagate`", config.propagate);
   section("limits", "how large inputs may be; what is larger is refused", config.limits);
+}
+
+// The keys at the top: those of the sections, and of what is no section of parameters.
+std::vector<std::string> top_keys() {
+  std::vector<std::string> keys;
+  RunConfig defaults;
+  each_section(defaults, [&](std::string_view path, const char*, auto&) {
+    std::string key(path.substr(0, path.find('.')));
+    if (std::find(keys.begin(), keys.end(), key) == keys.end()) keys.push_back(std::move(key));
+  });
+  keys.insert(keys.end(), {"losses", "passes", "plugins", "name", "base_dir"});
+  return keys;
 }
 
 // Sub-sections of a section, which are keys of its map but no parameters.
@@ -214,8 +227,7 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
     diagnostics.error(tree.location().text(), "expected a map of sections at the top of the config");
     return config;
   }
-  std::vector<std::string> known(kTopKeys.begin(), kTopKeys.end());
-  known.insert(known.end(), {"name", "base_dir"});
+  const std::vector<std::string> known = top_keys();
   for (const auto& [key, value] : tree.entries()) {
     if (std::find(known.begin(), known.end(), key) != known.end()) continue;
     const std::string near = did_you_mean(key, known);

@@ -141,7 +141,7 @@ TEST(ConfigTree, SyntaxErrorsNamePlaceAndCause) {
   EXPECT_EQ(refused("a: \"x\\\"\n"), "room.yaml:1:4: a quoted text is not closed");
   EXPECT_EQ(parse("a: 'it''s'\n").find("a")->text(), "it's");
   EXPECT_EQ(parse("a: \"x\\\"\"\n").find("a")->text(), "x\"");
-  EXPECT_EQ(refused("a: 1\n]\n"), "room.yaml:2:1: a closing bracket that nothing opened");
+  EXPECT_EQ(refused("a: 1\n]\n"), "room.yaml:2:1: a closing bracket without an opening one");
   EXPECT_EQ(refused("a: - b\n"), "room.yaml:1:4: a '-' where no list item can stand");
   EXPECT_EQ(refused("a: \"\\q\"\n"), "room.yaml:1:7: unknown escape character: q");
 }

@@ -123,7 +123,7 @@ TEST(Program, AFullDiskEndsTheRunAndSpaceLetsItGoOn) {
   EXPECT_TRUE(has(full, "disk full: need ")) << full;
   EXPECT_TRUE(has(full, " bytes, have ")) << full;
   EXPECT_TRUE(has(full, "; free some space or choose another disk")) << full;
-  EXPECT_TRUE(has(full, "go on with `semfield train --resume " + shell_word(disk + "/run") + "`")) << full;
+  EXPECT_TRUE(has(full, "resume with `semfield train --resume " + shell_word(disk + "/run") + "`")) << full;
   // What is said to be kept is there and whole.
   Diagnostics diagnostics;
   const auto kept = CheckpointStore::read(copy + "/checkpoints").find_latest(diagnostics);
@@ -210,7 +210,7 @@ TEST(Program, ADiskThatFillsUnderTheLogNamesTheCheckpointKept) {
       run({"train", config, "--out", run_dir}, dir, testing_crash::fault_environment(run_dir, dir / "l", full));
   EXPECT_EQ(r.code, 74) << r.err;
   EXPECT_TRUE(has(r.err,
-                  "training ended at step 30 (there is no checkpoint yet: a resume begins at step 0; go on with "
+                  "training ended at step 30 (there is no checkpoint yet: a resume begins at step 0; resume with "
                   "`semfield train --resume " +
                       shell_word(run_dir) + "`): cannot append to '" + run_dir + "/metrics.jsonl': disk full: need "))
       << r.err;

@@ -115,7 +115,7 @@ TEST(DeadDensity, AnEmptySceneIsNoFault) {
   const StoredFrame stored(black);
   const FrameInfo& info = subject.session.scene.info.frames[0];
   RaySourceOptions options;
-  options.rays = 16;
+  options.train.rays = 16;
   options.tile_rays = subject.session.pipeline->tile_rays();
   const RaySource source({{{info.camera, info.world_from_camera, false}, &stored, nullptr, ""}}, {},
                          subject.session.limits, options);

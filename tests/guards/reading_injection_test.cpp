@@ -187,7 +187,7 @@ struct BadRays {
   }
   RaySource make(const RayCamera& camera, const Subject& subject) {
     RaySourceOptions options;
-    options.rays = 12;
+    options.train.rays = 12;
     options.tile_rays = subject.session.pipeline->tile_rays();
     stored = StoredFrame(buffer);
     return RaySource({{camera, &stored, labels.empty() ? nullptr : &labels, "bad_one"}}, {0, 1, 2, 3, 4},

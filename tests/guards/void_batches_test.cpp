@@ -43,7 +43,7 @@ TEST_P(VoidBatches, LeaveTheHeadAlone) {
     frames.push_back({{info.camera, info.world_from_camera, false}, &subject.session.scene.frames[i], &labels[i], ""});
   }
   RaySourceOptions options;
-  options.rays = 64;
+  options.train.rays = 64;
   options.tile_rays = subject.session.pipeline->tile_rays();
   const RaySource source(std::move(frames), {0, 1, 2, 3, 4}, subject.session.limits, options);
 

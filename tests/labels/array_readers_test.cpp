@@ -74,7 +74,7 @@ TEST(LabelImages, RefusalsNameFileAndPixel) {
     return error_of([&] { (void)reader->read(frame_of(name), table); });
   };
   const std::string add =
-      "; add what is missing to the table, or take it for void with --set scene.labels.from.unknown=void";
+      "; add what is missing to the table, or read it as void with --set scene.labels.from.unknown=void";
   const std::string unknown = " is not in the class table, first at x 1, y 1 of '" + folder;
   EXPECT_EQ(read("", "a"), "label id 9" + unknown + "/a.png'" + add);
   EXPECT_EQ(read("kind: color", "c"), "colour (70, 80, 91)" + unknown + "/c.png'" + add);
@@ -202,7 +202,7 @@ TEST(NpzLabels, RefusalsNameFileAndPixel) {
   }
   testing_room::cut(c.folder + "/a.npz", 40);
   EXPECT_EQ(c.read_error(), file +
-                                ": no archive: the end of a zip file is not there; save the file again, or copy it "
+                                ": not a zip archive: its end is missing; save the file again, or copy it "
                                 "again in full");
 
   const auto opened = [&](const std::string& order) {

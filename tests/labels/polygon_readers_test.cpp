@@ -103,7 +103,9 @@ TEST(Labelme, FramesAreFoundByImageOrFileAndTheTableIsBuiltInOrderOfNames) {
   FrameInfo renamed = frame_of("a");
   renamed.source = "/images/0017.jpg";
   EXPECT_EQ(rows_of(c.reader->read(renamed, table))[0], "1.....");
-  EXPECT_NE(error_of([&] { (void)c.reader->read(frame_of("0019"), table); }).find("no labelme file of frame '0019'"),
+  EXPECT_NE(error_of([&] {
+              (void)c.reader->read(frame_of("0019"), table);
+            }).find("there is no labelme file for frame '0019'"),
             std::string::npos);
 }
 
@@ -117,7 +119,7 @@ TEST(Labelme, EveryRefusalNamesFileAndShape) {
   const auto of_shape = [&](const std::string& s) { return findings(labelme(s)); };
   const std::string first = path + ": shape 1 ('chair'): ", again = "; save the file again in labelme";
   EXPECT_EQ(findings("{\"shapes\": [").find(path + ": not valid JSON: parse error at line 1, column 13"), 0u);
-  EXPECT_EQ(findings("{\"shapes\": 3}"), path + ": 'shapes' is no list" + again);
+  EXPECT_EQ(findings("{\"shapes\": 3}"), path + ": 'shapes' is not a list" + again);
   EXPECT_EQ(findings("{\"shapes\": [], \"imageHeight\": 3}"),
             path + ": 'imageWidth' is missing" + again + ": it writes the size of the image");
   EXPECT_EQ(findings("{\"shapes\": [], \"imageWidth\": -3, \"imageHeight\": 3}"),

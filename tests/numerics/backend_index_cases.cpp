@@ -189,18 +189,18 @@ void long_index(CaseRun& run) {
   frame.width_px = frame.height_px = 16384;
   std::vector<TrainFrame> frames(15, TrainFrame{{}, &frame, nullptr});
   RaySourceOptions options;
-  options.rays = 3000;
+  options.train.rays = 3000;
   const RaySource rays(frames, {}, {}, options);
   run.expect(rays.pixel_count() == 15 * (std::int64_t{1} << 28), "4,026,531,840 pixels");
   std::vector<int> drawn(15);
   double mean = 0;
   bool inside = true;
-  for (std::int64_t ray = 0; ray < options.rays; ++ray) {
+  for (std::int64_t ray = 0; ray < options.train.rays; ++ray) {
     const RaySource::Pixel pixel = rays.choose(1, ray);
     inside = inside && pixel.frame >= 0 && pixel.frame < 15 && pixel.index >= 0 && pixel.index < (1 << 28);
     if (!inside) break;
     ++drawn[static_cast<std::size_t>(pixel.frame)];
-    mean += pixel.index / static_cast<double>(options.rays) / (1 << 28);
+    mean += pixel.index / static_cast<double>(options.train.rays) / (1 << 28);
   }
   run.expect(inside, "every pixel drawn lies in a frame");
   // 200 draws a frame: a binomial count is within 6 of its deviations of 13.7.

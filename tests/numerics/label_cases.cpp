@@ -131,7 +131,7 @@ void label_range(CaseRun& run) {
     std::vector<std::int16_t> logit_of_class;
     for (std::int16_t c = 0; c < 28; ++c) logit_of_class.push_back(c);
     RaySourceOptions options;
-    options.rays = 256;  // of 24 pixels: the bad one is among them
+    options.train.rays = 256;  // of 24 pixels: the bad one is among them
     const RaySource source({train}, logit_of_class, {}, options);
     BatchBuffers batch;
     run.expect_error(ErrorKind::data, {"frame 'view_7'", "x 3, y 2", fmt::format("label {} ", bad)},

@@ -102,7 +102,7 @@ TEST(ClassImport, ByExtension) {
   EXPECT_EQ(import_classes(folder + "/c.csv").valid_count(), 13);
   write_file_atomic(folder + "/c.txt", to_cvat_labelmap(table));
   EXPECT_EQ(import_classes(folder + "/c.txt").to_yaml(), table.to_yaml());
-  EXPECT_NE(error_of([&] { (void)import_classes(folder + "/c.xml"); }).find("is no class table"), std::string::npos);
+  EXPECT_NE(error_of([&] { (void)import_classes(folder + "/c.xml"); }).find("is not a class table"), std::string::npos);
 }
 
 // Commas, quotes and blanks of a name come back from the CSV that is written; what is quoted wrongly is named.

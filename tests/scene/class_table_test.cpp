@@ -73,7 +73,7 @@ TEST(ClassTable, RefusalsNamePlaceAndRemedy) {
     return error_of([&] { (void)ClassTable::load(folder + "/" + name); });
   };
   EXPECT_EQ(load("a.csv", "id,name\n1,wall\nx2,floor\n"),
-            folder + "/a.csv:3: expected a class id, got 'x2'; write one line 'id,name' a class");
+            folder + "/a.csv:3: expected a class id, got 'x2'; write one line 'id,name' for each class");
   EXPECT_EQ(load("b.csv", "1,wall\n1,floor\n"),
             folder + "/b.csv: class id 1 is given twice ('wall' and 'floor'); keep one of them");
   EXPECT_EQ(load("c.yaml", "- {id: 1, name: wall, colour: [1, 2, 3]}\n").find(folder + "/c.yaml:1:"), 0u);
@@ -84,7 +84,8 @@ TEST(ClassTable, RefusalsNamePlaceAndRemedy) {
                 .find("color: expected an integer from 0 to 255, got '300'"),
             std::string::npos);
   EXPECT_NE(load("e.json", "{\"classes\": 3}").find("no list 'classes' in it"), std::string::npos);
-  EXPECT_NE(load("f.txt", "1,wall\n").find("is no class table; give a .yaml, .csv or .json file"), std::string::npos);
+  EXPECT_NE(load("f.txt", "1,wall\n").find("is not a class table; give a .yaml, .csv or .json file"),
+            std::string::npos);
   EXPECT_NE(error_of([] { ClassTable({{-4, "x", {}, false}}); }).find("has id -4"), std::string::npos);
   std::vector<ClassEntry> many;
   for (int i = 0; i < 1025; ++i) many.push_back({i, "c", {}, false});

@@ -69,7 +69,7 @@ TEST(Npy, TypesOrdersAndVersions) {
 TEST(Npy, HeadersThatLieAreRefusedBeforeAnythingIsAllocated) {
   const NpyCase c;
   const std::string file = "'" + c.path + "': ", again = "; save the file again, or copy it again in full";
-  EXPECT_EQ(c.error("hello"), file + "no NumPy array: the first bytes are others");
+  EXPECT_EQ(c.error("hello"), file + "not a NumPy array: it begins with other bytes");
   EXPECT_EQ(c.error(npy("", "", 9)), file + "NumPy format version 9 is not read");
   EXPECT_EQ(c.error(std::string("\x93NUMPY\x01\x00\xFF\xFFx", 11)),
             file + "the header runs past the end of the file" + again);
@@ -80,7 +80,7 @@ TEST(Npy, HeadersThatLieAreRefusedBeforeAnythingIsAllocated) {
   EXPECT_EQ(c.error(npy("{'descr': '<f4', 'fortran_order': False, }", "")), file + "the header has no 'shape'" + again);
   EXPECT_EQ(c.error(npy(header("<f4", "(3,)", "Maybe"), "")),
             file + "the header's 'fortran_order' is neither True nor False" + again);
-  EXPECT_EQ(c.error(npy(header("<f4", "3)"), "")), file + "the header's 'shape' is no tuple" + again);
+  EXPECT_EQ(c.error(npy(header("<f4", "3)"), "")), file + "the header's 'shape' is not a tuple" + again);
   EXPECT_EQ(c.error(npy(header("<f4", "(3, -2)"), "")), file + "the header's shape has the axis '-2'");
   EXPECT_EQ(c.error(npy(header("<f4", "(3, x)"), "")), file + "the header's shape has the axis 'x'");
   EXPECT_EQ(c.error(npy(header("<i8", "(1,)"), "12345678")),
@@ -179,7 +179,7 @@ TEST(Npz, Zip64SizesAndArchivesThatLie) {
   std::string bad = stored64(data, data.size(), data.size());
   bad[30 + 5 + 20 + data.size() - 1] ^= 1;
   EXPECT_EQ(error(bad), file + "its checksum is wrong" + again);
-  EXPECT_EQ(error(""), "'" + path + "': no archive: the end of a zip file is not there" + again);
+  EXPECT_EQ(error(""), "'" + path + "': not a zip archive: its end is missing" + again);
 }
 
 // Whatever bytes are damaged, reading ends with an Error or with values, never otherwise.

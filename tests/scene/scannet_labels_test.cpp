@@ -37,7 +37,7 @@ TEST(ScannetLabels, RefusalsNameLineAndColumn) {
     return error_of([&] { (void)read_scannet_tsv(path); });
   };
   const std::string give = "; give scannetv2-labels.combined.tsv: tab-separated, names of columns in the first line";
-  const std::string restore = "; restore the table as ScanNet gives it out";
+  const std::string restore = "; restore the table as ScanNet distributes it";
   EXPECT_EQ(read(""), path + ": no rows in it" + give);
   EXPECT_EQ(read("raw_category\tnyu40id\n"), path + ":1: no column 'id'" + give);
   EXPECT_EQ(read("id\traw_category\n"), path + ":1: neither a column 'nyu40id' nor a column 'eigen13id'" + give);

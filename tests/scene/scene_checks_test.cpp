@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include "tests/scene/tiny_scene.h"
@@ -51,6 +53,25 @@ TEST(SceneChecks, ScaledMirroredAndNearlyOrthonormal) {
   for (std::size_t i = 0; i < 3; ++i) {
     for (std::size_t j = 0; j < 3; ++j) EXPECT_NEAR(near.r[i][j], exact.r[i][j], 1e-12);
   }
+}
+
+// Of two axes that lean towards each other each gives way by half, so no axis is trusted more than another.
+TEST(SceneChecks, TheNearestRotationIsTaken) {
+  constexpr double kLean = 4e-4;
+  const Pose exact = testing_room::room_pose(3);
+  Pose leaning = exact;
+  for (auto& row : leaning.r) row[0] += kLean * row[1];
+  Pose pose = leaning;
+  Diagnostics d;
+  EXPECT_EQ(check_pose(pose, "frame 'a' (a.png)", d), PoseState::good);
+  double moved = 0, off = 0;
+  for (int a = 0; a < 3; ++a) {
+    const Vec3d step = pose.axis(a) - leaning.axis(a);
+    moved += dot(step, step);
+    for (int b = 0; b < 3; ++b) off = std::max(off, std::abs(dot(pose.axis(a), pose.axis(b)) - (a == b ? 1.0 : 0.0)));
+  }
+  EXPECT_NEAR(std::sqrt(moved), kLean / std::sqrt(2), 1e-7);
+  EXPECT_LT(off, 1e-14);
 }
 
 TEST(SceneChecks, NonFinitePosesAreToldAndCounted) {

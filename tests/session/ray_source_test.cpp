@@ -46,10 +46,10 @@ struct Fixture {
 TEST(RaySource, AllImagesTakesEveryPixelOfEveryFrameUniformly) {
   Fixture f;
   RaySourceOptions options;
-  options.rays = 6400;
+  options.train.rays = 6400;
   const RaySource source = f.make(options);
   std::vector<int> hits(64);
-  for (std::int64_t ray = 0; ray < options.rays; ++ray) {
+  for (std::int64_t ray = 0; ray < options.train.rays; ++ray) {
     const RaySource::Pixel p = source.choose(0, ray);
     ++hits[static_cast<std::size_t>(p.frame * 32 + p.index)];
   }
@@ -61,7 +61,7 @@ TEST(RaySource, AllImagesTakesEveryPixelOfEveryFrameUniformly) {
 TEST(RaySource, OneImageTakesOneFrameAStep) {
   Fixture f;
   RaySourceOptions options;
-  options.kind = RaySourceKind::one_image;
+  options.train.ray_source = RaySourceKind::one_image;
   const RaySource source = f.make(options);
   std::set<int> frames;
   for (std::int64_t step = 0; step < 20; ++step) {
@@ -75,9 +75,9 @@ TEST(RaySource, OneImageTakesOneFrameAStep) {
 TEST(RaySource, LabelBalancedGivesExactlyItsShareInEveryTileLabelledFirst) {
   Fixture f;
   RaySourceOptions options;
-  options.kind = RaySourceKind::label_balanced;
-  options.labelled_share = 0.25;
-  options.rays = 128;
+  options.train.ray_source = RaySourceKind::label_balanced;
+  options.train.labelled_share = 0.25;
+  options.train.rays = 128;
   options.tile_rays = 32;
   const RaySource source = f.make(options);
   BatchBuffers batch;
@@ -99,7 +99,7 @@ TEST(RaySource, LabelBalancedGivesExactlyItsShareInEveryTileLabelledFirst) {
 TEST(RaySource, LabelsOfUnselectedFramesAreVoid) {
   Fixture f;
   RaySourceOptions options;
-  options.rays = 2000;
+  options.train.rays = 2000;
   const RaySource source = f.make(options);
   BatchBuffers batch;
   source.fill(0, batch);
@@ -117,7 +117,7 @@ TEST(RaySource, LabelsOfUnselectedFramesAreVoid) {
 TEST(RaySource, ATileHoldsItsLabelledRaysAndThenTheOthersInTheirOrder) {
   Fixture f;
   RaySourceOptions options;
-  options.rays = 1500;
+  options.train.rays = 1500;
   options.tile_rays = 1;
   BatchBuffers single, tiled;
   f.make(options).fill(4, single);
@@ -144,7 +144,7 @@ TEST(RaySource, ATileHoldsItsLabelledRaysAndThenTheOthersInTheirOrder) {
 TEST(RaySource, TheBatchDoesNotDependOnThreads) {
   Fixture f;
   RaySourceOptions options;
-  options.rays = 500;
+  options.train.rays = 500;
   const RaySource source = f.make(options);
   BatchBuffers one, two;
   set_thread_count(1);
@@ -160,7 +160,7 @@ TEST(RaySource, NoLabelledPixelIsAnErrorForLabelBalanced) {
   Fixture f;
   f.a.label.assign(32, kVoid);
   RaySourceOptions options;
-  options.kind = RaySourceKind::label_balanced;
+  options.train.ray_source = RaySourceKind::label_balanced;
   EXPECT_THROW(f.make(options), Error);
 }
 
@@ -207,8 +207,8 @@ TEST(RaySource, LabelBalancedDrawsFromTheLabelledPixelsInOrder) {
     stored[f] = StoredFrame(frame);
   }
   RaySourceOptions options;
-  options.kind = RaySourceKind::label_balanced;
-  options.labelled_share = 1;
+  options.train.ray_source = RaySourceKind::label_balanced;
+  options.train.labelled_share = 1;
   options.seed = 9;
   RayCamera camera;
   camera.camera.width_px = 37;
@@ -240,7 +240,7 @@ TEST(RaySource, SoftLabelsComeAsRowsOverLogits) {
   camera.camera.height_px = 4;
   camera.camera.fx = camera.camera.fy = 4;
   RaySourceOptions options;
-  options.rays = 3000;
+  options.train.rays = 3000;
   const RaySource source({{camera, &f.stored_a, &a}, {camera, &f.stored_b, &b}}, {0, kVoid, 1}, f.limits, options);
   BatchBuffers batch;
   source.fill(0, batch);
@@ -269,9 +269,9 @@ TEST(RaySource, SoftLabelsComeAsRowsOverLogits) {
 TEST(RaySource, AddedLabelsServePixelsWithoutTheirOwn) {
   Fixture f;
   RaySourceOptions options;
-  options.kind = RaySourceKind::label_balanced;
-  options.labelled_share = 1;
-  options.rays = 256;
+  options.train.ray_source = RaySourceKind::label_balanced;
+  options.train.labelled_share = 1;
+  options.train.rays = 256;
   RaySource source = f.make(options);
   std::vector<std::int16_t> a(32, kVoid), b(32, kVoid);
   a[5] = 0;  // has its own label, 1, which stays
@@ -297,9 +297,9 @@ TEST(RaySource, AddedLabelsServePixelsWithoutTheirOwn) {
 TEST(RaySource, AddedLabelsBesideSoftOnesAreSure) {
   Fixture f;
   RaySourceOptions options;
-  options.kind = RaySourceKind::label_balanced;
-  options.labelled_share = 1;
-  options.rays = 64;
+  options.train.ray_source = RaySourceKind::label_balanced;
+  options.train.labelled_share = 1;
+  options.train.rays = 64;
   (void)f.make(options);
   f.labels_a.hard = {};
   f.labels_a.soft = SoftMap(32, 2);

@@ -10,7 +10,7 @@ const std::vector<StepKind<Degradation>>& degradation_kinds() {
       {"region_noise", "a wrong class on whole instances in a share of the frames that see them", make_region_noise},
       {"super_resolution", "labels of a coarse grid: spread over its cells, or alone among void",
        make_super_resolution},
-      {"propagation", "one click, or one grown region, a class and frame; the rest is void", make_propagation},
+      {"propagation", "one click or one grown region per class and frame; the rest is void", make_propagation},
       {"simulated_predictions", "soft or hard labels with the errors of a network, simulated from the clean labels",
        make_simulated_predictions},
   };

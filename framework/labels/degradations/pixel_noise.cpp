@@ -31,7 +31,7 @@ class PixelNoise final : public Degradation {
  public:
   void describe(ParamVisitor& visit) override {
     SEMFIELD_PARAM(visit, params_, ratio, "share of each frame's pixels that get a random class, rounded down", {0, 1});
-    SEMFIELD_PARAM(visit, params_, flip_void, "true: drawn pixels that are void get a class, too");
+    SEMFIELD_PARAM(visit, params_, flip_void, "true: void pixels that are drawn get a class too");
   }
 
   StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const override {

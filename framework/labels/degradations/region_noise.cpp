@@ -101,7 +101,7 @@ class RegionNoise final : public Degradation {
                    "number",
                    {0, 1});
     SEMFIELD_PARAM(visit, params_, mode,
-                   "which of them, in the order of the share of the frame that it covers: the smallest, or evenly "
+                   "which of these frames, ordered by the share that the instance covers: the smallest, or evenly "
                    "spaced ranks");
     SEMFIELD_PARAM(visit, params_, instances, "ids of the chosen instances; empty = all that the next two keys allow",
                    {1, 2147483647});

@@ -156,11 +156,11 @@ class SimulatedPredictions final : public Degradation {
     SEMFIELD_PARAM(visit, p, output, "class probabilities, or the most probable class alone");
     SEMFIELD_PARAM(visit, p, strength, "multiplies overlap, region_error, boundary_width and noise; 0 = no error",
                    {0, 4});
-    SEMFIELD_PARAM(visit, p, evidence, "logit of the class that is seen, the others being at 0", {0.1, 30});
-    SEMFIELD_PARAM(visit, p, similar, "how many classes of the scene a class is taken for", {1, kMostSimilar});
+    SEMFIELD_PARAM(visit, p, evidence, "logit of the class that is seen; the others are at 0", {0.1, 30});
+    SEMFIELD_PARAM(visit, p, similar, "how many classes of the scene a class is mistaken for", {1, kMostSimilar});
     SEMFIELD_PARAM(visit, p, overlap, "largest share of the evidence that a similar class gets in every frame", {0, 1});
     SEMFIELD_PARAM(visit, p, region_error,
-                   "chance that a small region is wholly taken for a similar class; it falls to 0 at a tenth of the "
+                   "chance that a small region is wholly mistaken for a similar class; it falls to 0 at a tenth of the "
                    "frame",
                    {0, 1});
     SEMFIELD_PARAM(visit, p, boundary_width, "how far boundaries stray (standard deviation), share of the width",

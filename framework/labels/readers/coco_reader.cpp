@@ -87,7 +87,7 @@ std::vector<std::int64_t> counts_of(const Json& segmentation, const CocoImage& i
 class CocoReader : public LabelReader {
  public:
   void describe(ParamVisitor& visit) override {
-    SEMFIELD_PARAM(visit, *this, file, "JSON file of images, annotations and categories; file_name calls the frame");
+    SEMFIELD_PARAM(visit, *this, file, "JSON file of images, annotations and categories; file_name names the frame");
   }
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {

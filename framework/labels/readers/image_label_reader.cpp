@@ -80,7 +80,7 @@ class ImageLabelReader : public LabelReader {
     SEMFIELD_PARAM(visit, *this, classes,
                    "class table, for a scene without one (classes.yaml, .csv, .json, or CVAT's "
                    "labelmap.txt)");
-    SEMFIELD_PARAM(visit, *this, unknown, "what an id or colour outside the table is");
+    SEMFIELD_PARAM(visit, *this, unknown, "how an id or colour outside the table is read");
   }
 
   void validate(Diagnostics& diagnostics) const override {
@@ -114,7 +114,7 @@ class ImageLabelReader : public LabelReader {
     if (kind != LabelImageKind::color && size.channels > 1) {
       refuse("'" + path + "'",
              "has " + std::to_string(size.channels) + " channels: it is a picture in colours, not one of class ids",
-             "let colours tell the classes with --set scene.labels.from.kind=color");
+             "read the classes from the colours with --set scene.labels.from.kind=color");
     }
     return kind == LabelImageKind::color ? read_color(path, table) : read_index(path, table);
   }
@@ -166,7 +166,7 @@ class ImageLabelReader : public LabelReader {
   void refuse_unknown(const char* noun, UnknownValues values, const std::string& path, std::int32_t width) const {
     if (values.empty() || unknown == UnknownLabels::as_void) return;
     throw UnknownLabelError(noun, std::move(values), path, width,
-                            "add what is missing to the table, or take it for void with --set "
+                            "add what is missing to the table, or read it as void with --set "
                             "scene.labels.from.unknown=void");
   }
 

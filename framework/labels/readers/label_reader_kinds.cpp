@@ -5,7 +5,7 @@ namespace semfield {
 
 const std::vector<StepKind<LabelReader>>& label_reader_kinds() {
   static const std::vector<StepKind<LabelReader>> kinds{
-      {"labelme", "polygons, rectangles, circles and points of labelme: one JSON file a frame", &make_labelme_reader},
+      {"labelme", "polygons, rectangles, circles and points of labelme: one JSON file per frame", &make_labelme_reader},
       {"coco", "polygons and run lengths of COCO: one JSON file for all frames", &make_coco_reader},
       {"images", "label images: class ids, palette indices, or exact colours", &make_image_label_reader},
       {"npz", "class probabilities of NumPy arrays: soft labels", &make_npz_reader},

@@ -1,4 +1,4 @@
-// labelme: one JSON file a frame.
+// labelme: one JSON file per frame.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -127,7 +127,7 @@ class LabelmeReader : public LabelReader {
   void describe(ParamVisitor& visit) override {
     SEMFIELD_PARAM(visit, *this, folder,
                    "folder of the JSON files; each belongs to the frame that its imagePath, or "
-                   "its own name, calls");
+                   "its own name, names");
   }
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
@@ -151,7 +151,7 @@ class LabelmeReader : public LabelReader {
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
     const LabelmeFile* file = entry_of(files_, frame);
-    if (file == nullptr) refuse(folder, "no labelme file of frame '" + frame.name + "'");
+    if (file == nullptr) refuse(folder, "there is no labelme file for frame '" + frame.name + "'");
     check_label_shape(file->width_px, file->height_px, frame.camera);
     LabelRaster raster = void_raster(file->width_px, file->height_px);
     const ClassNames names(classes);
@@ -173,7 +173,7 @@ class LabelmeReader : public LabelReader {
       diagnostics.note(path, "no labelme file (it has no 'shapes'); left out");
       return;
     }
-    if (!root["shapes"].is_array()) refuse(path, "'shapes' is no list", "save the file again in labelme");
+    if (!root["shapes"].is_array()) refuse(path, "'shapes' is not a list", "save the file again in labelme");
     LabelmeFile file{path, size_of(root, "imageWidth", path), size_of(root, "imageHeight", path), {}};
     try {
       check_image_limits(file.width_px, file.height_px);

@@ -79,11 +79,11 @@ class NpzReader : public LabelReader {
     SEMFIELD_PARAM(visit, *this, pattern, "file of a frame, .npz or .npy: {name}, {stem} and {number} as for images");
     SEMFIELD_PARAM(visit, *this, key,
                    "array of the archive: probabilities [height, width, classes], float16 to float64, or uint8 where "
-                   "255 is 1; a pixel's need not add up to 1");
+                   "255 is 1; those of a pixel need not add up to 1");
     SEMFIELD_PARAM(visit, *this, classes,
                    "JSON file of class names in the order of the last axis; empty: classes.json in the folder");
     SEMFIELD_PARAM(visit, *this, confidence_key,
-                   "array [height, width] of the same archive that the probabilities are multiplied with; empty: none");
+                   "array [height, width] of the same archive by which the probabilities are multiplied; empty: none");
   }
 
   void validate(Diagnostics& diagnostics) const override {

@@ -8,11 +8,13 @@ void describe(ParamVisitor& visit, DepthLossParams& p) {
   SEMFIELD_PARAM(visit, p, kind,
                  "expected: the error of the rendered depth, metres; line_of_sight: the share of a ray's light from "
                  "outside a band about the true depth [Rematas22]");
-  SEMFIELD_PARAM(visit, p, truncate_m, "of kind expected: an error beyond it has no slope, metres; 0: every one has",
+  SEMFIELD_PARAM(visit, p, truncate_m,
+                 "for kind expected: errors beyond this many metres have no gradient; 0: every error has one",
                  {0, 1e6});
-  SEMFIELD_PARAM(visit, p, band_m,
-                 "of kind line_of_sight: half the width of the band, metres; wider than the samples lie apart",
-                 {1e-6, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, band_m,
+      "for kind line_of_sight: half the width of the band, metres; choose it wider than the spacing of samples",
+      {1e-6, 1e6});
 }
 
 LossTraits DepthLoss::traits() const {
@@ -63,7 +65,7 @@ LossKind depth_loss();
 LossKind depth_loss() {
   return {{"depth", "depth images of training frames; pixels without depth count for nothing",
            [] { return std::unique_ptr<LossTerm>(new DepthLoss); }},
-          "depth of training frames in memory, two bytes a pixel, and its gradient"};
+          "depth of training frames in memory, two bytes per pixel, and its gradient"};
 }
 
 }  // namespace semfield

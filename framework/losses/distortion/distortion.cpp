@@ -5,7 +5,7 @@
 namespace semfield {
 
 void describe(ParamVisitor& visit, DistortionParams& p) {
-  SEMFIELD_PARAM(visit, p, space, "how distances of a ray are brought to [0, 1]: linear, or by 1 / t [Barron22]");
+  SEMFIELD_PARAM(visit, p, space, "how distances along a ray are mapped to [0, 1]: linearly, or by 1 / t [Barron22]");
 }
 
 LossTraits DistortionLoss::traits() const {

@@ -19,12 +19,12 @@ void describe(ParamVisitor& visit, ColmapParams& p) {
   SEMFIELD_PARAM(visit, p, model,
                  "folder inside root with cameras, images and points3D (.bin or .txt); empty = sparse/0, sparse, "
                  "colmap/sparse/0 or root itself");
-  SEMFIELD_PARAM(visit, p, images, "folder inside root of the images that the model names; any size of theirs will do");
-  SEMFIELD_PARAM(visit, p, test_every, "every how many-th frame, by name, is held out for tests; 0 = none", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, images, "folder inside root of the images that the model names; they may have any size");
+  SEMFIELD_PARAM(visit, p, test_every, "every N-th frame, by name, is held out for tests; 0 = none", {0, 1e6});
   SEMFIELD_PARAM(visit, p, label_dir,
                  "folder inside root of label images: the name of the image with .png; empty = no labels");
   SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found in root");
-  SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
+  SEMFIELD_PARAM(visit, p, unknown_labels, "how a label id outside the class table is read: as an error, or as void");
   SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
 }
 

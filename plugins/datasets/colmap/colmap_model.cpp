@@ -8,6 +8,7 @@
 #include "core/text.h"
 #include "formats/input_limits.h"
 #include "formats/text_rows.h"
+#include "scene/rotation.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -41,15 +42,11 @@ const Lens* find_lens(std::string_view name) {
   return nullptr;
 }
 
-// World from camera, of the unit quaternion (w, x, y, z) and the translation of camera from world: R^T, -R^T t. A
-// quaternion that is zero or not finite gives a pose that is not finite.
+// World from camera, of the quaternion (w, x, y, z) and the translation of camera from world: R^T, -R^T t. A quaternion
+// that is zero or not finite gives a pose that is not finite.
 Pose inverse_pose(const double p[7]) {
-  const double norm = std::sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + p[3] * p[3]);
-  const double w = p[0] / norm, x = p[1] / norm, y = p[2] / norm, z = p[3] / norm;
   Pose out;
-  out.r = {{{1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)},
-            {2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)},
-            {2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)}}};
+  set_rotation(out, {p[0], -p[1], -p[2], -p[3]});  // the conjugate turns back
   out.t = out.rotate({p[4], p[5], p[6]}) * -1.0;
   return out;
 }

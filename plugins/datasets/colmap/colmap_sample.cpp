@@ -3,6 +3,7 @@
 #include <sstream>
 
 #include "formats/image_io.h"
+#include "scene/rotation.h"
 #include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
@@ -21,24 +22,9 @@ DatasetSample semfield_sample_colmap(const std::string& folder) {
   cameras << "# one camera\n1 PINHOLE " << camera.width_px << ' ' << camera.height_px << ' ' << camera.fx << ' '
           << camera.fy << ' ' << camera.cx << ' ' << camera.cy << '\n';
   for (std::size_t i = 0; i < scene.frames.size(); ++i) {
-    // Quaternion of camera from world by the largest of its four squares, from the rows of R = world_from_camera^T.
     const Pose& pose = scene.frames[i].world_from_camera;
-    const auto r = [&](int row, int col) { return pose.axis(row)[col]; };
-    double q[4];
-    const double trace = r(0, 0) + r(1, 1) + r(2, 2);
-    if (trace > 0) {
-      const double s = 2 * std::sqrt(1 + trace);
-      q[0] = s / 4;
-      for (int a = 0; a < 3; ++a) q[a + 1] = (r((a + 2) % 3, (a + 1) % 3) - r((a + 1) % 3, (a + 2) % 3)) / s;
-    } else {
-      const int a = r(0, 0) >= r(1, 1) && r(0, 0) >= r(2, 2) ? 0 : r(1, 1) >= r(2, 2) ? 1 : 2;
-      const int b = (a + 1) % 3, c = (a + 2) % 3;
-      const double s = 2 * std::sqrt(1 + r(a, a) - r(b, b) - r(c, c));
-      q[0] = (r(c, b) - r(b, c)) / s;
-      q[a + 1] = s / 4;
-      q[b + 1] = (r(a, b) + r(b, a)) / s;
-      q[c + 1] = (r(a, c) + r(c, a)) / s;
-    }
+    const Quaternion back = quaternion_of(pose);
+    const double q[4] = {back[0], -back[1], -back[2], -back[3]};  // of camera from world
     const Vec3d t = pose.unrotate(pose.t) * -1.0;
     images << i + 1 << ' ' << q[0] << ' ' << q[1] << ' ' << q[2] << ' ' << q[3] << ' ' << t.x << ' ' << t.y << ' '
            << t.z << " 1 view_" << i << ".png\n\n";

@@ -40,9 +40,9 @@ void describe(ParamVisitor& visit, ObjRoomParams& p) {
   SEMFIELD_PARAM(visit, p, frames, "training frames", {1, 100000});
   SEMFIELD_PARAM(visit, p, test_frames, "held-out frames, spread evenly between the training frames", {0, 100000});
   SEMFIELD_PARAM(visit, p, seed, "seed of path, light samples and colours of objects without material", {0, 9e15});
-  SEMFIELD_PARAM(visit, p, supersample, "colour samples a pixel = its square", {1, 8});
-  SEMFIELD_PARAM(visit, p, occlusion_rays, "ambient occlusion rays a pixel, shared with its neighbours", {0, 1024});
-  SEMFIELD_PARAM(visit, p, shadow_rays, "shadow rays a pixel and light, shared with its neighbours", {1, 1024});
+  SEMFIELD_PARAM(visit, p, supersample, "the square of this many colour samples per pixel", {1, 8});
+  SEMFIELD_PARAM(visit, p, occlusion_rays, "ambient occlusion rays per pixel, shared with its neighbours", {0, 1024});
+  SEMFIELD_PARAM(visit, p, shadow_rays, "shadow rays per pixel and light, shared with its neighbours", {1, 1024});
   SEMFIELD_PARAM(visit, p, exposure, "brightness before the film curve", {0.01, 100});
   SEMFIELD_PARAM(visit, p, daylight, "strength of the light at the largest object of class 'window'; 0 = none",
                  {0, 100});

@@ -32,20 +32,18 @@ void describe(ParamVisitor& visit, ReplicaParams& p) {
   SEMFIELD_PARAM(visit, p, test_label_dir,
                  "label folder of the test frames; empty = label_dir, and semantic_class where it has no file");
   SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found beside the sequence");
-  SEMFIELD_PARAM(visit, p, unknown_labels, "what a label id outside the class table is: an error, or void");
+  SEMFIELD_PARAM(visit, p, unknown_labels, "how a label id outside the class table is read: as an error, or as void");
   SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
   SEMFIELD_PARAM(
       visit, p, split,
       "auto: by the steps where one is given, else every frame is in a split, by test_every; paper: frames 0, "
       "5, 10, ... train and 2, 7, 12, ... are held out [Zhi21]");
   SEMFIELD_PARAM(visit, p, test_every,
-                 "every how many-th frame is held out for tests, the others train; 0 = none; without steps only",
-                 {0, 1e6});
-  SEMFIELD_PARAM(visit, p, train_step, "every how many-th frame trains; 0 = all that are not held out", {0, 1e6});
+                 "every N-th frame is held out for tests, the others train; 0 = none; without steps only", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, train_step, "every N-th frame trains; 0 = all that are not held out", {0, 1e6});
   SEMFIELD_PARAM(visit, p, train_offset, "number of the first training frame, with train_step", {0, 1e6});
   SEMFIELD_PARAM(visit, p, test_step,
-                 "every how many-th frame is held out for tests; 0 = none, and without train_step by test_every",
-                 {0, 1e6});
+                 "every N-th frame is held out for tests; 0 = none, and without train_step by test_every", {0, 1e6});
   SEMFIELD_PARAM(visit, p, test_offset, "number of the first test frame, with test_step", {0, 1e6});
 }
 

@@ -31,8 +31,8 @@ void describe(ParamVisitor& visit, ScannetParams& p) {
   SEMFIELD_PARAM(visit, p, label_dir, "folder inside root of the label images <id>.png of raw ids; empty = no labels");
   SEMFIELD_PARAM(visit, p, max_frames, "frames to take, evenly spaced among those with a pose; 0 = all", {0, 1e6});
   SEMFIELD_PARAM(visit, p, test_every,
-                 "every how many-th of the frames taken is held out for tests, 2 = every other; 0 = none", {0, 1e6});
-  SEMFIELD_PARAM(visit, p, unknown_labels, "what a raw id outside the label table is: an error, or void");
+                 "every N-th of the frames taken is held out for tests, 2 = every other; 0 = none", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, unknown_labels, "how a raw id outside the label table is read: as an error, or as void");
   SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
 }
 
@@ -252,7 +252,7 @@ void Scannet::load_classes(Diagnostics& diagnostics) {
       const auto choice = static_cast<std::size_t>(params_.class_ids);
       return diagnostics.error(path,
                                "has no ids of '" + std::string(ChoiceNames<ScannetIds>::names[choice]) + "' classes",
-                               "choose other class_ids, or restore the table as ScanNet gives it out");
+                               "choose other class_ids, or restore the table as ScanNet distributes it");
     }
     index_of_raw_.assign(kRawIds, kUnknown);
     index_of_raw_[0] = kVoid;

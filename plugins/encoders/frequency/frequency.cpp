@@ -16,7 +16,7 @@ void describe(ParamVisitor& visit, FrequencyParams& p) {
   SEMFIELD_PARAM(visit, p, include_input, "put the coordinates themselves before the bands");
   SEMFIELD_PARAM(visit, p, angular, "angle of band k: 2^k x (radian) or 2^k pi x (pi)");
   SEMFIELD_PARAM(visit, p, arithmetic,
-                 "what is rounded to fp32 for comparison: nothing, the coordinates, or angles too (naive)");
+                 "what is rounded to fp32, for comparisons: nothing, the coordinates, or the angles too (naive)");
 }
 
 void validate(const FrequencyParams& p, Diagnostics& diagnostics) {

@@ -14,10 +14,10 @@ namespace semfield {
 
 void describe(ParamVisitor& visit, HashGridParams& p) {
   SEMFIELD_PARAM(visit, p, levels, "L, number of resolutions [Mueller22 Tab. 1]", {1, kHashGridMaxLevels});
-  SEMFIELD_PARAM(visit, p, features, "F, features of an entry: 1, 2, 4 or 8 [Mueller22 Tab. 1]",
+  SEMFIELD_PARAM(visit, p, features, "F, features per entry: 1, 2, 4 or 8 [Mueller22 Tab. 1]",
                  {1, kHashGridMaxFeatures});
-  SEMFIELD_PARAM(visit, p, log2_entries,
-                 "log2 of T, the most entries of a level [Mueller22 Tab. 1]; 0 = from the scene", {0, 24});
+  SEMFIELD_PARAM(visit, p, log2_entries, "log2 of T, the most entries per level [Mueller22 Tab. 1]; 0 = from the scene",
+                 {0, 24});
   SEMFIELD_PARAM(visit, p, base_resolution, "cells along an axis of the coarsest level [Mueller22 Tab. 1]",
                  {1, 1048576});
   SEMFIELD_PARAM(
@@ -81,17 +81,20 @@ void choose(HashGridParams& p, const EncoderBuild& build, std::vector<std::strin
     const double cell_m = build.extent_m / p.finest_resolution;
     if (build.pixel_footprint_m > 0 && cell_m > 0) {
       std::snprintf(text, sizeof text,
-                    "finest_resolution %d: cells of %.3g against pixels of %.3g at the scene's middle depth",
+                    "finest_resolution was set to %d for this scene: a cell is %.3g wide, and a pixel at the middle "
+                    "depth is %.3g "
+                    "wide",
                     p.finest_resolution, cell_m, build.pixel_footprint_m);
     } else {
-      std::snprintf(text, sizeof text, "finest_resolution %d: the scene's extent is unknown", p.finest_resolution);
+      std::snprintf(text, sizeof text, "finest_resolution was set to %d, because the scene's extent is unknown",
+                    p.finest_resolution);
     }
     chosen.emplace_back(text);
   }
   if (p.log2_entries == 0) {
     p.log2_entries = chosen_log2_entries(p, build);
-    std::snprintf(text, sizeof text, "log2_entries %d: a level takes at most %lld KiB", p.log2_entries,
-                  static_cast<long long>((std::int64_t{4} * p.features << p.log2_entries) / 1024));
+    std::snprintf(text, sizeof text, "log2_entries was set to %d, so that a level takes at most %lld KiB",
+                  p.log2_entries, static_cast<long long>((std::int64_t{4} * p.features << p.log2_entries) / 1024));
     chosen.emplace_back(text);
   }
 }

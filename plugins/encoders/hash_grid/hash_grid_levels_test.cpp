@@ -148,8 +148,10 @@ TEST(HashGridLevels, SizesAreChosenFromTheScene) {
   EXPECT_EQ(room.finest, 320);
   EXPECT_EQ(room.log2_entries, 17);
   ASSERT_EQ(room.sentences.size(), 2u);
-  EXPECT_EQ(room.sentences[0], "finest_resolution 320: cells of 0.02 against pixels of 0.025 at the scene's middle depth");
-  EXPECT_EQ(room.sentences[1], "log2_entries 17: a level takes at most 1024 KiB");
+  EXPECT_EQ(room.sentences[0],
+            "finest_resolution was set to 320 for this scene: a cell is 0.02 wide, and a pixel at the middle depth is "
+            "0.025 wide");
+  EXPECT_EQ(room.sentences[1], "log2_entries was set to 17, so that a level takes at most 1024 KiB");
   EXPECT_EQ(chosen_for(params_of(8, 8, 0, 16, 0), 6.4, 0.025).log2_entries, 15);  // 32 bytes an entry
   // 2 m at 50 mm: 50 cells, of steps of 8 the nearest is 48; 12 * 49^2 = 28,812 <= 2^15.
   const Chosen small = chosen_for(params_of(8, 2, 0, 16, 0), 2.0, 0.05);

@@ -10,7 +10,7 @@
 namespace semfield {
 
 void describe(ParamVisitor& visit, OneBlobParams& p) {
-  SEMFIELD_PARAM(visit, p, bins, "k, values of a coordinate; the blob's standard deviation is 1/k [Mueller19 Sec. 4.3]",
+  SEMFIELD_PARAM(visit, p, bins, "k, values per coordinate; the blob's standard deviation is 1/k [Mueller19 Sec. 4.3]",
                  {2, kOneBlobMaxBins});
 }
 

@@ -7,13 +7,13 @@
 namespace semfield {
 
 void describe(ParamVisitor& visit, ImportanceParams& params) {
-  SEMFIELD_PARAM(visit, params, samples, "N_f, new samples a ray [Mildenhall20]", {1, 65536});
-  SEMFIELD_PARAM(visit, params, keep_previous, "Evaluate the previous pass's samples too, merged with the new ones");
+  SEMFIELD_PARAM(visit, params, samples, "N_f, new samples per ray [Mildenhall20]", {1, 65536});
+  SEMFIELD_PARAM(visit, params, keep_previous, "evaluate the previous pass's samples too, merged with the new ones");
   SEMFIELD_PARAM(visit, params, floor,
-                 "Weight spread evenly over the ray before sampling, against a total of at most 1", {1e-9, 1});
+                 "weight spread evenly over the ray before sampling, against a total of at most 1", {1e-9, 1});
   SEMFIELD_PARAM(
       visit, params, quadrature,
-      "Rule of the rendering integral: paper (order 1), midpoint (cells, no jitter), stratified_bin (cells)");
+      "rule of the rendering integral: paper (order 1), midpoint (cells, no jitter), stratified_bin (cells)");
 }
 
 void validate(const ImportanceParams&, Diagnostics&) {}

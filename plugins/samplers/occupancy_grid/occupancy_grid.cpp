@@ -56,33 +56,33 @@ OccupancyState<Real> state_of(const Tensors<Real>& tensors) {
 }  // namespace
 
 void describe(ParamVisitor& visit, OccupancyGridParams& params) {
-  SEMFIELD_PARAM(visit, params, resolution, "Cells a side of the grid, a multiple of 32 [Mueller22 App. E.2]",
+  SEMFIELD_PARAM(visit, params, resolution, "cells per side of the grid, a multiple of 32 [Mueller22 App. E.2]",
                  {32, 512});
   SEMFIELD_PARAM(visit, params, cascades,
-                 "Nested grids, each twice the size of the one before; nothing is outside the last", {1, 8});
-  SEMFIELD_PARAM(visit, params, max_samples, "Most samples a ray; a ray that needs more takes longer steps",
+                 "nested grids, each twice the size of the one before; nothing is outside the last", {1, 8});
+  SEMFIELD_PARAM(visit, params, max_samples, "most samples per ray; a ray that needs more takes longer steps",
                  {1, 65536});
-  SEMFIELD_PARAM(visit, params, step_m, "Step along the ray in metres; 0 = sqrt(3) / 1024 of the scene's longest side",
+  SEMFIELD_PARAM(visit, params, step_m, "step along the ray in metres; 0 = sqrt(3) / 1024 of the scene's longest side",
                  {0, 1e9});
   SEMFIELD_PARAM(
       visit, params, growth,
-      "Most share of its distance from the camera that a step takes: far ones double whenever the distance does "
-      "[Mueller22 App. E.1]; 0 = equal steps",
+      "largest length of a step as a share of its distance from the camera, so that far steps double whenever the "
+      "distance does [Mueller22 App. E.1]; 0 = equal steps",
       {0, 1});
-  SEMFIELD_PARAM(visit, params, skip, "How empty cells are passed over: certified (bounded error), threshold or never");
-  SEMFIELD_PARAM(visit, params, skip_budget, "Optical depth a ray may lose to skipping when rendering (certified)",
+  SEMFIELD_PARAM(visit, params, skip, "how empty cells are passed over: certified (bounded error), threshold or never");
+  SEMFIELD_PARAM(visit, params, skip_budget, "optical depth that a ray may lose to skipping when rendering (certified)",
                  {0, 1});
-  SEMFIELD_PARAM(visit, params, training_skip_budget, "The same when training", {0, 1});
+  SEMFIELD_PARAM(visit, params, training_skip_budget, "the same when training", {0, 1});
   SEMFIELD_PARAM(visit, params, keep_last,
-                 "Always keep the last step of a ray: what takes the rest under rendering.far: background");
+                 "always keep the last step of a ray, which takes the remaining light under rendering.far: background");
   SEMFIELD_PARAM(
       visit, params, threshold,
-      "Optical depth of a step above which a cell is occupied; half the grid's mean density when that is less",
+      "optical depth of a step above which a cell is occupied; half the grid's mean density when that is less",
       {0, 10});
-  SEMFIELD_PARAM(visit, params, decay, "Decay of a cell's density an update [Mueller22 App. E.2]", {0, 1});
-  SEMFIELD_PARAM(visit, params, update_every, "Steps from update to update [Mueller22 App. E.2]", {1, 1000000});
-  SEMFIELD_PARAM(visit, params, warmup_steps, "Steps in which every cell is updated and none is skipped", {0, 1000000});
-  SEMFIELD_PARAM(visit, params, update_share, "Share of the cells that an update after the warm-up draws", {0.001, 1});
+  SEMFIELD_PARAM(visit, params, decay, "decay of a cell's density per update [Mueller22 App. E.2]", {0, 1});
+  SEMFIELD_PARAM(visit, params, update_every, "steps from update to update [Mueller22 App. E.2]", {1, 1000000});
+  SEMFIELD_PARAM(visit, params, warmup_steps, "steps in which every cell is updated and none is skipped", {0, 1000000});
+  SEMFIELD_PARAM(visit, params, update_share, "share of the cells that an update after the warm-up draws", {0.001, 1});
 }
 
 void validate(const OccupancyGridParams& params, Diagnostics& diagnostics) {

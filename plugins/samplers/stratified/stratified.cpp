@@ -7,13 +7,14 @@
 namespace semfield {
 
 void describe(ParamVisitor& visit, StratifiedParams& params) {
-  SEMFIELD_PARAM(visit, params, samples, "N_c, samples a ray [Mildenhall20]", {1, 65536});
+  SEMFIELD_PARAM(visit, params, samples, "N_c, samples per ray [Mildenhall20]", {1, 65536});
   SEMFIELD_PARAM(
       visit, params, quadrature,
-      "Rule of the rendering integral: paper (order 1), midpoint (order 2, no jitter), stratified_bin (1.5)");
-  SEMFIELD_PARAM(visit, params, spacing,
-                 "What the bins have equal: linear, their length in metres; disparity, their length in 1 / t, with a "
-                 "near below a thousandth of far counted as that");
+      "rule of the rendering integral: paper (order 1), midpoint (order 2, no jitter), stratified_bin (1.5)");
+  SEMFIELD_PARAM(
+      visit, params, spacing,
+      "linear: bins of equal length in metres; disparity: bins of equal length in 1 / t, where a near below a "
+      "thousandth of far counts as that");
 }
 
 void validate(const StratifiedParams&, Diagnostics&) {}
