@@ -220,7 +220,9 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
   settings.seed = static_cast<std::uint64_t>(params_.seed);
   renderer_ = std::make_unique<MeshRenderer>(std::move(mesh), class_of, settings, diagnostics);
   const Box room = room_box(rules.table, class_of);
-  renderer_->set_lights(lights(room, rules.table, class_of));
+  settings.lights = lights(room, rules.table, class_of);
+  renderer_->set_lights(settings.lights);
+  cast_ = CastCache(cast_key(renderer_->mesh(), class_of, settings));
 
   const int total = params_.frames + params_.test_frames;
   std::vector<Pose> poses;
@@ -273,17 +275,20 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
     info.frames.push_back(std::move(frame));
   }
   measure(info, room);
-  frames_ = info.frames;
+  info_ = info;
   return info;
 }
 
 void ObjRoom::read(int frame, FrameBuffer& out) const {
-  if (frame < 0 || frame >= static_cast<int>(frames_.size())) {
+  if (frame < 0 || frame >= static_cast<int>(info_.frames.size())) {
     throw Error(ErrorKind::internal,
-                "frame " + std::to_string(frame) + " of " + std::to_string(frames_.size()) + " was asked for");
+                "frame " + std::to_string(frame) + " of " + std::to_string(info_.frames.size()) + " was asked for");
   }
-  const FrameInfo& f = frames_[static_cast<std::size_t>(frame)];
-  renderer_->render(f.camera, f.world_from_camera, static_cast<std::uint64_t>(frame), out);
+  const FrameInfo& f = info_.frames[static_cast<std::size_t>(frame)];
+  const auto number = static_cast<std::uint64_t>(frame);
+  if (cast_.read(number, f, out)) return;
+  renderer_->render(f.camera, f.world_from_camera, number, out);
+  cast_.write(number, f, info_.classes, out);
 }
 
 namespace {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "config/params.h"
+#include "datasets/obj_room/cast_cache.h"
 #include "datasets/obj_room/mesh_render.h"
 #include "datasets/obj_room/room_path.h"
 #include "plugin/dataset.h"
@@ -74,7 +75,8 @@ class ObjRoom final : public Dataset {
   std::string root_;
   std::string config_dir_;
   std::unique_ptr<MeshRenderer> renderer_;
-  std::vector<FrameInfo> frames_;
+  CastCache cast_;
+  SceneInfo info_;
 };
 
 }  // namespace semfield
