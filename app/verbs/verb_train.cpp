@@ -179,7 +179,7 @@ void words(VerbWords& verb, TrainOptions& options) {
   verb.threads(set);
   verb.setting(set, "--memory", "runtime.memory_gb",
                "GB that the run may use; a run that needs more is refused (default: what is free)");
-  verb.setting(set, "--device", "runtime.device", "auto, cpu or cuda");
+  verb.setting(set, "--device", "runtime.device", "auto, cpu, cuda or cuda:N");
   verb.repeated("--keep", options.keep, "keep a component that would be left out");
   verb.flag("--dry-run", options.dry_run, "print what would be built, left out and needed, then stop");
 }

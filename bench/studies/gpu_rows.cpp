@@ -7,7 +7,7 @@
 
 #include "compute/parallel.h"
 #include "core/error.h"
-#include "model/device_backend.h"
+#include "model/device_library.h"
 #include "studies/peer.h"
 
 namespace semfield {
@@ -23,7 +23,7 @@ class GpuBench {
   GpuBench(const BenchGpuOptions& options, const StudyTools& tools) : options_(options), tools_(tools) {}
 
   GpuResults run() {
-    results_.about = cuda_library().describe();
+    results_.about = cuda_library().describe(0);
     tools_.note(results_.about);
     add_step("paper bf16 C=29", paper({"runtime.precision=bf16"}, 29), kPaperSteps);
     add_step("paper bf16 C=29 deterministic", paper({"runtime.precision=bf16", "runtime.deterministic=true"}, 29),

@@ -12,6 +12,7 @@
 #include "core/error.h"
 #include "formats/image_formats.h"
 #include "formats/image_io.h"
+#include "model/lane_executor.h"
 #include "studies/step_bench.h"
 #include "system/sha256.h"
 
@@ -44,7 +45,7 @@ void LeaveOutSide::train(int steps) {
 
 std::int64_t LeaveOutSide::bytes() const {
   return static_cast<std::int64_t>(session.memory_facts.frames + session.pipeline->store().bytes() +
-                                   session.pipeline->workspace_bytes());
+                                   session.pipeline->lanes().workspace_bytes());
 }
 
 SplitScore LeaveOutSide::score(int frames) const {

@@ -66,7 +66,6 @@ struct StepCase::Impl {
   std::vector<StoredFrame> pixels;
   std::vector<TrainingLabels::Frame> labels;
   std::unique_ptr<Pipeline<float>> pipeline;
-  std::unique_ptr<DeviceBackend> device;
   std::unique_ptr<RaySource> rays;
   std::unique_ptr<Trainer> trainer;
   std::int64_t samples_last = 0, samples_all = 0;
@@ -86,8 +85,7 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry), {});
   impl_->pipeline = assemble<float>(config, registry, plan, extent, {}, true);
   Diagnostics ignored;
-  const Device device = chosen_device(config, registry, ignored).device;
-  impl_->device = attach_device(device, config, registry, plan, extent, *impl_->pipeline, true);
+  run_on(chosen_device(config, registry, ignored).device, config, registry, plan, extent, *impl_->pipeline, true);
 
   std::int64_t per_ray = 0, all = 0;
   for (const Pass<float>& pass : impl_->pipeline->passes()) {
@@ -121,10 +119,9 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   RaySourceOptions source;
   source.seed = config.runtime.seed;
   source.train.rays = options.rays;
-  source.tile_rays = impl_->device ? options.rays : impl_->pipeline->tile_rays();
+  source.tile_rays = impl_->pipeline->executor().tile_rays(options.rays);
   impl_->rays = std::make_unique<RaySource>(std::move(frames), std::move(logit_of_class), limits, source);
-  impl_->trainer =
-      std::make_unique<Trainer>(*impl_->pipeline, *impl_->rays, config.adam, config.schedule, impl_->device.get());
+  impl_->trainer = std::make_unique<Trainer>(*impl_->pipeline, *impl_->rays, config.adam, config.schedule);
 }
 
 StepCase::~StepCase() = default;

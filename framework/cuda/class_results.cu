@@ -11,7 +11,7 @@ constexpr int kThreads = kRays * kWarp;
 
 // Exponentials in float64, as on the processor. 4 C B read (again from cache for each sweep) and up to 14 B written a
 // ray.
-__global__ void __launch_bounds__(kThreads) results_kernel(View<const float> logits, ClassResults results) {
+__global__ void __launch_bounds__(kThreads) results_kernel(View<const float> logits, ClassResults<float> results) {
   const int lane = static_cast<int>(threadIdx.x % kWarp);
   const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kRays + threadIdx.x / kWarp;
   if (r >= logits.rows) return;
@@ -46,7 +46,7 @@ __global__ void __launch_bounds__(kThreads) results_kernel(View<const float> log
 
 }  // namespace
 
-void class_results(View<const float> logits, const ClassResults& results) {
+void class_results(View<float> logits, const ClassResults<float>& results) {
   if (logits.rows == 0) return;
   results_kernel<<<blocks_of(logits.rows, kRays), kThreads, 0, launch().stream>>>(logits, results);
   check_launch("class results");

@@ -11,14 +11,18 @@ namespace {
 constexpr int kOldestMajor = 8;  // bf16 matrix instructions
 }
 
-std::string describe_device() {
+std::string describe_device(int ordinal) {
   int count = 0;
   check(cudaGetDeviceCount(&count), "looking for a device");
   if (count == 0) check(cudaErrorNoDevice, "looking for a device");
-  int device = 0;
-  check(cudaGetDevice(&device), "asking for the device");
+  if (ordinal >= count) {
+    throw Error(ErrorKind::unavailable,
+                count == 1 ? "this machine has one CUDA device, cuda:0"
+                           : fmt::format("this machine has {} CUDA devices, cuda:0 to cuda:{}", count, count - 1),
+                "set runtime.device: cuda");
+  }
   cudaDeviceProp found{};
-  check(cudaGetDeviceProperties(&found, device), "asking for the device's properties");
+  check(cudaGetDeviceProperties(&found, ordinal), "asking for the device's properties");
   if (found.major < kOldestMajor) {
     throw Error(ErrorKind::unavailable,
                 fmt::format("CUDA: {} has compute capability {}.{}, this build's kernels need 8.0", found.name,

@@ -14,8 +14,15 @@ const Launch& launch() { return t_launch; }
 
 void set_launch_rows(const std::int32_t* live_rows) { t_launch.live_rows = live_rows; }
 
-LaunchScope::LaunchScope(const Launch& next) : before_(t_launch) { t_launch = next; }
-LaunchScope::~LaunchScope() { t_launch = before_; }
+LaunchScope::LaunchScope(const Launch& next) : before_(t_launch) {
+  check(cudaGetDevice(&device_before_), "asking for the device");
+  if (device_before_ != next.ordinal) check(cudaSetDevice(next.ordinal), "choosing the device");
+  t_launch = next;
+}
+LaunchScope::~LaunchScope() {
+  if (device_before_ != t_launch.ordinal) (void)cudaSetDevice(device_before_);
+  t_launch = before_;
+}
 
 void check(cudaError_t status, const char* what) {
   if (status == cudaSuccess) return;
@@ -36,13 +43,9 @@ std::int64_t first_fault_row(Stage stage) {
 }
 
 int multiprocessors() {
-  static const int count = [] {
-    int device = 0, value = 0;
-    check(cudaGetDevice(&device), "asking for the device");
-    check(cudaDeviceGetAttribute(&value, cudaDevAttrMultiProcessorCount, device), "asking for multiprocessors");
-    return value;
-  }();
-  return count;
+  int value = 0;
+  check(cudaDeviceGetAttribute(&value, cudaDevAttrMultiProcessorCount, t_launch.ordinal), "asking for multiprocessors");
+  return value;
 }
 
 }  // namespace semfield::cuda

@@ -9,18 +9,16 @@
 #include "core/rng.h"
 #include "core/view.h"
 #include "losses/loss_list.h"
+#include "optim/adam.h"
 
 namespace semfield::cuda {
 
 /// What changes from step to step. Kernels read it from device memory, so that a captured graph of a step stays valid.
 struct StepCell {
   std::uint64_t step = 0;
-  double adam_step_size = 0;  ///< AdamStep::step_size
-  double learning_rate = 0;   ///< of the step; for weight decay
-  float adam_root_scale = 1;  ///< AdamStep::root_scale
+  AdamStep adam;
   double semantic_normaliser = 0;
   double loss_scale[kMostLossTerms] = {};  ///< LossScales::scale
-  std::int32_t labelled = 0;               ///< rays with a label; 0: the semantic head is not updated
 };
 
 /// Which stage met a value that no later stage may see.
@@ -47,6 +45,7 @@ inline constexpr FaultKey kNoFault = ~FaultKey{0};
 inline constexpr int kFaultRowBits = 48;
 
 struct Launch {
+  int ordinal = 0;  ///< of the device that the stream belongs to
   cudaStream_t stream = nullptr;
   const StepCell* cell = nullptr;  ///< device memory; null: RandomAddress::step counts as it is
   FaultKey* fault = nullptr;       ///< device memory, kNoFault at first
@@ -62,7 +61,7 @@ struct Launch {
 const Launch& launch();
 /// Sets launch().live_rows.
 void set_launch_rows(const std::int32_t* live_rows);
-/// Sets the launch while it lives.
+/// Sets the launch, and the thread's current device, while it lives.
 class LaunchScope {
  public:
   explicit LaunchScope(const Launch& next);
@@ -72,6 +71,7 @@ class LaunchScope {
 
  private:
   Launch before_;
+  int device_before_ = 0;
 };
 
 /// Throws Error for a call or launch that failed, with `what` and CUDA's own words.
@@ -88,7 +88,7 @@ inline unsigned blocks_of(std::int64_t count, int threads) {
   return static_cast<unsigned>((count + threads - 1) / threads);
 }
 
-/// Multiprocessors of the current device.
+/// Multiprocessors of the launch's device.
 int multiprocessors();
 
 }  // namespace semfield::cuda

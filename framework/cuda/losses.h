@@ -5,6 +5,7 @@
 #include "cuda/launch.h"
 #include "losses/loss_list.h"
 #include "losses/semantic_cross_entropy.h"
+#include "model/stages.h"
 
 namespace semfield::cuda {
 
@@ -37,12 +38,7 @@ void sum_in_order(const double* numbers, std::int64_t count, double* total);
 /// sums->samples = first[R], sums->dense = any sigma > 0.
 void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums);
 
-/// What rendering asks of logits [R, C]; R rows each, empty: not wanted. As in Pipeline::render.
-struct ClassResults {
-  View<const std::int16_t> truth;
-  View<std::int16_t> label;
-  View<float> entropy, confidence, truth_probability;
-};
-void class_results(View<const float> logits, const ClassResults& results);
+/// As Stages::class_results.
+void class_results(View<float> logits, const ClassResults<float>& results);
 
 }  // namespace semfield::cuda

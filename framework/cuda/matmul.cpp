@@ -166,10 +166,14 @@ class Library {
   std::map<ProductKey, std::optional<cublasLtMatmulAlgo_t>> algorithms_;
 };
 
-// Never destroyed: at the end of a process the driver may be gone before it.
+// Of the launch's device. Never destroyed: at the end of a process the driver may be gone before it.
 Library& library() {
-  static Library* const only = new Library;
-  return *only;
+  static std::mutex mutex;
+  static std::map<int, Library*>* const of_device = new std::map<int, Library*>;
+  const std::lock_guard lock(mutex);
+  Library*& found = (*of_device)[launch().ordinal];
+  if (found == nullptr) found = new Library;
+  return *found;
 }
 
 }  // namespace

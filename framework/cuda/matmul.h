@@ -68,7 +68,7 @@ struct Product {
 
 /// Queues the product on launch().stream. false, and nothing is queued: cuBLASLt has no kernel with this epilogue
 /// (Epilogue::none always has one: ours, where cuBLASLt has none). Which algorithm a shape gets is decided once, among
-/// those whose sums have a fixed order, so results repeat bit for bit. Products of a process share one workspace, those
+/// those whose sums have a fixed order, so results repeat bit for bit. Products of a device share one workspace, those
 /// with launch().beside another one: no more than two streams may compute products at the same time.
 bool product(const Product& p);
 

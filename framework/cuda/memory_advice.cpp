@@ -4,7 +4,7 @@
 #include <algorithm>
 
 #include "core/error.h"
-#include "cuda/pipeline.h"
+#include "cuda/stream_executor.h"
 
 namespace semfield::cuda {
 
@@ -29,7 +29,7 @@ RayBatch first_rays(const RayBatch& batch, std::int64_t rays) {
 
 }  // namespace
 
-void DevicePipeline::forget_step() {
+void StreamExecutor::forget_step() {
   synchronize();
   check(cudaStreamSynchronize(beside_), "waiting for the device");
   train_arena_.forget();
@@ -37,11 +37,11 @@ void DevicePipeline::forget_step() {
 }
 
 // Forward and backward of the first `rays` rays; the arena's high-water mark says what they took.
-bool DevicePipeline::fits(std::int64_t rays, const Shape& shape, std::int64_t step) {
+bool StreamExecutor::fits(std::int64_t rays, const Shape& shape, std::int64_t step) {
   forget_step();
   try {
     const Workspace::Scope scope(train_arena_), beside(beside_arena_);
-    const Shape smaller{std::min(shape.semantic_rays, rays), shape.terms, 0, nullptr};
+    const Shape smaller{std::min(shape.semantic_rays, rays), shape.terms};
     train_passes(smaller, first_rays(staging_->batch(), rays), context(step, true, train_arena_));
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::unavailable) throw;
@@ -51,7 +51,7 @@ bool DevicePipeline::fits(std::int64_t rays, const Shape& shape, std::int64_t st
 }
 
 // Halves the batch until it fits; what that took says what a ray takes. Parameters stay as they are.
-Error DevicePipeline::with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step) {
+Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step) {
   const std::int64_t rays = staging_->batch().origin.rows;
   std::int64_t fit = rays / 2;
   while (fit > 0 && !fits(fit, shape, step)) fit /= 2;

@@ -24,7 +24,7 @@ __device__ OpacitySums merged(const OpacitySums& a, const OpacitySums& b) {
 // A warp a ray, 4 B a sample; fixed tree of sums.
 __global__ void __launch_bounds__(kRayThreads)
     resolution_kernel(Samples<float> samples, View<const float> weight, FarMode far, double footprint_per_m,
-                      View<std::int16_t> result) {
+                      View<OpacityResolution> result) {
   const WarpRay at(samples.first);
   if (!at.exists()) return;
   const std::int32_t end = at.end - (far == FarMode::background ? 1 : 0);
@@ -50,13 +50,13 @@ __global__ void __launch_bounds__(kRayThreads)
     found = resolution_of(sums, static_cast<double>(samples.t(sums.at, 0)),
                           static_cast<double>(samples.delta(sums.at, 0)), footprint_per_m);
   }
-  result(at.ray, 0) = static_cast<std::int16_t>(found);
+  result(at.ray, 0) = found;
 }
 
 }  // namespace
 
 void opacity_resolutions(const Samples<float>& samples, View<const float> weight, FarMode far, double footprint_per_m,
-                         View<std::int16_t> result) {
+                         View<OpacityResolution> result) {
   const std::int64_t rays = samples.first.rows - 1;
   if (rays == 0) return;
   resolution_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(samples, weight, far, footprint_per_m,

@@ -11,6 +11,7 @@
 #include "model/compositor.h"
 #include "model/density_activation.h"
 #include "model/domain_map.h"
+#include "model/opacity_resolution.h"
 #include "plugin/sampler.h"
 
 namespace semfield::cuda {
@@ -38,9 +39,9 @@ void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& 
 void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
                         View<float> d_sigma, View<float> d_rgb, View<float> d_hidden);
 
-/// As opacity_resolution, for every ray: 0 clear, 1 resolved, 2 under_resolved. result [R, 1].
+/// As Stages::opacity_resolutions; result [R, 1].
 void opacity_resolutions(const Samples<float>& samples, View<const float> weight, FarMode far, double footprint_per_m,
-                         View<std::int16_t> result);
+                         View<OpacityResolution> result);
 
 /// A value of values [N, C] that is not finite is a fault of `stage` with its row.
 void guard_finite(Stage stage, View<const float> values);

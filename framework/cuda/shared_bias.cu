@@ -1,5 +1,5 @@
-// A bias that enters each row of a layer by a share of its own: products of one row or one column, which take as long as
-// moving y does.
+// A bias that enters each row of a layer by a share of its own: products of one row or one column, which take as long
+// as moving y does.
 #include "cuda/device_code.cuh"
 #include "cuda/layers.h"
 
@@ -24,13 +24,13 @@ __global__ void __launch_bounds__(kThreads)
   for (auto c = static_cast<std::int32_t>(threadIdx.x % kWarp); c < y.cols; c += kWarp) to[c] = factor * bias(0, c);
 }
 
-// A warp 4 rows, a block 32; a lane every 32nd column, 8 of them at once. dy is read once, 4 C B a row. partial [blocks,
-// C]: the block's share of d_bias, rows in order within a warp, then the warps. d_share: a lane's columns in order, then
-// the lanes in a fixed tree. Behind the last row and column the last is read, so that no load waits for a branch, and
-// counts 0.
-__global__ void __launch_bounds__(kThreads) backward_kernel(View<const float> share, View<const float> bias,
-                                                            View<const float> dy, View<float> d_share,
-                                                            View<float> partial) {
+// A warp 4 rows, a block 32; a lane every 32nd column, 8 of them at once. dy is read once, 4 C B a row. partial
+// [blocks, C]: the block's share of d_bias, rows in order within a warp, then the warps. d_share: a lane's columns in
+// order, then the lanes in a fixed tree. Behind the last row and column the last is read, so that no load waits for a
+// branch, and counts 0.
+__global__ void __launch_bounds__(kThreads)
+    backward_kernel(View<const float> share, View<const float> bias, View<const float> dy, View<float> d_share,
+                    View<float> partial) {
   __shared__ float of_warp[kWarps][kColumns];
   const int lane = static_cast<int>(threadIdx.x % kWarp), warp = static_cast<int>(threadIdx.x / kWarp);
   const std::int64_t first = static_cast<std::int64_t>(blockIdx.x) * kBlockRows + warp * kWarpRows;

@@ -1,8 +1,10 @@
 #include "cuda/stages.h"
 
+#include "cuda/adam.h"
 #include "cuda/bf16.h"
 #include "cuda/hidden_channels.h"
 #include "cuda/layers.h"
+#include "cuda/losses.h"
 #include "cuda/rendering.h"
 #include "model/semantic_branch.h"
 
@@ -16,6 +18,20 @@ const std::int32_t* set_live_rows(const std::int32_t* count) {
   const std::int32_t* const before = launch().live_rows;
   set_launch_rows(count);
   return before;
+}
+
+void copy(View<const std::byte> from, View<std::byte> to) {
+  const cudaMemcpyKind kind = from.device == Device::cpu ? cudaMemcpyHostToDevice
+                              : to.device == Device::cpu ? cudaMemcpyDeviceToHost
+                                                         : cudaMemcpyDeviceToDevice;
+  const auto bytes = [](std::int64_t count) { return static_cast<std::size_t>(count); };
+  if (from.contiguous() && to.contiguous()) {
+    check(cudaMemcpyAsync(to.data, from.data, bytes(to.size()), kind, launch().stream), "copying rays or results");
+  } else {  // rows with gaps go one by one, which takes many times longer
+    check(cudaMemcpy2DAsync(to.data, bytes(to.row_stride), from.data, bytes(from.row_stride), bytes(to.cols),
+                            bytes(to.rows), kind, launch().stream),
+          "copying rays or results");
+  }
 }
 
 void locate_samples(const GuardPlace<float>& place, const Rays<float>& rays, const DomainMap& map, View<double> x) {
@@ -73,6 +89,7 @@ Stages<float> make_stages() {
   s.host_memory = false;
   s.density_batch = kDensityBatch;
   s.set_live_rows = set_live_rows;
+  s.copy = copy;
   s.locate = locate_samples;
   s.map_positions = cuda::map_positions;
   s.density_forward = cuda::density_forward;
@@ -88,6 +105,9 @@ Stages<float> make_stages() {
   s.sum_by_weight_backward = sum_by_weight_backward;
   s.rounded_sum = rounded_sum;
   s.rounded_sum_backward = rounded_sum_backward;
+  s.class_results = cuda::class_results;
+  s.opacity_resolutions = cuda::opacity_resolutions;
+  s.adam = cuda::adam_update;
   s.guard = guard;
   return s;
 }

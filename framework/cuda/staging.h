@@ -7,7 +7,7 @@
 #include "cuda/launch.h"
 #include "cuda/losses.h"
 #include "cuda/memory.h"
-#include "model/device_backend.h"
+#include "model/ray_batch.h"
 
 namespace semfield::cuda {
 
@@ -40,7 +40,6 @@ class Staging {
   StepSums* device_sums() const { return reinterpret_cast<StepSums*>(device_sums_.data()); }
   /// The batch on the device.
   RayBatch batch() const;
-  std::size_t bytes() const { return device_.size() + device_sums_.size(); }
 
  private:
   struct Layout {

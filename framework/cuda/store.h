@@ -4,22 +4,19 @@
 #include <cstdint>
 #include <vector>
 
-#include "cuda/adam.h"
 #include "cuda/memory.h"
-#include "model/pipeline.h"
+#include "model/param_store.h"
 
 namespace semfield::cuda {
 
-/// Mirrors the store of `host`, which it borrows. Gradients are zero between steps.
+/// Mirrors `host`, which it borrows; without lanes. Gradients are zero between steps.
 class Store final : public TensorStore<float> {
  public:
-  Store(Pipeline<float>& host, bool trainable);
+  Store(ParamStore<float>& host, bool trainable);
 
   /// The next component's tensors, in the order in which parts were added to the host's store; throws Error(internal)
   /// where `part` declares others.
   int add(const std::string& prefix, const Parametric<float>& part, const LearningRule& rule = {}) override;
-  /// There are no lanes.
-  Tensors<float> tensors(int component, int lane = kMainGradient) const override;
 
   void upload();
   void download() const;
@@ -29,30 +26,25 @@ class Store final : public TensorStore<float> {
   void clear_gradients() const;
 
   /// Learned tensors, in device memory.
-  const AdamTensor* learned() const { return reinterpret_cast<const AdamTensor*>(learned_table_.data()); }
-  int learned_count() const { return learned_count_; }
-  std::int64_t learned_elements() const { return learned_elements_; }
-  std::size_t bytes() const;
+  AdamTable<float> learned() const {
+    return {reinterpret_cast<const AdamTensor<float>*>(learned_table_.data()),
+            static_cast<int>(learned_table_.size() / sizeof(AdamTensor<float>)), host_.learned_count()};
+  }
 
  private:
-  struct Component {
-    std::vector<View<float>> values, grads;
-  };
   struct Place {
     std::int64_t value = 0;    // offset in values_
     std::int64_t learned = 0;  // offset in grads_, moment1_ and moment2_; of derived tensors in derived_grads_
   };
   View<float> value_of(std::size_t tensor) const;
   View<float> grad_of(std::size_t tensor) const;
+  View<float> moment_of(const Buffer<float>& moments, std::size_t tensor) const;
 
-  Pipeline<float>& host_;
+  ParamStore<float>& host_;
   bool trainable_;
   std::vector<Place> places_;
   Buffer<float> values_, grads_, derived_grads_, moment1_, moment2_;
   Buffer<std::byte> learned_table_;
-  int learned_count_ = 0;
-  std::int64_t learned_elements_ = 0;
-  std::vector<Component> components_;
   std::size_t next_ = 0;  // tensor of the host's store that the next component begins with
 };
 

@@ -3,7 +3,7 @@
 #include <cstring>
 
 #include "compute/parallel.h"
-#include "model/pipeline.h"
+#include "model/lane_executor.h"
 
 namespace semfield {
 
@@ -44,46 +44,46 @@ View<Real> EncoderInbox<Real>::append(View<const double> tile_x, std::int32_t di
 }
 
 template <class Real>
-std::size_t Pipeline<Real>::Ahead::bytes() const {
+std::size_t LaneExecutor<Real>::Ahead::bytes() const {
   return bytes_of(t) + bytes_of(delta) + bytes_of(ray_of_sample) + bytes_of(first) + bytes_of(x) + bytes_of(encoded) +
          bytes_of(d_encoded);
 }
 
 template <class Real>
-void Pipeline<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles) {
+void LaneExecutor<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles) {
   Ahead& a = ahead_;
-  const Pass<Real>& pass = passes_[0];
-  const std::int64_t capacity = per_ray_[0] * tile_rays_;
+  const Pass<Real>& pass = passes()[0];
+  const std::int64_t capacity = pipeline_.per_ray()[0] * pipeline_.tile_rays();
   grow(a.t, tiles * capacity);
   grow(a.delta, tiles * capacity);
   grow(a.ray_of_sample, tiles * capacity);
-  grow(a.first, tiles * (tile_rays_ + 1));
+  grow(a.first, tiles * (pipeline_.tile_rays() + 1));
   grow(a.tiles, tiles);
   grow(a.row, tiles);
-  parallel_for(options_.lanes, [&](std::int64_t lane) {
-    for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
-      StepContext ctx = context(step, true, static_cast<int>(lane), tile * tile_rays_);
-      ctx.pass = passes_[0].parts().number;
-      const Rays<Real> rays = rays_of_tile<Real>(batch, tile, tile_rays_);
+  parallel_for(options().lanes, [&](std::int64_t lane) {
+    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
+      StepContext ctx = context(step, true, static_cast<int>(lane), tile * pipeline_.tile_rays());
+      ctx.pass = passes()[0].parts().number;
+      const Rays<Real> rays = rays_of_tile<Real>(batch, tile, pipeline_.tile_rays());
       Samples<Real>& samples = a.tiles[static_cast<std::size_t>(tile)].samples;
       samples.t = {a.t.data() + tile * capacity, capacity, 1};
       samples.delta = {a.delta.data() + tile * capacity, capacity, 1};
       samples.ray_of_sample = {a.ray_of_sample.data() + tile * capacity, capacity, 1};
-      samples.first = {a.first.data() + tile * (tile_rays_ + 1), rays.origin.rows + 1, 1};
+      samples.first = {a.first.data() + tile * (pipeline_.tile_rays() + 1), rays.origin.rows + 1, 1};
       pass.sample(ctx, rays, nullptr, samples);
     }
   });
   // Lane after lane, as the encoder's gradients are summed. Lane l has the tiles l, l + lanes, ...
   const std::int32_t dims = pass.encoded_dims();
   a.rows = 0;
-  for (int lane = 0; lane < options_.lanes; ++lane) {
-    for (std::int64_t tile = lane; tile < tiles; tile += options_.lanes) {
+  for (int lane = 0; lane < options().lanes; ++lane) {
+    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
       a.row[static_cast<std::size_t>(tile)] = a.rows;
       a.rows += a.tiles[static_cast<std::size_t>(tile)].samples.count;
     }
   }
   const auto lane_begin = [&](std::int64_t lane) {
-    return lane < std::min<std::int64_t>(options_.lanes, tiles) ? a.row[static_cast<std::size_t>(lane)] : a.rows;
+    return lane < std::min<std::int64_t>(options().lanes, tiles) ? a.row[static_cast<std::size_t>(lane)] : a.rows;
   };
   grow(a.x, 3 * a.rows);
   grow(a.encoded, dims * a.rows);
@@ -93,11 +93,11 @@ void Pipeline<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, std::i
     const std::int64_t row = a.row[static_cast<std::size_t>(tile)], count = sampled.samples.count;
     sampled.x = {a.x.data() + 3 * row, count, 3};
     sampled.encoded = {a.encoded.data() + dims * row, count, dims};
-    pass.locate(context(step, true, 0, tile * tile_rays_), rays_of_tile<Real>(batch, tile, tile_rays_), sampled.samples,
-                sampled.x);
+    pass.locate(context(step, true, 0, tile * pipeline_.tile_rays()),
+                rays_of_tile<Real>(batch, tile, pipeline_.tile_rays()), sampled.samples, sampled.x);
   });
-  const int lanes_at_once = pass.parts().position->traits().whole_batch ? options_.lanes : kLanesAhead;
-  parallel_for((options_.lanes + lanes_at_once - 1) / lanes_at_once, [&](std::int64_t group) {
+  const int lanes_at_once = pass.parts().position->traits().whole_batch ? options().lanes : kLanesAhead;
+  parallel_for((options().lanes + lanes_at_once - 1) / lanes_at_once, [&](std::int64_t group) {
     const auto first_lane = static_cast<int>(group) * lanes_at_once;
     const std::int64_t begin = lane_begin(first_lane), end = lane_begin(first_lane + lanes_at_once);
     if (begin >= end) return;
@@ -107,29 +107,29 @@ void Pipeline<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, std::i
 }
 
 template <class Real>
-void Pipeline<Real>::scatter(std::int64_t step) {
+void LaneExecutor<Real>::scatter(std::int64_t step) {
   StepContext ctx = context(step, true, 0, 0);
   if (draws_ahead()) {
-    const std::int32_t dims = passes_[0].encoded_dims();
-    passes_[0].scatter(ctx, {ahead_.x.data(), ahead_.rows, 3}, {ahead_.d_encoded.data(), ahead_.rows, dims});
+    const std::int32_t dims = passes()[0].encoded_dims();
+    passes()[0].scatter(ctx, {ahead_.x.data(), ahead_.rows, 3}, {ahead_.d_encoded.data(), ahead_.rows, dims});
     return;
   }
-  for (std::size_t p = 0; p < passes_.size(); ++p) {
-    ctx.pass = passes_[p].parts().number;
-    if (!passes_[p].scatters()) continue;
+  for (std::size_t p = 0; p < passes().size(); ++p) {
+    ctx.pass = passes()[p].parts().number;
+    if (!passes()[p].scatters()) continue;
     for (const auto& lane : lanes_) {
       const EncoderInbox<Real>& inbox = lane->inbox[p];
-      passes_[p].scatter(ctx, {inbox.x.data(), inbox.rows, 3},
-                         {inbox.dy.data(), inbox.rows, passes_[p].encoded_dims()});
+      passes()[p].scatter(ctx, {inbox.x.data(), inbox.rows, 3},
+                          {inbox.dy.data(), inbox.rows, passes()[p].encoded_dims()});
     }
   }
 }
 
-#define SEMFIELD_INSTANTIATE(Real)                                                       \
-  template struct EncoderInbox<Real>;                                                    \
-  template std::size_t Pipeline<Real>::Ahead::bytes() const;                             \
-  template void Pipeline<Real>::draw_ahead(std::int64_t, const RayBatch&, std::int64_t); \
-  template void Pipeline<Real>::scatter(std::int64_t);
+#define SEMFIELD_INSTANTIATE(Real)                                                           \
+  template struct EncoderInbox<Real>;                                                        \
+  template std::size_t LaneExecutor<Real>::Ahead::bytes() const;                             \
+  template void LaneExecutor<Real>::draw_ahead(std::int64_t, const RayBatch&, std::int64_t); \
+  template void LaneExecutor<Real>::scatter(std::int64_t);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)
 #undef SEMFIELD_INSTANTIATE

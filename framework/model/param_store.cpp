@@ -45,11 +45,16 @@ TensorBytes& TensorBytes::operator+=(const TensorBytes& other) {
 }
 
 template <class Real>
-TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainable) {
+std::vector<TensorSpec> specs_of(const Parametric<Real>& part) {
   Collector collector;
   part.declare(collector);
+  return std::move(collector.specs);
+}
+
+template <class Real>
+TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainable) {
   TensorBytes sum;
-  for (const TensorSpec& spec : collector.specs) {
+  for (const TensorSpec& spec : specs_of(part)) {
     const auto bytes = static_cast<std::size_t>(spec.rows) * static_cast<std::size_t>(spec.cols) * sizeof(Real);
     const bool learned = spec.role == TensorRole::dense || spec.role == TensorRole::sparse;
     TensorBytes one;
@@ -68,12 +73,9 @@ TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainab
 
 template <class Real>
 int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& part, const LearningRule& rule) {
-  Collector collector;
-  part.declare(collector);
-  Component component;
-  component.begin = tensors_.size();
+  typename TensorStore<Real>::Component component;
   component.grads.resize(static_cast<std::size_t>(lanes_) + 1);
-  for (TensorSpec& spec : collector.specs) {
+  for (TensorSpec& spec : specs_of(part)) {
     Tensor<Real> tensor;
     tensor.name = prefix + "/" + spec.name;
     SEMFIELD_CHECK(find(tensor.name) == nullptr, "tensor '" + tensor.name + "' exists already");
@@ -94,9 +96,16 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
       if (tensor.learned()) {
         tensor.moment1 = AlignedBuffer<Real>(count);
         tensor.moment2 = AlignedBuffer<Real>(count);
+        learned_.push_back(this->learn(tensor.view(tensor.value), tensor.view(tensor.grad), tensor.view(tensor.moment1),
+                                       tensor.view(tensor.moment2), tensor.spec.role, rule));
       }
-      if (tensor.spec.role != TensorRole::sparse)
+      if (tensor.spec.role != TensorRole::sparse) {
         tensor.lanes = AlignedBuffer<Real>(count * static_cast<std::size_t>(lanes_));
+        for (std::int64_t i = 0; i < tensor.size(); i += kChunk) {
+          lane_sums_.push_back(
+              {tensor.grad.data(), tensor.lanes.data(), tensor.size(), i, std::min(i + kChunk, tensor.size())});
+        }
+      }
     }
     component.values.push_back(tensor.view(tensor.value));
     component.grads[0].push_back(tensor.view(tensor.grad));
@@ -106,30 +115,19 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
                                    : View<Real>(tensor.lanes.data() + static_cast<std::size_t>(lane) * count,
                                                 tensor.spec.rows, tensor.spec.cols));
     }
-    for (std::int64_t i = 0; tensor.lanes.size() > 0 && i < tensor.size(); i += kChunk)
-      pieces_.push_back({tensors_.size(), i, std::min(i + kChunk, tensor.size())});
     tensors_.push_back(std::move(tensor));
   }
-  component.end = tensors_.size();
-  components_.push_back(std::move(component));
-  return static_cast<int>(components_.size()) - 1;
-}
-
-template <class Real>
-Tensors<Real> ParamStore<Real>::tensors(int component, int lane) const {
-  const Component& c = components_[static_cast<std::size_t>(component)];
-  return {c.values, c.grads[static_cast<std::size_t>(lane + 1)]};
+  return this->keep(std::move(component));
 }
 
 template <class Real>
 void ParamStore<Real>::reduce_lanes() {
-  parallel_for(static_cast<std::int64_t>(pieces_.size()), [this](std::int64_t index) {
-    const Piece& piece = pieces_[static_cast<std::size_t>(index)];
-    const Tensor<Real>& tensor = tensors_[piece.tensor];
-    Real* const sum = tensor.grad.data();
+  parallel_for(std::ssize(lane_sums_), [this](std::int64_t index) {
+    const LaneSum& task = lane_sums_[static_cast<std::size_t>(index)];
+    Real* const sum = task.grad;
     for (int lane = 0; lane < lanes_; ++lane) {
-      Real* const part = tensor.lanes.data() + static_cast<std::int64_t>(lane) * tensor.size();
-      for (std::int64_t i = piece.begin; i < piece.end; ++i) {
+      Real* const part = task.lanes + static_cast<std::int64_t>(lane) * task.size;
+      for (std::int64_t i = task.begin; i < task.end; ++i) {
         sum[i] += part[i];
         part[i] = 0;
       }
@@ -178,6 +176,8 @@ std::size_t ParamStore<Real>::bytes() const {
 
 template class AlignedBuffer<float>;
 template class AlignedBuffer<double>;
+template std::vector<TensorSpec> specs_of<float>(const Parametric<float>&);
+template std::vector<TensorSpec> specs_of<double>(const Parametric<double>&);
 template TensorBytes declared_bytes<float>(const Parametric<float>&, int, bool);
 template TensorBytes declared_bytes<double>(const Parametric<double>&, int, bool);
 template class ParamStore<float>;

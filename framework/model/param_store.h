@@ -57,7 +57,11 @@ struct TensorBytes {
 template <class Real>
 TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainable);
 
-/// Owns the tensors of a pipeline. A component is what one Parametric declared.
+/// What a part declares, in order.
+template <class Real>
+std::vector<TensorSpec> specs_of(const Parametric<Real>& part);
+
+/// Owns the tensors of a pipeline on the processor.
 ///
 /// Gradients of dense tensors are summed in `lanes` fixed slots (tile t belongs to lane t mod lanes, a lane's tiles run
 /// in order, lanes are added in order), so the sum's tree depends on the tile numbering alone. Sparse tensors have one
@@ -70,8 +74,8 @@ class ParamStore final : public TensorStore<Real> {
   /// Declares `part` under `prefix`, allocates and initialises; returns the component's number.
   int add(const std::string& prefix, const Parametric<Real>& part, const LearningRule& rule = {}) override;
 
-  /// lane: 0..lanes-1, or kMainGradient.
-  Tensors<Real> tensors(int component, int lane = kMainGradient) const override;
+  /// All learned tensors, as updates see them.
+  AdamTable<Real> learned() const { return {learned_.data(), static_cast<int>(learned_.size()), learned_count()}; }
 
   /// grad += sum over lanes, in lane order; lanes are zero afterwards.
   void reduce_lanes();
@@ -90,26 +94,22 @@ class ParamStore final : public TensorStore<Real> {
   std::uint64_t seed() const { return seed_; }
 
  private:
-  struct Component {
-    std::size_t begin = 0, end = 0;
-    std::vector<View<Real>> values;
-    std::vector<std::vector<View<Real>>> grads;  // [0] main, [1 + lane]
-  };
-  // Elements of a tensor with lanes that one call of reduce_lanes adds up.
-  struct Piece {
-    std::size_t tensor;
-    std::int64_t begin, end;
+  struct LaneSum {  // elements of a tensor whose lanes one task adds
+    Real *grad, *lanes;
+    std::int64_t size, begin, end;
   };
   std::uint64_t seed_;
   int lanes_;
   bool trainable_;
-  std::vector<Piece> pieces_;
   std::vector<Tensor<Real>> tensors_;
-  std::vector<Component> components_;
+  std::vector<AdamTensor<Real>> learned_;
+  std::vector<LaneSum> lane_sums_;
 };
 
 extern template class AlignedBuffer<float>;
 extern template class AlignedBuffer<double>;
+extern template std::vector<TensorSpec> specs_of<float>(const Parametric<float>&);
+extern template std::vector<TensorSpec> specs_of<double>(const Parametric<double>&);
 extern template TensorBytes declared_bytes<float>(const Parametric<float>&, int, bool);
 extern template TensorBytes declared_bytes<double>(const Parametric<double>&, int, bool);
 extern template class ParamStore<float>;

@@ -29,7 +29,7 @@ Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, TensorStore<Re
   position_ = store.add(name + "/position", *parts_.position);
   if (parts_.direction) direction_ = store.add(name + "/direction", *parts_.direction);
   field_ = store.add(name + "/field", *parts_.field);
-  const LearningRule rule = parts_.branch ? parts_.branch->rules.learning() : LearningRule{};
+  const LearningRule rule = parts_.branch ? parts_.branch->rules.learning() : LearningRule{1, 0, true};
   if (parts_.head) head_ = store.add(name + "/semantic", *parts_.head, rule);
   if (parts_.head && parts_.branch) branch_.emplace(*parts_.branch, name, store, *stages_);
 }

@@ -16,6 +16,7 @@
 #include "model/semantic_head.h"
 #include "model/stages.h"
 #include "model/tensor_store.h"
+#include "model/workspace_pool.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/sampler.h"
@@ -123,6 +124,7 @@ class Pass {
   Pass(PassParts<Real> parts, const RenderRules& rules, TensorStore<Real>& store);
 
   const PassParts<Real>& parts() const { return parts_; }
+  const RenderRules& rules() const { return rules_; }
   /// Most samples a ray.
   std::int64_t capacity_per_ray(std::int64_t previous_per_ray) const {
     return parts_.sampler->capacity(1, previous_per_ray);
@@ -163,7 +165,9 @@ class Pass {
 
   void derive(const StepContext& ctx) const;
   void derive_backward(const StepContext& ctx) const;
-  void observe(const StepContext& ctx) const;
+  /// Density is asked for with ctx.workspace, or, where the sampler asks from several threads, with arenas of
+  /// `queries`.
+  void observe(const StepContext& ctx, WorkspacePool* queries = nullptr) const;
   std::string status() const { return parts_.sampler->status(store_->tensors(sampler_)); }
 
   /// sigma [N, 1] after activation at world positions [N, 3].

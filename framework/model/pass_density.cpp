@@ -32,18 +32,19 @@ void Pass<Real>::density(const StepContext& ctx, View<const double> positions, V
 }
 
 template <class Real>
-void Pass<Real>::observe(const StepContext& ctx) const {
+void Pass<Real>::observe(const StepContext& ctx, WorkspacePool* queries) const {
   if (!parts_.sampler->traits().observes) return;
-  parts_.sampler->observe(ctx, store_->tensors(sampler_), [this, ctx](View<const double> positions, View<Real> sigma) {
+  parts_.sampler->observe(ctx, store_->tensors(sampler_), [&](View<const double> positions, View<Real> sigma) {
     StepContext local = ctx;
-    if (stages_->query_arena != nullptr) local.workspace = &stages_->query_arena();
+    std::optional<WorkspacePool::Loan> arena;
+    if (queries != nullptr) local.workspace = arena.emplace(*queries).get();
     density(local, positions, sigma);
   });
 }
 
 #define SEMFIELD_INSTANTIATE(Real)                                                             \
   template void Pass<Real>::density(const StepContext&, View<const double>, View<Real>) const; \
-  template void Pass<Real>::observe(const StepContext&) const;
+  template void Pass<Real>::observe(const StepContext&, WorkspacePool*) const;
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)
 #undef SEMFIELD_INSTANTIATE

@@ -16,7 +16,7 @@ SemanticBranch<Real>::SemanticBranch(const SemanticBranchParts<Real>& parts, con
                     "smoother than such tables",
                 "choose an encoder without learned tensors: one_blob or frequency");
   }
-  position_ = store.add(pass + "/semantic/position", *parts_->position);
+  position_ = store.add(pass + "/semantic/position", *parts_->position, parts_->rules.learning());
   field_ = store.add(pass + "/semantic/field", *parts_->field, parts_->rules.learning());
 }
 

@@ -23,7 +23,7 @@ struct SemanticBranchRules {
   double dropout = 0;          ///< share of feature values that a training step sets to 0 [Srivastava14]
   double learning_rate = 1;    ///< of branch and head, as a factor to the run's
   double weight_decay = 0;     ///< of branch and head: share of a value times the learning rate [Loshchilov19]
-  LearningRule learning() const { return {learning_rate, weight_decay}; }
+  LearningRule learning() const { return {learning_rate, weight_decay, true}; }
 };
 
 template <class Real>

@@ -5,8 +5,10 @@
 #include <cmath>
 #include <string>
 
+#include "classes/class_table.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "losses/semantic_cross_entropy.h"
 #include "model/ray_guard.h"
 #include "model/semantic_branch.h"
 
@@ -16,9 +18,8 @@ namespace {
 
 constexpr std::int64_t kDensityBatch = 1024;
 
-Workspace& query_arena() {
-  static thread_local Workspace arena;  // scratch alone: nothing in it outlives a query
-  return arena;
+void copy(View<const std::byte> from, View<std::byte> to) {
+  for (std::int64_t r = 0; r < to.rows; ++r) std::copy_n(from.row(r), to.cols, to.row(r));
 }
 
 template <class Real>
@@ -140,6 +141,28 @@ void sum_by_weight_backward(const Samples<Real>& samples, View<const Real> weigh
 }
 
 template <class Real>
+void class_results(View<Real> logits, const ClassResults<Real>& results) {
+  if (!results.entropy.empty()) softmax_entropy<Real>(logits, results.entropy);
+  softmax<Real>(logits, logits);
+  for (std::int64_t r = 0; r < logits.rows; ++r) {
+    const Real* const p = logits.row(r);
+    const Real* const best = std::max_element(p, p + logits.cols);
+    if (!results.label.empty()) results.label(r, 0) = static_cast<std::int16_t>(best - p);
+    if (!results.confidence.empty()) results.confidence(r, 0) = *best;
+    if (results.truth_probability.empty()) continue;
+    const std::int16_t truth = results.truth(r, 0);
+    results.truth_probability(r, 0) = truth == kVoid ? Real(0) : p[truth];
+  }
+}
+
+template <class Real>
+void opacity_resolutions(const Samples<Real>& samples, View<const Real> weight, FarMode far, double footprint_per_m,
+                         View<OpacityResolution> result) {
+  for (std::int64_t r = 0; r < result.rows; ++r)
+    result(r, 0) = opacity_resolution<Real>(samples, weight, far, r, footprint_per_m);
+}
+
+template <class Real>
 void guard(const GuardPlace<Real>& place, Guarded value, View<const Real> values) {
   const RayGuard<Real> guard(place.pass, place.first_ray, *place.samples);
   switch (value) {
@@ -188,7 +211,7 @@ Stages<Real> make_stages() {
   Stages<Real> s;
   s.head = &processor_head_kernels<Real>();
   s.density_batch = kDensityBatch;
-  s.query_arena = query_arena;
+  s.copy = copy;
   s.locate = locate<Real>;
   s.map_positions = map_positions;
   s.density_forward = density_forward<Real>;
@@ -202,6 +225,9 @@ Stages<Real> make_stages() {
   s.drop_out = drop_out<Real>;
   s.sum_by_weight = sum_by_weight<Real>;
   s.sum_by_weight_backward = sum_by_weight_backward<Real>;
+  s.class_results = class_results<Real>;
+  s.opacity_resolutions = opacity_resolutions<Real>;
+  s.adam = adam_update<Real>;
   s.guard = guard<Real>;
   s.guard_density = guard_density<Real>;
   s.guard_density_at = guard_density_at<Real>;

@@ -9,6 +9,8 @@
 #include "model/density_activation.h"
 #include "model/domain_map.h"
 #include "model/head_kernels.h"
+#include "model/opacity_resolution.h"
+#include "optim/adam.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
@@ -56,6 +58,16 @@ struct RoundedSumBackward {
   bool blocked = false;  ///< d_hidden lies in 8 x 8 blocks (FieldGrad::hidden)
 };
 
+/// What rendering asks of logits [R, C]; R rows each, empty: not wanted.
+template <class Real>
+struct ClassResults {
+  View<const std::int16_t> truth;  ///< true classes; only for truth_probability
+  View<std::int16_t> label;        ///< argmax class
+  View<Real> entropy;              ///< nats
+  View<Real> confidence;           ///< largest class probability
+  View<Real> truth_probability;    ///< of the true class; 0 where void
+};
+
 /// Functions on views of one device. On a processor a pass works on a tile and knows how many samples it has. On
 /// another device it works on a batch with room for all samples that there can be; rows behind those in use hold finite
 /// numbers and get gradient 0. Entries that may be null say so.
@@ -68,8 +80,8 @@ struct Stages {
   /// Rows of a batch that are in use, for the stages that follow: device memory, null: all. Gives what was set before.
   /// Null where host_memory.
   const std::int32_t* (*set_live_rows)(const std::int32_t* count) = nullptr;
-  /// Scratch of a density query, which may run inside a parallel region. Null: that of the step.
-  Workspace& (*query_arena)() = nullptr;
+  /// to = from, byte by byte, of the same shape. Either may be host memory (View::device says it).
+  void (*copy)(View<const std::byte> from, View<std::byte> to) = nullptr;
 
   /// x [M, 3] = map(origin + t direction), in float64. Distances, intervals and positions must be finite.
   void (*locate)(const GuardPlace<Real>& place, const Rays<Real>& rays, const DomainMap& map, View<double> x) = nullptr;
@@ -106,6 +118,16 @@ struct Stages {
   void (*rounded_sum)(const Samples<Real>& samples, View<const Real> weight, View<const Bf16> hidden,
                       View<Real> out) = nullptr;
   void (*rounded_sum_backward)(const Samples<Real>& samples, const RoundedSumBackward<Real>& call) = nullptr;
+
+  /// Of rendering. Logits are overwritten.
+  void (*class_results)(View<Real> logits, const ClassResults<Real>& results) = nullptr;
+  /// Of every ray (model/opacity_resolution.h).
+  void (*opacity_resolutions)(const Samples<Real>& samples, View<const Real> weight, FarMode far,
+                              double footprint_per_m, View<OpacityResolution> result) = nullptr;
+
+  /// One update of all learned tensors, whose gradients of touched rows are 0 afterwards; on a device all gradients.
+  /// `step` lies where the tensors do.
+  void (*adam)(const AdamStep* step, const AdamTable<Real>& table) = nullptr;
 
   /// Values must be finite, a row a sample or a ray. A processor throws RayFault; a device notes the fault, and may
   /// leave a value to the stage that makes or reads it.

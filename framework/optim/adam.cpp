@@ -85,7 +85,8 @@ AdamStep adam_step(const AdamParams& params, double learning_rate, std::int64_t 
   // 1 - beta^t; expm1 keeps its digits where beta^t is near 1, and log(0) = -inf gives 1.
   const double correction1 = -std::expm1(t * std::log(params.beta1));
   const double correction2 = -std::expm1(t * std::log(params.beta2));
-  return {params.beta1, params.beta2, params.epsilon, learning_rate / correction1, 1.0 / std::sqrt(correction2)};
+  return {params.beta1, params.beta2, params.epsilon, learning_rate / correction1, 1.0 / std::sqrt(correction2),
+          learning_rate};
 }
 
 template <class Real>
@@ -140,6 +141,23 @@ std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<
     __atomic_fetch_add(job.touched, n, __ATOMIC_RELAXED);  // integers: any order gives the same sum
   });
   return touched;
+}
+
+template <class Real>
+void adam_update(const AdamStep* step, const AdamTable<Real>& table) {
+  for (int i = 0; i < table.count; ++i) {
+    const AdamTensor<Real>& t = table.tensors[i];
+    if (t.semantic && !step->labelled) continue;
+    AdamStep rule = *step;
+    rule.step_size *= t.rate;
+    rule.decay = step->learning_rate * t.decay;
+    const auto view = [&t](Real* data) { return View<Real>(data, t.rows, t.cols); };
+    if (t.touched_only) {
+      adam_touched_parallel<Real>(rule, view(t.value), view(t.grad), view(t.moment1), view(t.moment2));
+    } else {
+      adam_dense_parallel<Real>(rule, view(t.value), view(t.grad), view(t.moment1), view(t.moment2));
+    }
+  }
 }
 
 namespace {
@@ -217,6 +235,7 @@ Unsound<Real> first_unsound(View<const Real> value, View<const Real> grad, View<
                                            std::int64_t, std::int64_t);                                               \
   template void adam_dense_parallel<Real>(const AdamStep&, View<Real>, View<const Real>, View<Real>, View<Real>);     \
   template std::int64_t adam_touched_parallel<Real>(const AdamStep&, View<Real>, View<Real>, View<Real>, View<Real>); \
+  template void adam_update<Real>(const AdamStep*, const AdamTable<Real>&);                                           \
   template std::int64_t first_non_finite<Real>(View<const Real>);                                                     \
   template Unsound<Real> first_unsound<Real>(View<const Real>, View<const Real>, View<const Real>, View<const Real>,  \
                                              bool);

@@ -19,9 +19,11 @@ void describe(ParamVisitor& visit, AdamParams& params);
 /// The constants of one update, in double: shared by all tensors of a step.
 struct AdamStep {
   double beta1 = 0.9, beta2 = 0.999, epsilon = 1e-8;
-  double step_size = 0;   ///< learning rate / (1 - beta1^t)
-  double root_scale = 1;  ///< 1 / sqrt(1 - beta2^t)
-  double decay = 0;       ///< share of a value that the step takes, before the update [Loshchilov19]; dense tensors
+  double step_size = 0;      ///< learning rate / (1 - beta1^t)
+  double root_scale = 1;     ///< 1 / sqrt(1 - beta2^t)
+  double learning_rate = 0;  ///< of the step, for weight decay
+  bool labelled = true;      ///< false: no ray has a label, and semantic tensors stay as they are
+  double decay = 0;          ///< of one tensor: share of a value that the step takes, before the update [Loshchilov19]
 };
 
 /// t = step + 1 counts updates from one; `step` is the number of updates already made. Any step up to 2^53.
@@ -48,6 +50,32 @@ template <class Real>
 void adam_dense_parallel(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v);
 template <class Real>
 std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m, View<Real> v);
+
+/// A learned tensor as an update sees it: arrays of rows * cols numbers.
+template <class Real>
+struct AdamTensor {
+  Real *value = nullptr, *grad = nullptr, *moment1 = nullptr, *moment2 = nullptr;
+  std::int64_t rows = 0;
+  std::int32_t cols = 0;
+  bool touched_only = false;  ///< rows without a gradient are not written
+  bool semantic = false;      ///< left alone in a step without labels
+  double rate = 1;            ///< factor to the learning rate
+  double decay = 0;           ///< a step takes (learning rate) * decay of each value; of dense tensors
+};
+
+/// All learned tensors of a run. The list and its arrays lie in the memory of the device that updates them.
+template <class Real>
+struct AdamTable {
+  const AdamTensor<Real>* tensors = nullptr;
+  int count = 0;
+  std::int64_t elements = 0;  ///< of all tensors
+};
+
+/// One update of all tensors on the processor. A step without a labelled ray says nothing about the semantic tensors:
+/// they and their moments stay, as the rows of a table do that no ray touched. (Adam would move them along their old
+/// moments.)
+template <class Real>
+void adam_update(const AdamStep* step, const AdamTable<Real>& table);
 
 /// Index (row * cols + col) of the first NaN or infinity of a contiguous view, or -1. To be called for every gradient
 /// before any update, so that a bad step leaves all state untouched.

@@ -39,7 +39,6 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   run.session = open_session(std::move(config), registry, options, diagnostics);
   if (facts.inputs && same_scene) warn_of_other_inputs(*facts.inputs, scene_inputs(run.session.scene), diagnostics);
   load_pipeline(*run.session.pipeline, found->file);
-  if (run.session.device) run.session.device->upload();
   run.step = facts.step;
   run.train_s = facts.train_s;
   return run;

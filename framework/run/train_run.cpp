@@ -282,8 +282,8 @@ class Run {
     environment.settings_changed = settings_changed();
     for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
     environment.more.emplace_back("started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr))));
-    environment.more.emplace_back("device", session().device ? session().device->description() : "cpu");
-    environment.more.emplace_back("matrix products", session().device ? "cuBLASLt and our own" : gemm_engine_text());
+    environment.more.emplace_back("device", session().pipeline->executor().description());
+    environment.more.emplace_back("matrix products", session().pipeline->executor().matrix_products());
     environment.more.emplace_back("precision", std::string(precision_name(session().config.runtime.precision)));
     write_file_atomic(folder_.environment_path(), environment_json(environment));
   }

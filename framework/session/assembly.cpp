@@ -5,6 +5,7 @@
 
 #include "compute/gemm_engine.h"
 #include "compute/parallel.h"
+#include "core/check.h"
 #include "core/error.h"
 
 namespace semfield {
@@ -254,33 +255,29 @@ std::string part_without_kernels(const RunConfig& config, const Registry& regist
 }  // namespace
 
 ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics) {
-  const DeviceChoice choice = config.runtime.device;
-  if (choice == DeviceChoice::cpu) return {Device::cpu, "runtime.device is cpu"};
+  const bool automatic = config.runtime.device == "auto";
+  const std::optional<DeviceId> asked = device_of(automatic ? "cuda" : config.runtime.device);
+  SEMFIELD_CHECK(asked.has_value(), "runtime.device was validated");
+  if (asked->kind == Device::cpu) return {*asked, "runtime.device is cpu"};
   std::string why_not;
-  if (cuda_available(&why_not)) {
+  if (cuda_available(&why_not, asked->ordinal)) {
     cuda_library().add_kernels(registry.kernels());
     const std::string part = part_without_kernels(config, registry, Device::cuda);
-    if (part.empty()) return {Device::cuda, ""};
+    if (part.empty()) return {*asked, ""};
     why_not = part + " has no cuda kernels";
-    if (choice == DeviceChoice::automatic)
-      diagnostics.note("runtime.device", why_not + ", so the run stays on the processor");
+    if (automatic) diagnostics.note("runtime.device", why_not + ", so the run stays on the processor");
   }
-  if (choice == DeviceChoice::automatic) return {Device::cpu, why_not};
-  throw Error(ErrorKind::unavailable, "runtime.device: cuda: " + why_not, "set runtime.device: cpu, or auto");
+  if (automatic) return {DeviceId{}, why_not};
+  throw Error(ErrorKind::unavailable, "runtime.device: " + config.runtime.device + ": " + why_not,
+              "set runtime.device: cpu, or auto");
 }
 
-std::unique_ptr<DeviceBackend> attach_device(Device device, const RunConfig& config, const Registry& registry,
-                                             const BuildPlan& plan, const SceneExtent& extent,
-                                             Pipeline<float>& pipeline, bool trainable) {
-  if (device == Device::cpu) return nullptr;
-  DeviceOptions options;
-  options.adam = {config.adam.beta1, config.adam.beta2, config.adam.epsilon};
-  options.trainable = trainable;
-  options.deterministic = config.runtime.deterministic;
-  std::unique_ptr<DeviceBackend> backend =
-      cuda_library().make(pipeline, make_passes<float>(config, registry, plan, extent, device), options);
-  pipeline.attach(backend.get());
-  return backend;
+void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+            const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable) {
+  if (device.kind == Device::cpu) return;  // a pipeline begins there
+  const DeviceOptions options{device.ordinal, trainable, config.runtime.deterministic};
+  pipeline.run_on(
+      cuda_library().make(pipeline, make_passes<float>(config, registry, plan, extent, device.kind), options));
 }
 
 template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,

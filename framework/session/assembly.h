@@ -3,7 +3,7 @@
 
 #include <memory>
 
-#include "model/device_backend.h"
+#include "model/device_library.h"
 #include "model/leave_out.h"
 #include "model/network_plan.h"
 #include "model/pipeline.h"
@@ -38,19 +38,18 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
 
 struct ChosenDevice {
-  Device device = Device::cpu;
+  DeviceId device;
   std::string no_cuda;  ///< why it is the processor
 };
-/// The device that the run's configuration asks for; its kernels are then in the registry's tables. `auto` is cuda
-/// where build and machine have it and every part of the passes has kernels for it; a part without them is noted and
-/// leaves the run on the processor. Throws Error(unavailable) with the reason when cuda is asked for and cannot be had.
+/// The device that the run's configuration asks for; its kernels are then in the registry's tables. `auto` is the first
+/// cuda device where build and machine have it and every part of the passes has kernels for it; a part without them is
+/// noted and leaves the run on the processor. Throws Error(unavailable) with the reason when a cuda device is asked for
+/// and cannot be had.
 ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
 
-/// The backend of `device`, which chosen_device gave, with the same parts as `pipeline`, which from now on renders
-/// there; null for the processor.
-std::unique_ptr<DeviceBackend> attach_device(Device device, const RunConfig& config, const Registry& registry,
-                                             const BuildPlan& plan, const SceneExtent& extent,
-                                             Pipeline<float>& pipeline, bool trainable);
+/// From now on `pipeline` trains and renders on `device`, which chosen_device gave.
+void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+            const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable);
 
 extern template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
                                                                  const SceneExtent&, std::vector<float>, bool);

@@ -39,7 +39,7 @@ bool probe_is_due(const Session& s) {
 
 std::optional<SurveyedExtent> probe_extent(Session& s) {
   const std::unique_ptr<RaySource> rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.device.get());
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
   const std::int64_t steps = s.config.load.probe_steps;
   while (trainer.step() < steps) {
     trainer.advance_many(steps - trainer.step());

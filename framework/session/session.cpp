@@ -171,7 +171,7 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
 }
 
 // Derived values become part of the resolved configuration, so that a later session cannot derive others.
-void fix_extent(Session& s, const Registry& registry, Device device) {
+void fix_extent(Session& s, const Registry& registry, DeviceId device) {
   const bool contracted = s.config.rendering.outside == Outside::contracted;
   s.extent = {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m, contracted};
   s.limits.near_m = s.scene.near_m;
@@ -182,15 +182,15 @@ void fix_extent(Session& s, const Registry& registry, Device device) {
   s.config.load.near_m = s.scene.near_m;
   s.config.load.far_m = s.scene.far_m;
   s.config.load.bounds = {b.lo.x, b.lo.y, b.lo.z, b.hi.x, b.hi.y, b.hi.z};
-  s.chosen = choose_from_scene(s.config, s.extent, device);
+  s.chosen = choose_from_scene(s.config, s.extent, device.kind);
 }
 
-void build_session(Session& s, Registry& registry, const SessionOptions& options, Device device) {
+void build_session(Session& s, Registry& registry, const SessionOptions& options, DeviceId device) {
   if (options.trainable) {
     measure_scene(s);
     NetworkPlan network = plan_network(s.config, registry, s.plan, s.extent, true);
     // The host then holds the tensors alone.
-    if (device != Device::cpu) network.activations = network.logits = network.step_rows = network.density = 0;
+    if (device.kind != Device::cpu) network.activations = network.logits = network.step_rows = network.density = 0;
     s.memory = plan_memory(s.config, s.memory_facts, network);
     require_memory(s.config, registry, s.plan, s.extent, s.memory_facts, s.memory);
   }
@@ -204,11 +204,11 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
   }
   s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
   add_owned_rows(s);
-  s.device = attach_device(device, s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
+  run_on(device, s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
 }
 
 // The scene is lent to a session of its own, whose sizes the guess chooses; only what it sees comes back.
-void probe_bounds(Session& s, Registry& registry, const SessionOptions& options, Device device,
+void probe_bounds(Session& s, Registry& registry, const SessionOptions& options, DeviceId device,
                   Diagnostics& diagnostics) {
   Diagnostics ignored;
   Session probe;
@@ -238,12 +238,12 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   if (options.progress) work.load_progress = &options.progress;
   const WorkScope scope(work);
   const ChosenDevice chosen = chosen_device(config, registry, diagnostics);
-  const Device device = chosen.device;
+  const DeviceId device = chosen.device;
   Session s = load_session(std::move(config), registry, options, chosen, diagnostics);
   s.memory_facts.program = program_bytes;
   if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, diagnostics);
   fix_extent(s, registry, device);
-  if (device == Device::cpu && s.config.runtime.precision == Precision::bf16 && !bf16_is_native()) {
+  if (device.kind == Device::cpu && s.config.runtime.precision == Precision::bf16 && !bf16_is_native()) {
     diagnostics.note("runtime.precision",
                      "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
   }
@@ -304,8 +304,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   options.train = config.train;
   options.with_depth = losses_read_depth(config.losses);
   options.seed = config.runtime.seed;
-  // A device takes the batch as one tile: labelled rays come first in all of it.
-  options.tile_rays = device ? config.train.rays : pipeline->tile_rays();
+  options.tile_rays = pipeline->executor().tile_rays(config.train.rays);
   return std::make_unique<RaySource>(std::move(frames), plan.semantics ? logit_of_class() : std::vector<std::int16_t>{},
                                      limits, options);
 }

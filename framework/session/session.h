@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "eval/evaluator.h"
-#include "model/device_backend.h"
 #include "model/leave_out.h"
 #include "session/assembly.h"
 #include "session/manifest_text.h"
@@ -30,7 +29,6 @@ struct Session {
   MemoryFacts memory_facts;
   MemoryPlan memory;  ///< of training; empty for sessions that do not train
   std::unique_ptr<Pipeline<float>> pipeline;
-  std::unique_ptr<DeviceBackend> device;  ///< of `pipeline`; null: the processor does everything
 
   /// What this session's work is done with; borrows from it.
   WorkSettings work() const;

@@ -6,7 +6,6 @@
 #include <string>
 #include <vector>
 
-#include "model/device_backend.h"
 #include "model/pipeline.h"
 #include "optim/adam.h"
 #include "optim/schedule.h"
@@ -20,9 +19,8 @@ inline constexpr std::int64_t kDeadSteps = 100;
 
 class Trainer {
  public:
-  /// Borrows all; the pipeline must be trainable. With `device`, steps run there.
-  Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam, const ScheduleParams& schedule,
-          DeviceBackend* device = nullptr);
+  /// Borrows all; the pipeline must be trainable. Steps run on its executor.
+  Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam, const ScheduleParams& schedule);
 
   /// Steps done so far.
   std::int64_t step() const { return step_; }
@@ -31,15 +29,14 @@ class Trainer {
   /// gradient, a parameter, a moment or a state that is not finite (or too large for an update) throws Error: it names
   /// the value, frame and pixel of the ray it belongs to, and the tensor and element that it comes from. Values,
   /// moments, samplers and the step count are then untouched. A density that is not finite where a sampler asks for it
-  /// in `observe` is found after the update: the step then counts as made and the sampler's state stays as it was. A
-  /// pass whose density is 0 at every sample for kDeadSteps steps, while colours are not explained, is an Error too:
-  /// nothing of it can learn.
+  /// in `observe` is found after the update: the step then counts as made and the sampler's state stays as it was.
+  /// After kDeadSteps steps in which the density of a pass was 0 at every sample, while colours are not explained, the
+  /// next one is an Error too: nothing of it can learn.
   StepLosses advance();
-  /// Up to `most` steps, as many as run without waiting in between: 1 on the processor. Their losses, in order, valid
-  /// until the next call.
+  /// Up to `most` steps, as many as run without waiting in between. Their losses, in order, valid until the next call.
   std::span<const StepLosses> advance_many(std::int64_t most);
-  /// Brings values, moments and states from the device; before any of them is read, stored or checked.
-  void collect();
+  /// Brings values, moments and states into the pipeline's store; before any of them is read, stored or checked.
+  void collect() { pipeline_.executor().download(step_); }
 
   /// Throws Error(failure) naming the tensor for a value, moment or state that is not finite: such a state is no
   /// checkpoint.
@@ -53,16 +50,11 @@ class Trainer {
   void load(const TensorFile& file, std::int64_t step);
 
  private:
-  void check_step(const StepLosses& losses) const;
-  void check_states() const;
   std::string bad_tensor() const;
   [[noreturn]] void fail(const Error& error);
-  void update(const StepLosses& losses);
-  StepLosses advance_on_processor();
-  double rate_of(std::int64_t step) const;
-  AdamStep rule_of(std::int64_t step) const;
-  [[noreturn]] void explain_device_fault();
-  void check_alive(const StepLosses& losses);
+  [[noreturn]] void explain_failed_step();
+  void note_density(const StepLosses& losses);
+  void check_alive() const;
 
   Pipeline<float>& pipeline_;
   const RaySource& rays_;
@@ -71,8 +63,7 @@ class Trainer {
   std::int64_t step_ = 0;
   BatchBuffers batch_;
   std::int64_t dead_steps_ = 0;  // in a row
-  DeviceBackend* device_ = nullptr;
-  std::vector<StepLosses> done_;
+  std::size_t dead_pass_ = 0;
 };
 
 /// Tensors of a pipeline alone (no moments), for rendering: strict for those, moments are ignored.

@@ -42,7 +42,7 @@ Training::Training(Session session, TrainingListener* listener, std::optional<Sc
         const WorkScope scope(work_);
         return session_.make_ray_source();
       }()),
-      trainer_(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule, session_.device.get()),
+      trainer_(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule),
       was_set_(session_.scene.frames.size(), false),
       inputs_(std::move(inputs)) {}
 
@@ -68,6 +68,10 @@ std::int64_t Training::train(std::int64_t steps) {
   while (made < steps && !cancelled_) made += std::ssize(advance(steps - made));
   cancelled_ = false;
   return made;
+}
+
+void Training::set_gradient_hook(GradientHook<float> hook) {
+  session_.pipeline->executor().set_gradient_hook(std::move(hook));
 }
 
 RenderedFrame Training::render(const Camera& camera, const Pose& world_from_camera, const FrameOptions& options) const {

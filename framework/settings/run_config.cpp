@@ -5,6 +5,7 @@
 #include <functional>
 
 #include "config/compose.h"
+#include "core/device_id.h"
 #include "plugin/loader.h"
 #include "settings/label_config.h"
 #include "settings/loss_config.h"
@@ -74,7 +75,9 @@ void validate(const SelfTrainingParams& p, Diagnostics& diagnostics) {
 }
 
 void describe(ParamVisitor& visit, RuntimeParams& p) {
-  SEMFIELD_PARAM(visit, p, device, "where kernels run; auto takes the fastest that this build and machine have");
+  SEMFIELD_PARAM(visit, p, device,
+                 "where kernels run: auto, cpu, cuda, or cuda:N for GPU N, counted from 0; auto takes the fastest that "
+                 "this build and machine have");
   SEMFIELD_PARAM(
       visit, p, precision,
       "precision of the networks' matrix products: fp32, or bf16 operands with fp32 sums, weights and gradients");
@@ -98,6 +101,12 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
   SEMFIELD_PARAM(visit, p, fold_feature_layer, "multiply a field's feature and view layer once per step (exact)");
   SEMFIELD_PARAM(visit, p, direction_once_per_ray, "compute the view layer's direction term once per ray (exact)");
   SEMFIELD_PARAM(visit, p, deferred_class_layer, "apply the class layer once per ray, after compositing (exact)");
+}
+
+void validate(const RuntimeParams& p, Diagnostics& diagnostics) {
+  if (p.device == "auto" || device_of(p.device)) return;
+  diagnostics.error("runtime.device", "'" + p.device + "' is no device",
+                    "write auto, cpu, cuda, or cuda:N for GPU N, counted from 0");
 }
 
 void describe(ParamVisitor& visit, ReportParams& p) {
@@ -261,6 +270,7 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   validate_section(tree, "scene.load", config.load, diagnostics);
   validate_section(tree, "rendering", config.rendering, diagnostics);
   validate_section(tree, "train.self_training", config.self_training, diagnostics);
+  validate_section(tree, "runtime", config.runtime, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);
   validate_section(tree, "propagate", config.propagate, diagnostics);
   config.losses = read_losses(tree, diagnostics);

@@ -83,12 +83,6 @@ struct SelfTrainingParams {
 void describe(ParamVisitor& visit, SelfTrainingParams& params);
 void validate(const SelfTrainingParams& params, Diagnostics& diagnostics);
 
-enum class DeviceChoice : std::uint8_t { automatic, cpu, cuda };
-template <>
-struct ChoiceNames<DeviceChoice> {
-  static constexpr std::array<std::string_view, 3> names{"auto", "cpu", "cuda"};
-};
-
 template <>
 struct ChoiceNames<Precision> {
   static constexpr std::array<std::string_view, 2> names{"fp32", "bf16"};
@@ -100,7 +94,7 @@ struct ChoiceNames<GemmEngine> {
 };
 
 struct RuntimeParams {
-  DeviceChoice device = DeviceChoice::automatic;
+  std::string device = "auto";  ///< or what device_of reads (core/device_id.h)
   Precision precision = Precision::fp32;
   GemmEngine gemm = GemmEngine::automatic;
   bool deterministic = false;
@@ -115,6 +109,7 @@ struct RuntimeParams {
   bool deferred_class_layer = true;
 };
 void describe(ParamVisitor& visit, RuntimeParams& params);
+void validate(const RuntimeParams& params, Diagnostics& diagnostics);
 
 struct ReportParams {
   std::int64_t log_every_steps = 20;

@@ -32,7 +32,7 @@ const std::map<std::string, Folders>& floors() {
   static const Folders ground{"core", "system", "compute"};
   static const Folders scene = with(ground, {"config", "formats", "classes", "scene"});
   static const Folders loading = with(scene, {"survey", "loading"});
-  static const Folders model = with(scene, {"plugin", "losses", "model"});
+  static const Folders model = with(scene, {"plugin", "losses", "optim", "model"});
   static const Folders settings = with(model, {"survey", "loading", "labels", "optim", "settings"});
   static const Folders run = with(settings, {"eval", "session", "run"});
   static const std::map<std::string, Folders> table{
@@ -48,9 +48,9 @@ const std::map<std::string, Folders>& floors() {
       {"plugin", with(scene, {"plugin"})},
       {"labels", with(loading, {"plugin", "labels"})},
       {"losses", with(ground, {"config", "losses"})},
-      {"optim", with(ground, {"config", "plugin", "model", "optim"})},
+      {"optim", with(ground, {"config", "optim"})},
       {"model", model},
-      {"cuda", with(model, {"optim", "cuda"})},
+      {"cuda", with(model, {"cuda"})},
       {"eval", with(model, {"survey", "loading", "labels", "eval"})},
       {"settings", settings},
       {"session", with(settings, {"eval", "session"})},

@@ -14,7 +14,7 @@
 namespace semfield {
 namespace {
 
-using cuda::AdamTensor;
+using AdamTensor = AdamTensor<float>;
 using cuda::Stage;
 using testing::DeviceLaunch;
 using testing::DeviceMatrix;
@@ -67,7 +67,7 @@ struct Twin {
             shape.cols,      shape.touched_only, shape.semantic, rule().rate, rule().rate * rule().decay};
   }
   // Semantic tensors have a rule of their own.
-  LearningRule rule() const { return shape.semantic ? LearningRule{0.3, 0.1} : LearningRule{}; }
+  LearningRule rule() const { return shape.semantic ? LearningRule{0.3, 0.1, true} : LearningRule{}; }
   std::vector<float> back(const std::unique_ptr<DeviceMatrix<float>>& there) const {
     const std::vector<float> all = there->read();
     return {all.begin() + shape.shift, all.end()};
@@ -99,22 +99,20 @@ struct Model {
     for (const auto& twin : twins) list.push_back(twin->tensor());
     tensors = std::make_unique<DeviceMatrix<AdamTensor>>(list, 1);
   }
-  int count() const { return static_cast<int>(twins.size()); }
-  void check() const { cuda::check_gradients(tensors->data(), count(), total); }
-  void update(const AdamParams& rule) const { cuda::adam_update(rule, tensors->data(), count(), total); }
+  AdamTable<float> table() const { return {tensors->data(), static_cast<int>(twins.size()), total}; }
+  void check() const { cuda::check_gradients(table()); }
+  void update() const { cuda::adam_update(&cuda::launch().cell->adam, table()); }
 
   std::vector<std::unique_ptr<Twin>> twins;
   std::unique_ptr<DeviceMatrix<AdamTensor>> tensors;
   std::int64_t total = 0;
 };
 
-cuda::StepCell cell_of(const AdamStep& step, std::uint64_t number, std::int32_t labelled) {
+cuda::StepCell cell_of(const AdamStep& step, std::uint64_t number, bool labelled = true) {
   cuda::StepCell cell;
   cell.step = number;
-  cell.adam_step_size = step.step_size;
-  cell.learning_rate = kRate;
-  cell.adam_root_scale = static_cast<float>(step.root_scale);
-  cell.labelled = labelled;
+  cell.adam = step;
+  cell.adam.labelled = labelled;
   return cell;
 }
 
@@ -159,10 +157,10 @@ TEST(CudaAdam, TheBitsOfTheProcessor) {
   AdamParams rule;
   for (std::int64_t number = 0; number < 3; ++number) {
     const AdamStep step = adam_step(rule, kRate, number * 1000);
-    launch.set_cell(cell_of(step, static_cast<std::uint64_t>(number), 1));
+    launch.set_cell(cell_of(step, static_cast<std::uint64_t>(number)));
     model.check();
     ASSERT_EQ(launch.take_fault(), std::nullopt);
-    model.update(rule);
+    model.update();
     for (const auto& twin : model.twins) {
       SCOPED_TRACE(std::to_string(twin->shape.rows) + " x " + std::to_string(twin->shape.cols) +
                    (twin->shape.touched_only ? ", touched rows" : ""));
@@ -184,8 +182,8 @@ TEST(CudaAdam, WithoutLabelsTheSemanticTensorsStay) {
   SEMFIELD_NEEDS_DEVICE();
   DeviceLaunch launch;
   const Model model({{64, 3}, {64, 29, false, true}, {64, 3}});
-  launch.set_cell(cell_of(adam_step({}, kRate, 0), 0, 0));
-  model.update({});
+  launch.set_cell(cell_of(adam_step({}, kRate, 0), 0, false));
+  model.update();
   for (const auto& twin : model.twins) {
     EXPECT_EQ(twin->back(twin->there_value) == twin->value, twin->shape.semantic);
     EXPECT_EQ(twin->back(twin->there_m) == twin->m, twin->shape.semantic);
@@ -197,10 +195,10 @@ TEST(CudaAdam, AFaultOfAnyStageLeavesAllAlone) {
   SEMFIELD_NEEDS_DEVICE();
   DeviceLaunch launch;
   const Model model({{64, 3}, {4097, 2, true}});
-  launch.set_cell(cell_of(adam_step({}, kRate, 0), 0, 1));
+  launch.set_cell(cell_of(adam_step({}, kRate, 0), 0));
   launch.set_fault((static_cast<cuda::FaultKey>(Stage::density) << cuda::kFaultRowBits) | 3);
   model.check();
-  model.update({});
+  model.update();
   for (const auto& twin : model.twins) {
     EXPECT_EQ(twin->back(twin->there_value), twin->value);
     EXPECT_EQ(twin->back(twin->there_m), twin->m);
@@ -230,7 +228,7 @@ TEST(CudaAdam, UnsoundElementsAreFoundInEveryArray) {
           twin.send();
           int found = 0;
           for (std::int64_t number = 0; number < windows; ++number) {
-            launch.set_cell(cell_of(adam_step({}, kRate, 0), static_cast<std::uint64_t>(number), 1));
+            launch.set_cell(cell_of(adam_step({}, kRate, 0), static_cast<std::uint64_t>(number)));
             model.check();
             const auto fault = launch.take_fault();
             if (!fault) continue;
@@ -251,7 +249,7 @@ TEST(CudaAdam, UnsoundElementsAreFoundInEveryArray) {
   table.m[2 * 12] = inf;
   table.send();
   for (std::uint64_t number = 0; number < kTableWindows; ++number) {
-    launch.set_cell(cell_of(adam_step({}, kRate, 0), number, 1));
+    launch.set_cell(cell_of(adam_step({}, kRate, 0), number));
     model.check();
     EXPECT_EQ(launch.take_fault(), std::nullopt);
   }

@@ -1,11 +1,10 @@
 // The class layer once a ray on the device against plain sums in float64: few classes and many take different kernels.
-#include "cuda/stages.h"
-#include "model/semantic_head.h"
-
 #include <cmath>
 #include <vector>
 
+#include "cuda/stages.h"
 #include "device_fixture.h"
+#include "model/semantic_head.h"
 #include "testkit/compare.h"
 
 namespace semfield {

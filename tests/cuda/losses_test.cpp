@@ -200,9 +200,9 @@ TEST(CudaCrossEntropy, TheFirstOfEqualLogitsIsTheClass) {
   expect_same(launch, s, true, false, 3);
   const DeviceMatrix<float> logits(s.logits, 70);
   const DeviceMatrix<std::int16_t> label(3, 1);
-  cuda::ClassResults results;
+  ClassResults<float> results;
   results.label = label.view();
-  cuda::class_results(logits.read_only(), results);
+  cuda::class_results(logits.view(), results);
   EXPECT_EQ(label.read(), s.hard);
 }
 
@@ -215,7 +215,7 @@ TEST(CudaClassResults, AsRenderingOnTheProcessor) {
       const DeviceMatrix<float> logits(s.logits, classes, classes + 1);
       const DeviceMatrix<std::int16_t> truth(s.hard, 1, 2), label(rays, 1, 2);
       const DeviceMatrix<float> entropy(rays, 1, 3), confidence(rays, 1), of_truth(rays, 1, 2);
-      cuda::class_results(logits.read_only(),
+      cuda::class_results(logits.view(),
                           {truth.read_only(), label.view(), entropy.view(), confidence.view(), of_truth.view()});
       std::vector<float> p(s.logits.size()), want_entropy(static_cast<std::size_t>(rays));
       softmax<float>(testing::host_view(s.logits, classes), testing::host_view(p, classes));

@@ -232,15 +232,15 @@ TEST(CudaOpacityResolution, AsTheProcessor) {
       for (std::size_t i = 0; i < weight.size(); i += 3) weight[i] = 0.5F;  // equal ones
       const DeviceBatch device(host);
       const DeviceMatrix<float> there(weight, 1, 2);
-      const DeviceMatrix<std::int16_t> result(rays, 1, 3);
+      const DeviceMatrix<OpacityResolution> result(rays, 1, 3);
       cuda::opacity_resolutions(device.samples, there.read_only(), far, 0.1, result.view());
       const Samples<float> samples{testing::host_view(host.t, 1), testing::host_view(host.delta, 1),
                                    testing::host_view(host.ray, 1), testing::host_view(host.first, 1), device.rows};
-      const std::vector<std::int16_t> got = result.read();
+      const std::vector<OpacityResolution> got = result.read();
       std::int64_t kinds[3] = {};
       for (std::int64_t r = 0; r < rays; ++r) {
         const auto want = opacity_resolution<float>(samples, testing::host_view(std::as_const(weight), 1), far, r, 0.1);
-        ASSERT_EQ(got[static_cast<std::size_t>(r)], static_cast<std::int16_t>(want)) << r;
+        ASSERT_EQ(got[static_cast<std::size_t>(r)], want) << r;
         kinds[static_cast<int>(want)] += 1;
       }
       for (const std::int64_t n : kinds) EXPECT_TRUE(rays < 4097 || n > 0);

@@ -24,7 +24,7 @@ struct Training {
   Training(Registry& registry, std::string yaml, const std::string& runtime)
       : session(open_text(yaml + "runtime: {" + runtime + "}\n", registry)),
         rays(session.make_ray_source()),
-        trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.device.get()) {}
+        trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule) {}
   StepLosses train(std::int64_t steps) {
     StepLosses last;
     while (trainer.step() < steps) last = trainer.advance_many(steps - trainer.step()).back();
@@ -35,6 +35,15 @@ struct Training {
   std::unique_ptr<RaySource> rays;
   Trainer trainer;
 };
+
+Device runs_on(const Session& session) { return session.pipeline->executor().device().kind; }
+
+void copy_values(const ParamStore<float>& from, ParamStore<float>& to) {
+  for (std::size_t i = 0; i < from.all().size(); ++i) {
+    const AlignedBuffer<float>& value = from.all()[i].value;
+    std::copy_n(value.data(), value.size(), to.all()[i].value.data());
+  }
+}
 
 void expect_near(double cuda, double cpu, double relative, const std::string& what) {
   EXPECT_NEAR(cuda, cpu, relative * std::max(1e-6, std::abs(cpu))) << what;
@@ -113,8 +122,8 @@ TEST_P(CudaStep, LossesAndGradientsAreTheProcessors) {
        {"", ", deferred_class_layer: false, fold_feature_layer: false, direction_once_per_ray: false"}) {
     const std::string tile = std::string("tile_rays: 192") + savings;
     Training cuda(registry, yaml, "device: cuda, " + tile), cpu(registry, yaml, "device: cpu, " + tile);
-    ASSERT_NE(cuda.session.device, nullptr);
-    ASSERT_EQ(cpu.session.device, nullptr);
+    ASSERT_EQ(runs_on(cuda.session), Device::cuda);
+    ASSERT_EQ(runs_on(cpu.session), Device::cpu);
     const StepLosses a = cuda.train(1), b = cpu.train(1);
     const std::string what = std::string(row.name) + savings;
     EXPECT_EQ(a.samples, b.samples) << what;
@@ -265,14 +274,13 @@ TEST(CudaRun, RendersWhatTheProcessorRenders) {
     const FrameInfo& info = cuda.session.scene.info.frames[static_cast<std::size_t>(frame)];
     const RayCamera camera{info.camera, info.world_from_camera, false};
     const std::vector<std::int16_t> truth;
-    const auto draw = [&] {
-      return render_frame(*cuda.session.pipeline, camera, cuda.session.limits, cuda.session.plan.class_of_logit, truth);
+    const auto draw = [&](Training& of) {
+      return render_frame(*of.session.pipeline, camera, of.session.limits, of.session.plan.class_of_logit, truth);
     };
-    const RenderedFrame a = draw();
-    cuda.session.pipeline->attach(nullptr);
-    cuda.session.pipeline->derive(0);
-    const RenderedFrame b = draw();
-    cuda.session.pipeline->attach(cuda.session.device.get());
+    Training cpu(registry, config, "device: cpu");
+    copy_values(cuda.session.pipeline->store(), cpu.session.pipeline->store());
+    cpu.session.pipeline->executor().upload(100);
+    const RenderedFrame a = draw(cuda), b = draw(cpu);
     double worst = 0, worst_depth = 0;
     std::size_t other_label = 0;
     for (std::size_t i = 0; i < a.rgb.size(); ++i) worst = std::max(worst, std::abs(double{a.rgb[i]} - b.rgb[i]));
@@ -298,7 +306,7 @@ TEST(CudaRun, AFaultNamesTensorAndPixelAndChangesNothing) {
     }
     ASSERT_NE(weight, nullptr);
     weight->value.data()[0] = std::numeric_limits<float>::quiet_NaN();
-    cuda.session.device->upload();
+    cuda.session.pipeline->executor().upload(40);
     const std::uint32_t before = fingerprint(cuda.session.pipeline->store());
     try {
       cuda.trainer.advance_many(8);
@@ -399,7 +407,7 @@ TEST(CudaRun, APartWithoutKernelsStaysOnTheProcessorOrIsRefusedByName) {
       "scene: {type: analytic_room, frames: 4}\n"
       "passes:\n  - {name: main, sampler: {type: stratified, samples: 8}, position: {type: identity},\n"
       "     direction: {type: identity}, field: {type: plain}}\n";
-  EXPECT_EQ(open_text(yaml + "runtime: {device: auto}\n", registry).device, nullptr);
+  EXPECT_EQ(runs_on(open_text(yaml + "runtime: {device: auto}\n", registry)), Device::cpu);
   try {
     open_text(yaml + "runtime: {device: cuda}\n", registry);
     FAIL() << "a field without kernels for the device was taken";
@@ -419,7 +427,7 @@ TEST(CudaBuild, WithoutADeviceTheReasonIsSaid) {
     EXPECT_EQ(error.kind(), ErrorKind::unavailable);
     EXPECT_NE(std::string(error.what()).find("runtime.device"), std::string::npos) << error.what();
   }
-  EXPECT_EQ(open_text(hash_config("runtime: {device: auto}\n"), registry).device, nullptr);
+  EXPECT_EQ(runs_on(open_text(hash_config("runtime: {device: auto}\n"), registry)), Device::cpu);
 }
 
 }  // namespace

@@ -9,7 +9,7 @@
 #include "compute/cpu_kernels.h"
 #include "compute/isa.h"
 #include "isa_list.h"
-#include "model/device_backend.h"
+#include "model/device_library.h"
 #include "named_case.h"
 #include "plugin/encoder.h"
 

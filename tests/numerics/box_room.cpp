@@ -78,7 +78,7 @@ Session open_room(const std::string& yaml, Registry& registry) {
   RunConfig config = read_run_config(parse_config_text(yaml, "case.yaml"), registry, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::config, "");
   // What is measured does not depend on the machine; a case that wants a device names it.
-  if (config.runtime.device == DeviceChoice::automatic) config.runtime.device = DeviceChoice::cpu;
+  if (config.runtime.device == "auto") config.runtime.device = "cpu";
   return open_session(std::move(config), registry, {}, diagnostics);
 }
 

@@ -17,7 +17,7 @@ struct Training {
   Training(const std::string& yaml, const std::string& runtime, Registry& registry)
       : session(open_room("scene: {type: box_room}\n" + yaml + "runtime: {" + runtime + "}\n", registry)),
         rays(session.make_ray_source()),
-        trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.device.get()) {}
+        trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule) {}
   StepLosses train(std::int64_t steps) {
     StepLosses last;
     while (trainer.step() < steps) last = trainer.advance_many(steps - trainer.step()).back();
@@ -100,7 +100,7 @@ void finite_checks_on_device(CaseRun& run) {
     if (!t.learned() || t.spec.role == TensorRole::sparse) continue;
     one.train(1);
     t.value.data()[0] = std::numeric_limits<float>::quiet_NaN();
-    one.session.device->upload();
+    one.session.pipeline->executor().upload(1);
     const std::uint32_t before = one.state();
     run.expect_error(ErrorKind::failure, {}, [&] { one.trainer.advance(); });
     one.trainer.collect();

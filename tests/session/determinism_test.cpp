@@ -10,6 +10,7 @@
 #include "compute/gemm_engine.h"
 #include "compute/parallel.h"
 #include "core/error.h"
+#include "model/lane_executor.h"
 #include "session/trainer.h"
 #include "tests/session/train_testing.h"
 
@@ -151,10 +152,10 @@ TEST(Determinism, NoMemoryIsRequestedInSteadyState) {
   const auto source = s.make_ray_source();
   Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
   for (int i = 0; i < 3; ++i) trainer.advance();
-  const std::int64_t growths = s.pipeline->workspace_growths();
+  const std::int64_t growths = s.pipeline->lanes().workspace_growths();
   for (int i = 0; i < 10; ++i) trainer.advance();
-  EXPECT_EQ(growths, s.pipeline->workspace_growths());
-  EXPECT_LE(s.pipeline->workspace_bytes(), s.pipeline->predicted_workspace_bytes(s.config.train.rays));
+  EXPECT_EQ(growths, s.pipeline->lanes().workspace_growths());
+  EXPECT_LE(s.pipeline->lanes().workspace_bytes(), s.pipeline->predicted_workspace_bytes(s.config.train.rays));
 }
 
 }  // namespace

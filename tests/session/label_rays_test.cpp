@@ -108,7 +108,7 @@ TEST(LabelRays, WithLabelRaysAloneNoColourIsLearned) {
   Oracle only(config_of("labelled_share: 1, label_rays_teach_color: false"), registry);
   EXPECT_EQ(only.gradients().color, 0);
   for (const Tensor<double>& t : only.pipeline->store().all()) {
-    if (!t.learned() || only.pipeline->is_semantic(t)) continue;
+    if (!t.learned() || t.rule.semantic) continue;
     EXPECT_TRUE(std::all_of(t.grad.data(), t.grad.data() + t.size(), [](double g) { return g == 0; })) << t.name;
   }
 }

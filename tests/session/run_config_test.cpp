@@ -6,6 +6,7 @@
 #include <filesystem>
 
 #include "config/explain.h"
+#include "core/device_id.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -37,6 +38,23 @@ TEST(RunConfig, CollectsEveryErrorWithItsPlace) {
         "no encoder named 'hashgrid'", "did you mean 'hash_grid'?", "unknown key 'fild'; did you mean 'field'?",
         "key 'field' is missing", "train.rays: expected int in [1, 1048576], got 0"}) {
     EXPECT_NE(text.find(part), std::string::npos) << "missing: " << part << "\nin:\n" << text;
+  }
+}
+
+TEST(RunConfig, ADeviceIsNamedByKindAndOrdinal) {
+  EXPECT_EQ(device_of("cpu"), DeviceId{});
+  EXPECT_EQ(device_of("cuda"), (DeviceId{Device::cuda, 0}));
+  EXPECT_EQ(device_of("cuda:0"), (DeviceId{Device::cuda, 0}));
+  EXPECT_EQ(device_of("cuda:12"), (DeviceId{Device::cuda, 12}));
+  const auto of = [](const std::string& device) {
+    return errors_of(hash_config("runtime: {threads: 1, device: " + device + "}\n"));
+  };
+  for (const char* device : {"auto", "cpu", "cuda", "cuda:1"}) EXPECT_EQ(of(device), "") << device;
+  for (const char* device : {"gpu", "'cuda:'", "cuda:x", "cuda1", "cuda:-1", "cuda:1000", "Cuda", "''"}) {
+    const std::string text = of(device);
+    EXPECT_NE(text.find("room.yaml:11:"), std::string::npos) << device << ": " << text;
+    EXPECT_NE(text.find("is no device"), std::string::npos) << device << ": " << text;
+    EXPECT_NE(text.find("auto, cpu, cuda, or cuda:N"), std::string::npos) << text;
   }
 }
 

@@ -124,7 +124,7 @@ TEST(SemanticBranch, ItsRateAndDecayHoldForBranchAndHeadAlone) {
     };
     for (const Tensor<float>& t : s.pipeline->store().all()) {
       if (t.spec.role == TensorRole::dense)
-        semantic.insert(semantic.end(), static_cast<std::size_t>(t.size()), s.pipeline->is_semantic(t));
+        semantic.insert(semantic.end(), static_cast<std::size_t>(t.size()), t.rule.semantic);
     }
     copy(before);
     trainer.advance();
@@ -206,7 +206,7 @@ TEST(SemanticBranch, TheResolvedConfigurationHoldsIt) {
   EXPECT_EQ(branch->rules.dropout, 0.1);
   EXPECT_EQ(branch->rules.least_weight, 1e-3);
   for (const Tensor<float>& t : s.pipeline->store().all()) {
-    EXPECT_EQ(t.rule.rate, s.pipeline->is_semantic(t) ? 0.3 : 1) << t.name;
+    EXPECT_EQ(t.rule.rate, t.rule.semantic ? 0.3 : 1) << t.name;
     EXPECT_EQ(t.name.find("semantic/field/color"), std::string::npos) << "a branch has no colour: " << t.name;
   }
 }

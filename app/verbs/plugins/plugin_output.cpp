@@ -5,7 +5,7 @@
 
 #include "config/params_read.h"
 #include "core/error.h"
-#include "model/device_backend.h"
+#include "model/device_library.h"
 
 namespace semfield::app {
 

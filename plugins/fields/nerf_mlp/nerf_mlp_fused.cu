@@ -154,7 +154,7 @@ bool& FusedNerfMlp::enabled() {
 }
 
 bool FusedNerfMlp::serves(const NerfMlpShape& s) {
-  static const bool hopper = [] {
+  const bool hopper = [] {
     int device = 0, major = 0, minor = 0;
     return cudaGetDevice(&device) == cudaSuccess &&
            cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, device) == cudaSuccess &&

@@ -1,4 +1,4 @@
-#include "model/device_backend.h"
+#include "model/device_library.h"
 
 #include <dlfcn.h>
 
@@ -27,7 +27,7 @@ const DeviceLibrary& cuda_library() {
 #endif
 }
 
-bool cuda_available(std::string* why_not) {
+bool cuda_available(std::string* why_not, [[maybe_unused]] int ordinal) {
 #ifndef SEMFIELD_CUDA_LIBRARY
   if (why_not != nullptr) *why_not = "this build has no CUDA kernels (has: cpu)";
   return false;
@@ -39,7 +39,7 @@ bool cuda_available(std::string* why_not) {
     return false;
   }
   try {
-    (void)cuda_library().describe();
+    (void)cuda_library().describe(ordinal);
     return true;
   } catch (const Error& error) {
     if (why_not != nullptr) *why_not = error.message();

@@ -1,4 +1,4 @@
-// The whole training step and the renderer on one CUDA device.
+// Steps and rendering on a stream of one CUDA device.
 #pragma once
 
 #include <functional>
@@ -9,7 +9,8 @@
 #include "cuda/memory.h"
 #include "cuda/staging.h"
 #include "cuda/store.h"
-#include "model/device_backend.h"
+#include "model/device_library.h"
+#include "model/pipeline.h"
 
 namespace semfield::cuda {
 
@@ -17,20 +18,23 @@ namespace semfield::cuda {
 /// sums back, all queued without waiting. The graph is captured in the third step of a shape: the first sizes arenas
 /// and chooses algorithms. Rays beyond the last labelled one carry no semantics; a step's number of such rays is
 /// rounded up to an eighth of the batch, so that few shapes occur.
-class DevicePipeline final : public DeviceBackend {
+class StreamExecutor final : public Executor<float> {
  public:
-  DevicePipeline(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options);
-  ~DevicePipeline() override;
+  StreamExecutor(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options);
+  ~StreamExecutor() override;
 
+  DeviceId device() const override { return {Device::cuda, options_.ordinal}; }
   std::string description() const override;
-  void upload() override;
-  void download() override;
-  void queue(std::int64_t step, const RayBatch& batch, const DeviceUpdate& update) override;
+  std::string matrix_products() const override { return "cuBLASLt and our own"; }
+  void upload(std::int64_t step) override;
+  void download(std::int64_t step) override;
+  std::int64_t tile_rays(std::int64_t rays) const override { return rays; }
+  void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) override;
   int most_queued() const override { return kSlots; }
-  DeviceSteps finish() override;
+  StepResults finish() override;
+  void set_gradient_hook(GradientHook<float> hook) override;
   void render(const RenderJob<float>& job) override;
   void density(View<const double> positions, View<float> sigma) override;
-  std::size_t bytes() const override;
 
  private:
   static constexpr int kSlots = 32;
@@ -41,12 +45,15 @@ class DevicePipeline final : public DeviceBackend {
     std::int64_t semantic_rays = 0;
     std::uint32_t terms = 0;  // of the loss that work: LossScales::active
     int runs = 0;
-    cudaGraphExec_t graph = nullptr;
+    cudaGraphExec_t graphs[2] = {};  // with a gradient hook two, one before and one after it
   };
   Launch step_launch() const;
   StepContext context(std::int64_t step, bool training, Workspace& arena) const;
+  Shape& shape_of(const RayBatch& batch, std::uint32_t terms);
   void run(Shape& shape, std::int64_t step);
-  void step_body(const Shape& shape, std::int64_t step);
+  void run_part(const Shape& shape, cudaGraphExec_t& graph, const std::function<void()>& body);
+  void backward(const Shape& shape, std::int64_t step);
+  void update(std::int64_t step);
   void train_passes(const Shape& shape, const RayBatch& batch, const StepContext& ctx);
   class BatchExecutor;
   std::int64_t growths() const { return train_arena_.growth_count() + beside_arena_.growth_count(); }
@@ -59,13 +66,11 @@ class DevicePipeline final : public DeviceBackend {
   void forget_step();
   struct Queued {
     std::int64_t step;
-    double normaliser, color_normaliser;
-    LossScales terms;
+    BatchScales scales;
   };
-  StepLosses losses_of(const StepSums& sums, const Queued& of) const;
+  StepLosses losses_of(const StepSums& sums, const BatchScales& scales) const;
   Launch render_launch() const;
   void explain_fault(const std::function<void()>& on_the_host);
-  void render_chunk(const RenderJob<float>& job, std::int64_t begin, std::int64_t count);
 
   Pipeline<float>& host_;
   DeviceOptions options_;
@@ -74,7 +79,6 @@ class DevicePipeline final : public DeviceBackend {
   cudaEvent_t forked_ = nullptr, joined_ = nullptr;
   std::unique_ptr<Store> store_;
   std::vector<Pass<float>> passes_;
-  std::vector<std::int64_t> per_ray_;  // most samples a ray after each pass
   Workspace train_arena_, beside_arena_, render_arena_;
   std::int64_t chunk_rays_ = 16384;  // rendered at a time; halved where memory is short
   std::int64_t growths_ = 0;         // of a step's arenas when graphs were last forgotten
@@ -83,6 +87,8 @@ class DevicePipeline final : public DeviceBackend {
   Buffer<FaultKey> render_fault_;
   std::vector<Shape> shapes_;
   std::vector<Queued> queued_;
+  std::vector<StepLosses> done_;
+  GradientHook<float> hook_;
 };
 
 }  // namespace semfield::cuda
