@@ -67,12 +67,11 @@ template <class Real>
 void LaneExecutor<Real>::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
   const WorkScope scope(options().work);
   const ComputeFloatMode mode;
-  done_.clear();
   const StepLosses losses = checked_gradients(step, batch);
   AdamStep rule = update;
   rule.labelled = losses.labelled > 0;
   passes().front().parts().stages->adam(&rule, pipeline_.store().learned());
-  done_.push_back(losses);
+  queued_.push_back(losses);
   pipeline_.derive(step + 1);
   try {
     observe(step + 1);
@@ -83,6 +82,8 @@ void LaneExecutor<Real>::queue(std::int64_t step, const RayBatch& batch, const A
 
 template <class Real>
 StepResults LaneExecutor<Real>::finish() {
+  done_.swap(queued_);
+  queued_.clear();
   return {done_, {}, std::exchange(afterwards_, std::nullopt)};
 }
 

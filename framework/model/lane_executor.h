@@ -85,7 +85,7 @@ class LaneExecutor final : public Executor<Real> {
   Ahead ahead_;
   WorkspacePool queries_;
   GradientHook<Real> hook_;
-  std::vector<StepLosses> done_;
+  std::vector<StepLosses> queued_, done_;  // made since the last finish(), and before it
   std::optional<Error> afterwards_;
 };
 

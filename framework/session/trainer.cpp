@@ -68,11 +68,14 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
   Executor<float>& executor = pipeline_.executor();
   const std::int64_t count = std::min<std::int64_t>(most, executor.most_queued());
   std::optional<Error> refused;  // what stopped the step behind those that are made
+  bool has_batch = true;         // of that step
   for (std::int64_t i = 0; i < count && !refused; ++i) {
     const std::int64_t step = step_ + i;
     const double rate = adam_.learning_rate * schedule_factor(schedule_, step);
     try {
+      has_batch = false;
       rays_.fill(step, batch_);
+      has_batch = true;
       executor.queue(step, batch_.view(pipeline_.has_semantics()), adam_step(adam_, rate, step));
     } catch (const Error& error) {
       refused = error;
@@ -82,6 +85,7 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
   step_ += std::ssize(results.losses);
   for (const StepLosses& losses : results.losses) note_density(losses);
   if (results.failed) explain_failed_step();
+  if (refused && !has_batch) throw Error(*refused);
   if (refused) {
     collect();
     fail(*refused);
