@@ -101,13 +101,15 @@ PairResult compare_training(const PairOptions& options, LeaveOutSide& out, Leave
   result.cost = measure_sides(
       "step", options.rounds, options.steps_a_round, [&] { out.train(options.steps_a_round); },
       [&] { kept.train(options.steps_a_round); });
-  if (only_cost) {
-    result.holds = true;
-    return result;
-  }
   int shared = 0;
   const std::string a = hash_of_shared(out.pipeline(), kept.pipeline(), shared);
   const std::string b = hash_of_shared(kept.pipeline(), out.pipeline(), shared);
+  if (only_cost) {
+    // What is to be paid for must be there: settings that change nothing would be measured as free.
+    result.holds = a != b || shared == 0;
+    if (!result.holds) result.result = "both sides are the same training, so nothing was measured";
+    return result;
+  }
   result.holds = a == b && shared > 0;
   result.result =
       hashes_text(a, b, fmt::format("{} tensors and their moments after {} steps", shared, out.trainer->step()));

@@ -17,10 +17,10 @@ enum class PairKind {
   rendering,   ///< pictures of one field (bitwise or within a bound); a picture
   outputs,     ///< the colours of a picture rendered with and without semantics (bitwise); a picture
   quality,     ///< test scores over seeds (statistical); a step
-  cost,        ///< nothing: only what leaving it out would save; a step
+  cost,        ///< that the sides are different trainings; what leaving it out would save; a step
   rows,        ///< rows of tables that no ray met (bitwise); a step
   evaluation,  ///< tensors after training with evaluations between (bitwise); an evaluation
-  checks,      ///< nothing: what the checks for finite values cost; a step
+  checks,      ///< that the checks find a value that is not finite; what they cost; a step
   library,     ///< the process's memory map; loading
 };
 
@@ -61,7 +61,7 @@ struct PairCost {
 
 struct PairResult {
   bool idle = false;   ///< nothing was left out, so that nothing is proved
-  bool holds = false;  ///< the proof class was met; true for `cost`
+  bool holds = false;  ///< the proof class was met, or what PairKind says of pairs that prove nothing
   std::string result;  ///< hash, bound and difference, or interval
   PairCost cost;
   double seconds = 0;  ///< of processor time for the pair

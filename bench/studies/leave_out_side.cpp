@@ -7,6 +7,7 @@
 #include <cstring>
 #include <ctime>
 #include <functional>
+#include <limits>
 #include <memory>
 
 #include "core/error.h"
@@ -246,18 +247,27 @@ PairResult compare_evaluation(const PairOptions& options, LeaveOutSide& out, Lea
 
 PairResult cost_of_checks(const PairOptions& options, LeaveOutSide& side) {
   PairResult result;
-  std::int64_t bad = 0;
+  // Learned tensors whose gradient has a value that is not finite.
+  const auto bad_tensors = [&side] {
+    std::int64_t bad = 0;
+    for (const Tensor<float>& t : side.pipeline().store().all())
+      bad += t.learned() && first_non_finite<float>(t.view(t.grad)) >= 0 ? 1 : 0;
+    return bad;
+  };
+  std::int64_t bad = 0, learned = 0;
   const PairCost cost = measure_sides(
       "step", options.rounds, options.steps_a_round,
       [&] {
-        for (int i = 0; i < options.steps_a_round; ++i) {
-          for (const Tensor<float>& t : side.pipeline().store().all()) {
-            if (t.learned() && first_non_finite<float>(t.view(t.grad)) >= 0) ++bad;
-          }
-        }
+        for (int i = 0; i < options.steps_a_round; ++i) bad += bad_tensors();
       },
       [&] { side.train(options.steps_a_round); });
-  result.holds = bad == 0;
+  // Checks that overlook what they look for cost nothing worth measuring.
+  for (Tensor<float>& t : side.pipeline().store().all()) {
+    if (!t.learned()) continue;
+    ++learned;
+    t.grad.data()[t.size() - 1] = std::numeric_limits<float>::quiet_NaN();
+  }
+  result.holds = bad == 0 && bad_tensors() == learned;
   result.cost = cost;
   result.cost.out_s = cost.kept_s - cost.out_s;  // a step without the checks
   result.cost.share = cost.out_s / cost.kept_s;

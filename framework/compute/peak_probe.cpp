@@ -18,30 +18,30 @@ namespace semfield {
 namespace {
 
 // Two products a cycle with a latency of four or five need ten chains; twelve and two operands fit into 16 registers.
-constexpr int kChains = 12;
-constexpr std::int64_t kRounds = 20000;  // of one call: 0.1 ms
+constexpr int kChains = kProbeChains;
+constexpr std::int64_t kRounds = kProbeRounds;
 
 std::atomic<double> g_sink;  // results go here, so that no loop is left out
 
 using Loop = double (*)(float start);
 
-// A chain a = a * scale + shift settles at shift / (1 - scale) = 1: no overflow, no subnormal numbers. Chains start
+// A chain a = a * scale + shift nears shift / (1 - scale) = 1: no overflow, no subnormal numbers. Chains start
 // from different values, or the compiler would keep one for all.
-#define SEMFIELD_FMA_LOOP(name, bytes, attribute)                                                        \
-  attribute double name(float start) {                                                                   \
-    typedef float Vector __attribute__((vector_size(bytes)));                                            \
-    Vector chain[kChains];                                                                               \
-    for (int i = 0; i < kChains; ++i) chain[i] = Vector{} + (start + static_cast<float>(i));             \
-    Vector scale = Vector{} + 0.999F, shift = Vector{} + 0.001F;                                         \
-    asm volatile("" : "+m"(scale), "+m"(shift)); /* not known to the compiler */                         \
-    for (std::int64_t round = 0; round < kRounds; ++round) {                                             \
-      _Pragma("GCC unroll 12") for (int i = 0; i < kChains; ++i) chain[i] = chain[i] * scale + shift;    \
-    }                                                                                                    \
-    double sum = 0;                                                                                      \
-    for (int i = 0; i < kChains; ++i) {                                                                  \
-      for (std::size_t k = 0; k < (bytes) / sizeof(float); ++k) sum += static_cast<double>(chain[i][k]); \
-    }                                                                                                    \
-    return sum;                                                                                          \
+#define SEMFIELD_FMA_LOOP(name, bytes, attribute)                                                                      \
+  attribute double name(float start) {                                                                                 \
+    typedef float Vector __attribute__((vector_size(bytes)));                                                          \
+    Vector chain[kChains];                                                                                             \
+    for (int i = 0; i < kChains; ++i) chain[i] = Vector{} + (start + static_cast<float>(i));                           \
+    Vector scale = Vector{} + static_cast<float>(kProbeScale), shift = Vector{} + static_cast<float>(1 - kProbeScale); \
+    asm volatile("" : "+m"(scale), "+m"(shift)); /* not known to the compiler */                                       \
+    for (std::int64_t round = 0; round < kRounds; ++round) {                                                           \
+      _Pragma("GCC unroll 12") for (int i = 0; i < kChains; ++i) chain[i] = chain[i] * scale + shift;                  \
+    }                                                                                                                  \
+    double sum = 0;                                                                                                    \
+    for (int i = 0; i < kChains; ++i) {                                                                                \
+      for (std::size_t k = 0; k < (bytes) / sizeof(float); ++k) sum += static_cast<double>(chain[i][k]);               \
+    }                                                                                                                  \
+    return sum;                                                                                                        \
   }
 
 SEMFIELD_FMA_LOOP(fma_loop_16, 16, )
@@ -164,18 +164,24 @@ ReadLoop best_read_loop() {
 
 }  // namespace
 
+namespace {
+
+double fp32_flop(const Width& width) { return 2.0 * kChains * kRounds * width.floats; }
+constexpr double kBf16Flop = 2.0 * kChains * kRounds * 32;
+constexpr std::int64_t kReads = 1 << 14;  // of one call and lane
+
+}  // namespace
+
 double peak_fp32_flops(int threads, double seconds) {
   const Width width = widest();
-  const double flop = 2.0 * kChains * kRounds * width.floats;
-  return rate(threads, seconds, flop,
+  return rate(threads, seconds, fp32_flop(width),
               [&](std::int64_t n) { return width.loop(1 + 0.01F * static_cast<float>(n % 8)); });
 }
 
 double peak_bf16_flops(int threads, double seconds) {
 #if defined(__x86_64__)
   if (__builtin_cpu_supports("avx512bf16")) {
-    const double flop = 2.0 * kChains * kRounds * 32;
-    return rate(threads, seconds, flop,
+    return rate(threads, seconds, kBf16Flop,
                 [](std::int64_t n) { return bf16_loop(1 + 0.01F * static_cast<float>(n % 8)); });
   }
 #endif
@@ -184,13 +190,24 @@ double peak_bf16_flops(int threads, double seconds) {
 }
 
 double random_reads(int threads, std::size_t bytes, double seconds) {
-  constexpr std::int64_t kReads = 1 << 14;  // of one call and lane
   std::vector<std::uint64_t> table(std::bit_floor(bytes / sizeof(std::uint64_t)));
   for (std::size_t i = 0; i < table.size(); ++i) table[i] = i * 0x9E3779B97F4A7C15ULL;
   const auto mask = static_cast<std::uint32_t>(table.size() - 1);
   const ReadLoop loop = best_read_loop();
   return rate(threads, seconds, double{kLanes} * kReads,
               [&](std::int64_t n) { return loop(table.data(), mask, static_cast<std::uint32_t>(n), kReads); });
+}
+
+std::vector<ProbeCall> probe_calls() {
+  const Width width = widest();
+  std::vector<ProbeCall> calls{{"fp32", fp32_flop(width), width.loop(1)}};
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx512bf16")) calls.push_back({"bf16", kBf16Flop, bf16_loop(1)});
+#endif
+  std::vector<std::uint64_t> table(kProbeTableWords);
+  for (std::size_t i = 0; i < table.size(); ++i) table[i] = i;
+  calls.push_back({"reads", double{kLanes} * kReads, best_read_loop()(table.data(), kProbeTableWords - 1, 1, kReads)});
+  return calls;
 }
 
 }  // namespace semfield

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <vector>
 
 namespace semfield {
 
@@ -16,5 +17,21 @@ double peak_bf16_flops(int threads, double seconds);
 /// Reads a second of 8-byte words at random places of a table of `bytes` (rounded down to a power of two, one table
 /// shared by the threads); addresses do not depend on what was read.
 double random_reads(int threads, std::size_t bytes, double seconds);
+
+/// One call of a loop that a probe repeats. Its result tells how many rounds every chain made, and with them whether
+/// `operations` are those that were executed.
+struct ProbeCall {
+  const char* name = "";  ///< "fp32", "bf16", "reads"
+  double operations = 0;  ///< that the probe counts for it: floating-point operations, or reads
+  double result = 0;
+};
+inline constexpr int kProbeChains = 12;           ///< of a float loop, on vectors
+inline constexpr int kProbeRounds = 20000;        ///< of a float loop: 0.1 ms
+inline constexpr double kProbeScale = 0.99999;    ///< a chain of fp32: a = a * scale + (1 - scale), so that it nears 1
+inline constexpr int kProbeTableWords = 1 << 12;  ///< of the call that is shown; word i is i
+
+/// Of each loop that this processor has: chain i of a float loop starts at 1 + i; a round of bf16 adds 0.004 to the
+/// first half of a vector and 0.000006 to the second; reads return the sum of the words read.
+std::vector<ProbeCall> probe_calls();
 
 }  // namespace semfield

@@ -54,7 +54,6 @@ struct Launch {
   const std::int32_t* live_rows = nullptr;
   bool check_at_once = false;  ///< first_fault_row waits for the device and tells; false: it says -1 at once
   bool deterministic = false;  ///< sums in a fixed order, whatever it costs
-  bool beside = false;         ///< the stream runs at the same time as the main one: scratch memory of its own
 };
 
 /// The launch of the calling thread.

@@ -112,9 +112,7 @@ struct ProductKey {
 
 class Library {
  public:
-  Library() : workspace_(kWorkspaceBytes, "workspace of matrix products") {
-    check_lt(cublasLtCreate(&handle_), "starting");
-  }
+  Library() { check_lt(cublasLtCreate(&handle_), "starting"); }
 
   /// The algorithm of a product, found at its first call; none: there is no kernel.
   std::optional<cublasLtMatmulAlgo_t> algorithm(const Product& p, Problem& problem) {
@@ -128,12 +126,16 @@ class Library {
   }
 
   cublasLtHandle_t handle() const { return handle_; }
-  /// Of the main stream, or of the one beside it, which gets its own when it first asks.
+  /// Of this thread's stream, which gets it with its first product.
   std::byte* workspace() {
-    if (!launch().beside) return workspace_.data();
     const std::lock_guard lock(mutex_);
-    if (beside_.size() == 0) beside_ = Buffer<std::byte>(kWorkspaceBytes, "workspace of matrix products");
-    return beside_.data();
+    Buffer<std::byte>& own = workspaces_[launch().stream];
+    if (own.size() == 0) own = Buffer<std::byte>(kWorkspaceBytes, "workspace of matrix products");
+    return own.data();
+  }
+  void forget(cudaStream_t stream) {
+    const std::lock_guard lock(mutex_);
+    workspaces_.erase(stream);
   }
 
  private:
@@ -161,8 +163,8 @@ class Library {
   }
 
   cublasLtHandle_t handle_ = nullptr;
-  Buffer<std::byte> workspace_, beside_;
   std::mutex mutex_;
+  std::map<cudaStream_t, Buffer<std::byte>> workspaces_;
   std::map<ProductKey, std::optional<cublasLtMatmulAlgo_t>> algorithms_;
 };
 
@@ -177,6 +179,8 @@ Library& library() {
 }
 
 }  // namespace
+
+void forget_stream(cudaStream_t stream) { library().forget(stream); }
 
 bool product(const Product& p) {
   if (p.d.rows == 0 || p.d.cols == 0) return true;

@@ -68,9 +68,11 @@ struct Product {
 
 /// Queues the product on launch().stream. false, and nothing is queued: cuBLASLt has no kernel with this epilogue
 /// (Epilogue::none always has one: ours, where cuBLASLt has none). Which algorithm a shape gets is decided once, among
-/// those whose sums have a fixed order, so results repeat bit for bit. Products of a device share one workspace, those
-/// with launch().beside another one: no more than two streams may compute products at the same time.
+/// those whose sums have a fixed order, so results repeat bit for bit. Every stream has a
+/// workspace of its own, so products of several streams may run at the same time.
 bool product(const Product& p);
+/// Gives back the workspace of a stream that computes no more products. The stream must have ended its work.
+void forget_stream(cudaStream_t stream);
 
 /// D = C + A B + A2 B2 (+ D with `add`), all fp32; C, A and B, A2 and B2 may be absent.
 struct SmallProduct {

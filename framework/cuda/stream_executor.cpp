@@ -15,6 +15,7 @@
 #include "cuda/kernel_tables.h"
 #include "cuda/layers.h"
 #include "cuda/loss_terms.h"
+#include "cuda/matmul.h"
 #include "cuda/stages.h"
 #include "model/ray_guard.h"
 #include "model/train_rays.h"
@@ -59,12 +60,18 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
 }
 
 StreamExecutor::~StreamExecutor() {
+  Launch own;
+  own.ordinal = options_.ordinal;
+  const LaunchScope scope(own);
   (void)cudaStreamSynchronize(stream_);
   forget_graphs();
   (void)cudaEventDestroy(joined_);
   (void)cudaEventDestroy(forked_);
-  (void)cudaStreamDestroy(beside_);
-  (void)cudaStreamDestroy(stream_);
+  for (const cudaStream_t stream : {beside_, stream_}) {
+    (void)cudaStreamSynchronize(stream);
+    cuda::forget_stream(stream);
+    (void)cudaStreamDestroy(stream);
+  }
 }
 
 std::string StreamExecutor::description() const { return describe_device(options_.ordinal); }
@@ -265,8 +272,7 @@ class StreamExecutor::BatchExecutor final : public StepExecutor<float> {
     check(cudaEventRecord(owner_.forked_, owner_.stream_), "marking a step");
     check(cudaStreamWaitEvent(owner_.beside_, owner_.forked_, 0), "waiting for a step");
     Launch next = launch();
-    next.stream = owner_.beside_;
-    next.beside = true;
+      next.stream = owner_.beside_;
     branch_.emplace(next);
     StepContext beside = ctx;
     beside.workspace = &owner_.beside_arena_;

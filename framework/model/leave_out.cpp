@@ -122,6 +122,43 @@ void plan_passes(const SceneManifest& manifest, const BuildRequest& request, Pla
        ProofClass::certified, "samples behind surfaces, when rendering", "", ""});
 }
 
+struct BuiltRow {
+  bool fires = false;
+  LeftOut row;
+};
+
+// Components that the parts leave out by themselves; nothing of the scene's brings them in.
+std::vector<BuiltRow> built_rows(const BuiltParts& built) {
+  std::vector<BuiltRow> rows;
+  const LeftOut size{"table_size",
+                     "a size that the configuration leaves open is the least that the scene needs",
+                     "",
+                     ProofClass::statistical,
+                     "memory, and reads that miss the cache",
+                     "write the size into the configuration",
+                     ""};
+  rows.push_back({false, size});
+  for (const std::string& sentence : built.sizes) {
+    rows.push_back({true, size});
+    rows.back().row.evidence = sentence;
+  }
+  rows.push_back(
+      {built.in_tables > 0,
+       {"untouched_rows", "a table's row is updated in the steps that give it a gradient",
+        fmt::format("{} of {} parameters are in tables", built.in_tables, built.learned), ProofClass::bitwise,
+        "zeroing, checking and updating rows that no ray met", "it is Adam's rule for tables", ""}});
+  rows.push_back({!built.images_loaded,
+                  {"image_library", "loaded when the first image other than PNG is met",
+                   built.image_library ? "no image of this scene needed it" : "this build has none",
+                   ProofClass::bitwise, "about 250 shared libraries, a quarter of a second",
+                   "it is loaded by itself, in a build with -DSEMFIELD_WITH_IMAGES=ON", ""}});
+  rows.push_back({!built.matrix_library,
+                  {"matrix_library", "loaded where it is faster, or asked for",
+                   built.on_device ? "the device multiplies matrices" : "matrix products are " + built.matrix_engine,
+                   ProofClass::bitwise, "one shared library", "set runtime.gemm: onednn", ""}});
+  return rows;
+}
+
 }  // namespace
 
 BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request, const std::vector<std::string>& keep) {
@@ -160,8 +197,15 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
   planner.leave(!request.periodic_evaluation,
                 {"periodic_evaluation", "not asked for", "report.eval_every_s is 0", ProofClass::bitwise,
                  "rendering test frames while training", "set report.eval_every_s", ""});
+  for (BuiltRow& later : built_rows({})) planner.leave(false, std::move(later.row));
   planner.refuse_unknown();
   return plan;
+}
+
+void add_built_rows(const BuiltParts& built, BuildPlan& plan) {
+  for (BuiltRow& of : built_rows(built)) {
+    if (of.fires) plan.left_out.push_back(std::move(of.row));
+  }
 }
 
 }  // namespace semfield

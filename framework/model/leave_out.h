@@ -66,6 +66,18 @@ struct BuildPlan {
   std::vector<std::string> kept;    ///< forced back by name
 };
 
+/// What only the built parts know.
+struct BuiltParts {
+  std::vector<std::string> sizes;  ///< a sentence for each size that the configuration leaves open
+  std::int64_t learned = 0;        ///< values
+  std::int64_t in_tables = 0;      ///< of them, values of tables
+  bool image_library = false;      ///< this build has one
+  bool images_loaded = false;      ///< the process has loaded it
+  bool on_device = false;          ///< the session computes on a device and not on the processor
+  bool matrix_library = false;     ///< a library multiplies the processor's matrices
+  std::string matrix_engine;       ///< who does
+};
+
 /// A ray may stop at this transmittance: colours in [0, 1] are then off by at most a quarter of an 8-bit step.
 inline constexpr double kEightBitStop = 1.0 / 1020;
 /// Training rays within this angle of each other cannot tell a surface that shines from one that does not.
@@ -78,5 +90,8 @@ inline constexpr const char* kTrainingDepth = "training_depth";
 /// scenes. Throws Error(usage) for a name that no rule has, listing those that can be kept, for one that a setting
 /// brings in, and for one that cannot be built (semantics without a class table).
 BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request, const std::vector<std::string>& keep);
+
+/// Adds to the plan's list what the built parts do without.
+void add_built_rows(const BuiltParts& built, BuildPlan& plan);
 
 }  // namespace semfield

@@ -46,7 +46,7 @@ void register_whole(Registry& registry, const PluginModule& module) {
   registry = std::move(trial);
 }
 
-std::string g_being_loaded;  // NOLINT: for a handler of std::terminate, which gets no argument
+thread_local std::string t_being_loaded;  // NOLINT: for a handler of std::terminate, which gets no argument
 
 std::string file_name(const std::string& path) { return fs::path(path).filename().string(); }
 
@@ -112,9 +112,9 @@ void load_module(Registry& registry, const std::string& path) {
     if (loaded == file) return;
   }
   check_module_file(file, doing);
-  g_being_loaded = path;
+  t_being_loaded = path;
   void* library = dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL);
-  g_being_loaded.clear();
+  t_being_loaded.clear();
   if (library == nullptr) {
     const char* cause = dlerror();
     throw Error(ErrorKind::unavailable, doing + ": " + (cause == nullptr ? "dlopen failed" : cause),
@@ -157,6 +157,6 @@ void load_listed_module(Registry& registry, const std::string& path) {
               "if you trust it, add --plugin " + path + ", or set SEMFIELD_PLUGIN_PATH to a folder that holds it");
 }
 
-const std::string& module_being_loaded() { return g_being_loaded; }
+const std::string& module_being_loaded() { return t_being_loaded; }
 
 }  // namespace semfield

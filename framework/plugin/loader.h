@@ -24,7 +24,7 @@ void load_module(Registry& registry, const std::string& path);
 /// name does; one of its file name that load_module was given satisfies it too. Throws Error(unavailable) otherwise.
 void load_listed_module(Registry& registry, const std::string& path);
 
-/// File whose static initialisers run now; "" at any other time.
+/// File whose static initialisers run now, in this thread; "" at any other time.
 const std::string& module_being_loaded();
 
 }  // namespace semfield

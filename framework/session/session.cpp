@@ -10,6 +10,7 @@
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "formats/image_formats.h"
+#include "formats/image_io.h"
 #include "session/bounds_probe.h"
 #include "session/branch_choice.h"
 #include "session/trained_classes.h"
@@ -77,33 +78,19 @@ std::int64_t training_depth_px(const LoadedScene& scene) {
   return pixels;
 }
 
-// Components that the parts themselves leave out, and know the size of once they are built.
-void add_owned_rows(Session& s) {
-  std::vector<LeftOut>& rows = s.plan.left_out;
-  for (const std::string& choice : s.chosen) {
-    rows.push_back({"table_size", "a size that the configuration leaves open is the least that the scene needs", choice,
-                    ProofClass::statistical, "memory, and reads that miss the cache",
-                    "write the size into the configuration", ""});
-  }
-  std::int64_t sparse = 0;
-  for (const Tensor<float>& t : s.pipeline->store().all()) sparse += t.spec.role == TensorRole::sparse ? t.size() : 0;
-  if (sparse > 0) {
-    rows.push_back({"untouched_rows", "a table's row is updated in the steps that give it a gradient",
-                    fmt::format("{} of {} parameters are in tables", sparse, s.pipeline->store().learned_count()),
-                    ProofClass::bitwise, "zeroing, checking and updating rows that no ray met",
-                    "it is Adam's rule for tables", ""});
-  }
-  if (!image_formats_loaded()) {
-    rows.push_back({"image_library", "loaded when the first image other than PNG is met",
-                    "no image of this scene needed it", ProofClass::bitwise,
-                    "about 250 shared libraries, a quarter of a second", "it is loaded by itself", ""});
-  }
+BuiltParts built_parts(const Session& s, DeviceId device) {
+  BuiltParts built;
+  built.sizes = s.chosen;
+  built.learned = s.pipeline->store().learned_count();
+  for (const Tensor<float>& t : s.pipeline->store().all())
+    built.in_tables += t.spec.role == TensorRole::sparse ? t.size() : 0;
+  built.image_library = images_available();
+  built.images_loaded = image_formats_loaded();
+  built.on_device = device.kind != Device::cpu;
   const WorkScope scope(s.pipeline->options().work);
-  if (foreign_gemm() == nullptr) {
-    rows.push_back({"matrix_library", "loaded where it is faster, or asked for",
-                    "matrix products are " + gemm_engine_text(), ProofClass::bitwise, "one shared library",
-                    "set runtime.gemm: onednn", ""});
-  }
+  built.matrix_library = foreign_gemm() != nullptr;
+  built.matrix_engine = gemm_engine_text();
+  return built;
 }
 
 // What the process holds once the scene is in memory.
@@ -203,7 +190,7 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
     class_weight = inverse_log_frequency_weights(pixels);
   }
   s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
-  add_owned_rows(s);
+  add_built_rows(built_parts(s, device), s.plan);
   run_on(device, s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
 }
 

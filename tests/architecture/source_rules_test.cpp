@@ -7,7 +7,10 @@
 #include <fstream>
 #include <iterator>
 #include <map>
+#include <regex>
 #include <set>
+#include <sstream>
+#include <string>
 
 #include "tests/architecture/include_rules.h"
 
@@ -79,6 +82,62 @@ TEST(SourceRules, AHeaderOpensWithASentence) {
   for (const SourceFile& file : all_sources()) {
     if (file.path.substr(file.path.size() - 2) != ".h") continue;
     EXPECT_EQ(file.text.rfind("//", 0), 0u) << file.path << " does not open by saying what it is";
+  }
+}
+
+// Lines that give a process or a thread something that changes: thread_local, variables g_... and t_..., and statics of
+// functions that are no constants.
+bool keeps_state(const std::string& line) {
+  static const std::regex state(
+      R"(^(\s*(static )?thread_local\b.*)"
+      R"(|(static |volatile )?[A-Za-z_][\w:<>, ]*[ &*]+[gt]_\w+(\{.*|;.*| = .*))"
+      R"(|\s*static (?!const\b|constexpr\b|inline\b|thread_local\b)[\w:<>, ]+[ &*]+(const )?\w+(;| =|\{).*)$)");
+  return std::regex_match(line, state);
+}
+
+TEST(SourceRules, StateOfTheProcessIsListed) {
+  std::ifstream file(std::string(SEMFIELD_SOURCE_DIR) + "/ARCHITECTURE.md");
+  const std::string page{std::istreambuf_iterator<char>(file), {}};
+  const std::size_t begin = page.find("## State of the process");
+  ASSERT_NE(begin, std::string::npos);
+  const std::string section = page.substr(begin, page.find("\n## ", begin + 1) - begin);
+  std::set<std::string> found;
+  for (const char* folder : {"framework", "plugins", "app"}) {
+    for (const SourceFile& source : files_under(folder, {".h", ".cpp", ".cu", ".cuh"})) {
+      if (source.path.ends_with("_test.cpp") || source.path.find("/tests/") != std::string::npos) continue;
+      std::istringstream lines(source.text);
+      for (std::string line; std::getline(lines, line);) {
+        if (!keeps_state(line)) continue;
+        const std::filesystem::path path(source.path);
+        const std::string name = path.parent_path().filename().string() + "/" + path.filename().string();
+        found.insert(name);
+        EXPECT_NE(section.find("`" + name + "`"), std::string::npos)
+            << source.path << " keeps state of the process, which ARCHITECTURE.md does not list: " << line;
+      }
+    }
+  }
+  std::set<std::string> listed;
+  const std::regex file_in_row(R"(`(\w+/\w+\.\w+)`)");
+  std::istringstream rows(section);
+  for (std::string row; std::getline(rows, row);) {
+    const std::string where = row.starts_with("| `") ? row.substr(0, row.find(" | ")) : "";
+    for (auto it = std::sregex_iterator(where.begin(), where.end(), file_in_row); it != std::sregex_iterator(); ++it)
+      listed.insert((*it)[1]);
+  }
+  EXPECT_EQ(listed, found);
+}
+
+TEST(SourceRules, StateIsRecognised) {
+  for (const char* line : {"Workspace g_scratch;", "thread_local bool t_inside = false;", "  static bool on = true;",
+                           "  static Library* const only = new Library;", "volatile std::sig_atomic_t g_save = 0;",
+                           "  static Teams& all = *new Teams;", "thread_local KeptBlocks* blocks_of_call = nullptr;",
+                           "  static std::map<int, int> cache;"}) {
+    EXPECT_TRUE(keeps_state(line)) << line;
+  }
+  for (const char* line : {"  static const int quota = cpu_quota();", "  static constexpr int kBits = 3;",
+                           "  static std::string file_name(std::int64_t step);", "  g_save = 1;",
+                           "  static void add(Sums& sums) {", "  const double g_at = f(1);"}) {
+    EXPECT_FALSE(keeps_state(line)) << line;
   }
 }
 

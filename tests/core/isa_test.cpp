@@ -3,16 +3,76 @@
 
 #include <gtest/gtest.h>
 
-#include <cstdlib>
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <filesystem>
+#include <iterator>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "core/error.h"
+#include "core/text.h"
 
 namespace semfield {
 namespace {
 
-TEST(Isa, IsOneOfTheBuildAndObeysTheEnvironment) {
-  EXPECT_NE((" " + isas_of_build() + " ").find(" " + std::string(isa_name(isa())) + " "), std::string::npos);
-  if (const char* wanted = std::getenv("SEMFIELD_ISA")) {
-    EXPECT_EQ(isa_name(isa()), wanted);
+std::vector<std::string> words_of(const std::string& text) {
+  std::istringstream in(text);
+  return {std::istream_iterator<std::string>(in), {}};
+}
+
+// What a process says whose environment has SEMFIELD_ISA=`wanted`: this program again, at the test below.
+std::string said_with(const std::string& wanted) {
+  const std::string self = std::filesystem::read_symlink("/proc/self/exe").string();
+  const std::string command =
+      "SEMFIELD_ISA=" + shell_word(wanted) + " " + shell_word(self) + " --gtest_filter=Isa.SaysWhatItIsOrWhyNot 2>&1";
+  const std::unique_ptr<FILE, int (*)(FILE*)> pipe(popen(command.c_str(), "r"), pclose);
+  std::string text;
+  std::array<char, 4096> buffer{};
+  while (pipe && fgets(buffer.data(), static_cast<int>(buffer.size()), pipe.get()) != nullptr) text += buffer.data();
+  const std::size_t at = text.find("isa: ");
+  return at == std::string::npos ? text : text.substr(at + 5, text.find('\n', at) - at - 5);
+}
+
+// Also a part of the tests below, in a process of its own.
+TEST(Isa, SaysWhatItIsOrWhyNot) {
+  std::string said;
+  try {
+    said = isa_name(isa());
+    const std::vector<std::string> built = words_of(isas_of_build());
+    EXPECT_NE(std::find(built.begin(), built.end(), said), built.end()) << said;
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::config);
+    said = error.message() + "; " + error.remedy();
   }
+  std::printf("isa: %s\n", said.c_str());
+}
+
+TEST(Isa, EveryOneOfTheBuildThatTheProcessorHasIsTakenWhenTheEnvironmentNamesIt) {
+  const std::vector<std::string> built = words_of(isas_of_build());
+  ASSERT_FALSE(built.empty());
+  const std::string best = said_with("");
+  EXPECT_NE(std::find(built.begin(), built.end(), best), built.end()) << best;
+  bool beyond = false;  // the processor ends at the best
+  for (const std::string& name : built) {
+    if (beyond) {
+      EXPECT_NE(said_with(name).find("is no instruction set that this processor"), std::string::npos) << name;
+    } else {
+      EXPECT_EQ(said_with(name), name);
+    }
+    beyond = beyond || name == best;
+  }
+  EXPECT_TRUE(beyond);
+}
+
+TEST(Isa, AnotherWordInTheEnvironmentIsRefusedWithThoseThatThereAre) {
+  const std::string said = said_with("avx1024");
+  EXPECT_NE(said.find("SEMFIELD_ISA"), std::string::npos) << said;
+  EXPECT_NE(said.find("'avx1024'"), std::string::npos) << said;
+  EXPECT_NE(said.find(words_of(isas_of_build()).front()), std::string::npos) << said;
 }
 
 TEST(Isa, TakesTheBestVariantThatNeedsNoMore) {

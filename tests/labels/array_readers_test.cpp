@@ -4,6 +4,7 @@
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "tests/labels/reader_case.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -186,10 +187,9 @@ TEST(NpzLabels, RefusalsNameFileAndPixel) {
   EXPECT_EQ(c.read_error("key: confidence"),
             file + ", entry 'confidence': the shape is (1, 2); save an array [height, width, classes]");
   c.write({0.5F, 0.25F, 0.25F, 0, 0, 0});
-  EXPECT_EQ(c.read_error("confidence_key: probability"),
-            file +
-                ", entry 'probability': the shape is (1, 2, 3), that of 'probability' (1, 2, 3); save a confidence "
-                "[height, width]");
+  EXPECT_EQ(unsaid(c.read_error("confidence_key: probability"),
+                   {file, "entry 'probability'", "(1, 2, 3)", "save a confidence [height, width]"}),
+            "");
   {
     // Another shape than the frame's is told by its header, before any value is looked at.
     auto r = c.reader();

@@ -8,6 +8,7 @@
 
 #include "compute/parallel.h"
 #include "loading/load_progress.h"
+#include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -310,9 +311,7 @@ TEST(LoadScene, OneFrameIsNoScene) {
   Diagnostics d;
   (void)load_scene(room, {}, d);
   ASSERT_EQ(d.error_count(), 1);
-  EXPECT_EQ(d.all()[0].text(),
-            "frame '0': is the only frame of the scene; shape needs views from several places; give two frames at "
-            "least, better some dozens");
+  EXPECT_EQ(unsaid(d.all()[0].text(), {"frame '0'", "only frame", "give two frames"}), "");
 }
 
 TEST(LoadScene, TellsHowFarItIsAndThatItEnded) {

@@ -10,6 +10,7 @@
 #include "core/work_scope.h"
 #include "formats/input_limits.h"
 #include "system/files.h"
+#include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -243,9 +244,7 @@ TEST(Npy, AShapeThatIsNotWantedOrTooLargeIsRefusedByItsHeader) {
     const WorkScope scope(work);
     (void)read_npy(c.path, {});
   });
-  EXPECT_EQ(refused, "'" + c.path +
-                         "': array of the shape (2, 3): 24 bytes once decoded; at most 23 are read; check that it is "
-                         "the right file, or raise limits.image_bytes in the configuration");
+  EXPECT_EQ(unsaid(refused, {"'" + c.path + "'", "(2, 3)", "24 bytes", "at most 23", "limits.image_bytes"}), "");
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 
+#include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -33,10 +34,8 @@ TEST(SceneChecks, ScaledMirroredAndNearlyOrthonormal) {
   Diagnostics d;
   Pose scaled = rotated(1.001);
   EXPECT_EQ(check_pose(scaled, "frame 'a' (a.png)", d), PoseState::refused);
-  EXPECT_EQ(d.all().back().text(),
-            "frame 'a' (a.png): pose is no rotation: its axes are 0.002 off orthonormal (1e-3 is allowed); check that "
-            "the matrix is camera-to-world, "
-            "row by row, without a scale");
+  EXPECT_EQ(unsaid(d.all().back().text(), {"frame 'a' (a.png)", "0.002 off orthonormal", "1e-3", "without a scale"}),
+            "");
   Pose mirrored = testing_room::room_pose(1);
   for (auto& row : mirrored.r) row[0] = -row[0];
   EXPECT_EQ(check_pose(mirrored, "frame 'b' (b.png)", d), PoseState::refused);

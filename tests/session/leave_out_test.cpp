@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <set>
 
 #include "compute/parallel.h"
 #include "run/leave_out_proofs.h"
@@ -267,6 +268,51 @@ TEST(LeaveOut, KeepTakesWhatIsNeededAnywayAndRefusesSettings) {
     EXPECT_EQ(error.kind(), ErrorKind::usage);
     EXPECT_NE(std::string(error.what()).find("runtime.precision: bf16"), std::string::npos) << error.what();
   }
+}
+
+// One place decides: whatever a run's list names, --keep knows, and takes or says what brings it in.
+TEST(LeaveOut, KeepKnowsEveryRowOfARunsList) {
+  Registry registry = make_registry();
+  const Session s = open_text(hash_config(), registry);
+  std::set<std::string> listed;
+  for (const LeftOut& row : s.plan.left_out) {
+    listed.insert(row.component);
+    EXPECT_FALSE(row.evidence.empty()) << row.component;
+    try {
+      plan_of(s.manifest, {}, {row.component});
+      EXPECT_EQ(row.instead, "") << row.component << " is kept, so nothing else brings it in";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::usage) << error.what();
+      EXPECT_EQ(error.remedy(), row.instead) << error.what();
+    }
+  }
+  EXPECT_TRUE(listed.contains("untouched_rows"));
+}
+
+TEST(LeaveOut, WhatPartsLeaveOutHasTheReasonThatItIs) {
+  const auto evidence = [](const BuiltParts& built, const std::string& component) {
+    BuildPlan plan;
+    add_built_rows(built, plan);
+    for (const LeftOut& row : plan.left_out) {
+      if (row.component == component) return row.evidence;
+    }
+    return std::string("not left out");
+  };
+  BuiltParts built;
+  built.matrix_engine = "built-in, generic";
+  EXPECT_EQ(evidence(built, "table_size"), "not left out");
+  EXPECT_EQ(evidence(built, "untouched_rows"), "not left out");
+  EXPECT_NE(evidence(built, "image_library").find("this build has none"), std::string::npos);
+  EXPECT_NE(evidence(built, "matrix_library").find("built-in, generic"), std::string::npos);
+  built.image_library = true;
+  EXPECT_NE(evidence(built, "image_library").find("no image of this scene"), std::string::npos);
+  built.on_device = true;
+  EXPECT_NE(evidence(built, "matrix_library").find("the device"), std::string::npos);
+  built = {{"a size"}, 100, 80, true, true, false, true, "a library"};
+  EXPECT_EQ(evidence(built, "table_size"), "a size");
+  EXPECT_NE(evidence(built, "untouched_rows").find("80 of 100"), std::string::npos);
+  EXPECT_EQ(evidence(built, "image_library"), "not left out");
+  EXPECT_EQ(evidence(built, "matrix_library"), "not left out");
 }
 
 TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {

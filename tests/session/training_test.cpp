@@ -6,7 +6,9 @@
 #include <algorithm>
 #include <filesystem>
 #include <functional>
+#include <set>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <vector>
 
@@ -41,26 +43,70 @@ bool has_onednn() {
   }
 }
 
+// All that a training gives and tells, with the threads that its calls came from.
+struct Told final : TrainingListener {
+  std::uint32_t bits = 0;
+  std::vector<std::string> notes, loading;
+  std::vector<double> losses;  // after each step
+  std::set<std::thread::id> from;
+
+  void note(const std::string& text) override {
+    from.insert(std::this_thread::get_id());
+    notes.push_back(text);
+  }
+  void stepped(std::int64_t step, const StepLosses& made) override {
+    from.insert(std::this_thread::get_id());
+    EXPECT_EQ(step, std::ssize(losses) + 1);
+    losses.push_back(made.total);
+  }
+};
+
+void train_telling(const std::string& yaml, std::int64_t steps, Told& told) {
+  Registry registry = make_registry();
+  SessionOptions options;
+  options.progress = [&told](std::string_view doing, std::size_t, std::size_t) {
+    if (told.loading.empty() || told.loading.back() != doing) told.loading.emplace_back(doing);
+  };
+  Training training(config_of(yaml, registry), registry, options, &told);
+  EXPECT_EQ(training.train(steps), steps);
+  told.bits = bits_of(training);
+}
+
 TEST(Training, TwoInTwoThreadsGetTheBitsThatEachGetsAlone) {
-  // Threads, limits and, where the build has two, the engine of matrix products differ: state of the process would
-  // show.
+  // Networks, scenes, threads, limits, listeners and, where the build has two, the engine of matrix products differ:
+  // state of the process would show. The second run's limits would refuse the first run's scene.
   const std::string engine = has_onednn() ? "onednn" : "builtin";
-  const std::string yamls[] = {
-      hash_config("runtime: {threads: 2, gemm: " + engine + "}\n"),
-      two_pass_config("runtime: {threads: 3, precision: bf16, gemm: builtin}\nlimits: {frames: 12}\n")};
+  std::string small = two_pass_config("runtime: {threads: 3, precision: bf16, gemm: builtin}\nlimits: {frames: 5}\n");
+  small.replace(small.find("analytic_room"), 13, "analytic_room, frames: 5");
+  std::string hash = hash_config("runtime: {threads: 2, gemm: " + engine + "}\n");
+  hash.replace(hash.find("log2_entries: 11"), 16, "log2_entries: 0");  // chosen from the scene, which is a note
+  const std::string yamls[] = {hash, small};
   const std::int64_t steps[] = {40, 12};
-  std::uint32_t alone[2], together[2] = {0, 0};
-  for (int i = 0; i < 2; ++i) alone[i] = bits_after(yamls[i], steps[i]);
+  Told alone[2], together[2];
+  for (int i = 0; i < 2; ++i) train_telling(yamls[i], steps[i], alone[i]);
   if (has_onednn()) {
     std::string builtin = yamls[0];
     builtin.replace(builtin.find("gemm: onednn"), 12, "gemm: builtin");
-    EXPECT_NE(alone[0], bits_after(builtin, steps[0])) << "the engine shows in the bits";
+    EXPECT_NE(alone[0].bits, bits_after(builtin, steps[0])) << "the engine shows in the bits";
   }
+  std::thread::id ids[2];
   std::vector<std::thread> threads;
-  for (int i = 0; i < 2; ++i) threads.emplace_back([&, i] { together[i] = bits_after(yamls[i], steps[i]); });
+  for (int i = 0; i < 2; ++i) {
+    threads.emplace_back([&, i] {
+      ids[i] = std::this_thread::get_id();
+      train_telling(yamls[i], steps[i], together[i]);
+    });
+  }
   for (std::thread& thread : threads) thread.join();
-  EXPECT_EQ(together[0], alone[0]);
-  EXPECT_EQ(together[1], alone[1]);
+  EXPECT_NE(alone[0].notes, alone[1].notes) << "what one is told could be the other's";
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_EQ(together[i].bits, alone[i].bits);
+    EXPECT_EQ(together[i].losses, alone[i].losses);
+    EXPECT_EQ(together[i].notes, alone[i].notes);
+    EXPECT_EQ(together[i].loading, alone[i].loading);
+    EXPECT_FALSE(alone[i].loading.empty());
+    EXPECT_EQ(together[i].from, std::set<std::thread::id>{ids[i]});
+  }
 }
 
 TEST(Training, InTurnsTwoGetTheBitsThatEachGetsAlone) {
