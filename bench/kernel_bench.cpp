@@ -7,7 +7,9 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <fstream>
 #include <memory>
+#include <sstream>
 #include <string>
 #include <vector>
 
@@ -166,8 +168,8 @@ void gemm_eigen(State& state, int in, int out) {
 }
 
 /// One tile of `rays` rays with `per_ray` samples through a field; `backward` adds the gradients.
-void field(State& state, const std::string& name, const FieldBuild& build, std::int64_t rays, std::int64_t per_ray,
-           bool backward) {
+void field(State& state, const std::string& name, const FieldBuild& build, bool position_learns, std::int64_t rays,
+           std::int64_t per_ray, bool backward) {
   const std::int64_t samples = rays * per_ray;
   Component<Field<float>> c(registry()
                                 .get(PluginKind::field, name)
@@ -183,19 +185,17 @@ void field(State& state, const std::string& name, const FieldBuild& build, std::
   const Saved memory(reinterpret_cast<std::byte*>(saved.view.data), saved_bytes);
   const FieldIn<float> in{position.view, direction.view, ray.view};
   const FieldOut<float> out{sigma.view, rgb.view, features.view};
-  const bool deep = name == "nerf_mlp";  // its positions are not learned
   for (auto _ : state) {
     c.part->forward(c.ctx, c.tensors(), in, out, memory);
     if (backward) {
       c.part->backward(c.ctx, c.tensors(), in, out, {d_sigma.view, d_rgb.view, d_feature.view}, memory,
-                       deep ? View<float>() : dx.view);
+                       position_learns ? dx.view : View<float>());
     }
     benchmark::ClobberMemory();
   }
-  const auto r = static_cast<double>(rays), m = static_cast<double>(samples);
   double flop = 0;
-  for (const LayerWork& layer : deep ? deep_network_work({}, r, m, {}) : small_network_work({}, r, m, {})) {
-    if (layer.layer == "feature x view") continue;  // once a step, not in these calls
+  for (const LayerWork& layer : field_work(*c.part, rays, samples, position_learns)) {
+    if (layer.once_a_step) continue;  // not in these calls
     flop += backward ? layer.flop() : 2 * layer.rows * layer.in * layer.out;
   }
   state.SetItemsProcessed(state.iterations() * samples);
@@ -246,7 +246,7 @@ void compositor(State& state, std::int64_t rays, std::int64_t per_ray, std::int3
   state.SetItemsProcessed(state.iterations() * count);
 }
 
-void sampler(State& state, const std::string& name, const testkit::Settings& settings, std::int64_t previous_per_ray) {
+void sampler(State& state, const std::string& name, const testkit::Settings& settings) {
   constexpr std::int64_t kRays = 64;
   SamplerBuild build;
   build.bounds = {{-1, -1, -1}, {1, 1, 1}};
@@ -256,6 +256,7 @@ void sampler(State& state, const std::string& name, const testkit::Settings& set
       registry()
           .get(PluginKind::sampler, name)
           .sampler32(*params_of(PluginKind::sampler, name, settings), build, registry().kernels()));
+  const std::int64_t previous_per_ray = c.part->traits().needs_previous ? 64 : 0;
   Block<double> origin(kRays, 3, -0.1, 0.1), direction(kRays, 3, 0, 0), near_far(kRays, 2, 0, 0);
   for (std::int64_t r = 0; r < kRays; ++r) {
     direction.view(r, 2) = 1;
@@ -304,20 +305,33 @@ void add(const std::string& name, Body body) {
   benchmark::RegisterBenchmark(name.c_str(), body);
 }
 
+/// Calls with every row of settings that a plugin of the kind is measured with: its defaults, and the lines of
+/// bench.txt in its folder ("log2_entries=19 levels=8").
+template <class Body>
+void for_rows(PluginKind kind, const Body& body) {
+  for (const PluginEntry* entry : registry().entries()) {
+    if (entry->kind != kind) continue;
+    body(entry->name, entry->name, testkit::Settings{});
+    std::ifstream file(std::string(SEMFIELD_SOURCE_DIR "/plugins/") + std::string(kind_name(kind)) + "s/" +
+                       entry->name + "/bench.txt");
+    for (std::string line; std::getline(file, line);) {
+      testkit::Settings settings;
+      std::istringstream words(line);
+      for (std::string word; words >> word;) settings[word.substr(0, word.find('='))] = word.substr(word.find('=') + 1);
+      body(entry->name, entry->name + "/" + line, settings);
+    }
+  }
+}
+
 void add_encoders() {
   for (const bool backward : {false, true}) {
-    const std::string way = backward ? "/backward" : "/forward";
-    add("encode/frequency_10" + way, [=](State& s) {
-      encode(s, "frequency", {{"frequencies", "10"}}, 1024, backward);
-    });
-    add("encode/spherical_harmonics_4" + way, [=](State& s) {
-      encode(s, "spherical_harmonics", {{"degree", "4"}}, 1024, backward);
-    });
-    for (const char* log2 : {"15", "17", "19"}) {
-      add(std::string("encode/hash_grid_2^") + log2 + way, [=](State& s) {
-        encode(s, "hash_grid", {{"log2_entries", log2}}, 30720, backward);
-      });
-    }
+    for_rows(PluginKind::encoder,
+             [&](const std::string& name, const std::string& row, const testkit::Settings& settings) {
+               // A learned encoder gets the rows of a whole step.
+               const bool learns = Component<Encoder<float>>(encoder(name, settings)).store.learned_count() > 0;
+               add("encode/" + row + (backward ? "/backward" : "/forward"),
+                   [=](State& s) { encode(s, name, settings, learns ? 30720 : 1024, backward); });
+             });
   }
 }
 
@@ -354,14 +368,18 @@ void add_model() {
   deep.direction_dims = 27;
   for (const bool backward : {false, true}) {
     const std::string way = backward ? "/forward_backward" : "/forward";
-    add("field/tiny_mlp" + way, [=](State& s) { field(s, "tiny_mlp", small, 34, 30, backward); });
-    add("field/nerf_mlp" + way, [=](State& s) { field(s, "nerf_mlp", deep, 4, 192, backward); });
+    for_rows(PluginKind::field, [&](const std::string& name, const std::string& row, const testkit::Settings&) {
+      add("field/" + row + "/32_16_learned" + way, [=](State& s) { field(s, name, small, true, 34, 30, backward); });
+      add("field/" + row + "/63_27" + way, [=](State& s) { field(s, name, deep, false, 4, 192, backward); });
+    });
     const std::string pass = backward ? "/backward" : "/forward";
     add("compositor/4x192/hidden_128" + pass, [=](State& s) { compositor(s, 4, 192, 128, backward); });
     add("compositor/34x30/hidden_64" + pass, [=](State& s) { compositor(s, 34, 30, 64, backward); });
   }
-  add("sampler/stratified_64", [](State& s) { sampler(s, "stratified", {{"samples", "64"}}, 0); });
-  add("sampler/importance_128", [](State& s) { sampler(s, "importance", {{"samples", "128"}}, 64); });
+  for_rows(PluginKind::sampler,
+           [&](const std::string& name, const std::string& row, const testkit::Settings& settings) {
+             add("sampler/" + row, [=](State& s) { sampler(s, name, settings); });
+           });
   add("adam/dense/630k", [](State& s) { adam(s, 2461, 256, 100); });
   for (const int percent : {5, 50}) {
     add("adam/touched/2^17_rows_of_2/" + std::to_string(percent) + "%",

@@ -15,12 +15,17 @@ target_compile_features(semfield INTERFACE cxx_std_20)
 install(TARGETS semfield semfield_testkit semfield_plugins EXPORT semfieldTargets
         LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk NAMELINK_COMPONENT sdk
         ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
-foreach(companion semfield_images semfield_onednn semfield_numerics semfield_cuda)  # beside the framework's library, which looks for them there
+foreach(companion semfield_images semfield_onednn semfield_numerics)  # beside the framework's library, which looks for them there
   if(TARGET ${companion})
     set_target_properties(${companion} PROPERTIES INSTALL_RPATH "$ORIGIN")
     install(TARGETS ${companion} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
   endif()
 endforeach()
+if(TARGET semfield_cuda)  # beside it too; kernels of plugins outside link with it
+  set_target_properties(semfield_cuda PROPERTIES EXPORT_NAME cuda INSTALL_RPATH "$ORIGIN")
+  install(TARGETS semfield_cuda EXPORT semfieldCudaTargets LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk NAMELINK_COMPONENT sdk)
+  install(EXPORT semfieldCudaTargets NAMESPACE semfield:: DESTINATION ${semfield_package_dir} COMPONENT sdk)
+endif()
 if(TARGET semfield_step_probe)  # started by semfield_numerics, which looks for it beside itself
   set_target_properties(semfield_step_probe PROPERTIES INSTALL_RPATH "$ORIGIN")
   install(TARGETS semfield_step_probe RUNTIME DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
@@ -34,7 +39,7 @@ configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/semfieldConfig.cmake.i
 # Interfaces of a plugin may change with every minor version before 1.0; the loader's API number says so again at run time.
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/semfieldConfigVersion.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/semfieldConfig.cmake ${PROJECT_BINARY_DIR}/semfieldConfigVersion.cmake
-              ${PROJECT_SOURCE_DIR}/cmake/SemfieldPlugin.cmake
+              ${PROJECT_SOURCE_DIR}/cmake/KernelObjects.cmake ${PROJECT_SOURCE_DIR}/cmake/SemfieldPlugin.cmake
         DESTINATION ${semfield_package_dir} COMPONENT sdk)
 
 foreach(command semfield_app semfield_cli)

@@ -14,6 +14,7 @@ option(SEMFIELD_WITH_RAYCAST "Ray-cast OBJ rooms with Embree and tinyobjloader" 
 option(SEMFIELD_WITH_ONEDNN "Offer oneDNN for matrix products (runtime.gemm: onednn) where it is installed" ON)
 set(SEMFIELD_WITH_CUDA AUTO CACHE STRING "Kernels for NVIDIA graphics processors: ON, OFF, or AUTO = where a CUDA compiler is found")
 set(SEMFIELD_CUDA_ARCHITECTURES "80-real;90a-real;90-virtual" CACHE STRING "What CUDA kernels are compiled for; -virtual: PTX, which newer chips compile when a program starts")
+set(SEMFIELD_EXTRA_PARTS "" CACHE STRING "Folders of parts that are built in as if they lay in this tree: plugins/KIND/NAME and losses/NAME")
 option(SEMFIELD_BUILD_BENCH "Build the measurement programs in bench/" OFF)
 option(SEMFIELD_BUILD_FUZZERS "Build the fuzzers of tests/fuzz (clang only; see the preset fuzz and scripts/fuzz)" OFF)
 set(SEMFIELD_MARCH "" CACHE STRING "-march of the whole build, for one machine, e.g. native; empty: any machine, kernels by SEMFIELD_ISAS")

@@ -11,6 +11,8 @@ function(semfield_add_plugin)
     get_filename_component(ARG_NAME ${CMAKE_CURRENT_SOURCE_DIR} NAME)
   endif()
   set(target semfield_plugin_${ARG_NAME})
+  # The folder of the plugins' kinds: plugins/, or that of SEMFIELD_EXTRA_PARTS.
+  get_filename_component(semfield_plugin_root ${CMAKE_CURRENT_SOURCE_DIR}/../.. ABSOLUTE)
   add_library(${target} OBJECT ${ARG_SOURCES})
   if(ARG_CPU)
     semfield_kernel_objects(kernels ${target} ${ARG_CPU})
@@ -20,27 +22,7 @@ function(semfield_add_plugin)
       endforeach()
     endif()
     set_property(GLOBAL APPEND PROPERTY SEMFIELD_PLUGIN_KERNELS ${kernels})
-    set(generated ${CMAKE_CURRENT_BINARY_DIR}/${ARG_NAME}_devices.cpp)
-    file(GENERATE OUTPUT ${generated} CONTENT
-"// Generated: the kernel tables that this build has for '${ARG_NAME}'.
-#include \"compute/isa.h\"
-#include \"isa_list.h\"
-#include \"plugin/kernels.h\"
-namespace semfield {
-#define SEMFIELD_DECLARE(name) namespace isa_##name { void ${ARG_NAME}_cpu_kernels(KernelTables& tables); }
-SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
-#undef SEMFIELD_DECLARE
-void ${ARG_NAME}_kernels(KernelTables& tables);
-void ${ARG_NAME}_kernels(KernelTables& tables) {
-#define SEMFIELD_LIST(name) {Isa::name, isa_##name::${ARG_NAME}_cpu_kernels},
-  static constexpr IsaVariant<void (*)(KernelTables&)> kVariants[] = {SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)};
-#undef SEMFIELD_LIST
-  best_variant(kVariants)(tables);
-}
-}  // namespace semfield
-")
-    target_sources(${target} PRIVATE ${generated})
-    target_include_directories(${target} PRIVATE ${PROJECT_BINARY_DIR}/generated)
+    semfield_kernel_dispatch(${target} ${ARG_NAME})
   endif()
   if(ARG_CUDA)
     list(TRANSFORM ARG_CUDA PREPEND "${CMAKE_CURRENT_SOURCE_DIR}/")
@@ -51,7 +33,7 @@ void ${ARG_NAME}_kernels(KernelTables& tables) {
     endif()
   endif()
   target_link_libraries(${target} PUBLIC semfield PRIVATE semfield_warnings ${ARG_LIBRARIES})
-  target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR}/plugins)
+  target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR}/plugins PRIVATE ${semfield_plugin_root})
   set_property(GLOBAL APPEND PROPERTY SEMFIELD_LINKED_PLUGINS ${ARG_NAME})
   file(GLOB tests CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*_test.cpp)
   foreach(test_file ${tests})
@@ -59,10 +41,12 @@ void ${ARG_NAME}_kernels(KernelTables& tables) {
   endforeach()
 endfunction()
 
-# semfield_add_loadable_plugin(NAME waves SOURCES waves.cpp ... [LIBRARIES ...]): waves.so, for `plugins: [path/waves.so]`. The same sources as a
-# linked plugin; for projects outside the tree that found the package.
+# semfield_add_loadable_plugin(NAME waves SOURCES waves.cpp ... [CPU waves_cpu.cpp] [SAME_BITS] [CUDA waves_cuda.cu] [LIBRARIES ...]): waves.so,
+# for --plugin path/waves.so. The same sources as a linked plugin, and the same meaning of CPU, SAME_BITS and CUDA; for projects outside the tree
+# that found the package. CUDA kernels become waves_cuda.so beside it, which is loaded when a run asks for the device; they need
+# find_package(semfield REQUIRED OPTIONAL_COMPONENTS cuda), and are left out with a message where that component is not found.
 function(semfield_add_loadable_plugin)
-  cmake_parse_arguments(ARG "" "NAME" "SOURCES;LIBRARIES" ${ARGN})
+  cmake_parse_arguments(ARG "SAME_BITS" "NAME" "SOURCES;CPU;CUDA;LIBRARIES" ${ARGN})
   if(NOT ARG_NAME OR NOT ARG_SOURCES)
     message(FATAL_ERROR "semfield_add_loadable_plugin needs NAME and SOURCES")
   endif()
@@ -70,4 +54,35 @@ function(semfield_add_loadable_plugin)
   set_target_properties(${ARG_NAME} PROPERTIES PREFIX "")
   target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_LOADABLE_MODULE)
   target_link_libraries(${ARG_NAME} PRIVATE semfield::sdk ${ARG_LIBRARIES})
+  if(ARG_CPU)
+    semfield_kernel_objects(kernels ${ARG_NAME} ${ARG_CPU})
+    if(ARG_SAME_BITS)
+      foreach(variant ${kernels})
+        target_compile_options(${variant} PRIVATE -ffp-contract=off)
+      endforeach()
+    endif()
+    semfield_link_kernels(${ARG_NAME} ${kernels})
+    semfield_kernel_dispatch(${ARG_NAME} ${ARG_NAME})
+  endif()
+  if(ARG_CUDA AND NOT TARGET semfield::cuda)
+    message(STATUS "${ARG_NAME}: its CUDA kernels are left out; the installed semfield has no component 'cuda', or no CUDA compiler was found")
+  elseif(ARG_CUDA)
+    set(generated ${CMAKE_CURRENT_BINARY_DIR}/${ARG_NAME}_cuda_module.cpp)
+    file(GENERATE OUTPUT ${generated} CONTENT
+"// Generated: what the CUDA kernels of '${ARG_NAME}' export.
+#include \"plugin/module.h\"
+namespace semfield::cuda {
+void ${ARG_NAME}_cuda_kernels(KernelTables& tables);
+}
+SEMFIELD_PLUGIN_CUDA_KERNELS(${ARG_NAME}_cuda_kernels)
+")
+    add_library(${ARG_NAME}_cuda MODULE ${ARG_CUDA} ${generated})
+    set_target_properties(${ARG_NAME}_cuda PROPERTIES PREFIX "" LIBRARY_OUTPUT_DIRECTORY $<TARGET_FILE_DIR:${ARG_NAME}>)
+    target_compile_options(${ARG_NAME}_cuda PRIVATE "$<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr;--diag-suppress=20012>")
+    if(ARG_SAME_BITS)
+      target_compile_options(${ARG_NAME}_cuda PRIVATE "$<$<COMPILE_LANGUAGE:CUDA>:-fmad=false>")
+    endif()
+    target_link_libraries(${ARG_NAME}_cuda PRIVATE semfield::cuda)
+    add_dependencies(${ARG_NAME} ${ARG_NAME}_cuda)
+  endif()
 endfunction()

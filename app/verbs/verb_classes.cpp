@@ -27,15 +27,15 @@ void check_choice(const std::string& option, const std::string& value, const std
 }
 
 ClassTable table_of(const ClassesOptions& options) {
-  const bool scannet = std::filesystem::path(options.in).extension() == ".tsv";
-  if (options.ids != "raw" && !scannet) {
+  const bool is_tsv = std::filesystem::path(options.in).extension() == ".tsv";
+  if (options.ids != "raw" && !is_tsv) {
     throw Error(ErrorKind::usage, "--ids " + options.ids + ": '" + options.in + "' is no table of ScanNet",
                 "give scannetv2-labels.combined.tsv");
   }
   const std::vector<std::string> published = published_class_names();
   if (std::find(published.begin(), published.end(), options.in) != published.end())
     return published_classes(options.in);
-  if (scannet) {
+  if (is_tsv) {
     return load_scannet_classes(options.in, options.ids == "raw"     ? ScannetIds::raw
                                             : options.ids == "nyu40" ? ScannetIds::nyu40
                                                                      : ScannetIds::nyu13);

@@ -69,6 +69,7 @@ struct StepCase::Impl {
   std::unique_ptr<RaySource> rays;
   std::unique_ptr<Trainer> trainer;
   std::int64_t samples_last = 0, samples_all = 0;
+  std::vector<LayerWork> work;
   StepLosses losses;
 };
 
@@ -91,6 +92,9 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   for (const Pass<float>& pass : impl_->pipeline->passes()) {
     per_ray = pass.capacity_per_ray(per_ray);
     all += per_ray;
+    for (LayerWork& layer : pass_work(pass.parts(), options.rays, per_ray * options.rays,
+                                      impl_->pipeline->options().rules.deferred_class_layer))
+      impl_->work.push_back(std::move(layer));
   }
   impl_->samples_last = per_ray * options.rays;
   impl_->samples_all = all * options.rays;
@@ -148,6 +152,7 @@ double StepCase::seconds(int threads, int steps) {
 }
 
 std::int64_t StepCase::samples_per_step() const { return impl_->samples_all; }
+std::vector<LayerWork> StepCase::work() const { return impl_->work; }
 std::int64_t StepCase::learned_count() const { return impl_->pipeline->store().learned_count(); }
 double StepCase::render_seconds(std::int64_t rays) {
   std::vector<double> origin, direction, near_far;

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "plugin/registry.h"
+#include "studies/step_work.h"
 
 namespace semfield {
 
@@ -35,6 +36,8 @@ class StepCase {
   /// Samples that the networks of all passes evaluate in a step.
   std::int64_t samples_per_step() const;
   std::int64_t learned_count() const;
+  /// The matrix products of a step, pass by pass.
+  std::vector<LayerWork> work() const;
   /// Who multiplies its matrices.
   std::string gemm() const;
   /// Total loss of the last step.

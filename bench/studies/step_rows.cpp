@@ -23,8 +23,7 @@ const std::vector<int> kClassCounts{13, 29, 101, 512, 0};
 struct Sizes {
   std::int64_t rays = 1024, sweep_rays = 256;
   int coarse = 64, fine = 128;
-  DeepNetwork deep;
-  SmallNetwork small;
+  std::vector<std::string> narrow;  ///< overrides of the paper's network
   int hash_samples = 30, hash_steps = 20;
   double probe_s = 0.05;
 };
@@ -36,9 +35,7 @@ Sizes sizes_of(const std::string& name) {
   s.rays = s.sweep_rays = 32;
   s.coarse = 8;
   s.fine = 8;
-  s.deep.width = 32;
-  s.deep.view_width = 16;
-  s.deep.semantic_width = 16;
+  s.narrow = {"semantics.hidden_width=16", "passes.0.field.width=32", "passes.0.field.view_width=16"};
   s.hash_samples = 8;
   s.hash_steps = 2;
   s.probe_s = 0.002;
@@ -48,12 +45,12 @@ Sizes sizes_of(const std::string& name) {
 /// A network at one setting: its step, and what a step of it costs.
 class Case {
  public:
-  Case(StepRow row, const StepCaseOptions& options, double flop, int steps, const StudyTools& tools)
+  Case(StepRow row, const StepCaseOptions& options, int steps, const StudyTools& tools)
       : tools_(tools), step_(options, tools.registry), row_(std::move(row)), steps_(steps) {
     row_.classes = options.classes;
     row_.rays = options.rays;
     row_.samples = static_cast<double>(step_.samples_per_step());
-    row_.flop = flop;
+    row_.flop = total_flop(step_.work());
     row_.gemm = step_.gemm();
     processor_.reserve(1024);        // not while allocations are counted
     step_.seconds(row_.threads, 1);  // memory grows in the first step alone
@@ -110,16 +107,10 @@ class Bench {
     o.config = tools_.shared_file("configs/paper.yaml");
     o.classes = classes;
     o.rays = rays;
-    o.set = {fmt::format("passes.0.sampler.samples={}", s.coarse), fmt::format("passes.1.sampler.samples={}", s.fine),
-             fmt::format("semantics.hidden_width={}", s.deep.semantic_width)};
-    o.set.push_back(fmt::format("passes.0.field.width={}", s.deep.width));
-    o.set.push_back(fmt::format("passes.0.field.view_width={}", s.deep.view_width));
+    o.set = {fmt::format("passes.0.sampler.samples={}", s.coarse), fmt::format("passes.1.sampler.samples={}", s.fine)};
+    o.set.insert(o.set.end(), s.narrow.begin(), s.narrow.end());
     add_settings(precision, o);
-    double flop = 0;
-    const auto r = static_cast<double>(rays);
-    for (const int samples : {s.coarse, s.coarse + s.fine})
-      flop += total_flop(deep_network_work(s.deep, r, r * samples, {classes, true}));
-    return std::make_unique<Case>(new_row("paper", precision, threads), o, flop, 1, tools_);
+    return std::make_unique<Case>(new_row("paper", precision, threads), o, 1, tools_);
   }
 
   std::unique_ptr<Case> hash(const std::string& precision, int threads, int log2_entries, int classes) {
@@ -131,9 +122,7 @@ class Bench {
     o.set = {fmt::format("passes.0.sampler.samples={}", s.hash_samples),
              fmt::format("passes.0.position.log2_entries={}", log2_entries)};
     add_settings(precision, o);
-    const auto r = static_cast<double>(s.rays);
-    const double flop = total_flop(small_network_work(s.small, r, r * s.hash_samples, {classes, true}));
-    return std::make_unique<Case>(new_row(fmt::format("hash T=2^{}", log2_entries), precision, threads), o, flop,
+    return std::make_unique<Case>(new_row(fmt::format("hash T=2^{}", log2_entries), precision, threads), o,
                                   s.hash_steps, tools_);
   }
 

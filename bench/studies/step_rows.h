@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "studies/step_bench.h"
-#include "studies/step_work.h"
 #include "studies/study_tools.h"
 
 namespace semfield {

@@ -1,9 +1,11 @@
-// Multiply-adds of a training step, counted from the shapes of its networks.
+// Multiply-adds of a training step, from what its networks say of themselves.
 #pragma once
 
 #include <cstdint>
 #include <string>
 #include <vector>
+
+#include "model/pass.h"
 
 namespace semfield {
 
@@ -14,34 +16,19 @@ struct LayerWork {
   double rows = 0;
   double in = 0, out = 0;
   bool input_gradient = true;
+  bool once_a_step = false;
   /// Floating-point operations of forward and backward; a multiply-add counts 2.
   double flop() const { return 2 * rows * in * out * (input_gradient ? 3 : 2); }
 };
 double total_flop(const std::vector<LayerWork>& layers);
 
-/// How a step is counted.
-struct WorkRules {
-  int classes = 0;      ///< C; 0: no semantics
-  bool savings = true;  ///< with the exact savings (feature layer folded, direction term and class layer once a ray)
-};
+/// The products of a field; of an encoded position that is learned a gradient is wanted.
+std::vector<LayerWork> field_work(const Field<float>& field, std::int64_t rays, std::int64_t samples,
+                                  bool position_learns);
 
-/// The deep network of NeRF with a skip connection [Mildenhall20, Zhi21]. Positions are not learned.
-struct DeepNetwork {
-  int position = 63, direction = 27;
-  int depth = 8, width = 256, skip_at = 5;
-  int view_width = 128, semantic_width = 128;
-};
-/// One pass of `rays` rays and `samples` samples in all. The product of the two folded layers, once a step, is counted.
-std::vector<LayerWork> deep_network_work(const DeepNetwork& network, double rays, double samples,
-                                         const WorkRules& rules);
-
-/// The small network behind a learned encoding [Mueller22]: one hidden layer, two colour layers. The encoding's own
-/// arithmetic is not counted.
-struct SmallNetwork {
-  int position = 32, direction = 16;
-  int width = 64, geometry_features = 15, color_width = 64, semantic_width = 64;
-};
-std::vector<LayerWork> small_network_work(const SmallNetwork& network, double rays, double samples,
-                                          const WorkRules& rules);
+/// The products of a pass in which every ray has a label: field, semantic branch as if it kept every sample, and head.
+/// An encoding's own arithmetic is not counted.
+std::vector<LayerWork> pass_work(const PassParts<float>& parts, std::int64_t rays, std::int64_t samples,
+                                 bool deferred_class_layer);
 
 }  // namespace semfield

@@ -9,6 +9,12 @@
 
 namespace semfield {
 
+namespace {
+thread_local std::int64_t multiply_adds_so_far = 0;
+}
+
+std::int64_t multiply_adds_of_thread() noexcept { return multiply_adds_so_far; }
+
 template <class Real>
 void gemm(const Gemm<Real>& g) {
   SEMFIELD_CHECK(int{g.accumulate} + int{g.bias != nullptr} + int{g.row_term != nullptr} <= 1,
@@ -21,6 +27,9 @@ void gemm(const Gemm<Real>& g) {
       exact.precision = Precision::fp32;
       return gemm(exact);
     }
+  }
+  multiply_adds_so_far += g.m * g.n * g.k;
+  if constexpr (std::is_same_v<Real, float>) {
     if (const OnednnGemm* foreign = foreign_gemm(); foreign != nullptr && foreign->run(g)) return;
     if (g.precision == Precision::bf16) return bf16_gemm()(g);
   }

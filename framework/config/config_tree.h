@@ -69,7 +69,7 @@ bool equal_config(const ConfigNode& a, const ConfigNode& b);
 
 /// Plain YAML text of a tree, keys in order; parsing it gives an equal tree.
 std::string write_config(const ConfigNode& node);
-/// The same in one line without a line end: "{type: hash_grid, levels: 16}".
+/// The same in one line without a line end: "{type: waves, bands: 16}".
 std::string write_config_inline(const ConfigNode& node);
 /// True for a text that means something else without quotes: a number, a bool, null, or a near miss of one ("010",
 /// "no").

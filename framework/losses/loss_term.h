@@ -113,6 +113,7 @@ class LossTermOf : public LossTerm {
 /// A type that `losses` may name, one a folder of framework/losses; `cost` is what its absence saves.
 struct LossKind : TypeOf<LossTerm> {
   std::string_view cost;
+  bool cuda = false;  ///< has kernels for CUDA devices; the build says so
 };
 
 /// Every one of them, in the order of their names; the build writes the list.

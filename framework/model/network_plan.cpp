@@ -1,7 +1,6 @@
 #include "model/network_plan.h"
 
 #include <algorithm>
-#include <cmath>
 
 namespace semfield {
 
@@ -10,11 +9,6 @@ namespace {
 constexpr std::int64_t kTileRows = 1024;        // samples a tile aims at: activations of a 64-wide net stay in L2
 constexpr std::int64_t kExpectedOccupied = 32;  // samples a ray that a single-pass sampler is expected to keep
 constexpr std::size_t kDensityRows = 1024;      // positions that Pass::density evaluates at once
-
-// Scratch of a field's backward a sample, from the bytes that it saves: gradients of two or three layers at a time,
-// while deeper networks save more layers. Fitted to nerf_mlp of 4 x 64 (1152 bytes saved, 908 scratch) and 8 x 256
-// (8704, 3600) and to tiny_mlp (832, 590); no interface tells it.
-double backward_bytes(double saved) { return 4 * std::pow(saved, 0.75); }
 
 // Samples of a tile that have hidden activations: those of its labelled rays. Runs label a third to all of their rays.
 constexpr double kSemanticShare = 0.6;
@@ -72,9 +66,7 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
     traces += (samples * (6 + feature) + semantic) * sizeof(Real) + saved;
     if (!ahead) traces += samples * (place + encoded * sizeof(Real));
     backward = std::max(backward, (samples * (4 + terms + feature) + semantic) * sizeof(Real) +
-                                      static_cast<std::size_t>(
-                                          static_cast<double>(samples) *
-                                          backward_bytes(static_cast<double>(saved) / static_cast<double>(samples))));
+                                      parts.field->scratch_bytes(static_cast<std::int64_t>(samples), tile_rays));
     if (parts.branch) {
       plan.tensors += declared_bytes<Real>(*parts.branch->position, options.lanes, trainable);
       plan.tensors += declared_bytes<Real>(*parts.branch->field, options.lanes, trainable);
@@ -84,10 +76,8 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
       const std::size_t in = size(parts.branch->position->traits().out_dims) + feature;
       traces += size(kept) * (2 * in + out) * sizeof(Real) + branch_saved;
       // Its backward is done before that of the pass begins.
-      backward = std::max(backward, size(kept) * out * sizeof(Real) +
-                                        static_cast<std::size_t>(static_cast<double>(kept) *
-                                                                 backward_bytes(static_cast<double>(branch_saved) /
-                                                                                static_cast<double>(kept))));
+      backward =
+          std::max(backward, size(kept) * out * sizeof(Real) + parts.branch->field->scratch_bytes(kept, tile_rays));
     }
     if (parts.head) {
       const std::size_t rows = options.rules.deferred_class_layer ? size(tile_rays) : samples;
@@ -95,8 +85,9 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
     }
     if (position.learns) {
       const std::size_t all = size(parts.sampler->capacity(rays, p == 0 ? 0 : per_ray[p - 1]));
-      // Coordinates, encoded rows and their gradients; the encoder's scratch holds the rows once more, level by level.
-      plan.step_rows += all * (place + 3 * encoded * sizeof(Real));
+      // Coordinates, encoded rows and their gradients.
+      plan.step_rows +=
+          all * (place + 2 * encoded * sizeof(Real)) + parts.position->scratch_bytes(static_cast<std::int64_t>(all));
     }
     if (parts.sampler->traits().observes) {
       plan.density += size(threads) * kDensityRows *

@@ -187,8 +187,8 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
   if (!semantic || branch_) return;
   if (form == FeatureForm::rounded) {
     trace.rounded_hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
-    parts_.head->hidden_forward(ctx, head_tensors(lane), trace.out.rounded_feature.row_range(0, trace.semantic_samples),
-                                trace.rounded_hidden);
+    parts_.head->rounded_hidden_forward(
+        ctx, head_tensors(lane), trace.out.rounded_feature.row_range(0, trace.semantic_samples), trace.rounded_hidden);
   } else if (form == FeatureForm::full) {
     parts_.head->hidden_forward(ctx, head_tensors(lane), trace.out.feature.row_range(0, trace.semantic_samples),
                                 trace.hidden);
@@ -390,8 +390,8 @@ void Pass<Real>::rounded_backward(const StepContext& ctx, int lane, const PassTr
     return;
   }
   const View<Bf16> d_feature = arena.take<Bf16>(rows, trace.out.rounded_feature.cols);
-  parts_.head->hidden_backward(ctx, head_tensors(lane), trace.out.rounded_feature.row_range(0, rows), sum.d_hidden,
-                               d_feature);
+  parts_.head->rounded_hidden_backward(ctx, head_tensors(lane), trace.out.rounded_feature.row_range(0, rows),
+                                       sum.d_hidden, d_feature);
   grad.rounded_feature = d_feature;
 }
 

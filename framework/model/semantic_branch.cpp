@@ -14,7 +14,7 @@ SemanticBranch<Real>::SemanticBranch(const SemanticBranchParts<Real>& parts, con
                 "pass '" + pass +
                     "': the position encoder of its semantic branch has learned tensors, and the branch is to be "
                     "smoother than such tables",
-                "choose an encoder without learned tensors: one_blob or frequency");
+                "choose an encoder without learned tensors");
   }
   position_ = store.add(pass + "/semantic/position", *parts_->position, parts_->rules.learning());
   field_ = store.add(pass + "/semantic/field", *parts_->field, parts_->rules.learning());

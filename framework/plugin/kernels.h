@@ -18,16 +18,16 @@ namespace semfield {
 std::string_view device_name(Device device);
 std::string_view precision_name(Precision precision);
 
-/// Tables are keyed by their own type (e.g. HashGridKernels<float>), device and precision; a plugin's `*_cpu.cpp` adds
+/// Tables are keyed by their own type (e.g. WavesKernels<float>), device and precision; a plugin's `*_cpu.cpp` adds
 /// the CPU ones, its `*_cuda.cu`, when built, the CUDA ones. Kernels without matrix products have fp32 tables alone.
 class KernelTables {
  public:
-  /// `owner` as in messages: "encoder 'hash_grid'". `table` must live as long as the program.
+  /// `owner` as in messages: "encoder 'waves'". `table` must live as long as the program.
   template <class Table>
   void add(Device device, std::string_view owner, const Table* table, Precision precision = Precision::fp32) {
     add_erased({typeid(Table), device, precision}, owner, table);
   }
-  /// Throws Error(unavailable): "encoder 'hash_grid' has no cuda kernels in this build (has: cpu)".
+  /// Throws Error(unavailable): "encoder 'waves' has no cuda kernels in this build (has: cpu)".
   template <class Table>
   const Table& get(Device device, std::string_view owner, Precision precision = Precision::fp32) const {
     return *static_cast<const Table*>(get_erased({typeid(Table), device, precision}, owner));

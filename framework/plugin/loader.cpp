@@ -16,6 +16,7 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr const char* kSymbol = "semfield_plugin_module";
+constexpr const char* kCudaSymbol = "semfield_plugin_cuda_kernels";
 
 // Throws Error(unavailable) naming both sides when `module` was not built for this framework.
 void check_compatible(const PluginModule& module) {
@@ -155,6 +156,29 @@ void load_listed_module(Registry& registry, const std::string& path) {
   throw Error(ErrorKind::unavailable,
               "the module '" + path + "' was not loaded: it is code, and a configuration alone does not make it run",
               "if you trust it, add --plugin " + path + ", or set SEMFIELD_PLUGIN_PATH to a folder that holds it");
+}
+
+void add_cuda_kernels_of_modules(Registry& registry) {
+  for (const std::string& module : registry.module_files()) {
+    const fs::path path(module);
+    const std::string file =
+        (path.parent_path() / (path.stem().string() + "_cuda" + path.extension().string())).string();
+    std::error_code ignored;
+    if (!fs::is_regular_file(file, ignored)) continue;
+    const std::string doing = "cannot load the CUDA kernels '" + file + "' of plugin '" + module + "'";
+    const std::string remedy = "build them anew against the installed framework, or set runtime.device: cpu";
+    check_module_file(file, doing);
+    t_being_loaded = file;
+    void* library = dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL);
+    t_being_loaded.clear();
+    const char* cause = library == nullptr ? dlerror() : nullptr;
+    if (library == nullptr)
+      throw Error(ErrorKind::unavailable, doing + ": " + (cause == nullptr ? "dlopen failed" : cause), remedy);
+    auto* const add = reinterpret_cast<void (*)(KernelTables&)>(dlsym(library, kCudaSymbol));
+    if (add == nullptr)
+      throw Error(ErrorKind::unavailable, doing + ": it does not export '" + kCudaSymbol + "'", remedy);
+    add(registry.kernels());
+  }
 }
 
 const std::string& module_being_loaded() { return t_being_loaded; }

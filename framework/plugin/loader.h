@@ -24,6 +24,10 @@ void load_module(Registry& registry, const std::string& path);
 /// name does; one of its file name that load_module was given satisfies it too. Throws Error(unavailable) otherwise.
 void load_listed_module(Registry& registry, const std::string& path);
 
+/// Adds the CUDA kernels of the registry's modules: for FILE.so those of FILE_cuda.so beside it, where there is one. It
+/// is checked and loaded as a module is, and needs the library of CUDA kernels loaded. Throws Error(unavailable).
+void add_cuda_kernels_of_modules(Registry& registry);
+
 /// File whose static initialisers run now, in this thread; "" at any other time.
 const std::string& module_being_loaded();
 

@@ -9,7 +9,7 @@
 namespace semfield {
 
 /// Raised whenever an interface in plugin/ changes.
-inline constexpr int kPluginApi = 6;
+inline constexpr int kPluginApi = 7;
 
 /// The framework's own SEMFIELD_ABI_TAG, to be compared with the one that a module was compiled with.
 const char* abi_tag_of_framework();
@@ -40,18 +40,30 @@ static_assert(sizeof(PluginStamp) == 256);
 
 #include "plugin/abi_tag.h"
 
+#define SEMFIELD_PLUGIN_STAMP                                                                        \
+  __attribute__((visibility("default"))) extern const ::semfield::PluginStamp semfield_plugin_stamp; \
+  __attribute__((section(".semfield_plugin"), used))                                                 \
+  const ::semfield::PluginStamp semfield_plugin_stamp = {"semfield plugin", ::semfield::kPluginApi, SEMFIELD_ABI_TAG};
+
+/// The library of a loadable plugin's CUDA kernels, NAME_cuda.so beside NAME.so: the stamp, and a function that adds
+/// them. cmake/SemfieldPlugin.cmake writes the line.
+#define SEMFIELD_PLUGIN_CUDA_KERNELS(add_function)                                                                \
+  extern "C" {                                                                                                    \
+  SEMFIELD_PLUGIN_STAMP                                                                                           \
+  __attribute__((visibility("default"))) void semfield_plugin_cuda_kernels(::semfield::KernelTables& tables);     \
+  void semfield_plugin_cuda_kernels(::semfield::KernelTables& tables) { ::semfield::cuda::add_function(tables); } \
+  }
+
 /// Last line of a plugin. Linked build (inside namespace semfield): a function semfield_module_<name>() that the
 /// generated table calls. Loadable build (SEMFIELD_LOADABLE_MODULE defined): the exported symbols
 /// semfield_plugin_module and semfield_plugin_stamp, which stands in a section of its own.
 #ifdef SEMFIELD_LOADABLE_MODULE
-#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                                         \
-  extern "C" {                                                                                                         \
-  __attribute__((visibility("default"))) extern const ::semfield::PluginStamp semfield_plugin_stamp;                   \
-  __attribute__((section(".semfield_plugin"), used))                                                                   \
-  const ::semfield::PluginStamp semfield_plugin_stamp = {"semfield plugin", ::semfield::kPluginApi, SEMFIELD_ABI_TAG}; \
-  __attribute__((visibility("default"))) extern const ::semfield::PluginModule semfield_plugin_module;                 \
-  const ::semfield::PluginModule semfield_plugin_module = {::semfield::kPluginApi, SEMFIELD_ABI_TAG, #module_name,     \
-                                                           module_version, register_function};                         \
+#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                                     \
+  extern "C" {                                                                                                     \
+  SEMFIELD_PLUGIN_STAMP                                                                                            \
+  __attribute__((visibility("default"))) extern const ::semfield::PluginModule semfield_plugin_module;             \
+  const ::semfield::PluginModule semfield_plugin_module = {::semfield::kPluginApi, SEMFIELD_ABI_TAG, #module_name, \
+                                                           module_version, register_function};                     \
   }
 #else
 #define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                           \

@@ -66,7 +66,7 @@ struct PluginEntry {
   PluginKind kind = PluginKind::encoder;
   std::string name;
   std::string summary;  ///< one sentence
-  std::string module;   ///< module that registered it, with version: "hash_grid 1.0"
+  std::string module;   ///< module that registered it, with version: "waves 1.0"
   std::function<std::unique_ptr<PluginParams>()> new_params;
   // Exactly the maker of the entry's kind is set. Real = float is what runs, double is the oracle.
   std::function<std::unique_ptr<Encoder<float>>(const PluginParams&, const EncoderBuild&, const KernelTables&)>
@@ -127,7 +127,7 @@ class Registry {
   const KernelTables& kernels() const { return kernels_; }
 
   const PluginEntry* find(PluginKind kind, std::string_view name) const;
-  /// Throws Error(config): "no encoder named 'hashgrid'; known: ...; did you mean 'hash_grid'?".
+  /// Throws Error(config): "no encoder named 'wave'; known: ...; did you mean 'waves'?".
   const PluginEntry& get(PluginKind kind, std::string_view name) const;
   /// Name of the dataset that reads packed scenes. Throws Error(unavailable) where none does.
   const std::string& pack_reader() const;

@@ -46,7 +46,7 @@ std::string unique_name(const fs::path& folder, std::set<std::string>& taken) {
   return name;
 }
 
-// "replica, room_0": the dataset's type and the folder or file that it lies in.
+// "TYPE, room_0": the dataset's type and the folder or file that it lies in.
 std::string scene_of(const std::string& config, const std::string& path) {
   if (config.empty()) return {};
   const ConfigNode root = parse_config_text(config, path);

@@ -7,6 +7,7 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "plugin/loader.h"
 
 namespace semfield {
 
@@ -57,6 +58,18 @@ std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Regist
 }
 
 // feature_dims: of the pass's field.
+// Those whose defaults learn nothing, for the position of a semantic branch.
+std::vector<std::string> smooth_encoders(const Registry& registry) {
+  std::vector<std::string> names;
+  for (const PluginEntry* entry : registry.entries()) {
+    if (entry->kind != PluginKind::encoder) continue;
+    const auto encoder = entry->encoder32(*entry->new_params(), {}, registry.kernels());
+    if (encoder->traits().domain != Domain::direction && !declared_bytes<float>(*encoder, 1, true).learns)
+      names.push_back(entry->name);
+  }
+  return names;
+}
+
 template <class Real>
 std::unique_ptr<SemanticBranchParts<Real>> make_branch(const PassConfig& pass, const RunConfig& config,
                                                        const Registry& registry, const SceneExtent& extent,
@@ -66,6 +79,12 @@ std::unique_ptr<SemanticBranchParts<Real>> make_branch(const PassConfig& pass, c
   parts->rules = branch.rules;
   parts->position = make_encoder<Real>(branch.position, registry, extent, false, device,
                                        "passes." + pass.name + ".semantic.position");
+  if (declared_bytes<Real>(*parts->position, 1, true).learns) {
+    throw Error(ErrorKind::config,
+                "passes." + pass.name + ".semantic.position: '" + branch.position.entry->name +
+                    "' has learned tensors, and the branch is to be smoother than such tables",
+                "choose an encoder without learned tensors: " + join(smooth_encoders(registry)));
+  }
   parts->domain =
       DomainMap::make(parts->position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
   FieldBuild build;
@@ -116,7 +135,7 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
   }
   const HeadShape shape{read->traits().feature_dims, config.semantics.hidden_width,
                         static_cast<std::int32_t>(plan.class_of_logit.size()), config.runtime.precision};
-  parts.head = std::make_unique<SemanticHead<Real>>(shape, *parts.stages->head);
+  parts.head = std::make_unique<OneLayerHead<Real>>(shape, *parts.stages->head);
   return parts;
 }
 
@@ -236,7 +255,7 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
 }
 
 namespace {
-// "field 'ball'": the first part of the passes without kernels for `device`; empty: all have them.
+// "field 'ball'", "loss term 'glow'": the first part of the run without kernels for `device`; empty: all have them.
 std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
   for (const PassConfig& pass : config.passes) {
     std::vector<const PluginSlot*> slots{&pass.sampler, &pass.position, &pass.direction, &pass.field};
@@ -250,26 +269,52 @@ std::string part_without_kernels(const RunConfig& config, const Registry& regist
       if (!registry.kernels().has(device, owner)) return owner;
     }
   }
+  for (const LossEntry& entry : config.losses) {
+    const auto is_it = [&](const LossKind& kind) { return kind.type == entry.type && kind.cuda; };
+    if (device == Device::cuda && std::none_of(loss_kinds().begin(), loss_kinds().end(), is_it))
+      return "loss term '" + entry.type + "'";
+  }
   return {};
 }
+bool is_automatic(const RunConfig& config) { return config.runtime.device == "auto"; }
+
+/// That of `auto` is the first cuda device.
+DeviceId asked_device(const RunConfig& config) {
+  const std::optional<DeviceId> asked = device_of(is_automatic(config) ? "cuda" : config.runtime.device);
+  SEMFIELD_CHECK(asked.has_value(), "runtime.device was validated");
+  return *asked;
+}
+
 }  // namespace
 
+void add_cuda_kernels(Registry& registry) {
+  cuda_library().add_kernels(registry.kernels());
+  add_cuda_kernels_of_modules(registry);
+}
+
 ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics) {
-  const bool automatic = config.runtime.device == "auto";
-  const std::optional<DeviceId> asked = device_of(automatic ? "cuda" : config.runtime.device);
-  SEMFIELD_CHECK(asked.has_value(), "runtime.device was validated");
-  if (asked->kind == Device::cpu) return {*asked, "runtime.device is cpu"};
+  const DeviceId asked = asked_device(config);
+  if (asked.kind == Device::cpu) return {asked, "runtime.device is cpu"};
   std::string why_not;
-  if (cuda_available(&why_not, asked->ordinal)) {
-    cuda_library().add_kernels(registry.kernels());
-    const std::string part = part_without_kernels(config, registry, Device::cuda);
-    if (part.empty()) return {*asked, ""};
-    why_not = part + " has no cuda kernels";
-    if (automatic) diagnostics.note("runtime.device", why_not + ", so the run stays on the processor");
+  if (cuda_available(&why_not, asked.ordinal)) {
+    add_cuda_kernels(registry);
+    return device_for_parts(config, registry, diagnostics);
   }
-  if (automatic) return {DeviceId{}, why_not};
+  if (is_automatic(config)) return {DeviceId{}, why_not};
   throw Error(ErrorKind::unavailable, "runtime.device: " + config.runtime.device + ": " + why_not,
               "set runtime.device: cpu, or auto");
+}
+
+ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry, Diagnostics& diagnostics) {
+  const std::string part = part_without_kernels(config, registry, Device::cuda);
+  if (part.empty()) return {asked_device(config), ""};
+  const std::string why_not = part + " has no cuda kernels";
+  if (!is_automatic(config)) {
+    throw Error(ErrorKind::unavailable, "runtime.device: " + config.runtime.device + ": " + why_not,
+                "set runtime.device: cpu, or auto, which stays on the processor then");
+  }
+  diagnostics.note("runtime.device", why_not + ", so the run stays on the processor");
+  return {DeviceId{}, why_not};
 }
 
 void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,

@@ -42,10 +42,16 @@ struct ChosenDevice {
   std::string no_cuda;  ///< why it is the processor
 };
 /// The device that the run's configuration asks for; its kernels are then in the registry's tables. `auto` is the first
-/// cuda device where build and machine have it and every part of the passes has kernels for it; a part without them is
-/// noted and leaves the run on the processor. Throws Error(unavailable) with the reason when a cuda device is asked for
+/// cuda device where build and machine have it and every part of the passes and term of the loss has kernels for it; one
+/// without them is noted and leaves the run on the processor. Throws Error(unavailable) with the reason when a cuda
+/// device is asked for
 /// and cannot be had.
 ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
+/// CUDA kernels of linked plugins and loaded modules into the registry's tables; a device is not needed. Throws
+/// Error(unavailable) when the build has none.
+void add_cuda_kernels(Registry& registry);
+/// As chosen_device where a device is there and its tables are in the registry.
+ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry, Diagnostics& diagnostics);
 
 /// From now on `pipeline` trains and renders on `device`, which chosen_device gave.
 void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,

@@ -199,8 +199,9 @@ void validate_section(const ConfigNode& tree, const std::string& path, const Par
 void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
   const ConfigNode* scene = tree.find("scene");
   if (scene == nullptr) {
-    diagnostics.error(tree.location().text(), "scene: section is missing",
-                      "name a dataset: scene: {type: replica, root: ...}");
+    diagnostics.error(
+        tree.location().text(), "scene: section is missing",
+        "name a dataset: scene: {type: TYPE, ...}, TYPE one of " + join(registry.names(PluginKind::dataset)));
     return;
   }
   // By convention these keys of a scene are paths: relative to the file that wrote them, or to the working folder for

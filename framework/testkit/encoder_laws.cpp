@@ -6,6 +6,7 @@
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "testkit/compare.h"
+#include "testkit/cost_laws.h"
 #include "testkit/gradient_check.h"
 #include "testkit/guarded.h"
 #include "testkit/laws.h"
@@ -230,6 +231,18 @@ void check_steady_state(const Encoder<float>& encoder, const LawOptions& options
   }
 }
 
+void check_scratch(const Encoder<float>& encoder, const LawOptions& options, Failures& failures) {
+  if (options.scratch.allocate != nullptr) return;  // a device's memory is not planned ahead
+  for (const std::int64_t rows : {std::int64_t{1}, kFewRows, options.many_rows}) {
+    Bench<float> bench(encoder, rows, 0, options);
+    bench.forward();
+    bench.backward();
+    note_failure(
+        failures, "scratch_bytes, " + std::to_string(rows) + " rows",
+        scratch_failure(encoder.scratch_bytes(rows), bench.workspace.high_water_bytes(), rows == options.many_rows));
+  }
+}
+
 }  // namespace
 
 Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& encoder64, const LawOptions& options) {
@@ -251,6 +264,7 @@ Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& en
   check_threads(encoder32, options, failures);
   check_precision(encoder32, encoder64, options, failures);
   check_steady_state(encoder32, options, failures);
+  check_scratch(encoder32, options, failures);
   return failures;
 }
 

@@ -3,6 +3,7 @@
 #include <type_traits>
 
 #include "testkit/compare.h"
+#include "testkit/cost_laws.h"
 #include "testkit/field_bench.h"
 #include "testkit/gradient_check.h"
 #include "testkit/laws.h"
@@ -301,6 +302,7 @@ Failures field_laws(const Field<float>& field32, const Field<double>& field64, c
   check_precision(field32, field64, setup, failures);
   check_repeat(field32, setup, failures);
   check_steady_state(field32, setup, failures);
+  check_costs(field32, build, options, failures);
   return failures;
 }
 

@@ -22,6 +22,7 @@ class HostEncoder final : public Encoder<float> {
  public:
   HostEncoder(const Encoder<float>& on_device, TwinOptions options) : device_(on_device), options_(options) {}
   EncoderTraits traits() const noexcept override { return device_.traits(); }
+  std::size_t scratch_bytes(std::int64_t samples) const noexcept override { return device_.scratch_bytes(samples); }
   void declare(ParamDeclarer& declarer) const override { device_.declare(declarer); }
   void derive(const StepContext& ctx, const Tensors<float>& tensors) const override;
   void derive_backward(const StepContext& ctx, const Tensors<float>& tensors) const override;
@@ -43,6 +44,13 @@ class HostField final : public Field<float> {
   FieldTraits traits() const noexcept override { return device_.traits(); }
   std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
     return device_.saved_bytes(samples, rays);
+  }
+  std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
+    return device_.scratch_bytes(samples, rays);
+  }
+  std::vector<LayerShape> layers() const override { return device_.layers(); }
+  std::int64_t multiply_adds(std::int64_t samples, std::int64_t rays) const override {
+    return device_.multiply_adds(samples, rays);
   }
   void declare(ParamDeclarer& declarer) const override { device_.declare(declarer); }
   void derive(const StepContext& ctx, const Tensors<float>& tensors) const override;

@@ -11,7 +11,6 @@
 
 #include "compute/peak_probe.h"
 #include "plugin/linked_plugins.h"
-#include "studies/step_work.h"
 
 namespace semfield {
 namespace {
@@ -24,51 +23,8 @@ double layer_flop(const std::vector<LayerWork>& layers, const std::string& name)
   return 0;
 }
 
-double two_passes(const WorkRules& rules) {
-  double sum = 0;
-  for (const double per_ray : {64.0, 192.0}) sum += total_flop(deep_network_work({}, 1024, 1024 * per_ray, rules));
-  return sum;
-}
-
-TEST(StepWork, PaperStepIsWhatOneCountsByHand) {
-  // Multiply-adds of a sample, forward: x into layers 0 and 5, seven 256 x 256 layers, density, folded view layer,
-  // colour, semantic hidden layer.
-  const double x = 2 * 63 * 256;
-  const double rest = 7 * 256 * 256 + 256 + 256 * 128 + 128 * 3 + 256 * 128;
-  EXPECT_EQ(x + rest, 557184);
-  // Twice for two operations, times three for both gradients; positions take none.
-  const double samples = 1024 * (64 + 192);
-  double flop = 2 * samples * (2 * x + 3 * rest);
-  // Two networks: class layer and direction term once a ray, and the product of the folded weights once a step.
-  flop += 2 * 2 * 1024 * (3.0 * 128 * 29 + 2.0 * 27 * 128) + 2 * 2 * 3 * (256.0 * 256 * 128);
-  EXPECT_EQ(two_passes({29, true}), flop);
-  EXPECT_NEAR(flop * 1e-12, 0.860, 5e-4);
-}
-
-TEST(StepWork, AsWrittenStepIsWhatOneCountsByHand) {
-  const double samples = 1024 * (64 + 192);
-  const double no_gradient = 2 * 63 * 256 + 27 * 128;
-  const double rest = 7 * 256 * 256 + 256 + 256 * 256 + 256 * 128 + 128 * 3 + 256 * 128 + 128 * 29;
-  EXPECT_EQ(two_passes({29, false}), 2 * samples * (2 * no_gradient + 3 * rest));
-  EXPECT_NEAR(two_passes({29, false}) * 1e-12, 0.972, 5e-4);
-}
-
-TEST(StepWork, ClassesCostARayNotASample) {
-  const double more = two_passes({512, true}) - two_passes({13, true});
-  EXPECT_EQ(more, 2 * 2.0 * 1024 * 3 * 128 * (512 - 13));
-  EXPECT_LT(more / two_passes({13, true}), 0.001);
-  EXPECT_LT(two_passes({0, true}), two_passes({1, true}) * 0.95);  // the hidden layer goes as well
-}
-
-TEST(StepWork, SmallNetworkIsWhatOneCountsByHand) {
-  const std::vector<LayerWork> layers = small_network_work({}, 10, 300, {5, true});
-  const double a_sample = 32 * 64 + 64 * 16 + 15 * 64 + 64 * 64 + 64 * 3 + 64 * 64;
-  EXPECT_EQ(total_flop(layers), 2 * 3 * 300 * a_sample + 2 * 2 * 10 * (16 * 64) + 2 * 3 * 10 * (64 * 5));
-  EXPECT_EQ(layer_flop(layers, "rgb"), 2 * 3 * 300.0 * 64 * 3);
-}
-
 class StepCases : public testing::Test {
- protected:
+ public:
   StepCases() { register_linked_plugins(registry_); }
   StepCase make(const std::string& config, int classes, std::vector<std::string> set = {}) {
     StepCaseOptions options;
@@ -78,25 +34,81 @@ class StepCases : public testing::Test {
     options.rays = 16;
     return StepCase(options, registry_);
   }
+  /// Without the exact savings.
+  static std::vector<std::string> as_written() {
+    return {"runtime.fold_feature_layer=false", "runtime.direction_once_per_ray=false",
+            "runtime.deferred_class_layer=false"};
+  }
+
+ private:
   Registry registry_;
 };
+
+// 1,024 rays with 64 and 192 samples.
+double paper_flop(StepCases& cases, int classes, std::vector<std::string> set = {}) {
+  return total_flop(cases.make("paper.yaml", classes, std::move(set)).work()) * 1024 / 16;
+}
+
+// Of the 16 rays of a case: once a step is counted 64 times by paper_flop.
+TEST_F(StepCases, PaperStepIsWhatOneCountsByHand) {
+  // Multiply-adds of a sample, forward: x into layers 0 and 5, seven 256 x 256 layers, density, folded view layer,
+  // colour, semantic hidden layer.
+  const double x = 2 * 63 * 256;
+  const double rest = 7 * 256 * 256 + 256 + 256 * 128 + 128 * 3 + 256 * 128;
+  EXPECT_EQ(x + rest, 557184);
+  // Twice for two operations, times three for both gradients; positions take none.
+  const double samples = 1024 * (64 + 192);
+  double flop = 2 * samples * (2 * x + 3 * rest);
+  // Two networks: class layer and direction term once a ray, and the product of the folded weights and bias once a
+  // step.
+  const double folded = 2 * 2 * 3 * (257.0 * 256 * 128);
+  flop += 2 * 2 * 1024 * (3.0 * 128 * 29 + 2.0 * 27 * 128) + 64 * folded;
+  EXPECT_EQ(paper_flop(*this, 29), flop);
+  EXPECT_NEAR((flop - 63 * folded) * 1e-12, 0.860, 5e-4);
+}
+
+TEST_F(StepCases, AsWrittenStepIsWhatOneCountsByHand) {
+  const double samples = 1024 * (64 + 192);
+  const double no_gradient = 2 * 63 * 256 + 27 * 128;
+  const double rest = 7 * 256 * 256 + 256 + 256 * 256 + 256 * 128 + 128 * 3 + 256 * 128 + 128 * 29;
+  const double flop = paper_flop(*this, 29, as_written());
+  EXPECT_EQ(flop, 2 * samples * (2 * no_gradient + 3 * rest));
+  EXPECT_NEAR(flop * 1e-12, 0.972, 5e-4);
+}
+
+TEST_F(StepCases, ClassesCostARayNotASample) {
+  const double few = paper_flop(*this, 13), more = paper_flop(*this, 512) - few;
+  EXPECT_EQ(more, 2 * 2.0 * 1024 * 3 * 128 * (512 - 13));
+  EXPECT_LT(more / few, 0.001);
+  EXPECT_LT(paper_flop(*this, 0), paper_flop(*this, 1) * 0.95);  // the hidden layer goes as well
+}
+
+TEST_F(StepCases, SmallNetworkIsWhatOneCountsByHand) {
+  const std::vector<LayerWork> layers = make("bench/hash_step.yaml", 5).work();
+  const double rays = 16, samples = 16 * 30;
+  const double a_sample = 32 * 64 + 64 * 16 + 15 * 64 + 64 * 64 + 64 * 3 + 64 * 64;
+  EXPECT_EQ(total_flop(layers), 2 * 3 * samples * a_sample + 2 * 2 * rays * (16 * 64) + 2 * 3 * rays * (64 * 5));
+  EXPECT_EQ(layer_flop(layers, "rgb"), 2 * 3 * samples * 64 * 3);
+}
 
 // The shapes that are counted are those that are built: the same number of weights, and biases beside them.
 TEST_F(StepCases, CountedShapesAreThoseOfTheNetworks) {
   const int classes = 29;
-  double deep = 8 * 256 + 1 + 256 + 128 + 3 + 128 + classes;
-  for (const LayerWork& layer : deep_network_work({}, 1, 1, {classes, false})) deep += layer.in * layer.out;
-  EXPECT_EQ(deep, 628740 + 129 * classes);
-  EXPECT_EQ(make("paper.yaml", classes).learned_count(), 2 * static_cast<std::int64_t>(deep));
+  const auto weights = [](const StepCase& step) {
+    double sum = 0;
+    for (const LayerWork& layer : step.work()) sum += layer.in * layer.out;
+    return static_cast<std::int64_t>(sum);
+  };
+  const StepCase deep = make("paper.yaml", classes, as_written());
+  EXPECT_EQ(deep.learned_count(), weights(deep) + 2 * (8 * 256 + 1 + 256 + 128 + 3 + 128 + classes));
 
-  double small = 64 + 16 + 64 + 64 + 3 + 64 + classes;
-  for (const LayerWork& layer : small_network_work({}, 1, 1, {classes, false})) small += layer.in * layer.out;
+  const StepCase small = make("bench/hash_step.yaml", classes);
   double table = 0;  // vertices of 16 grids between 16 and 512 cells, at most 2^15 each, of 2 numbers
   for (int level = 0; level < 16; ++level) {
     const double cells = std::floor(16 * std::pow(32.0, level / 15.0) + 1e-9);
     table += 2 * std::min(std::pow(cells + 1, 3), 32768.0);
   }
-  EXPECT_EQ(static_cast<double>(make("bench/hash_step.yaml", classes).learned_count()), small + table);
+  EXPECT_EQ(small.learned_count(), weights(small) + (64 + 16 + 64 + 64 + 3 + 64 + classes) + table);
 }
 
 TEST_F(StepCases, AStepTrainsOnEveryRaysSamples) {

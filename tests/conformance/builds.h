@@ -54,6 +54,14 @@ inline std::vector<FieldBuild> field_builds(const Registry& registry, const std:
   return builds;
 }
 
+/// "", or "encoder 'waves' has no cuda kernels": a plugin of the processor alone is left out of a device's laws by
+/// name.
+inline std::string lacks_kernels(const Registry& registry, PluginKind kind, const std::string& name, Device device) {
+  const std::string owner = std::string(kind_name(kind)) + " '" + name + "'";
+  if (registry.kernels().has(device, owner)) return {};
+  return owner + " has no " + std::string(device_name(device)) + " kernels";
+}
+
 inline SamplerBuild sampler_build(Device device) {
   SamplerBuild build;
   build.device = device;

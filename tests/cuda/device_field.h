@@ -1,11 +1,11 @@
 // A field on the device with the inputs, tensors and output weights of a float64 bench on the CPU, its oracle.
 #pragma once
 
+#include <cuda_bf16.h>
+
 #include <memory>
 #include <string>
 #include <vector>
-
-#include <cuda_bf16.h>
 
 #include "device_fixture.h"
 #include "plugin/field.h"

@@ -30,9 +30,10 @@ inline bool has_device() {
 }
 
 /// First line of every test that launches a kernel.
-#define SEMFIELD_NEEDS_DEVICE()                                                                                   \
-  if (!::semfield::testing::has_device()) GTEST_SKIP() << "this machine has no NVIDIA processor that its driver " \
-                                                          "offers"
+#define SEMFIELD_NEEDS_DEVICE()                                           \
+  if (!::semfield::testing::has_device())                                 \
+  GTEST_SKIP() << "this machine has no NVIDIA processor that its driver " \
+                  "offers"
 
 /// What these functions add: `x_kernels` of plugins, cuda::add_plugin_kernels.
 inline KernelTables tables_of(std::initializer_list<void (*)(KernelTables&)> adders) {

@@ -56,7 +56,7 @@ TEST(CudaHead, ClassLayerAndItsGradients) {
     const double tolerance = cut ? 2e-3 : 1e-6;
     SCOPED_TRACE(std::to_string(s.rays) + " rays, hidden " + std::to_string(s.hidden) + ", classes " +
                  std::to_string(s.classes) + (s.precision == Precision::bf16 ? ", bf16" : ""));
-    const SemanticHead<float> head({kFeature, s.hidden, s.classes, s.precision}, cuda::head_kernels());
+    const OneLayerHead<float> head({kFeature, s.hidden, s.classes, s.precision}, cuda::head_kernels());
     StepContext ctx;
     ctx.workspace = &launch.arena();
     const std::vector<float> h = random_floats(s.rays * s.hidden, 1, -1, 1), share = random_floats(s.rays, 2, 0, 1);

@@ -9,9 +9,9 @@
 
 #include "core/error.h"
 #include "eval/evaluator.h"
+#include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
-#include "tests/cuda/fused_fixture.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

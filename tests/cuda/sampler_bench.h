@@ -1,24 +1,27 @@
 // A sampler on the CPU and on the device, given the same rays, tensors and previous samples.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
 #include <string>
 #include <vector>
 
 #include "cuda/kernel_tables.h"
-#include "device_fixture.h"
 #include "plugin/kernels.h"
 #include "plugin/sampler.h"
-#include "samplers/importance/importance_kernels.h"
-#include "samplers/occupancy_grid/occupancy_grid_kernels.h"
-#include "samplers/stratified/stratified_kernels.h"
+#include "samplers/stratified/stratified.h"
+#include "tests/conformance/rows.h"
+#include "tests/cuda/device_fixture.h"
 
 namespace semfield::testing {
 
 inline const KernelTables& sampler_tables() {
-  static const KernelTables tables =
-      tables_of({stratified_kernels, importance_kernels, occupancy_grid_kernels, cuda::add_plugin_kernels});
+  static const KernelTables tables = [] {
+    KernelTables all = testkit::linked_registry().kernels();
+    cuda::add_plugin_kernels(all);
+    return all;
+  }();
   return tables;
 }
 
@@ -211,6 +214,43 @@ std::string error_of(const Body& body) {
     return e.message();
   }
   return "no error";
+}
+
+/// difference() between the sampler's calls on both devices.
+inline std::string compare(const Sampler<float>& cpu, const Sampler<float>& device, const StepContext& ctx,
+                           const HostRays& rays, HostProposal* previous, std::int64_t gap) {
+  DeviceLaunch launch;
+  const HostSamples want = sample_on_cpu(cpu, ctx, {}, rays, previous);
+  DeviceBatch batch(device, rays, previous, gap);
+  batch.sample(device_context(ctx, launch), {});
+  const HostSamples got = batch.read();
+  EXPECT_EQ(launch.take_fault(), std::nullopt);
+  return difference(want, got);
+}
+
+/// Previous samples of `rays`: up to `per_ray` a ray, fewer on every third ray if ragged, with weights of many sizes,
+/// spikes, and rays without any weight.
+inline HostProposal previous_of(const HostRays& rays, std::int64_t per_ray, bool ragged) {
+  const Twins<Stratified> twins(StratifiedParams{std::max<std::int64_t>(1, per_ray), Quadrature::paper});
+  const HostSamples all = sample_on_cpu(twins.cpu, context_at(3, true), {}, rays);
+  HostProposal previous;
+  previous.per_ray = per_ray;
+  previous.samples.first.push_back(0);
+  for (std::int64_t r = 0; r < rays.count(); ++r) {
+    const std::int32_t begin = all.first[static_cast<std::size_t>(r)];
+    const std::int64_t given = all.first[static_cast<std::size_t>(r + 1)] - begin;
+    const std::int64_t kept = std::min(per_ray, ragged && r % 3 == 1 ? r % (given + 1) : given);
+    for (std::int64_t k = 0; k < kept; ++k) {
+      const auto at = static_cast<std::size_t>(begin + k);
+      const float u = uniform01({4, 0, 5}, static_cast<std::uint64_t>(begin + k));
+      previous.samples.t.push_back(all.t[at]);
+      previous.samples.delta.push_back(all.delta[at]);
+      previous.samples.ray.push_back(static_cast<std::int32_t>(r));
+      previous.weight.push_back(r % 5 == 0 ? 0.F : r % 5 == 1 ? (k == kept / 2 ? 1.F : 0.F) : std::exp(-20 * u));
+    }
+    previous.samples.first.push_back(static_cast<std::int32_t>(previous.samples.t.size()));
+  }
+  return previous;
 }
 
 }  // namespace semfield::testing

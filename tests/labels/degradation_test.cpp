@@ -193,8 +193,8 @@ TEST(RegionNoise, RefusalsAreExact) {
   Case without = scene_of(2);
   without.add(2, 1, {0, 1});
   EXPECT_EQ(error_of([&] { without.apply(*step("region_noise")); }),
-            "region_noise: frame 'rgb_0' has no instance image; use a dataset with instances (obj_room; replica with "
-            "semantic_instance/), or another degradation");
+            "region_noise: frame 'rgb_0' has no instance image; use a scene whose dataset reads instances "
+            "(docs/reference/plugins.md says which do), or another degradation");
   Case single = scene_of(1);
   single.add(2, 1, {0, 0}, {1, 1});
   EXPECT_EQ(error_of([&] { single.apply(*step("region_noise")); }),

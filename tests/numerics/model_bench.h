@@ -39,7 +39,7 @@ PassParts<Real> small_pass(const Registry& registry, const std::string& samples 
   const PluginEntry& field = registry.get(PluginKind::field, "tiny_mlp");
   parts.field = make_part<Real>(field.field32, field.field64, field, {{"hidden_width", "16"}, {"color_width", "16"}},
                                 build, registry);
-  parts.head = std::make_unique<SemanticHead<Real>>(HeadShape{parts.field->traits().feature_dims, 16, 5});
+  parts.head = std::make_unique<OneLayerHead<Real>>(HeadShape{parts.field->traits().feature_dims, 16, 5});
   parts.domain = domain;
   return parts;
 }

@@ -51,7 +51,7 @@ struct SemanticRay {
     rays.backward();
   }
 
-  SemanticHead<Real> head;
+  OneLayerHead<Real> head;
   testkit::TensorBox<Real> box;
   testing::RayBuffers<Real> rays;
   std::vector<Real> logits, slope;

@@ -45,7 +45,9 @@ INSTANTIATE_TEST_SUITE_P(
                     Case{Break::assign_gradient, "gradients accumulate"},
                     Case{Break::accumulate_dx, "every dx written"}, Case{Break::skip_dx, "every dx written"},
                     Case{Break::depend_on_row, "permuted rows"}, Case{Break::float_off, "float against double, y"},
-                    Case{Break::sums_as_they_come, "1 and 3 threads, gradient of table"}));
+                    Case{Break::sums_as_they_come, "1 and 3 threads, gradient of table"},
+                    Case{Break::hides_scratch, "scratch_bytes, 33 rows: 96 bytes, but 192"},
+                    Case{Break::claims_much_scratch, "scratch_bytes, 4097 rows: "}));
 
 TEST(EncoderLaws, SumsWithoutSameBitsHaveATolerance) {
   testkit::LawOptions options;

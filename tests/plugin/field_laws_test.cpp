@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "compute/gemm.h"
 #include "testkit/laws.h"
 
 namespace semfield {
@@ -21,12 +22,18 @@ enum class Break {
   forget_d_position,
   sums_as_they_come,
   rounds_by_size,
-  changes_by_size
+  changes_by_size,
+  hides_scratch,
+  claims_much_scratch,
+  hides_a_layer,
+  nameless_layer,
+  adds_up_wrongly
 };
 
 constexpr std::int32_t kFeature = 2;
 
-/// p = mean of position; sigma = w0 p, feature_f = w_f sin(p), rgb_c = logistic(w_c p + mean of the ray's direction).
+/// p = mean of position, as a product with ones; sigma = w0 p, feature_f = w_f sin(p), rgb_c = logistic(w_c p + mean of
+/// the ray's direction).
 template <class Real>
 class ToyField final : public Field<Real> {
  public:
@@ -37,15 +44,35 @@ class ToyField final : public Field<Real> {
   std::size_t saved_bytes(std::int64_t samples, std::int64_t) const noexcept override {
     return sizeof(Real) * static_cast<std::size_t>(samples);
   }
+  std::size_t scratch_bytes(std::int64_t samples, std::int64_t) const noexcept override {
+    ScratchSum sum;
+    sum.take<Real>(samples, 1);
+    sum.take<Real>(build_.position_dims, 1);
+    return broken_ == Break::hides_scratch         ? sum.bytes() - 1
+           : broken_ == Break::claims_much_scratch ? 3 * sum.bytes()
+                                                   : sum.bytes();
+  }
+  std::vector<LayerShape> layers() const override {
+    if (broken_ == Break::hides_a_layer) return {};
+    return {{broken_ == Break::nameless_layer ? "" : "mean", build_.position_dims, 1}};
+  }
+  std::int64_t multiply_adds(std::int64_t samples, std::int64_t rays) const override {
+    return Field<Real>::multiply_adds(samples, rays) + (broken_ == Break::adds_up_wrongly ? samples : 0);
+  }
   void declare(ParamDeclarer& declarer) const override {
     declarer.tensor({"w", 3, 1, Init::uniform(1.0), TensorRole::dense});
   }
 
  protected:
-  void do_forward(const StepContext&, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out,
-                  Saved saved) const override {
+  void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
+                  const FieldOut<Real>& out, Saved saved) const override {
+    const Workspace::Scope scope(*ctx.workspace);
+    const View<Real> sums = ctx.workspace->take<Real>(in.position.rows, 1);
+    const View<Real> ones = ctx.workspace->take<Real>(in.position.cols, 1);
+    for (std::int64_t c = 0; c < ones.rows; ++c) ones(c, 0) = 1;
+    gemm<Real>(in.position, ones, sums);
     for (std::int64_t m = 0; m < in.position.rows; ++m) {
-      const double p = mean(in.position, m);
+      const double p = static_cast<double>(sums(m, 0)) / in.position.cols;
       const double d = in.direction.empty() ? 0 : mean(in.direction, in.ray_of_sample(m, 0));
       if (!saved.empty()) reinterpret_cast<Real*>(saved.data())[m] = static_cast<Real>(p);
       const double leak = broken_ == Break::sigma_sees_direction                    ? 1e-3 * d
@@ -149,7 +176,12 @@ INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenField,
                                          Case{Break::sigma_needs_colour, "sigma with others unwanted"},
                                          Case{Break::forget_d_position, "every d_position written"},
                                          Case{Break::sums_as_they_come, "again, gradient of w"},
-                                         Case{Break::rounds_by_size, "split batch, sigma"}));
+                                         Case{Break::rounds_by_size, "split batch, sigma"},
+                                         Case{Break::hides_scratch, "scratch_bytes, 1 samples: 127 bytes, but 128"},
+                                         Case{Break::claims_much_scratch, "less than 1/2 of it"},
+                                         Case{Break::hides_a_layer, "say 0 multiply-adds, derive and forward made 165"},
+                                         Case{Break::nameless_layer, "layers: ''"},
+                                         Case{Break::adds_up_wrongly, "but the layers add up to 5000"}));
 
 // A device's library may choose other kernels for other shapes: then the law is one of size, and stays one.
 TEST(FieldLaws, WithoutSameBitsATolerance) {

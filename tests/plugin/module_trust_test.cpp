@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "plugin/loader.h"
 #include "system/files.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
@@ -176,6 +177,50 @@ TEST_F(ModuleTrust, SchemasHoldTheParametersOfOutsidePlugins) {
   EXPECT_EQ(without.out.find("number of sine bands a coordinate"), std::string::npos);
   const Result sweep = run({"config", "schema", "--sweep"});
   EXPECT_TRUE(nlohmann::json::parse(sweep.out)["properties"].contains("variants")) << sweep.err;
+}
+
+std::string refusal_of_kernels(Registry& registry) {
+  try {
+    add_cuda_kernels_of_modules(registry);
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::unavailable);
+    return error.what();
+  }
+  return "";
+}
+
+// No device is needed: its kernels are tables of addresses.
+TEST(ModuleKernels, OfACudaDeviceComeFromTheLibraryBesideTheModule) {
+  Registry registry;
+  load_module(registry, probe("sound"));
+  EXPECT_FALSE(registry.kernels().has(Device::cuda, "encoder 'toy'"));
+  EXPECT_EQ(refusal_of_kernels(registry), "");
+  EXPECT_TRUE(registry.kernels().has(Device::cuda, "encoder 'toy'"));
+  EXPECT_EQ(refusal_of_kernels(registry), "") << "a second session asks again";
+}
+
+TEST(ModuleKernels, AreCheckedBeforeTheyAreLoaded) {
+  const std::string folder = fresh_folder("kernels"), module = folder + "/toys.so", kernels = folder + "/toys_cuda.so";
+  fs::copy_file(probe("sound"), module);
+  Registry registry;
+  load_module(registry, module);
+  EXPECT_EQ(refusal_of_kernels(registry), "") << "nothing lies beside it";
+  const auto expect_refused = [&](const std::string& why) {
+    const std::string text = refusal_of_kernels(registry);
+    EXPECT_NE(text.find("cannot load the CUDA kernels '" + kernels + "' of plugin '" + module + "': "),
+              std::string::npos)
+        << text;
+    EXPECT_NE(text.find(why), std::string::npos) << text;
+    EXPECT_FALSE(registry.kernels().has(Device::cuda, "encoder 'toy'"));
+  };
+  write_file_atomic(kernels, "plain text");
+  expect_refused("it is no shared library");
+  fs::remove(kernels);
+  fs::copy_file(probe("other_api"), kernels);
+  expect_refused("the module speaks plugin API 999");
+  fs::remove(kernels);
+  fs::copy_file(probe("sound"), kernels);
+  expect_refused("it does not export 'semfield_plugin_cuda_kernels'");
 }
 
 }  // namespace

@@ -42,6 +42,15 @@ extern "C" {
 extern const char semfield_plugin_stamp[256];
 __attribute__((section(".semfield_plugin"), used)) const char semfield_plugin_stamp[256] = "something else";
 }
+#elif defined(CASE_SOUND_CUDA)
+namespace semfield::cuda {
+void probe_kernels(KernelTables& tables);
+void probe_kernels(KernelTables& tables) {
+  static constexpr int kTable = 0;
+  tables.add(Device::cuda, "encoder 'toy'", &kTable);
+}
+}  // namespace semfield::cuda
+SEMFIELD_PLUGIN_CUDA_KERNELS(probe_kernels)
 #elif !defined(CASE_NO_STAMP)
 SEMFIELD_PLUGIN_MODULE(probe, "1.0", semfield::toy::register_into)
 #endif

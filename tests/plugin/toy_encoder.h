@@ -19,6 +19,8 @@ enum class Break {
   float_off,
   skip_dx,
   sums_as_they_come,
+  hides_scratch,
+  claims_much_scratch,
 };
 
 struct ToyParams {
@@ -47,12 +49,22 @@ class ToyEncoder final : public Encoder<Real> {
   EncoderTraits traits() const noexcept override {
     return {in_dims_, static_cast<std::int32_t>(params_.bands), Domain::metric};
   }
+  std::size_t scratch_bytes(std::int64_t samples) const noexcept override {
+    ScratchSum sum;
+    sum.take<Real>(samples, 1);
+    return broken_ == Break::hides_scratch         ? sum.bytes() / 2
+           : broken_ == Break::claims_much_scratch ? 3 * sum.bytes()
+                                                   : sum.bytes();
+  }
   void declare(ParamDeclarer& declarer) const override {
     declarer.tensor({"table", params_.bands, 1, Init::uniform(1.0), TensorRole::dense});
   }
 
  protected:
-  void do_forward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const override {
+  void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
+                  View<Real> y) const override {
+    const Workspace::Scope scope(*ctx.workspace);
+    (void)ctx.workspace->take<Real>(x.rows, 1);
     for (std::int64_t r = 0; r < x.rows; ++r) {
       if (broken_ == Break::skip_last_row && r + 1 == x.rows) continue;
       for (std::int32_t b = 0; b < y.cols; ++b) {

@@ -61,10 +61,7 @@ inline void expect_same_gradients(const std::string& yaml, const std::string& ot
 
 /// Central differences of the total loss in a few elements of every learned tensor, or of the semantic ones alone, at
 /// least `fewest` in all.
-inline void expect_finite_differences(const std::string& yaml, double tolerance, bool semantic_alone = false,
-                                      int fewest = 16) {
-  Registry registry = make_registry();
-  Oracle oracle(yaml, registry);
+inline void expect_finite_differences(Oracle& oracle, double tolerance, bool semantic_alone = false, int fewest = 16) {
   oracle.gradients();
   std::map<std::string, std::vector<double>> analytic;
   for (const Tensor<double>& t : oracle.pipeline->store().all()) {
@@ -95,6 +92,12 @@ inline void expect_finite_differences(const std::string& yaml, double tolerance,
     }
   }
   EXPECT_GE(checked, fewest);
+}
+inline void expect_finite_differences(const std::string& yaml, double tolerance, bool semantic_alone = false,
+                                      int fewest = 16) {
+  Registry registry = make_registry();
+  Oracle oracle(yaml, registry);
+  expect_finite_differences(oracle, tolerance, semantic_alone, fewest);
 }
 
 }  // namespace semfield::testing_train

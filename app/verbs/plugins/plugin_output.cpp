@@ -6,6 +6,7 @@
 #include "config/params_read.h"
 #include "core/error.h"
 #include "model/device_library.h"
+#include "session/assembly.h"
 
 namespace semfield::app {
 
@@ -43,7 +44,7 @@ void print_plugins_json(const Registry& registry, const std::string& only) {
 void add_cuda_kernels(AppContext& context) {
   if (!has_cuda_library()) return;
   try {
-    cuda_library().add_kernels(context.registry.kernels());
+    semfield::add_cuda_kernels(context.registry);
   } catch (const Error& error) {
     print_note(context, error.what());
   }

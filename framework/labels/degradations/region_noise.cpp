@@ -160,7 +160,8 @@ class RegionNoise final : public Degradation {
       if (scene.frames[f].instance.empty()) {
         throw Error(ErrorKind::data,
                     std::string(kType) + ": " + frame_place(scene.info.frames[f]) + " has no instance image",
-                    "use a dataset with instances (obj_room; replica with semantic_instance/), or another degradation");
+                    "use a scene whose dataset reads instances (docs/reference/plugins.md says which do), or another "
+                    "degradation");
       }
     }
     std::vector<std::vector<View>> of_frame(frames.size());

@@ -33,10 +33,10 @@ void describe(ParamVisitor& visit, HashGridParams& params);
 void validate(const HashGridParams& params, Diagnostics& diagnostics);
 
 /// Puts numbers where finest_resolution or log2_entries is 0, and adds a sentence for each.
-/// finest_resolution: cells of 4/5 of a pixel at the scene's middle depth (a multiple of 8; 2048 cells where its extent or the pixel is
-/// unknown), at least base_resolution. log2_entries: the first power of two that holds the vertices on both sides of six
-/// walls of the finest level, 12 (N + 1)^2, but not below 2^14, and on a CPU at most 1 MiB a level in float: a core's L2
-/// cache.
+/// finest_resolution: cells of 4/5 of a pixel at the scene's middle depth (a multiple of 8; 2048 cells where its extent
+/// or the pixel is unknown), at least base_resolution. log2_entries: the first power of two that holds the vertices on
+/// both sides of six walls of the finest level, 12 (N + 1)^2, but not below 2^14, and on a CPU at most 1 MiB a level in
+/// float: a core's L2 cache.
 void choose(HashGridParams& params, const EncoderBuild& build, std::vector<std::string>& chosen);
 
 /// The grids that the parameters ask for, coarsest first.
@@ -51,6 +51,9 @@ class HashGrid final : public Encoder<Real> {
  public:
   HashGrid(const HashGridParams& params, const EncoderBuild& build, const KernelTables& kernels);
   EncoderTraits traits() const noexcept override;
+  std::size_t scratch_bytes(std::int64_t samples) const noexcept override {
+    return kernels_->scratch_bytes == nullptr ? 0 : kernels_->scratch_bytes(shape_, samples);
+  }
   void declare(ParamDeclarer& declarer) const override;
   const HashGridShape& shape() const noexcept { return shape_; }
 

@@ -28,17 +28,19 @@ struct HashGridShape {
 template <class Real>
 struct HashGridKernels {
   /// y [M, levels * features] from x [M, 3] and one table a level. Returns the first row that is not finite, or -1.
-  /// Parallel over levels where the caller is not. Scratch: at most M + 64 rows of y.
-  std::int64_t (*forward)(const HashGridShape& shape, const View<Real>* tables, View<const double> x,
-                          View<Real> y, Workspace& workspace) = nullptr;
+  /// Parallel over levels where the caller is not. Scratch: see scratch_bytes.
+  std::int64_t (*forward)(const HashGridShape& shape, const View<Real>* tables, View<const double> x, View<Real> y,
+                          Workspace& workspace) = nullptr;
   /// grads += dL/dtables. CPU: one thread a level, rows in order, so any thread count gives the same bits; scratch as
-  /// above. CUDA: in any order without scratch, or with launch().deterministic in fixed point: the same bits every time,
-  /// with 8 bytes of scratch an entry and feature of the largest 8 / F neighbouring levels.
+  /// forward. CUDA: in any order without scratch, or with launch().deterministic in fixed point: the same bits every
+  /// time, with 8 bytes of scratch an entry and feature of the largest 8 / F neighbouring levels.
   void (*backward_tables)(const HashGridShape& shape, const View<Real>* grads, View<const double> x,
                           View<const Real> dy, Workspace& workspace) = nullptr;
   /// dx = dL/dx [M, 3]; parallel over blocks of rows.
   void (*backward_input)(const HashGridShape& shape, const View<Real>* tables, View<const double> x,
                          View<const Real> dy, View<Real> dx) = nullptr;
+  /// Of forward and backward_tables. Null: not planned ahead on this device.
+  std::size_t (*scratch_bytes)(const HashGridShape& shape, std::int64_t rows) = nullptr;
 };
 
 void hash_grid_kernels(KernelTables& tables);

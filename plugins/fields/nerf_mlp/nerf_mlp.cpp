@@ -113,6 +113,35 @@ std::size_t NerfMlp<Real>::saved_bytes(std::int64_t samples, std::int64_t) const
 }
 
 template <class Real>
+std::size_t NerfMlp<Real>::scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept {
+  return kernels_->scratch_bytes == nullptr ? 0 : kernels_->scratch_bytes(shape_, samples, rays);
+}
+
+template <class Real>
+std::vector<LayerShape> NerfMlp<Real>::layers() const {
+  const NerfMlpShape& s = shape_;
+  std::vector<LayerShape> list;
+  for (std::int32_t i = 0; i < s.depth; ++i) {
+    const std::string name = "trunk_" + std::to_string(i);
+    if (i == 0 || i == s.skip_at)
+      list.push_back({name, s.position_dims, s.width, LayerRows::sample, LayerInput::position});
+    if (i > 0) list.push_back({name, s.width, s.width});
+  }
+  list.push_back({"density", s.width, 1});
+  // The product of the two weights, and of a bias with the second.
+  if (s.folds())
+    list.push_back({"folded", s.width, s.view_width, LayerRows::step, LayerInput::activation, s.width + 1});
+  if (s.has_feature_activation()) list.push_back({"feature", s.width, s.width});
+  list.push_back({"view", s.width, s.view_width});
+  if (s.has_direction()) {
+    list.push_back({"view", s.direction_dims, s.view_width, s.direction_once ? LayerRows::ray : LayerRows::sample,
+                    LayerInput::direction});
+  }
+  list.push_back({"color", s.view_width, 3});
+  return list;
+}
+
+template <class Real>
 void NerfMlp<Real>::derive(const StepContext&, const Tensors<Real>& tensors) const {
   kernels_->derive(shape_, tensors);
 }

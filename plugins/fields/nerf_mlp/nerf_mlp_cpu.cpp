@@ -52,6 +52,19 @@ Activations<Real> in_saved(const NerfMlpShape& s, std::int64_t samples, Saved sa
   return a;
 }
 
+/// The larger of what forward and backward take below.
+template <class Real>
+std::size_t scratch_bytes(const NerfMlpShape& s, std::int64_t samples, std::int64_t rays) {
+  ScratchSum sum;
+  for (int turn = 0; turn < 2; ++turn) sum.take<Real>(samples, s.width);
+  sum.take<Real>(samples, 3);
+  sum.take<Real>(samples, s.view_width);
+  if (s.has_direction() && s.direction_once) sum.take<Real>(rays, s.view_width);
+  if (s.has_direction() && !s.direction_once) sum.take<Real>(samples, s.direction_dims);
+  if (s.has_feature_activation()) sum.take<Real>(samples, s.width);
+  return sum.bytes();
+}
+
 /// Without a backward two trunk buffers take turns and stay in cache.
 template <class Real>
 Activations<Real> in_workspace(const NerfMlpShape& s, std::int64_t samples, bool with_color, Workspace& arena) {
@@ -303,8 +316,8 @@ void derive_backward(const NerfMlpShape& s, const Tensors<Real>& t) {
 }
 
 template <class Real>
-constexpr NerfMlpKernels<Real> kTable{forward<Real>, backward<Real>, derive<Real>, derive_backward<Real>,
-                                      saved_bytes<Real>};
+constexpr NerfMlpKernels<Real> kTable{forward<Real>,     backward<Real>, derive<Real>,       derive_backward<Real>,
+                                      saved_bytes<Real>, nullptr,        scratch_bytes<Real>};
 
 }  // namespace
 

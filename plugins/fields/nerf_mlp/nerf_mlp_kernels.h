@@ -48,6 +48,8 @@ struct NerfMlpKernels {
   std::size_t (*saved_bytes)(const NerfMlpShape& shape, std::int64_t samples) = nullptr;
   /// Null: FeatureForm::full.
   FeatureForm (*feature_form)(const NerfMlpShape& shape, std::int32_t hidden_width) = nullptr;
+  /// Null: not planned ahead on this device.
+  std::size_t (*scratch_bytes)(const NerfMlpShape& shape, std::int64_t samples, std::int64_t rays) = nullptr;
 };
 
 void nerf_mlp_kernels(KernelTables& tables);

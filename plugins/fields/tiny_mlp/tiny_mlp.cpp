@@ -91,6 +91,31 @@ std::size_t TinyMlp<Real>::saved_bytes(std::int64_t samples, std::int64_t) const
 }
 
 template <class Real>
+std::size_t TinyMlp<Real>::scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept {
+  return kernels_->scratch_bytes == nullptr ? 0 : kernels_->scratch_bytes(shape_, samples, rays);
+}
+
+template <class Real>
+std::vector<LayerShape> TinyMlp<Real>::layers() const {
+  const TinyMlpShape& s = shape_;
+  std::vector<LayerShape> list;
+  for (std::size_t i = 0; i < s.hidden.size(); ++i) {
+    list.push_back({"hidden_" + std::to_string(i), i == 0 ? s.position_dims : s.hidden_width, s.hidden_width,
+                    LayerRows::sample, i == 0 ? LayerInput::position : LayerInput::activation});
+  }
+  if (s.has_geometry()) list.push_back({"geometry", s.hidden_width, 1 + s.geometry_features});
+  for (std::size_t i = 0; i < s.color.size(); ++i) {
+    const std::string name = "color_" + std::to_string(i);
+    list.push_back({name, i == 0 ? s.geometry_features : s.color_width, s.color_width});
+    if (i > 0 || !s.has_direction()) continue;
+    list.push_back({name, s.direction_dims, s.color_width, s.direction_once ? LayerRows::ray : LayerRows::sample,
+                    LayerInput::direction});
+  }
+  if (!s.feature_only) list.push_back({"rgb", s.color_width, 3});
+  return list;
+}
+
+template <class Real>
 void TinyMlp<Real>::derive(const StepContext&, const Tensors<Real>& tensors) const {
   kernels_->derive(shape_, tensors);
 }

@@ -44,6 +44,8 @@ class TinyMlp final : public Field<Real> {
     return kernels_->feature_form == nullptr ? FeatureForm::full : kernels_->feature_form(shape_, hidden_width);
   }
   std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
+  std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
+  std::vector<LayerShape> layers() const override;
   void declare(ParamDeclarer& declarer) const override;
   void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override;
 

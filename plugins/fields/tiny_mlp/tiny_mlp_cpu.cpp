@@ -1,4 +1,5 @@
 // CPU kernels of the small network: matrix products over one tile of samples that stays in cache.
+#include <algorithm>
 #include <array>
 #include <utility>
 
@@ -37,6 +38,20 @@ std::size_t saved_bytes(const TinyMlpShape& s, std::int64_t samples) {
   return s.hidden.size() * padded(samples, s.hidden_width, sizeof(Real)) +
          padded(samples, s.geometry_cols(), sizeof(Real)) +
          s.color.size() * padded(samples, s.color_width, sizeof(Real));
+}
+
+/// The larger of what forward and backward take below.
+template <class Real>
+std::size_t scratch_bytes(const TinyMlpShape& s, std::int64_t samples, std::int64_t rays) {
+  ScratchSum geometry, hidden, color;  // the two others take turns
+  geometry.take<Real>(samples, s.geometry_cols());
+  for (int turn = 0; turn < 2; ++turn) hidden.take<Real>(samples, s.hidden_width);
+  if (s.feature_only) return geometry.bytes() + hidden.bytes();
+  color.take<Real>(samples, 3);
+  for (int turn = 0; turn < 2; ++turn) color.take<Real>(samples, s.color_width);
+  if (s.has_direction() && s.direction_once) color.take<Real>(rays, s.color_width);
+  if (s.has_direction() && !s.direction_once) color.take<Real>(samples, s.direction_dims);
+  return geometry.bytes() + std::max(hidden.bytes(), color.bytes());
 }
 
 /// In `saved`, or, when no backward will follow, in the workspace.
@@ -145,6 +160,7 @@ void forward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<Real>&
 template <class Real>
 void color_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<Real>& t, const FieldIn<Real>& in,
                     View<const Real> rgb, View<const Real> d_rgb, const Activations<Real>& a, View<Real> d_features) {
+  const Workspace::Scope scope(arena);
   const std::int64_t samples = in.position.rows;
   const View<Real> d_logit = arena.take<Real>(samples, 3);
   for (std::int64_t m = 0; m < samples; ++m) {
@@ -238,7 +254,8 @@ void derive(const TinyMlpShape& s, const Tensors<Real>& t) {
 }
 
 template <class Real>
-constexpr TinyMlpKernels<Real> kTable{forward<Real>, backward<Real>, derive<Real>, saved_bytes<Real>};
+constexpr TinyMlpKernels<Real> kTable{forward<Real>,     backward<Real>, derive<Real>,
+                                      saved_bytes<Real>, nullptr,        scratch_bytes<Real>};
 
 }  // namespace
 

@@ -51,6 +51,8 @@ struct TinyMlpKernels {
   std::size_t (*saved_bytes)(const TinyMlpShape& shape, std::int64_t samples) = nullptr;
   /// Null: FeatureForm::full.
   FeatureForm (*feature_form)(const TinyMlpShape& shape, std::int32_t hidden_width) = nullptr;
+  /// Null: not planned ahead on this device.
+  std::size_t (*scratch_bytes)(const TinyMlpShape& shape, std::int64_t samples, std::int64_t rays) = nullptr;
 };
 
 void tiny_mlp_kernels(KernelTables& tables);

@@ -1,11 +1,10 @@
 // The big network on the device against the CPU's in float64: every switch, output and width; the same bits every run.
-#include "fields/nerf_mlp/nerf_mlp.h"
-
 #include <string>
 #include <vector>
 
 #include "cuda/kernel_tables.h"
-#include "device_field.h"
+#include "fields/nerf_mlp/nerf_mlp.h"
+#include "tests/cuda/device_field.h"
 
 namespace semfield {
 namespace {

@@ -5,9 +5,9 @@
 #include <vector>
 
 #include "cuda/kernel_tables.h"
-#include "device_field.h"
 #include "fields/tiny_mlp/tiny_mlp.h"
 #include "fields/tiny_mlp/tiny_mlp_layers.cuh"
+#include "tests/cuda/device_field.h"
 
 namespace semfield::testing {
 

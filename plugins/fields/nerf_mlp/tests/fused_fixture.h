@@ -1,8 +1,8 @@
 // When tests of the fused kernels of the big network run.
 #pragma once
 
-#include "device_fixture.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.h"
+#include "tests/cuda/device_fixture.h"
 
 namespace semfield::testing {
 

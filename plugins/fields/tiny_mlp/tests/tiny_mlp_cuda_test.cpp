@@ -1,14 +1,13 @@
 // The small network on the device: against the CPU's in float64 for every switch, width and output; fused kernels
 // against the layers one by one; and what a device adds: unused rows, and the same bits in every run.
-#include "fields/tiny_mlp/tiny_mlp.h"
-
 #include <cuda_bf16.h>
 
 #include <algorithm>
 #include <string>
 #include <vector>
 
-#include "tiny_mlp_tables.h"
+#include "fields/tiny_mlp/tiny_mlp.h"
+#include "plugins/fields/tiny_mlp/tests/tiny_mlp_cuda_tables.h"
 
 namespace semfield {
 namespace {

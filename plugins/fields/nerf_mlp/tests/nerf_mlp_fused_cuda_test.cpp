@@ -3,9 +3,9 @@
 #include <vector>
 
 #include "cuda/kernel_tables.h"
-#include "device_field.h"
 #include "fields/nerf_mlp/nerf_mlp.h"
-#include "fused_fixture.h"
+#include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
+#include "tests/cuda/device_field.h"
 
 namespace semfield {
 namespace {

@@ -1,16 +1,15 @@
 // The hash grid on the device against its float64 twin on the CPU: values, gradients of tables in any order and in
 // fixed point, gradients of positions, rows out of use, faults.
-#include "plugins/encoders/hash_grid/hash_grid.h"
-
 #include <algorithm>
 #include <cmath>
 #include <memory>
 
 #include "core/error.h"
 #include "cuda/kernel_tables.h"
-#include "device_fixture.h"
+#include "encoders/hash_grid/hash_grid.h"
 #include "testkit/compare.h"
 #include "testkit/tensor_box.h"
+#include "tests/cuda/device_fixture.h"
 
 namespace semfield {
 namespace {

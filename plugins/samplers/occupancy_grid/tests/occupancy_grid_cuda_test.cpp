@@ -1,13 +1,12 @@
 // The occupancy grid on the device: samples, densities and bits of the CPU, bit for bit. Only the mean density is
 // summed in another order: within 1e-6, and so are the threshold made from it and the share of occupied cells.
-#include "samplers/occupancy_grid/occupancy_grid.h"
-
 #include <algorithm>
 #include <array>
 
 #include "core/error.h"
-#include "sampler_bench.h"
+#include "samplers/occupancy_grid/occupancy_grid.h"
 #include "testkit/tensor_box.h"
+#include "tests/cuda/sampler_bench.h"
 
 namespace semfield {
 namespace {

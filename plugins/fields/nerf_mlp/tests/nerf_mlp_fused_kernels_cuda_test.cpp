@@ -1,14 +1,13 @@
 // The fused kernels of the big network, one by one: every layer against plain loops over what the layer before left.
 // Only processors of compute capability 9.0 run them.
-#include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <string>
 #include <vector>
 
-#include "fused_fixture.h"
+#include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
+#include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
 #include "testkit/compare.h"
 
 namespace semfield {

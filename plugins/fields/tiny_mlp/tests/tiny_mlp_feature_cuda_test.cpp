@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "fields/tiny_mlp/tiny_mlp.h"
-#include "tiny_mlp_tables.h"
+#include "plugins/fields/tiny_mlp/tests/tiny_mlp_cuda_tables.h"
 
 namespace semfield {
 namespace {

@@ -1,12 +1,11 @@
-// Stratified and importance samplers on the device: the samples of the CPU, bit for bit. No tolerance: both compute
+// The importance sampler on the device: the samples of the CPU, bit for bit. No tolerance: both compute
 // with float64 in the same order, without fused operations.
 #include <algorithm>
 #include <limits>
 
 #include "core/error.h"
-#include "sampler_bench.h"
 #include "samplers/importance/importance.h"
-#include "samplers/stratified/stratified.h"
+#include "tests/cuda/sampler_bench.h"
 
 namespace semfield {
 namespace {
@@ -14,85 +13,6 @@ namespace {
 using namespace testing;
 
 constexpr Quadrature kRules[] = {Quadrature::paper, Quadrature::midpoint, Quadrature::stratified_bin};
-
-std::string compare(const Sampler<float>& cpu, const Sampler<float>& device, const StepContext& ctx,
-                    const HostRays& rays, HostProposal* previous, std::int64_t gap) {
-  DeviceLaunch launch;
-  const HostSamples want = sample_on_cpu(cpu, ctx, {}, rays, previous);
-  DeviceBatch batch(device, rays, previous, gap);
-  batch.sample(device_context(ctx, launch), {});
-  const HostSamples got = batch.read();
-  EXPECT_EQ(launch.take_fault(), std::nullopt);
-  return difference(want, got);
-}
-
-constexpr std::pair<Quadrature, SampleSpacing> kRulesAndSpacings[] = {
-    {Quadrature::paper, SampleSpacing::linear},
-    {Quadrature::midpoint, SampleSpacing::linear},
-    {Quadrature::stratified_bin, SampleSpacing::linear},
-    {Quadrature::paper, SampleSpacing::disparity},
-    {Quadrature::stratified_bin, SampleSpacing::disparity}};
-
-TEST(CudaStratified, SamplesAreThoseOfTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
-  for (const std::int64_t rays : {1, 31, 33, 1025}) {
-    for (const std::int64_t samples : {1, 31, 32, 64, 100}) {
-      for (const auto& [rule, spacing] : kRulesAndSpacings) {
-        const Twins<Stratified> twins(StratifiedParams{samples, rule, spacing});
-        for (const bool training : {false, true}) {
-          const std::int64_t empty_every = (rays + samples) % 3;  // none, all, every other
-          EXPECT_EQ(compare(twins.cpu, twins.device, context_at(samples, training), random_rays(rays, 1, empty_every),
-                            nullptr, rays % 2),
-                    "")
-              << rays << " rays, " << samples << " samples, rule " << static_cast<int>(rule) << ", " << training;
-        }
-      }
-    }
-  }
-}
-
-TEST(CudaStratified, ManyRaysAreCountedOverManyBlocks) {
-  SEMFIELD_NEEDS_DEVICE();
-  for (const std::int64_t rays : {1023, 1024, 4097, 65537}) {
-    const Twins<Stratified> twins(StratifiedParams{3, Quadrature::paper});
-    EXPECT_EQ(compare(twins.cpu, twins.device, context_at(9, true), random_rays(rays, 2, 7), nullptr, 0), "") << rays;
-  }
-}
-
-TEST(CudaStratified, NoRaysNoLaunch) {
-  SEMFIELD_NEEDS_DEVICE();
-  const Twins<Stratified> twins(StratifiedParams{});
-  const HostRays none;
-  DeviceLaunch launch(true);
-  DeviceBatch batch(twins.device, none, nullptr, 0);
-  batch.sample(device_context(context_at(0, true), launch), {});
-  EXPECT_EQ(batch.read().t.size(), 0u);
-}
-
-// Previous samples of `rays`: up to `per_ray` a ray, fewer on every third ray if ragged, with weights of many sizes,
-// spikes, and rays without any weight.
-HostProposal previous_of(const HostRays& rays, std::int64_t per_ray, bool ragged) {
-  const Twins<Stratified> twins(StratifiedParams{std::max<std::int64_t>(1, per_ray), Quadrature::paper});
-  const HostSamples all = sample_on_cpu(twins.cpu, context_at(3, true), {}, rays);
-  HostProposal previous;
-  previous.per_ray = per_ray;
-  previous.samples.first.push_back(0);
-  for (std::int64_t r = 0; r < rays.count(); ++r) {
-    const std::int32_t begin = all.first[static_cast<std::size_t>(r)];
-    const std::int64_t given = all.first[static_cast<std::size_t>(r + 1)] - begin;
-    const std::int64_t kept = std::min(per_ray, ragged && r % 3 == 1 ? r % (given + 1) : given);
-    for (std::int64_t k = 0; k < kept; ++k) {
-      const auto at = static_cast<std::size_t>(begin + k);
-      const float u = uniform01({4, 0, 5}, static_cast<std::uint64_t>(begin + k));
-      previous.samples.t.push_back(all.t[at]);
-      previous.samples.delta.push_back(all.delta[at]);
-      previous.samples.ray.push_back(static_cast<std::int32_t>(r));
-      previous.weight.push_back(r % 5 == 0 ? 0.F : r % 5 == 1 ? (k == kept / 2 ? 1.F : 0.F) : std::exp(-20 * u));
-    }
-    previous.samples.first.push_back(static_cast<std::int32_t>(previous.samples.t.size()));
-  }
-  return previous;
-}
 
 TEST(CudaImportance, SamplesAreThoseOfTheCpu) {
   SEMFIELD_NEEDS_DEVICE();
@@ -170,28 +90,6 @@ TEST(CudaSamplers, ACapturedGraphFollowsTheStepInTheCell) {
   }
   (void)cudaGraphExecDestroy(step);
   (void)cudaGraphDestroy(graph);
-}
-
-TEST(CudaSamplers, LimitsThatAreNotFiniteAreAFault) {
-  SEMFIELD_NEEDS_DEVICE();
-  const Twins<Stratified> twins(StratifiedParams{});
-  for (const double bad : {std::numeric_limits<double>::infinity(), std::nan("")}) {
-    HostRays rays = random_rays(1500, 1, 0);
-    rays.near_far[2 * 1100 + 1] = bad;
-    rays.near_far[2 * 1400] = bad;
-    const StepContext ctx = context_at(1, true);
-    DeviceLaunch later;
-    DeviceBatch batch(twins.device, rays, nullptr, 0);
-    batch.sample(device_context(ctx, later), {});
-    EXPECT_EQ(later.take_fault(), (NotedFault{cuda::Stage::rays, 1100}));
-    const HostSamples got = batch.read();
-    EXPECT_EQ(got.live(), 1498 * 64);
-    for (const float t : got.t) ASSERT_TRUE(std::isfinite(t));
-    DeviceLaunch at_once(true);
-    EXPECT_EQ(error_of([&] { batch.sample(device_context(ctx, at_once), {}); }),
-              error_of([&] { sample_on_cpu(twins.cpu, ctx, {}, rays); }));
-    EXPECT_EQ(at_once.take_fault(), std::nullopt);
-  }
 }
 
 TEST(CudaImportance, ABadWeightIsAFault) {

@@ -1,0 +1,68 @@
+// The frequency encoder on the device against its float64 twin on the CPU.
+#include "encoders/frequency/frequency.h"
+#include "tests/cuda/encoder_bench.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing;
+
+template <class Encoder, class Params>
+Encoder make(const Params& params, std::int32_t dims, Device device) {
+  return make_encoder<Encoder>(frequency_kernels, params, dims, device);
+}
+
+struct FrequencyCase {
+  std::int32_t dims = 3;
+  FrequencyParams params;
+};
+
+std::vector<FrequencyCase> frequency_cases() {
+  std::vector<FrequencyCase> cases;
+  for (const Arithmetic arithmetic : {Arithmetic::float64, Arithmetic::float32, Arithmetic::naive}) {
+    for (const Angular angular : {Angular::radian, Angular::pi}) {
+      cases.push_back({3, {10, true, angular, arithmetic}});
+    }
+  }
+  cases.push_back({3, {4, true, Angular::radian, Arithmetic::float64}});
+  cases.push_back({3, {10, false, Angular::radian, Arithmetic::float64}});
+  cases.push_back({2, {7, true, Angular::radian, Arithmetic::float64}});
+  cases.push_back({1, {0, true, Angular::radian, Arithmetic::float64}});
+  cases.push_back({kFrequencyMaxDims, {40, true, Angular::pi, Arithmetic::float64}});
+  cases.push_back({kFrequencyMaxDims, {40, false, Angular::radian, Arithmetic::float64}});
+  return cases;
+}
+
+TEST(CudaFrequency, FollowsItsTwinOnTheCpu) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const FrequencyCase& c : frequency_cases()) {
+    const auto device = make<Frequency<float>>(c.params, c.dims, Device::cuda);
+    const auto host = make<Frequency<double>>(c.params, c.dims, Device::cpu);
+    for (const std::int64_t rows : {0, 1, 31, 33, 64, c.dims == 3 ? 4097 : 137}) {
+      for (const Strides strides : kStrides) {
+        SCOPED_TRACE(std::to_string(c.dims) + " coordinates, " + std::to_string(c.params.frequencies) + " bands, " +
+                     std::to_string(rows) + " rows, stride +" + std::to_string(strides.y) + ", arithmetic " +
+                     std::to_string(static_cast<int>(c.params.arithmetic)));
+        // Values: half a unit in the last place of 4 (the input) and of the polynomials. dx: its bands add up to 2^L
+        // with errors of 1.2e-7 each.
+        expect_twins(device, host, random_doubles(rows * c.dims, 3, -4, 4), strides, 2.4e-7, 1e-6);
+      }
+    }
+  }
+}
+
+TEST(CudaFrequency, TheHighestBandIsAsAccurateAsTheLowestFarFromTheOrigin) {
+  SEMFIELD_NEEDS_DEVICE();
+  const FrequencyParams params{40, false, Angular::radian, Arithmetic::float64};
+  expect_twins(make<Frequency<float>>(params, 3, Device::cuda), make<Frequency<double>>(params, 3, Device::cpu),
+               random_doubles(3 * 1000, 5, -1048576, 1048576), {}, 1.3e-7, 1e-6);
+}
+
+TEST(CudaFrequency, CoordinatesThatCannotBeEncodedAreFaults) {
+  SEMFIELD_NEEDS_DEVICE();
+  const auto encoder = make<Frequency<float>>(FrequencyParams{}, 3, Device::cuda);
+  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, 2147483648.0}) expect_fault_of(encoder, bad);
+}
+
+}  // namespace
+}  // namespace semfield
