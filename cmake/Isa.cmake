@@ -4,15 +4,15 @@
 # development and sanitizers, and for processors other than x86-64.
 set(semfield_default_isas build)
 if(CMAKE_BUILD_TYPE STREQUAL "Release" AND NOT SEMFIELD_SANITIZE AND NOT SEMFIELD_MARCH AND CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64")
-  set(semfield_default_isas generic avx2 avx512 avx512_bf16)
+  set(semfield_default_isas generic avx2 avx512 avx512_bf16 amx_emulated amx_bf16)
 endif()
-set(SEMFIELD_ISAS "${semfield_default_isas}" CACHE STRING "Instruction sets of the kernels: generic;avx2;avx512;avx512_bf16, or build")
+set(SEMFIELD_ISAS "${semfield_default_isas}" CACHE STRING "Instruction sets of the kernels: generic;avx2;avx512;avx512_bf16;amx_emulated;amx_bf16, or build")
 
 include(${CMAKE_CURRENT_LIST_DIR}/KernelObjects.cmake)
 
-# Variants that have kernels of their own; avx512_bf16 differs from avx512 in the few files of ALL_ISAS alone.
+# Variants that have kernels of their own; these differ from avx512 in the few files of ALL_ISAS alone.
 set(SEMFIELD_KERNEL_ISAS ${SEMFIELD_ISAS})
-list(REMOVE_ITEM SEMFIELD_KERNEL_ISAS avx512_bf16)
+list(REMOVE_ITEM SEMFIELD_KERNEL_ISAS avx512_bf16 amx_emulated amx_bf16)
 
 # SEMFIELD_FOR_EACH_ISA(X) expands to X(generic) X(avx2) ...: what dispatchers are written with.
 function(semfield_isa_macro name isas)

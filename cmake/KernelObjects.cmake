@@ -5,6 +5,8 @@ set(SEMFIELD_ISA_FLAGS_avx2 -march=x86-64-v3)
 # Left to itself GCC vectorises with half-width registers.
 set(SEMFIELD_ISA_FLAGS_avx512 -march=x86-64-v4 -mprefer-vector-width=512)
 set(SEMFIELD_ISA_FLAGS_avx512_bf16 ${SEMFIELD_ISA_FLAGS_avx512} -mavx512bf16)
+set(SEMFIELD_ISA_FLAGS_amx_emulated ${SEMFIELD_ISA_FLAGS_avx512_bf16} -DSEMFIELD_TILES=EmulatedTiles)
+set(SEMFIELD_ISA_FLAGS_amx_bf16 ${SEMFIELD_ISA_FLAGS_avx512_bf16} -DSEMFIELD_TILES=HardwareTiles)
 
 # semfield_kernel_objects(out prefix [ALL_ISAS] files...): compiles the files once per variant, each in namespace semfield::isa_<variant>
 # (SEMFIELD_ISA), and gives the names of the object libraries. Such a file keeps everything of its own in an unnamed or in that namespace: an

@@ -64,7 +64,7 @@ bool bf16_is_native() {
 #if defined(__AVX512BF16__)
   return true;  // the whole build has them
 #else
-  return isa() == Isa::avx512_bf16;
+  return isa() >= Isa::avx512_bf16 && isa() != Isa::build;
 #endif
 }
 

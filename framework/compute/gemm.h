@@ -17,9 +17,10 @@ enum class Precision : std::uint8_t { fp32, bf16 };
 /// [k, n] and C [m, n] with contiguous columns. Strides in elements.
 ///
 /// start, at most one of: accumulate (C's old value), bias (one row for all), row_term (row row_of[i], or row i when
-/// row_of is null); none: zero. Each element of C is one chain of fused multiply-adds over k ascending from its start,
+/// row_of is null); none: zero. Each element of C is one chain of sums over k ascending from its start (fused
+/// multiply-adds; with bf16, what the instruction set adds at once),
 /// whatever m is and wherever its row stands: splitting the rows into calls, or k into accumulating calls (with bf16:
-/// at even k), gives the same bits.
+/// at multiples of 32), gives the same bits.
 template <class Real>
 struct Gemm {
   std::int64_t m = 0, n = 0, k = 0;
@@ -41,7 +42,7 @@ struct Gemm {
   Precision precision = Precision::fp32;
 };
 
-/// Runs in the calling thread; allocates nothing (288 KiB of stack).
+/// Runs in the calling thread; allocates nothing (320 KiB of stack).
 template <class Real>
 void gemm(const Gemm<Real>& g);
 

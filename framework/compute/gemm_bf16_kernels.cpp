@@ -1,9 +1,19 @@
 // The matrix product with A and B rounded to bf16 and sums in fp32, for one instruction set.
+#if defined(SEMFIELD_TILES)
+#include "compute/gemm_amx.h"
+#else
 #include "compute/gemm_tiles.h"
+#endif
 
 namespace semfield::SEMFIELD_ISA {
 
 void bf16_gemm(const Gemm<float>& g);
+
+#if defined(SEMFIELD_TILES)
+
+void bf16_gemm(const Gemm<float>& g) { amx::gemm<SEMFIELD_TILES>(g); }
+
+#else
 
 namespace {
 
@@ -162,5 +172,7 @@ void bf16_gemm(const Gemm<float>& g) {
     for (std::int64_t k0 = 0; k0 == 0 || k0 < g.k; k0 += kBlockK) block(g, col, cols, k0, std::min(kBlockK, g.k - k0));
   }
 }
+
+#endif
 
 }  // namespace semfield::SEMFIELD_ISA

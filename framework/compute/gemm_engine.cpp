@@ -25,20 +25,10 @@ const OnednnGemm& onednn() {
 constexpr bool kBuilt = false;
 #endif
 
-bool has_matrix_tiles() {
-#if defined(__x86_64__) && !defined(__clang__)  // clang 14 does not know the name
-  return __builtin_cpu_supports("amx-bf16");
-#else
-  return false;
-#endif
-}
-
 }  // namespace
 
-const OnednnGemm* choose_gemm_engine(GemmEngine wanted, Precision precision) {
-  const bool pays = kBuilt && precision == Precision::bf16 && has_matrix_tiles();
-  const bool foreign = wanted == GemmEngine::onednn || (wanted == GemmEngine::automatic && pays);
-  return foreign ? &onednn() : nullptr;
+const OnednnGemm* choose_gemm_engine(GemmEngine wanted, Precision) {
+  return wanted == GemmEngine::onednn ? &onednn() : nullptr;
 }
 
 std::string gemm_engine_text() {

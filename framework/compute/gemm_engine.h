@@ -11,8 +11,8 @@ namespace semfield {
 
 enum class GemmEngine : std::uint8_t { automatic, builtin, onednn };
 
-/// For WorkSettings::gemm; null: our kernels. automatic: oneDNN for bf16 products
-/// on processors with matrix tiles (AMX), which our kernels do not use, else our kernels, which are as fast without
+/// For WorkSettings::gemm; null: our kernels, which automatic takes too: they are as fast or faster
+/// everywhere that was measured
 /// (docs/evidence/performance.md). Throws Error(unavailable) when oneDNN is asked for and not there.
 const OnednnGemm* choose_gemm_engine(GemmEngine wanted, Precision precision);
 

@@ -14,18 +14,25 @@
 
 namespace semfield {
 
-/// Weakest first. `build`: the only variant of a build that compiles its kernels once, with its own flags.
-enum class Isa : std::uint8_t { generic, avx2, avx512, avx512_bf16, build };
+/// Weakest first. amx_emulated: the kernels of amx_bf16 with its tile instructions written in those of avx512_bf16, for
+/// tests; never chosen unless it is asked for. `build`: the only variant of a build that compiles its kernels once,
+/// with its own flags.
+enum class Isa : std::uint8_t { generic, avx2, avx512, avx512_bf16, amx_emulated, amx_bf16, build };
 
 std::string_view isa_name(Isa isa);
 
 /// The instruction set in use: the best that this processor and this build have, or less by the environment variable
-/// SEMFIELD_ISA (generic, avx2, avx512, avx512_bf16). Throws Error(config) when that names something else or something
-/// that is missing.
+/// SEMFIELD_ISA (generic, avx2, avx512, avx512_bf16, amx_emulated, amx_bf16). Throws Error(config) when that names
+/// something else or something that is missing.
 Isa isa();
 
-/// Variants of this build, e.g. "generic avx2 avx512 avx512_bf16".
+/// Whether this processor has tile registers with products of bf16 (AMX), and the kernel lets this process use them.
+bool processor_has_tiles();
+
+/// Variants of this build, e.g. "generic avx2 avx512 avx512_bf16 amx_emulated amx_bf16".
 std::string isas_of_build();
+/// Those of them that this processor has.
+std::string isas_of_machine();
 
 template <class Function>
 struct IsaVariant {

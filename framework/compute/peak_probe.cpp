@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "compute/amx_tiles.h"
+#include "compute/isa.h"
 #include "compute/parallel.h"
 
 #if defined(__x86_64__)
@@ -65,6 +67,42 @@ __attribute__((target("avx512f,avx512bf16"))) double bf16_loop(float start) {
     _mm512_store_ps(values.data(), chain[i]);
     for (const float v : values) sum += static_cast<double>(v);
   }
+  return sum;
+}
+#endif
+
+#if defined(__x86_64__)
+constexpr std::int64_t kTileRounds = 2000;  // of one call
+constexpr double kTileFlop = 2.0 * 4 * kTileRounds * 16 * 16 * 32;
+
+double tile_loop(float start) {
+  isa_build::HardwareTiles tiles;
+  alignas(64) std::array<float, 256> operand;  // as bf16: 0 and start in turn, where its lower half is 0
+  operand.fill(start);
+  tiles.load<4>(operand.data(), 64);
+  tiles.load<5>(operand.data(), 64);
+  tiles.zero<0>();
+  tiles.zero<1>();
+  tiles.zero<2>();
+  tiles.zero<3>();
+  for (std::int64_t round = 0; round < kTileRounds; ++round) {
+    tiles.multiply_add<0, 4, 5>();
+    tiles.multiply_add<1, 4, 5>();
+    tiles.multiply_add<2, 4, 5>();
+    tiles.multiply_add<3, 4, 5>();
+  }
+  double sum = 0;
+  const auto add = [&] {
+    for (const float value : operand) sum += static_cast<double>(value);
+  };
+  tiles.store<0>(operand.data(), 64);
+  add();
+  tiles.store<1>(operand.data(), 64);
+  add();
+  tiles.store<2>(operand.data(), 64);
+  add();
+  tiles.store<3>(operand.data(), 64);
+  add();
   return sum;
 }
 #endif
@@ -180,6 +218,10 @@ double peak_fp32_flops(int threads, double seconds) {
 
 double peak_bf16_flops(int threads, double seconds) {
 #if defined(__x86_64__)
+  if (processor_has_tiles()) {
+    return rate(threads, seconds, kTileFlop,
+                [](std::int64_t n) { return tile_loop(1 + 0.01F * static_cast<float>(n % 8)); });
+  }
   if (__builtin_cpu_supports("avx512bf16")) {
     return rate(threads, seconds, kBf16Flop,
                 [](std::int64_t n) { return bf16_loop(1 + 0.01F * static_cast<float>(n % 8)); });
@@ -203,6 +245,7 @@ std::vector<ProbeCall> probe_calls() {
   std::vector<ProbeCall> calls{{"fp32", fp32_flop(width), width.loop(1)}};
 #if defined(__x86_64__)
   if (__builtin_cpu_supports("avx512bf16")) calls.push_back({"bf16", kBf16Flop, bf16_loop(1)});
+  if (processor_has_tiles()) calls.push_back({"tiles", kTileFlop, tile_loop(1)});
 #endif
   std::vector<std::uint64_t> table(kProbeTableWords);
   for (std::size_t i = 0; i < table.size(); ++i) table[i] = i;

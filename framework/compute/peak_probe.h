@@ -11,7 +11,8 @@ namespace semfield {
 /// build was compiled for: it is the machine's limit, not the build's.
 double peak_fp32_flops(int threads, double seconds);
 
-/// The same for products of bfloat16 pairs added in float (vdpbf16ps); 0 where the processor has none.
+/// The same for products of bfloat16 pairs added in float by tile registers (tdpbf16ps) or vectors
+/// (vdpbf16ps); 0 where the processor has neither.
 double peak_bf16_flops(int threads, double seconds);
 
 /// Reads a second of 8-byte words at random places of a table of `bytes` (rounded down to a power of two, one table
@@ -21,7 +22,7 @@ double random_reads(int threads, std::size_t bytes, double seconds);
 /// One call of a loop that a probe repeats. Its result tells how many rounds every chain made, and with them whether
 /// `operations` are those that were executed.
 struct ProbeCall {
-  const char* name = "";  ///< "fp32", "bf16", "reads"
+  const char* name = "";  ///< "fp32", "bf16", "tiles", "reads"
   double operations = 0;  ///< that the probe counts for it: floating-point operations, or reads
   double result = 0;
 };
@@ -31,7 +32,8 @@ inline constexpr double kProbeScale = 0.99999;    ///< a chain of fp32: a = a * 
 inline constexpr int kProbeTableWords = 1 << 12;  ///< of the call that is shown; word i is i
 
 /// Of each loop that this processor has: chain i of a float loop starts at 1 + i; a round of bf16 adds 0.004 to the
-/// first half of a vector and 0.000006 to the second; reads return the sum of the words read.
+/// first half of a vector and 0.000006 to the second; half of the
+/// products of tiles are 1 and the others 0; reads return the sum of the words read.
 std::vector<ProbeCall> probe_calls();
 
 }  // namespace semfield

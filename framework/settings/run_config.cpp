@@ -81,9 +81,7 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
   SEMFIELD_PARAM(
       visit, p, precision,
       "precision of the networks' matrix products: fp32, or bf16 operands with fp32 sums, weights and gradients");
-  SEMFIELD_PARAM(
-      visit, p, gemm,
-      "which code computes matrix products on the CPU; auto: oneDNN for bf16 on processors with matrix tiles");
+  SEMFIELD_PARAM(visit, p, gemm, "which code computes matrix products on the CPU; auto: Semfield's own kernels");
   SEMFIELD_PARAM(visit, p, deterministic,
                  "a GPU sums in a fixed order, so that every run gives the same bits; the CPU always does");
   SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});

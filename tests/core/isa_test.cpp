@@ -58,6 +58,10 @@ TEST(Isa, EveryOneOfTheBuildThatTheProcessorHasIsTakenWhenTheEnvironmentNamesIt)
   EXPECT_NE(std::find(built.begin(), built.end(), best), built.end()) << best;
   bool beyond = false;  // the processor ends at the best
   for (const std::string& name : built) {
+    if (name == "amx_emulated") {  // taken where it is asked for and avx512_bf16 is there
+      EXPECT_EQ(said_with(name) == name, said_with("avx512_bf16") == "avx512_bf16");
+      continue;
+    }
     if (beyond) {
       EXPECT_NE(said_with(name).find("is no instruction set that this processor"), std::string::npos) << name;
     } else {
@@ -78,13 +82,19 @@ TEST(Isa, AnotherWordInTheEnvironmentIsRefusedWithThoseThatThereAre) {
 TEST(Isa, TakesTheBestVariantThatNeedsNoMore) {
   constexpr IsaVariant<int> kOnlyWeakest[] = {{Isa::generic, 1}};
   EXPECT_EQ(best_variant(kOnlyWeakest), 1);
-  constexpr IsaVariant<int> kAll[] = {
-      {Isa::generic, 0}, {Isa::avx2, 1}, {Isa::avx512, 2}, {Isa::avx512_bf16, 3}, {Isa::build, 4}};
+  constexpr IsaVariant<int> kAll[] = {{Isa::generic, 0},     {Isa::avx2, 1},         {Isa::avx512, 2},
+                                      {Isa::avx512_bf16, 3}, {Isa::amx_emulated, 4}, {Isa::amx_bf16, 5},
+                                      {Isa::build, 6}};
   EXPECT_EQ(best_variant(kAll), static_cast<int>(isa()));
-  if (isa() == Isa::avx512_bf16) {
+  if (isa() >= Isa::avx512_bf16 && isa() != Isa::build) {
     constexpr IsaVariant<int> kWithout[] = {{Isa::generic, 0}, {Isa::avx2, 1}, {Isa::avx512, 2}};
     EXPECT_EQ(best_variant(kWithout), 2);
   }
+}
+
+TEST(Isa, EmulatesTilesOnlyWhenAsked) {
+  const char* wanted = std::getenv("SEMFIELD_ISA");
+  EXPECT_EQ(isa() == Isa::amx_emulated, wanted != nullptr && std::string_view(wanted) == "amx_emulated");
 }
 
 }  // namespace

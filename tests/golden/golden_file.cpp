@@ -17,7 +17,8 @@ constexpr const char* kHead =
     "# tests/golden/golden_rows.cpp, a column an instruction set. A section holds for one compiler and one C library:\n"
     "# compilers contract different products and sums to fused multiply-adds, C libraries round exp and log "
     "differently.\n"
-    "# avx512_bf16 also names the maker of the processor, since nothing promises that both round VDPBF16PS alike.\n"
+    "# avx512_bf16 also names the maker of the processor, since nothing promises that both round VDPBF16PS alike;\n"
+    "# amx stands for both, the tile instructions and their emulation: their sums are the same bits.\n"
     "# A change that is meant to change numbers writes the section of its machine anew, and removes those it cannot "
     "write:\n"
     "# SEMFIELD_WRITE_GOLDEN=1 build/release/tests/golden/golden_test\n";
@@ -42,6 +43,7 @@ std::string toolchain() {
 
 std::string column_name(const std::string& isa) {
 #if defined(__x86_64__)
+  if (isa == "amx_emulated" || isa == "amx_bf16") return "amx";
   if (isa == "avx512_bf16") {
     return isa + (__builtin_cpu_is("amd") ? "/amd" : __builtin_cpu_is("intel") ? "/intel" : "/other");
   }
