@@ -106,7 +106,7 @@ SurfaceRequest request_of(const MeshOptions& options, const Session& s) {
 }
 
 PointSet points_of(const Session& s, double voxel, const AppContext& context) {
-  PointCloud cloud(voxel, s.pipeline->options().rules.background);
+  PointCloud cloud(voxel, s.pipeline->options().rules.background());
   const std::vector<int> frames = s.scene.frames_of(Split::train);
   ProgressLine progress(context, "points of", "views");
   for (std::size_t i = 0; i < frames.size(); ++i) {

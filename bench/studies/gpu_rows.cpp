@@ -7,7 +7,7 @@
 
 #include "compute/parallel.h"
 #include "core/error.h"
-#include "model/device_library.h"
+#include "execution/device_library.h"
 #include "studies/peer.h"
 
 namespace semfield {

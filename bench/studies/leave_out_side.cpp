@@ -11,9 +11,9 @@
 #include <memory>
 
 #include "core/error.h"
+#include "execution/lane_executor.h"
 #include "formats/image_formats.h"
 #include "formats/image_io.h"
-#include "model/lane_executor.h"
 #include "studies/step_bench.h"
 #include "system/sha256.h"
 

@@ -1,6 +1,6 @@
 // The matrix product with A and B rounded to bf16 and sums in fp32, for one instruction set.
 #if defined(SEMFIELD_TILES)
-#include "compute/gemm_amx.h"
+#include "compute/amx/gemm.h"
 #else
 #include "compute/gemm_tiles.h"
 #endif

@@ -1,7 +1,7 @@
 // Single calls of components on the device: what tests of plugins use.
 #pragma once
 
-#include "model/device_library.h"
+#include "execution/device_library.h"
 
 namespace semfield::cuda {
 

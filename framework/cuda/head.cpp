@@ -2,7 +2,7 @@
 #include <array>
 
 #include "cuda/bf16.h"
-#include "cuda/layers.h"
+#include "cuda/kernels/layers.h"
 #include "cuda/matmul.h"
 #include "cuda/stages.h"
 

@@ -1,8 +1,8 @@
 // Layers as products with epilogues; where cuBLASLt has no such epilogue, as a product and a pass behind it.
 #include <type_traits>
 
+#include "cuda/kernels/layers.h"
 #include "cuda/launch.h"
-#include "cuda/layers.h"
 #include "cuda/matmul.h"
 
 namespace semfield::cuda {

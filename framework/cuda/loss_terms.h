@@ -5,7 +5,7 @@
 #include <string_view>
 
 #include "core/workspace.h"
-#include "cuda/losses.h"
+#include "cuda/kernels/losses.h"
 #include "losses/loss_list.h"
 
 namespace semfield::cuda {

@@ -5,7 +5,7 @@
 
 #include "core/error.h"
 #include "cuda/stream_executor.h"
-#include "model/lane_executor.h"
+#include "execution/lane_executor.h"
 
 namespace semfield::cuda {
 

@@ -1,11 +1,11 @@
 #include "cuda/stages.h"
 
-#include "cuda/adam.h"
 #include "cuda/bf16.h"
-#include "cuda/hidden_channels.h"
-#include "cuda/layers.h"
-#include "cuda/losses.h"
-#include "cuda/rendering.h"
+#include "cuda/kernels/adam.h"
+#include "cuda/kernels/hidden_channels.h"
+#include "cuda/kernels/layers.h"
+#include "cuda/kernels/losses.h"
+#include "cuda/kernels/rendering.h"
 #include "model/semantic_branch.h"
 
 namespace semfield::cuda {

@@ -4,10 +4,10 @@
 
 #include <cstdint>
 
+#include "cuda/kernels/losses.h"
 #include "cuda/launch.h"
-#include "cuda/losses.h"
 #include "cuda/memory.h"
-#include "model/ray_batch.h"
+#include "execution/ray_batch.h"
 
 namespace semfield::cuda {
 

@@ -9,16 +9,16 @@
 #include "classes/class_table.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "cuda/adam.h"
 #include "cuda/calls.h"
 #include "cuda/device.h"
 #include "cuda/kernel_tables.h"
-#include "cuda/layers.h"
+#include "cuda/kernels/adam.h"
+#include "cuda/kernels/layers.h"
 #include "cuda/loss_terms.h"
 #include "cuda/matmul.h"
 #include "cuda/stages.h"
+#include "execution/train_rays.h"
 #include "model/ray_guard.h"
-#include "model/train_rays.h"
 
 namespace semfield::cuda {
 
@@ -248,7 +248,7 @@ class StreamExecutor::BatchExecutor final : public StepExecutor<float> {
     const auto classes = static_cast<std::int32_t>(owner_.class_weight_.size());
     semantic_cross_entropy(arena, logits, targets,
                            classes == 0 ? View<const float>() : owner_.class_weight_.view(1, classes),
-                           owner_.host_.options().semantic_weight, d_logits, sums(pass));
+                           owner_.host_.options().rules.semantics.weight, d_logits, sums(pass));
   }
   LossTraits active_terms() const override {
     return shape_.terms != 0 ? owner_.host_.options().losses.traits(shape_.terms) : LossTraits{};

@@ -5,12 +5,12 @@
 #include <memory>
 #include <vector>
 
-#include "cuda/losses.h"
+#include "cuda/kernels/losses.h"
 #include "cuda/memory.h"
 #include "cuda/staging.h"
 #include "cuda/store.h"
-#include "model/device_library.h"
-#include "model/pipeline.h"
+#include "execution/device_library.h"
+#include "execution/pipeline.h"
 
 namespace semfield::cuda {
 

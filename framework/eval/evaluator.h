@@ -9,8 +9,8 @@
 #include "eval/entropy_groups.h"
 #include "eval/metrics.h"
 #include "eval/rays.h"
+#include "execution/pipeline.h"
 #include "labels/training_labels.h"
-#include "model/pipeline.h"
 #include "scene/stored_frame.h"
 
 namespace semfield {

@@ -138,7 +138,7 @@ PointAttributes render_attributes(Pipeline<float>& pipeline, std::span<const Vec
   std::vector<double> origin(3 * rows), direction(3 * rows), near_far(2 * rows);
   std::vector<float> color(3 * rows), opacity(rows), entropy(rows);
   std::vector<std::int16_t> label(rows);
-  const std::array<double, 3>& background = pipeline.options().rules.background;
+  const std::array<double, 3> background = pipeline.options().rules.background();
   for (std::size_t begin = 0; begin < points.size(); begin += rows) {
     const std::size_t count = std::min(rows, points.size() - begin);
     for (std::size_t r = 0; r < count; ++r) {

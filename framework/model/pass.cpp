@@ -71,11 +71,11 @@ void Pass<Real>::encode(const StepContext& ctx, int lane, View<const double> x, 
 template <class Real>
 DensityRule Pass<Real>::density_rule(const StepContext& ctx) const {
   DensityRule rule;
-  rule.activation = rules_.activation;
-  rule.bias = rules_.density_bias;
+  rule.activation = rules_.rendering.density_activation;
+  rule.bias = rules_.rendering.density_bias;
   rule.first_ray = ctx.first_ray;
-  if (!ctx.training || rules_.density_noise <= 0) return rule;
-  rule.deviation = rules_.density_noise;
+  if (!ctx.training || rules_.rendering.density_noise <= 0) return rule;
+  rule.deviation = rules_.rendering.density_noise;
   rule.random = ctx.random("density_noise");
   return rule;
 }
@@ -140,7 +140,7 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
   if (request.colors) trace.color = arena.take<Real>(ray_count, 3);
   trace.depth = arena.take<Real>(ray_count, 1);
   trace.opacity = arena.take<Real>(ray_count, 1);
-  if (stages_->host_memory && !ctx.training && rules_.early_stop > 0 && count > ray_count * kRound) {
+  if (stages_->host_memory && !ctx.training && rules_.rendering.early_stop > 0 && count > ray_count * kRound) {
     evaluate_in_rounds(ctx, lane, trace, request.colors);
   } else {
     evaluate(ctx, lane, trace, request.colors);
@@ -216,7 +216,7 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
     trace.out.feature = arena.take<Real>(trace.samples.count, parts_.field->traits().feature_dims);
     stages_->fill(trace.out.feature, Real(0));
   }
-  const double tau_stop = -std::log(rules_.early_stop);
+  const double tau_stop = -std::log(rules_.rendering.early_stop);
   View<std::int32_t> source = arena.take<std::int32_t>(ray_count * kRound, 1);
   for (;;) {
     const Workspace::Scope scope(arena);
@@ -265,8 +265,8 @@ CompositeIn<Real> Pass<Real>::composite_in(const PassTrace<Real>& trace) const {
   in.samples = &trace.samples;
   in.sigma = trace.sigma;
   in.rgb = trace.out.rgb;
-  in.far = rules_.far;
-  in.background = rules_.background;
+  in.far = rules_.rendering.far;
+  in.background = rules_.background();
   return in;
 }
 
@@ -310,7 +310,7 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   const bool semantic = trace.semantic_rays > 0 && !d_logits.empty();
   SEMFIELD_CHECK(!semantic || !branch_, "gradients of a branch are branch_backward's");
   const bool deferred = rules_.deferred_class_layer, rounded = !trace.rounded_hidden.empty();
-  const bool moves_density = !rules_.stop_gradient_to_density;
+  const bool moves_density = !rules_.semantics.stop_gradient_to_density;
   const View<Real> d_sigma = arena.take<Real>(count, 1), d_rgb = arena.take<Real>(count, 3);
   CompositeIn<Real> in = composite_in(trace);
   CompositeOut<Real> out;
@@ -344,7 +344,7 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   stages_->composite_backward(in, out, grad, d_sigma, d_rgb, d_per_sample);
   if (semantic && !rounded) hidden_backward(ctx, lane, trace, d_per_sample, of_field);
   if (!d.sigma.empty()) stages_->add(d.sigma, d_sigma);
-  stages_->density_backward(rules_.activation, trace.out.sigma, d_sigma, d_sigma);
+  stages_->density_backward(rules_.rendering.density_activation, trace.out.sigma, d_sigma, d_sigma);
   of_field.sigma = d_sigma;
   of_field.rgb = d_rgb;
   const View<const std::int32_t> ray_of_sample = trace.samples.ray_of_sample.row_range(0, count);

@@ -8,32 +8,21 @@
 #include <string>
 #include <vector>
 
+#include "core/workspace_pool.h"
 #include "losses/loss_term.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
 #include "model/domain_map.h"
+#include "model/render_rules.h"
 #include "model/semantic_branch.h"
 #include "model/semantic_head.h"
 #include "model/stages.h"
 #include "model/tensor_store.h"
-#include "model/workspace_pool.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
-
-/// Fixed rules of rendering, the same for every pass.
-struct RenderRules {
-  DensityActivation activation = DensityActivation::relu;
-  double density_bias = 0;  ///< added to raw density: how thin the fog is that training starts from
-  FarMode far = FarMode::open;
-  double density_noise = 0;                   ///< standard deviation added to raw density in training [Mildenhall20]
-  std::array<double, 3> background{0, 0, 0};  ///< added to colour only
-  double early_stop = 0;                      ///< rendering stops a ray when its transmittance falls below; 0 = never
-  bool stop_gradient_to_density = false;      ///< semantics do not shape geometry
-  bool deferred_class_layer = true;
-};
 
 template <class Real>
 struct PassParts {

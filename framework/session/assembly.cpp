@@ -159,19 +159,13 @@ std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry
 
 PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan) {
   PipelineOptions options;
-  options.rules.activation = config.rendering.density_activation;
-  options.rules.density_bias = config.rendering.density_bias;
-  options.rules.far = config.rendering.far;
-  options.rules.density_noise = config.rendering.density_noise;
-  for (std::size_t i = 0; i < 3; ++i) options.rules.background[i] = config.rendering.background[i];
-  options.rules.early_stop = plan.late_samples ? 0 : config.rendering.early_stop;
-  options.rules.stop_gradient_to_density = config.semantics.stop_gradient_to_density;
+  options.rules.rendering = config.rendering;
+  if (plan.late_samples) options.rules.rendering.early_stop = 0;
+  options.rules.semantics = config.semantics;
   options.rules.deferred_class_layer = config.runtime.deferred_class_layer;
   options.seed = config.runtime.seed;
   options.lanes = config.runtime.lanes;
   options.tile_rays = config.runtime.tile_rays;
-  options.semantic_weight = config.semantics.weight;
-  options.normalisation = config.semantics.normalisation;
   options.losses = LossList(config.losses, config.train.steps);
   options.head_on_all_rays = plan.head_on_unlabelled_rays;
   return options;

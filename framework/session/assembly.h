@@ -3,10 +3,10 @@
 
 #include <memory>
 
-#include "model/device_library.h"
+#include "execution/device_library.h"
+#include "execution/network_plan.h"
+#include "execution/pipeline.h"
 #include "model/leave_out.h"
-#include "model/network_plan.h"
-#include "model/pipeline.h"
 #include "settings/run_config.h"
 
 namespace semfield {

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "eval/rays.h"
+#include "execution/pipeline.h"
 #include "labels/training_labels.h"
-#include "model/pipeline.h"
 #include "scene/stored_frame.h"
 #include "settings/run_config.h"
 

@@ -9,7 +9,7 @@
 
 #include "compute/float_mode.h"
 #include "core/error.h"
-#include "model/lane_executor.h"
+#include "execution/lane_executor.h"
 
 namespace semfield {
 
@@ -160,7 +160,7 @@ void Trainer::note_density(const StepLosses& losses) {
 
 void Trainer::check_alive() const {
   if (dead_steps_ < kDeadSteps) return;
-  const bool relu = pipeline_.options().rules.activation == DensityActivation::relu;
+  const bool relu = pipeline_.options().rules.rendering.density_activation == DensityActivation::relu;
   throw Error(
       ErrorKind::failure,
       fmt::format("step {}: pass '{}' had no density at any sample of the last {} steps: every weight is 0, no "

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "model/pipeline.h"
+#include "execution/pipeline.h"
 #include "optim/adam.h"
 #include "optim/schedule.h"
 #include "session/ray_source.h"

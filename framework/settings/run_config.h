@@ -15,9 +15,7 @@
 #include "labels/training_labels.h"
 #include "loading/frame_source.h"
 #include "losses/loss_list.h"
-#include "losses/semantic_cross_entropy.h"
-#include "model/compositor.h"
-#include "model/density_activation.h"
+#include "model/render_rules.h"
 #include "model/semantic_branch.h"
 #include "optim/adam.h"
 #include "optim/schedule.h"
@@ -26,37 +24,6 @@
 #include "settings/propagation_params.h"
 
 namespace semfield {
-
-struct SemanticsParams {
-  double weight = 0.04;
-  bool stop_gradient_to_density = false;
-  int hidden_width = 128;
-  SemanticNormalisation normalisation = SemanticNormalisation::mean_labelled;
-  bool balance_classes = false;
-};
-void describe(ParamVisitor& visit, SemanticsParams& params);
-
-/// What lies outside the scene's bounds.
-///   nothing     rays end there;
-///   contracted  all of space, drawn in [Barron22]: rays go on to far.
-enum class Outside : std::uint8_t { nothing, contracted };
-template <>
-struct ChoiceNames<Outside> {
-  static constexpr std::array<std::string_view, 2> names{"nothing", "contracted"};
-};
-
-struct RenderingParams {
-  DensityActivation density_activation = DensityActivation::relu;
-  double density_bias = 0;
-  FarMode far = FarMode::open;
-  double density_noise = 0;
-  std::vector<double> background{0, 0, 0};
-  double early_stop = 1e-4;
-  double scene_scale = 0;
-  Outside outside = Outside::nothing;
-};
-void describe(ParamVisitor& visit, RenderingParams& params);
-void validate(const RenderingParams& params, Diagnostics& diagnostics);
 
 enum class RaySourceKind : std::uint8_t { all_images, one_image, label_balanced };
 template <>

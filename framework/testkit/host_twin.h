@@ -1,7 +1,7 @@
 // Components on a device that look like ones on the host: laws and numerical cases written for host memory run on them.
 #pragma once
 
-#include "model/device_library.h"
+#include "execution/device_library.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/sampler.h"

@@ -19,9 +19,10 @@ bool ends_with(const std::string& text, const std::string& end) {
   return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
-const Folders kFrameworkFolders{"core",     "system",  "compute", "config", "formats", "classes", "scene", "survey",
-                                "loading",  "plugin",  "labels",  "losses", "model",   "optim",   "cuda",  "eval",
-                                "settings", "session", "run",     "report", "fuse",    "mesh",    "sweep", "testkit"};
+const Folders kFrameworkFolders{"core",   "system",  "compute", "config",   "formats", "classes", "scene",
+                                "survey", "loading", "plugin",  "labels",   "losses",  "model",   "execution",
+                                "optim",  "cuda",    "eval",    "settings", "session", "run",     "report",
+                                "fuse",   "mesh",    "sweep",   "testkit"};
 
 // A folder and those that it may include. Folders inside a folder stand on its floor.
 const std::map<std::string, Folders>& floors() {
@@ -33,7 +34,8 @@ const std::map<std::string, Folders>& floors() {
   static const Folders scene = with(ground, {"config", "formats", "classes", "scene"});
   static const Folders loading = with(scene, {"survey", "loading"});
   static const Folders model = with(scene, {"plugin", "losses", "optim", "model"});
-  static const Folders settings = with(model, {"survey", "loading", "labels", "optim", "settings"});
+  static const Folders execution = with(model, {"execution"});
+  static const Folders settings = with(execution, {"survey", "loading", "labels", "optim", "settings"});
   static const Folders run = with(settings, {"eval", "session", "run"});
   static const std::map<std::string, Folders> table{
       {"core", {"core"}},
@@ -50,8 +52,9 @@ const std::map<std::string, Folders>& floors() {
       {"losses", with(ground, {"config", "losses"})},
       {"optim", with(ground, {"config", "optim"})},
       {"model", model},
-      {"cuda", with(model, {"cuda"})},
-      {"eval", with(model, {"survey", "loading", "labels", "eval"})},
+      {"execution", execution},
+      {"cuda", with(execution, {"cuda"})},
+      {"eval", with(execution, {"survey", "loading", "labels", "eval"})},
       {"settings", settings},
       {"session", with(settings, {"eval", "session"})},
       {"run", run},

@@ -39,8 +39,6 @@ TEST(SourceRules, NoFileIsTooLong) {
 }
 
 TEST(SourceRules, NoFolderOfTheFrameworkIsTooFull) {
-  // Waits for one model on all devices: their twins go.
-  const std::set<std::string> to_be_divided{"framework/cuda", "framework/model"};
   struct Folder {
     int files = 0;
     std::int64_t lines = 0;
@@ -53,7 +51,6 @@ TEST(SourceRules, NoFolderOfTheFrameworkIsTooFull) {
   }
   EXPECT_GT(folders.size(), 25u);
   for (const auto& [name, folder] : folders) {
-    if (to_be_divided.contains(name)) continue;
     EXPECT_LE(folder.files, kMostFiles) << name << " wants to be two folders";
     EXPECT_LE(folder.lines, kMostFolderLines) << name << " wants to be two folders";
   }

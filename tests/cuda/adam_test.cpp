@@ -1,5 +1,5 @@
 // Adam on the device against the processor's: the same bits where that one has fused multiply-add.
-#include "cuda/adam.h"
+#include "cuda/kernels/adam.h"
 
 #include <gtest/gtest.h>
 

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <limits>
 
-#include "cuda/rendering.h"
+#include "cuda/kernels/rendering.h"
 #include "device_fixture.h"
 #include "testkit/compare.h"
 #include "tests/model_compositor/rays_of_slabs.h"

@@ -7,7 +7,7 @@
 #include <sstream>
 
 #include "device_fixture.h"
-#include "model/device_library.h"
+#include "execution/device_library.h"
 #include "plugin/linked_plugins.h"
 #include "plugin/reference.h"
 #include "testkit/host_twin.h"

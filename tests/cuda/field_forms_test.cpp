@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "device_field.h"
-#include "model/device_library.h"
+#include "execution/device_library.h"
 #include "tests/conformance/builds.h"
 
 namespace semfield {

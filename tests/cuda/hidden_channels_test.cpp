@@ -1,5 +1,5 @@
 // Hidden channels along rays on the device, kept as fp32 or bf16, against plain sums in float64.
-#include "cuda/hidden_channels.h"
+#include "cuda/kernels/hidden_channels.h"
 
 #include <gtest/gtest.h>
 

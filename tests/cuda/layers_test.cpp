@@ -1,5 +1,5 @@
 // Products and layers on the device against plain loops in float64; which epilogues cuBLASLt has; same bits every run.
-#include "cuda/layers.h"
+#include "cuda/kernels/layers.h"
 
 #include <algorithm>
 #include <cmath>

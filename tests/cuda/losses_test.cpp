@@ -1,5 +1,5 @@
 // Losses on the device against the processor's in float64.
-#include "cuda/losses.h"
+#include "cuda/kernels/losses.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // Places of samples, densities, opacity resolution and the finite check on the device against the processor's.
-#include "cuda/rendering.h"
+#include "cuda/kernels/rendering.h"
 
 #include <gtest/gtest.h>
 

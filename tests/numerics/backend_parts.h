@@ -8,8 +8,8 @@
 
 #include "compute/cpu_kernels.h"
 #include "compute/isa.h"
+#include "execution/device_library.h"
 #include "isa_list.h"
-#include "model/device_library.h"
 #include "named_case.h"
 #include "plugin/encoder.h"
 

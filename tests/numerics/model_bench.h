@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "core/small_math.h"
-#include "model/pipeline.h"
+#include "execution/pipeline.h"
 #include "ray_bench.h"
 
 namespace semfield::numerics {

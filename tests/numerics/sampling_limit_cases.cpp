@@ -153,7 +153,8 @@ template <class Real>
 std::unique_ptr<Pipeline<Real>> pipeline(const Registry& registry, bool learned_encoding) {
   PipelineOptions options;
   options.lanes = 2;
-  options.rules.background = {0.5, 0.5, 0.5};
+  options.rules.rendering.background = {0.5, 0.5, 0.5};
+  options.rules.rendering.early_stop = 0;
   std::vector<PassParts<Real>> passes;
   passes.push_back(learned_encoding
                        ? small_pass<Real>(registry, "8", "hash_grid",

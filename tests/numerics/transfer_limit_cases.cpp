@@ -34,12 +34,13 @@ void measure_early_stop(CaseRun& run, FarMode far) {
   constexpr double kCut = 1e-4;
   const double rounding = tolerance_of<Real>(2e-6);
   RenderRules rules;
-  rules.activation = DensityActivation::softplus;
-  rules.density_bias = 3;
-  rules.background = {1, 1, 1};
-  rules.far = far;
+  rules.rendering.density_activation = DensityActivation::softplus;
+  rules.rendering.density_bias = 3;
+  rules.rendering.background = {1, 1, 1};
+  rules.rendering.far = far;
+  rules.rendering.early_stop = 0;
   RenderRules cutting = rules, every_logit = rules;
-  cutting.early_stop = kCut;
+  cutting.rendering.early_stop = kCut;
   every_logit.deferred_class_layer = false;
   ModelBench<Real> whole(run.registry(), rules), cut(run.registry(), cutting),
       sample_by_sample(run.registry(), every_logit);
@@ -130,7 +131,7 @@ void bad_density(CaseRun& run) {
     run.expect(true, "the largest number and -0 are densities");
     // The same of a whole pass, whose raw densities become infinite.
     RenderRules rules;
-    rules.density_bias = infinity;
+    rules.rendering.density_bias = infinity;
     ModelBench<Real> model(run.registry(), rules);
     const auto values = [&] {
       std::vector<Real> all;

@@ -5,7 +5,7 @@
 #include <string>
 
 #include "compute/isa.h"
-#include "model/device_library.h"
+#include "execution/device_library.h"
 #include "plugin/loader.h"
 #include "ripples_kernels.h"
 #include "session/assembly.h"

@@ -1,5 +1,5 @@
 // Kernels of 'ripples' for CUDA devices.
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "plugin/kernels.h"
 #include "ripples_kernels.h"
 

@@ -10,7 +10,7 @@
 #include <thread>
 
 #include "core/rng.h"
-#include "model/device_library.h"
+#include "execution/device_library.h"
 #include "run/checkpoint_store.h"
 #include "system/files.h"
 #include "tests/program.h"

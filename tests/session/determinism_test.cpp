@@ -10,7 +10,7 @@
 #include "compute/gemm_engine.h"
 #include "compute/parallel.h"
 #include "core/error.h"
-#include "model/lane_executor.h"
+#include "execution/lane_executor.h"
 #include "session/trainer.h"
 #include "tests/session/train_testing.h"
 

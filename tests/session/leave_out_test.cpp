@@ -251,8 +251,8 @@ TEST(LeaveOut, RowsOfSamplerAndEarlyStopNameTheirProof) {
   EXPECT_FALSE(leaves(plan_of({}, request), "late_samples"));
 
   Registry registry = make_registry();
-  EXPECT_GT(open_text(hash_config(), registry).pipeline->options().rules.early_stop, 0);
-  EXPECT_EQ(open_text(hash_config(), registry, {"late_samples"}).pipeline->options().rules.early_stop, 0);
+  EXPECT_GT(open_text(hash_config(), registry).pipeline->options().rules.rendering.early_stop, 0);
+  EXPECT_EQ(open_text(hash_config(), registry, {"late_samples"}).pipeline->options().rules.rendering.early_stop, 0);
 }
 
 TEST(LeaveOut, KeepTakesWhatIsNeededAnywayAndRefusesSettings) {

@@ -5,7 +5,7 @@
 
 #include "config/params_read.h"
 #include "core/error.h"
-#include "model/device_library.h"
+#include "execution/device_library.h"
 #include "session/assembly.h"
 
 namespace semfield::app {

@@ -1,5 +1,5 @@
 // The depth loss on the device: a warp a ray.
-#include "cuda/loss_rays.cuh"
+#include "cuda/kernels/loss_rays.cuh"
 #include "losses/depth/depth_math.h"
 
 namespace semfield::cuda {

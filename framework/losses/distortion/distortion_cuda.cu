@@ -1,5 +1,5 @@
 // The distortion loss on the device: a warp a ray, tiles of 32 samples from either end, sums by prefix in float64.
-#include "cuda/loss_rays.cuh"
+#include "cuda/kernels/loss_rays.cuh"
 #include "losses/distortion/distortion_math.h"
 
 namespace semfield::cuda {

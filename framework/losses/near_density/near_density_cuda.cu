@@ -1,5 +1,5 @@
 // The near-density loss on the device: a warp a ray.
-#include "cuda/loss_rays.cuh"
+#include "cuda/kernels/loss_rays.cuh"
 #include "losses/near_density/near_density.h"
 #include "losses/near_density/near_density_math.h"
 

@@ -2,7 +2,7 @@
 // from device memory is whole stretches of rows.
 #include <algorithm>
 
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "encoders/frequency/frequency_kernels.h"
 #include "plugin/kernels.h"
 

@@ -4,7 +4,7 @@
 #include <cstdint>
 
 #include "core/check.h"
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "encoders/hash_grid/hash_grid_kernels.h"
 
 namespace semfield::cuda {

@@ -1,5 +1,5 @@
 // CUDA kernels of the identity encoder: one thread a number.
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "encoders/identity/identity_kernels.h"
 #include "plugin/kernels.h"
 

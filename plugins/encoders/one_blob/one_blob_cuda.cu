@@ -2,7 +2,7 @@
 // coordinate, so that rows are written and read as whole stretches.
 #include <cstdint>
 
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "encoders/one_blob/one_blob_kernels.h"
 #include "plugin/kernels.h"
 

@@ -1,6 +1,6 @@
 // CUDA kernels of the spherical harmonics encoder: one thread a direction (directions are encoded once a ray, so there
 // are few).
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "encoders/spherical_harmonics/spherical_harmonics_kernels.h"
 #include "plugin/kernels.h"
 

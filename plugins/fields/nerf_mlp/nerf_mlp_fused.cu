@@ -2,8 +2,8 @@
 
 #include "core/check.h"
 #include "cuda/bf16.h"
+#include "cuda/kernels/layers.h"
 #include "cuda/launch.h"
-#include "cuda/layers.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused.h"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"

@@ -13,7 +13,7 @@
 #include <algorithm>
 #include <cstdint>
 
-#include "cuda/hopper.cuh"
+#include "cuda/kernels/hopper.cuh"
 #include "cuda/launch.h"
 
 namespace semfield::cuda::fused {

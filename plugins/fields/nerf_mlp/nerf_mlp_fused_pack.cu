@@ -1,6 +1,6 @@
 // What the fused kernels read and leave, in their layouts: weights in slabs, the position in blocks; and the narrow
 // sums over blocked activations.
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 #include "fields/nerf_mlp/nerf_mlp_math.h"

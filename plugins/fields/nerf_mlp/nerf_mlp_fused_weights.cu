@@ -6,7 +6,7 @@
 #include <nv/target>
 
 #include "core/error.h"
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <type_traits>
 
-#include "cuda/device_code.cuh"
-#include "cuda/layers.h"
+#include "cuda/kernels/device_code.cuh"
+#include "cuda/kernels/layers.h"
 #include "fields/nerf_mlp/nerf_mlp_heads.cuh"
 #include "fields/nerf_mlp/nerf_mlp_math.h"
 

@@ -6,8 +6,8 @@
 
 #include "core/check.h"
 #include "cuda/bf16.h"
+#include "cuda/kernels/layers.h"
 #include "cuda/launch.h"
-#include "cuda/layers.h"
 #include "cuda/matmul.h"
 #include "fields/nerf_mlp/nerf_mlp_heads.cuh"
 #include "fields/nerf_mlp/nerf_mlp_layered.h"

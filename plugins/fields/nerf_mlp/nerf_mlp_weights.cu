@@ -1,6 +1,6 @@
 #include "core/error.h"
-#include "cuda/device_code.cuh"
-#include "cuda/layers.h"
+#include "cuda/kernels/device_code.cuh"
+#include "cuda/kernels/layers.h"
 #include "fields/nerf_mlp/nerf_mlp_weights.cuh"
 
 namespace semfield::cuda {

@@ -1,7 +1,7 @@
 // Sums that blocks left in device memory, added in a fixed order.
 #pragma once
 
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 
 namespace semfield::cuda::tiny {
 

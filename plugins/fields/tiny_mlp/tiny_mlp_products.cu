@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "fields/tiny_mlp/tiny_mlp_math.h"
 #include "fields/tiny_mlp/tiny_mlp_partials.cuh"
 #include "fields/tiny_mlp/tiny_mlp_products.cuh"

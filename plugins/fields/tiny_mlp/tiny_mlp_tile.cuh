@@ -13,7 +13,7 @@
 
 #include <cstdint>
 
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "fields/tiny_mlp/tiny_mlp_kernels.h"
 
 namespace semfield::cuda::tiny {

@@ -2,7 +2,7 @@
 #include <cmath>
 
 #include "core/check.h"
-#include "cuda/sampling.cuh"
+#include "cuda/kernels/sampling.cuh"
 #include "plugin/kernels.h"
 #include "samplers/occupancy_grid/occupancy_grid_cuda.h"
 

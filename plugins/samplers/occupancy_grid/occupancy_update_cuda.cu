@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "core/check.h"
-#include "cuda/device_code.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "cuda/memory.h"
 #include "samplers/occupancy_grid/occupancy_grid_cuda.h"
 

@@ -1,5 +1,5 @@
 // CUDA kernels of the stratified sampler.
-#include "cuda/sampling.cuh"
+#include "cuda/kernels/sampling.cuh"
 #include "plugin/kernels.h"
 #include "samplers/stratified/stratified_kernels.h"
 #include "samplers/stratified/stratified_math.h"

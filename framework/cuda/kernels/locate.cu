@@ -1,0 +1,65 @@
+// Encoder coordinates of samples and of positions.
+#include "cuda/kernels/device_code.cuh"
+#include "cuda/kernels/rendering.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+constexpr int kSamples = 128;  // a block
+constexpr int kThreads = 3 * kSamples;
+
+// Coordinate `axis` of the place whose coordinates `p` gives: one alone where the map is affine.
+template <class Place>
+__device__ double mapped(const DomainMap& map, const Place& p, int axis) {
+  return map.radius > 0 ? map({p(0), p(1), p(2)})[axis] : map.along(axis, p(axis));
+}
+
+// One thread a coordinate, so that a warp writes consecutive numbers. A row: 12 B of t, delta and ray and 24 B of x;
+// the 48 B of a ray are read once for its samples and then found in cache.
+__global__ void __launch_bounds__(kThreads)
+    locate_kernel(Rays<float> rays, Samples<float> samples, DomainMap map, View<double> x, FaultKey* fault) {
+  const std::int64_t m = static_cast<std::int64_t>(blockIdx.x) * kSamples + threadIdx.x / 3;
+  const int axis = static_cast<int>(threadIdx.x % 3);
+  if (m >= x.rows) return;
+  if (m >= samples.first(rays.origin.rows, 0)) {
+    x(m, axis) = map.offset;
+    return;
+  }
+  const std::int32_t r = samples.ray_of_sample(m, 0);
+  const float t = samples.t(m, 0);
+  const auto place = [&](int a) { return rays.origin(r, a) + static_cast<double>(t) * rays.direction(r, a); };
+  const double at = mapped(map, place, axis);
+  x(m, axis) = at;
+  bool sound = isfinite(at) && isfinite(t);
+  if (axis == 0) {
+    const float delta = samples.delta(m, 0);
+    sound = sound && delta >= 0 && isfinite(delta);
+  }
+  if (!sound) note_fault(fault, Stage::samples, m);
+}
+
+// One thread a coordinate; 48 B a row.
+__global__ void __launch_bounds__(kThreads) map_kernel(View<const double> positions, DomainMap map, View<double> x) {
+  const std::int64_t m = static_cast<std::int64_t>(blockIdx.x) * kSamples + threadIdx.x / 3;
+  const int axis = static_cast<int>(threadIdx.x % 3);
+  if (m < x.rows)
+    x(m, axis) = mapped(
+        map, [&](int a) { return positions(m, a); }, axis);
+}
+
+}  // namespace
+
+void locate(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<double> x) {
+  if (x.rows == 0) return;
+  locate_kernel<<<blocks_of(x.rows, kSamples), kThreads, 0, launch().stream>>>(rays, samples, map, x, launch().fault);
+  check_launch("locating samples");
+}
+
+void map_positions(View<const double> positions, const DomainMap& map, View<double> x) {
+  if (x.rows == 0) return;
+  map_kernel<<<blocks_of(x.rows, kSamples), kThreads, 0, launch().stream>>>(positions, map, x);
+  check_launch("mapping positions");
+}
+
+}  // namespace semfield::cuda

@@ -1,0 +1,178 @@
+// Cross-entropy on the device, a warp a ray, by log-sum-exp from the row maximum; sums of a row are in float64.
+#include "core/check.h"
+#include "cuda/kernels/losses.h"
+#include "cuda/kernels/softmax_row.cuh"
+
+namespace semfield::cuda {
+
+namespace {
+
+constexpr int kRays = 8;  // a block
+constexpr int kThreads = kRays * kWarp;
+
+struct Term {
+  double loss;
+  long long labelled, correct;
+};
+
+// What a ray needs besides its logits.
+struct Rule {
+  View<const std::int16_t> hard;
+  View<const float> soft, class_weight;
+  double slope;  // scale / normaliser
+  FaultKey* fault;
+
+  __device__ double weight_of(std::int32_t c) const {
+    return class_weight.empty() ? 1.0 : static_cast<double>(class_weight(0, c));
+  }
+};
+
+__device__ void clear_row(float* row, std::int32_t cols, int lane) {
+  for (std::int32_t c = lane; c < cols && row != nullptr; c += kWarp) row[c] = 0;
+}
+
+// -log softmax(s)_c
+__device__ double surprise_of(const float* logits, std::int32_t c, const RowTop& top, double rest) {
+  return (static_cast<double>(top.largest) - static_cast<double>(logits[c])) + log1p(rest);
+}
+
+// Exponentials of a hard label in float: the gradient has no more digits, and the loss none to lose.
+__device__ double hard_row(const Rule& rule, const float* logits, std::int32_t cols, std::int32_t label,
+                           const RowTop& top, float* d_logits, int lane) {
+  double rest = rest_of_row<float>(logits, cols, top, lane);
+  // Exponentials below the normal range of float lose digits, and so would the loss of a row that is almost certain.
+  if (rest < 1e-30) rest = rest_of_row<double>(logits, cols, top, lane);
+  const double weight = rule.weight_of(label);
+  const double share = 1.0 / (1.0 + rest), factor = rule.slope * weight * share;
+  for (std::int32_t c = lane; c < cols && d_logits != nullptr; c += kWarp) {
+    const double e = static_cast<double>(exp_below<float>(logits, c, top.largest));
+    // p_y - 1 loses its digits when p_y is almost 1; for the row's largest it is -rest / (1 + rest).
+    const double gap = label == top.argmax ? 0.0 - rest * share : e * share - 1.0;
+    d_logits[c] = static_cast<float>(c == label ? rule.slope * weight * gap : factor * e);
+  }
+  return weight * surprise_of(logits, label, top, rest);
+}
+
+__device__ double soft_row(const Rule& rule, const float* logits, std::int32_t cols, const float* target,
+                           double target_sum, const RowTop& top, float* d_logits, int lane) {
+  const double rest = rest_of_row<double>(logits, cols, top, lane);
+  double loss = 0, total = 0;
+  for (std::int32_t c = lane; c < cols; c += kWarp) {
+    const double mass = rule.weight_of(c) * static_cast<double>(target[c]) / target_sum;
+    total += mass;
+    if (mass > 0) loss += mass * surprise_of(logits, c, top, rest);
+  }
+  loss = warp_sum(loss);
+  total = warp_sum(total);
+  for (std::int32_t c = lane; c < cols && d_logits != nullptr; c += kWarp) {
+    const double mass = rule.weight_of(c) * static_cast<double>(target[c]) / target_sum;
+    const double p = (c == top.argmax ? 1.0 : exp_below<double>(logits, c, top.largest)) / (1.0 + rest);
+    d_logits[c] = static_cast<float>(rule.slope * (total * p - mass));
+  }
+  return loss;
+}
+
+// Sum of a soft label, or -1 when a value is no probability.
+__device__ double soft_sum(const float* target, std::int32_t cols, int lane) {
+  double sum = 0;
+  bool sound = true;
+  for (std::int32_t c = lane; c < cols; c += kWarp) {
+    sound = sound && target[c] >= 0 && isfinite(target[c]);
+    sum += static_cast<double>(target[c]);
+  }
+  sum = warp_sum(sum);
+  return __all_sync(kFullMask, sound) != 0 ? sum : -1.0;
+}
+
+// All lanes of a warp; every lane returns the same.
+__device__ Term ray_term(const Rule& rule, View<const float> logits, View<float> d_logits, std::int64_t r, int lane) {
+  const float* const row = logits.row(r);
+  float* const d_row = d_logits.empty() ? nullptr : d_logits.row(r);
+  const bool is_hard = !rule.hard.empty();
+  const std::int32_t label = is_hard ? rule.hard(r, 0) : -1;
+  const double target_sum = is_hard ? 0.0 : soft_sum(rule.soft.row(r), logits.cols, lane);
+  const bool bad_label = is_hard ? label < -1 || label >= logits.cols : target_sum < 0;
+  if (bad_label && lane == 0) note_fault(rule.fault, Stage::label, r);
+  Term term{};
+  if (bad_label || (is_hard ? label < 0 : target_sum == 0)) {
+    clear_row(d_row, logits.cols, lane);
+    return term;
+  }
+  const RowTop top = top_of_row(row, logits.cols, lane);
+  if (!top.finite) {
+    if (lane == 0) note_fault(rule.fault, Stage::logits, r);
+    clear_row(d_row, logits.cols, lane);
+    return term;
+  }
+  term.labelled = 1;
+  std::int32_t truth = label;
+  if (is_hard) {
+    term.loss = hard_row(rule, row, logits.cols, label, top, d_row, lane);
+  } else {
+    const float* const target = rule.soft.row(r);
+    term.loss = soft_row(rule, row, logits.cols, target, target_sum, top, d_row, lane);
+    truth = top_of_row(target, logits.cols, lane).argmax;
+  }
+  term.correct = top.argmax == truth ? 1 : 0;
+  return term;
+}
+
+// A warp a ray; 4 C B read (again from cache for each of three sweeps) and 4 C B written a ray, soft labels 4 C B more.
+// Rays of a block are added in order.
+__global__ void __launch_bounds__(kThreads)
+    cross_entropy_kernel(Rule rule, const StepCell* cell, double scale, View<const float> logits, View<float> d_logits,
+                         Term* of_block) {
+  __shared__ Term of_ray[kRays];
+  const int lane = static_cast<int>(threadIdx.x % kWarp), warp = static_cast<int>(threadIdx.x / kWarp);
+  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kRays + warp;
+  const double normaliser = cell->semantic_normaliser;
+  rule.slope = normaliser > 0 ? scale / normaliser : 0.0;
+  Term term{};
+  if (r < logits.rows) term = ray_term(rule, logits, d_logits, r, lane);
+  if (lane == 0) of_ray[warp] = term;
+  __syncthreads();
+  if (threadIdx.x != 0) return;
+  for (int w = 1; w < kRays; ++w) {
+    term.loss += of_ray[w].loss;
+    term.labelled += of_ray[w].labelled;
+    term.correct += of_ray[w].correct;
+  }
+  of_block[blockIdx.x] = term;
+}
+
+// One block; the order of the sum depends on `count` alone.
+__global__ void __launch_bounds__(kThreads) total_kernel(const Term* of_block, std::int64_t count, LossSums* sums) {
+  Term term{};
+  for (std::int64_t i = threadIdx.x; i < count; i += kThreads) {
+    term.loss += of_block[i].loss;
+    term.labelled += of_block[i].labelled;
+    term.correct += of_block[i].correct;
+  }
+  term.loss = block_sum<kThreads>(term.loss);
+  term.labelled = block_sum<kThreads>(term.labelled);
+  term.correct = block_sum<kThreads>(term.correct);
+  if (threadIdx.x != 0) return;
+  sums->semantic = term.loss;
+  sums->labelled = term.labelled;
+  sums->correct = term.correct;
+}
+
+}  // namespace
+
+void semantic_cross_entropy(Workspace& arena, View<const float> logits, const SemanticTargets& targets,
+                            View<const float> class_weight, double scale, View<float> d_logits, LossSums* sums) {
+  SEMFIELD_CHECK(launch().cell != nullptr, "the divisor of the semantic loss is read from the step's cell");
+  const Workspace::Scope scope(arena);
+  const unsigned blocks = blocks_of(logits.rows, kRays);
+  Term* const of_block = blocks == 0 ? nullptr : reinterpret_cast<Term*>(arena.take_bytes(blocks * sizeof(Term)));
+  if (blocks > 0) {
+    const Rule rule{targets.hard, targets.soft, class_weight, 0, launch().fault};
+    cross_entropy_kernel<<<blocks, kThreads, 0, launch().stream>>>(rule, launch().cell, scale, logits, d_logits,
+                                                                   of_block);
+    check_launch("semantic loss");
+  }
+  total_kernel<<<1, kThreads, 0, launch().stream>>>(of_block, blocks, sums);
+  check_launch("sum of the semantic loss");
+}
+
+}  // namespace semfield::cuda

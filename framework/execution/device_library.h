@@ -1,0 +1,65 @@
+// The library of a device beside the processor, loaded when a run asks for it.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/workspace.h"
+#include "execution/pipeline.h"
+#include "plugin/kernels.h"
+
+namespace semfield {
+
+struct DeviceOptions {
+  int ordinal = 0;
+  bool trainable = true;
+  bool deterministic = false;  ///< sums in a fixed order: the same bits in every run
+};
+
+/// Single calls of components on a device, and memory for them: what tests of plugins need (testkit/host_twin.h).
+struct DeviceCalls {
+  BlockSource memory;
+  /// Both wait for the device.
+  void (*to_device)(const void* from, std::byte* to, std::size_t bytes) = nullptr;
+  void (*to_host)(const std::byte* from, void* to, std::size_t bytes) = nullptr;
+  /// Calls `body`, whose kernels look for faults at once, and waits. Throws Error(failure) for a fault that `body` left
+  /// behind. `deterministic` as in DeviceOptions.
+  void (*run)(bool deterministic, const std::function<void()>& body) = nullptr;
+};
+
+/// What the library of a device offers; its symbol is kDeviceLibrarySymbol.
+struct DeviceLibrary {
+  /// Adds the device's kernel tables of the linked plugins.
+  void (*add_kernels)(KernelTables& tables) = nullptr;
+  /// What passes are made of beside plugins.
+  const Stages<float>* stages = nullptr;
+  /// "NVIDIA H200, 140 GB, compute capability 9.0". Throws Error(unavailable) when this machine has no such device.
+  std::string (*describe)(int ordinal) = nullptr;
+  /// `parts` were built for the device and have the tensors of `host`, which the executor borrows.
+  std::unique_ptr<Executor<float>> (*make)(Pipeline<float>& host, std::vector<PassParts<float>> parts,
+                                           const DeviceOptions& options) = nullptr;
+  DeviceCalls calls;
+};
+inline constexpr const char* kDeviceLibrarySymbol = "semfield_device_library";
+
+/// Whether this build has CUDA kernels, be there a device or not.
+bool has_cuda_library() noexcept;
+/// They, loaded without asking for a device. Throws Error(unavailable) when the build has none or their library cannot
+/// be loaded.
+const DeviceLibrary& cuda_library();
+/// The stages of a device; those of a processor in either precision. Throws as cuda_library().
+template <class Real>
+const Stages<Real>& stages_of(Device device) {
+  if constexpr (std::is_same_v<Real, float>) {
+    if (device == Device::cuda) return *cuda_library().stages;
+  }
+  return processor_stages<Real>();
+}
+
+/// Whether this build has CUDA kernels and this machine that device for them; `why_not` gets the reason.
+bool cuda_available(std::string* why_not = nullptr, int ordinal = 0);
+
+}  // namespace semfield

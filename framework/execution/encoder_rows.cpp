@@ -1,0 +1,137 @@
+// A step's rows for a position encoder with tables: collected tile by tile, or drawn ahead of all tiles.
+#include <algorithm>
+#include <cstring>
+
+#include "compute/parallel.h"
+#include "execution/lane_executor.h"
+
+namespace semfield {
+
+namespace {
+constexpr int kLanesAhead = 2;  // lanes whose rows are encoded in one call; by row, so it changes no bits
+
+template <class Real>
+Rays<Real> rays_of_tile(const RayBatch& batch, std::int64_t tile, std::int64_t tile_rays) {
+  const std::int64_t begin = tile * tile_rays, count = std::min(tile_rays, batch.origin.rows - begin);
+  Rays<Real> rays;
+  rays.origin = batch.origin.row_range(begin, count);
+  rays.direction = batch.direction.row_range(begin, count);
+  rays.near_far = batch.near_far.row_range(begin, count);
+  return rays;
+}
+
+template <class T>
+void grow(std::vector<T>& buffer, std::int64_t size) {
+  if (buffer.size() < static_cast<std::size_t>(size)) buffer.resize(static_cast<std::size_t>(size));
+}
+
+template <class T>
+std::size_t bytes_of(const std::vector<T>& buffer) {
+  return buffer.capacity() * sizeof(T);
+}
+
+}  // namespace
+
+template <class Real>
+View<Real> EncoderInbox<Real>::append(View<const double> tile_x, std::int32_t dims) {
+  const auto begin = static_cast<std::size_t>(rows), count = static_cast<std::size_t>(tile_x.rows);
+  const auto width = static_cast<std::size_t>(dims);
+  x.resize((begin + count) * 3);
+  dy.resize((begin + count) * width);
+  std::memcpy(x.data() + begin * 3, tile_x.data, count * 3 * sizeof(double));
+  rows += tile_x.rows;
+  return View<Real>(dy.data() + begin * width, tile_x.rows, dims);
+}
+
+template <class Real>
+std::size_t LaneExecutor<Real>::Ahead::bytes() const {
+  return bytes_of(t) + bytes_of(delta) + bytes_of(ray_of_sample) + bytes_of(first) + bytes_of(x) + bytes_of(encoded) +
+         bytes_of(d_encoded);
+}
+
+template <class Real>
+void LaneExecutor<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles) {
+  Ahead& a = ahead_;
+  const Pass<Real>& pass = passes()[0];
+  const std::int64_t capacity = pipeline_.per_ray()[0] * pipeline_.tile_rays();
+  grow(a.t, tiles * capacity);
+  grow(a.delta, tiles * capacity);
+  grow(a.ray_of_sample, tiles * capacity);
+  grow(a.first, tiles * (pipeline_.tile_rays() + 1));
+  grow(a.tiles, tiles);
+  grow(a.row, tiles);
+  parallel_for(options().lanes, [&](std::int64_t lane) {
+    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
+      StepContext ctx = context(step, true, static_cast<int>(lane), tile * pipeline_.tile_rays());
+      ctx.pass = passes()[0].parts().number;
+      const Rays<Real> rays = rays_of_tile<Real>(batch, tile, pipeline_.tile_rays());
+      Samples<Real>& samples = a.tiles[static_cast<std::size_t>(tile)].samples;
+      samples.t = {a.t.data() + tile * capacity, capacity, 1};
+      samples.delta = {a.delta.data() + tile * capacity, capacity, 1};
+      samples.ray_of_sample = {a.ray_of_sample.data() + tile * capacity, capacity, 1};
+      samples.first = {a.first.data() + tile * (pipeline_.tile_rays() + 1), rays.origin.rows + 1, 1};
+      pass.sample(ctx, rays, nullptr, samples);
+    }
+  });
+  // Lane after lane, as the encoder's gradients are summed. Lane l has the tiles l, l + lanes, ...
+  const std::int32_t dims = pass.encoded_dims();
+  a.rows = 0;
+  for (int lane = 0; lane < options().lanes; ++lane) {
+    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
+      a.row[static_cast<std::size_t>(tile)] = a.rows;
+      a.rows += a.tiles[static_cast<std::size_t>(tile)].samples.count;
+    }
+  }
+  const auto lane_begin = [&](std::int64_t lane) {
+    return lane < std::min<std::int64_t>(options().lanes, tiles) ? a.row[static_cast<std::size_t>(lane)] : a.rows;
+  };
+  grow(a.x, 3 * a.rows);
+  grow(a.encoded, dims * a.rows);
+  grow(a.d_encoded, dims * a.rows);
+  parallel_for(tiles, [&](std::int64_t tile) {
+    SampledTile<Real>& sampled = a.tiles[static_cast<std::size_t>(tile)];
+    const std::int64_t row = a.row[static_cast<std::size_t>(tile)], count = sampled.samples.count;
+    sampled.x = {a.x.data() + 3 * row, count, 3};
+    sampled.encoded = {a.encoded.data() + dims * row, count, dims};
+    pass.locate(context(step, true, 0, tile * pipeline_.tile_rays()),
+                rays_of_tile<Real>(batch, tile, pipeline_.tile_rays()), sampled.samples, sampled.x);
+  });
+  const int lanes_at_once = pass.parts().position->traits().whole_batch ? options().lanes : kLanesAhead;
+  parallel_for((options().lanes + lanes_at_once - 1) / lanes_at_once, [&](std::int64_t group) {
+    const auto first_lane = static_cast<int>(group) * lanes_at_once;
+    const std::int64_t begin = lane_begin(first_lane), end = lane_begin(first_lane + lanes_at_once);
+    if (begin >= end) return;
+    const View<const double> x(a.x.data() + 3 * begin, end - begin, 3);
+    pass.encode(context(step, true, first_lane, 0), first_lane, x, {a.encoded.data() + dims * begin, x.rows, dims});
+  });
+}
+
+template <class Real>
+void LaneExecutor<Real>::scatter(std::int64_t step) {
+  StepContext ctx = context(step, true, 0, 0);
+  if (draws_ahead()) {
+    const std::int32_t dims = passes()[0].encoded_dims();
+    passes()[0].scatter(ctx, {ahead_.x.data(), ahead_.rows, 3}, {ahead_.d_encoded.data(), ahead_.rows, dims});
+    return;
+  }
+  for (std::size_t p = 0; p < passes().size(); ++p) {
+    ctx.pass = passes()[p].parts().number;
+    if (!passes()[p].scatters()) continue;
+    for (const auto& lane : lanes_) {
+      const EncoderInbox<Real>& inbox = lane->inbox[p];
+      passes()[p].scatter(ctx, {inbox.x.data(), inbox.rows, 3},
+                          {inbox.dy.data(), inbox.rows, passes()[p].encoded_dims()});
+    }
+  }
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                           \
+  template struct EncoderInbox<Real>;                                                        \
+  template std::size_t LaneExecutor<Real>::Ahead::bytes() const;                             \
+  template void LaneExecutor<Real>::draw_ahead(std::int64_t, const RayBatch&, std::int64_t); \
+  template void LaneExecutor<Real>::scatter(std::int64_t);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+}  // namespace semfield

@@ -1,0 +1,274 @@
+#include "execution/lane_executor.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "classes/class_table.h"
+#include "compute/float_mode.h"
+#include "compute/gemm_engine.h"
+#include "compute/parallel.h"
+#include "losses/photometric.h"
+
+namespace semfield {
+
+namespace {
+template <class T>
+View<const T> rows_of(View<const T> view, std::int64_t begin, std::int64_t count) {
+  return view.empty() ? view : view.row_range(begin, count);
+}
+
+// Any sample whose density, and with it the slope of its activation, is not 0.
+template <class Real>
+bool any_density(const PassTrace<Real>& trace) {
+  const Real* const sigma = trace.sigma.data;
+  return std::any_of(sigma, sigma + trace.samples.count, [](Real density) { return density > 0; });
+}
+
+}  // namespace
+
+template <class Real>
+LaneExecutor<Real>::LaneExecutor(Pipeline<Real>& pipeline) : pipeline_(pipeline) {
+  for (int lane = 0; lane < options().lanes; ++lane) {
+    lanes_.push_back(std::make_unique<Lane>());
+    lanes_.back()->inbox.resize(passes().size());
+  }
+}
+
+template <class Real>
+StepContext LaneExecutor<Real>::context(std::int64_t step, bool training, int lane, std::int64_t first_ray) const {
+  StepContext ctx;
+  ctx.seed = options().seed;
+  ctx.step = step;
+  ctx.training = training;
+  ctx.first_ray = first_ray;
+  ctx.workspace = &lanes_[static_cast<std::size_t>(lane)]->arena;
+  return ctx;
+}
+
+template <class Real>
+std::string LaneExecutor<Real>::matrix_products() const {
+  const WorkScope scope(options().work);
+  return gemm_engine_text();
+}
+
+template <class Real>
+template <class Body>
+void LaneExecutor<Real>::for_tiles(std::int64_t rays, const Body& body) const {
+  const std::int64_t tile_rays = pipeline_.tile_rays(), tiles = (rays + tile_rays - 1) / tile_rays;
+  parallel_for(options().lanes, [&](std::int64_t lane) {
+    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
+      const std::int64_t begin = tile * tile_rays;
+      body(static_cast<int>(lane), TileRange{begin, std::min(tile_rays, rays - begin), tile});
+    }
+  });
+}
+
+template <class Real>
+void LaneExecutor<Real>::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
+  const WorkScope scope(options().work);
+  const ComputeFloatMode mode;
+  const StepLosses losses = checked_gradients(step, batch);
+  AdamStep rule = update;
+  rule.labelled = losses.labelled > 0;
+  passes().front().parts().stages->adam(&rule, pipeline_.store().learned());
+  queued_.push_back(losses);
+  pipeline_.derive(step + 1);
+  try {
+    observe(step + 1);
+  } catch (const Error& error) {
+    afterwards_ = error;
+  }
+}
+
+template <class Real>
+StepResults LaneExecutor<Real>::finish() {
+  done_.swap(queued_);
+  queued_.clear();
+  return {done_, {}, std::exchange(afterwards_, std::nullopt)};
+}
+
+template <class Real>
+void LaneExecutor<Real>::observe(std::int64_t step) {
+  StepContext ctx = context(step, true, 0, 0);
+  for (const Pass<Real>& pass : passes()) {
+    ctx.pass = pass.parts().number;
+    pass.observe(ctx, &queries_);
+  }
+}
+
+template <class Real>
+StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batch) {
+  const WorkScope scope(options().work);
+  const ComputeFloatMode mode;
+  const std::int64_t rays = batch.origin.rows, tile_rays = pipeline_.tile_rays();
+  const std::int64_t tiles = (rays + tile_rays - 1) / tile_rays;
+  guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
+  const BatchScales scales = pipeline_.scales_of(step, batch);
+  tile_losses_.assign(static_cast<std::size_t>(tiles), StepLosses{});
+  for (auto& lane : lanes_) {
+    for (EncoderInbox<Real>& inbox : lane->inbox) inbox.rows = 0;
+  }
+  if (draws_ahead()) draw_ahead(step, batch, tiles);
+  for_tiles(rays, [&](int lane, const TileRange& tile) {
+    tile_losses_[static_cast<std::size_t>(tile.number)] = train_tile(step, lane, batch, tile, scales);
+  });
+  scatter(step);
+  pipeline_.store().reduce_lanes();
+  StepContext ctx = context(step, true, 0, 0);
+  for (const Pass<Real>& pass : passes()) {
+    ctx.pass = pass.parts().number;
+    pass.derive_backward(ctx);
+  }
+  StepLosses sum;
+  for (const StepLosses& tile : tile_losses_) {  // tile order: the same sum for any thread count
+    sum.color += tile.color;
+    sum.semantic += tile.semantic;
+    sum.mse += tile.mse;
+    for (std::size_t i = 0; i < options().losses.entries().size(); ++i) sum.terms[i] += tile.terms[i];
+    sum.samples += tile.samples;
+    sum.labelled += tile.labelled;
+    sum.correct += tile.correct;
+    sum.dense_passes |= tile.dense_passes;
+  }
+  return pipeline_.means_of(sum, scales);
+}
+
+// A tile on the processor: sums are the tile's, gradients at encoders are collected for the scatter of whole lanes.
+template <class Real>
+class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
+ public:
+  TileExecutor(LaneExecutor& owner, int lane, const TileRange& tile, const BatchScales& scales)
+      : owner_(owner), lane_(lane), tile_(tile), scales_(scales) {}
+
+  StepLosses losses;
+
+  const SampledTile<Real>* drawn() const override {
+    const bool drawn = owner_.draws_ahead() && tile_.number != kAlone;
+    return drawn ? &owner_.ahead_.tiles[static_cast<std::size_t>(tile_.number)] : nullptr;
+  }
+  void color_loss(std::size_t, Workspace&, View<const Real> color, View<const float> target,
+                  View<Real> d_color) override {
+    losses.mse = photometric_loss<Real>(color, target, scales_.color, 1.0, d_color);
+    losses.color += losses.mse;
+  }
+  void semantic_loss(std::size_t, Workspace&, View<const Real> logits, const SemanticTargets& targets,
+                     View<Real> d_logits) override {
+    const PipelineOptions& options = owner_.options();
+    const auto classes = static_cast<std::int32_t>(options.class_weight.size());
+    const View<const float> class_weight =
+        classes == 0 ? View<const float>() : View<const float>(options.class_weight.data(), 1, classes);
+    const SemanticLoss semantic = semantic_cross_entropy<Real>(logits, targets, class_weight, scales_.semantic,
+                                                               options.rules.semantics.weight, d_logits, tile_.begin);
+    losses.semantic += semantic.sum;
+    losses.labelled = semantic.labelled;
+    losses.correct = semantic.correct;
+  }
+  LossTraits active_terms() const override {
+    return scales_.terms.active != 0 ? owner_.options().losses.traits(scales_.terms.active) : LossTraits{};
+  }
+  void add_terms(std::size_t, Workspace&, const RayTargets& targets, const RayValues<Real>& values,
+                 const RayGradients<Real>& gradients) override {
+    owner_.options().losses.template add<Real>(scales_.terms, targets, values, gradients, losses.terms);
+  }
+  void count(std::size_t pass, const PassTrace<Real>& trace) override {
+    losses.samples = trace.samples.count;
+    if (any_density(trace)) losses.dense_passes |= 1U << pass;
+  }
+  View<Real> encoded_gradient(std::size_t pass, const PassTrace<Real>& trace, Workspace& arena) override {
+    const std::int32_t dims = trace.encoded.cols;
+    if (tile_.number == kAlone) return arena.take<Real>(trace.samples.count, dims);
+    Ahead& ahead = owner_.ahead_;
+    if (drawn() == nullptr) return owner_.lanes_[static_cast<std::size_t>(lane_)]->inbox[pass].append(trace.x, dims);
+    const std::int64_t row = ahead.row[static_cast<std::size_t>(tile_.number)];
+    return {ahead.d_encoded.data() + dims * row, trace.samples.count, dims};
+  }
+  void use_encoded_gradient(std::size_t pass, const PassTrace<Real>& trace, const StepContext&,
+                            View<Real> d_encoded) override {
+    if (tile_.number != kAlone) return;
+    RayGuard<Real>(owner_.passes()[pass].parts().name, tile_.begin, trace.samples)
+        .per_sample("gradient of the encoded position", d_encoded);
+  }
+
+ private:
+  LaneExecutor& owner_;
+  int lane_;
+  TileRange tile_;
+  const BatchScales& scales_;
+};
+
+template <class Real>
+StepLosses LaneExecutor<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, const TileRange& tile,
+                                          const BatchScales& scales) {
+  const std::int64_t begin = tile.begin, count = tile.count;
+  const StepContext ctx = context(step, true, lane, begin);
+  const Workspace::Scope tile_scope(*ctx.workspace);
+  TrainedRays rays;
+  rays.lane = lane;
+  rays.batch = batch;
+  rays.batch.origin = batch.origin.row_range(begin, count);
+  rays.batch.direction = batch.direction.row_range(begin, count);
+  rays.batch.near_far = batch.near_far.row_range(begin, count);
+  rays.batch.target = batch.target.row_range(begin, count);
+  rays.batch.label = rows_of(batch.label, begin, count);
+  rays.batch.soft = rows_of(batch.soft, begin, count);
+  rays.batch.depth = rows_of(batch.depth, begin, count);
+  if (pipeline_.has_semantics() && !batch.label.empty()) {
+    for (std::int64_t r = 0; r < count; ++r) {
+      if (options().head_on_all_rays || rays.batch.label(r, 0) != kVoid) rays.semantic_rays = r + 1;
+    }
+  }
+  // The tile of the batch that holds these rays begins with the rays that are there for their labels.
+  const std::int64_t tile_rays = pipeline_.tile_rays(), tile_begin = begin / tile_rays * tile_rays;
+  const std::int64_t tile_end = std::min(tile_begin + tile_rays, batch.origin.rows);
+  rays.first_color = std::clamp<std::int64_t>(
+      tile_begin + label_only_rays(batch.label_only_share, tile_begin, tile_end) - begin, 0, count);
+  TileExecutor executor(*this, lane, tile, scales);
+  train_rays<Real>(passes(), pipeline_.per_ray(), rays, ctx, executor);
+  return executor.losses;
+}
+
+template <class Real>
+void LaneExecutor<Real>::render(const RenderJob<Real>& job) {
+  const WorkScope scope(options().work);
+  guard_rays<Real>({job.origin, job.direction, job.near_far}, {}, 0);
+  for_tiles(job.origin.rows, [&](int lane, const TileRange& tile) {
+    const StepContext ctx = context(0, false, lane, tile.begin);
+    const Workspace::Scope scratch(*ctx.workspace);
+    render_rays(passes(), pipeline_.per_ray(), job.rows(tile.begin, tile.count), ctx);
+  });
+}
+
+template <class Real>
+void LaneExecutor<Real>::density(View<const double> positions, View<Real> sigma) {
+  const WorkScope scope(options().work);
+  const std::int64_t share = (positions.rows + options().lanes - 1) / options().lanes;
+  parallel_for(options().lanes, [&](std::int64_t lane) {
+    const std::int64_t begin = std::min(lane * share, positions.rows);
+    const std::int64_t count = std::min(share, positions.rows - begin);
+    query_density(passes().back(), positions.row_range(begin, count), sigma.row_range(begin, count),
+                  context(0, false, static_cast<int>(lane), 0));
+  });
+}
+
+template <class Real>
+std::size_t LaneExecutor<Real>::workspace_bytes() const {
+  std::size_t sum = ahead_.bytes();
+  for (const auto& lane : lanes_) {
+    sum += lane->arena.high_water_bytes();
+    for (const EncoderInbox<Real>& inbox : lane->inbox)
+      sum += inbox.x.capacity() * sizeof(double) + inbox.dy.capacity() * sizeof(Real);
+  }
+  return sum;
+}
+
+template <class Real>
+std::int64_t LaneExecutor<Real>::workspace_growths() const {
+  std::int64_t sum = 0;
+  for (const auto& lane : lanes_) sum += lane->arena.growth_count();
+  return sum;
+}
+
+template class LaneExecutor<float>;
+template class LaneExecutor<double>;
+
+}  // namespace semfield

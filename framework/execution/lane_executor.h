@@ -1,0 +1,95 @@
+// Steps and rendering on the processor: a batch is cut into tiles, lanes take them in parallel, and their gradients are
+// summed in a fixed order.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "execution/pipeline.h"
+#include "execution/train_rays.h"
+
+namespace semfield {
+
+template <class Real>
+class LaneExecutor final : public Executor<Real> {
+ public:
+  /// Borrows the pipeline, whose store is complete.
+  explicit LaneExecutor(Pipeline<Real>& pipeline);
+
+  DeviceId device() const override { return {}; }
+  std::string description() const override { return "cpu"; }
+  std::string matrix_products() const override;
+  void upload(std::int64_t step) override { pipeline_.derive(step); }
+  void download(std::int64_t) override {}
+  std::int64_t tile_rays(std::int64_t) const override { return pipeline_.tile_rays(); }
+  /// Throws what stopped the step, with the ray or the tensor and element behind it.
+  void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) override;
+  int most_queued() const override { return 1; }
+  StepResults finish() override;
+  void set_gradient_hook(GradientHook<Real> hook) override { hook_ = std::move(hook); }
+  void render(const RenderJob<Real>& job) override;
+  void density(View<const double> positions, View<Real> sigma) override;
+
+  /// Losses of the batch and dL/dtheta in the store's main gradients (which must be zero on entry). A value of a ray
+  /// that is not finite throws RayFault; gradients are then anything, and ParamStore::clear_gradients is due.
+  StepLosses gradients(std::int64_t step, const RayBatch& batch);
+  /// The same for gradients of any kind on entry, and throws Error for a number from which no update may start: a
+  /// value, gradient or moment of a learned tensor, the loss, a derived or state tensor.
+  StepLosses checked_gradients(std::int64_t step, const RayBatch& batch);
+  /// After a step that failed: takes its rays one by one and gives the first that throws, or whose own gradient is not
+  /// finite, with its number in the batch; none when only their sum fails. Leaves every gradient zero.
+  std::optional<RayFault> find_fault(std::int64_t step, const RayBatch& batch);
+
+  StepContext context(std::int64_t step, bool training, int lane, std::int64_t first_ray) const;
+  /// Scratch memory of all lanes: high-water mark, and how often it grew.
+  std::size_t workspace_bytes() const;
+  std::int64_t workspace_growths() const;
+
+ private:
+  struct Lane {
+    Workspace arena;
+    std::vector<EncoderInbox<Real>> inbox;  // one a pass
+  };
+  // A step's samples drawn before the first is evaluated, all rows of a lane's tiles side by side: tables of an encoder
+  // are then read, and written, for thousands of rows at a time, level by level, and not for one small tile after the
+  // other. Vectors only grow.
+  struct Ahead {
+    std::vector<Real> t, delta;                      // [tiles * capacity of a tile]
+    std::vector<std::int32_t> ray_of_sample, first;  // [tiles * capacity], [tiles * (tile_rays + 1)]
+    std::vector<SampledTile<Real>> tiles;            // [tiles]
+    std::vector<std::int64_t> row;                   // [tiles] of its first sample in what follows
+    std::vector<double> x;                           // [M, 3]
+    std::vector<Real> encoded, d_encoded;            // [M, Dp]
+    std::int64_t rows = 0;
+    std::size_t bytes() const;
+  };
+  static constexpr std::int64_t kAlone = -1;  // a tile's number: rays that are no tile of the step
+  struct TileRange {
+    std::int64_t begin, count, number;
+  };
+  class TileExecutor;
+  const std::vector<Pass<Real>>& passes() const { return pipeline_.passes(); }
+  const PipelineOptions& options() const { return pipeline_.options(); }
+  bool draws_ahead() const { return passes().size() == 1 && passes()[0].scatters(); }
+  void draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles);
+  void scatter(std::int64_t step);
+  void observe(std::int64_t step);
+  StepLosses train_tile(std::int64_t step, int lane, const RayBatch& batch, const TileRange& tile,
+                        const BatchScales& scales);
+  template <class Body>
+  void for_tiles(std::int64_t rays, const Body& body) const;
+
+  Pipeline<Real>& pipeline_;
+  std::vector<std::unique_ptr<Lane>> lanes_;
+  std::vector<StepLosses> tile_losses_;
+  Ahead ahead_;
+  WorkspacePool queries_;
+  GradientHook<Real> hook_;
+  std::vector<StepLosses> queued_, done_;  // made since the last finish(), and before it
+  std::optional<Error> afterwards_;
+};
+
+extern template class LaneExecutor<float>;
+extern template class LaneExecutor<double>;
+
+}  // namespace semfield

@@ -1,0 +1,111 @@
+#include "execution/network_plan.h"
+
+#include <algorithm>
+
+namespace semfield {
+
+namespace {
+
+constexpr std::int64_t kTileRows = 1024;        // samples a tile aims at: activations of a 64-wide net stay in L2
+constexpr std::int64_t kExpectedOccupied = 32;  // samples a ray that a single-pass sampler is expected to keep
+constexpr std::size_t kDensityRows = 1024;      // positions that Pass::density evaluates at once
+
+// Samples of a tile that have hidden activations: those of its labelled rays. Runs label a third to all of their rays.
+constexpr double kSemanticShare = 0.6;
+
+// Samples of a tile that a semantic branch keeps; training begins with fog, whose samples all weigh.
+constexpr double kKeptShare = 0.5;
+
+std::size_t size(std::int64_t n) { return static_cast<std::size_t>(n); }
+
+}  // namespace
+
+template <class Real>
+std::int64_t tile_rays_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
+                          std::vector<std::int64_t>& per_ray) {
+  per_ray.clear();
+  for (const PassParts<Real>* parts : passes)
+    per_ray.push_back(parts->sampler->capacity(1, per_ray.empty() ? 0 : per_ray.back()));
+  if (options.tile_rays > 0) return options.tile_rays;
+  const std::int64_t expected = passes.back()->sampler->traits().single_pass
+                                    ? std::min(per_ray.back(), kExpectedOccupied)
+                                    : *std::max_element(per_ray.begin(), per_ray.end());
+  return std::clamp<std::int64_t>(kTileRows / std::max<std::int64_t>(expected, 1), 4, 64);
+}
+
+template <class Real>
+NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
+                         std::int64_t rays, int threads, bool trainable) {
+  NetworkPlan plan;
+  std::vector<std::int64_t> per_ray;
+  const std::int64_t tile_rays = tile_rays_of(passes, options, per_ray);
+  // Lanes that get a whole tile; a last one with a part of it counts for that part.
+  const double busy =
+      std::clamp(static_cast<double>(rays) / static_cast<double>(tile_rays), 1.0, static_cast<double>(options.lanes));
+  const std::size_t terms = options.losses.empty() ? 0 : 2;  // gradients of weight and density
+  std::size_t traces = 0, backward = 0, logits = 0;
+  for (std::size_t p = 0; p < passes.size(); ++p) {
+    const PassParts<Real>& parts = *passes[p];
+    const TensorBytes position = declared_bytes<Real>(*parts.position, options.lanes, trainable);
+    plan.tensors += position;
+    plan.tensors += declared_bytes<Real>(*parts.sampler, options.lanes, trainable);
+    plan.tensors += declared_bytes<Real>(*parts.field, options.lanes, trainable);
+    if (parts.direction) plan.tensors += declared_bytes<Real>(*parts.direction, options.lanes, trainable);
+    if (parts.head) plan.tensors += declared_bytes<Real>(*parts.head, options.lanes, trainable);
+
+    // Of a tile: what forward leaves, and what backward takes beside it.
+    const bool ahead = passes.size() == 1 && position.learns;
+    const std::size_t samples = size(parts.sampler->capacity(tile_rays, p == 0 ? 0 : per_ray[p - 1]));
+    const std::size_t encoded = size(parts.position->traits().out_dims);
+    const bool reads = parts.head && (!parts.branch || parts.branch->rules.reads_feature);
+    const std::size_t feature = reads ? size(parts.field->traits().feature_dims) : 0;
+    const std::size_t hidden = parts.head && !parts.branch ? size(parts.head->hidden_width()) : 0;
+    const std::size_t saved = parts.field->saved_bytes(static_cast<std::int64_t>(samples), tile_rays);
+    const std::size_t place = 3 * sizeof(double) + 2 * sizeof(Real) + sizeof(std::int32_t);
+    const auto semantic = static_cast<std::size_t>(kSemanticShare * static_cast<double>(samples * hidden));
+    traces += (samples * (6 + feature) + semantic) * sizeof(Real) + saved;
+    if (!ahead) traces += samples * (place + encoded * sizeof(Real));
+    backward = std::max(backward, (samples * (4 + terms + feature) + semantic) * sizeof(Real) +
+                                      parts.field->scratch_bytes(static_cast<std::int64_t>(samples), tile_rays));
+    if (parts.branch) {
+      plan.tensors += declared_bytes<Real>(*parts.branch->position, options.lanes, trainable);
+      plan.tensors += declared_bytes<Real>(*parts.branch->field, options.lanes, trainable);
+      const auto kept = static_cast<std::int64_t>(kKeptShare * static_cast<double>(samples));
+      const std::size_t branch_saved = parts.branch->field->saved_bytes(kept, tile_rays);
+      const std::size_t out = size(parts.branch->field->traits().feature_dims) + size(parts.head->hidden_width());
+      const std::size_t in = size(parts.branch->position->traits().out_dims) + feature;
+      traces += size(kept) * (2 * in + out) * sizeof(Real) + branch_saved;
+      // Its backward is done before that of the pass begins.
+      backward =
+          std::max(backward, size(kept) * out * sizeof(Real) + parts.branch->field->scratch_bytes(kept, tile_rays));
+    }
+    if (parts.head) {
+      const std::size_t rows = options.rules.deferred_class_layer ? size(tile_rays) : samples;
+      logits += 2 * rows * size(parts.head->classes()) * sizeof(Real);
+    }
+    if (position.learns) {
+      const std::size_t all = size(parts.sampler->capacity(rays, p == 0 ? 0 : per_ray[p - 1]));
+      // Coordinates, encoded rows and their gradients.
+      plan.step_rows +=
+          all * (place + 2 * encoded * sizeof(Real)) + parts.position->scratch_bytes(static_cast<std::int64_t>(all));
+    }
+    if (parts.sampler->traits().observes) {
+      plan.density += size(threads) * kDensityRows *
+                      (3 * sizeof(double) + (encoded + 1) * sizeof(Real) + saved / std::max<std::size_t>(samples, 1));
+    }
+  }
+  plan.activations = static_cast<std::size_t>(busy * static_cast<double>(trainable ? traces + backward : traces));
+  plan.logits = static_cast<std::size_t>(busy * static_cast<double>(logits));
+  return plan;
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                                             \
+  template std::int64_t tile_rays_of<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&, \
+                                           std::vector<std::int64_t>&);                                        \
+  template NetworkPlan plan_network<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&,  \
+                                          std::int64_t, int, bool);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+}  // namespace semfield

@@ -1,0 +1,96 @@
+// The whole differentiable renderer: passes over rays, losses, and gradients that do not depend on threads.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "core/work_scope.h"
+#include "execution/executor.h"
+#include "execution/ray_batch.h"
+#include "losses/semantic_cross_entropy.h"
+#include "model/param_store.h"
+#include "model/pass.h"
+#include "model/ray_guard.h"
+
+namespace semfield {
+
+struct PipelineOptions {
+  RenderRules rules;
+  std::uint64_t seed = 1;
+  int lanes = 8;                    ///< gradient slots; the sum's order, so part of a run's identity
+  std::int64_t tile_rays = 0;       ///< 0: from the samplers' capacities, never from the thread count
+  std::vector<float> class_weight;  ///< [C] or empty
+  LossList losses;                  ///< terms beside colour and semantics
+  WorkSettings work;                ///< threads and matrix products of every call
+  bool head_on_all_rays =
+      false;  ///< run the head on unlabelled rays too (their gradient is exactly 0): the leave-out's pair
+};
+
+/// What the sums of a batch are divided by.
+struct BatchScales {
+  double color = 1;     ///< squared differences of its colours
+  double semantic = 0;  ///< cross-entropies; 0: the batch has no label
+  LossScales terms;
+};
+
+template <class Real>
+class LaneExecutor;
+
+/// Passes and their tensors, and the executor that steps and rendering run on: the processor's lanes at first. The
+/// lanes stay, because they name the ray and tensor behind a fault that a device met.
+template <class Real>
+class Pipeline {
+ public:
+  Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable);
+  ~Pipeline();
+  Pipeline(const Pipeline&) = delete;
+  Pipeline& operator=(const Pipeline&) = delete;
+
+  ParamStore<Real>& store() { return store_; }
+  const ParamStore<Real>& store() const { return store_; }
+  const std::vector<Pass<Real>>& passes() const { return passes_; }
+  const PipelineOptions& options() const { return options_; }
+  /// Most samples a ray after each pass.
+  const std::vector<std::int64_t>& per_ray() const { return per_ray_; }
+  /// Of the processor's lanes.
+  std::int64_t tile_rays() const { return tile_rays_; }
+  bool has_semantics() const { return passes_.back().parts().head != nullptr; }
+
+  Executor<Real>& executor() const { return *executor_; }
+  LaneExecutor<Real>& lanes() const { return *lanes_; }
+  void run_on(std::unique_ptr<Executor<Real>> executor);
+
+  /// Derived tensors of the store from learned ones.
+  void derive(std::int64_t step);
+  BatchScales scales_of(std::int64_t step, const RayBatch& batch) const;
+  /// Means and total of a batch's sums.
+  StepLosses means_of(const StepLosses& sums, const BatchScales& scales) const;
+  /// Renders without jitter or noise; the same bits for any grouping of rays into calls.
+  void render(const RenderJob<Real>& job);
+  /// sigma [N, 1] of the last pass, after activation, 1/m, at world positions [N, 3]; the same bits for any grouping of
+  /// positions into calls. Not beside another call.
+  void density(View<const double> positions, View<Real> sigma) const;
+
+  /// LaneExecutor::gradients and find_fault.
+  StepLosses gradients(std::int64_t step, const RayBatch& batch);
+  std::optional<RayFault> find_fault(std::int64_t step, const RayBatch& batch);
+
+  /// Scratch of all lanes for a batch, from the samplers' capacities: an upper bound, known before step 0.
+  std::size_t predicted_workspace_bytes(std::int64_t rays) const;
+
+ private:
+  PipelineOptions options_;
+  ParamStore<Real> store_;
+  std::vector<Pass<Real>> passes_;
+  std::vector<std::int64_t> per_ray_;
+  std::int64_t tile_rays_ = 0;
+  std::unique_ptr<LaneExecutor<Real>> lanes_;
+  std::unique_ptr<Executor<Real>> other_;  // than the lanes
+  Executor<Real>* executor_ = nullptr;
+};
+
+extern template class Pipeline<float>;
+extern template class Pipeline<double>;
+
+}  // namespace semfield

@@ -1,0 +1,111 @@
+#include "execution/render_rays.h"
+
+namespace semfield {
+
+namespace {
+
+template <class T>
+auto bytes_of(View<T> view) {
+  using Byte = std::conditional_t<std::is_const_v<T>, const std::byte, std::byte>;
+  return View<Byte>(reinterpret_cast<Byte*>(view.data), view.rows, view.cols * static_cast<std::int32_t>(sizeof(T)),
+                    view.row_stride * static_cast<std::int64_t>(sizeof(T)), view.device);
+}
+
+// Host views of a call as the stages see them: themselves, or copies in the device's memory.
+template <class Real>
+struct HostEnds {
+  const Stages<Real>& stages;
+  Workspace& arena;
+
+  template <class T>
+  View<const T> sent(View<const T> from) const {
+    if (from.empty() || stages.host_memory) return from;
+    const View<T> to = arena.take<T>(from.rows, from.cols);
+    stages.copy(bytes_of(from), bytes_of(to));
+    return to;
+  }
+  template <class T>
+  View<T> room_for(View<T> wanted) const {
+    return wanted.empty() || stages.host_memory ? wanted : arena.take<T>(wanted.rows, wanted.cols);
+  }
+  template <class T>
+  void fetch(View<T> from, View<T> wanted) const {
+    if (!wanted.empty() && wanted.data != from.data) stages.copy(bytes_of(View<const T>(from)), bytes_of(wanted));
+  }
+};
+
+}  // namespace
+
+template <class Real>
+RenderJob<Real> RenderJob<Real>::rows(std::int64_t begin, std::int64_t count) const {
+  RenderJob part = *this;
+  const auto cut = [&](auto&... views) { ((views = views.row_range(begin, count)), ...); };
+  cut(part.origin, part.direction, part.near_far, part.truth, part.color, part.depth, part.opacity, part.label,
+      part.entropy, part.confidence, part.truth_probability, part.resolution);
+  return part;
+}
+
+template <class Real>
+void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::int64_t>& per_ray,
+                 const RenderJob<Real>& job, const StepContext& call) {
+  StepContext ctx = call;
+  const PassParts<Real>& parts = passes.back().parts();
+  const Stages<Real>& stages = *parts.stages;
+  const HostEnds<Real> ends{stages, *ctx.workspace};
+  const Rays<Real> rays{ends.sent(job.origin), ends.sent(job.direction), ends.sent(job.near_far)};
+  const bool classes = parts.head && !(job.label.empty() && job.entropy.empty() && job.confidence.empty());
+  Proposal<Real> proposal;
+  PassTrace<Real> trace;
+  for (std::size_t p = 0; p < passes.size(); ++p) {
+    ctx.pass = passes[p].parts().number;
+    const bool last = p + 1 == passes.size();
+    const PassTrace<Real> next =
+        passes[p].forward(ctx, kMainGradient, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray[p - 1],
+                          {last && classes ? job.origin.rows : 0, last});
+    trace = next;
+    proposal.samples = &trace.samples;
+    proposal.weight = trace.weight.row_range(0, trace.samples.count);
+  }
+  ends.fetch(trace.color, job.color);
+  ends.fetch(trace.depth, job.depth);
+  ends.fetch(trace.opacity, job.opacity);
+  if (!job.resolution.empty()) {
+    const View<OpacityResolution> found = ends.room_for(job.resolution);
+    stages.opacity_resolutions(trace.samples, trace.weight, passes.back().rules().rendering.far, job.footprint_per_m,
+                               found);
+    ends.fetch(found, job.resolution);
+  }
+  if (!classes) return;
+  ClassResults<Real> results;
+  results.truth = ends.sent(job.truth);
+  results.label = ends.room_for(job.label);
+  results.entropy = ends.room_for(job.entropy);
+  results.confidence = ends.room_for(job.confidence);
+  results.truth_probability = ends.room_for(job.truth_probability);
+  stages.class_results(trace.logits, results);
+  ends.fetch(results.label, job.label);
+  ends.fetch(results.entropy, job.entropy);
+  ends.fetch(results.confidence, job.confidence);
+  ends.fetch(results.truth_probability, job.truth_probability);
+}
+
+template <class Real>
+void query_density(const Pass<Real>& pass, View<const double> positions, View<Real> sigma, const StepContext& call) {
+  StepContext ctx = call;
+  ctx.pass = pass.parts().number;
+  const HostEnds<Real> ends{*pass.parts().stages, *ctx.workspace};
+  const View<Real> found = ends.room_for(sigma);
+  pass.density(ctx, ends.sent(positions), found);
+  ends.fetch(found, sigma);
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                                  \
+  template struct RenderJob<Real>;                                                                  \
+  template void render_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&, \
+                                  const RenderJob<Real>&, const StepContext&);                      \
+  template void query_density<Real>(const Pass<Real>&, View<const double>, View<Real>, const StepContext&);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+}  // namespace semfield
