@@ -6,6 +6,7 @@
 
 #include "config/compose.h"
 #include "core/device_id.h"
+#include "core/spelling.h"
 #include "plugin/loader.h"
 #include "settings/label_config.h"
 #include "settings/loss_config.h"
@@ -69,8 +70,10 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
 
 void validate(const RuntimeParams& p, Diagnostics& diagnostics) {
   if (p.device == "auto" || device_of(p.device)) return;
-  diagnostics.error("runtime.device", "'" + p.device + "' is no device",
-                    "write auto, cpu, cuda, or cuda:N for GPU N, counted from 0");
+  const std::string near = did_you_mean(p.device, {"auto", "cpu", "cuda"});
+  diagnostics.error("runtime.device",
+                    "expected one of auto, cpu, cuda, or cuda:N for GPU N counted from 0, got '" + p.device + "'",
+                    near.empty() ? "write one of them" : "did you mean '" + near + "'?");
 }
 
 void describe(ParamVisitor& visit, ReportParams& p) {

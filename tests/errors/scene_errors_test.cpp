@@ -116,11 +116,11 @@ TEST(SceneErrors, FoldersAndTables) {
   EXPECT_EQ(open(even_odd(folder)), folder + "/traj_w_c.txt: no frames in it; check the path");
   write_replica(folder, 2);
   std::filesystem::remove(folder + "/classes.yaml");
-  EXPECT_EQ(open(even_odd(folder)), folder +
-                                        ": labels without a class table: no classes.yaml, classes.csv or "
-                                        "info_semantic.json in the scene's folder; write classes.yaml there, one line "
-                                        "such as '- {id: 1, name: wall}' a class, or name a table with --set "
-                                        "scene.classes=FILE");
+  const std::string no_table = open(even_odd(folder));
+  EXPECT_TRUE(no_table.starts_with(folder + ": labels without a class table")) << no_table;
+  for (const char* said :
+       {"classes.yaml", "classes.csv", "info_semantic.json", "- {id: 1, name: wall}", "--set scene.classes=FILE"})
+    EXPECT_NE(no_table.find(said), std::string::npos) << said;
   ReplicaParams p = even_odd(folder);
   p.label_dir = "cnn";
   EXPECT_EQ(open(p), folder + "/cnn: label folder is missing; check scene.label_dir and scene.test_label_dir");
