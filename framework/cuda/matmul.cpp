@@ -168,19 +168,30 @@ class Library {
   std::map<ProductKey, std::optional<cublasLtMatmulAlgo_t>> algorithms_;
 };
 
-// Of the launch's device. Never destroyed: at the end of a process the driver may be gone before it.
+// By device. Never destroyed: at the end of a process the driver may be gone before it.
+struct Libraries {
+  std::mutex mutex;
+  std::map<int, Library*> of_device;
+};
+Libraries& libraries() {
+  static Libraries* const all = new Libraries;
+  return *all;
+}
+
+// Of the launch's device.
 Library& library() {
-  static std::mutex mutex;
-  static std::map<int, Library*>* const of_device = new std::map<int, Library*>;
-  const std::lock_guard lock(mutex);
-  Library*& found = (*of_device)[launch().ordinal];
+  const std::lock_guard lock(libraries().mutex);
+  Library*& found = libraries().of_device[launch().ordinal];
   if (found == nullptr) found = new Library;
   return *found;
 }
 
 }  // namespace
 
-void forget_stream(cudaStream_t stream) { library().forget(stream); }
+void forget_stream(cudaStream_t stream) {
+  const std::lock_guard lock(libraries().mutex);
+  for (const auto& [ordinal, each] : libraries().of_device) each->forget(stream);
+}
 
 bool product(const Product& p) {
   if (p.d.rows == 0 || p.d.cols == 0) return true;
