@@ -32,6 +32,8 @@ LaneExecutor<Real>::LaneExecutor(Pipeline<Real>& pipeline) : pipeline_(pipeline)
     lanes_.push_back(std::make_unique<Lane>());
     lanes_.back()->inbox.resize(passes().size());
   }
+  queued_.reserve(1);  // they change places in every step, which so allocates nothing from the first on
+  done_.reserve(1);
 }
 
 template <class Real>
