@@ -82,7 +82,7 @@ TEST(SemanticHeads, AnyHeadTrainsThroughThePass) {
     Registry registry = make_registry();
     Oracle oracle(hash_config(), registry);
     PipelineOptions options;
-    options.rules.activation = DensityActivation::softplus;
+    options.rules.rendering.density_activation = DensityActivation::softplus;
     options.rules.deferred_class_layer = deferred;
     std::vector<PassParts<double>> passes;
     passes.push_back(parts_with_linear_head(oracle.session, registry));
