@@ -10,9 +10,6 @@ constexpr std::int64_t kTileRows = 1024;        // samples a tile aims at: activ
 constexpr std::int64_t kExpectedOccupied = 32;  // samples a ray that a single-pass sampler is expected to keep
 constexpr std::size_t kDensityRows = 1024;      // positions that Pass::density evaluates at once
 
-// Samples of a tile that have hidden activations: those of its labelled rays. Runs label a third to all of their rays.
-constexpr double kSemanticShare = 0.6;
-
 // Samples of a tile that a semantic branch keeps; training begins with fog, whose samples all weigh.
 constexpr double kKeptShare = 0.5;
 
@@ -35,7 +32,7 @@ std::int64_t tile_rays_of(const std::vector<const PassParts<Real>*>& passes, con
 
 template <class Real>
 NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
-                         std::int64_t rays, int threads, bool trainable) {
+                         std::int64_t rays, int threads, bool trainable, double labelled) {
   NetworkPlan plan;
   std::vector<std::int64_t> per_ray;
   const std::int64_t tile_rays = tile_rays_of(passes, options, per_ray);
@@ -62,9 +59,12 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
     const std::size_t hidden = parts.head && !parts.branch ? size(parts.head->hidden_width()) : 0;
     const std::size_t saved = parts.field->saved_bytes(static_cast<std::int64_t>(samples), tile_rays);
     const std::size_t place = 3 * sizeof(double) + 2 * sizeof(Real) + sizeof(std::int32_t);
-    const auto semantic = static_cast<std::size_t>(kSemanticShare * static_cast<double>(samples * hidden));
+    const auto semantic = static_cast<std::size_t>(labelled * static_cast<double>(samples * hidden));
     traces += (samples * (6 + feature) + semantic) * sizeof(Real) + saved;
     if (!ahead) traces += samples * (place + encoded * sizeof(Real));
+    // Of each ray: encoded direction, colour, depth, opacity and summed hidden activations with their gradients.
+    const std::size_t direction = parts.direction ? size(parts.direction->traits().out_dims) : 0;
+    traces += size(tile_rays) * (direction + 2 * (5 + hidden)) * sizeof(Real);
     backward = std::max(backward, (samples * (4 + terms + feature) + semantic) * sizeof(Real) +
                                       parts.field->scratch_bytes(static_cast<std::int64_t>(samples), tile_rays));
     if (parts.branch) {
@@ -103,7 +103,7 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
   template std::int64_t tile_rays_of<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&, \
                                            std::vector<std::int64_t>&);                                        \
   template NetworkPlan plan_network<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&,  \
-                                          std::int64_t, int, bool);
+                                          std::int64_t, int, bool, double);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)
 #undef SEMFIELD_INSTANTIATE

@@ -24,9 +24,12 @@ struct NetworkPlan {
   std::size_t workspace() const { return activations + logits + step_rows; }
 };
 
-/// For steps of `rays` rays; `threads` ask for densities at a time.
+/// Samples of a tile that have hidden activations: those of its labelled rays. Runs label a third to all of their rays.
+inline constexpr double kUsualLabelledShare = 0.6;
+
+/// For steps of `rays` rays, `labelled` of which get logits; `threads` ask for densities at a time.
 template <class Real>
 NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
-                         std::int64_t rays, int threads, bool trainable);
+                         std::int64_t rays, int threads, bool trainable, double labelled = kUsualLabelledShare);
 
 }  // namespace semfield

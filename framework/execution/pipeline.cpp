@@ -62,7 +62,7 @@ template <class Real>
 std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
   std::vector<const PassParts<Real>*> parts;
   for (const Pass<Real>& pass : passes_) parts.push_back(&pass.parts());
-  return plan_network(parts, options_, rays, 1, true).workspace();
+  return plan_network(parts, options_, rays, 1, true, 1).workspace();
 }
 
 template <class Real>

@@ -57,7 +57,10 @@ TEST_F(MemoryLimit, ThisProcess) {
   EXPECT_GT(before, 0u);
   std::vector<char> block(64 * kMB, 1);
   EXPECT_GT(resident_bytes(), before + 60 * kMB);
-  EXPECT_GE(peak_resident_bytes() + kMB, resident_bytes());
+  // Linux counts pages a processor at a time, and is off by up to a batch of them for each (lib/percpu_counter.c).
+  const std::size_t cores = std::thread::hardware_concurrency();
+  const std::size_t counting = cores * std::max<std::size_t>(32, 2 * cores) * 4096;
+  EXPECT_GE(peak_resident_bytes() + std::max(kMB, counting), resident_bytes());
   EXPECT_EQ(block.back(), 1);
 }
 
