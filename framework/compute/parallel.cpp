@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <latch>
 #include <memory>
 #include <mutex>
 #include <system_error>
@@ -37,6 +38,24 @@ void start_workers(int workers, const std::function<void()>& serve) {
 #pragma omp parallel num_threads(workers)
   serve();
 #endif
+}
+
+// Throws std::system_error when so many threads cannot live side by side: the OpenMP runtime would end the process.
+void ask_for_threads(int count) {
+  std::latch end(1);
+  std::vector<std::thread> threads;
+  threads.reserve(static_cast<std::size_t>(count));
+  const auto join = [&] {
+    end.count_down();
+    for (std::thread& thread : threads) thread.join();
+  };
+  try {
+    while (std::ssize(threads) < count) threads.emplace_back([&end] { end.wait(); });
+  } catch (const std::system_error&) {
+    join();
+    throw;
+  }
+  join();
 }
 
 // The cores are the machine's, so the workers are the process's: two sessions that train at once would only take them
@@ -89,6 +108,7 @@ void parallel_for(std::int64_t count, IndexBody body) {
   if (!team || team->workers() != workers) {
     team.reset();
     try {
+      ask_for_threads(workers + 1);  // with the one that starts them
       team = std::make_unique<ThreadTeam>(workers, start_workers);
     } catch (const std::system_error&) {  // no memory or no right to another thread: the same values, only later
       return run_serially(count, body);
