@@ -16,20 +16,16 @@ const OnednnGemm& onednn() {
                      "install Semfield again, or set runtime.gemm to builtin"))();
   return loaded;
 }
-constexpr bool kBuilt = true;
 #else
 const OnednnGemm& onednn() {
   throw Error(ErrorKind::unavailable, "runtime.gemm: this build has no oneDNN",
               "set it to builtin or auto, or build where oneDNN is installed (package libdnnl-dev)");
 }
-constexpr bool kBuilt = false;
 #endif
 
 }  // namespace
 
-const OnednnGemm* choose_gemm_engine(GemmEngine wanted, Precision) {
-  return wanted == GemmEngine::onednn ? &onednn() : nullptr;
-}
+const OnednnGemm* choose_gemm_engine(GemmEngine wanted) { return wanted == GemmEngine::onednn ? &onednn() : nullptr; }
 
 std::string gemm_engine_text() {
   const OnednnGemm* foreign = foreign_gemm();

@@ -11,10 +11,9 @@ namespace semfield {
 
 enum class GemmEngine : std::uint8_t { automatic, builtin, onednn };
 
-/// For WorkSettings::gemm; null: our kernels, which automatic takes too: they are as fast or faster
-/// everywhere that was measured
-/// (docs/evidence/performance.md). Throws Error(unavailable) when oneDNN is asked for and not there.
-const OnednnGemm* choose_gemm_engine(GemmEngine wanted, Precision precision);
+/// For WorkSettings::gemm; null: our kernels, which `automatic` takes (docs/decisions/0017-matrix-tiles.md). Throws
+/// Error(unavailable) when oneDNN is asked for and not there.
+const OnednnGemm* choose_gemm_engine(GemmEngine wanted);
 
 /// For reports, of this thread's engine: "built-in, avx512_bf16", "oneDNN 2.6.3".
 std::string gemm_engine_text();

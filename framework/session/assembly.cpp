@@ -242,7 +242,7 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable) {
   PipelineOptions options = pipeline_options(config, plan);
   options.work.threads = config.runtime.threads;
-  options.work.gemm = choose_gemm_engine(config.runtime.gemm, config.runtime.precision);
+  options.work.gemm = choose_gemm_engine(config.runtime.gemm);
   options.class_weight = std::move(class_weight);
   return std::make_unique<Pipeline<Real>>(make_passes<Real>(config, registry, plan, extent), std::move(options),
                                           trainable);

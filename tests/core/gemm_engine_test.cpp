@@ -24,7 +24,7 @@ class GemmEngineTest : public ::testing::Test {
  protected:
   void SetUp() override {
     try {
-      work_.gemm = choose_gemm_engine(GemmEngine::onednn, Precision::fp32);
+      work_.gemm = choose_gemm_engine(GemmEngine::onednn);
     } catch (const Error& error) {
       GTEST_SKIP() << error.what();
     }
@@ -36,7 +36,7 @@ class GemmEngineTest : public ::testing::Test {
   // C of the product by the chosen engine, and by our kernels.
   static std::vector<float> by(GemmEngine engine, Gemm<float> g, std::vector<float> c) {
     WorkSettings work;
-    work.gemm = choose_gemm_engine(engine, g.precision);
+    work.gemm = choose_gemm_engine(engine);
     const WorkScope scope(work);
     g.c = c.data();
     gemm(g);
@@ -139,7 +139,7 @@ TEST_F(GemmEngineTest, SplittingRowsGivesTheSameBits) {
 
 TEST_F(GemmEngineTest, IsNamed) {
   EXPECT_EQ(gemm_engine_text().rfind("oneDNN ", 0), 0u) << gemm_engine_text();
-  work_.gemm = choose_gemm_engine(GemmEngine::builtin, Precision::fp32);
+  work_.gemm = choose_gemm_engine(GemmEngine::builtin);
   EXPECT_EQ(gemm_engine_text().rfind("built-in, ", 0), 0u) << gemm_engine_text();
 }
 

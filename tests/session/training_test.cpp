@@ -36,7 +36,7 @@ std::uint32_t bits_after(const std::string& yaml, std::int64_t steps) {
 
 bool has_onednn() {
   try {
-    choose_gemm_engine(GemmEngine::onednn, Precision::fp32);
+    choose_gemm_engine(GemmEngine::onednn);
     return true;
   } catch (const Error&) {
     return false;
