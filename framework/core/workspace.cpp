@@ -25,6 +25,13 @@ void Workspace::forget() {
   block_ = used_ = high_water_ = 0;
 }
 
+void Workspace::reserve(std::size_t bytes) {
+  if (bytes == 0 || (blocks_.size() == 1 && blocks_.front().bytes >= bytes)) return;
+  clear_blocks();
+  block_ = used_ = 0;
+  add_block(std::max(kMinBlock, merged_bytes(bytes)));
+}
+
 void Workspace::add_block(std::size_t bytes) {
   Block block;
   block.bytes = rounded(bytes, kSourceAlign);
@@ -55,7 +62,7 @@ void Workspace::grow(std::size_t need) {
 std::byte* Workspace::take_bytes(std::size_t bytes) {
   const std::size_t need =
       rounded(std::max<std::size_t>(bytes, 1), source_.allocate != nullptr ? kSourceAlign : kAlign);
-  if (blocks_.empty()) add_block(std::max({need, kMinBlock, merged_bytes()}));
+  if (blocks_.empty()) add_block(std::max({need, kMinBlock, merged_bytes(high_water_)}));
   while (used_ + need > blocks_[block_].bytes) {
     if (block_ + 1 == blocks_.size()) grow(need);
     ++block_;
@@ -77,14 +84,14 @@ void Workspace::release(std::size_t block, std::size_t used, std::size_t total) 
   block_ = 0;
   used_ = 0;
   try {
-    add_block(merged_bytes());
+    add_block(merged_bytes(high_water_));
   } catch (...) {
     // The end of a Scope cannot refuse: the next take asks again, and tells.
   }
 }
 
 // One block of the whole high-water mark in place of a chain, with room for the waste at block ends.
-std::size_t Workspace::merged_bytes() const noexcept { return high_water_ + high_water_ / 8; }
+std::size_t Workspace::merged_bytes(std::size_t high_water) noexcept { return high_water + high_water / 8; }
 
 std::size_t Workspace::reserved_bytes() const noexcept {
   std::size_t sum = 0;

@@ -33,7 +33,7 @@ class ScratchSum {
 };
 
 /// Bump allocator with a high-water mark. Grows by whole blocks when it must (only in the first step of a shape), and
-/// merges them at the next full release, so a steady state allocates nothing. Not thread-safe: one a lane.
+/// merges them at the next full release, so a steady state allocates nothing. Not thread-safe: one a thread.
 class Workspace {
  public:
   Workspace() = default;
@@ -54,6 +54,8 @@ class Workspace {
         rows, cols, cols, source_.device);
   }
 
+  /// Room for `bytes` in one block, before they are taken; nothing may be in use. No part of the high-water mark.
+  void reserve(std::size_t bytes);
   /// Gives every block back and forgets the high-water mark; nothing may be in use.
   void forget();
   std::size_t high_water_bytes() const noexcept { return high_water_; }
@@ -84,7 +86,7 @@ class Workspace {
   void grow(std::size_t need);
   void release(std::size_t block, std::size_t used, std::size_t total);
   void clear_blocks();
-  std::size_t merged_bytes() const noexcept;
+  static std::size_t merged_bytes(std::size_t high_water) noexcept;
 
   BlockSource source_;
   std::vector<Block> blocks_;

@@ -2,13 +2,12 @@
 #include <algorithm>
 #include <cstring>
 
-#include "compute/parallel.h"
 #include "execution/lane_executor.h"
 
 namespace semfield {
 
 namespace {
-constexpr int kLanesAhead = 2;  // lanes whose rows are encoded in one call; by row, so it changes no bits
+constexpr std::int64_t kRowsAhead = 1024;  // encoded in one call; by row, so it changes no bits
 
 template <class Real>
 Rays<Real> rays_of_tile(const RayBatch& batch, std::int64_t tile, std::int64_t tile_rays) {
@@ -60,55 +59,54 @@ void LaneExecutor<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, st
   grow(a.first, tiles * (pipeline_.tile_rays() + 1));
   grow(a.tiles, tiles);
   grow(a.row, tiles);
-  parallel_for(options().lanes, [&](std::int64_t lane) {
-    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
-      StepContext ctx = context(step, true, static_cast<int>(lane), tile * pipeline_.tile_rays());
-      ctx.pass = passes()[0].parts().number;
-      const Rays<Real> rays = rays_of_tile<Real>(batch, tile, pipeline_.tile_rays());
-      Samples<Real>& samples = a.tiles[static_cast<std::size_t>(tile)].samples;
-      samples.t = {a.t.data() + tile * capacity, capacity, 1};
-      samples.delta = {a.delta.data() + tile * capacity, capacity, 1};
-      samples.ray_of_sample = {a.ray_of_sample.data() + tile * capacity, capacity, 1};
-      samples.first = {a.first.data() + tile * (pipeline_.tile_rays() + 1), rays.origin.rows + 1, 1};
-      pass.sample(ctx, rays, nullptr, samples);
-    }
+  arenas_.for_units(tiles, [&](Workspace& arena, std::int64_t tile) {
+    StepContext ctx = context(step, true, tile * pipeline_.tile_rays(), arena);
+    ctx.pass = passes()[0].parts().number;
+    const Rays<Real> rays = rays_of_tile<Real>(batch, tile, pipeline_.tile_rays());
+    Samples<Real>& samples = a.tiles[static_cast<std::size_t>(tile)].samples;
+    samples.t = {a.t.data() + tile * capacity, capacity, 1};
+    samples.delta = {a.delta.data() + tile * capacity, capacity, 1};
+    samples.ray_of_sample = {a.ray_of_sample.data() + tile * capacity, capacity, 1};
+    samples.first = {a.first.data() + tile * (pipeline_.tile_rays() + 1), rays.origin.rows + 1, 1};
+    pass.sample(ctx, rays, nullptr, samples);
   });
   // Lane after lane, as the encoder's gradients are summed. Lane l has the tiles l, l + lanes, ...
   const std::int32_t dims = pass.encoded_dims();
   a.rows = 0;
+  grow(a.lane_begin, options().lanes + 1);
   for (int lane = 0; lane < options().lanes; ++lane) {
+    a.lane_begin[static_cast<std::size_t>(lane)] = a.rows;
     for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
       a.row[static_cast<std::size_t>(tile)] = a.rows;
       a.rows += a.tiles[static_cast<std::size_t>(tile)].samples.count;
     }
   }
-  const auto lane_begin = [&](std::int64_t lane) {
-    return lane < std::min<std::int64_t>(options().lanes, tiles) ? a.row[static_cast<std::size_t>(lane)] : a.rows;
-  };
+  a.lane_begin.back() = a.rows;
   grow(a.x, 3 * a.rows);
   grow(a.encoded, dims * a.rows);
   grow(a.d_encoded, dims * a.rows);
-  parallel_for(tiles, [&](std::int64_t tile) {
+  arenas_.for_units(tiles, [&](Workspace& arena, std::int64_t tile) {
     SampledTile<Real>& sampled = a.tiles[static_cast<std::size_t>(tile)];
     const std::int64_t row = a.row[static_cast<std::size_t>(tile)], count = sampled.samples.count;
     sampled.x = {a.x.data() + 3 * row, count, 3};
     sampled.encoded = {a.encoded.data() + dims * row, count, dims};
-    pass.locate(context(step, true, 0, tile * pipeline_.tile_rays()),
+    pass.locate(context(step, true, tile * pipeline_.tile_rays(), arena),
                 rays_of_tile<Real>(batch, tile, pipeline_.tile_rays()), sampled.samples, sampled.x);
   });
-  const int lanes_at_once = pass.parts().position->traits().whole_batch ? options().lanes : kLanesAhead;
-  parallel_for((options().lanes + lanes_at_once - 1) / lanes_at_once, [&](std::int64_t group) {
-    const auto first_lane = static_cast<int>(group) * lanes_at_once;
-    const std::int64_t begin = lane_begin(first_lane), end = lane_begin(first_lane + lanes_at_once);
-    if (begin >= end) return;
-    const View<const double> x(a.x.data() + 3 * begin, end - begin, 3);
-    pass.encode(context(step, true, first_lane, 0), first_lane, x, {a.encoded.data() + dims * begin, x.rows, dims});
+  const auto encode = [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
+    pass.encode(context(step, true, 0, arena), kMainGradient, {a.x.data() + 3 * begin, count, 3},
+                {a.encoded.data() + dims * begin, count, dims});
+  };
+  if (a.rows == 0) return;
+  if (pass.parts().position->traits().whole_batch) return encode(arenas_.own(), 0, a.rows);
+  arenas_.for_units((a.rows + kRowsAhead - 1) / kRowsAhead, [&](Workspace& arena, std::int64_t i) {
+    encode(arena, i * kRowsAhead, std::min(kRowsAhead, a.rows - i * kRowsAhead));
   });
 }
 
 template <class Real>
 void LaneExecutor<Real>::scatter(std::int64_t step) {
-  StepContext ctx = context(step, true, 0, 0);
+  StepContext ctx = context(step, true);
   if (draws_ahead()) {
     const std::int32_t dims = passes()[0].encoded_dims();
     passes()[0].scatter(ctx, {ahead_.x.data(), ahead_.rows, 3}, {ahead_.d_encoded.data(), ahead_.rows, dims});
@@ -117,8 +115,8 @@ void LaneExecutor<Real>::scatter(std::int64_t step) {
   for (std::size_t p = 0; p < passes().size(); ++p) {
     ctx.pass = passes()[p].parts().number;
     if (!passes()[p].scatters()) continue;
-    for (const auto& lane : lanes_) {
-      const EncoderInbox<Real>& inbox = lane->inbox[p];
+    for (const auto& lane : inboxes_) {
+      const EncoderInbox<Real>& inbox = lane[p];
       passes()[p].scatter(ctx, {inbox.x.data(), inbox.rows, 3},
                           {inbox.dy.data(), inbox.rows, passes()[p].encoded_dims()});
     }

@@ -1,12 +1,12 @@
 #include "execution/lane_executor.h"
 
 #include <algorithm>
+#include <numeric>
 #include <utility>
 
 #include "classes/class_table.h"
 #include "compute/float_mode.h"
 #include "compute/gemm_engine.h"
-#include "compute/parallel.h"
 #include "losses/photometric.h"
 
 namespace semfield {
@@ -27,23 +27,23 @@ bool any_density(const PassTrace<Real>& trace) {
 }  // namespace
 
 template <class Real>
-LaneExecutor<Real>::LaneExecutor(Pipeline<Real>& pipeline) : pipeline_(pipeline) {
-  for (int lane = 0; lane < options().lanes; ++lane) {
-    lanes_.push_back(std::make_unique<Lane>());
-    lanes_.back()->inbox.resize(passes().size());
-  }
+LaneExecutor<Real>::LaneExecutor(Pipeline<Real>& pipeline)
+    : pipeline_(pipeline),
+      inboxes_(static_cast<std::size_t>(options().lanes), std::vector<EncoderInbox<Real>>(passes().size())) {
+  lane_order_.reserve(inboxes_.size());
   queued_.reserve(1);  // they change places in every step, which so allocates nothing from the first on
   done_.reserve(1);
 }
 
 template <class Real>
-StepContext LaneExecutor<Real>::context(std::int64_t step, bool training, int lane, std::int64_t first_ray) const {
+StepContext LaneExecutor<Real>::context(std::int64_t step, bool training, std::int64_t first_ray,
+                                        Workspace& arena) const {
   StepContext ctx;
   ctx.seed = options().seed;
   ctx.step = step;
   ctx.training = training;
   ctx.first_ray = first_ray;
-  ctx.workspace = &lanes_[static_cast<std::size_t>(lane)]->arena;
+  ctx.workspace = &arena;
   return ctx;
 }
 
@@ -54,14 +54,20 @@ std::string LaneExecutor<Real>::matrix_products() const {
 }
 
 template <class Real>
-template <class Body>
-void LaneExecutor<Real>::for_tiles(std::int64_t rays, const Body& body) const {
-  const std::int64_t tile_rays = pipeline_.tile_rays(), tiles = (rays + tile_rays - 1) / tile_rays;
-  parallel_for(options().lanes, [&](std::int64_t lane) {
-    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
-      const std::int64_t begin = tile * tile_rays;
-      body(static_cast<int>(lane), TileRange{begin, std::min(tile_rays, rays - begin), tile});
-    }
+auto LaneExecutor<Real>::tile_of(std::int64_t number, std::int64_t rays) const -> TileRange {
+  const std::int64_t tile_rays = pipeline_.tile_rays(), begin = number * tile_rays;
+  return {begin, std::min(tile_rays, rays - begin), number};
+}
+
+// Lanes with a tile more than others have the low numbers.
+template <class Real>
+void LaneExecutor<Real>::order_lanes(std::int64_t tiles) {
+  lane_order_.resize(static_cast<std::size_t>(std::min<std::int64_t>(options().lanes, tiles)));
+  std::iota(lane_order_.begin(), lane_order_.end(), 0);
+  if (!draws_ahead()) return;
+  std::sort(lane_order_.begin(), lane_order_.end(), [&](int a, int b) {
+    const std::int64_t of_a = ahead_.lane_rows(a), of_b = ahead_.lane_rows(b);
+    return of_a != of_b ? of_a > of_b : a < b;
   });
 }
 
@@ -91,7 +97,7 @@ StepResults LaneExecutor<Real>::finish() {
 
 template <class Real>
 void LaneExecutor<Real>::observe(std::int64_t step) {
-  StepContext ctx = context(step, true, 0, 0);
+  StepContext ctx = context(step, true);
   for (const Pass<Real>& pass : passes()) {
     ctx.pass = pass.parts().number;
     pass.observe(ctx, &queries_);
@@ -107,16 +113,22 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
   guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
   const BatchScales scales = pipeline_.scales_of(step, batch);
   tile_losses_.assign(static_cast<std::size_t>(tiles), StepLosses{});
-  for (auto& lane : lanes_) {
-    for (EncoderInbox<Real>& inbox : lane->inbox) inbox.rows = 0;
+  for (auto& lane : inboxes_) {
+    for (EncoderInbox<Real>& inbox : lane) inbox.rows = 0;
   }
   if (draws_ahead()) draw_ahead(step, batch, tiles);
-  for_tiles(rays, [&](int lane, const TileRange& tile) {
-    tile_losses_[static_cast<std::size_t>(tile.number)] = train_tile(step, lane, batch, tile, scales);
+  order_lanes(tiles);
+  arenas_.for_units(std::ssize(lane_order_), [&](Workspace& arena, std::int64_t i) {
+    const int lane = lane_order_[static_cast<std::size_t>(i)];
+    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
+      const TileRange range = tile_of(tile, rays);
+      tile_losses_[static_cast<std::size_t>(tile)] =
+          train_tile(context(step, true, range.begin, arena), lane, batch, range, scales);
+    }
   });
   scatter(step);
   pipeline_.store().reduce_lanes();
-  StepContext ctx = context(step, true, 0, 0);
+  StepContext ctx = context(step, true);
   for (const Pass<Real>& pass : passes()) {
     ctx.pass = pass.parts().number;
     pass.derive_backward(ctx);
@@ -180,7 +192,7 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
     const std::int32_t dims = trace.encoded.cols;
     if (tile_.number == kAlone) return arena.take<Real>(trace.samples.count, dims);
     Ahead& ahead = owner_.ahead_;
-    if (drawn() == nullptr) return owner_.lanes_[static_cast<std::size_t>(lane_)]->inbox[pass].append(trace.x, dims);
+    if (drawn() == nullptr) return owner_.inboxes_[static_cast<std::size_t>(lane_)][pass].append(trace.x, dims);
     const std::int64_t row = ahead.row[static_cast<std::size_t>(tile_.number)];
     return {ahead.d_encoded.data() + dims * row, trace.samples.count, dims};
   }
@@ -199,10 +211,9 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
 };
 
 template <class Real>
-StepLosses LaneExecutor<Real>::train_tile(std::int64_t step, int lane, const RayBatch& batch, const TileRange& tile,
-                                          const BatchScales& scales) {
+StepLosses LaneExecutor<Real>::train_tile(const StepContext& ctx, int lane, const RayBatch& batch,
+                                          const TileRange& tile, const BatchScales& scales) {
   const std::int64_t begin = tile.begin, count = tile.count;
-  const StepContext ctx = context(step, true, lane, begin);
   const Workspace::Scope tile_scope(*ctx.workspace);
   TrainedRays rays;
   rays.lane = lane;
@@ -233,31 +244,30 @@ template <class Real>
 void LaneExecutor<Real>::render(const RenderJob<Real>& job) {
   const WorkScope scope(options().work);
   guard_rays<Real>({job.origin, job.direction, job.near_far}, {}, 0);
-  for_tiles(job.origin.rows, [&](int lane, const TileRange& tile) {
-    const StepContext ctx = context(0, false, lane, tile.begin);
-    const Workspace::Scope scratch(*ctx.workspace);
-    render_rays(passes(), pipeline_.per_ray(), job.rows(tile.begin, tile.count), ctx);
+  const std::int64_t rays = job.origin.rows, tile_rays = pipeline_.tile_rays();
+  arenas_.for_units((rays + tile_rays - 1) / tile_rays, [&](Workspace& arena, std::int64_t number) {
+    const TileRange tile = tile_of(number, rays);
+    const Workspace::Scope scratch(arena);
+    render_rays(passes(), pipeline_.per_ray(), job.rows(tile.begin, tile.count), context(0, false, tile.begin, arena));
   });
 }
 
 template <class Real>
 void LaneExecutor<Real>::density(View<const double> positions, View<Real> sigma) {
   const WorkScope scope(options().work);
-  const std::int64_t share = (positions.rows + options().lanes - 1) / options().lanes;
-  parallel_for(options().lanes, [&](std::int64_t lane) {
-    const std::int64_t begin = std::min(lane * share, positions.rows);
-    const std::int64_t count = std::min(share, positions.rows - begin);
+  const std::int64_t batch = passes().back().parts().stages->density_batch;
+  arenas_.for_units((positions.rows + batch - 1) / batch, [&](Workspace& arena, std::int64_t i) {
+    const std::int64_t begin = i * batch, count = std::min(batch, positions.rows - begin);
     query_density(passes().back(), positions.row_range(begin, count), sigma.row_range(begin, count),
-                  context(0, false, static_cast<int>(lane), 0));
+                  context(0, false, 0, arena));
   });
 }
 
 template <class Real>
 std::size_t LaneExecutor<Real>::workspace_bytes() const {
-  std::size_t sum = ahead_.bytes();
-  for (const auto& lane : lanes_) {
-    sum += lane->arena.high_water_bytes();
-    for (const EncoderInbox<Real>& inbox : lane->inbox)
+  std::size_t sum = ahead_.bytes() + arenas_.bytes();
+  for (const auto& lane : inboxes_) {
+    for (const EncoderInbox<Real>& inbox : lane)
       sum += inbox.x.capacity() * sizeof(double) + inbox.dy.capacity() * sizeof(Real);
   }
   return sum;
@@ -265,9 +275,7 @@ std::size_t LaneExecutor<Real>::workspace_bytes() const {
 
 template <class Real>
 std::int64_t LaneExecutor<Real>::workspace_growths() const {
-  std::int64_t sum = 0;
-  for (const auto& lane : lanes_) sum += lane->arena.growth_count();
-  return sum;
+  return arenas_.growths();
 }
 
 template class LaneExecutor<float>;

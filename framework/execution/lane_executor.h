@@ -2,10 +2,10 @@
 // summed in a fixed order.
 #pragma once
 
-#include <memory>
 #include <vector>
 
 #include "execution/pipeline.h"
+#include "execution/thread_arenas.h"
 #include "execution/train_rays.h"
 
 namespace semfield {
@@ -40,16 +40,13 @@ class LaneExecutor final : public Executor<Real> {
   /// finite, with its number in the batch; none when only their sum fails. Leaves every gradient zero.
   std::optional<RayFault> find_fault(std::int64_t step, const RayBatch& batch);
 
-  StepContext context(std::int64_t step, bool training, int lane, std::int64_t first_ray) const;
-  /// Scratch memory of all lanes: high-water mark, and how often it grew.
+  /// For calls in this thread alone.
+  StepContext context(std::int64_t step, bool training) { return context(step, training, 0, arenas_.own()); }
+  /// Scratch memory: high-water marks of all threads, and how often it grew.
   std::size_t workspace_bytes() const;
   std::int64_t workspace_growths() const;
 
  private:
-  struct Lane {
-    Workspace arena;
-    std::vector<EncoderInbox<Real>> inbox;  // one a pass
-  };
   // A step's samples drawn before the first is evaluated, all rows of a lane's tiles side by side: tables of an encoder
   // are then read, and written, for thousands of rows at a time, level by level, and not for one small tile after the
   // other. Vectors only grow.
@@ -60,7 +57,11 @@ class LaneExecutor final : public Executor<Real> {
     std::vector<std::int64_t> row;                   // [tiles] of its first sample in what follows
     std::vector<double> x;                           // [M, 3]
     std::vector<Real> encoded, d_encoded;            // [M, Dp]
+    std::vector<std::int64_t> lane_begin;            // [lanes + 1] rows of a lane's tiles, side by side
     std::int64_t rows = 0;
+    std::int64_t lane_rows(int lane) const {
+      return lane_begin[static_cast<std::size_t>(lane) + 1] - lane_begin[static_cast<std::size_t>(lane)];
+    }
     std::size_t bytes() const;
   };
   static constexpr std::int64_t kAlone = -1;  // a tile's number: rays that are no tile of the step
@@ -71,16 +72,20 @@ class LaneExecutor final : public Executor<Real> {
   const std::vector<Pass<Real>>& passes() const { return pipeline_.passes(); }
   const PipelineOptions& options() const { return pipeline_.options(); }
   bool draws_ahead() const { return passes().size() == 1 && passes()[0].scatters(); }
+  StepContext context(std::int64_t step, bool training, std::int64_t first_ray, Workspace& arena) const;
   void draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles);
   void scatter(std::int64_t step);
   void observe(std::int64_t step);
-  StepLosses train_tile(std::int64_t step, int lane, const RayBatch& batch, const TileRange& tile,
+  /// Lanes with tiles of the step, the one with most samples first as far as they are known.
+  void order_lanes(std::int64_t tiles);
+  StepLosses train_tile(const StepContext& ctx, int lane, const RayBatch& batch, const TileRange& tile,
                         const BatchScales& scales);
-  template <class Body>
-  void for_tiles(std::int64_t rays, const Body& body) const;
+  TileRange tile_of(std::int64_t number, std::int64_t rays) const;
 
   Pipeline<Real>& pipeline_;
-  std::vector<std::unique_ptr<Lane>> lanes_;
+  ThreadArenas arenas_;
+  std::vector<std::vector<EncoderInbox<Real>>> inboxes_;  // of a lane, one a pass
+  std::vector<int> lane_order_;
   std::vector<StepLosses> tile_losses_;
   Ahead ahead_;
   WorkspacePool queries_;

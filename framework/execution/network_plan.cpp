@@ -10,10 +10,40 @@ constexpr std::int64_t kTileRows = 1024;        // samples a tile aims at: activ
 constexpr std::int64_t kExpectedOccupied = 32;  // samples a ray that a single-pass sampler is expected to keep
 constexpr std::size_t kDensityRows = 1024;      // positions that Pass::density evaluates at once
 
+// Lanes are what threads share, so this many keep 2, 3, 4, 6, 8, 12, 16, 24 or 48 of them busy alike.
+constexpr std::int64_t kMostLanes = 48;
+constexpr std::int64_t kEvenLanes = 16;                     // a number of lanes that memory bounds is a multiple of it
+constexpr std::size_t kLaneBytes = std::size_t{256} << 20;  // of all lanes of a run in float
+// Samples of a lane at least: to add a parameter's lane and to clear it takes as long as some ten samples do.
+constexpr std::int64_t kLaneRows = 512;
+
 // Samples of a tile that a semantic branch keeps; training begins with fog, whose samples all weigh.
 constexpr double kKeptShare = 0.5;
 
 std::size_t size(std::int64_t n) { return static_cast<std::size_t>(n); }
+
+/// Samples a ray that tiles are made for.
+template <class Real>
+std::int64_t expected_samples(const std::vector<const PassParts<Real>*>& passes,
+                              const std::vector<std::int64_t>& per_ray) {
+  const std::int64_t most = passes.back()->sampler->traits().single_pass
+                                ? std::min(per_ray.back(), kExpectedOccupied)
+                                : *std::max_element(per_ray.begin(), per_ray.end());
+  return std::max<std::int64_t>(most, 1);
+}
+
+template <class Real>
+TensorBytes declared_by(const PassParts<Real>& parts, int lanes, bool trainable) {
+  TensorBytes sum = declared_bytes<Real>(*parts.position, lanes, trainable);
+  sum += declared_bytes<Real>(*parts.sampler, lanes, trainable);
+  sum += declared_bytes<Real>(*parts.field, lanes, trainable);
+  if (parts.direction) sum += declared_bytes<Real>(*parts.direction, lanes, trainable);
+  if (parts.head) sum += declared_bytes<Real>(*parts.head, lanes, trainable);
+  if (!parts.branch) return sum;
+  sum += declared_bytes<Real>(*parts.branch->position, lanes, trainable);
+  sum += declared_bytes<Real>(*parts.branch->field, lanes, trainable);
+  return sum;
+}
 
 }  // namespace
 
@@ -24,10 +54,22 @@ std::int64_t tile_rays_of(const std::vector<const PassParts<Real>*>& passes, con
   for (const PassParts<Real>* parts : passes)
     per_ray.push_back(parts->sampler->capacity(1, per_ray.empty() ? 0 : per_ray.back()));
   if (options.tile_rays > 0) return options.tile_rays;
-  const std::int64_t expected = passes.back()->sampler->traits().single_pass
-                                    ? std::min(per_ray.back(), kExpectedOccupied)
-                                    : *std::max_element(per_ray.begin(), per_ray.end());
-  return std::clamp<std::int64_t>(kTileRows / std::max<std::int64_t>(expected, 1), 4, 64);
+  return std::clamp<std::int64_t>(kTileRows / expected_samples(passes, per_ray), 4, 64);
+}
+
+template <class Real>
+int lanes_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options, std::int64_t rays) {
+  if (options.lanes > 0) return options.lanes;
+  std::vector<std::int64_t> per_ray;
+  const std::int64_t tile_rays = tile_rays_of(passes, options, per_ray);
+  const std::int64_t tiles = (rays + tile_rays - 1) / tile_rays;
+  std::size_t lane_bytes = 0;
+  for (const PassParts<Real>* parts : passes) lane_bytes += declared_by(*parts, 1, true).lanes;
+  lane_bytes = std::max<std::size_t>(lane_bytes / sizeof(Real) * sizeof(float), 1);
+  const auto in_memory = static_cast<std::int64_t>(kLaneBytes / lane_bytes);
+  std::int64_t lanes = std::min({kMostLanes, in_memory, rays * expected_samples(passes, per_ray) / kLaneRows});
+  if (lanes < tiles && lanes > kEvenLanes) lanes -= lanes % kEvenLanes;
+  return static_cast<int>(std::clamp<std::int64_t>(lanes, 1, tiles));
 }
 
 template <class Real>
@@ -36,22 +78,18 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
   NetworkPlan plan;
   std::vector<std::int64_t> per_ray;
   const std::int64_t tile_rays = tile_rays_of(passes, options, per_ray);
-  // Lanes that get a whole tile; a last one with a part of it counts for that part.
-  const double busy =
-      std::clamp(static_cast<double>(rays) / static_cast<double>(tile_rays), 1.0, static_cast<double>(options.lanes));
+  // Threads that get a whole tile; a last one with a part of it counts for that part.
+  const double busy = std::clamp(static_cast<double>(rays) / static_cast<double>(tile_rays), 1.0,
+                                 static_cast<double>(std::min(options.lanes, threads)));
   const std::size_t terms = options.losses.empty() ? 0 : 2;  // gradients of weight and density
   std::size_t traces = 0, backward = 0, logits = 0;
   for (std::size_t p = 0; p < passes.size(); ++p) {
     const PassParts<Real>& parts = *passes[p];
-    const TensorBytes position = declared_bytes<Real>(*parts.position, options.lanes, trainable);
-    plan.tensors += position;
-    plan.tensors += declared_bytes<Real>(*parts.sampler, options.lanes, trainable);
-    plan.tensors += declared_bytes<Real>(*parts.field, options.lanes, trainable);
-    if (parts.direction) plan.tensors += declared_bytes<Real>(*parts.direction, options.lanes, trainable);
-    if (parts.head) plan.tensors += declared_bytes<Real>(*parts.head, options.lanes, trainable);
+    plan.tensors += declared_by(parts, options.lanes, trainable);
+    const bool learned_position = declared_bytes<Real>(*parts.position, 1, trainable).learns;
 
     // Of a tile: what forward leaves, and what backward takes beside it.
-    const bool ahead = passes.size() == 1 && position.learns;
+    const bool ahead = passes.size() == 1 && learned_position;
     const std::size_t samples = size(parts.sampler->capacity(tile_rays, p == 0 ? 0 : per_ray[p - 1]));
     const std::size_t encoded = size(parts.position->traits().out_dims);
     const bool reads = parts.head && (!parts.branch || parts.branch->rules.reads_feature);
@@ -68,8 +106,6 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
     backward = std::max(backward, (samples * (4 + terms + feature) + semantic) * sizeof(Real) +
                                       parts.field->scratch_bytes(static_cast<std::int64_t>(samples), tile_rays));
     if (parts.branch) {
-      plan.tensors += declared_bytes<Real>(*parts.branch->position, options.lanes, trainable);
-      plan.tensors += declared_bytes<Real>(*parts.branch->field, options.lanes, trainable);
       const auto kept = static_cast<std::int64_t>(kKeptShare * static_cast<double>(samples));
       const std::size_t branch_saved = parts.branch->field->saved_bytes(kept, tile_rays);
       const std::size_t out = size(parts.branch->field->traits().feature_dims) + size(parts.head->hidden_width());
@@ -83,7 +119,7 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
       const std::size_t rows = options.rules.deferred_class_layer ? size(tile_rays) : samples;
       logits += 2 * rows * size(parts.head->classes()) * sizeof(Real);
     }
-    if (position.learns) {
+    if (learned_position) {
       const std::size_t all = size(parts.sampler->capacity(rays, p == 0 ? 0 : per_ray[p - 1]));
       // Coordinates, encoded rows and their gradients.
       plan.step_rows +=
@@ -99,10 +135,11 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
   return plan;
 }
 
-#define SEMFIELD_INSTANTIATE(Real)                                                                             \
-  template std::int64_t tile_rays_of<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&, \
-                                           std::vector<std::int64_t>&);                                        \
-  template NetworkPlan plan_network<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&,  \
+#define SEMFIELD_INSTANTIATE(Real)                                                                               \
+  template std::int64_t tile_rays_of<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&,   \
+                                           std::vector<std::int64_t>&);                                          \
+  template int lanes_of<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&, std::int64_t); \
+  template NetworkPlan plan_network<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&,    \
                                           std::int64_t, int, bool, double);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "compute/float_mode.h"
+#include "compute/parallel.h"
 #include "core/check.h"
 #include "execution/lane_executor.h"
 #include "execution/network_plan.h"
@@ -26,6 +27,7 @@ template <class Real>
 Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
     : options_(std::move(options)), store_(options_.seed, options_.lanes, trainable) {
   SEMFIELD_CHECK(!passes.empty(), "a pipeline needs a pass");
+  SEMFIELD_CHECK(options_.lanes > 0, "lanes_of has chosen their number");
   std::vector<const PassParts<Real>*> parts_of;
   passes_.reserve(passes.size());
   for (PassParts<Real>& parts : passes) {
@@ -51,7 +53,7 @@ template <class Real>
 void Pipeline<Real>::derive(std::int64_t step) {
   const WorkScope scope(options_.work);
   const ComputeFloatMode mode;
-  StepContext ctx = lanes_->context(step, false, 0, 0);
+  StepContext ctx = lanes_->context(step, false);
   for (const Pass<Real>& pass : passes_) {
     ctx.pass = pass.parts().number;
     pass.derive(ctx);
@@ -60,9 +62,10 @@ void Pipeline<Real>::derive(std::int64_t step) {
 
 template <class Real>
 std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
+  const WorkScope scope(options_.work);
   std::vector<const PassParts<Real>*> parts;
   for (const Pass<Real>& pass : passes_) parts.push_back(&pass.parts());
-  return plan_network(parts, options_, rays, 1, true, 1).workspace();
+  return plan_network(parts, options_, rays, thread_count(), true, 1).workspace();
 }
 
 template <class Real>

@@ -18,7 +18,7 @@ namespace semfield {
 struct PipelineOptions {
   RenderRules rules;
   std::uint64_t seed = 1;
-  int lanes = 8;                    ///< gradient slots; the sum's order, so part of a run's identity
+  int lanes = 8;                    ///< gradient slots; the sum's order, so part of a run's identity. See lanes_of
   std::int64_t tile_rays = 0;       ///< 0: from the samplers' capacities, never from the thread count
   std::vector<float> class_weight;  ///< [C] or empty
   LossList losses;                  ///< terms beside colour and semantics

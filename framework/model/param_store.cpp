@@ -30,7 +30,11 @@ class Collector final : public ParamDeclarer {
   std::vector<TensorSpec> specs;
 };
 
-constexpr std::int64_t kChunk = 1 << 14;  // elements a parallel task; sums are per element, so it changes no bits
+bool has_gradient(const TensorSpec& spec) {
+  return spec.role != TensorRole::state && (spec.role != TensorRole::derived || spec.takes_gradient);
+}
+
+constexpr std::int64_t kChunk = 1 << 12;  // elements a parallel task; sums are per element, so it changes no bits
 
 }  // namespace
 
@@ -60,7 +64,7 @@ TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainab
     TensorBytes one;
     one.values = bytes;
     one.learns = learned;
-    if (trainable && spec.role != TensorRole::state) {
+    if (trainable && has_gradient(spec)) {
       one.gradients = bytes;
       if (learned) one.moments = 2 * bytes;
       if (spec.role != TensorRole::sparse) one.lanes = bytes * static_cast<std::size_t>(lanes);
@@ -91,7 +95,7 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
               ? static_cast<Real>(init.low)
               : static_cast<Real>(init.low + (init.high - init.low) * static_cast<double>(uniform01(address, i)));
     }
-    if (trainable_ && tensor.spec.role != TensorRole::state) {
+    if (trainable_ && has_gradient(tensor.spec)) {
       tensor.grad = AlignedBuffer<Real>(count);
       if (tensor.learned()) {
         tensor.moment1 = AlignedBuffer<Real>(count);

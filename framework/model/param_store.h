@@ -35,7 +35,7 @@ struct Tensor {
   TensorSpec spec;
   LearningRule rule;
   AlignedBuffer<Real> value;
-  AlignedBuffer<Real> grad;              ///< the step's gradient; empty for state tensors
+  AlignedBuffer<Real> grad;              ///< the step's gradient; empty for state tensors and copies
   AlignedBuffer<Real> moment1, moment2;  ///< Adam; learned tensors only
   AlignedBuffer<Real> lanes;             ///< [lane_count, size]; dense and derived tensors only
 

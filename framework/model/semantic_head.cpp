@@ -33,8 +33,8 @@ void OneLayerHead<Real>::declare(ParamDeclarer& declarer) const {
   declarer.tensor({"hidden/bias", 1, s.hidden, hidden_init, TensorRole::dense});
   declarer.tensor({"class/weight", s.hidden, s.classes, class_init, TensorRole::dense});
   declarer.tensor({"class/bias", 1, s.classes, class_init, TensorRole::dense});
-  declarer.tensor({"hidden/weight_t", s.hidden, s.feature, {}, TensorRole::derived});
-  declarer.tensor({"class/weight_t", s.classes, s.hidden, {}, TensorRole::derived});
+  declarer.tensor({"hidden/weight_t", s.hidden, s.feature, {}, TensorRole::derived, false});
+  declarer.tensor({"class/weight_t", s.classes, s.hidden, {}, TensorRole::derived, false});
 }
 
 template <class Real>

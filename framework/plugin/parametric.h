@@ -32,6 +32,7 @@ struct TensorSpec {
   std::int32_t cols = 0;
   Init init{};
   TensorRole role = TensorRole::dense;
+  bool takes_gradient = true;  ///< of a derived tensor; false: a copy of values, whose gradients come as empty views
 };
 
 class ParamDeclarer {

@@ -157,15 +157,25 @@ std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry
   return passes;
 }
 
-PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan) {
+template <class Real>
+std::vector<const PassParts<Real>*> pointers_to(const std::vector<PassParts<Real>>& passes) {
+  std::vector<const PassParts<Real>*> out;
+  for (const PassParts<Real>& pass : passes) out.push_back(&pass);
+  return out;
+}
+
+template <class Real>
+PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
+                                 const std::vector<PassParts<Real>>& passes) {
   PipelineOptions options;
   options.rules.rendering = config.rendering;
   if (plan.late_samples) options.rules.rendering.early_stop = 0;
   options.rules.semantics = config.semantics;
   options.rules.deferred_class_layer = config.runtime.deferred_class_layer;
   options.seed = config.runtime.seed;
-  options.lanes = config.runtime.lanes;
   options.tile_rays = config.runtime.tile_rays;
+  options.lanes = config.runtime.lanes;
+  options.lanes = lanes_of<Real>(pointers_to(passes), options, config.train.rays);
   options.losses = LossList(config.losses, config.train.steps);
   options.head_on_all_rays = plan.head_on_unlabelled_rays;
   return options;
@@ -232,20 +242,23 @@ bool needs_bounds(const RunConfig& config, const Registry& registry) {
 NetworkPlan plan_network(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                          const SceneExtent& extent, bool trainable) {
   const std::vector<PassParts<float>> passes = make_passes<float>(config, registry, plan, extent);
-  std::vector<const PassParts<float>*> parts;
-  for (const PassParts<float>& pass : passes) parts.push_back(&pass);
-  return plan_network<float>(parts, pipeline_options(config, plan), config.train.rays, thread_count(), trainable);
+  const PipelineOptions options = pipeline_options(config, plan, passes);
+  return plan_network<float>(pointers_to(passes), options, config.train.rays, thread_count(), trainable);
+}
+
+int lanes_of(const RunConfig& config, const Registry& registry, const BuildPlan& plan, const SceneExtent& extent) {
+  return pipeline_options(config, plan, make_passes<float>(config, registry, plan, extent)).lanes;
 }
 
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable) {
-  PipelineOptions options = pipeline_options(config, plan);
+  std::vector<PassParts<Real>> passes = make_passes<Real>(config, registry, plan, extent);
+  PipelineOptions options = pipeline_options(config, plan, passes);
   options.work.threads = config.runtime.threads;
   options.work.gemm = choose_gemm_engine(config.runtime.gemm);
   options.class_weight = std::move(class_weight);
-  return std::make_unique<Pipeline<Real>>(make_passes<Real>(config, registry, plan, extent), std::move(options),
-                                          trainable);
+  return std::make_unique<Pipeline<Real>>(std::move(passes), std::move(options), trainable);
 }
 
 namespace {

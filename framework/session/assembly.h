@@ -32,6 +32,9 @@ bool needs_bounds(const RunConfig& config, const Registry& registry);
 NetworkPlan plan_network(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                          const SceneExtent& extent, bool trainable);
 
+/// runtime.lanes, or where it is 0 the number that the run gets; for run.yaml.
+int lanes_of(const RunConfig& config, const Registry& registry, const BuildPlan& plan, const SceneExtent& extent);
+
 /// Real = float trains and renders; double is the oracle of the tests. `class_weight` [C logits] or empty.
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
@@ -42,8 +45,8 @@ struct ChosenDevice {
   std::string no_cuda;  ///< why it is the processor
 };
 /// The device that the run's configuration asks for; its kernels are then in the registry's tables. `auto` is the first
-/// cuda device where build and machine have it and every part of the passes and term of the loss has kernels for it; one
-/// without them is noted and leaves the run on the processor. Throws Error(unavailable) with the reason when a cuda
+/// cuda device where build and machine have it and every part of the passes and term of the loss has kernels for it;
+/// one without them is noted and leaves the run on the processor. Throws Error(unavailable) with the reason when a cuda
 /// device is asked for
 /// and cannot be had.
 ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);

@@ -173,6 +173,7 @@ void fix_extent(Session& s, const Registry& registry, DeviceId device) {
 }
 
 void build_session(Session& s, Registry& registry, const SessionOptions& options, DeviceId device) {
+  s.config.runtime.lanes = lanes_of(s.config, registry, s.plan, s.extent);  // derived, as the extent is
   if (options.trainable) {
     measure_scene(s);
     NetworkPlan network = plan_network(s.config, registry, s.plan, s.extent, true);

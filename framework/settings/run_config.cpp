@@ -53,8 +53,10 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
                  "a GPU sums in a fixed order, so that every run gives the same bits; the CPU always does");
   SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
   SEMFIELD_PARAM(visit, p, seed, "seed of every random value");
-  SEMFIELD_PARAM(visit, p, lanes, "gradient slots, which also limit the threads of a step; changes the order of sums",
-                 {1, 256});
+  SEMFIELD_PARAM(visit, p, lanes,
+                 "gradient slots, which also limit the threads of a step; 0: from the work of a step, up to 48, and "
+                 "run.yaml has the number; changes the order of sums",
+                 {0, 256});
   SEMFIELD_PARAM(visit, p, tile_rays, "rays per tile; 0: from the samplers; changes the order of sums", {0, 1 << 16});
   SEMFIELD_PARAM(
       visit, p, keep,

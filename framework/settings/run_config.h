@@ -67,7 +67,7 @@ struct RuntimeParams {
   bool deterministic = false;
   int threads = 0;
   std::uint32_t seed = 1;
-  int lanes = 8;
+  int lanes = 0;
   int tile_rays = 0;
   std::vector<std::string> keep;
   double memory_gb = 0;

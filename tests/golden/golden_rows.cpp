@@ -50,7 +50,8 @@ Golden golden(const std::string& name, const std::string& passes, const std::str
                     "}\nsemantics: {hidden_width: 16, weight: 0.1}\n"
                     "rendering: {density_activation: softplus, far: background}\npasses:\n" +
                     passes + more + "train: {steps: 20, rays: 128, adam: {learning_rate: 0.01}" + train +
-                    "}\nruntime: {device: cpu, gemm: builtin, precision: " + (bf16 ? "bf16" : "fp32") + "}\n"};
+                    "}\nruntime: {device: cpu, lanes: 8, gemm: builtin, precision: " + (bf16 ? "bf16" : "fp32") +
+                    "}\n"};
 }
 
 std::vector<Golden> goldens() {

@@ -51,6 +51,7 @@ class LayerList {
     const TensorSpec weight = specs_[static_cast<std::size_t>(layer.weight)];
     layer.weight_t =
         tensor(name + "/weight_t", weight.cols, static_cast<std::int32_t>(weight.rows), {}, TensorRole::derived);
+    specs_.back().takes_gradient = false;
   }
 
  private:

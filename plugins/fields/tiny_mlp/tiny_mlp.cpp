@@ -37,7 +37,8 @@ TinyMlpLayer learned(std::vector<TensorSpec>& specs, const std::string& name, st
 void add_transpose(std::vector<TensorSpec>& specs, TinyMlpLayer& layer) {
   const TensorSpec weight = specs[static_cast<std::size_t>(layer.weight)];
   layer.weight_t = static_cast<int>(specs.size());
-  specs.push_back({weight.name + "_t", weight.cols, static_cast<std::int32_t>(weight.rows), {}, TensorRole::derived});
+  specs.push_back(
+      {weight.name + "_t", weight.cols, static_cast<std::int32_t>(weight.rows), {}, TensorRole::derived, false});
 }
 
 }  // namespace

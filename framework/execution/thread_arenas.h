@@ -1,0 +1,49 @@
+// Arenas of the threads that work on a step: scratch grows with the threads, not with the units of work.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "compute/parallel.h"
+#include "core/workspace.h"
+
+namespace semfield {
+
+/// An arena for each thread that takes units of work, and one for the caller's own. For one caller at a time.
+class ThreadArenas {
+ public:
+  /// body(arena, i) once for every i in [0, count). Threads take the next i when they are done with one, so the dearest
+  /// should come first; each keeps its arena, which so stays in its cache. As parallel_for when a body throws.
+  template <class Body>
+  void for_units(std::int64_t count, const Body& body) {
+    const std::int64_t workers = std::clamp<std::int64_t>(count, 1, thread_count());
+    while (std::ssize(arenas_) < workers) arenas_.push_back(std::make_unique<Workspace>());
+    std::atomic<std::int64_t> next{0};
+    parallel_for(workers, [&](std::int64_t worker) {
+      Workspace& arena = *arenas_[static_cast<std::size_t>(worker)];
+      for (std::int64_t i = next++; i < count; i = next++) body(arena, i);
+    });
+    even_out(workers);
+  }
+
+  /// For work in the caller's thread.
+  Workspace& own() { return own_; }
+  /// High-water mark of all, and how often one grew.
+  std::size_t bytes() const;
+  std::int64_t growths() const;
+
+ private:
+  /// Which thread met the unit that takes most is chance. All get room for it, so that a steady state allocates
+  /// nothing.
+  void even_out(std::int64_t workers);
+
+  Workspace own_;
+  std::vector<std::unique_ptr<Workspace>> arenas_;
+  std::int64_t growths_ = 0;  // that were answered by giving freed memory back
+};
+
+}  // namespace semfield
