@@ -280,10 +280,15 @@ class Bench {
 
   void scaling() {
     if (hardware_threads() < 2) return;
-    tools_.note("one thread against two");
+    constexpr int kMany = 16, kFewest = 8;
+    if (hardware_threads() >= kFewest) results_.many_threads = std::min(kMany, hardware_threads());
+    tools_.note("one thread against two" +
+                (results_.many_threads > 0 ? fmt::format(" and {}", results_.many_threads) : std::string()));
+    std::vector<int> counts{1, 2};
+    if (results_.many_threads > 0) counts.push_back(results_.many_threads);
     std::vector<std::unique_ptr<Case>> cases;
-    for (const int threads : {1, 2}) cases.push_back(paper("fp32", threads, sizes_.rays, kPaperClasses));
-    for (const int threads : {1, 2}) cases.push_back(hash("fp32", threads, 15, kPaperClasses));
+    for (const int threads : counts) cases.push_back(paper("fp32", threads, sizes_.rays, kPaperClasses));
+    for (const int threads : counts) cases.push_back(hash("fp32", threads, 15, kPaperClasses));
     results_.scaling = measure(std::move(cases));
   }
 
@@ -347,7 +352,10 @@ Goals goals_by(const BenchStepResults& r, const Time& time) {
           {"P7", p7},
           {"P8", ratio(of_classes("paper", 101), of_classes("paper", 0))},
           {"threads2", ratio(find_step(r.scaling, "paper", "fp32", kPaperClasses, 1),
-                             find_step(r.scaling, "paper", "fp32", kPaperClasses, 2))}};
+                             find_step(r.scaling, "paper", "fp32", kPaperClasses, 2))},
+          {"P15", r.many_threads == 0 ? std::nullopt
+                                      : ratio(find_step(r.scaling, "paper", "fp32", kPaperClasses, 1),
+                                              find_step(r.scaling, "paper", "fp32", kPaperClasses, r.many_threads))}};
 }
 
 }  // namespace
@@ -363,7 +371,7 @@ Goals processor_goals_of(const BenchStepResults& r) {
   Goals goals = goals_by(r, [](const auto& row) { return row.processor; });
   const StepRow* paper = find_step(r.steps, "paper", "fp32", kPaperClasses, r.threads);
   if (paper != nullptr && r.peak_fp32_one > 0) goals[3].second = paper->flop / paper->processor / r.peak_fp32_one;
-  goals.pop_back();  // threads2 is a matter of time that passes
+  goals.resize(goals.size() - 2);  // threads2 and P15 are matters of time that passes
   return goals;
 }
 

@@ -56,7 +56,8 @@ struct BenchStepResults {
       reads;                     ///< table size -> random 8-byte reads a second, 1 and all threads
   std::vector<StepRow> steps;    ///< whole steps, alternating with the peers
   std::vector<StepRow> classes;  ///< the same networks over C; C = 0: without semantics
-  std::vector<StepRow> scaling;  ///< 1 thread and 2
+  std::vector<StepRow> scaling;  ///< 1 thread, 2, and `many_threads`
+  int many_threads = 0;          ///< 0: the machine has fewer than 8 cores
   std::vector<PeerRow> peers;
   std::string peer_about, peer_missing;  ///< what answered, or why nothing did
 };

@@ -77,7 +77,7 @@ void print_table(const BenchStepOptions& options, const BenchStepResults& r) {
       "encodings, sampling, compositing and Adam\n");
   print_rows("whole steps", r.steps);
   print_rows("over the number of classes (fewer rays a step for the paper's network)", r.classes);
-  print_rows("threads (fewer rays a step for the paper's network)", r.scaling);
+  print_rows("threads", r.scaling);
   print_peers(r);
 }
 
