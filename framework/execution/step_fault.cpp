@@ -2,12 +2,14 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <string>
 
 #include "compute/float_mode.h"
 #include "compute/math_functions.h"
 #include "execution/lane_executor.h"
+#include "optim/tensor_ranges.h"
 
 namespace semfield {
 
@@ -21,14 +23,19 @@ std::string element_text(const Tensor<Real>& t, std::int64_t element) {
 // Of a table the whole gradient, and values and moments of the touched rows of one window: the moments of every touched
 // row would cost as much memory traffic as the update. From sound numbers comes nothing else, so what this finds was
 // written from outside; a value that is not finite is seen in the encoder's output in any case.
+//
+// Of rows [row, row + rows).
 template <class Real>
-Unsound<Real> unsound_of_table(const Tensor<Real>& t, std::int64_t step) {
-  Unsound<Real> bad = first_unsound<Real>({}, t.view(t.grad), {}, {}, false);
-  if (bad.element >= 0) return bad;
-  const std::int64_t rows = (t.spec.rows + kTableWindows - 1) / kTableWindows;
-  const std::int64_t begin = std::min(step % kTableWindows * rows, t.spec.rows);
-  const std::int64_t count = std::min(rows, t.spec.rows - begin);
-  if (count == 0) return {};
+Unsound<Real> unsound_of_table(const Tensor<Real>& t, std::int64_t step, std::int64_t row, std::int64_t rows) {
+  Unsound<Real> bad = first_unsound<Real>({}, t.view(t.grad).row_range(row, rows), {}, {}, false);
+  if (bad.element >= 0) {
+    bad.element += row * t.spec.cols;
+    return bad;
+  }
+  const std::int64_t window_rows = (t.spec.rows + kTableWindows - 1) / kTableWindows;
+  const std::int64_t begin = std::max(row, step % kTableWindows * window_rows);
+  const std::int64_t count = std::min(row + rows, (step % kTableWindows + 1) * window_rows) - begin;
+  if (count <= 0) return {};
   const auto window = [&](const AlignedBuffer<Real>& buffer) { return t.view(buffer).row_range(begin, count); };
   bad = first_unsound<Real>(window(t.value), window(t.grad), window(t.moment1), window(t.moment2), true);
   if (bad.element >= 0) bad.element += begin * t.spec.cols;
@@ -36,11 +43,31 @@ Unsound<Real> unsound_of_table(const Tensor<Real>& t, std::int64_t step) {
 }
 
 template <class Real>
+Unsound<Real> unsound_of_learned(const Tensor<Real>& t, std::int64_t step, std::int64_t row, std::int64_t rows) {
+  if (t.spec.role == TensorRole::sparse) return unsound_of_table(t, step, row, rows);
+  const auto part = [&](const AlignedBuffer<Real>& buffer) { return t.view(buffer).row_range(row, rows); };
+  Unsound<Real> bad = first_unsound<Real>(part(t.value), part(t.grad), part(t.moment1), part(t.moment2), false);
+  if (bad.element >= 0) bad.element += row * t.spec.cols;
+  return bad;
+}
+
+// Of all learned tensors at once; which one it is, check_learned says.
+template <class Real>
+bool learned_are_sound(const std::vector<Tensor<Real>>& tensors, std::int64_t step) {
+  std::atomic<bool> sound{true};
+  const auto tensor = [&](int i) -> const Tensor<Real>& { return tensors[static_cast<std::size_t>(i)]; };
+  for_ranges(
+      static_cast<int>(tensors.size()), [&](int i) { return tensor(i).learned() ? tensor(i).spec.rows : 0; },
+      [&](int i) { return tensor(i).spec.cols; },
+      [&](int i, std::int64_t row, std::int64_t rows) {
+        if (unsound_of_learned(tensor(i), step, row, rows).element >= 0) sound = false;
+      });
+  return sound;
+}
+
+template <class Real>
 void check_learned(const Tensor<Real>& t, std::int64_t step, const StepLosses& losses) {
-  const Unsound<Real> bad =
-      t.spec.role == TensorRole::sparse
-          ? unsound_of_table(t, step)
-          : first_unsound<Real>(t.view(t.value), t.view(t.grad), t.view(t.moment1), t.view(t.moment2), false);
+  const Unsound<Real> bad = unsound_of_learned(t, step, 0, t.spec.rows);
   if (bad.element < 0) return;
   throw Error(ErrorKind::failure,
               fmt::format("the {} of '{}' at {} is {:.6g} (loss {:.6g})", bad.array, t.name,
@@ -70,8 +97,10 @@ StepLosses LaneExecutor<Real>::checked_gradients(std::int64_t step, const RayBat
   store.zero_gradients();
   const StepLosses losses = gradients(step, batch);
   if (hook_) hook_({step, store.learned_gradients(), nullptr});
-  for (const Tensor<Real>& t : store.all()) {
-    if (t.learned()) check_learned(t, step, losses);
+  if (!learned_are_sound(store.all(), step)) {
+    for (const Tensor<Real>& t : store.all()) {
+      if (t.learned()) check_learned(t, step, losses);
+    }
   }
   if (!std::isfinite(losses.total)) {
     std::string terms;

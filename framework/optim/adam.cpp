@@ -12,6 +12,7 @@
 #include "core/check.h"
 #include "isa_list.h"
 #include "optim/adam_kernels.h"
+#include "optim/tensor_ranges.h"
 
 namespace semfield {
 
@@ -33,8 +34,6 @@ constexpr auto adam_kernels_of(Get32 get32, Get64 get64) {
     return get64;
   }
 }
-
-constexpr std::int64_t kRangeElements = std::int64_t{1} << 16;  // a parallel range: 1 MB of value, gradient and moments
 
 // Of the instruction set in use.
 template <class Real>
@@ -62,12 +61,6 @@ void check_shapes(const View<Real>& value, const Grad& grad, const View<Real>& m
                  "the optimiser needs contiguous tensors");
   SEMFIELD_CHECK(value.size() == grad.size() && value.size() == m.size() && value.size() == v.size(),
                  "value, gradient and moments differ in size");
-}
-
-// Rows a range, such that ranges depend on the shape alone.
-template <class Real>
-std::int64_t rows_per_range(const View<Real>& value) {
-  return std::max<std::int64_t>(1, kRangeElements / std::max<std::int64_t>(1, value.cols));
 }
 
 }  // namespace
@@ -115,7 +108,7 @@ void adam_dense_parallel(const AdamStep& step, View<Real> value, View<const Real
     View<const Real> grad;
     View<Real> m, v;
     std::int64_t range;
-  } const job{step, value, grad, m, v, rows_per_range(value)};
+  } const job{step, value, grad, m, v, rows_per_range(value.cols)};
   parallel_for((value.rows + job.range - 1) / job.range, [&job](std::int64_t i) {
     const std::int64_t begin = i * job.range;
     adam_dense(job.step, job.value, job.grad, job.m, job.v, begin, std::min(job.range, job.value.rows - begin));
@@ -133,7 +126,7 @@ std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<
     std::int64_t* touched;
   };
   std::int64_t touched = 0;
-  const Job job{step, value, grad, m, v, rows_per_range(value), &touched};
+  const Job job{step, value, grad, m, v, rows_per_range(value.cols), &touched};
   parallel_for((value.rows + job.range - 1) / job.range, [&job](std::int64_t i) {
     const std::int64_t begin = i * job.range;
     const std::int64_t rows = std::min(job.range, job.value.rows - begin);
@@ -145,19 +138,23 @@ std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<
 
 template <class Real>
 void adam_update(const AdamStep* step, const AdamTable<Real>& table) {
-  for (int i = 0; i < table.count; ++i) {
+  const auto rows = [&](int i) {
     const AdamTensor<Real>& t = table.tensors[i];
-    if (t.semantic && !step->labelled) continue;
+    return t.semantic && !step->labelled ? 0 : t.rows;
+  };
+  const auto cols = [&](int i) { return table.tensors[i].cols; };
+  for_ranges(table.count, rows, cols, [&](int i, std::int64_t begin, std::int64_t count) {
+    const AdamTensor<Real>& t = table.tensors[i];
     AdamStep rule = *step;
     rule.step_size *= t.rate;
     rule.decay = step->learning_rate * t.decay;
     const auto view = [&t](Real* data) { return View<Real>(data, t.rows, t.cols); };
     if (t.touched_only) {
-      adam_touched_parallel<Real>(rule, view(t.value), view(t.grad), view(t.moment1), view(t.moment2));
+      adam_touched<Real>(rule, view(t.value), view(t.grad), view(t.moment1), view(t.moment2), begin, count);
     } else {
-      adam_dense_parallel<Real>(rule, view(t.value), view(t.grad), view(t.moment1), view(t.moment2));
+      adam_dense<Real>(rule, view(t.value), view(t.grad), view(t.moment1), view(t.moment2), begin, count);
     }
-  }
+  });
 }
 
 namespace {

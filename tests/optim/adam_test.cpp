@@ -237,7 +237,7 @@ TEST(Adam, AnUpdateFromTheLargestSoundNumbersIsFinite) {
 }
 
 TEST(Adam, TheFirstNonFiniteIsTheSameForAnyThreads) {
-  std::vector<float> g(700000, 1.f);  // eleven parallel ranges
+  std::vector<float> g(700000, 1.f);  // many parallel ranges
   g[699999] = g[300001] = g[200003] = std::nanf("");
   for (int threads : {1, 2, 3}) {
     set_thread_count(threads);

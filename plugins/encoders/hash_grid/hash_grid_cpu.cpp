@@ -1,5 +1,6 @@
 // CPU kernels of the hash grid: 16 samples at a time, a level for all rows of a call, so that its table is in cache.
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -18,6 +19,7 @@ void hash_grid_cpu_kernels(KernelTables& tables);
 namespace {
 
 constexpr std::int64_t kBlockRows = 32768;  // a level is finished for so many rows before its table is left
+constexpr std::int64_t kPieceRows = 4096;   // of a level's forward that a thread takes at a time; whole groups
 constexpr std::int64_t kCopyRows = 1024;
 constexpr std::int64_t kInputTaskRows = 256;
 
@@ -62,6 +64,12 @@ std::uint32_t vertex_entry(const HashGridLevel& level, std::uint32_t x, std::uin
                      : hash_index(x, y, z, static_cast<std::uint32_t>(level.entries) - 1);
 }
 
+void keep_least(std::atomic<std::int64_t>& least, std::int64_t value) {
+  std::int64_t known = least;
+  while (value < known && !least.compare_exchange_weak(known, value)) {
+  }
+}
+
 std::int64_t first_bad_row(View<const double> x) {
   for (std::int64_t r = 0; r < x.rows; ++r) {
     if (!std::isfinite(x(r, 0)) || !std::isfinite(x(r, 1)) || !std::isfinite(x(r, 2))) return r;
@@ -99,11 +107,10 @@ void warm(const Real* table, std::int64_t values, std::int64_t rows) {
 
 /// Calls f(edges, first row) for each group of rows of x. Edges are found one group ahead: by the time they are read
 /// they have left the store buffer.
-template <class Real, std::int32_t kFeatures, bool kDense, Interpolation kI, class F>
-void for_groups(const HashGridLevel& level, View<const double> x, const Real* table, const F& f) {
+template <class Real, bool kDense, Interpolation kI, class F>
+void for_groups(const HashGridLevel& level, View<const double> x, const F& f) {
   Edges<Real> edges[2];
   RowReader rows(x);
-  warm(table, level.entries * kFeatures, x.rows);
   find_edges<Real, kDense, kI>(level, rows.at(0), edges[0]);
   int now = 0;
   for (std::int64_t r = 0; r < x.rows; r += kLanes, now ^= 1) {
@@ -164,6 +171,27 @@ void transpose(const HashGridShape& shape, const Columns<Real>& columns, View<Ro
   });
 }
 
+/// f(level, piece, whether the thread begins with the level) for every piece of every level. Threads begin apart from
+/// each other, the finest level first, and stay with a level, whose table they then have in cache, while it has pieces.
+template <class F>
+void for_level_pieces(std::int32_t levels, std::int64_t pieces, const F& f) {
+  if (pieces == 1)
+    return parallel_for(levels, [&](std::int64_t i) { f(static_cast<std::int32_t>(levels - 1 - i), 0, true); });
+  struct alignas(64) Next {
+    std::atomic<std::int64_t> piece{0};
+  } next[kHashGridMaxLevels];
+  const std::int64_t workers = std::min<std::int64_t>(thread_count(), levels * pieces);
+  parallel_for(workers, [&](std::int64_t worker) {
+    const std::int64_t first = worker * levels / workers;
+    for (std::int64_t k = 0; k < levels; ++k) {
+      const auto level = static_cast<std::int32_t>(levels - 1 - (first + k) % levels);
+      std::atomic<std::int64_t>& piece = next[level].piece;
+      bool begins = true;
+      for (std::int64_t p = piece++; p < pieces; p = piece++, begins = false) f(level, p, begins);
+    }
+  });
+}
+
 /// One task a level. Finest first: the dear ones start early and the cheap coarse ones fill the gaps.
 template <class F>
 void for_levels(std::int32_t levels, const F& f) {
@@ -173,25 +201,32 @@ void for_levels(std::int32_t levels, const F& f) {
 template <class Real>
 std::int64_t forward(const HashGridShape& shape, const View<Real>* tables, View<const double> x, View<Real> y,
                      Workspace& workspace) {
-  const std::int64_t bad = first_bad_row(x);
-  if (bad >= 0) return bad;
   const Workspace::Scope scope(workspace);
   const Columns<Real> columns(workspace, shape, x.rows);
-  for (std::int64_t begin = 0; begin < x.rows; begin += kBlockRows) {
+  constexpr std::int64_t kNone = std::numeric_limits<std::int64_t>::max();
+  std::atomic<std::int64_t> bad{kNone};
+  for (std::int64_t begin = 0; begin < x.rows && bad == kNone; begin += kBlockRows) {
     const std::int64_t rows = std::min(kBlockRows, x.rows - begin);
-    const View<const double> block = x.row_range(begin, rows);
-    for_levels(shape.levels, [&](std::int32_t l) {
-      const HashGridLevel& level = shape.level[l];
-      const Real* const table = tables[l].data;
-      with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
-        for_groups<Real, kF, kDense, kI>(level, block, table, [&](const Edges<Real>& edges, std::int64_t r) {
-          interpolate<Real, kF, kDense>(edges, table, columns.value(l) + r * kF);
+    for_level_pieces(
+        shape.levels, (rows + kPieceRows - 1) / kPieceRows, [&](std::int32_t l, std::int64_t p, bool begins) {
+          const std::int64_t at = p * kPieceRows;
+          const View<const double> piece = x.row_range(begin + at, std::min(kPieceRows, rows - at));
+          if (l == 0) {
+            if (const std::int64_t row = first_bad_row(piece); row >= 0) keep_least(bad, begin + at + row);
+          }
+          const HashGridLevel& level = shape.level[l];
+          const Real* const table = tables[l].data;
+          Real* const column = columns.value(l) + at * shape.features;
+          if (begins) warm(table, level.entries * shape.features, rows);
+          with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
+            for_groups<Real, kDense, kI>(level, piece, [&](const Edges<Real>& edges, std::int64_t r) {
+              interpolate<Real, kF, kDense>(edges, table, column + r * kF);
+            });
+          });
         });
-      });
-    });
     transpose<Real, true>(shape, columns, y.row_range(begin, rows));
   }
-  return -1;
+  return bad == kNone ? -1 : bad.load();
 }
 
 /// d table[v] += w_v dy, a level in one thread, rows in order.
@@ -207,8 +242,9 @@ void backward_tables(const HashGridShape& shape, const View<Real>* grads, View<c
     for_levels(shape.levels, [&](std::int32_t l) {
       const HashGridLevel& level = shape.level[l];
       Real* const grad = grads[l].data;
+      warm(grad, level.entries * shape.features, rows);
       with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
-        for_groups<Real, kF, kDense, kI>(level, block, grad, [&](const Edges<Real>& edges, std::int64_t r) {
+        for_groups<Real, kDense, kI>(level, block, [&](const Edges<Real>& edges, std::int64_t r) {
           scatter<Real, kF, kDense>(edges, grad, std::min<std::int64_t>(kLanes, rows - r), columns.value(l) + r * kF);
         });
       });
