@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include "compute/parallel.h"
 #include "execution/lane_executor.h"
 
 namespace semfield {
@@ -115,18 +116,40 @@ void LaneExecutor<Real>::scatter(std::int64_t step) {
   for (std::size_t p = 0; p < passes().size(); ++p) {
     ctx.pass = passes()[p].parts().number;
     if (!passes()[p].scatters()) continue;
-    for (const auto& lane : inboxes_) {
-      const EncoderInbox<Real>& inbox = lane[p];
-      passes()[p].scatter(ctx, {inbox.x.data(), inbox.rows, 3},
-                          {inbox.dy.data(), inbox.rows, passes()[p].encoded_dims()});
-    }
+    const std::int32_t dims = passes()[p].encoded_dims();
+    const std::int64_t rows = gather(p);
+    passes()[p].scatter(ctx, {ahead_.x.data(), rows, 3}, {ahead_.d_encoded.data(), rows, dims});
   }
+}
+
+// What the lanes have for pass p, lane after lane, where a pass that draws ahead has its rows: an encoder's tables are
+// then walked once.
+template <class Real>
+std::int64_t LaneExecutor<Real>::gather(std::size_t p) {
+  Ahead& a = ahead_;
+  a.rows = 0;
+  grow(a.lane_begin, std::ssize(inboxes_) + 1);
+  for (std::size_t lane = 0; lane < inboxes_.size(); ++lane) {
+    a.lane_begin[lane] = a.rows;
+    a.rows += inboxes_[lane][p].rows;
+  }
+  const std::int32_t dims = passes()[p].encoded_dims();
+  grow(a.x, 3 * a.rows);
+  grow(a.d_encoded, dims * a.rows);
+  parallel_for(std::ssize(inboxes_), [&](std::int64_t lane) {
+    const EncoderInbox<Real>& inbox = inboxes_[static_cast<std::size_t>(lane)][p];
+    const std::int64_t begin = a.lane_begin[static_cast<std::size_t>(lane)];
+    std::copy_n(inbox.x.data(), 3 * inbox.rows, a.x.data() + 3 * begin);
+    std::copy_n(inbox.dy.data(), dims * inbox.rows, a.d_encoded.data() + dims * begin);
+  });
+  return a.rows;
 }
 
 #define SEMFIELD_INSTANTIATE(Real)                                                           \
   template struct EncoderInbox<Real>;                                                        \
   template std::size_t LaneExecutor<Real>::Ahead::bytes() const;                             \
   template void LaneExecutor<Real>::draw_ahead(std::int64_t, const RayBatch&, std::int64_t); \
+  template std::int64_t LaneExecutor<Real>::gather(std::size_t);                             \
   template void LaneExecutor<Real>::scatter(std::int64_t);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)

@@ -75,6 +75,7 @@ class LaneExecutor final : public Executor<Real> {
   StepContext context(std::int64_t step, bool training, std::int64_t first_ray, Workspace& arena) const;
   void draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles);
   void scatter(std::int64_t step);
+  std::int64_t gather(std::size_t pass);
   void observe(std::int64_t step);
   /// Lanes with tiles of the step, the one with most samples first as far as they are known.
   void order_lanes(std::int64_t tiles);

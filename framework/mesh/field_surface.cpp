@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "compute/parallel.h"
+
 namespace semfield {
 
 namespace {
@@ -13,6 +15,15 @@ constexpr double kMostCellsOff = 8;
 
 double candidate(double spacing, std::size_t k) {
   return half_opaque_density(spacing) * std::exp2(-0.5 * static_cast<double>(k));
+}
+
+// body(i) for every i in [0, count), a piece of them in a thread.
+template <class Body>
+void for_points(std::int64_t count, const Body& body) {
+  constexpr std::int64_t kPiece = 2048;
+  parallel_for((count + kPiece - 1) / kPiece, [&](std::int64_t piece) {
+    for (std::int64_t i = piece * kPiece; i < std::min(count, (piece + 1) * kPiece); ++i) body(i);
+  });
 }
 
 void close_border(const VoxelGrid& grid, std::int64_t z, std::span<double> values) {
@@ -34,16 +45,16 @@ Surface density_surface(const Pipeline<float>& pipeline, const SurfaceRequest& r
   Surface surface = marching_cubes(grid, 0.5, [&](std::int64_t z, std::span<double> values) {
     for (std::int64_t begin = 0; begin < grid.layer_points(); begin += kBatch) {
       const std::int64_t count = std::min(kBatch, grid.layer_points() - begin);
-      for (std::int64_t i = 0; i < count; ++i) {
+      for_points(count, [&](std::int64_t i) {
         const Vec3d p = grid.world({static_cast<double>((begin + i) % grid.nx),
                                     static_cast<double>((begin + i) / grid.nx), static_cast<double>(z)});
         for (int axis = 0; axis < 3; ++axis) position[static_cast<std::size_t>(3 * i + axis)] = p[axis];
-      }
+      });
       pipeline.density({position.data(), count, 3}, {sigma.data(), count, 1});
-      for (std::int64_t i = 0; i < count; ++i) {
+      for_points(count, [&](std::int64_t i) {
         const auto density = static_cast<double>(sigma[static_cast<std::size_t>(i)]);
         values[static_cast<std::size_t>(begin + i)] = 1 - std::exp2(-density / request.level_per_m);
-      }
+      });
     }
     if (request.opaque_border) close_border(grid, z, values);
   });
@@ -95,31 +106,50 @@ double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& reque
                    static_cast<double>(request.grid.nz - 1)};
   const Box box{request.grid.world({0, 0, 0}), request.grid.world(last)};
   std::array<double, kLevels> off{};
+  struct Line {
+    std::size_t number;  // of lines
+    double from, to;
+    bool ends_at_border;
+    std::size_t begin, end;  // of its points
+  };
+  std::vector<Line> asked;
   std::vector<double> position;
   std::vector<float> sigma;
+  const auto compare = [&] {  // with the densities of the lines asked, which are then done
+    sigma.resize(position.size() / 3);
+    const auto points = std::ssize(sigma);
+    pipeline.density({position.data(), points, 3}, {sigma.data(), points, 1});
+    for (const Line& line : asked) {
+      const std::span<const float> densities(sigma.data() + line.begin, line.end - line.begin);
+      const double surface = lines.surface[line.number];
+      for (std::size_t k = 0; k < kLevels; ++k) {
+        const double level = candidate(spacing, k);
+        const auto first =
+            std::find_if(densities.begin(), densities.end(), [&](float s) { return static_cast<double>(s) > level; });
+        double at = line.from + static_cast<double>(first - densities.begin()) * spacing;
+        if (first == densities.end()) at = line.ends_at_border ? line.to : surface + most;
+        off[k] += std::min(most, std::abs(at - surface));
+      }
+    }
+    asked.clear();
+    position.clear();
+  };
   for (std::size_t r = 0; r < lines.surface.size(); ++r) {
     // Beyond the surface by more than counts, nothing is learned; a border that is opaque ends every line.
     double enter = 0, leave = 0;
     if (!intersect(box, lines.origin[r], lines.direction[r], enter, leave)) continue;
     const double from = std::max(lines.near[r], enter), to = std::min(lines.surface[r] + most, leave);
-    const bool ends_at_border = request.opaque_border && to == leave;
     const auto steps = static_cast<std::int64_t>(std::max(0.0, (to - from) / spacing)) + 1;
-    position.resize(static_cast<std::size_t>(3 * steps));
-    sigma.resize(static_cast<std::size_t>(steps));
+    const std::size_t begin = position.size() / 3;
+    asked.push_back(
+        {r, from, to, request.opaque_border && to == leave, begin, begin + static_cast<std::size_t>(steps)});
     for (std::int64_t i = 0; i < steps; ++i) {
       const Vec3d p = lines.origin[r] + lines.direction[r] * (from + static_cast<double>(i) * spacing);
-      for (int axis = 0; axis < 3; ++axis) position[static_cast<std::size_t>(3 * i + axis)] = p[axis];
+      for (int axis = 0; axis < 3; ++axis) position.push_back(p[axis]);
     }
-    pipeline.density({position.data(), steps, 3}, {sigma.data(), steps, 1});
-    for (std::size_t k = 0; k < kLevels; ++k) {
-      const double level = candidate(spacing, k);
-      const auto first =
-          std::find_if(sigma.begin(), sigma.end(), [&](float s) { return static_cast<double>(s) > level; });
-      double at = from + static_cast<double>(first - sigma.begin()) * spacing;
-      if (first == sigma.end()) at = ends_at_border ? to : lines.surface[r] + most;
-      off[k] += std::min(most, std::abs(at - lines.surface[r]));
-    }
+    if (std::ssize(position) >= 3 * kBatch) compare();
   }
+  if (!asked.empty()) compare();
   const auto best = std::min_element(off.begin(), off.end()) - off.begin();
   return candidate(spacing, static_cast<std::size_t>(best));
 }

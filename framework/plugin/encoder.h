@@ -37,7 +37,7 @@ class Encoder : public Parametric<Real> {
   void forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const;
 
   /// tensors.grad += dL/dtheta and, when dx is not empty, dx = dL/dx. x as in forward, dy [M, out_dims], dx [M,
-  /// in_dims]. Called once a lane with all its samples, outside parallel regions: it may use parallel_for, and must
+  /// in_dims]. Called once a step with all its samples, outside parallel regions: it may use parallel_for, and must
   /// give the same bits for any thread count. Recomputes what it needs from x (encoders are memory-bound; nothing is
   /// saved by forward).
   void backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
