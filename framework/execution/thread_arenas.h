@@ -21,7 +21,7 @@ class ThreadArenas {
   template <class Body>
   void for_units(std::int64_t count, const Body& body) {
     const std::int64_t workers = std::clamp<std::int64_t>(count, 1, thread_count());
-    while (std::ssize(arenas_) < workers) arenas_.push_back(std::make_unique<Workspace>());
+    while (std::ssize(arenas_) < workers) arenas_.push_back(std::make_unique<Arena>());
     std::atomic<std::int64_t> next{0};
     parallel_for(workers, [&](std::int64_t worker) {
       Workspace& arena = *arenas_[static_cast<std::size_t>(worker)];
@@ -41,8 +41,10 @@ class ThreadArenas {
   /// nothing.
   void even_out(std::int64_t workers);
 
+  struct alignas(128) Arena : Workspace {};  // no two in a cache line: every take writes its marks
+
   Workspace own_;
-  std::vector<std::unique_ptr<Workspace>> arenas_;
+  std::vector<std::unique_ptr<Arena>> arenas_;
   std::int64_t growths_ = 0;  // that were answered by giving freed memory back
 };
 

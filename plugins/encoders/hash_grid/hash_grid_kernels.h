@@ -28,7 +28,7 @@ struct HashGridShape {
 template <class Real>
 struct HashGridKernels {
   /// y [M, levels * features] from x [M, 3] and one table a level. Returns the first row that is not finite, or -1.
-  /// Parallel over levels where the caller is not. Scratch: see scratch_bytes.
+  /// Parallel over levels and rows where the caller is not. Scratch: see scratch_bytes.
   std::int64_t (*forward)(const HashGridShape& shape, const View<Real>* tables, View<const double> x, View<Real> y,
                           Workspace& workspace) = nullptr;
   /// grads += dL/dtables. CPU: one thread a level, rows in order, so any thread count gives the same bits; scratch as

@@ -299,10 +299,10 @@ TEST(HashGrid, GradientsAddUp) {
 // Blocks, tiles, groups, strides and threads: nothing but the row's own coordinates may decide its bits.
 TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
   Grid<float> grid(params_of(5, 2, 16, 8, 500));  // its tables are large enough to be fetched ahead
-  constexpr std::int64_t rows = 9000;             // more than a block
+  constexpr std::int64_t rows = 33000;            // more than a block, in pieces that threads share
   const auto x = random_points(rows);
   const auto whole = grid.forward(x);
-  for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 8191, 8192, 8999}) {
+  for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 4095, 4096, 8192, 32767, 32768, 32999}) {
     std::vector<float> part(33, -1.f);  // 3 rows of stride 11
     const std::int64_t count = std::min<std::int64_t>(3, rows - begin);
     grid.encoder.forward(grid.context(), grid.tensors(),
@@ -319,12 +319,15 @@ TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
   set_thread_count(1);
   const auto dx = grid.backward(x, dy);
   const auto grads = grid.grad;
-  for (auto& g : grid.grad) std::fill(g.begin(), g.end(), 0.f);
-  set_thread_count(2);
-  const auto dx_of_two = grid.backward(x, dy);
+  EXPECT_EQ(grid.forward(x), whole);
+  for (const int threads : {2, 3, 7, 16}) {
+    for (auto& g : grid.grad) std::fill(g.begin(), g.end(), 0.f);
+    set_thread_count(threads);
+    EXPECT_EQ(grid.forward(x), whole) << threads << " threads";
+    EXPECT_EQ(grid.backward(x, dy), dx) << threads << " threads";
+    EXPECT_EQ(grid.grad, grads) << threads << " threads";
+  }
   set_thread_count(0);
-  EXPECT_EQ(dx, dx_of_two);
-  EXPECT_EQ(grads, grid.grad);
 }
 
 TEST(HashGrid, RefusesWhatItCannotEncode) {
@@ -339,6 +342,22 @@ TEST(HashGrid, RefusesWhatItCannotEncode) {
       EXPECT_NE(e.message().find("row 1050"), std::string::npos) << e.what();
     }
   }
+}
+
+TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
+  const Grid<float> grid(params_of(3, 2, 6, 2, 5));
+  auto x = random_points(40000);
+  for (const std::size_t row : {39000, 20001, 9003, 9004}) x[3 * row + 1] = NAN;
+  for (const int threads : {1, 2, 7}) {
+    set_thread_count(threads);
+    try {
+      grid.forward(x);
+      ADD_FAILURE() << "they were accepted";
+    } catch (const Error& e) {
+      EXPECT_NE(e.message().find("row 9003 "), std::string::npos) << e.what();
+    }
+  }
+  set_thread_count(0);
 }
 
 }  // namespace
