@@ -1,6 +1,5 @@
 // The global operator new and delete of the program, counting. One definition serves the executable and every shared
-// library it loads, so `bench step` sees allocations wherever they happen. Blocks that a ForeignCall keeps are not
-// taken from the heap again, and not counted again.
+// library it loads, so `bench step` sees allocations wherever they happen.
 #include "app/allocation_count.h"
 
 #include <algorithm>
@@ -8,12 +7,7 @@
 #include <cstdlib>
 #include <new>
 
-#include "compute/foreign_call.h"
-
 namespace {
-
-using semfield::ForeignCall;
-using semfield::KeptBlocks;
 
 std::atomic<std::int64_t> g_bytes{0}, g_calls{0};
 
@@ -23,10 +17,6 @@ void count(std::size_t bytes) {
 }
 
 void* counted(std::size_t bytes) noexcept {
-  if (KeptBlocks* const kept = ForeignCall::blocks(); kept != nullptr) {
-    bytes = (std::max<std::size_t>(bytes, 1) + KeptBlocks::kStep - 1) / KeptBlocks::kStep * KeptBlocks::kStep;
-    if (void* const memory = kept->take(bytes); memory != nullptr) return memory;
-  }
   count(bytes);
   return std::malloc(std::max<std::size_t>(bytes, 1));
 }
@@ -35,11 +25,6 @@ void* counted(std::size_t bytes, std::align_val_t alignment) noexcept {
   count(bytes);
   const auto step = static_cast<std::size_t>(alignment);
   return std::aligned_alloc(step, (std::max<std::size_t>(bytes, 1) + step - 1) / step * step);
-}
-
-void release(void* memory) noexcept {
-  KeptBlocks* const kept = ForeignCall::blocks();
-  if (kept == nullptr || memory == nullptr || !kept->keep(memory)) std::free(memory);
 }
 
 void* or_throw(void* memory) {
@@ -62,18 +47,18 @@ void* operator new(std::size_t bytes, std::align_val_t at, const std::nothrow_t&
 void* operator new[](std::size_t bytes, std::align_val_t at, const std::nothrow_t&) noexcept {
   return counted(bytes, at);
 }
-void operator delete(void* memory) noexcept { release(memory); }
-void operator delete[](void* memory) noexcept { release(memory); }
-void operator delete(void* memory, std::size_t) noexcept { release(memory); }
-void operator delete[](void* memory, std::size_t) noexcept { release(memory); }
-void operator delete(void* memory, const std::nothrow_t&) noexcept { release(memory); }
-void operator delete[](void* memory, const std::nothrow_t&) noexcept { release(memory); }
-void operator delete(void* memory, std::align_val_t) noexcept { release(memory); }
-void operator delete[](void* memory, std::align_val_t) noexcept { release(memory); }
-void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { release(memory); }
-void operator delete[](void* memory, std::size_t, std::align_val_t) noexcept { release(memory); }
-void operator delete(void* memory, std::align_val_t, const std::nothrow_t&) noexcept { release(memory); }
-void operator delete[](void* memory, std::align_val_t, const std::nothrow_t&) noexcept { release(memory); }
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete[](void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete(void* memory, const std::nothrow_t&) noexcept { std::free(memory); }
+void operator delete[](void* memory, const std::nothrow_t&) noexcept { std::free(memory); }
+void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::align_val_t, const std::nothrow_t&) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::align_val_t, const std::nothrow_t&) noexcept { std::free(memory); }
 
 namespace semfield::app {
 

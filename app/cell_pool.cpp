@@ -18,6 +18,7 @@
 
 #include "app/scene/pack_scene.h"
 #include "app/signals.h"
+#include "core/work_scope.h"
 #include "loading/packed_scene.h"
 #include "settings/run_config.h"
 #include "system/files.h"

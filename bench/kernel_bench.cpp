@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "compute/gemm.h"
+#include "compute/layers.h"
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "model/compositor.h"
@@ -110,36 +111,57 @@ void encode(State& state, const std::string& name, const testkit::Settings& sett
   state.SetItemsProcessed(state.iterations() * rows);
 }
 
-/// `layers` products of one width behind each other, forward, with bias and ReLU.
-void gemm_chain(State& state, int width, int layers, Precision precision) {
+/// Activations as layers read them.
+template <class Act>
+View<Act> activations(Block<float>& values, std::vector<std::byte>& memory) {
+  if constexpr (std::is_same_v<Act, Bf16>) {
+    memory.resize(activation_bytes<Bf16>(values.view.rows, values.view.cols));
+    const View<Bf16> rounded = activation_rows<Bf16>(memory.data(), values.view.rows, values.view.cols);
+    round_rows(values.view, rounded);
+    return rounded;
+  } else {
+    return values.view;
+  }
+}
+
+/// `layers` layers of one width behind each other, forward, with bias and ReLU.
+template <class Act>
+void layer_chain(State& state, int width, int layers) {
   constexpr std::int64_t kRows = 1024;
   const float bound = std::sqrt(6.F / static_cast<float>(width));  // activations keep their size
   Block<float> weight(static_cast<std::int64_t>(layers) * width, width, -bound, bound), bias(1, width);
   Block<float> a(kRows, width), b(kRows, width);
-  for (auto _ : state) {
-    for (int i = 0; i < layers; ++i) {
-      Gemm<float> g;
-      g.m = kRows;
-      g.n = g.k = width;
-      g.a = (i % 2 == 0 ? a : b).view.data;
-      g.a_row = g.b_row = g.c_row = width;
-      g.b = weight.view.row(static_cast<std::int64_t>(i) * width);
-      g.c = (i % 2 == 0 ? b : a).view.data;
-      g.bias = bias.view.data;
-      g.relu = true;
-      g.precision = precision;
-      gemm(g);
+  std::vector<std::byte> memory[2];
+  const View<Act> turns[2] = {activations<Act>(a, memory[0]), activations<Act>(b, memory[1])};
+  std::vector<std::vector<std::uint32_t>> words(static_cast<std::size_t>(layers));
+  std::vector<Layer<Act>> chain;
+  for (int i = 0; i < layers; ++i) {
+    Layer<Act> layer{.x = turns[i % 2], .start = bias.view, .relu = true, .y = turns[(i + 1) % 2]};
+    const View<const float> rows = weight.view.row_range(std::int64_t{i} * width, width);
+    if constexpr (std::is_same_v<Act, Bf16>) {
+      auto& packed = words[static_cast<std::size_t>(i)];
+      packed.resize(static_cast<std::size_t>(packed_weight_words(width, width)));
+      layer.weight = pack_weight(rows, false, packed.data());
+    } else {
+      layer.weight = rows;
     }
+    chain.push_back(layer);
+  }
+  for (auto _ : state) {
+    for (const Layer<Act>& layer : chain) apply(layer);
     benchmark::ClobberMemory();
   }
   state.counters["FLOP/s"] = Counter(2.0 * kRows * width * width * layers, Counter::kIsIterationInvariantRate);
 }
 
-void gemm_weight_gradient(State& state, int in, int out, Precision precision) {
+template <class Act>
+void layer_gradient(State& state, int in, int out) {
   constexpr std::int64_t kRows = 1024;
   Block<float> x(kRows, in), dy(kRows, out), dw(in, out);
+  std::vector<std::byte> memory[2];
+  const View<Act> rows = activations<Act>(x, memory[0]), dz = activations<Act>(dy, memory[1]);
   for (auto _ : state) {
-    gemm_at_b_add<float>(x.view, dy.view, dw.view, precision);
+    weight_gradient(rows, dz, dw.view, {});
     benchmark::ClobberMemory();
   }
   state.counters["FLOP/s"] = Counter(2.0 * kRows * in * out, Counter::kIsIterationInvariantRate);
@@ -338,12 +360,10 @@ void add_encoders() {
 void add_products() {
   for (const int width : {64, 256}) {
     const std::string size = std::to_string(width);
-    add("gemm/chain_of_8/" + size + "/fp32", [=](State& s) { gemm_chain(s, width, 8, Precision::fp32); });
-    add("gemm/chain_of_8/" + size + "/bf16", [=](State& s) { gemm_chain(s, width, 8, Precision::bf16); });
-    add("gemm/weight_gradient/" + size + "/fp32",
-        [=](State& s) { gemm_weight_gradient(s, width, width, Precision::fp32); });
-    add("gemm/weight_gradient/" + size + "/bf16",
-        [=](State& s) { gemm_weight_gradient(s, width, width, Precision::bf16); });
+    add("gemm/chain_of_8/" + size + "/fp32", [=](State& s) { layer_chain<float>(s, width, 8); });
+    add("gemm/chain_of_8/" + size + "/bf16", [=](State& s) { layer_chain<Bf16>(s, width, 8); });
+    add("gemm/weight_gradient/" + size + "/fp32", [=](State& s) { layer_gradient<float>(s, width, width); });
+    add("gemm/weight_gradient/" + size + "/bf16", [=](State& s) { layer_gradient<Bf16>(s, width, width); });
   }
   for (const auto& [in, out] : {std::pair<int, int>{32, 64},
                                 {64, 64},

@@ -7,16 +7,6 @@ find_package(fmt REQUIRED)
 find_package(nlohmann_json REQUIRED)
 find_package(CLI11 REQUIRED)
 find_package(ZLIB REQUIRED)
-if(SEMFIELD_WITH_ONEDNN)
-  # Debian's package configuration of oneDNN stops without OpenCL, which the processor's side needs nothing of.
-  find_path(SEMFIELD_ONEDNN_INCLUDE oneapi/dnnl/dnnl.hpp)
-  find_library(SEMFIELD_ONEDNN_LIBRARY dnnl)
-  if(SEMFIELD_ONEDNN_INCLUDE AND SEMFIELD_ONEDNN_LIBRARY AND NOT TARGET DNNL::dnnl)
-    add_library(DNNL::dnnl UNKNOWN IMPORTED)
-    set_target_properties(DNNL::dnnl PROPERTIES IMPORTED_LOCATION ${SEMFIELD_ONEDNN_LIBRARY}
-                          INTERFACE_INCLUDE_DIRECTORIES ${SEMFIELD_ONEDNN_INCLUDE})
-  endif()
-endif()
 if(SEMFIELD_WITH_IMAGES)
   # Debian's package configuration of OpenImageIO names command line tools of another package and stops without them, so
   # header and library are looked for directly.

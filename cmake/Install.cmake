@@ -15,7 +15,7 @@ target_compile_features(semfield INTERFACE cxx_std_20)
 install(TARGETS semfield semfield_testkit semfield_plugins EXPORT semfieldTargets
         LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk NAMELINK_COMPONENT sdk
         ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
-foreach(companion semfield_images semfield_onednn semfield_numerics)  # beside the framework's library, which looks for them there
+foreach(companion semfield_images semfield_numerics)  # beside the framework's library, which looks for them there
   if(TARGET ${companion})
     set_target_properties(${companion} PROPERTIES INSTALL_RPATH "$ORIGIN")
     install(TARGETS ${companion} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)

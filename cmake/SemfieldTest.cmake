@@ -8,7 +8,7 @@ function(semfield_add_test)
   target_link_libraries(${ARG_NAME} PRIVATE semfield semfield_plugins semfield_testkit semfield_warnings GTest::gtest_main ${ARG_LIBRARIES})
   target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_SOURCE_DIR="${PROJECT_SOURCE_DIR}" SEMFIELD_BINARY_DIR="${PROJECT_BINARY_DIR}")
   target_include_directories(${ARG_NAME} PRIVATE ${PROJECT_SOURCE_DIR})
-  foreach(companion semfield_images semfield_onednn)  # loaded at run time, so no link asks for them
+  foreach(companion semfield_images)  # loaded at run time, so no link asks for them
     if(TARGET ${companion})
       add_dependencies(${ARG_NAME} ${companion})
     endif()

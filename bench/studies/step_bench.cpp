@@ -4,7 +4,7 @@
 #include <chrono>
 #include <cmath>
 
-#include "compute/gemm_engine.h"
+#include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/rng.h"
@@ -130,11 +130,6 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
 
 StepCase::~StepCase() = default;
 StepCase::StepCase(StepCase&&) noexcept = default;
-
-std::string StepCase::gemm() const {
-  const WorkScope scope(impl_->pipeline->options().work);
-  return gemm_engine_text();
-}
 
 double StepCase::seconds(int threads, int steps) {
   const int before = thread_count();

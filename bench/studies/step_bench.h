@@ -39,7 +39,6 @@ class StepCase {
   /// The matrix products of a step, pass by pass.
   std::vector<LayerWork> work() const;
   /// Who multiplies its matrices.
-  std::string gemm() const;
   /// Total loss of the last step.
   double loss() const;
 

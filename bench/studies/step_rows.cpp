@@ -51,7 +51,6 @@ class Case {
     row_.rays = options.rays;
     row_.samples = static_cast<double>(step_.samples_per_step());
     row_.flop = total_flop(step_.work());
-    row_.gemm = step_.gemm();
     processor_.reserve(1024);        // not while allocations are counted
     step_.seconds(row_.threads, 1);  // memory grows in the first step alone
   }

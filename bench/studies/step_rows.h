@@ -22,7 +22,6 @@ struct BenchStepOptions {
 
 /// A measured training step of ours.
 struct StepRow {
-  std::string gemm;       ///< who multiplies matrices
   std::string net;        ///< paper, hash T=2^15, ...
   std::string precision;  ///< fp32, bf16
   int threads = 0, classes = 0;

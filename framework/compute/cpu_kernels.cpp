@@ -14,13 +14,6 @@ namespace semfield {
   }
 SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
 #undef SEMFIELD_DECLARE
-#define SEMFIELD_DECLARE(name)          \
-  namespace isa_##name {                \
-    void bf16_gemm(const Gemm<float>&); \
-  }
-SEMFIELD_FOR_EVERY_ISA(SEMFIELD_DECLARE)
-#undef SEMFIELD_DECLARE
-
 namespace {
 
 template <class Real>
@@ -48,16 +41,6 @@ template <class Real>
 const CpuKernels<Real>& cpu_kernels() {
   static const CpuKernels<Real> kernels = chosen_kernels<Real>();
   return kernels;
-}
-
-Bf16Gemm bf16_gemm() {
-  static constexpr IsaVariant<Bf16Gemm> kVariants[] = {
-#define SEMFIELD_LIST(name) {Isa::name, isa_##name::bf16_gemm},
-      SEMFIELD_FOR_EVERY_ISA(SEMFIELD_LIST)
-#undef SEMFIELD_LIST
-  };
-  static const Bf16Gemm chosen = best_variant(kVariants);
-  return chosen;
 }
 
 bool bf16_is_native() {

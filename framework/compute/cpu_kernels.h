@@ -26,10 +26,7 @@ struct CpuKernels {
 template <class Real>
 const CpuKernels<Real>& cpu_kernels();
 
-/// gemm with A and B rounded to bf16, sums in fp32.
-using Bf16Gemm = void (*)(const Gemm<float>&);
-Bf16Gemm bf16_gemm();
-/// By instructions of the processor; false: emulated, slower than fp32.
+/// Whether products of bf16 run by instructions of the processor; false: emulated, slower than fp32.
 bool bf16_is_native();
 
 extern template const CpuKernels<float>& cpu_kernels<float>();

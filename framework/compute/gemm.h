@@ -7,20 +7,14 @@
 
 namespace semfield {
 
-/// Arithmetic of matrix products. fp32: in the type of the operands (float64 in the oracle). bf16: operands rounded to
-/// bf16 (8 significant bits), products and sums in fp32; memory, weights and gradients stay fp32, and so do products of
-/// at most 8 columns or terms.
-enum class Precision : std::uint8_t { fp32, bf16 };
-
 /// C = start + A B, then the epilogue. Shapes: A [m, k] with any strides, so that the same kernel serves forward (X W),
 /// input gradient (dY W^T, B a stored transpose) and weight gradient (X^T dY: a_row = 1, a_col = row stride of X); B
 /// [k, n] and C [m, n] with contiguous columns. Strides in elements.
 ///
 /// start, at most one of: accumulate (C's old value), bias (one row for all), row_term (row row_of[i], or row i when
-/// row_of is null); none: zero. Each element of C is one chain of sums over k ascending from its start (fused
-/// multiply-adds; with bf16, what the instruction set adds at once),
-/// whatever m is and wherever its row stands: splitting the rows into calls, or k into accumulating calls (with bf16:
-/// at multiples of 32), gives the same bits.
+/// row_of is null); none: zero. Each element of C is one chain of fused multiply-adds over k ascending from its start,
+/// whatever m is and wherever its row stands: splitting the rows into calls, or k into accumulating calls, gives the
+/// same bits.
 template <class Real>
 struct Gemm {
   std::int64_t m = 0, n = 0, k = 0;
@@ -39,32 +33,30 @@ struct Gemm {
   bool relu = false;           ///< C = max(C, 0) at the end; NaN stays NaN
   const Real* mask = nullptr;  ///< [m, n], row stride mask_row: C = mask > 0 ? C : 0 at the end, the gradient of a ReLU
   std::int64_t mask_row = 0;
-  Precision precision = Precision::fp32;
 };
 
-/// Runs in the calling thread; allocates nothing (320 KiB of stack).
+/// Runs in the calling thread; allocates nothing.
 template <class Real>
 void gemm(const Gemm<Real>& g);
 
 /// Multiply-adds of all products that the calling thread has made so far: what a field says about itself is compared
 /// with it.
 std::int64_t multiply_adds_of_thread() noexcept;
+void count_multiply_adds(std::int64_t count) noexcept;
 
 /// The usual starts, from views: A B, or C + A B with `accumulate`; mask [m, n] as in Gemm (empty: none).
 template <class Real>
-void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate = false,
-          Precision precision = Precision::fp32, View<const Real> mask = {});
+void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate = false, View<const Real> mask = {});
 
 /// C += A^T B: weight gradients. A [rows, m], B [rows, n], C [m, n].
 template <class Real>
-void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c, Precision precision = Precision::fp32);
+void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c);
 
 extern template void gemm<float>(const Gemm<float>&);
 extern template void gemm<double>(const Gemm<double>&);
-extern template void gemm<float>(View<const float>, View<const float>, View<float>, bool, Precision, View<const float>);
-extern template void gemm<double>(View<const double>, View<const double>, View<double>, bool, Precision,
-                                  View<const double>);
-extern template void gemm_at_b_add<float>(View<const float>, View<const float>, View<float>, Precision);
-extern template void gemm_at_b_add<double>(View<const double>, View<const double>, View<double>, Precision);
+extern template void gemm<float>(View<const float>, View<const float>, View<float>, bool, View<const float>);
+extern template void gemm<double>(View<const double>, View<const double>, View<double>, bool, View<const double>);
+extern template void gemm_at_b_add<float>(View<const float>, View<const float>, View<float>);
+extern template void gemm_at_b_add<double>(View<const double>, View<const double>, View<double>);
 
 }  // namespace semfield

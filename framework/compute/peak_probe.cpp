@@ -7,7 +7,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "compute/amx/tiles.h"
+#include "compute/bf16/tiles.h"
 #include "compute/isa.h"
 #include "compute/parallel.h"
 

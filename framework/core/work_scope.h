@@ -1,4 +1,4 @@
-// What work is done with - threads, matrix products, limits of inputs: set by whoever asks for the work, seen by every
+// What work is done with - threads, limits of inputs: set by whoever asks for the work, seen by every
 // thread that helps.
 #pragma once
 
@@ -8,7 +8,6 @@
 
 namespace semfield {
 
-struct OnednnGemm;
 struct InputLimits;
 
 /// How far the opening of a scene is. `doing` is "checking" (files, by their headers), "reading", "looking for the
@@ -18,7 +17,6 @@ using LoadProgress = std::function<void(std::string_view doing, std::size_t done
 /// What it points to must outlive every scope that was given it.
 struct WorkSettings {
   int threads = 0;                              ///< 0: the default of the process (compute/parallel.h)
-  const OnednnGemm* gemm = nullptr;             ///< of float products; null: our kernels
   const InputLimits* limits = nullptr;          ///< null: the defaults (formats/input_limits.h)
   const LoadProgress* load_progress = nullptr;  ///< null: nobody is told
 };

@@ -81,7 +81,7 @@ void hidden_backward(const HeadShape& shape, Workspace& arena, const Tensors<flo
   }
 }
 
-void rounded_hidden_forward(Workspace& arena, const Tensors<float>& tensors, View<const Bf16> feature,
+void rounded_hidden_forward(const HeadShape&, Workspace& arena, const Tensors<float>& tensors, View<const Bf16> feature,
                             View<Bf16> hidden) {
   const Workspace::Scope scope(arena);
   LinearForward<__nv_bfloat16, __nv_bfloat16> call;
@@ -94,8 +94,8 @@ void rounded_hidden_forward(Workspace& arena, const Tensors<float>& tensors, Vie
   linear_forward(call);
 }
 
-void rounded_hidden_backward(Workspace& arena, const Tensors<float>& tensors, View<const Bf16> feature,
-                             View<const Bf16> d_hidden, View<Bf16> d_feature) {
+void rounded_hidden_backward(const HeadShape&, Workspace& arena, const Tensors<float>& tensors,
+                             View<const Bf16> feature, View<const Bf16> d_hidden, View<Bf16> d_feature) {
   const Workspace::Scope scope(arena);
   LinearBackward<__nv_bfloat16, __nv_bfloat16> call;
   call.x = as_bf16(feature);

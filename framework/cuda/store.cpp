@@ -54,7 +54,7 @@ View<float> Store::value_of(std::size_t tensor) const {
 
 View<float> Store::grad_of(std::size_t tensor) const {
   const TensorSpec& spec = host_.all()[tensor].spec;
-  if (!trainable_ || spec.role == TensorRole::state) return {};
+  if (!trainable_ || !has_gradient(spec.role)) return {};
   float* const block = spec.role == TensorRole::derived ? derived_grads_.data() : grads_.data();
   return {block + places_[tensor].learned, spec.rows, spec.cols, spec.cols, Device::cuda};
 }
@@ -82,7 +82,7 @@ int Store::add(const std::string&, const Parametric<float>& part, const Learning
 void Store::upload() {
   for (std::size_t i = 0; i < places_.size(); ++i) {
     const Tensor<float>& t = host_.all()[i];
-    if (t.spec.role == TensorRole::derived) continue;
+    if (!is_stored(t.spec.role)) continue;
     const auto count = static_cast<std::size_t>(t.size());
     cuda::upload<float>({t.value.data(), count}, value_of(i).data);
     if (!trainable_ || !t.learned()) continue;
@@ -95,7 +95,7 @@ void Store::upload() {
 void Store::download() const {
   for (std::size_t i = 0; i < places_.size(); ++i) {
     const Tensor<float>& t = host_.all()[i];
-    if (t.spec.role == TensorRole::derived) continue;
+    if (!is_stored(t.spec.role)) continue;
     const auto count = static_cast<std::size_t>(t.size());
     cuda::download<float>(value_of(i).data, {t.value.data(), count});
     if (!trainable_ || !t.learned()) continue;

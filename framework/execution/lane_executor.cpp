@@ -6,7 +6,7 @@
 
 #include "classes/class_table.h"
 #include "compute/float_mode.h"
-#include "compute/gemm_engine.h"
+#include "compute/isa.h"
 #include "losses/photometric.h"
 
 namespace semfield {
@@ -49,8 +49,7 @@ StepContext LaneExecutor<Real>::context(std::int64_t step, bool training, std::i
 
 template <class Real>
 std::string LaneExecutor<Real>::matrix_products() const {
-  const WorkScope scope(options().work);
-  return gemm_engine_text();
+  return std::string(isa_name(isa()));
 }
 
 template <class Real>

@@ -140,6 +140,7 @@ struct RayGrad {
   double opacity = 0;
   const Real* hidden = nullptr;
   const View<const Real>* weight = nullptr;
+  const View<const Real>* dots = nullptr;
   double behind = 0;  // dL/dT_end: what the background colour gives
 
   RayGrad(const CompositeIn<Real>& in, const CompositeGrad<Real>& grad, std::int64_t r) {
@@ -150,6 +151,7 @@ struct RayGrad {
     if (r < grad.opacity.rows && !grad.opacity.empty()) opacity = static_cast<double>(*grad.opacity.row(r));
     if (!in.hidden.empty() && hidden_covers(grad.hidden, grad.hidden.rows, r)) hidden = grad.hidden.row(r);
     if (!grad.weight.empty()) weight = &grad.weight;
+    if (r < grad.dotted_rays) dots = &grad.dots;
     if (in.far != FarMode::closed) {
       for (int c = 0; c < 3; ++c) behind += color[c] * in.background[static_cast<std::size_t>(c)];
     }
@@ -175,6 +177,7 @@ void ray_density_gradient(const CompositeIn<Real>& in, const RayGrad<Real>& grad
     for (std::int32_t k = stop; k-- > first;) {
       double value = grad.depth * static_cast<double>(*samples.t.row(k)) + grad.opacity;  // v_k = dL/dw_k
       if (grad.weight != nullptr) value += static_cast<double>(*grad.weight->row(k));
+      if (grad.dots != nullptr) value += static_cast<double>(*grad.dots->row(k));
       if (!in.rgb.empty()) {
         const Real* rgb = in.rgb.row(k);
         for (int c = 0; c < 3; ++c) value += grad.color[c] * static_cast<double>(rgb[c]);

@@ -53,9 +53,10 @@ struct CompositeGrad {
   View<const Real> opacity;  ///< [R, 1]
   View<const Real> hidden;   ///< [R, H]
   View<const Real> weight;   ///< [M, 1], beside what the other ones give a weight
-  /// Without CompositeIn::hidden: d_sigma holds dL/d(hidden) . h of the samples of the first so many rays on entry. On
-  /// a device alone (Stages::rounded_sum_backward).
+  /// Without CompositeIn::hidden: dL/d(hidden) . h of the samples of the first so many rays (dots, [M, 1]), as
+  /// Stages::rounded_sum_backward gives it; on a device it lies in d_sigma.
   std::int64_t dotted_rays = 0;
+  View<const Real> dots{};
   bool hidden_moves_density = true;  ///< false: `hidden` reaches d_hidden only, its part of d_sigma is exactly 0
 };
 

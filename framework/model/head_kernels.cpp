@@ -1,58 +1,104 @@
 // The semantic head on the processor.
 #include "model/head_kernels.h"
 
-#include "compute/linear.h"
+#include <type_traits>
+
+#include "compute/gemm.h"
+#include "compute/layers.h"
+#include "compute/row_loops.h"
 
 namespace semfield {
 
 namespace {
 
-template <class Real>
-void derive(const Tensors<Real>& tensors) {
-  transpose<Real>(tensors.value[kHiddenWeight], tensors.value[kHiddenWeightT]);
-  transpose<Real>(tensors.value[kClassWeight], tensors.value[kClassWeightT]);
+using namespace SEMFIELD_ISA;  // the rearranged weights, of this file
+
+/// body.operator()<Activation>() with what the hidden layer computes with.
+template <class Real, class Body>
+void with_activation(const HeadShape& shape, const Body& body) {
+  if constexpr (std::is_same_v<Real, float>) {
+    if (shape.precision == Precision::bf16) return body.template operator()<Bf16>();
+  }
+  body.template operator()<Real>();
 }
 
 template <class Real>
-void hidden_forward(const HeadShape& shape, Workspace&, const Tensors<Real>& tensors, View<const Real> feature,
+void derive(const HeadShape& shape, const Tensors<Real>& tensors) {
+  with_activation<Real>(shape, [&]<class Act>() { rearrange<Act>(shape.hidden_weight, tensors); });
+  rearrange<Real>(shape.class_weight, tensors);
+}
+
+/// h = relu(feature W1 + b1), to be given its result.
+template <class Act>
+Layer<Act> hidden_layer(const HeadShape& shape, const Tensors<SumOf<Act>>& tensors, View<const Act> feature) {
+  return {.x = feature,
+          .weight = forward_weight<Act>(shape.hidden_weight, tensors),
+          .start = tensors.value[kHiddenBias],
+          .relu = true};
+}
+
+/// The gradients of the layer and, to be given its result, dz W1^T.
+template <class Act>
+Layer<Act> hidden_gradient(const HeadShape& shape, const Tensors<SumOf<Act>>& tensors, View<const Act> feature,
+                           View<const Act> dz) {
+  weight_gradient(feature, dz, tensors.grad[kHiddenWeight], tensors.grad[kHiddenBias]);
+  return {.x = dz, .weight = backward_weight<Act>(shape.hidden_weight, tensors)};
+}
+
+template <class Real>
+void hidden_forward(const HeadShape& shape, Workspace& arena, const Tensors<Real>& tensors, View<const Real> feature,
                     View<Real> hidden) {
-  linear_forward<Real>(feature, tensors.value[kHiddenWeight], tensors.value[kHiddenBias], Activation::relu, hidden,
-                       shape.precision);
+  const Workspace::Scope scope(arena);
+  with_activation<Real>(shape, [&]<class Act>() {
+    Layer<Act> layer = hidden_layer<Act>(shape, tensors, as_input<Act>(feature, arena));
+    layer.exact = hidden;
+    apply(layer);
+  });
 }
 
 template <class Real>
-void hidden_backward(const HeadShape& shape, Workspace&, const Tensors<Real>& tensors, View<const Real> feature,
+void hidden_backward(const HeadShape& shape, Workspace& arena, const Tensors<Real>& tensors, View<const Real> feature,
                      View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) {
-  LinearGrad<Real> grad;
-  grad.weight_t = tensors.value[kHiddenWeightT];
-  grad.d_weight = tensors.grad[kHiddenWeight];
-  grad.d_bias = tensors.grad[kHiddenBias];
-  grad.dx = d_feature;
-  grad.precision = shape.precision;
-  linear_backward<Real>(Activation::relu, feature, hidden, d_hidden, grad);
+  const Workspace::Scope scope(arena);
+  relu_backward<Real>(hidden, d_hidden);
+  with_activation<Real>(shape, [&]<class Act>() {
+    const View<const Act> dz = as_input<Act>(d_hidden, arena);
+    Layer<Act> layer = hidden_gradient<Act>(shape, tensors, as_input<Act>(feature, arena), dz);
+    layer.exact = d_feature;
+    if (!d_feature.empty()) apply(layer);
+  });
+}
+
+void rounded_hidden_forward(const HeadShape& shape, Workspace&, const Tensors<float>& tensors, View<const Bf16> feature,
+                            View<Bf16> hidden) {
+  Layer<Bf16> layer = hidden_layer<Bf16>(shape, tensors, feature);
+  layer.y = hidden;
+  apply(layer);
+}
+
+void rounded_hidden_backward(const HeadShape& shape, Workspace&, const Tensors<float>& tensors,
+                             View<const Bf16> feature, View<const Bf16> d_hidden, View<Bf16> d_feature) {
+  Layer<Bf16> layer = hidden_gradient<Bf16>(shape, tensors, feature, d_hidden);
+  layer.y = d_feature;
+  apply(layer);
 }
 
 template <class Real>
 void class_forward(const HeadShape&, Workspace&, const Tensors<Real>& tensors, View<const Real> h,
                    View<const Real> share, View<Real> logits) {
-  const View<const Real> bias = tensors.value[kClassBias];
-  if (share.empty()) {
-    linear_forward<Real>(h, tensors.value[kClassWeight], bias, Activation::none, logits);
-    return;
+  Layer<Real> layer{.x = h, .weight = tensors.value[kClassWeight], .start = tensors.value[kClassBias], .exact = logits};
+  if (!share.empty()) {
+    gemm<Real>(share, tensors.value[kClassBias], logits);
+    layer.start = logits;
   }
-  gemm<Real>(share, bias, logits);
-  linear_forward_add<Real>(h, tensors.value[kClassWeight], Activation::none, logits);
+  apply(layer);
 }
 
 template <class Real>
 void class_backward(const HeadShape& shape, Workspace&, const Tensors<Real>& tensors, View<const Real> h,
                     View<const Real> share, View<const Real> d_logits, View<Real> d_h, View<Real> d_share) {
-  LinearGrad<Real> grad;
-  grad.weight_t = tensors.value[kClassWeightT];
-  grad.d_weight = tensors.grad[kClassWeight];
-  grad.d_bias = share.empty() ? tensors.grad[kClassBias] : View<Real>();
-  grad.dx = d_h;
-  linear_backward<Real>(h, d_logits, grad);
+  weight_gradient(h, d_logits, tensors.grad[kClassWeight], share.empty() ? tensors.grad[kClassBias] : View<Real>());
+  apply(Layer<Real>{.x = d_logits, .weight = backward_weight<Real>(shape.class_weight, tensors), .exact = d_h});
   if (share.empty()) return;
   gemm_at_b_add<Real>(share, d_logits, tensors.grad[kClassBias]);
   if (d_share.empty()) return;
@@ -64,9 +110,15 @@ void class_backward(const HeadShape& shape, Workspace&, const Tensors<Real>& ten
 
 template <class Real>
 const HeadKernels<Real>& processor_head_kernels() {
-  static constexpr HeadKernels<Real> kernels{
-      derive<Real>, hidden_forward<Real>, hidden_backward<Real>, class_forward<Real>, class_backward<Real>, nullptr,
-      nullptr};
+  static constexpr HeadKernels<Real> kernels = [] {
+    HeadKernels<Real> table{derive<Real>, hidden_forward<Real>, hidden_backward<Real>, class_forward<Real>,
+                            class_backward<Real>};
+    if constexpr (std::is_same_v<Real, float>) {
+      table.rounded_hidden_forward = rounded_hidden_forward;
+      table.rounded_hidden_backward = rounded_hidden_backward;
+    }
+    return table;
+  }();
   return kernels;
 }
 

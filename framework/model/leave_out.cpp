@@ -152,10 +152,6 @@ std::vector<BuiltRow> built_rows(const BuiltParts& built) {
                    built.image_library ? "no image of this scene needed it" : "this build has none",
                    ProofClass::bitwise, "about 250 shared libraries, a quarter of a second",
                    "it is loaded by itself, in a build with -DSEMFIELD_WITH_IMAGES=ON", ""}});
-  rows.push_back({!built.matrix_library,
-                  {"matrix_library", "loaded where it is faster, or asked for",
-                   built.on_device ? "the device multiplies matrices" : "matrix products are " + built.matrix_engine,
-                   ProofClass::bitwise, "one shared library", "set runtime.gemm: onednn", ""}});
   return rows;
 }
 
@@ -190,7 +186,7 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
                  "one normal variate for each sample", "set rendering.density_noise", ""});
   planner.leave(!request.mixed_precision,
                 {"mixed_precision", "not asked for", "runtime.precision is fp32", ProofClass::bitwise,
-                 "bf16 copies of operands; a second matrix library", "set runtime.precision: bf16", ""});
+                 "weights packed in bf16 once a step", "set runtime.precision: bf16", ""});
   planner.leave(!request.no_cuda.empty(),
                 {"cuda", "the run stays on the processor", request.no_cuda, ProofClass::bitwise,
                  "start-up of the device", "set runtime.device: cuda, which says what is missing", ""});

@@ -73,9 +73,6 @@ struct BuiltParts {
   std::int64_t in_tables = 0;      ///< of them, values of tables
   bool image_library = false;      ///< this build has one
   bool images_loaded = false;      ///< the process has loaded it
-  bool on_device = false;          ///< the session computes on a device and not on the processor
-  bool matrix_library = false;     ///< a library multiplies the processor's matrices
-  std::string matrix_engine;       ///< who does
 };
 
 /// A ray may stop at this transmittance: colours in [0, 1] are then off by at most a quarter of an 8-bit step.

@@ -30,10 +30,6 @@ class Collector final : public ParamDeclarer {
   std::vector<TensorSpec> specs;
 };
 
-bool has_gradient(const TensorSpec& spec) {
-  return spec.role != TensorRole::state && (spec.role != TensorRole::derived || spec.takes_gradient);
-}
-
 constexpr std::int64_t kChunk = 1 << 12;  // elements a parallel task; sums are per element, so it changes no bits
 
 }  // namespace
@@ -60,16 +56,16 @@ TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainab
   TensorBytes sum;
   for (const TensorSpec& spec : specs_of(part)) {
     const auto bytes = static_cast<std::size_t>(spec.rows) * static_cast<std::size_t>(spec.cols) * sizeof(Real);
-    const bool learned = spec.role == TensorRole::dense || spec.role == TensorRole::sparse;
+    const bool learned = is_learned(spec.role);
     TensorBytes one;
     one.values = bytes;
     one.learns = learned;
-    if (trainable && has_gradient(spec)) {
+    if (trainable && has_gradient(spec.role)) {
       one.gradients = bytes;
       if (learned) one.moments = 2 * bytes;
       if (spec.role != TensorRole::sparse) one.lanes = bytes * static_cast<std::size_t>(lanes);
     }
-    if (spec.role != TensorRole::derived) one.stored = one.values + one.moments;
+    if (is_stored(spec.role)) one.stored = one.values + one.moments;
     sum += one;
   }
   return sum;
@@ -95,7 +91,7 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
               ? static_cast<Real>(init.low)
               : static_cast<Real>(init.low + (init.high - init.low) * static_cast<double>(uniform01(address, i)));
     }
-    if (trainable_ && has_gradient(tensor.spec)) {
+    if (trainable_ && has_gradient(tensor.spec.role)) {
       tensor.grad = AlignedBuffer<Real>(count);
       if (tensor.learned()) {
         tensor.moment1 = AlignedBuffer<Real>(count);

@@ -39,7 +39,7 @@ struct Tensor {
   AlignedBuffer<Real> moment1, moment2;  ///< Adam; learned tensors only
   AlignedBuffer<Real> lanes;             ///< [lane_count, size]; dense and derived tensors only
 
-  bool learned() const { return spec.role == TensorRole::dense || spec.role == TensorRole::sparse; }
+  bool learned() const { return is_learned(spec.role); }
   std::int64_t size() const { return spec.rows * spec.cols; }
   View<Real> view(const AlignedBuffer<Real>& buffer) const {
     return buffer.size() == 0 ? View<Real>() : View<Real>(buffer.data(), spec.rows, spec.cols);

@@ -211,7 +211,13 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
   if (colors) stages_->fill(trace.out.rgb, Real(0));
   const bool semantic = trace.semantic_rays > 0;
   const bool fills_hidden = semantic && !branch_, fills_feature = semantic && branch_ && wants_feature();
-  if (fills_hidden) stages_->fill(trace.hidden, Real(0));
+  const bool in_bf16 = fills_hidden && feature_form() != FeatureForm::full;
+  if (in_bf16) {
+    trace.rounded_hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
+    std::fill_n(trace.rounded_hidden.data, trace.rounded_hidden.size(), Bf16{0});
+  } else if (fills_hidden) {
+    stages_->fill(trace.hidden, Real(0));
+  }
   if (fills_feature) {
     trace.out.feature = arena.take<Real>(trace.samples.count, parts_.field->traits().feature_dims);
     stages_->fill(trace.out.feature, Real(0));
@@ -243,7 +249,7 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
     round.sigma = arena.take<Real>(rows, 1);
     round.out.sigma = arena.take<Real>(rows, 1);
     if (colors) round.out.rgb = arena.take<Real>(rows, 3);
-    if (fills_hidden) round.hidden = arena.take<Real>(semantic_rows, parts_.head->hidden_width());
+    if (fills_hidden && !in_bf16) round.hidden = arena.take<Real>(semantic_rows, parts_.head->hidden_width());
     for (std::int64_t i = 0; i < rows; ++i) std::memcpy(round.x.row(i), trace.x.row(source(i, 0)), 3 * sizeof(double));
     evaluate(ctx, lane, round, colors);
     for (std::int64_t i = 0; i < rows; ++i) {
@@ -252,7 +258,11 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
       trace.sigma(m, 0) = round.sigma(i, 0);
       tau(r, 0) += round.sigma(i, 0) * trace.samples.delta(m, 0);
       if (colors) std::copy_n(round.out.rgb.row(i), 3, trace.out.rgb.row(m));
-      if (fills_hidden && i < semantic_rows) std::copy_n(round.hidden.row(i), round.hidden.cols, trace.hidden.row(m));
+      if (in_bf16 && i < semantic_rows) {
+        std::copy_n(round.rounded_hidden.row(i), round.rounded_hidden.cols, trace.rounded_hidden.row(m));
+      } else if (fills_hidden && i < semantic_rows) {
+        std::copy_n(round.hidden.row(i), round.hidden.cols, trace.hidden.row(m));
+      }
       if (fills_feature) std::copy_n(round.out.feature.row(i), trace.out.feature.cols, trace.out.feature.row(m));
       next(r, 0) = static_cast<std::int32_t>(m + 1);
     }
@@ -333,8 +343,11 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
     }
     grad.hidden_moves_density = moves_density;
     if (rounded) {
-      rounded_backward(ctx, lane, trace, grad.hidden, moves_density ? d_sigma : View<Real>(), of_field);
+      View<Real> dots;
+      if (moves_density) dots = stages_->host_memory ? arena.take<Real>(trace.semantic_samples, 1) : d_sigma;
+      rounded_backward(ctx, lane, trace, grad.hidden, dots, of_field);
       grad.dotted_rays = moves_density ? trace.semantic_rays : 0;
+      grad.dots = dots;
       grad.hidden = {};
     } else {
       in.hidden = deferred ? trace.hidden : trace.sample_logits;

@@ -25,21 +25,27 @@ void SemanticHead<Real>::rounded_hidden_backward(const StepContext&, const Tenso
 }
 
 template <class Real>
+OneLayerHead<Real>::OneLayerHead(const HeadShape& shape, const HeadKernels<Real>& kernels)
+    : shape_(shape), kernels_(&kernels) {
+  const Init hidden_init = Init::uniform(1 / std::sqrt(static_cast<double>(shape.feature)));
+  const Init class_init = Init::uniform(1 / std::sqrt(static_cast<double>(shape.hidden)));
+  specs_.push_back({"hidden/weight", shape.feature, shape.hidden, hidden_init, TensorRole::dense});
+  specs_.push_back({"hidden/bias", 1, shape.hidden, hidden_init, TensorRole::dense});
+  specs_.push_back({"class/weight", shape.hidden, shape.classes, class_init, TensorRole::dense});
+  specs_.push_back({"class/bias", 1, shape.classes, class_init, TensorRole::dense});
+  if (kernels.derive == nullptr) return;
+  shape_.hidden_weight = rearranged_weight(specs_, kHiddenWeight, 0, shape.feature, shape.precision);
+  shape_.class_weight = rearranged_weight(specs_, kClassWeight, 0, shape.hidden, Precision::fp32);
+}
+
+template <class Real>
 void OneLayerHead<Real>::declare(ParamDeclarer& declarer) const {
-  const HeadShape& s = shape_;
-  const Init hidden_init = Init::uniform(1 / std::sqrt(static_cast<double>(s.feature)));
-  const Init class_init = Init::uniform(1 / std::sqrt(static_cast<double>(s.hidden)));
-  declarer.tensor({"hidden/weight", s.feature, s.hidden, hidden_init, TensorRole::dense});
-  declarer.tensor({"hidden/bias", 1, s.hidden, hidden_init, TensorRole::dense});
-  declarer.tensor({"class/weight", s.hidden, s.classes, class_init, TensorRole::dense});
-  declarer.tensor({"class/bias", 1, s.classes, class_init, TensorRole::dense});
-  declarer.tensor({"hidden/weight_t", s.hidden, s.feature, {}, TensorRole::derived, false});
-  declarer.tensor({"class/weight_t", s.classes, s.hidden, {}, TensorRole::derived, false});
+  for (const TensorSpec& spec : specs_) declarer.tensor(spec);
 }
 
 template <class Real>
 void OneLayerHead<Real>::derive(const StepContext&, const Tensors<Real>& tensors) const {
-  if (kernels_->derive != nullptr) kernels_->derive(tensors);
+  if (kernels_->derive != nullptr) kernels_->derive(shape_, tensors);
 }
 
 template <class Real>
@@ -69,14 +75,15 @@ void OneLayerHead<Real>::hidden_backward(const StepContext& ctx, const Tensors<R
 template <class Real>
 void OneLayerHead<Real>::rounded_hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors,
                                                 View<const Bf16> feature, View<Bf16> hidden) const {
-  if (feature.rows > 0) kernels_->rounded_hidden_forward(*ctx.workspace, tensors, feature, hidden);
+  if (feature.rows > 0) kernels_->rounded_hidden_forward(shape_, *ctx.workspace, tensors, feature, hidden);
 }
 
 template <class Real>
 void OneLayerHead<Real>::rounded_hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors,
                                                  View<const Bf16> feature, View<const Bf16> d_hidden,
                                                  View<Bf16> d_feature) const {
-  if (feature.rows > 0) kernels_->rounded_hidden_backward(*ctx.workspace, tensors, feature, d_hidden, d_feature);
+  if (feature.rows > 0)
+    kernels_->rounded_hidden_backward(shape_, *ctx.workspace, tensors, feature, d_hidden, d_feature);
 }
 
 template <class Real>

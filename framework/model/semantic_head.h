@@ -1,6 +1,8 @@
 // Semantic heads: position-only feature to activations a sample, and after compositing to class logits a ray.
 #pragma once
 
+#include <vector>
+
 #include "model/head_kernels.h"
 #include "plugin/field.h"
 
@@ -47,8 +49,7 @@ template <class Real>
 class OneLayerHead final : public SemanticHead<Real> {
  public:
   /// `kernels` must live as long as the head.
-  explicit OneLayerHead(const HeadShape& shape, const HeadKernels<Real>& kernels = processor_head_kernels<Real>())
-      : shape_(shape), kernels_(&kernels) {}
+  explicit OneLayerHead(const HeadShape& shape, const HeadKernels<Real>& kernels = processor_head_kernels<Real>());
 
   std::int32_t hidden_width() const override { return shape_.hidden; }
   std::int32_t classes() const override { return shape_.classes; }
@@ -74,6 +75,7 @@ class OneLayerHead final : public SemanticHead<Real> {
 
  private:
   HeadShape shape_;
+  std::vector<TensorSpec> specs_;
   const HeadKernels<Real>* kernels_;
 };
 

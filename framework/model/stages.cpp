@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <type_traits>
 
 #include "classes/class_table.h"
+#include "compute/layers.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "losses/semantic_cross_entropy.h"
@@ -41,13 +43,6 @@ void map_positions(View<const double> positions, const DomainMap& map, View<doub
     const Vec3d at = map({positions(m, 0), positions(m, 1), positions(m, 2)});
     for (int i = 0; i < 3; ++i) x(m, i) = at[i];
   }
-}
-
-template <class Real>
-void composite(const CompositeIn<Real>& in, const CompositeOut<Real>& out, const CompositeGrad<Real>& grad,
-               View<Real> d_sigma, View<Real> d_rgb, View<Real> d_hidden) {
-  SEMFIELD_CHECK(grad.dotted_rays == 0, "a processor's compositor multiplies hidden activations itself");
-  composite_backward<Real>(in, out, grad, d_sigma, d_rgb, d_hidden);
 }
 
 template <class Real>
@@ -140,6 +135,23 @@ void sum_by_weight_backward(const Samples<Real>& samples, View<const Real> weigh
   }
 }
 
+void rounded_sum(const Samples<float>& samples, View<const float> weight, View<const Bf16> hidden, View<float> out) {
+  for (std::int64_t r = 0; r < out.rows; ++r) {
+    const std::int32_t begin = samples.first(r, 0), count = samples.first(r + 1, 0) - begin;
+    weighted_row_sum(weight.row_range(begin, count), hidden.row_range(begin, count), out.row_range(r, 1));
+  }
+}
+
+void rounded_sum_backward(const Samples<float>& samples, const RoundedSumBackward<float>& sum) {
+  SEMFIELD_CHECK(!sum.blocked, "hidden activations of a processor lie in rows");
+  for (std::int64_t r = 0; r < sum.d_out.rows; ++r) {
+    const std::int32_t begin = samples.first(r, 0), count = samples.first(r + 1, 0) - begin;
+    weighted_row_sum_backward(sum.weight.row_range(begin, count), sum.hidden.row_range(begin, count),
+                              sum.d_out.row_range(r, 1), sum.dots.row_range(begin, count),
+                              sum.d_hidden.row_range(begin, count));
+  }
+}
+
 template <class Real>
 void class_results(View<Real> logits, const ClassResults<Real>& results) {
   if (!results.entropy.empty()) softmax_entropy<Real>(logits, results.entropy);
@@ -217,7 +229,7 @@ Stages<Real> make_stages() {
   s.density_forward = density_forward<Real>;
   s.density_backward = density_backward<Real>;
   s.composite_forward = composite_forward<Real>;
-  s.composite_backward = composite<Real>;
+  s.composite_backward = composite_backward<Real>;
   s.fill = fill<Real>;
   s.add = add<Real>;
   s.keep = keep<Real>;
@@ -225,6 +237,10 @@ Stages<Real> make_stages() {
   s.drop_out = drop_out<Real>;
   s.sum_by_weight = sum_by_weight<Real>;
   s.sum_by_weight_backward = sum_by_weight_backward<Real>;
+  if constexpr (std::is_same_v<Real, float>) {
+    s.rounded_sum = rounded_sum;
+    s.rounded_sum_backward = rounded_sum_backward;
+  }
   s.class_results = class_results<Real>;
   s.opacity_resolutions = opacity_resolutions<Real>;
   s.adam = adam_update<Real>;

@@ -1,7 +1,7 @@
 // Field: encoded position (and, for colour alone, encoded direction) to density, colour and a position-only feature.
 #pragma once
 
-#include "compute/gemm.h"
+#include "compute/precision.h"
 #include "core/bf16.h"
 #include "plugin/layer_shape.h"
 #include "plugin/parametric.h"

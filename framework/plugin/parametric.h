@@ -11,11 +11,16 @@
 namespace semfield {
 
 enum class TensorRole : std::uint8_t {
-  dense,    ///< learned; Adam updates every element each step
-  sparse,   ///< learned; Adam updates only rows that received a gradient this step (hash tables)
-  derived,  ///< computed from learned tensors once a step (transposes, products); not stored in checkpoints
-  state,    ///< neither learned nor derived (an occupancy grid); stored in checkpoints
+  dense,       ///< learned; Adam updates every element each step
+  sparse,      ///< learned; Adam updates only rows that received a gradient this step (hash tables)
+  derived,     ///< computed from learned tensors once a step (products of weights), with a gradient; not stored in
+               ///< checkpoints
+  rearranged,  ///< the same without a gradient, and perhaps no floats: a weight as products read it
+  state,       ///< neither learned nor derived (an occupancy grid); stored in checkpoints
 };
+constexpr bool is_learned(TensorRole role) { return role == TensorRole::dense || role == TensorRole::sparse; }
+constexpr bool has_gradient(TensorRole role) { return is_learned(role) || role == TensorRole::derived; }
+constexpr bool is_stored(TensorRole role) { return is_learned(role) || role == TensorRole::state; }
 
 /// How a learned tensor starts. Values are addressed by (seed, tensor's full name, element): they do not depend on
 /// which other tensors exist.
@@ -32,7 +37,6 @@ struct TensorSpec {
   std::int32_t cols = 0;
   Init init{};
   TensorRole role = TensorRole::dense;
-  bool takes_gradient = true;  ///< of a derived tensor; false: a copy of values, whose gradients come as empty views
 };
 
 class ParamDeclarer {

@@ -9,7 +9,6 @@
 #include <ctime>
 #include <filesystem>
 
-#include "compute/gemm_engine.h"
 #include "compute/parallel.h"
 #include "config/compose.h"
 #include "core/findings.h"

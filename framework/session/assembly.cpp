@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "compute/gemm_engine.h"
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
@@ -256,7 +255,6 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
   std::vector<PassParts<Real>> passes = make_passes<Real>(config, registry, plan, extent);
   PipelineOptions options = pipeline_options(config, plan, passes);
   options.work.threads = config.runtime.threads;
-  options.work.gemm = choose_gemm_engine(config.runtime.gemm);
   options.class_weight = std::move(class_weight);
   return std::make_unique<Pipeline<Real>>(std::move(passes), std::move(options), trainable);
 }

@@ -6,7 +6,6 @@
 #include <cmath>
 
 #include "compute/cpu_kernels.h"
-#include "compute/gemm_engine.h"
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "formats/image_formats.h"
@@ -78,7 +77,7 @@ std::int64_t training_depth_px(const LoadedScene& scene) {
   return pixels;
 }
 
-BuiltParts built_parts(const Session& s, DeviceId device) {
+BuiltParts built_parts(const Session& s) {
   BuiltParts built;
   built.sizes = s.chosen;
   built.learned = s.pipeline->store().learned_count();
@@ -86,10 +85,6 @@ BuiltParts built_parts(const Session& s, DeviceId device) {
     built.in_tables += t.spec.role == TensorRole::sparse ? t.size() : 0;
   built.image_library = images_available();
   built.images_loaded = image_formats_loaded();
-  built.on_device = device.kind != Device::cpu;
-  const WorkScope scope(s.pipeline->options().work);
-  built.matrix_library = foreign_gemm() != nullptr;
-  built.matrix_engine = gemm_engine_text();
   return built;
 }
 
@@ -191,7 +186,7 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
     class_weight = inverse_log_frequency_weights(pixels);
   }
   s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
-  add_built_rows(built_parts(s, device), s.plan);
+  add_built_rows(built_parts(s), s.plan);
   run_on(device, s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
 }
 

@@ -18,7 +18,7 @@ namespace {
 const char* const kMoment1 = "adam/m/";
 const char* const kMoment2 = "adam/v/";
 
-bool stored(const Tensor<float>& t) { return t.spec.role != TensorRole::derived; }
+bool stored(const Tensor<float>& t) { return is_stored(t.spec.role); }
 
 std::vector<std::int64_t> shape_of(const Tensor<float>& t) { return {t.spec.rows, t.spec.cols}; }
 
@@ -123,6 +123,7 @@ std::string Trainer::bad_tensor() const {
   float largest = kProportion;
   std::string text;
   for (const Tensor<float>& t : pipeline_.store().all()) {
+    if (t.spec.role == TensorRole::rearranged) continue;
     const std::int64_t bad = first_non_finite<float>(t.view(t.value));
     if (bad >= 0) return fmt::format("'{}' holds {} at {}", t.name, t.value.data()[bad], element_text(t, bad));
     for (std::int64_t i = 0; i < t.size() && t.spec.role != TensorRole::state; ++i) {

@@ -48,7 +48,6 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
   SEMFIELD_PARAM(
       visit, p, precision,
       "precision of the networks' matrix products: fp32, or bf16 operands with fp32 sums, weights and gradients");
-  SEMFIELD_PARAM(visit, p, gemm, "which code computes matrix products on the CPU; auto: Semfield's own kernels");
   SEMFIELD_PARAM(visit, p, deterministic,
                  "a GPU sums in a fixed order, so that every run gives the same bits; the CPU always does");
   SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
@@ -190,6 +189,16 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
   if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
 }
 
+// Runs of earlier versions have runtime.gemm in their configuration. What it says of our own kernels still holds.
+void check_former_keys(const ConfigNode& tree, Diagnostics& diagnostics) {
+  const ConfigNode* runtime = find_path(tree, "runtime");
+  const ConfigNode* gemm = runtime != nullptr && runtime->is_map() ? runtime->find("gemm") : nullptr;
+  if (gemm == nullptr || (gemm->is_scalar() && (gemm->text() == "auto" || gemm->text() == "builtin"))) return;
+  diagnostics.error(gemm->location().text(),
+                    "runtime: gemm is gone, Semfield multiplies matrices by its own kernels alone",
+                    "remove the key; runtime.precision: bf16 is the faster arithmetic");
+}
+
 ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
   const std::size_t dot = path.find('.');
   if (dot == std::string::npos) return tree.with(path, value);
@@ -230,6 +239,7 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   }
   config.plugins = registry.module_files();
   read_scene(tree, registry, config, diagnostics);
+  check_former_keys(tree, diagnostics);
   each_section(config, [&](const char* path, const char*, auto& params) {
     const ConfigNode* node = find_path(tree, path);
     if (node == nullptr || node->is_null()) return;

@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "compute/gemm_engine.h"
+#include "compute/precision.h"
 #include "config/config_tree.h"
 #include "config/params_read.h"
 #include "formats/input_limits.h"
@@ -55,15 +55,9 @@ struct ChoiceNames<Precision> {
   static constexpr std::array<std::string_view, 2> names{"fp32", "bf16"};
 };
 
-template <>
-struct ChoiceNames<GemmEngine> {
-  static constexpr std::array<std::string_view, 3> names{"auto", "builtin", "onednn"};
-};
-
 struct RuntimeParams {
   std::string device = "auto";  ///< or what device_of reads (core/device_id.h)
   Precision precision = Precision::fp32;
-  GemmEngine gemm = GemmEngine::automatic;
   bool deterministic = false;
   int threads = 0;
   std::uint32_t seed = 1;

@@ -41,7 +41,7 @@ TensorBox<Real>::TensorBox(const Parametric<Real>& component, std::uint64_t seed
       value[e] = static_cast<Real>(initial_value(spec, seed, learned(i) ? noise : 0.0, e));
     }
     values_.push_back(std::move(value));
-    grads_.emplace_back(spec.role == TensorRole::state ? 0 : size, Real(0));
+    grads_.emplace_back(has_gradient(spec.role) ? size : 0, Real(0));
   }
   for (std::size_t i = 0; i < specs_.size(); ++i) {
     value_views_.emplace_back(values_[i].data(), specs_[i].rows, specs_[i].cols);

@@ -75,12 +75,11 @@ std::string forbidden_library(const std::string& path, const std::string& target
       {"OpenImageIO/", "framework/formats/image_formats.cpp"},
       {"tiny_obj_loader.h", "plugins/datasets/obj_room/mesh_io.cpp"},
       {"omp.h", "framework/compute/parallel.cpp"},
-      {"dnnl.hpp", "framework/compute/gemm_onednn.cpp"},
   };
   for (const auto& [library, user] : only) {
     if (starts_with(target, library) && path != user) return "only " + user + " may include " + library;
   }
-  for (const char* library : {"Eigen/", "nlohmann/", "CLI/", "fmt/", "embree", "dnnl", "oneapi/"}) {
+  for (const char* library : {"Eigen/", "nlohmann/", "CLI/", "fmt/", "embree"}) {
     if (starts_with(target, library) && ends_with(path, ".h"))
       return std::string(library) + " may be included by .cpp files only";
   }

@@ -14,6 +14,7 @@
 namespace semfield {
 namespace {
 
+using cuda::Activation;
 using cuda::Epilogue;
 using cuda::LinearBackward;
 using cuda::LinearForward;

@@ -50,14 +50,13 @@ std::string tile_rays(const std::string& passes) {
 /// `scene` is what stands beside its type, `more` follows the passes.
 Golden golden(const std::string& name, const std::string& passes, const std::string& more = "",
               const std::string& scene = "", const std::string& train = "") {
-  // Our own matrix products: those of oneDNN are another library's bits.
   const bool bf16 = name.ends_with("bf16");
   return {name, "scene: {type: analytic_room" + scene +
                     "}\nsemantics: {hidden_width: 16, weight: 0.1}\n"
                     "rendering: {density_activation: softplus, far: background}\npasses:\n" +
                     passes + more + "train: {steps: 20, rays: 128, adam: {learning_rate: 0.01}" + train +
                     "}\nruntime: {device: cpu, lanes: 8, tile_rays: " + tile_rays(passes) +
-                    ", gemm: builtin, precision: " + (bf16 ? "bf16" : "fp32") + "}\n"};
+                    ", precision: " + (bf16 ? "bf16" : "fp32") + "}\n"};
 }
 
 std::vector<Golden> goldens() {

@@ -6,7 +6,8 @@
 #include <cstring>
 
 #include "backend_parts.h"
-#include "compute/linear.h"
+#include "compute/layers.h"
+#include "compute/row_loops.h"
 #include "core/rng.h"
 #include "model/compositor.h"
 #include "session/ray_source.h"
@@ -78,24 +79,26 @@ void strided_products(CaseRun& run) {
   const View<const Real> w(weight.data(), in, out), b(bias.data(), 1, out);
   std::vector<Real> y(static_cast<std::size_t>(rows * out)), dw(weight.size()), dw_far(weight.size()), db(bias.size()),
       db_far(bias.size());
-  linear_forward<Real>({x.data(), rows, in}, w, b, Activation::relu, {y.data(), rows, out});
+  const auto forward = [&](View<const Real> from, View<Real> to) {
+    apply(Layer<Real>{.x = from, .weight = w, .start = b, .relu = true, .y = to});
+  };
+  forward({x.data(), rows, in}, {y.data(), rows, out});
   const View<Real> x_far = spread(x, rows, in, stride, space_x.as<Real>());
   const View<Real> y_far(space_y.as<Real>(), rows, out, stride);
-  linear_forward<Real>(x_far, w, b, Activation::relu, y_far);
+  forward(x_far, y_far);
   run.measure(differing<Real>(y_far, y), 0, "forward");
-  LinearGrad<Real> grad, grad_far;
   std::vector<Real> dx(x.size()), weight_t(weight.size()), dy = y;
   transpose<Real>(w, {weight_t.data(), out, in});
-  grad.weight_t = grad_far.weight_t = View<const Real>(weight_t.data(), out, in);
-  grad.d_weight = {dw.data(), in, out};
-  grad.d_bias = {db.data(), 1, out};
-  grad.dx = {dx.data(), rows, in};
-  grad_far.d_weight = {dw_far.data(), in, out};
-  grad_far.d_bias = {db_far.data(), 1, out};
-  grad_far.dx = View<Real>(space_d.as<Real>(), rows, in, stride);
-  linear_backward<Real>(View<const Real>(x.data(), rows, in), View<const Real>(dy.data(), rows, out), grad);
-  linear_backward<Real>(x_far, y_far, grad_far);
-  run.measure(differing<Real>(grad_far.dx, dx), 0, "input gradient");
+  const auto backward = [&](View<const Real> dz, View<Real> to) {
+    apply(Layer<Real>{.x = dz, .weight = View<const Real>(weight_t.data(), out, in), .exact = to});
+  };
+  const View<Real> dx_far(space_d.as<Real>(), rows, in, stride);
+  const View<const Real> x_near(x.data(), rows, in), dy_near(dy.data(), rows, out);
+  backward(dy_near, {dx.data(), rows, in});
+  backward(y_far, dx_far);
+  weight_gradient(x_near, dy_near, {dw.data(), in, out}, {db.data(), 1, out});
+  weight_gradient(x_far, y_far, {dw_far.data(), in, out}, {db_far.data(), 1, out});
+  run.measure(differing<Real>(dx_far, dx), 0, "input gradient");
   run.expect(dw == dw_far && db == db_far, "weight gradients");
   for (const IsaTable<Real>& table : isa_tables<Real>()) {
     std::vector<Real> c(y.size());

@@ -7,7 +7,6 @@
 #include <limits>
 
 #include "compute/float_mode.h"
-#include "compute/gemm_engine.h"
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "execution/lane_executor.h"
@@ -36,17 +35,6 @@ TEST(Determinism, Bf16RunIsTheSameFor1And2ThreadsAndNotThatOfFp32) {
   EXPECT_EQ(one, train_fingerprint(hash_config(bf16), 2, 40));
   EXPECT_NE(one, train_fingerprint(hash_config(), 2, 40));
   EXPECT_EQ(train_fingerprint(two_pass_config(bf16), 1, 5), train_fingerprint(two_pass_config(bf16), 3, 5));
-}
-
-TEST(Determinism, OnednnRunIsTheSameFor1And2Threads) {
-  const std::string onednn = "runtime: {gemm: onednn}\n";
-  try {
-    choose_gemm_engine(GemmEngine::onednn);
-  } catch (const Error& error) {
-    GTEST_SKIP() << error.what();
-  }
-  const std::uint32_t one = train_fingerprint(hash_config(onednn), 1, 40);
-  EXPECT_EQ(one, train_fingerprint(hash_config(onednn), 2, 40));
 }
 
 // Every third value of what a step reads and writes is subnormal.

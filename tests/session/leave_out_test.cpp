@@ -299,20 +299,15 @@ TEST(LeaveOut, WhatPartsLeaveOutHasTheReasonThatItIs) {
     return std::string("not left out");
   };
   BuiltParts built;
-  built.matrix_engine = "built-in, generic";
   EXPECT_EQ(evidence(built, "table_size"), "not left out");
   EXPECT_EQ(evidence(built, "untouched_rows"), "not left out");
   EXPECT_NE(evidence(built, "image_library").find("this build has none"), std::string::npos);
-  EXPECT_NE(evidence(built, "matrix_library").find("built-in, generic"), std::string::npos);
   built.image_library = true;
   EXPECT_NE(evidence(built, "image_library").find("no image of this scene"), std::string::npos);
-  built.on_device = true;
-  EXPECT_NE(evidence(built, "matrix_library").find("the device"), std::string::npos);
-  built = {{"a size"}, 100, 80, true, true, false, true, "a library"};
+  built = {{"a size"}, 100, 80, true, true};
   EXPECT_EQ(evidence(built, "table_size"), "a size");
   EXPECT_NE(evidence(built, "untouched_rows").find("80 of 100"), std::string::npos);
   EXPECT_EQ(evidence(built, "image_library"), "not left out");
-  EXPECT_EQ(evidence(built, "matrix_library"), "not left out");
 }
 
 TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {

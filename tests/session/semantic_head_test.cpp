@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "compute/gemm.h"
-#include "compute/linear.h"
+#include "compute/row_loops.h"
 #include "testkit/settings.h"
 #include "tests/session/oracle.h"
 

@@ -161,6 +161,7 @@ std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64
 std::uint32_t fingerprint(const ParamStore<float>& store) {
   std::uint32_t crc = 0;
   for (const Tensor<float>& t : store.all()) {
+    if (!is_stored(t.spec.role)) continue;  // the others follow from these, in what form the kernels like
     crc = crc32c(std::as_bytes(std::span(t.name)), crc);
     for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2}) {
       if (buffer->size() > 0) crc = crc32c(std::as_bytes(std::span(buffer->data(), buffer->size())), crc);

@@ -12,7 +12,6 @@
 #include <thread>
 #include <vector>
 
-#include "compute/gemm_engine.h"
 #include "core/error.h"
 #include "tests/session/train_testing.h"
 
@@ -32,15 +31,6 @@ std::uint32_t bits_after(const std::string& yaml, std::int64_t steps) {
   Training training(config_of(yaml, registry), registry);
   EXPECT_EQ(training.train(steps), steps);
   return bits_of(training);
-}
-
-bool has_onednn() {
-  try {
-    choose_gemm_engine(GemmEngine::onednn);
-    return true;
-  } catch (const Error&) {
-    return false;
-  }
 }
 
 // All that a training gives and tells, with the threads that its calls came from.
@@ -73,22 +63,16 @@ void train_telling(const std::string& yaml, std::int64_t steps, Told& told) {
 }
 
 TEST(Training, TwoInTwoThreadsGetTheBitsThatEachGetsAlone) {
-  // Networks, scenes, threads, limits, listeners and, where the build has two, the engine of matrix products differ:
-  // state of the process would show. The second run's limits would refuse the first run's scene.
-  const std::string engine = has_onednn() ? "onednn" : "builtin";
-  std::string small = two_pass_config("runtime: {threads: 3, precision: bf16, gemm: builtin}\nlimits: {frames: 5}\n");
+  // Networks, scenes, threads, precision, limits and listeners differ: state of the process would show. The second
+  // run's limits would refuse the first run's scene.
+  std::string small = two_pass_config("runtime: {threads: 3, precision: bf16}\nlimits: {frames: 5}\n");
   small.replace(small.find("analytic_room"), 13, "analytic_room, frames: 5");
-  std::string hash = hash_config("runtime: {threads: 2, gemm: " + engine + "}\n");
+  std::string hash = hash_config("runtime: {threads: 2}\n");
   hash.replace(hash.find("log2_entries: 11"), 16, "log2_entries: 0");  // chosen from the scene, which is a note
   const std::string yamls[] = {hash, small};
   const std::int64_t steps[] = {40, 12};
   Told alone[2], together[2];
   for (int i = 0; i < 2; ++i) train_telling(yamls[i], steps[i], alone[i]);
-  if (has_onednn()) {
-    std::string builtin = yamls[0];
-    builtin.replace(builtin.find("gemm: onednn"), 12, "gemm: builtin");
-    EXPECT_NE(alone[0].bits, bits_after(builtin, steps[0])) << "the engine shows in the bits";
-  }
   std::thread::id ids[2];
   std::vector<std::thread> threads;
   for (int i = 0; i < 2; ++i) {
@@ -110,8 +94,8 @@ TEST(Training, TwoInTwoThreadsGetTheBitsThatEachGetsAlone) {
 }
 
 TEST(Training, InTurnsTwoGetTheBitsThatEachGetsAlone) {
-  const std::string hash = hash_config("runtime: {gemm: builtin}\n");
-  const std::string paper = two_pass_config(has_onednn() ? "runtime: {gemm: onednn}\n" : "");
+  const std::string hash = hash_config();
+  const std::string paper = two_pass_config("runtime: {precision: bf16}\n");
   Registry registry = make_registry();
   Training a(config_of(hash, registry), registry);
   Training b(config_of(paper, registry), registry);

@@ -6,6 +6,7 @@
 
 #include "app/verb.h"
 #include "app/verbs/bench/bench_tools.h"
+#include "compute/isa.h"
 #include "run/run_folder.h"
 #include "studies/step_rows.h"
 
@@ -69,7 +70,7 @@ void print_table(const BenchStepOptions& options, const BenchStepResults& r) {
     std::printf("random 8-byte reads from %-6s G/s on 1 and %d threads: %.2f, %.2f\n", size.c_str(), r.threads,
                 rates.first * 1e-9, rates.second * 1e-9);
   }
-  std::printf("matrix products: %s\n", r.steps.back().gemm.c_str());
+  std::printf("matrix products: %s\n", std::string(isa_name(isa())).c_str());
   std::printf("medians of %d rounds, every measurement once a round; networks and rays: %s\n", options.repeats,
               options.size.c_str());
   std::printf(
@@ -107,7 +108,7 @@ void print_json(const BenchStepOptions& options, const BenchStepResults& r) {
   out["threads"] = r.threads;
   out["repeats"] = options.repeats;
   out["size"] = options.size;
-  out["gemm"] = r.steps.back().gemm;
+  out["isa"] = std::string(isa_name(isa()));
   out["peak_fp32_flops"] = {r.peak_fp32_one, r.peak_fp32};
   out["peak_bf16_flops"] = {r.peak_bf16_one, r.peak_bf16};
   for (const auto& [size, rates] : r.reads) out["random_reads_per_s"][size] = {rates.first, rates.second};
@@ -149,7 +150,7 @@ void words(VerbWords& verb, BenchStepOptions& options) {
   verb.value_in("--threads", options.threads, 1, 4096, "CPU threads (default: every core)");
   verb.value_in("--repeats", options.repeats, 1, 1000, "rounds; figures are medians of them");
   verb.value("--size", options.size, "full, or tiny: narrow networks and few rays, for tests");
-  verb.repeated("--set", options.set, "override a value of both networks: --set runtime.gemm=onednn");
+  verb.repeated("--set", options.set, "override a value of both networks: --set runtime.tile_rays=8");
   verb.value("--peer-script", options.peer_script, "the PyTorch script (default: the shipped one)");
   verb.value("--python", options.python, "interpreter with torch (default: python3)");
 }

@@ -1,14 +1,15 @@
 // Linear layers over a batch on the device, for activations kept as fp32 or bf16: what fields and the semantic head are
-// made of. Twins of compute/linear.h. Everything is queued on launch().stream; products go through cuda/matmul.h.
+// made of. Twins of compute/layers.h. Everything is queued on launch().stream; products go through cuda/matmul.h.
 #pragma once
 
 #include <cuda_bf16.h>
 
-#include "compute/linear.h"
 #include "core/view.h"
 #include "core/workspace.h"
 
 namespace semfield::cuda {
+
+enum class Activation : std::uint8_t { none, relu };
 
 /// Act: float (products in fp32) or __nv_bfloat16 (operands bf16, sums in fp32). Weights of a product have its type.
 /// y = activation(x W + bias), or with `add` activation(y + x W + bias); x [M, in], weight [in, out] (row stride as

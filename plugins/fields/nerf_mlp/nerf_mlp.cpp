@@ -47,11 +47,9 @@ class LayerList {
     return layer;
   }
 
-  void add_transpose(const std::string& name, NerfMlpLayer& layer) {
-    const TensorSpec weight = specs_[static_cast<std::size_t>(layer.weight)];
-    layer.weight_t =
-        tensor(name + "/weight_t", weight.cols, static_cast<std::int32_t>(weight.rows), {}, TensorRole::derived);
-    specs_.back().takes_gradient = false;
+  /// What a processor reads of rows [first, first + rows) of the layer's weight.
+  LayerWeight rearranged(const NerfMlpLayer& layer, std::int32_t first, std::int32_t rows, Precision precision) {
+    return rearranged_weight(specs_, layer.weight, first, rows, precision);
   }
 
  private:
@@ -89,18 +87,24 @@ NerfMlp<Real>::NerfMlp(const NerfMlpParams& params, const FieldBuild& build, con
   s.view = list.learned("view", s.width + s.direction_dims, s.view_width);
   s.color = list.learned("color", s.view_width, 3);
 
-  for (std::int32_t i = 0; i < s.depth; ++i) {
-    list.add_transpose("trunk_" + std::to_string(i), s.trunk[static_cast<std::size_t>(i)]);
-  }
-  list.add_transpose("density", s.density);
-  if (s.has_feature_activation()) list.add_transpose("feature", s.feature);
-  list.add_transpose("view", s.view);
-  list.add_transpose("color", s.color);
   if (s.folds()) {
     s.folded.weight = list.tensor("folded/weight", s.width, s.view_width, {}, TensorRole::derived);
     s.folded.bias = list.tensor("folded/bias", 1, s.view_width, {}, TensorRole::derived);
-    list.add_transpose("folded", s.folded);
   }
+  if (build.device != Device::cpu) return;
+  for (std::int32_t i = 0; i < s.depth; ++i) {
+    NerfMlpLayer& layer = s.trunk[static_cast<std::size_t>(i)];
+    const std::int32_t of_position = i == 0 || i == s.skip_at ? s.position_dims : 0;
+    if (of_position > 0) layer.position = list.rearranged(layer, 0, of_position, s.precision);
+    if (i > 0) layer.activation = list.rearranged(layer, of_position, s.width, s.precision);
+  }
+  for (NerfMlpLayer* layer : {&s.density, &s.feature, &s.folded}) {
+    if (layer == &s.feature ? s.has_feature_activation() : layer->weight >= 0)
+      layer->activation = list.rearranged(*layer, 0, s.width, s.precision);
+  }
+  // Of a folded view layer derive_backward alone reads something, in the arithmetic of derive.
+  s.view.activation = list.rearranged(s.view, 0, s.width, s.folds() ? Precision::fp32 : s.precision);
+  s.color.activation = list.rearranged(s.color, 0, s.view_width, s.precision);
 }
 
 template <class Real>

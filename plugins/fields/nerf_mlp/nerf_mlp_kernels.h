@@ -5,15 +5,16 @@
 #include <vector>
 
 #include "plugin/field.h"
+#include "plugin/layer_weights.h"
 
 namespace semfield {
 
 class KernelTables;
 
-/// Indices of a layer's tensors; -1 = there is none.
+/// A layer's tensors; -1 = there is none.
 struct NerfMlpLayer {
   int weight = -1, bias = -1;
-  int weight_t = -1;  ///< derived transpose
+  LayerWeight position, activation;  ///< on a processor, the rows that read each
 };
 
 /// What the kernels know. The widths of the tensors follow from it.

@@ -31,14 +31,7 @@ TinyMlpLayer learned(std::vector<TensorSpec>& specs, const std::string& name, st
   const auto next = static_cast<int>(specs.size());
   specs.push_back({name + "/weight", in, out, init, TensorRole::dense});
   specs.push_back({name + "/bias", 1, out, init, TensorRole::dense});
-  return {next, next + 1, -1};
-}
-
-void add_transpose(std::vector<TensorSpec>& specs, TinyMlpLayer& layer) {
-  const TensorSpec weight = specs[static_cast<std::size_t>(layer.weight)];
-  layer.weight_t = static_cast<int>(specs.size());
-  specs.push_back(
-      {weight.name + "_t", weight.cols, static_cast<std::int32_t>(weight.rows), {}, TensorRole::derived, false});
+  return {next, next + 1, {}};
 }
 
 }  // namespace
@@ -75,10 +68,14 @@ TinyMlp<Real>::TinyMlp(const TinyMlpParams& params, const FieldBuild& build, con
     in = s.color_width;
   }
   if (!s.feature_only) s.rgb = learned(specs_, "rgb", s.color_width, 3);
-  for (TinyMlpLayer& layer : s.hidden) add_transpose(specs_, layer);
-  if (s.has_geometry()) add_transpose(specs_, s.geometry);
-  for (TinyMlpLayer& layer : s.color) add_transpose(specs_, layer);
-  if (!s.feature_only) add_transpose(specs_, s.rgb);
+  if (build.device != Device::cpu) return;
+  const auto rearrange = [&](TinyMlpLayer& layer, std::int32_t rows) {
+    if (layer.weight >= 0) layer.rows = rearranged_weight(specs_, layer.weight, 0, rows, s.precision);
+  };
+  for (std::size_t i = 0; i < s.hidden.size(); ++i) rearrange(s.hidden[i], i == 0 ? s.position_dims : s.hidden_width);
+  rearrange(s.geometry, s.hidden_width);
+  for (std::size_t i = 0; i < s.color.size(); ++i) rearrange(s.color[i], i == 0 ? s.geometry_features : s.color_width);
+  rearrange(s.rgb, s.color_width);
 }
 
 template <class Real>

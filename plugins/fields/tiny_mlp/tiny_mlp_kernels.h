@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "plugin/field.h"
+#include "plugin/layer_weights.h"
 
 namespace semfield {
 
@@ -13,10 +14,10 @@ class KernelTables;
 /// What the semantic head reads.
 enum class TinyFeature : std::uint8_t { hidden, geometry };
 
-/// Indices of a layer's tensors.
+/// A layer's tensors; -1 = there is none.
 struct TinyMlpLayer {
   int weight = -1, bias = -1;
-  int weight_t = -1;  ///< derived transpose
+  LayerWeight rows;  ///< on a processor, those of what the samples bring: all but the direction's
 };
 
 struct TinyMlpShape {

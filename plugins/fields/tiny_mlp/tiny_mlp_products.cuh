@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "compute/gemm.h"
+#include "compute/precision.h"
 #include "core/view.h"
 #include "core/workspace.h"
 

@@ -1,5 +1,5 @@
-// Linear layers: values by hand-written loops, gradients by central differences, ray terms, elementary functions.
-#include "compute/linear.h"
+// Layers: values by hand-written loops, gradients by central differences, ray terms, elementary functions.
+#include "compute/layers.h"
 
 #include <gtest/gtest.h>
 
@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "compute/row_loops.h"
 #include "compute/math_functions.h"
 #include "core/rng.h"
 
@@ -52,55 +53,63 @@ double worst_difference(std::vector<double>& values, View<const double> gradient
   return worst;
 }
 
-TEST(Linear, ForwardIsTheFormula) {
-  Owned x(7, 5, 1), w(5, 3, 2), bias(1, 3, 3), y(7, 3);
-  for (const Activation activation : {Activation::none, Activation::relu}) {
-    linear_forward(x.read(), w.read(), bias.read(), activation, y.view);
+/// y = x W + bias, and the ReLU.
+Layer<double> layer_of(const Owned& x, const Owned& w, const Owned& bias, bool relu, const Owned& y) {
+  return {.x = x.read(), .weight = w.read(), .start = bias.read(), .relu = relu, .y = y.view};
+}
+
+TEST(Layers, ForwardIsTheFormula) {
+  const Owned x(7, 5, 1), w(5, 3, 2), bias(1, 3, 3), y(7, 3);
+  for (const bool relu : {false, true}) {
+    apply(layer_of(x, w, bias, relu, y));
     for (int m = 0; m < 7; ++m) {
       for (int n = 0; n < 3; ++n) {
         double sum = bias.view(0, n);
         for (int k = 0; k < 5; ++k) sum += x.view(m, k) * w.view(k, n);
-        if (activation == Activation::relu) sum = std::max(sum, 0.0);
+        if (relu) sum = std::max(sum, 0.0);
         EXPECT_NEAR(y.view(m, n), sum, 1e-14);
       }
     }
   }
 }
 
-TEST(Linear, GradientsMatchCentralDifferences) {
-  for (const Activation activation : {Activation::none, Activation::relu}) {
+TEST(Layers, GradientsMatchCentralDifferences) {
+  for (const bool relu : {false, true}) {
     Owned x(9, 6, 4), w(6, 5, 5), bias(1, 5, 6), y(9, 5), weight_t(5, 6), seed(9, 5, 7);
     const auto loss = [&] {
-      linear_forward(x.read(), w.read(), bias.read(), activation, y.view);
+      apply(layer_of(x, w, bias, relu, y));
       return dot_all(y.read(), seed.read());
     };
     loss();
     transpose(w.read(), weight_t.view);
-    Owned dy(9, 5), dx(9, 6), dw(6, 5), db(1, 5);
-    dy.values = seed.values;
-    linear_backward(activation, x.read(), y.read(), dy.view,
-                    LinearGrad<double>{weight_t.read(), dw.view, db.view, dx.view, false});
+    Owned dz(9, 5), dx(9, 6), dw(6, 5), db(1, 5);
+    dz.values = seed.values;
+    if (relu) relu_backward(y.read(), dz.view);
+    Layer<double> back{.x = dz.read(), .weight = weight_t.read(), .exact = dx.view};
+    apply(back);
+    weight_gradient(x.read(), dz.read(), dw.view, db.view);
     EXPECT_LT(worst_difference(x.values, dx.read(), loss), 1e-8);
     EXPECT_LT(worst_difference(w.values, dw.read(), loss), 1e-8);
     EXPECT_LT(worst_difference(bias.values, db.read(), loss), 1e-8);
-    // Parameters accumulate; activations are assigned unless asked.
-    loss();
-    dy.values = seed.values;
+    // Gradients of parameters add up; activations are assigned unless the layer starts from them.
     const auto once_w = dw.values, once_x = dx.values;
-    linear_backward(activation, x.read(), y.read(), dy.view,
-                    LinearGrad<double>{weight_t.read(), dw.view, db.view, dx.view, true});
+    back.start = dx.read();
+    apply(back);
+    weight_gradient(x.read(), dz.read(), dw.view, db.view);
     for (std::size_t i = 0; i < once_w.size(); ++i) EXPECT_NEAR(dw.values[i], 2 * once_w[i], 1e-12);
     for (std::size_t i = 0; i < once_x.size(); ++i) EXPECT_NEAR(dx.values[i], 2 * once_x[i], 1e-12);
   }
 }
 
-TEST(Linear, RayTermEqualsConcatenatedInputWithGradients) {
+TEST(Layers, RayTermEqualsConcatenatedInputWithGradients) {
   const std::int64_t samples = 11, rays = 4;
   const std::vector<std::int32_t> ray_of{0, 0, 0, 1, 1, 3, 3, 3, 3, 3, 3};  // ray 2 has no sample
   const View<const std::int32_t> ray_view(ray_of.data(), samples, 1);
   Owned x(samples, 4, 8), w(4, 6, 9), term(rays, 6, 10), y(samples, 6), seed(samples, 6, 11);
   const auto loss = [&] {
-    linear_forward_per_ray(x.read(), w.read(), term.read(), ray_view, Activation::relu, y.view);
+    Layer<double> layer = layer_of(x, w, term, true, y);
+    layer.row_of = ray_view;
+    apply(layer);
     return dot_all(y.read(), seed.read());
   };
   loss();
@@ -115,34 +124,53 @@ TEST(Linear, RayTermEqualsConcatenatedInputWithGradients) {
   dz.values = seed.values;
   relu_backward(y.read(), dz.view);
   fill(d_term.view, std::numeric_limits<double>::quiet_NaN());
-  per_ray_backward(dz.read(), ray_view, d_term.view);
+  per_ray_sum(dz.read(), ray_view, d_term.view);
   EXPECT_LT(worst_difference(term.values, d_term.read(), loss), 1e-8);
   for (int n = 0; n < 6; ++n) EXPECT_EQ(d_term.view(2, n), 0.0);
 }
 
-TEST(Linear, AddedPartEqualsConcatenation) {
-  Owned x(5, 7, 12), w(7, 3, 13), bias(1, 3, 14), whole(5, 3), parts(5, 3);
-  linear_forward(x.read(), w.read(), bias.read(), Activation::relu, whole.view);
-  linear_forward(x.read().col_range(0, 3), w.read().row_range(0, 3), bias.read(), Activation::none, parts.view);
-  linear_forward_add(x.read().col_range(3, 4), w.read().row_range(3, 4), Activation::relu, parts.view);
+TEST(Layers, AddedPartEqualsConcatenation) {
+  const Owned x(5, 7, 12), w(7, 3, 13), bias(1, 3, 14), whole(5, 3), parts(5, 3);
+  apply(layer_of(x, w, bias, true, whole));
+  apply(Layer<double>{.x = x.read().col_range(0, 3),
+                      .weight = w.read().row_range(0, 3),
+                      .start = bias.read(),
+                      .exact = parts.view});
+  apply(Layer<double>{.x = x.read().col_range(3, 4),
+                      .weight = w.read().row_range(3, 4),
+                      .start = parts.read(),
+                      .relu = true,
+                      .y = parts.view});
   EXPECT_EQ(std::memcmp(whole.values.data(), parts.values.data(), whole.values.size() * sizeof(double)), 0);
 }
 
-TEST(Linear, BiasGradientSumsRowsInOrderWhateverTheWidth) {
+TEST(Layers, BiasGradientSumsRowsInOrderWhateverTheWidth) {
   for (const std::int32_t cols : {1, 3, 64, 70, 128}) {
-    Owned dz(33, cols, 15), db(1, cols, 16);
+    const Owned x(33, 1), dz(33, cols, 15), db(1, cols, 16);
     auto expected = db.values;
     for (int m = 0; m < 33; ++m) {
       for (int n = 0; n < cols; ++n) expected[static_cast<std::size_t>(n)] += dz.view(m, n);
     }
-    bias_backward(dz.read(), db.view);
+    weight_gradient(x.read(), dz.read(), {}, db.view);
     EXPECT_EQ(expected, db.values);
   }
 }
 
-TEST(Linear, RefusesShapesThatDoNotFit) {
-  Owned x(2, 3), w(4, 2), y(2, 2);
-  EXPECT_THROW(linear_forward(x.read(), w.read(), View<const double>(), Activation::none, y.view), std::exception);
+TEST(Layers, RefuseShapesThatDoNotFit) {
+  const Owned x(2, 3), w(3, 2), wrong(4, 2), bias(1, 2), y(2, 2), few(3, 2);
+  const Layer<double> good = layer_of(x, w, bias, false, y);
+  EXPECT_NO_THROW(apply(good));
+  const auto refused = [&](void (*spoil)(Layer<double>&, View<double>), const Owned& with) {
+    Layer<double> layer = good;
+    spoil(layer, with.view);
+    EXPECT_THROW(apply(layer), std::exception);
+  };
+  refused([](Layer<double>& l, View<double> v) { l.weight = v; }, wrong);
+  refused([](Layer<double>& l, View<double> v) { l.start = v; }, few);
+  refused([](Layer<double>& l, View<double> v) { l.mask = v; }, few);
+  refused([](Layer<double>& l, View<double> v) { l.exact = v; }, y);
+  refused([](Layer<double>& l, View<double>) { l.y = {}; }, y);
+  EXPECT_THROW(weight_gradient(x.read(), few.read(), w.view, bias.view), std::exception);
 }
 
 double ulps(float value, double truth) {

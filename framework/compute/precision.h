@@ -1,0 +1,12 @@
+// The arithmetic of matrix products.
+#pragma once
+
+#include <cstdint>
+
+namespace semfield {
+
+/// fp32: in the type of the operands (float64 in the oracle). bf16: operands and the activations between layers rounded
+/// to bf16 (8 significant bits), products and sums in fp32; weights, their gradients and all else stay fp32.
+enum class Precision : std::uint8_t { fp32, bf16 };
+
+}  // namespace semfield
