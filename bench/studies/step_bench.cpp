@@ -4,7 +4,6 @@
 #include <chrono>
 #include <cmath>
 
-#include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/rng.h"
@@ -130,6 +129,13 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
 
 StepCase::~StepCase() = default;
 StepCase::StepCase(StepCase&&) noexcept = default;
+
+void StepCase::start_threads(int threads) {
+  const int before = thread_count();
+  set_thread_count(threads);
+  parallel_for(threads, [](std::int64_t) {});
+  set_thread_count(before);
+}
 
 double StepCase::seconds(int threads, int steps) {
   const int before = thread_count();

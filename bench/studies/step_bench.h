@@ -29,6 +29,8 @@ class StepCase {
   ~StepCase();
   StepCase(StepCase&&) noexcept;
 
+  /// Workers for steps on so many threads, so that the next call of seconds() starts none.
+  static void start_threads(int threads);
   /// Mean seconds of `steps` steps on `threads` threads.
   double seconds(int threads, int steps);
   /// Seconds in which `rays` rays are rendered: colour, depth, label and entropy.

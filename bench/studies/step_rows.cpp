@@ -55,6 +55,7 @@ class Case {
     step_.seconds(row_.threads, 1);  // memory grows in the first step alone
   }
   double seconds() {
+    StepCase::start_threads(row_.threads);  // a team of another size would count as the step's memory and time
     const std::int64_t before = tools_.allocated_bytes();
     const std::clock_t begin = std::clock();
     const double s = step_.seconds(row_.threads, steps_);

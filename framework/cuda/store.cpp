@@ -68,6 +68,10 @@ int Store::add(const std::string&, const Parametric<float>& part, const Learning
   Component component;
   component.grads.resize(1);
   for (const TensorSpec& spec : specs_of(part)) {
+    // What a processor's kernels read in another order no device has.
+    while (next_ < host_.all().size() && host_.all()[next_].spec.role == TensorRole::rearranged &&
+           host_.all()[next_].spec.name != spec.name)
+      ++next_;
     SEMFIELD_CHECK(next_ < host_.all().size(), "the device's part declares more tensors than the host's");
     const TensorSpec& host = host_.all()[next_].spec;
     SEMFIELD_CHECK(host.name == spec.name && host.rows == spec.rows && host.cols == spec.cols && host.role == spec.role,
