@@ -51,16 +51,34 @@ Unsound<Real> unsound_of_learned(const Tensor<Real>& t, std::int64_t step, std::
   return bad;
 }
 
-// Of all learned tensors at once; which one it is, check_learned says.
+// The elements of a derived or state tensor that a step looks at, as a column; none of a rearranged one, which comes
+// anew from learned ones. Of a large one (the cells of a fine occupancy grid) they are a window, so that the check
+// costs the same for any grid; the sampler itself refuses what it would write.
+struct StateWindow {
+  std::int64_t begin, count;
+};
 template <class Real>
-bool learned_are_sound(const std::vector<Tensor<Real>>& tensors, std::int64_t step) {
+StateWindow state_window(const Tensor<Real>& t, std::int64_t step) {
+  constexpr std::int64_t kWindow = std::int64_t{1} << 18;
+  if (t.spec.role == TensorRole::rearranged) return {0, 0};
+  const std::int64_t begin = step % ((t.size() + kWindow - 1) / kWindow) * kWindow;
+  return {begin, std::min(kWindow, t.size() - begin)};
+}
+
+// Of all tensors at once; which one it is, check_learned and check_state say.
+template <class Real>
+bool all_sound(const std::vector<Tensor<Real>>& tensors, std::int64_t step) {
   std::atomic<bool> sound{true};
   const auto tensor = [&](int i) -> const Tensor<Real>& { return tensors[static_cast<std::size_t>(i)]; };
   for_ranges(
-      static_cast<int>(tensors.size()), [&](int i) { return tensor(i).learned() ? tensor(i).spec.rows : 0; },
-      [&](int i) { return tensor(i).spec.cols; },
+      static_cast<int>(tensors.size()),
+      [&](int i) { return tensor(i).learned() ? tensor(i).spec.rows : state_window(tensor(i), step).count; },
+      [&](int i) { return tensor(i).learned() ? tensor(i).spec.cols : 1; },
       [&](int i, std::int64_t row, std::int64_t rows) {
-        if (unsound_of_learned(tensor(i), step, row, rows).element >= 0) sound = false;
+        const Tensor<Real>& t = tensor(i);
+        const bool good = t.learned() ? unsound_of_learned(t, step, row, rows).element < 0
+                                      : all_finite(t.value.data() + state_window(t, step).begin + row, rows);
+        if (!good) sound = false;
       });
   return sound;
 }
@@ -75,14 +93,9 @@ void check_learned(const Tensor<Real>& t, std::int64_t step, const StepLosses& l
               std::string(fault_remedy()));
 }
 
-// A derived or state tensor; rearranged ones come anew from learned ones. Of a large one (the cells of a fine occupancy
-// grid) a window is looked at in each step, so that the check costs the same for any grid; the sampler itself refuses
-// what it would write.
 template <class Real>
 void check_state(const Tensor<Real>& t, std::int64_t step) {
-  constexpr std::int64_t kWindow = std::int64_t{1} << 18;
-  const std::int64_t windows = (t.size() + kWindow - 1) / kWindow;
-  const std::int64_t begin = step % windows * kWindow, count = std::min(kWindow, t.size() - begin);
+  const auto [begin, count] = state_window(t, step);
   const std::int64_t at = first_non_finite<Real>(View<const Real>(t.value.data() + begin, count, 1));
   if (at < 0) return;
   throw Error(ErrorKind::failure,
@@ -98,10 +111,9 @@ StepLosses LaneExecutor<Real>::checked_gradients(std::int64_t step, const RayBat
   store.zero_gradients();
   const StepLosses losses = gradients(step, batch);
   if (hook_) hook_({step, store.learned_gradients(), nullptr});
-  if (!learned_are_sound(store.all(), step)) {
-    for (const Tensor<Real>& t : store.all()) {
-      if (t.learned()) check_learned(t, step, losses);
-    }
+  const bool sound = all_sound(store.all(), step);
+  for (const Tensor<Real>& t : store.all()) {
+    if (!sound && t.learned()) check_learned(t, step, losses);
   }
   if (!std::isfinite(losses.total)) {
     std::string terms;
@@ -113,7 +125,7 @@ StepLosses LaneExecutor<Real>::checked_gradients(std::int64_t step, const RayBat
         std::string(fault_remedy()));
   }
   for (const Tensor<Real>& t : store.all()) {
-    if (!t.learned() && t.spec.role != TensorRole::rearranged) check_state(t, step);
+    if (!sound && !t.learned()) check_state(t, step);
   }
   return losses;
 }

@@ -30,7 +30,7 @@ class Collector final : public ParamDeclarer {
   std::vector<TensorSpec> specs;
 };
 
-constexpr std::int64_t kChunk = 1 << 12;  // elements a parallel task; sums are per element, so it changes no bits
+constexpr std::int64_t kChunk = 1 << 10;  // elements a parallel task; sums are per element, so it changes no bits
 
 }  // namespace
 

@@ -18,7 +18,7 @@ void hash_grid_cpu_kernels(KernelTables& tables);
 
 namespace {
 
-constexpr std::int64_t kBlockRows = 32768;  // a level is finished for so many rows before its table is left
+constexpr std::int64_t kBlockRows = 49152;  // a level is finished for so many rows before its table is left
 constexpr std::int64_t kPieceRows = 4096;   // of a level's forward that a thread takes at a time; whole groups
 constexpr std::int64_t kCopyRows = 1024;
 constexpr std::int64_t kInputTaskRows = 256;

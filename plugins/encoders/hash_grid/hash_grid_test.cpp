@@ -299,10 +299,10 @@ TEST(HashGrid, GradientsAddUp) {
 // Blocks, tiles, groups, strides and threads: nothing but the row's own coordinates may decide its bits.
 TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
   Grid<float> grid(params_of(5, 2, 16, 8, 500));  // its tables are large enough to be fetched ahead
-  constexpr std::int64_t rows = 33000;            // more than a block, in pieces that threads share
+  constexpr std::int64_t rows = 50000;            // more than a block, in pieces that threads share
   const auto x = random_points(rows);
   const auto whole = grid.forward(x);
-  for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 4095, 4096, 8192, 32767, 32768, 32999}) {
+  for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 4095, 4096, 8192, 49151, 49152, 49999}) {
     std::vector<float> part(33, -1.f);  // 3 rows of stride 11
     const std::int64_t count = std::min<std::int64_t>(3, rows - begin);
     grid.encoder.forward(grid.context(), grid.tensors(),
@@ -346,8 +346,8 @@ TEST(HashGrid, RefusesWhatItCannotEncode) {
 
 TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
   const Grid<float> grid(params_of(3, 2, 6, 2, 5));
-  auto x = random_points(40000);
-  for (const std::size_t row : {39000, 20001, 9003, 9004}) x[3 * row + 1] = NAN;
+  auto x = random_points(60000);
+  for (const std::size_t row : {59000, 20001, 9003, 9004}) x[3 * row + 1] = NAN;
   for (const int threads : {1, 2, 7}) {
     set_thread_count(threads);
     try {
