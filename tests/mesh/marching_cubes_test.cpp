@@ -8,6 +8,7 @@
 #include <map>
 #include <set>
 
+#include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
 
@@ -139,6 +140,31 @@ TEST(MarchingCubes, RandomFieldsAreClosed) {
         grid, [&](Vec3d) { return static_cast<double>(uniform01(address, n++)); }, 0.5);
     EXPECT_GT(surface.triangles.size(), 10000U);
     expect_closed(surface, grid, true);
+  }
+}
+
+TEST(MarchingCubes, ThreadsChangeNeitherVerticesNorTriangles) {
+  const VoxelGrid grid{{-3, 5, 0.5}, 0.25, 130, 111, 5};  // layers of several strips
+  const auto surface_on = [&](int threads) {
+    set_thread_count(threads);
+    std::uint64_t n = 0;
+    const RandomAddress address{7, 0, stream_id("mesh_test/field")};
+    const Surface surface = surface_of(
+        grid, [&](Vec3d) { return static_cast<double>(uniform01(address, n++)); }, 0.5);
+    set_thread_count(0);
+    return surface;
+  };
+  const Surface one = surface_on(1);
+  expect_closed(one, grid, true);
+  for (const int threads : {2, 7}) {
+    const Surface many = surface_on(threads);
+    EXPECT_EQ(many.triangles, one.triangles) << threads << " threads";
+    ASSERT_EQ(many.positions.size(), one.positions.size());
+    for (std::size_t i = 0; i < one.positions.size(); ++i) {
+      ASSERT_TRUE(many.positions[i].x == one.positions[i].x && many.positions[i].y == one.positions[i].y &&
+                  many.positions[i].z == one.positions[i].z)
+          << "vertex " << i << ", " << threads << " threads";
+    }
   }
 }
 
