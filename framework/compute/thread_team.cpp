@@ -9,7 +9,8 @@ namespace semfield {
 
 namespace {
 
-constexpr std::chrono::microseconds kAwake{50};
+// Longer than most waits within a step: to wake a thread costs the one who does it some microseconds for each.
+constexpr std::chrono::microseconds kAwake{200};
 
 thread_local bool t_inside = false;
 

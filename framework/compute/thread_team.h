@@ -15,7 +15,7 @@ namespace semfield {
 
 /// Workers beside the thread that asks. A job is over when its indices are used up and every worker that took part has
 /// left it; a worker that never woke - other programs keep the cores busy - is not waited for. Those who wait stay
-/// awake for some ten microseconds, so that jobs close together lose no time, and then sleep, so that they do not take
+/// awake for 0.2 milliseconds, so that jobs close together lose no time, and then sleep, so that they do not take
 /// the core from the one they wait for.
 class ThreadTeam {
  public:
