@@ -171,7 +171,8 @@ PointAttributes render_attributes(Pipeline<float>& pipeline, std::span<const Vec
   const std::array<double, 3> background = pipeline.options().rules.background();
   for (std::size_t begin = 0; begin < points.size(); begin += rows) {
     const std::size_t count = std::min(rows, points.size() - begin);
-    for (std::size_t r = 0; r < count; ++r) {
+    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
+      const auto r = static_cast<std::size_t>(at);
       const Vec3d n = normals[begin + r], o = points[begin + r] + n * offset;
       double enter = 0, leave = 2 * offset;
       if (limits.clip) {
@@ -186,7 +187,7 @@ PointAttributes render_attributes(Pipeline<float>& pipeline, std::span<const Vec
         origin[3 * r + static_cast<std::size_t>(axis)] = o[axis];
         direction[3 * r + static_cast<std::size_t>(axis)] = -n[axis];
       }
-    }
+    });
     const auto n = static_cast<std::int64_t>(count);
     RenderJob<float> job;
     job.origin = {origin.data(), n, 3};
@@ -199,18 +200,19 @@ PointAttributes render_attributes(Pipeline<float>& pipeline, std::span<const Vec
       job.entropy = {entropy.data(), n, 1};
     }
     pipeline.render(job);
-    for (std::size_t r = 0; r < count; ++r) {
+    for_points(n, [&](std::int64_t at) {
+      const auto r = static_cast<std::size_t>(at);
       const bool met = opacity[r] > kLeastOpacity;
       for (std::size_t c = 0; c < 3 && met; ++c) {
         const double behind = (1 - static_cast<double>(opacity[r])) * background[c];
         const double value = (static_cast<double>(color[3 * r + c]) - behind) / static_cast<double>(opacity[r]);
         out.color[begin + r][c] = static_cast<std::uint8_t>(std::lround(255 * std::clamp(value, 0.0, 1.0)));
       }
-      if (!semantics) continue;
+      if (!semantics) return;
       out.label[begin + r] =
           met ? static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(label[r])]) : kVoid;
       out.entropy[begin + r] = entropy[r];
-    }
+    });
   }
   return out;
 }
