@@ -82,10 +82,12 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   extent.far_m = 1;
   extent.pixel_footprint_m = 0.01;
   config.runtime.threads = 0;  // `seconds` says how many
+  Diagnostics ignored;
+  const DeviceId device = chosen_device(config, registry, ignored).device;
+  config.runtime.precision = precision_of(config, registry, device);
   const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry), {});
   impl_->pipeline = assemble<float>(config, registry, plan, extent, {}, true);
-  Diagnostics ignored;
-  run_on(chosen_device(config, registry, ignored).device, config, registry, plan, extent, *impl_->pipeline, true);
+  run_on(device, config, registry, plan, extent, *impl_->pipeline, true);
 
   std::int64_t per_ray = 0, all = 0;
   for (const Pass<float>& pass : impl_->pipeline->passes()) {

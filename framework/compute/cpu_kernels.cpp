@@ -51,6 +51,14 @@ bool bf16_is_native() {
 #endif
 }
 
+bool bf16_is_faster() {
+#if defined(__x86_64__)
+  return isa() == Isa::amx_bf16 || (bf16_is_native() && __builtin_cpu_is("amd") != 0);
+#else
+  return false;
+#endif
+}
+
 template const CpuKernels<float>& cpu_kernels<float>();
 template const CpuKernels<double>& cpu_kernels<double>();
 

@@ -12,6 +12,8 @@
 namespace semfield {
 
 namespace {
+constexpr std::int64_t kRoundRows = 512;  // samples of a round of rendering
+
 template <class T>
 View<const T> rows_of(View<const T> view, std::int64_t begin, std::int64_t count) {
   return view.empty() ? view : view.row_range(begin, count);
@@ -243,11 +245,15 @@ template <class Real>
 void LaneExecutor<Real>::render(const RenderJob<Real>& job) {
   const WorkScope scope(options().work);
   guard_rays<Real>({job.origin, job.direction, job.near_far}, {}, 0);
-  const std::int64_t rays = job.origin.rows, tile_rays = pipeline_.tile_rays();
-  arenas_.for_units((rays + tile_rays - 1) / tile_rays, [&](Workspace& arena, std::int64_t number) {
-    const TileRange tile = tile_of(number, rays);
+  // Where rays stop early their samples come in rounds, and a round of so few rays would leave kernels half empty.
+  const bool rounds = passes().size() == 1 && options().rules.rendering.early_stop > 0;
+  const std::int64_t rays = job.origin.rows;
+  const std::int64_t unit = std::max(pipeline_.tile_rays(), rounds ? kRoundRows / kRoundSamples : 1);
+  arenas_.for_units((rays + unit - 1) / unit, [&](Workspace& arena, std::int64_t number) {
+    const std::int64_t begin = number * unit;
     const Workspace::Scope scratch(arena);
-    render_rays(passes(), pipeline_.per_ray(), job.rows(tile.begin, tile.count), context(0, false, tile.begin, arena));
+    render_rays(passes(), pipeline_.per_ray(), job.rows(begin, std::min(unit, rays - begin)),
+                context(0, false, begin, arena));
   });
 }
 

@@ -10,10 +10,6 @@
 
 namespace semfield {
 
-namespace {
-constexpr std::int64_t kRound = 16;  // samples a ray advances before early stop is tested
-}  // namespace
-
 template <class Real>
 Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, TensorStore<Real>& store)
     : parts_(std::move(parts)), rules_(rules), store_(&store), stages_(parts_.stages) {
@@ -140,7 +136,7 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
   if (request.colors) trace.color = arena.take<Real>(ray_count, 3);
   trace.depth = arena.take<Real>(ray_count, 1);
   trace.opacity = arena.take<Real>(ray_count, 1);
-  if (stages_->host_memory && !ctx.training && rules_.rendering.early_stop > 0 && count > ray_count * kRound) {
+  if (stages_->host_memory && !ctx.training && rules_.rendering.early_stop > 0 && count > ray_count * kRoundSamples) {
     evaluate_in_rounds(ctx, lane, trace, request.colors);
   } else {
     evaluate(ctx, lane, trace, request.colors);
@@ -195,10 +191,10 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
   }
 }
 
-// Front to back in rounds of kRound samples a ray; a ray whose transmittance fell below early_stop asks no further.
-// Samples that were not evaluated keep sigma = 0, so they take no weight: |error| <= early_stop * max|value| (numerics:
-// certified). Under far: background the last sample takes the rest, black and with the logits of no feature, which
-// count as values too.
+// Front to back in rounds of kRoundSamples samples a ray; a ray whose transmittance fell below early_stop asks no
+// further. Samples that were not evaluated keep sigma = 0, so they take no weight: |error| <= early_stop * max|value|
+// (numerics: certified). Under far: background the last sample takes the rest, black and with the logits of no feature,
+// which count as values too.
 template <class Real>
 void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const {
   Workspace& arena = *ctx.workspace;
@@ -223,17 +219,17 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
     stages_->fill(trace.out.feature, Real(0));
   }
   const double tau_stop = -std::log(rules_.rendering.early_stop);
-  View<std::int32_t> source = arena.take<std::int32_t>(ray_count * kRound, 1);
+  View<std::int32_t> source = arena.take<std::int32_t>(ray_count * kRoundSamples, 1);
   for (;;) {
     const Workspace::Scope scope(arena);
     PassTrace<Real> round;
-    round.samples.ray_of_sample = arena.take<std::int32_t>(ray_count * kRound, 1);
+    round.samples.ray_of_sample = arena.take<std::int32_t>(ray_count * kRoundSamples, 1);
     round.samples.first = trace.samples.first;  // only its row count is read
     std::int64_t rows = 0, semantic_rows = 0;
     for (std::int64_t r = 0; r < ray_count; ++r) {
       const std::int32_t end = trace.samples.first(r + 1, 0);
       if (static_cast<double>(tau(r, 0)) > tau_stop) next(r, 0) = end;
-      const std::int32_t stop = std::min<std::int32_t>(end, next(r, 0) + static_cast<std::int32_t>(kRound));
+      const std::int32_t stop = std::min<std::int32_t>(end, next(r, 0) + static_cast<std::int32_t>(kRoundSamples));
       for (std::int32_t m = next(r, 0); m < stop; ++m, ++rows) {
         source(rows, 0) = m;
         round.samples.ray_of_sample(rows, 0) = static_cast<std::int32_t>(r);

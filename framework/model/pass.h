@@ -106,6 +106,9 @@ RayValues<Real> values_of(View<const double> near_far, const PassTrace<Real>& tr
   return values;
 }
 
+/// Samples that a ray advances in rendering before early stop is tested.
+inline constexpr std::int64_t kRoundSamples = 8;
+
 template <class Real>
 class Pass {
  public:

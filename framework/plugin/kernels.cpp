@@ -26,6 +26,12 @@ bool KernelTables::has(Device device, std::string_view owner) const {
                      [&](std::string_view variant) { return variant.substr(0, variant.find(' ')) == name; });
 }
 
+bool KernelTables::has(Device device, std::string_view owner, Precision precision) const {
+  const auto found = owners_.find(owner);
+  return found != owners_.end() &&
+         std::find(found->second.begin(), found->second.end(), variant_name(device, precision)) != found->second.end();
+}
+
 std::string KernelTables::devices_of(std::string_view owner) const {
   const auto found = owners_.find(owner);
   return found == owners_.end() ? std::string() : join(found->second);

@@ -32,8 +32,9 @@ class KernelTables {
   const Table& get(Device device, std::string_view owner, Precision precision = Precision::fp32) const {
     return *static_cast<const Table*>(get_erased({typeid(Table), device, precision}, owner));
   }
-  /// True when `owner` has kernels for the device, in some precision.
+  /// True when `owner` has kernels for the device, in some precision or in this one.
   bool has(Device device, std::string_view owner) const;
+  bool has(Device device, std::string_view owner, Precision precision) const;
   /// What `owner` has kernels for, e.g. "cpu, cpu bf16, cuda"; fp32 goes without saying.
   std::string devices_of(std::string_view owner) const;
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "compute/cpu_kernels.h"
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
@@ -260,6 +261,11 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
 }
 
 namespace {
+// "field 'ball'".
+std::string owner_of(const PluginSlot& slot) {
+  return std::string(kind_name(slot.entry->kind)) + " '" + slot.entry->name + "'";
+}
+
 // "field 'ball'", "loss term 'glow'": the first part of the run without kernels for `device`; empty: all have them.
 std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
   for (const PassConfig& pass : config.passes) {
@@ -270,7 +276,7 @@ std::string part_without_kernels(const RunConfig& config, const Registry& regist
     }
     for (const PluginSlot* slot : slots) {
       if (slot->entry == nullptr) continue;
-      std::string owner = std::string(kind_name(slot->entry->kind)) + " '" + slot->entry->name + "'";
+      std::string owner = owner_of(*slot);
       if (!registry.kernels().has(device, owner)) return owner;
     }
   }
@@ -281,6 +287,16 @@ std::string part_without_kernels(const RunConfig& config, const Registry& regist
   }
   return {};
 }
+bool fields_have_bf16(const RunConfig& config, const Registry& registry, Device device) {
+  const auto has = [&](const PluginSlot& slot) {
+    return slot.entry == nullptr || registry.kernels().has(device, owner_of(slot), Precision::bf16);
+  };
+  return std::all_of(config.passes.begin(), config.passes.end(), [&](const PassConfig& pass) {
+    return has(pass.field) && std::all_of(pass.semantic.begin(), pass.semantic.end(),
+                                          [&](const SemanticBranchConfig& branch) { return has(branch.field); });
+  });
+}
+
 bool is_automatic(const RunConfig& config) { return config.runtime.device == "auto"; }
 
 /// That of `auto` is the first cuda device.
@@ -320,6 +336,12 @@ ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry,
   }
   diagnostics.note("runtime.device", why_not + ", so the run stays on the processor");
   return {DeviceId{}, why_not};
+}
+
+Precision precision_of(const RunConfig& config, const Registry& registry, DeviceId device) {
+  if (config.runtime.precision != Precision::automatic) return config.runtime.precision;
+  const bool faster = device.kind != Device::cpu || bf16_is_faster();
+  return faster && fields_have_bf16(config, registry, device.kind) ? Precision::bf16 : Precision::fp32;
 }
 
 void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,

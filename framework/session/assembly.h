@@ -50,6 +50,8 @@ struct ChosenDevice {
 /// device is asked for
 /// and cannot be had.
 ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
+/// runtime.precision, or what `auto` is there: bf16 where the device computes it faster and every field has kernels.
+Precision precision_of(const RunConfig& config, const Registry& registry, DeviceId device);
 /// CUDA kernels of linked plugins and loaded modules into the registry's tables; a device is not needed. Throws
 /// Error(unavailable) when the build has none.
 void add_cuda_kernels(Registry& registry);

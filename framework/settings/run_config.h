@@ -52,7 +52,7 @@ void validate(const SelfTrainingParams& params, Diagnostics& diagnostics);
 
 template <>
 struct ChoiceNames<Precision> {
-  static constexpr std::array<std::string_view, 2> names{"fp32", "bf16"};
+  static constexpr std::array<std::string_view, 3> names{"fp32", "bf16", "auto"};
 };
 
 struct RuntimeParams {
