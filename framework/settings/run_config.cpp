@@ -190,14 +190,17 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
   if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
 }
 
-// Runs of earlier versions have runtime.gemm in their configuration. What it says of our own kernels still holds.
-void check_former_keys(const ConfigNode& tree, Diagnostics& diagnostics) {
-  const ConfigNode* runtime = find_path(tree, "runtime");
+// Runs of earlier versions say who multiplies matrices. What they say of our own kernels still holds.
+ConfigNode without_former_keys(const ConfigNode& tree, Diagnostics& diagnostics) {
+  const ConfigNode* runtime = tree.find("runtime");
   const ConfigNode* gemm = runtime != nullptr && runtime->is_map() ? runtime->find("gemm") : nullptr;
-  if (gemm == nullptr || (gemm->is_scalar() && (gemm->text() == "auto" || gemm->text() == "builtin"))) return;
-  diagnostics.error(gemm->location().text(),
-                    "runtime: gemm is gone, Semfield multiplies matrices by its own kernels alone",
-                    "remove the key; runtime.precision: bf16 is the faster arithmetic");
+  if (gemm == nullptr) return tree;
+  if (gemm->text() != "auto" && gemm->text() != "builtin") {
+    diagnostics.error(gemm->key_location().text(),
+                      "runtime: gemm is gone, Semfield multiplies matrices by its own kernels alone",
+                      "remove the key; runtime.precision: bf16 is the faster arithmetic");
+  }
+  return tree.with("runtime", runtime->without("gemm"));
 }
 
 ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
@@ -210,12 +213,13 @@ ConfigNode with_path(const ConfigNode& tree, const std::string& path, const Conf
 
 }  // namespace
 
-RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics) {
+RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnostics& diagnostics) {
   RunConfig config;
-  if (!tree.is_map()) {
-    diagnostics.error(tree.location().text(), "expected a map of sections at the top of the config");
+  if (!written.is_map()) {
+    diagnostics.error(written.location().text(), "expected a map of sections at the top of the config");
     return config;
   }
+  const ConfigNode tree = without_former_keys(written, diagnostics);
   const std::vector<std::string> known = top_keys();
   for (const auto& [key, value] : tree.entries()) {
     if (std::find(known.begin(), known.end(), key) != known.end()) continue;
@@ -240,7 +244,6 @@ RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostic
   }
   config.plugins = registry.module_files();
   read_scene(tree, registry, config, diagnostics);
-  check_former_keys(tree, diagnostics);
   each_section(config, [&](const char* path, const char*, auto& params) {
     const ConfigNode* node = find_path(tree, path);
     if (node == nullptr || node->is_null()) return;

@@ -26,7 +26,8 @@ class Threads {
 // Of a shipped configuration with labels on every frame, without its scene.
 int lanes_of_preset(const std::string& name, const std::vector<std::string>& set = {}) {
   Registry registry = make_registry();
-  const RunConfig config = load_run_config(SEMFIELD_SOURCE_DIR "/configs/" + name, set, registry);
+  RunConfig config = load_run_config(SEMFIELD_SOURCE_DIR "/configs/" + name, set, registry);
+  config.runtime.precision = Precision::fp32;
   SceneExtent extent;
   extent.bounds = {{-3, -3, -1}, {3, 3, 2}};
   extent.near_m = 0.1;

@@ -5,8 +5,11 @@
 
 #include <filesystem>
 
+#include "compute/cpu_kernels.h"
 #include "config/explain.h"
 #include "core/device_id.h"
+#include "session/assembly.h"
+#include "settings/run_identity.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -39,6 +42,27 @@ TEST(RunConfig, CollectsEveryErrorWithItsPlace) {
         "key 'field' is missing", "train.rays: expected int in [1, 1048576], got 0"}) {
     EXPECT_NE(text.find(part), std::string::npos) << "missing: " << part << "\nin:\n" << text;
   }
+}
+
+TEST(RunConfig, RunsOfEarlierVersionsMayNameOurOwnKernels) {
+  for (const char* gemm : {"auto", "builtin"})
+    EXPECT_EQ(errors_of(hash_config("runtime: {threads: 1, gemm: " + std::string(gemm) + "}\n")), "");
+  const std::string text = errors_of(hash_config("runtime: {gemm: onednn}\n"));
+  EXPECT_NE(text.find("room.yaml:11:"), std::string::npos) << text;
+  EXPECT_NE(text.find("gemm is gone"), std::string::npos) << text;
+}
+
+TEST(RunConfig, PrecisionAutoIsSettledWhenASessionOpens) {
+  Registry registry = make_registry();
+  const Session s = open_text(hash_config("runtime: {device: cpu, precision: auto}\n"), registry);
+  EXPECT_EQ(s.config.runtime.precision, bf16_is_faster() ? Precision::bf16 : Precision::fp32);
+  const std::string said = bf16_is_faster() ? "precision: bf16" : "precision: fp32";
+  EXPECT_NE(write_config(resolved_config(s.config)).find(said), std::string::npos);
+  RunConfig wish = s.config;
+  wish.runtime.precision = Precision::automatic;
+  EXPECT_EQ(precision_of(wish, registry, {Device::cpu, 0}), s.config.runtime.precision);
+  wish.runtime.precision = Precision::bf16;
+  EXPECT_EQ(precision_of(wish, registry, {Device::cpu, 0}), Precision::bf16) << "a named one stays";
 }
 
 TEST(RunConfig, ADeviceIsNamedByKindAndOrdinal) {
