@@ -31,6 +31,7 @@ LeaveOutSide::LeaveOutSide(const LeaveOutPair& pair, const std::vector<std::stri
   set.insert(set.end(), pair.both.begin(), pair.both.end());
   set.insert(set.end(), own.begin(), own.end());
   set.emplace_back("runtime.threads=1");
+  set.emplace_back("runtime.precision=fp32");  // what is compared are sums of fp32, on every machine
   set.push_back(fmt::format("runtime.seed={}", seed));
   Diagnostics diagnostics;
   SessionOptions session_options;
