@@ -136,7 +136,7 @@ void layer_chain(State& state, int width, int layers) {
   std::vector<std::vector<std::uint32_t>> words(static_cast<std::size_t>(layers));
   std::vector<Layer<Act>> chain;
   for (int i = 0; i < layers; ++i) {
-    Layer<Act> layer{.x = turns[i % 2], .start = bias.view, .relu = true, .y = turns[(i + 1) % 2]};
+    Layer<Act> layer{.x = turns[i % 2], .weight = {}, .start = bias.view, .relu = true, .y = turns[(i + 1) % 2]};
     const View<const float> rows = weight.view.row_range(std::int64_t{i} * width, width);
     if constexpr (std::is_same_v<Act, Bf16>) {
       auto& packed = words[static_cast<std::size_t>(i)];
