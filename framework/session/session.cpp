@@ -222,7 +222,12 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   const WorkScope scope(work);
   const ChosenDevice chosen = chosen_device(config, registry, diagnostics);
   const DeviceId device = chosen.device;
-  config.runtime.precision = precision_of(config, registry, device);  // what run.yaml says from here on
+  if (config.runtime.precision == Precision::automatic) {
+    config.runtime.precision = precision_of(config, registry, device);  // what run.yaml says from here on
+    diagnostics.note("runtime.precision",
+                     config.runtime.precision == Precision::bf16 ? "auto is bf16 here, which this machine computes faster"
+                                                                 : "auto is fp32 here: no faster kernels of bf16");
+  }
   Session s = load_session(std::move(config), registry, options, chosen, diagnostics);
   s.memory_facts.program = program_bytes;
   if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, diagnostics);
