@@ -155,6 +155,29 @@ TEST(CompositorGradient, DetachedHiddenLeavesDensityAlone) {  // D11
   for (std::size_t k = 0; k < 8; ++k) EXPECT_EQ(rays.d_hidden[5 * k + 2], rays.weight[k] * rays.g_hidden[2]);
 }
 
+TEST(CompositorGradient, DotsStandForHiddenActivationsOfTheFirstRays) {
+  RayBuffers<float> rays({8, 5, 6}, 5);
+  rays.space_evenly(1);
+  fill_random(rays, 12, 1.0);
+  std::fill(rays.g_hidden.begin() + 10, rays.g_hidden.end(), 0.f);  // of the last ray
+  rays.forward();
+  rays.backward();
+  const std::vector<float> whole = rays.d_sigma;
+  std::vector<float> dots(13);
+  for (std::size_t k = 0; k < dots.size(); ++k) {
+    for (std::size_t c = 0; c < 5; ++c) dots[k] += rays.g_hidden[5 * (k < 8 ? 0 : 1) + c] * rays.hidden[5 * k + c];
+  }
+  CompositeIn<float> in = rays.in();
+  CompositeGrad<float> grad = rays.grad();
+  in.hidden = {};
+  grad.hidden = {};
+  grad.dotted_rays = 2;
+  grad.dots = View<const float>(dots.data(), 13, 1);
+  composite_backward(in, rays.out(), grad, rays.col(rays.d_sigma), {}, {});
+  for (std::size_t k = 0; k < whole.size(); ++k)
+    EXPECT_NEAR(rays.d_sigma[k], whole[k], 1e-5 * (1 + std::abs(whole[k]))) << k;
+}
+
 TEST(CompositorGradient, RaysDoNotTouchEachOther) {
   RayBuffers<float> both({40, 7}, 33), alone({7}, 33);
   fill_random(both, 3, 1.0);

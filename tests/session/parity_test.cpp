@@ -110,5 +110,41 @@ TEST(Parity, StoppedSemanticGradientLeavesTheDensityLayerAlone) {
   EXPECT_NE(density_gradient(flowing), density_gradient(none));
 }
 
+// Widths that are multiples of 32 hand the feature on in bf16, 24 and 16 in full.
+TEST(Parity, GradientsInBf16AreTheOraclesWithinItsPrecision) {
+  for (const std::string field : {"{type: nerf_mlp, depth: 4, width: 32, skip_at: 2, view_width: 24}",
+                                  "{type: nerf_mlp, depth: 2, width: 24, skip_at: 0, view_width: 32}",
+                                  "{type: tiny_mlp, hidden_width: 64, color_width: 24}",
+                                  "{type: tiny_mlp, hidden_width: 24, feature: geometry}"}) {
+    const std::string yaml =
+        "scene: {type: analytic_room}\nsemantics: {hidden_width: 32, weight: 3}\nrendering: {density_activation: "
+        "softplus}\ntrain: {rays: 48}\npasses:\n  - sampler: {type: stratified, samples: 24}\n    position: {type: "
+        "frequency, frequencies: 3}\n    direction: {type: frequency, frequencies: 2}\n    field: " +
+        field + "\nruntime: {device: cpu, precision: ";
+    Registry registry = make_registry();
+    Oracle oracle(yaml + "fp32}\n", registry);
+    oracle.gradients();
+    Session rounded = open_text(yaml + "bf16}\n", registry);
+    ParamStore<float>& store = rounded.pipeline->store();
+    rounded.pipeline->derive(3);
+    const StepLosses losses = rounded.pipeline->gradients(3, oracle.batch.view(true));
+    EXPECT_GT(losses.labelled, 0);
+    int compared = 0;
+    for (const Tensor<double>& t : oracle.pipeline->store().all()) {
+      if (!t.learned()) continue;
+      const Tensor<float>* other = store.find(t.name);
+      ASSERT_NE(other, nullptr) << t.name;
+      double difference = 0, size = 0;
+      for (std::int64_t i = 0; i < t.size(); ++i) {
+        difference += std::pow(static_cast<double>(other->grad.data()[i]) - t.grad.data()[i], 2);
+        size += std::pow(t.grad.data()[i], 2);
+      }
+      EXPECT_LT(std::sqrt(difference), 0.03 * std::sqrt(size)) << field << ", " << t.name;
+      ++compared;
+    }
+    EXPECT_GE(compared, 12) << field;
+  }
+}
+
 }  // namespace
 }  // namespace semfield
