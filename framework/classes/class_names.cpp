@@ -12,6 +12,18 @@ bool is_void_name(std::string name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
+namespace {
+constexpr std::string_view kUnnamed = "unnamed ";
+}
+
+std::string unnamed_class(std::int32_t id) { return std::string(kUnnamed) + std::to_string(id); }
+
+bool is_unnamed_class(std::string_view name) {
+  if (!name.starts_with(kUnnamed) || name.size() == kUnnamed.size()) return false;
+  name.remove_prefix(kUnnamed.size());
+  return name.find_first_not_of("0123456789") == std::string_view::npos;
+}
+
 ClassNames::ClassNames(const ClassTable& classes) {
   for (const ClassEntry& entry : classes.entries()) {
     if (index_.emplace(entry.name, classes.index_of(entry.id)).second) known_.push_back(entry.name);

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <string>
+#include <string_view>
 #include <unordered_map>
 #include <vector>
 
@@ -12,6 +13,10 @@ namespace semfield {
 
 /// "void", "undefined", "unlabelled", "unlabeled", "unknown" or "other", in any case.
 bool is_void_name(std::string name);
+
+/// Name of a class that has a logit and waits for its name: "unnamed 7" for id 7; and whether a name is one of these.
+std::string unnamed_class(std::int32_t id);
+bool is_unnamed_class(std::string_view name);
 
 /// Names of a table, exact to the letter; of a name given twice the entry with the lower id. A name for void that the
 /// table does not have means void.

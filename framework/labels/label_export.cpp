@@ -91,7 +91,7 @@ void CocoExport::add(const LabelledFrame& frame) {
   }
   for (const MaskRegion& region : mask_regions(frame.label, frame.width_px, frame.height_px)) {
     Json points = Json::array();
-    for (const ImagePoint& p : region.outline) {
+    for (const PixelPoint& p : region.outline) {
       points.push_back(std::int64_t(p.x));
       points.push_back(std::int64_t(p.y));
     }
@@ -113,7 +113,7 @@ std::int64_t write_labelme(const std::string& folder, const LabelledFrame& frame
   Json shapes = Json::array();
   for (const MaskRegion& region : mask_regions(frame.label, frame.width_px, frame.height_px)) {
     Json points = Json::array();
-    for (const ImagePoint& p : region.outline) points.push_back({std::int64_t(p.x), std::int64_t(p.y)});
+    for (const PixelPoint& p : region.outline) points.push_back({std::int64_t(p.x), std::int64_t(p.y)});
     shapes.push_back({{"label", classes.valid(region.index).name},
                       {"points", std::move(points)},
                       {"group_id", nullptr},

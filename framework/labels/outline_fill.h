@@ -1,18 +1,16 @@
-// Outlines and discs as runs of pixels, by the pixel-centre rule.
+// Outlines, discs and strokes as runs of pixels, by the pixel-centre rule.
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "labels/label_steps.h"
+#include "labels/pixel_point.h"
 
 namespace semfield {
 
-/// Image point in pixels: the centre of pixel (i, j) is (i + 0.5, j + 0.5).
-struct ImagePoint {
-  double x = 0, y = 0;
-};
-using Outline = std::vector<ImagePoint>;
+using Outline = std::vector<PixelPoint>;
 
 /// Pixels x0 <= x < x1 of row y.
 struct PixelRun {
@@ -30,7 +28,13 @@ inline constexpr std::size_t kMaxOutlinePoints = 1'000'000;
 std::vector<PixelRun> outline_runs(const Outline& outline, std::int32_t width, std::int32_t height);
 
 /// Pixels whose centre is at most `radius_px` away from `center`.
-std::vector<PixelRun> disc_runs(ImagePoint center, double radius_px, std::int32_t width, std::int32_t height);
+std::vector<PixelRun> disc_runs(PixelPoint center, double radius_px, std::int32_t width, std::int32_t height);
+
+/// Pixels that a disc of `radius_px` covers by its centre rule on its way along the polyline `points` (one: the disc at
+/// rest), and those that the line itself passes through, so that a thin stroke has no gaps; rows ascending, runs of a
+/// row apart and ascending. A point on the right or lower border of the image counts for the last pixel.
+std::vector<PixelRun> stroke_runs(std::span<const PixelPoint> points, double radius_px, std::int32_t width,
+                                  std::int32_t height);
 
 /// Pixels in all runs.
 std::int64_t area_of(const std::vector<PixelRun>& runs);

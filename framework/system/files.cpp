@@ -93,6 +93,14 @@ int open_folder(const std::string& folder) {
   return uninterrupted([&] { return ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC); });
 }
 
+// Makes the entry that names `path` durable; the cause of a failure, or 0.
+int sync_entry_of(const std::string& path) {
+  const int folder = open_folder(folder_of(path));
+  const int cause = folder < 0 && errno != EACCES ? errno : sync_folder(folder);
+  if (folder >= 0) ::close(folder);
+  return cause;
+}
+
 [[noreturn]] void refuse_special(const std::string& path, mode_t mode) {
   const char* what = S_ISDIR(mode)                    ? "folder"
                      : S_ISFIFO(mode)                 ? "pipe"
@@ -175,16 +183,18 @@ Error write_error(std::string_view doing, const std::string& path, int cause, st
                "cannot " + std::string(doing) + " '" + path + "': " + text, write_remedy(cause));
 }
 
+void sync_folder_of(const std::string& path) {
+  if (const int cause = sync_entry_of(path); cause != 0) throw write_error("create", path, cause);
+}
+
 void create_folders(const std::string& path) {
   std::filesystem::path made;
   for (const std::filesystem::path& part : std::filesystem::path(path)) {
     made /= part;
     if (part.empty() || ::mkdir(made.c_str(), 0777) == 0) {
       if (part.empty()) continue;
-      const int above = open_folder(folder_of(made.string()));
-      const int cause = above < 0 && errno != EACCES ? errno : sync_folder(above);
-      if (above >= 0) ::close(above);
-      if (cause != 0) throw write_error("create the folder", made.string(), cause);
+      if (const int cause = sync_entry_of(made.string()); cause != 0)
+        throw write_error("create the folder", made.string(), cause);
     } else if (const int cause = errno; !std::filesystem::is_directory(made)) {
       throw write_error("create the folder", path, cause == EEXIST ? ENOTDIR : cause);
     }

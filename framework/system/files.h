@@ -36,6 +36,9 @@ void append_all(int file, const std::string& path, std::string_view bytes);
 /// success for pages that are lost. Throws write_error.
 void sync_file(int file, const std::string& path);
 
+/// Makes the entry of a file that was created outlive a power cut. Throws write_error.
+void sync_folder_of(const std::string& path);
+
 /// Writes `path` so that a reader, or a crash at any moment, sees the old file or the new one, never a part; after it
 /// returns the new one outlives a power cut. Throws write_error and removes the temporary file.
 void write_file_atomic(const std::string& path, std::span<const std::byte> bytes);

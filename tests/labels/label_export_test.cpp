@@ -59,7 +59,7 @@ void expect_regions_give_the_map_back(const LabelledFrame& frame) {
     paint(runs, region.index, even_odd);
     // The sum of signed crossings to the right of each centre: 1 inside a clockwise outline, for the non-zero rule.
     for (std::size_t i = 0; i < region.outline.size(); ++i) {
-      const ImagePoint a = region.outline[i], b = region.outline[(i + 1) % region.outline.size()];
+      const PixelPoint a = region.outline[i], b = region.outline[(i + 1) % region.outline.size()];
       ASSERT_TRUE((a.x == b.x) != (a.y == b.y)) << "an edge that is no edge of pixels";
       for (auto y = static_cast<std::int32_t>(std::min(a.y, b.y)); y < std::max(a.y, b.y) && a.x == b.x; ++y) {
         for (std::int32_t x = 0; x < a.x; ++x)

@@ -30,7 +30,7 @@ TEST(OutlineFill, ThePixelCentreDecides) {
 
 TEST(OutlineFill, NeighboursShareNoPixelAndLeaveNoneOut) {
   // A fan of triangles around a point that is a pixel centre, its corners on pixel centres too.
-  const std::vector<ImagePoint> rim{{0.5, 0.5}, {4.5, 0.5}, {8.5, 0.5}, {8.5, 4.5},
+  const std::vector<PixelPoint> rim{{0.5, 0.5}, {4.5, 0.5}, {8.5, 0.5}, {8.5, 4.5},
                                     {8.5, 8.5}, {4.5, 8.5}, {0.5, 8.5}, {0.5, 4.5}};
   std::vector<int> count(9 * 9);
   for (std::size_t i = 0; i < rim.size(); ++i) {

@@ -98,7 +98,7 @@ class ClickReader : public LabelReader {
                "columns and rows are counted from 0");
       }
       const std::int16_t index = names.index_of(click.label, click.place);
-      const ImagePoint center{(static_cast<double>(click.x) + 0.5) * scale_x,
+      const PixelPoint center{(static_cast<double>(click.x) + 0.5) * scale_x,
                               (static_cast<double>(click.y) + 0.5) * scale_y};
       paint(disc_runs(center, click.radius_px * scale_x, raster.width_px, raster.height_px), index, raster);
       const auto x = static_cast<std::int32_t>(center.x), y = static_cast<std::int32_t>(center.y);

@@ -55,7 +55,7 @@ Outline outline_of(const Json& part, const std::string& place) {
   for (std::size_t i = 0; i < part.size(); i += 2) {
     if (!part[i].is_number() || !part[i + 1].is_number())
       refuse(place, "point " + std::to_string(i / 2 + 1) + " is no pair of numbers");
-    const ImagePoint p{part[i].get<double>(), part[i + 1].get<double>()};
+    const PixelPoint p{part[i].get<double>(), part[i + 1].get<double>()};
     if (!(std::abs(p.x) <= kMaxCoordinate) || !(std::abs(p.y) <= kMaxCoordinate))
       refuse(place, "point " + std::to_string(i / 2 + 1) + " lies more than a million pixels outside");
     outline.push_back(p);

@@ -83,7 +83,7 @@ Shape shape_of(const Json& item, std::string place) {
     const std::string which = "point " + std::to_string(shape.points.size() + 1);
     if (!point.is_array() || point.size() != 2 || !point[0].is_number() || !point[1].is_number())
       refuse(shape.place, which + " is no pair of numbers [x, y]");
-    const ImagePoint p{point[0].get<double>(), point[1].get<double>()};
+    const PixelPoint p{point[0].get<double>(), point[1].get<double>()};
     if (!(std::abs(p.x) <= kMaxCoordinate) || !(std::abs(p.y) <= kMaxCoordinate))
       refuse(shape.place, which + " lies more than a million pixels outside");
     shape.points.push_back(p);

@@ -1,0 +1,280 @@
+#include "labels/clicks/annotations.h"
+
+#include <algorithm>
+#include <set>
+
+#include "classes/class_names.h"
+#include "core/error.h"
+#include "formats/png_codec.h"
+#include "labels/label_files.h"
+#include "labels/outline_fill.h"
+
+namespace semfield {
+
+namespace {
+
+[[noreturn]] void refuse(const LabelEvent& event, const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, "event '" + event.id + "': " + message, remedy);
+}
+
+Annotations::Mark mark_of(const LabelEvent& event, int frame, const Camera& camera, int class_index) {
+  const double scale_x = static_cast<double>(camera.width_px) / event.width_px,
+               scale_y = static_cast<double>(camera.height_px) / event.height_px;
+  Annotations::Mark mark{event.id, frame, {}, event.radius_px * scale_x, class_index};
+  for (const PixelPoint& p : event.points) mark.points.push_back({p.x * scale_x, p.y * scale_y});
+  return mark;
+}
+
+}  // namespace
+
+Annotations::Annotations(const SceneInfo& scene, int room) : own_(scene.classes.entries()) {
+  for (const FrameInfo& frame : scene.frames) {
+    frame_of_.emplace(frame.name, static_cast<int>(frames_.size()));
+    frames_.push_back({frame.name, frame.camera, frame.split});
+  }
+  if (own_.empty()) own_.push_back({0, "void", ClassTable::default_color(0), true});
+  std::set<std::int32_t> ignored;
+  std::int32_t next = 0;
+  for (const ClassEntry& entry : own_) {
+    if (entry.ignore) {
+      ignored.insert(entry.id);
+      continue;
+    }
+    ids_.push_back(entry.id);
+    named_.emplace_back(Naming{entry.name, entry.color});
+    next = entry.id + 1;
+  }
+  own_classes_ = static_cast<int>(ids_.size());
+  for (; static_cast<int>(ids_.size()) < room; ++next) {
+    if (!ignored.contains(next)) ids_.push_back(next);
+  }
+  list_classes();
+}
+
+int Annotations::resolve_class(const LabelEvent& event) const {
+  for (std::size_t c = 0; c < named_.size(); ++c) {
+    if (named_[c] && named_[c]->name == event.class_name) return static_cast<int>(c);
+  }
+  const ClassNames names(named_table());
+  if (names.find(event.class_name) == kVoid) return kVoid;
+  refuse(event, "no class '" + event.class_name + "'", names.remedy_for(event.class_name));
+}
+
+void Annotations::require_free_name(const LabelEvent& event, const std::string& name, const char* remedy) const {
+  for (const ClassEntry& entry : classes_.entries()) {
+    const int c = classes_.index_of(entry.id);
+    if (entry.name == name && (c == kVoid || is_named(c)))
+      refuse(event, "there is a class '" + name + "' already", remedy);
+  }
+  if (is_void_name(name) || is_unnamed_class(name))
+    refuse(event, "'" + name + "' stands for pixels and classes without a name", remedy);
+}
+
+void Annotations::resolve_place(const LabelEvent& event) const {
+  const auto frame = frame_of_.find(event.frame);
+  if (frame == frame_of_.end()) {
+    std::vector<std::string> known;
+    for (const FrameShape& f : frames_) known.push_back(f.name);
+    const std::string near = did_you_mean(event.frame, known);
+    refuse(event, "no frame '" + event.frame + "'",
+           near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
+  }
+  const FrameShape& shape = frames_[static_cast<std::size_t>(frame->second)];
+  if (shape.split != Split::train)
+    refuse(event, "frame '" + event.frame + "' is not a training frame", "label training frames only");
+  if (event.width_px < 1 || event.height_px < 1 || event.points.empty())
+    refuse(event, "needs the size of an image and a point in it");
+  try {
+    check_label_shape(event.width_px, event.height_px, shape.camera);
+  } catch (const Error& e) {
+    refuse(event, "frame '" + event.frame + "': " + e.message(), e.remedy());
+  }
+  for (const PixelPoint& p : event.points) {
+    if (!(p.x >= 0 && p.x <= event.width_px && p.y >= 0 && p.y <= event.height_px))
+      refuse(event, "a point lies outside the image of " + std::to_string(event.width_px) + " x " +
+                        std::to_string(event.height_px));
+  }
+}
+
+Annotations::Turned Annotations::turned_by(int of) const {
+  Turned turned{{of}, !records_[static_cast<std::size_t>(of)].in_force};
+  while (records_[static_cast<std::size_t>(turned.records.back())].of >= 0) {
+    turned.records.push_back(records_[static_cast<std::size_t>(turned.records.back())].of);
+    turned.in_force = !turned.in_force;
+  }
+  return turned;
+}
+
+void Annotations::check_undo(const LabelEvent& event) const {
+  const auto found = record_of_.find(event.of);
+  if (found == record_of_.end()) refuse(event, "there is no event '" + event.of + "' to undo");
+  if (!records_[static_cast<std::size_t>(found->second)].in_force)
+    refuse(event, "event '" + event.of + "' is undone already", "undo its undo to bring it back");
+  const Turned turned = turned_by(found->second);
+  const Record& last = records_[static_cast<std::size_t>(turned.records.back())];
+  const auto c = static_cast<std::size_t>(last.class_index);
+  if (last.event.kind == LabelEventKind::click) {
+    if (turned.in_force && last.class_index >= 0 && !named_[c])
+      refuse(event, "the class '" + last.event.class_name + "' of this click is undone", "bring the class back first");
+    return;
+  }
+  if (last.event.kind == LabelEventKind::skip) return;
+  const auto uses = [&](const Mark& mark) { return mark.class_index == last.class_index; };
+  const auto clicks = std::count_if(marks_.begin(), marks_.end(), uses);
+  if (last.event.kind == LabelEventKind::add_class && !turned.in_force && clicks > 0) {
+    refuse(event, "the class '" + named_[c]->name + "' has " + std::to_string(clicks) + " clicks",
+           "undo its clicks first");
+  }
+  const std::optional<Naming> after = namings(turned.records.back())[c];
+  if (after && (!named_[c] || named_[c]->name != after->name))
+    require_free_name(event, after->name, "rename one of the two first");
+}
+
+Annotations::Record Annotations::resolve(const LabelEvent& event) const {
+  Record record{event};
+  if (!is_event_id(event.id)) refuse(event, "its id is not 1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'");
+  switch (event.kind) {
+    case LabelEventKind::undo:
+      check_undo(event);
+      record.of = record_of_.at(event.of);
+      break;
+    case LabelEventKind::skip:
+      resolve_place(event);
+      break;
+    case LabelEventKind::click:
+      resolve_place(event);
+      record.class_index = resolve_class(event);
+      break;
+    case LabelEventKind::change_class:
+      record.class_index = resolve_class(event);
+      if (record.class_index == kVoid) refuse(event, "'" + event.class_name + "' stands for pixels without a class");
+      if (event.new_name == event.class_name) break;
+      if (record.class_index < own_classes_) {
+        refuse(event, "the class '" + event.class_name + "' is one of the scene's own",
+               "rename it in the scene's table");
+      }
+      require_free_name(event, event.new_name, "choose another name");
+      break;
+    case LabelEventKind::add_class:
+      require_free_name(event, event.class_name, "choose another name");
+      if (named_.size() >= ids_.size()) {
+        refuse(event, "there is room for " + std::to_string(ids_.size()) + " classes, and all have been given names",
+               "rename a class that nobody needs, or raise scene.labels.class_room in a new run");
+      }
+      record.class_index = named_classes();
+      break;
+  }
+  return record;
+}
+
+bool Annotations::check(const LabelEvent& event) const {
+  if (seen(event.id)) return false;
+  (void)resolve(event);
+  return true;
+}
+
+bool Annotations::apply(const LabelEvent& event) {
+  if (seen(event.id)) return false;
+  Record record = resolve(event);
+  record_of_.emplace(event.id, static_cast<int>(records_.size()));
+  const bool undo = event.kind == LabelEventKind::undo;
+  const int of = record.of, class_index = record.class_index;
+  if (undo) {
+    for (const int r : turned_by(of).records) {
+      bool& in_force = records_[static_cast<std::size_t>(r)].in_force;
+      in_force = !in_force;
+    }
+  }
+  records_.push_back(std::move(record));
+  if (event.kind == LabelEventKind::add_class) named_.emplace_back();
+  if (event.kind == LabelEventKind::click || event.kind == LabelEventKind::skip) {
+    const int frame = frame_of_.at(event.frame);
+    std::vector<Mark>& list = event.kind == LabelEventKind::click ? marks_ : skips_;
+    list.push_back(mark_of(event, frame, frames_[static_cast<std::size_t>(frame)].camera, class_index));
+  } else {
+    list_classes();
+    if (undo) list_marks();
+  }
+  return true;
+}
+
+// With the record `turned`, if any, taken out or put back.
+std::vector<std::optional<Annotations::Naming>> Annotations::namings(int turned) const {
+  std::vector<std::optional<Naming>> out;
+  for (const ClassEntry& entry : own_) {
+    if (!entry.ignore) out.emplace_back(Naming{entry.name, entry.color});
+  }
+  out.resize(named_.size());
+  for (int r = 0; r < static_cast<int>(records_.size()); ++r) {
+    const Record& record = records_[static_cast<std::size_t>(r)];
+    if (record.in_force == (r == turned) || record.class_index < 0) continue;
+    std::optional<Naming>& naming = out[static_cast<std::size_t>(record.class_index)];
+    if (record.event.kind == LabelEventKind::add_class) naming = Naming{record.event.class_name, record.event.color};
+    if (record.event.kind != LabelEventKind::change_class || !naming) continue;
+    naming->name = record.event.new_name;
+    if (record.event.color) naming->color = record.event.color;
+  }
+  return out;
+}
+
+void Annotations::list_classes() {
+  named_ = namings();
+  std::vector<ClassEntry> entries;
+  for (const ClassEntry& entry : own_) {
+    if (entry.ignore) entries.push_back(entry);
+  }
+  for (std::size_t c = 0; c < ids_.size(); ++c) {
+    const bool named = c < named_.size() && named_[c];
+    entries.push_back({ids_[c], named ? named_[c]->name : unnamed_class(ids_[c]),
+                       named && named_[c]->color ? *named_[c]->color : ClassTable::default_color(ids_[c]), false});
+  }
+  classes_ = ClassTable(std::move(entries));
+}
+
+void Annotations::list_marks() {
+  marks_.clear();
+  skips_.clear();
+  for (const Record& record : records_) {
+    const bool click = record.event.kind == LabelEventKind::click;
+    if (!record.in_force || (!click && record.event.kind != LabelEventKind::skip)) continue;
+    const int frame = frame_of_.at(record.event.frame);
+    const Camera& camera = frames_[static_cast<std::size_t>(frame)].camera;
+    (click ? marks_ : skips_).push_back(mark_of(record.event, frame, camera, record.class_index));
+  }
+}
+
+bool Annotations::is_named(int class_index) const {
+  return class_index >= 0 && class_index < named_classes() && named_[static_cast<std::size_t>(class_index)].has_value();
+}
+
+ClassTable Annotations::named_table() const {
+  std::vector<ClassEntry> entries;
+  for (const ClassEntry& entry : classes_.entries()) {
+    if (entry.ignore || is_named(classes_.index_of(entry.id))) entries.push_back(entry);
+  }
+  return ClassTable(std::move(entries));
+}
+
+std::vector<int> Annotations::frames_with_marks() const {
+  std::set<int> frames;
+  for (const Mark& mark : marks_) frames.insert(mark.frame);
+  return {frames.begin(), frames.end()};
+}
+
+std::vector<std::int16_t> Annotations::paint(int frame, std::span<const std::int16_t> base) const {
+  const Camera& camera = frames_.at(static_cast<std::size_t>(frame)).camera;
+  LabelRaster raster = void_raster(camera.width_px, camera.height_px);
+  if (!base.empty()) {
+    if (base.size() != raster.hard.size())
+      throw Error(ErrorKind::internal, "labels to paint over have another size than the frame");
+    raster.hard.assign(base.begin(), base.end());
+  }
+  for (const Mark& mark : marks_) {
+    if (mark.frame != frame) continue;
+    semfield::paint(stroke_runs(mark.points, mark.radius_px, camera.width_px, camera.height_px),
+                    static_cast<std::int16_t>(mark.class_index), raster);
+  }
+  return std::move(raster.hard);
+}
+
+}  // namespace semfield

@@ -1,0 +1,102 @@
+// What label events add up to: classes, clicks and the labels that they paint.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "labels/clicks/label_event.h"
+#include "scene/scene.h"
+
+namespace semfield {
+
+/// The events of a log, applied in order. Undoing takes an event out of the sum and undoing the undo puts it back in
+/// its old place, so the result does not depend on the way to it.
+class Annotations {
+ public:
+  /// `room`: most classes there can be; the scene's own come first, and there are never fewer. A scene without a class
+  /// table gets {0, "void", ignored}. An added class gets the next free id above those of the scene's classes. Throws
+  /// Error(data) for more room than a class table has.
+  Annotations(const SceneInfo& scene, int room);
+
+  /// False: an event of this id was applied before. Throws Error(data) naming what is wrong: an unknown frame or one
+  /// that does not train, a point outside, an image of another shape, an unknown class, a name that is taken, no room,
+  /// an undo of nothing, of an undone event or of a class that clicks use, ...
+  bool check(const LabelEvent& event) const;
+  /// The same; then the event counts. Nothing has changed where it throws.
+  bool apply(const LabelEvent& event);
+
+  struct Mark {
+    std::string id;                  ///< of its event
+    int frame = 0;                   ///< in SceneInfo::frames
+    std::vector<PixelPoint> points;  ///< pixels of the loaded frame
+    double radius_px = 0;
+    int class_index = kVoid;  ///< kVoid: takes labels away (a void class was named); of skips always
+  };
+  const std::vector<Mark>& marks() const { return marks_; }  ///< clicks in force, in the order of their events
+  const std::vector<Mark>& skips() const { return skips_; }
+
+  /// As many valid classes as there is room for: the scene's, the added ones, then "unnamed ID". A class keeps index
+  /// and id for ever; one whose event is undone is called "unnamed ID" and keeps its place, too.
+  const ClassTable& classes() const { return classes_; }
+  /// Places taken: the classes [0, named_classes()) have been given names; of these is_named() is false for undone
+  /// ones.
+  int named_classes() const { return static_cast<int>(named_.size()); }
+  bool is_named(int class_index) const;
+  /// The table without the unnamed classes.
+  ClassTable named_table() const;
+
+  /// Indices of frames with clicks, ascending.
+  std::vector<int> frames_with_marks() const;
+  /// Labels [height * width] of a frame: `base` (empty: void) with the frame's clicks painted over it, in order.
+  std::vector<std::int16_t> paint(int frame, std::span<const std::int16_t> base) const;
+  bool seen(const std::string& id) const { return record_of_.contains(id); }
+
+ private:
+  struct Record {
+    LabelEvent event;
+    bool in_force = true;
+    int class_index = kVoid;  // click, add_class, change_class
+    int of = -1;              // undo: the record undone
+  };
+  struct Naming {
+    std::string name;
+    std::optional<std::array<std::uint8_t, 3>> color;
+  };
+  struct FrameShape {
+    std::string name;
+    Camera camera;
+    Split split = Split::train;
+  };
+
+  Record resolve(const LabelEvent& event) const;
+  void resolve_place(const LabelEvent& event) const;
+  int resolve_class(const LabelEvent& event) const;
+  void require_free_name(const LabelEvent& event, const std::string& name, const char* remedy) const;
+  // An undo turns its target round, and an undo that is turned round turns its own target, until an event that is none.
+  struct Turned {
+    std::vector<int> records;
+    bool in_force = false;  // the last one's new state
+  };
+  Turned turned_by(int of) const;
+  void check_undo(const LabelEvent& event) const;
+  std::vector<std::optional<Naming>> namings(int turned = -1) const;
+  void list_marks();
+  void list_classes();
+
+  std::vector<FrameShape> frames_;
+  std::map<std::string, int> frame_of_;
+  std::vector<ClassEntry> own_;    // the scene's entries, or the void one
+  std::vector<std::int32_t> ids_;  // of all classes there is room for
+  int own_classes_ = 0;
+  std::vector<Record> records_;
+  std::map<std::string, int> record_of_;
+  std::vector<std::optional<Naming>> named_;  // of the places taken; nullopt: its event is undone
+  std::vector<Mark> marks_, skips_;
+  ClassTable classes_;
+};
+
+}  // namespace semfield

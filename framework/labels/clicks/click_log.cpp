@@ -1,0 +1,126 @@
+#include "labels/clicks/click_log.h"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <filesystem>
+#include <map>
+
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::size_t kMostLogBytes = std::size_t{256} << 20;
+
+void cut(int file, const std::string& path, std::uint64_t size) {
+  if (::ftruncate(file, static_cast<off_t>(size)) != 0) throw write_error("shorten", path, errno);
+}
+
+// Bytes of the lines that were written to their end. Each line is on the disk before the next begins, so a kill or a
+// power cut can leave the last one without its end, or with zeros in place of blocks.
+std::size_t whole_lines(std::string_view text, const std::string& name) {
+  constexpr std::string_view kZero("\0", 1);
+  std::size_t whole = text.rfind('\n') + 1;  // npos + 1 is 0
+  if (whole == text.size() && whole > 0) {
+    const std::size_t last = text.rfind('\n', whole - 2) + 1;
+    if (whole >= 2 && text.substr(last).find(kZero) != std::string_view::npos) whole = last;
+  }
+  const std::string_view torn = text.substr(whole);
+  if (torn.size() > kMostEventBytes || (!torn.empty() && torn.front() != '{' && torn.front() != '\0'))
+    throw Error(ErrorKind::data,
+                "'" + name + "' holds no label events: its last line has no end and begins with no '{'",
+                "check the path");
+  return whole;
+}
+
+}  // namespace
+
+std::vector<LabelEvent> parse_click_log(std::string_view text, const std::string& name, Diagnostics& diagnostics) {
+  std::vector<LabelEvent> events;
+  std::map<std::string, std::size_t> line_of;
+  const std::size_t whole = whole_lines(text, name);
+  for (std::size_t at = 0; at < whole;) {
+    const std::size_t end = text.find('\n', at);
+    const std::string place = name + ":" + std::to_string(events.size() + 1);
+    try {
+      events.push_back(parse_label_event(text.substr(at, end - at)));
+    } catch (const Error& e) {
+      throw Error(e.kind(), place + ": " + e.message(), e.remedy().empty() ? "mend or delete the line" : e.remedy());
+    }
+    const auto [first, is_new] = line_of.emplace(events.back().id, events.size());
+    if (!is_new) {
+      throw Error(ErrorKind::data,
+                  place + ": line " + std::to_string(first->second) + " has the id '" + events.back().id + "', too",
+                  "delete one of the lines, or give it another id");
+    }
+    at = end + 1;
+  }
+  if (whole < text.size()) {
+    diagnostics.warning(name + ":" + std::to_string(events.size() + 1),
+                        "the last line is torn, as a kill leaves an event that was not yet acknowledged; it is dropped",
+                        "check the last click");
+  }
+  return events;
+}
+
+std::vector<LabelEvent> read_click_log(const std::string& path, Diagnostics& diagnostics) {
+  return parse_click_log(read_text_file(path, kMostLogBytes), path, diagnostics);
+}
+
+ClickLog ClickLog::open(const std::string& path, Diagnostics& diagnostics) {
+  std::string text;
+  std::error_code ignored;
+  if (std::filesystem::exists(path, ignored)) text = read_text_file(path, kMostLogBytes);
+  std::vector<LabelEvent> events = parse_click_log(text, path, diagnostics);
+  const int file = ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0666);
+  if (file < 0) throw write_error("open", path, errno);
+  ClickLog log(path, file);
+  log.events_ = std::move(events);
+  log.size_ = whole_lines(text, path);
+  if (log.size_ < text.size()) {
+    cut(file, path, log.size_);
+    sync_file(file, path);
+  }
+  sync_folder_of(path);
+  return log;
+}
+
+ClickLog::ClickLog(ClickLog&& other) noexcept
+    : path_(std::move(other.path_)),
+      file_(other.file_),
+      size_(other.size_),
+      torn_(other.torn_),
+      events_(std::move(other.events_)) {
+  other.file_ = -1;
+}
+
+ClickLog::~ClickLog() {
+  if (file_ >= 0) ::close(file_);
+}
+
+void ClickLog::append(const LabelEvent& event) {
+  const std::string line = label_event_json(event) + "\n";
+  if (size_ + line.size() > kMostLogBytes) {
+    throw Error(ErrorKind::io, "'" + path_ + "' is full: it holds " + std::to_string(kMostLogBytes) + " bytes at most",
+                "export the labels and go on in a new run");
+  }
+  if (torn_) {
+    cut(file_, path_, size_);
+    torn_ = false;
+  }
+  events_.push_back(event);
+  try {
+    append_all(file_, path_, line);
+    sync_file(file_, path_);
+  } catch (const Error&) {
+    events_.pop_back();
+    torn_ = ::ftruncate(file_, static_cast<off_t>(size_)) != 0;
+    throw;
+  }
+  size_ += line.size();
+}
+
+}  // namespace semfield

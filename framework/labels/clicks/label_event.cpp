@@ -1,0 +1,246 @@
+#include "labels/clicks/label_event.h"
+
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "core/error.h"
+#include "core/text.h"
+
+namespace semfield {
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+struct KindText {
+  LabelEventKind kind;
+  const char* type;
+  std::vector<std::string> keys;  // those it must have, beside "id" and "type"
+  bool color;                     // it may have one
+};
+
+const std::vector<KindText>& kinds() {
+  static const std::vector<KindText> all{
+      {LabelEventKind::click, "click", {"frame", "size", "points", "radius", "class"}, false},
+      {LabelEventKind::add_class, "class", {"name"}, true},
+      {LabelEventKind::change_class, "rename", {"class", "name"}, true},
+      {LabelEventKind::undo, "undo", {"of"}, false},
+      {LabelEventKind::skip, "skip", {"frame", "size", "points"}, false}};
+  return all;
+}
+
+[[noreturn]] void refuse(const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, "event: " + message, remedy);
+}
+
+// What was found, short enough for a message.
+std::string shown(const Json& value) {
+  constexpr std::size_t kMost = 60;
+  if (value.is_array() || value.is_object())
+    return value.is_array() ? "a list of " + std::to_string(value.size()) : "a map";
+  std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
+  if (text.size() > kMost) text = text.substr(0, kMost) + "...";
+  return text;
+}
+
+[[noreturn]] void refuse_value(const char* key, const std::string& expected, const Json& found) {
+  refuse(std::string("'") + key + "': expected " + expected + ", got " + shown(found));
+}
+
+// The keys of one object; the parser alone sees one that is given twice.
+Json parse_object(std::string_view text) {
+  if (text.size() > kMostEventBytes) {
+    refuse("it is " + std::to_string(text.size()) + " bytes long; at most " + std::to_string(kMostEventBytes) +
+               " are read",
+           "send a stroke in parts");
+  }
+  std::set<std::string> keys;
+  std::string twice;
+  const Json::parser_callback_t watch = [&](int depth, Json::parse_event_t event, Json& parsed) {
+    if (event == Json::parse_event_t::key && depth == 1 && !keys.insert(parsed.get<std::string>()).second &&
+        twice.empty()) {
+      twice = shown(parsed);
+    }
+    return true;
+  };
+  Json root;
+  try {
+    root = Json::parse(text, watch);
+  } catch (const Json::exception& e) {
+    refuse("not valid JSON: " + json_cause(e.what()));
+  }
+  if (!root.is_object()) refuse("expected a map {\"id\":...,\"type\":...}, got " + shown(root));
+  if (!twice.empty()) refuse("key " + twice + " is given twice");
+  return root;
+}
+
+const Json& at(const Json& root, const char* key) {
+  const auto found = root.find(key);
+  if (found == root.end()) refuse(std::string("key '") + key + "' is missing");
+  return *found;
+}
+
+// 1 to `most` bytes of text without control characters.
+std::string line_at(const Json& root, const char* key, std::size_t most) {
+  const Json& value = at(root, key);
+  const std::string* text = value.get_ptr<const std::string*>();
+  if (text == nullptr || text->empty() || text->size() > most || !is_line_of_text(*text))
+    refuse_value(key, "a text of 1 to " + std::to_string(most) + " bytes without control characters", value);
+  return *text;
+}
+
+std::string id_at(const Json& root, const char* key) {
+  const Json& value = at(root, key);
+  const std::string* text = value.get_ptr<const std::string*>();
+  if (text == nullptr || !is_event_id(*text)) refuse_value(key, "1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'", value);
+  return *text;
+}
+
+// A whole number between two bounds; false for anything else.
+bool whole_between(const Json& value, std::int64_t low, std::int64_t high, std::int64_t& out) {
+  if (!value.is_number_integer()) return false;
+  if (value.is_number_unsigned() && value.get<std::uint64_t>() > static_cast<std::uint64_t>(high)) return false;
+  out = value.get<std::int64_t>();
+  return low <= out && out <= high;
+}
+
+void read_size(const Json& root, LabelEvent& event) {
+  const Json& size = at(root, "size");
+  std::int64_t w = 0, h = 0;
+  if (!size.is_array() || size.size() != 2) refuse_value("size", "[width, height]", size);
+  for (const std::size_t i : {std::size_t{0}, std::size_t{1}}) {
+    if (!whole_between(size[i], 1, kMostEventSide, i == 0 ? w : h))
+      refuse_value("size", "whole numbers from 1 to " + std::to_string(kMostEventSide), size[i]);
+  }
+  event.width_px = static_cast<std::int32_t>(w);
+  event.height_px = static_cast<std::int32_t>(h);
+}
+
+void read_points(const Json& root, LabelEvent& event) {
+  const Json& points = at(root, "points");
+  const std::size_t most = event.kind == LabelEventKind::skip ? 1 : kMostEventPoints;
+  if (!points.is_array() || points.empty() || points.size() > most) {
+    refuse_value("points", most == 1 ? "a list of one point" : "a list of 1 to " + std::to_string(most) + " points",
+                 points);
+  }
+  for (const Json& point : points) {
+    const std::string which = "'points': point " + std::to_string(event.points.size() + 1);
+    if (!point.is_array() || point.size() != 2 || !point[0].is_number() || !point[1].is_number())
+      refuse(which + " is no pair of numbers [x, y]: " + shown(point));
+    const PixelPoint p{point[0].get<double>(), point[1].get<double>()};
+    if (!(p.x >= 0 && p.x <= event.width_px && p.y >= 0 && p.y <= event.height_px)) {
+      refuse(which + ", (" + shown(point[0]) + ", " + shown(point[1]) + "), lies outside the image of " +
+                 std::to_string(event.width_px) + " x " + std::to_string(event.height_px),
+             "count pixels of the image of 'size'");
+    }
+    event.points.push_back(p);
+  }
+}
+
+void read_radius(const Json& root, LabelEvent& event) {
+  const Json& radius = at(root, "radius");
+  if (radius.is_number()) event.radius_px = radius.get<double>();
+  if (!radius.is_number() || !(event.radius_px >= 0 && event.radius_px <= kMostEventRadius))
+    refuse_value("radius", "pixels from 0 to a million", radius);
+}
+
+void read_color(const Json& root, LabelEvent& event) {
+  const auto color = root.find("color");
+  if (color == root.end()) return;
+  std::array<std::uint8_t, 3> rgb{};
+  if (!color->is_array() || color->size() != 3) refuse_value("color", "[red, green, blue]", *color);
+  for (std::size_t i = 0; i < 3; ++i) {
+    std::int64_t value = 0;
+    if (!whole_between((*color)[i], 0, 255, value)) refuse_value("color", "whole numbers from 0 to 255", (*color)[i]);
+    rgb[i] = static_cast<std::uint8_t>(value);
+  }
+  event.color = rgb;
+}
+
+const KindText& kind_at(const Json& root) {
+  const Json& type = at(root, "type");
+  std::vector<std::string> known;
+  for (const KindText& kind : kinds()) {
+    if (type == kind.type) return kind;
+    known.emplace_back(kind.type);
+  }
+  refuse_value("type", join(known), type);
+}
+
+void check_keys(const Json& root, const KindText& kind) {
+  std::vector<std::string> known{"id", "type", "time_ms"};
+  known.insert(known.end(), kind.keys.begin(), kind.keys.end());
+  if (kind.color) known.emplace_back("color");
+  for (const auto& item : root.items()) {
+    if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
+    const std::string near = did_you_mean(item.key(), known);
+    refuse("unknown key " + shown(Json(item.key())) + " of a '" + kind.type + "'",
+           near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
+  }
+}
+
+}  // namespace
+
+bool is_event_id(std::string_view text) {
+  const auto allowed = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' || c == '_';
+  };
+  return !text.empty() && text.size() <= 64 && std::all_of(text.begin(), text.end(), allowed);
+}
+
+LabelEvent parse_label_event(std::string_view json) {
+  const Json root = parse_object(json);
+  const KindText& kind = kind_at(root);
+  check_keys(root, kind);
+  LabelEvent event;
+  event.kind = kind.kind;
+  event.id = id_at(root, "id");
+  if (const auto time = root.find("time_ms");
+      time != root.end() && !whole_between(*time, 0, std::int64_t{1} << 53, event.unix_ms)) {
+    refuse_value("time_ms", "milliseconds since 1970", *time);
+  }
+  const bool click = kind.kind == LabelEventKind::click;
+  if (click || kind.kind == LabelEventKind::skip) {
+    event.frame = line_at(root, "frame", kMostFrameNameBytes);
+    read_size(root, event);
+    read_points(root, event);
+  }
+  if (click) read_radius(root, event);
+  if (click || kind.kind == LabelEventKind::change_class)
+    event.class_name = line_at(root, "class", kMostClassNameBytes);
+  if (kind.kind == LabelEventKind::add_class) event.class_name = line_at(root, "name", kMostClassNameBytes);
+  if (kind.kind == LabelEventKind::change_class) event.new_name = line_at(root, "name", kMostClassNameBytes);
+  if (kind.color) read_color(root, event);
+  if (kind.kind == LabelEventKind::undo) {
+    event.of = id_at(root, "of");
+    if (event.of == event.id) refuse("'of': it is the event's own id");
+  }
+  return event;
+}
+
+std::string label_event_json(const LabelEvent& event) {
+  const auto kind =
+      std::find_if(kinds().begin(), kinds().end(), [&](const KindText& k) { return k.kind == event.kind; });
+  Json root;
+  root["id"] = event.id;
+  root["type"] = kind->type;
+  if (event.unix_ms != 0) root["time_ms"] = event.unix_ms;
+  for (const std::string& key : kind->keys) {
+    Json& value = root[key];
+    if (key == "frame") value = event.frame;
+    if (key == "size") value = {event.width_px, event.height_px};
+    if (key == "radius") value = event.radius_px;
+    if (key == "of") value = event.of;
+    if (key == "class") value = event.class_name;
+    if (key == "name") value = event.kind == LabelEventKind::add_class ? event.class_name : event.new_name;
+    if (key != "points") continue;
+    value = Json::array();
+    for (const PixelPoint& p : event.points) value.push_back({p.x, p.y});
+  }
+  if (kind->color && event.color) root["color"] = *event.color;
+  return root.dump(-1, ' ', false, Json::error_handler_t::strict);
+}
+
+}  // namespace semfield

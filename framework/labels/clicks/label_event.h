@@ -1,0 +1,51 @@
+// One thing that a person tells about the labels of a scene - a click, a class, an undo - and its text, a line of JSON.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "labels/pixel_point.h"
+
+namespace semfield {
+
+enum class LabelEventKind : std::uint8_t { click, add_class, change_class, undo, skip };
+
+struct LabelEvent {
+  std::string id;  ///< the client's, unique: 1 to 64 of [A-Za-z0-9_-]
+  LabelEventKind kind = LabelEventKind::click;
+  std::int64_t unix_ms = 0;                  ///< when it was taken; 0: not told
+  std::string frame;                         ///< click, skip: FrameInfo::name
+  std::int32_t width_px = 0, height_px = 0;  ///< click, skip: size of the image whose pixels `points` count
+  std::vector<PixelPoint> points;            ///< click: one, or the polyline of a stroke; skip: one
+  double radius_px = 0;                      ///< click: 0 = the pixels that the points or the stroke lie in, alone
+  std::string class_name;                    ///< click: what was named; add_class: its name; change_class: the old name
+  std::string new_name;                      ///< change_class; the old name where the colour alone changes
+  std::optional<std::array<std::uint8_t, 3>>
+      color;       ///< add_class (none: the default of its id), change_class (none: unchanged)
+  std::string of;  ///< undo: id of the event undone; undoing an undo brings the event back
+  bool operator==(const LabelEvent&) const = default;
+};
+
+inline constexpr std::size_t kMostEventBytes = std::size_t{256} << 10;  ///< of an event as text
+inline constexpr std::size_t kMostEventPoints = 4096;
+inline constexpr std::int64_t kMostEventSide = 65536;  ///< pixels an axis
+inline constexpr double kMostEventRadius = 1e6;
+inline constexpr std::size_t kMostClassNameBytes = 128;
+inline constexpr std::size_t kMostFrameNameBytes = 4096;
+
+/// Whether `text` may be the id of an event.
+bool is_event_id(std::string_view text);
+
+/// Throws Error(data) with a sentence that names the key, for every value out of its bounds and for keys that are
+/// missing, unknown or given twice.
+LabelEvent parse_label_event(std::string_view json);
+
+/// One line without its end; parse_label_event gives the same event again.
+std::string label_event_json(const LabelEvent& event);
+
+}  // namespace semfield
