@@ -11,6 +11,7 @@ endif()
 
 option(SEMFIELD_WITH_IMAGES "Read images through OpenImageIO; off: packed scenes only" ON)
 option(SEMFIELD_WITH_RAYCAST "Ray-cast OBJ rooms with Embree and tinyobjloader" ON)
+option(SEMFIELD_WITH_SERVE "The labelling page, `semfield serve`: HTTP by civetweb, JPEG by TurboJPEG" ON)
 set(SEMFIELD_WITH_CUDA AUTO CACHE STRING "Kernels for NVIDIA graphics processors: ON, OFF, or AUTO = where a CUDA compiler is found")
 set(SEMFIELD_CUDA_ARCHITECTURES "80-real;90a-real;90-virtual" CACHE STRING "What CUDA kernels are compiled for; -virtual: PTX, which newer chips compile when a program starts")
 set(SEMFIELD_EXTRA_PARTS "" CACHE STRING "Folders of parts that are built in as if they lay in this tree: plugins/KIND/NAME and losses/NAME")

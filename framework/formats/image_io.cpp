@@ -196,7 +196,7 @@ void write_png_gray8(const std::string& path, std::int32_t width, std::int32_t h
 
 void write_png_palette(const std::string& path, std::int32_t width, std::int32_t height,
                        std::span<const std::uint8_t> index, std::span<const std::uint8_t> palette_rgb) {
-  write_bytes(path, encode_png(width, height, 3, 8, index, palette_rgb));
+  write_bytes(path, encode_png(width, height, 3, 8, index, {palette_rgb}));
 }
 
 void write_npy(const std::string& path, std::span<const std::int64_t> shape, std::span<const float> values) {

@@ -307,13 +307,14 @@ PngImage decode_png(std::span<const std::byte> bytes) {
 }
 
 std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, int color_type, int bits,
-                                     std::span<const std::uint8_t> rows, std::span<const std::uint8_t> palette_rgb) {
+                                     std::span<const std::uint8_t> rows, const PngPalette& palette, int level) {
   check_image_limits(width, height);
   const Header h{static_cast<std::uint32_t>(width), static_cast<std::uint32_t>(height), bits, color_type, 0};
   const std::size_t bytes = row_bytes(h, h.width);
   SEMFIELD_CHECK(rows.size() == bytes * h.height, "PNG rows do not match the size");
-  SEMFIELD_CHECK(color_type != 3 || (!palette_rgb.empty() && palette_rgb.size() % 3 == 0 && palette_rgb.size() <= 768),
-                 "a palette has 1 to 256 colours");
+  SEMFIELD_CHECK(color_type != 3 || (!palette.rgb.empty() && palette.rgb.size() % 3 == 0 && palette.rgb.size() <= 768 &&
+                                     3 * palette.alpha.size() <= palette.rgb.size()),
+                 "a palette has 1 to 256 colours, and no more alphas than colours");
   // Photographs pack best after a prediction, maps of ids without one.
   const int filter = color_type == 2 ? 4 : 0;
   const std::size_t pixel_bytes = std::max<std::size_t>(1, static_cast<std::size_t>(h.channels() * bits) / 8);
@@ -336,7 +337,7 @@ std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, in
   }
   uLongf packed_size = ::compressBound(static_cast<uLong>(raw.size()));
   std::vector<std::uint8_t> packed(packed_size);
-  const int status = ::compress2(packed.data(), &packed_size, raw.data(), static_cast<uLong>(raw.size()), 4);
+  const int status = ::compress2(packed.data(), &packed_size, raw.data(), static_cast<uLong>(raw.size()), level);
   if (status == Z_MEM_ERROR) throw std::bad_alloc();
   SEMFIELD_CHECK(status == Z_OK, "zlib could not compress");
   packed.resize(packed_size);
@@ -347,7 +348,8 @@ std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, in
   put32(header, h.height);
   header.insert(header.end(), {static_cast<std::uint8_t>(bits), static_cast<std::uint8_t>(color_type), 0, 0, 0});
   put_chunk(out, "IHDR", header);
-  if (color_type == 3) put_chunk(out, "PLTE", palette_rgb);
+  if (color_type == 3) put_chunk(out, "PLTE", palette.rgb);
+  if (!palette.alpha.empty()) put_chunk(out, "tRNS", palette.alpha);
   put_chunk(out, "IDAT", packed);
   put_chunk(out, "IEND", {});
   return out;

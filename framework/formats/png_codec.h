@@ -32,9 +32,15 @@ ImageSize png_size(std::span<const std::byte> bytes);
 /// allocated.
 PngImage decode_png(std::span<const std::byte> bytes);
 
-/// color_type 0 grey, 2 RGB, 3 palette; rows are packed big-endian bytes of width * channels * bits / 8.
+/// Colours of palette indices, 3 bytes each, and how opaque the first of them are (PngImage::palette_alpha).
+struct PngPalette {
+  std::span<const std::uint8_t> rgb{};
+  std::span<const std::uint8_t> alpha{};
+};
+
+/// color_type 0 grey, 2 RGB, 3 palette; rows are packed big-endian bytes of width * channels * bits / 8. `level` is
+/// zlib's: 1 for pictures that are sent and forgotten.
 std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, int color_type, int bits,
-                                     std::span<const std::uint8_t> rows,
-                                     std::span<const std::uint8_t> palette_rgb = {});
+                                     std::span<const std::uint8_t> rows, const PngPalette& palette = {}, int level = 4);
 
 }  // namespace semfield

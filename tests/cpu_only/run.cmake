@@ -17,7 +17,7 @@ endfunction()
 file(REMOVE_RECURSE ${WORK_DIR})
 set(parts ${SOURCE_DIR}/tests/cpu_only)
 step("configure" ${CMAKE_COMMAND} -S ${SOURCE_DIR} -B ${WORK_DIR} -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${COMPILER} -DCMAKE_BUILD_TYPE=Release
-     -DSEMFIELD_WITH_IMAGES=${IMAGES} -DSEMFIELD_WITH_RAYCAST=${RAYCAST}
+     -DSEMFIELD_WITH_IMAGES=${IMAGES} -DSEMFIELD_WITH_RAYCAST=${RAYCAST} -DSEMFIELD_WITH_SERVE=${SERVE}
      -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} -DSEMFIELD_ISAS=build -DBUILD_TESTING=OFF -DSEMFIELD_WITH_CUDA=${CUDA} -DSEMFIELD_EXTRA_PARTS=${parts})
 expect(plugins/linked_plugins.cpp "semfield_module_plain()" TRUE)
 expect(framework/losses/loss_kinds.cpp "with_kernels(glow_loss(), false)" TRUE)

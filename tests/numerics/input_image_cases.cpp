@@ -155,7 +155,7 @@ void odd_images(CaseRun& run) {
   run.expect(read_rgb(path).pixels == std::vector<std::uint8_t>({250, 251, 252, 1, 2, 3, 4, 5, 6, 7, 8, 9}),
              "its colours are its entries");
   const std::vector<std::uint8_t> beyond{9, 0, 1, 2};
-  put_bytes(path, encode_png(2, 2, 3, 8, beyond, palette));
+  put_bytes(path, encode_png(2, 2, 3, 8, beyond, {palette}));
   run.expect_error(ErrorKind::data, {path}, [&] { (void)read_rgb(path); });
   for (const std::uint8_t bits : {std::uint8_t{0}, std::uint8_t{3}, std::uint8_t{32}}) {
     put_bytes(path, png_of(1, 1, bits, 0, 0, {0, 0, 0, 0, 0}));

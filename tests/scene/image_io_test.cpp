@@ -49,6 +49,18 @@ TEST(Png, RgbRoundTrip) {
   EXPECT_EQ(size.bits, 8);
 }
 
+TEST(Png, PaletteEntriesMayBeTransparent) {
+  const std::vector<std::uint8_t> index{0, 1, 2, 1, 0, 2}, rgb{0, 0, 0, 200, 30, 30, 5, 6, 7}, alpha{0};
+  for (const int level : {1, 9}) {
+    const std::vector<std::uint8_t> file = encode_png(3, 2, 3, 8, index, {rgb, alpha}, level);
+    const PngImage back = decode_png(std::as_bytes(std::span(file)));
+    EXPECT_TRUE(back.palette);
+    EXPECT_EQ(back.bytes, index);
+    EXPECT_EQ(back.palette_rgb, rgb);
+    EXPECT_EQ(back.palette_alpha, alpha);
+  }
+}
+
 TEST(Png, IdsAreUnchangedIn8And16BitAndPalette) {
   const std::string folder = fresh_folder("i");
   std::vector<std::uint8_t> ids(256);
