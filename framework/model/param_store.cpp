@@ -72,6 +72,20 @@ TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainab
 }
 
 template <class Real>
+void ParamStore<Real>::restart(Tensor<Real>& tensor) const {
+  const Init init = tensor.spec.init;
+  const RandomAddress address{seed_, 0, stream_id(tensor.name)};
+  for (std::size_t i = 0; i < tensor.value.size(); ++i) {
+    tensor.value.data()[i] =
+        init.low == init.high
+            ? static_cast<Real>(init.low)
+            : static_cast<Real>(init.low + (init.high - init.low) * static_cast<double>(uniform01(address, i)));
+  }
+  std::fill_n(tensor.moment1.data(), tensor.moment1.size(), Real(0));
+  std::fill_n(tensor.moment2.data(), tensor.moment2.size(), Real(0));
+}
+
+template <class Real>
 int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& part, const LearningRule& rule) {
   typename TensorStore<Real>::Component component;
   component.grads.resize(static_cast<std::size_t>(lanes_) + 1);
@@ -83,14 +97,7 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
     tensor.rule = rule;
     const auto count = static_cast<std::size_t>(tensor.size());
     tensor.value = AlignedBuffer<Real>(count);
-    const Init init = tensor.spec.init;
-    const RandomAddress address{seed_, 0, stream_id(tensor.name)};
-    for (std::size_t i = 0; i < count; ++i) {
-      tensor.value.data()[i] =
-          init.low == init.high
-              ? static_cast<Real>(init.low)
-              : static_cast<Real>(init.low + (init.high - init.low) * static_cast<double>(uniform01(address, i)));
-    }
+    restart(tensor);
     if (trainable_ && has_gradient(tensor.spec.role)) {
       tensor.grad = AlignedBuffer<Real>(count);
       if (tensor.learned()) {

@@ -74,6 +74,9 @@ class ParamStore final : public TensorStore<Real> {
   /// Declares `part` under `prefix`, allocates and initialises; returns the component's number.
   int add(const std::string& prefix, const Parametric<Real>& part, const LearningRule& rule = {}) override;
 
+  /// The tensor's values as they were when it was added, and moments of zero.
+  void restart(Tensor<Real>& tensor) const;
+
   /// All learned tensors, as updates see them.
   AdamTable<Real> learned() const { return {learned_.data(), static_cast<int>(learned_.size()), learned_count()}; }
 

@@ -63,6 +63,14 @@ struct PassTrace {
   View<Real> logits;   ///< [semantic_rays, C]
 };
 
+/// What Pass::point_forward leaves for point_backward.
+template <class Real>
+struct PointTrace {
+  SemanticBranchTrace<Real> branch;  ///< of a pass with a branch
+  View<const Real> feature;          ///< [N, F] that the head read
+  View<Real> hidden;                 ///< [N, H]
+};
+
 /// Coordinates and gradients at encoder outputs that a lane's tiles leave for the scatter after them.
 template <class Real>
 struct EncoderInbox {
@@ -164,6 +172,17 @@ class Pass {
 
   /// sigma [N, 1] after activation at world positions [N, 3].
   void density(const StepContext& ctx, View<const double> positions, View<Real> sigma) const;
+
+  /// Semantics of points of the last pass, apart from rays. Host memory; only where parts().head stands.
+  /// Numbers of a point that labels do not shape where the pass has a branch: its encoded position and what it reads of
+  /// the field. Without a branch the field's feature.
+  std::int32_t point_dims() const;
+  /// rows [N, point_dims()] at world positions [N, 3].
+  void point_rows(const StepContext& ctx, View<const double> positions, View<Real> rows) const;
+  /// logits [N, C] of a sample of weight 1 with these rows; the trace lies in ctx.workspace and borrows `rows`.
+  PointTrace<Real> point_forward(const StepContext& ctx, int lane, View<Real> rows, View<Real> logits) const;
+  /// Gradients from d_logits [N, C] into the lane's, of head and branch alone.
+  void point_backward(const StepContext& ctx, int lane, const PointTrace<Real>& trace, View<const Real> d_logits) const;
 
  private:
   void evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const;

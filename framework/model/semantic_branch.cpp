@@ -60,12 +60,7 @@ SemanticBranchTrace<Real> SemanticBranch<Real>::forward(const StepContext& ctx, 
   const std::int32_t encoded = parts_->position->traits().out_dims;
   const View<const Real> read = parts_->rules.reads_feature ? feature : View<const Real>();
   trace.input = arena.take<Real>(kept, encoded + (read.empty() ? 0 : read.cols));
-  trace.out.feature = trace.feature = arena.take<Real>(kept, feature_dims());
-  if (ctx.training) {
-    const std::size_t bytes = parts_->field->saved_bytes(kept, semantic_rays);
-    trace.saved = Saved(arena.take_bytes(bytes), bytes);
-    if (parts_->rules.dropout > 0) trace.feature = arena.take<Real>(kept, feature_dims());
-  }
+  take_outputs(ctx, kept, semantic_rays, trace);
   if (kept == 0) return trace;
   const Workspace::Scope scope(arena);
   const View<double> x = arena.take<double>(kept, 3);
@@ -75,8 +70,50 @@ SemanticBranchTrace<Real> SemanticBranch<Real>::forward(const StepContext& ctx, 
   const View<Real> position = arena.take<Real>(kept, encoded);
   parts_->position->forward(ctx, store_->tensors(position_, lane), x, position);
   stages_->join(trace, position, read);
+  run_network(ctx, lane, trace);
+  return trace;
+}
+
+template <class Real>
+void SemanticBranch<Real>::take_outputs(const StepContext& ctx, std::int64_t rows, std::int64_t rays,
+                                        SemanticBranchTrace<Real>& trace) const {
+  Workspace& arena = *ctx.workspace;
+  trace.out.feature = trace.feature = arena.take<Real>(rows, feature_dims());
+  if (!ctx.training) return;
+  const std::size_t bytes = parts_->field->saved_bytes(rows, rays);
+  trace.saved = Saved(arena.take_bytes(bytes), bytes);
+  if (parts_->rules.dropout > 0) trace.feature = arena.take<Real>(rows, feature_dims());
+}
+
+template <class Real>
+void SemanticBranch<Real>::run_network(const StepContext& ctx, int lane, SemanticBranchTrace<Real>& trace) const {
   parts_->field->forward(ctx, store_->tensors(field_, lane), field_in(trace), trace.out, trace.saved);
   if (drops_out(trace)) stages_->drop_out(dropout(ctx), trace.samples, trace.out.feature, trace.feature);
+}
+
+template <class Real>
+void SemanticBranch<Real>::encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const {
+  Workspace& arena = *ctx.workspace;
+  const Workspace::Scope scope(arena);
+  const View<double> x = arena.take<double>(positions.rows, 3);
+  stages_->map_positions(positions, parts_->domain, x);
+  parts_->position->forward(ctx, store_->tensors(position_), x,
+                            input.col_range(0, parts_->position->traits().out_dims));
+}
+
+template <class Real>
+SemanticBranchTrace<Real> SemanticBranch<Real>::forward_points(const StepContext& ctx, int lane,
+                                                               View<Real> input) const {
+  Workspace& arena = *ctx.workspace;
+  SemanticBranchTrace<Real> trace;
+  trace.input = input;
+  trace.samples.count = input.rows;
+  trace.samples.first = arena.take<std::int32_t>(input.rows + 1, 1);
+  trace.samples.ray_of_sample = arena.take<std::int32_t>(input.rows, 1);
+  for (std::int64_t i = 0; i <= input.rows; ++i) trace.samples.first(i, 0) = static_cast<std::int32_t>(i);
+  for (std::int64_t i = 0; i < input.rows; ++i) trace.samples.ray_of_sample(i, 0) = static_cast<std::int32_t>(i);
+  take_outputs(ctx, input.rows, input.rows, trace);
+  if (input.rows > 0) run_network(ctx, lane, trace);
   return trace;
 }
 

@@ -67,6 +67,14 @@ class SemanticBranch {
   SemanticBranchTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
                                     const Samples<Real>& samples, View<const Real> weight, View<const Real> feature,
                                     std::int64_t semantic_rays, std::int64_t most) const;
+  /// The same of single samples, whose inputs are known: input [K, input_dims], each sample a ray of its own.
+  SemanticBranchTrace<Real> forward_points(const StepContext& ctx, int lane, View<Real> input) const;
+  /// Columns of the input: the encoded position, and behind it `feature_dims` of the field's feature where it is read.
+  std::int32_t input_dims(std::int32_t feature_dims) const {
+    return parts_->position->traits().out_dims + (parts_->rules.reads_feature ? feature_dims : 0);
+  }
+  /// The first columns of input [N, input_dims] at world positions [N, 3].
+  void encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const;
   /// d_feature [K, B] of trace.feature; it is changed (dropout). Gradients go into the lane's.
   void backward(const StepContext& ctx, int lane, const SemanticBranchTrace<Real>& trace, View<Real> d_feature) const;
 
@@ -74,6 +82,9 @@ class SemanticBranch {
   void derive_backward(const StepContext& ctx) const;
 
  private:
+  void run_network(const StepContext& ctx, int lane, SemanticBranchTrace<Real>& trace) const;
+  void take_outputs(const StepContext& ctx, std::int64_t rows, std::int64_t rays,
+                    SemanticBranchTrace<Real>& trace) const;
   FieldIn<Real> field_in(const SemanticBranchTrace<Real>& trace) const;
   bool drops_out(const SemanticBranchTrace<Real>& trace) const { return trace.feature.data != trace.out.feature.data; }
   Dropout dropout(const StepContext& ctx) const;

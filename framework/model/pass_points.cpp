@@ -1,0 +1,79 @@
+// Semantics of points instead of rays: a point is a sample of weight 1.
+#include <algorithm>
+
+#include "core/check.h"
+#include "model/pass.h"
+
+namespace semfield {
+
+template <class Real>
+std::int32_t Pass<Real>::point_dims() const {
+  const std::int32_t feature = parts_.field->traits().feature_dims;
+  return branch_ ? branch_->input_dims(feature) : feature;
+}
+
+template <class Real>
+void Pass<Real>::point_rows(const StepContext& ctx, View<const double> positions, View<Real> rows) const {
+  SEMFIELD_CHECK(stages_->host_memory && parts_.head, "points of a pass with semantics, on the processor");
+  if (positions.rows == 0) return;
+  Workspace& arena = *ctx.workspace;
+  const Workspace::Scope scope(arena);
+  std::int32_t of_position = 0;
+  if (branch_) {
+    of_position = branch_->input_dims(0);
+    branch_->encode_points(ctx, positions, rows);
+    if (!branch_->rules().reads_feature) return;
+  }
+  const View<double> x = arena.take<double>(positions.rows, 3);
+  stages_->map_positions(positions, parts_.domain, x);
+  const View<Real> encoded = arena.take<Real>(positions.rows, encoded_dims());
+  parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
+  const View<Real> feature = arena.take<Real>(positions.rows, parts_.field->traits().feature_dims);
+  FieldIn<Real> in;
+  in.position = encoded;
+  FieldOut<Real> out;
+  out.feature = feature;
+  parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
+  for (std::int64_t r = 0; r < positions.rows; ++r)
+    std::copy_n(feature.row(r), feature.cols, rows.row(r) + of_position);
+}
+
+template <class Real>
+PointTrace<Real> Pass<Real>::point_forward(const StepContext& ctx, int lane, View<Real> rows, View<Real> logits) const {
+  PointTrace<Real> trace;
+  if (branch_) {
+    trace.branch = branch_->forward_points(ctx, lane, rows);
+    trace.feature = trace.branch.feature;
+  } else {
+    trace.feature = rows;
+  }
+  const Tensors<Real> head = head_tensors(lane);
+  trace.hidden = ctx.workspace->take<Real>(rows.rows, parts_.head->hidden_width());
+  parts_.head->hidden_forward(ctx, head, trace.feature, trace.hidden);
+  parts_.head->class_forward(ctx, head, trace.hidden, {}, logits);
+  return trace;
+}
+
+template <class Real>
+void Pass<Real>::point_backward(const StepContext& ctx, int lane, const PointTrace<Real>& trace,
+                                View<const Real> d_logits) const {
+  Workspace& arena = *ctx.workspace;
+  const Workspace::Scope scope(arena);
+  const Tensors<Real> head = head_tensors(lane);
+  const View<Real> d_hidden = arena.take<Real>(d_logits.rows, trace.hidden.cols);
+  const View<Real> d_feature = arena.take<Real>(d_logits.rows, trace.feature.cols);
+  parts_.head->class_backward(ctx, head, trace.hidden, {}, d_logits, d_hidden, {});
+  parts_.head->hidden_backward(ctx, head, trace.feature, trace.hidden, d_hidden, d_feature);
+  if (branch_) branch_->backward(ctx, lane, trace.branch, d_feature);
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                                            \
+  template std::int32_t Pass<Real>::point_dims() const;                                                       \
+  template void Pass<Real>::point_rows(const StepContext&, View<const double>, View<Real>) const;             \
+  template PointTrace<Real> Pass<Real>::point_forward(const StepContext&, int, View<Real>, View<Real>) const; \
+  template void Pass<Real>::point_backward(const StepContext&, int, const PointTrace<Real>&, View<const Real>) const;
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+}  // namespace semfield

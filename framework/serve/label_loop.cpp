@@ -1,0 +1,255 @@
+#include "serve/label_loop.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+#include "compute/parallel.h"
+#include "serve/label_upsampling.h"
+
+namespace semfield {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+// A map is made anew when training has made this many times its steps.
+constexpr double kStale = 1.6;
+constexpr double kAlikeColor = 24;        // of 255, a channel
+constexpr double kAlikeDistance = 0.03;   // of the distance
+constexpr std::size_t kMostPixels = 256;  // of a stroke
+
+const float* color_of(const StoredFrame& photo, const PixelPlace& pixel, float (&color)[3]) {
+  const std::size_t at = 3 * static_cast<std::size_t>(std::int64_t{pixel.row} * photo.width_px + pixel.column);
+  for (std::size_t c = 0; c < 3; ++c) color[c] = static_cast<float>(photo.rgb[at + c]) / 255.0F;
+  return color;
+}
+
+}  // namespace
+
+LabelLoop::LabelLoop(Training& training, std::span<const int> frames, const LabelLoopOptions& options)
+    : training_(training),
+      pipeline_(*training.session().pipeline),
+      options_(options),
+      learner_(pipeline_),
+      logit_of_class_(training.session().logit_of_class()) {
+  const Session& session = training.session();
+  std::int64_t pixels = 0;
+  std::int32_t shortest = 1 << 20;
+  for (const int f : frames) {
+    const auto n = static_cast<std::size_t>(f);
+    const FrameInfo& info = session.scene.info.frames[n];
+    PoolView view;
+    view.frame = f;
+    view.camera = {info.camera, info.world_from_camera, session.plan.undistortion};
+    view.photo = &session.scene.frames[n];
+    views_.push_back(std::move(view));
+    pixels += std::int64_t{info.camera.width_px} * info.camera.height_px;
+    shortest = std::min({shortest, info.camera.width_px, info.camera.height_px});
+  }
+  const double stride = std::sqrt(static_cast<double>(pixels) / static_cast<double>(options.map_rays));
+  stride_ = std::clamp(static_cast<std::int32_t>(std::ceil(stride)), 2, std::max(2, shortest / 8));
+  live_.assign(static_cast<std::size_t>(learner_.classes()), false);
+}
+
+bool LabelLoop::due(const PoolView& view) const {
+  return view.map.empty() || static_cast<double>(training_.step()) > kStale * static_cast<double>(view.map.step) + 50;
+}
+
+SurfaceMap LabelLoop::map_of(int view, std::int32_t stride) {
+  return make_surface_map(pipeline_, views_[static_cast<std::size_t>(view)].camera, training_.session().limits, stride,
+                          training_.step());
+}
+
+bool LabelLoop::update_surfaces(double budget_s) {
+  const Clock::time_point start = Clock::now();
+  const auto spent = [&] { return std::chrono::duration<double>(Clock::now() - start).count(); };
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    if (!due(views_[v])) continue;
+    views_[v].map = map_of(static_cast<int>(v), stride_);
+    if (spent() >= budget_s) return false;
+  }
+  const auto oldest = std::min_element(views_.begin(), views_.end(),
+                                       [](const PoolView& a, const PoolView& b) { return a.map.step < b.map.step; });
+  if (oldest == views_.end() || (ready() && pool_step_ >= oldest->map.step)) return false;
+  make_pool();
+  pool_step_ = training_.step();
+  return true;
+}
+
+void LabelLoop::make_pool() {
+  pipeline_.executor().download(training_.step());
+  pool_ = make_surface_pool(views_, training_.session().limits, options_.pool_points);
+  std::vector<Vec3d> positions;
+  for (const PoolPoint& point : pool_.points) positions.push_back(point.position);
+  pool_rows_ = learner_.rows_at(positions);
+  predict_pool();
+}
+
+void LabelLoop::predict_pool() {
+  pool_probability_.clear();
+  if (learned_) pool_probability_ = learner_.probabilities(pool_rows_, live_, temperature_);
+}
+
+std::vector<PixelPlace> LabelLoop::alike_around(const LabelledPixels& click) const {
+  const PoolView& view = views_[static_cast<std::size_t>(click.view)];
+  const StoredFrame& photo = *view.photo;
+  std::vector<PixelPlace> all = click.pixels;
+  if (click.pixels.size() > 9 || options_.reach_px == 0) {  // a stroke says itself what it covers
+    if (all.size() > kMostPixels) {
+      std::vector<PixelPlace> some;
+      for (std::size_t i = 0; i < kMostPixels; ++i) some.push_back(all[i * all.size() / kMostPixels]);
+      return some;
+    }
+    return all;
+  }
+  const PixelPlace center = click.pixels.front();
+  const std::int32_t reach = std::max(1, options_.reach_px * photo.width_px / 320);
+  const auto at = [&](std::int32_t x, std::int32_t y) {
+    return 3 * static_cast<std::size_t>(std::int64_t{y} * photo.width_px + x);
+  };
+  const std::size_t own = at(center.column, center.row);
+  for (std::int32_t y = center.row - reach; y <= center.row + reach; ++y) {
+    for (std::int32_t x = center.column - reach; x <= center.column + reach; ++x) {
+      const std::int32_t dx = x - center.column, dy = y - center.row;
+      if (x < 0 || y < 0 || x >= photo.width_px || y >= photo.height_px || dx * dx + dy * dy > reach * reach) continue;
+      if (dx == 0 && dy == 0) continue;
+      bool alike = true;
+      for (std::size_t c = 0; c < 3; ++c)
+        alike = alike && std::abs(int{photo.rgb[at(x, y) + c]} - int{photo.rgb[own + c]}) <= kAlikeColor;
+      if (alike) all.push_back({x, y});
+    }
+  }
+  return all;
+}
+
+LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks) {
+  Named named;
+  std::vector<Vec3d> positions;
+  answered_.clear();
+  answered_color_.clear();
+  const RayLimits& limits = training_.session().limits;
+  for (std::size_t k = 0; k < clicks.size(); ++k) {
+    const LabelledPixels& click = clicks[k];
+    const PoolView& view = views_[static_cast<std::size_t>(click.view)];
+    const std::vector<PixelPlace> pixels = alike_around(click);
+    const std::vector<float> distance = surface_distances(pipeline_, view.camera, limits, pixels);
+    const std::int16_t logit = logit_of_class_[static_cast<std::size_t>(click.class_index)];
+    std::size_t taken = 0;
+    for (std::size_t i = 0; i < pixels.size(); ++i) {
+      const bool own = i < click.pixels.size();
+      if (!(distance[i] > 0)) continue;
+      if (!own && !(std::abs(distance[i] - distance[0]) < kAlikeDistance * distance[0])) continue;
+      positions.push_back(point_at(view.camera, limits, pixels[i], static_cast<double>(distance[i])));
+      named.logit.push_back(logit);
+      named.click.push_back(static_cast<std::int32_t>(k));
+      if (taken++ > 0) continue;
+      float color[3];
+      answered_.push_back(positions.back());
+      color_of(*view.photo, pixels[i], color);
+      answered_color_.insert(answered_color_.end(), color, color + 3);
+    }
+    // A click weighs as one, and a stroke by the root of what it covers.
+    for (std::size_t i = 0; i < taken; ++i) {
+      const double own = std::sqrt(static_cast<double>(std::max<std::size_t>(1, click.pixels.size() / 9)));
+      named.weight.push_back(static_cast<float>(own / static_cast<double>(taken)));
+    }
+  }
+  named.rows = learner_.rows_at(positions);
+  return named;
+}
+
+void LabelLoop::learn(std::span<const LabelledPixels> clicks) {
+  pipeline_.executor().download(training_.step());
+  const Named named = named_points(clicks);
+  std::fill(live_.begin(), live_.end(), false);
+  for (const std::int16_t logit : named.logit) live_[static_cast<std::size_t>(logit)] = true;
+  learner_.learn(named.rows, named.logit, named.weight, options_.learning);
+  learned_ = !named.logit.empty();
+  pipeline_.executor().upload(training_.step());
+  predict_pool();
+}
+
+ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
+  const PoolView& view = views_[static_cast<std::size_t>(v)];
+  const SurfaceMap& map = fine != nullptr ? *fine : view.map;
+  CoarseLabels coarse{map.stride, map.width_px, map.height_px, {}, {}};
+  coarse.label.assign(map.distance_m.size(), kVoid);
+  coarse.entropy.assign(map.distance_m.size(), 0);
+  if (learned_ && !map.empty()) {
+    std::vector<Vec3d> positions;
+    std::vector<std::size_t> where;
+    for (std::size_t i = 0; i < map.distance_m.size(); ++i) {
+      if (map.distance_m[i] > 0) where.push_back(i);
+    }
+    positions.resize(where.size());
+    parallel_for((std::ssize(where) + 1023) / 1024, [&](std::int64_t block) {
+      for (auto k = static_cast<std::size_t>(block * 1024);
+           k < std::min(where.size(), static_cast<std::size_t>((block + 1) * 1024)); ++k) {
+        const PixelPlace pixel = strided_place(static_cast<std::int64_t>(where[k]), map.width_px, map.stride);
+        positions[k] =
+            point_at(view.camera, training_.session().limits, pixel, static_cast<double>(map.distance_m[where[k]]));
+      }
+    });
+    const std::vector<float> probability = learner_.probabilities(learner_.rows_at(positions), live_, temperature_);
+    const std::vector<int>& class_of_logit = training_.session().plan.class_of_logit;
+    const auto width = static_cast<std::size_t>(classes());
+    const double most =
+        std::log(static_cast<double>(std::max<std::ptrdiff_t>(2, std::count(live_.begin(), live_.end(), true))));
+    parallel_for((std::ssize(where) + 1023) / 1024, [&](std::int64_t block) {
+      for (auto k = static_cast<std::size_t>(block * 1024);
+           k < std::min(where.size(), static_cast<std::size_t>((block + 1) * 1024)); ++k) {
+        const float* const row = &probability[k * width];
+        double entropy = 0;
+        for (std::size_t c = 0; c < width; ++c)
+          if (row[c] > 0) entropy -= static_cast<double>(row[c]) * std::log(static_cast<double>(row[c]));
+        const std::ptrdiff_t best = std::max_element(row, row + width) - row;
+        coarse.label[where[k]] = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(best)]);
+        coarse.entropy[where[k]] = static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, entropy / most)));
+      }
+    });
+  }
+  return upsampled(coarse, *view.photo);
+}
+
+std::optional<Asked> LabelLoop::propose(Acquisition how, std::uint64_t seed, std::uint64_t round) const {
+  ProposalInput input;
+  input.pool = &pool_;
+  input.rows = &pool_rows_;
+  input.probability = pool_probability_;
+  input.classes = learner_.classes();
+  std::vector<Vec3d> places = answered_;
+  std::vector<float> colors = answered_color_;
+  places.insert(places.end(), skipped_.begin(), skipped_.end());
+  colors.insert(colors.end(), skipped_color_.begin(), skipped_color_.end());
+  input.answered = places;
+  input.answered_color = colors;
+  input.seed = seed;
+  input.round = round;
+  const WorkScope scope(pipeline_.options().work);
+  return choose_click(how, input);
+}
+
+void LabelLoop::set_skipped(std::vector<LabelledPixels> skipped) {
+  skipped_.clear();
+  skipped_color_.clear();
+  for (const LabelledPixels& place : skipped) {
+    const PoolView& view = views_[static_cast<std::size_t>(place.view)];
+    const std::vector<float> distance =
+        surface_distances(pipeline_, view.camera, training_.session().limits, place.pixels);
+    if (distance.empty() || !(distance[0] > 0)) continue;
+    float color[3];
+    skipped_.push_back(
+        point_at(view.camera, training_.session().limits, place.pixels[0], static_cast<double>(distance[0])));
+    color_of(*view.photo, place.pixels[0], color);
+    skipped_color_.insert(skipped_color_.end(), color, color + 3);
+  }
+}
+
+void LabelLoop::set_temperature(double temperature) {
+  temperature_ = temperature;
+  predict_pool();
+}
+
+}  // namespace semfield

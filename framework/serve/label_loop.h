@@ -1,0 +1,114 @@
+// What a labelling session does between steps of training: surfaces of the views, semantics learned anew from clicks,
+// labels of whole views, and the next question.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "serve/point_learner.h"
+#include "serve/proposals.h"
+#include "serve/surface_pool.h"
+#include "session/training.h"
+
+namespace semfield {
+
+/// Pixels of a view that somebody has named: a click or a stroke.
+struct LabelledPixels {
+  int view = 0;
+  std::int16_t class_index = 0;
+  std::vector<PixelPlace> pixels;
+};
+
+struct LabelLoopOptions {
+  std::int64_t map_rays = 400'000;  ///< of the coarse maps of all views together
+  std::int64_t pool_points = 8'000;
+  std::int32_t reach_px = 4;  ///< a click names the pixels around it that look alike; of an image 320 pixels wide
+  PointLearning learning;
+};
+
+/// Labels of a view at its full size.
+struct ViewLabels {
+  std::int32_t width_px = 0, height_px = 0;
+  std::vector<std::int16_t> label;    ///< class indices, kVoid where the view meets nothing
+  std::vector<std::uint8_t> entropy;  ///< 0 to 255: a share of the largest there can be
+};
+
+/// One thread at a time, and no step of the training meanwhile.
+class LabelLoop {
+ public:
+  /// `frames`: the views, numbers in SceneInfo::frames. Borrows the training, which must have semantics.
+  LabelLoop(Training& training, std::span<const int> frames, const LabelLoopOptions& options);
+
+  const std::vector<PoolView>& views() const { return views_; }
+  const SurfacePool& pool() const { return pool_; }
+  /// Every view has a map, and there is a pool.
+  bool ready() const { return !pool_.points.empty(); }
+
+  /// Maps that are missing or much younger than training is now are made, for about this long; the pool is made anew
+  /// when none is due any more. True when the pool has changed.
+  bool update_surfaces(double budget_s);
+
+  /// Learns the semantic part anew from these; with none there is nothing to tell any more. A click names the pixels
+  /// around it too that lie on the same surface and have its colour.
+  void learn(std::span<const LabelledPixels> clicks);
+  /// Something has been learned since the labels were last empty.
+  bool learned() const { return learned_; }
+  /// Class indices that have labels, as logits.
+  const std::vector<bool>& live() const { return live_; }
+
+  /// [N, classes()] of the pool's points; empty while nothing is learned.
+  const std::vector<float>& pool_probability() const { return pool_probability_; }
+  std::int32_t classes() const { return learner_.classes(); }
+
+  /// By the view's map, or by `fine` where it is given.
+  ViewLabels labels_of(int view, const SurfaceMap* fine = nullptr);
+  /// Of a view at another stride than that of its own map.
+  SurfaceMap map_of(int view, std::int32_t stride);
+
+  std::optional<Asked> propose(Acquisition how, std::uint64_t seed, std::uint64_t round) const;
+  /// Clicks that were passed over count as answered, for where to ask next.
+  void set_skipped(std::vector<LabelledPixels> skipped);
+
+  /// The temperature that explains the clicks best [Guo17, Sec. 4.2]: each fifth of them by what is learned from the
+  /// others. Needs some ten clicks; 1 before. What was learned stays as it was.
+  double fit_temperature(std::span<const LabelledPixels> clicks);
+  void set_temperature(double temperature);
+  double temperature() const { return temperature_; }
+
+  PointLearner& learner() { return learner_; }
+
+ private:
+  struct Named {
+    PointRows rows;
+    std::vector<std::int16_t> logit;
+    std::vector<float> weight;
+    std::vector<std::int32_t> click;  // that a point belongs to
+  };
+  Named named_points(std::span<const LabelledPixels> clicks);
+  std::vector<PixelPlace> alike_around(const LabelledPixels& click) const;
+  void predict_pool();
+  void make_pool();
+  bool due(const PoolView& view) const;
+
+  Training& training_;
+  Pipeline<float>& pipeline_;
+  LabelLoopOptions options_;
+  std::vector<PoolView> views_;
+  std::int32_t stride_ = 1;
+  SurfacePool pool_;
+  PointRows pool_rows_;
+  std::int64_t pool_step_ = 0;
+  PointLearner learner_;
+  std::vector<std::int16_t> logit_of_class_;
+  bool learned_ = false;
+  std::vector<bool> live_;
+  std::vector<float> pool_probability_;
+  double temperature_ = 1;
+  std::vector<Vec3d> answered_, skipped_;
+  std::vector<float> answered_color_, skipped_color_;
+};
+
+}  // namespace semfield

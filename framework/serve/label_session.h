@@ -1,0 +1,59 @@
+// A scene that is labelled while its field trains: one thread trains, any others click, look and ask.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "plugin/registry.h"
+#include "serve/label_state.h"
+#include "session/training.h"
+
+namespace semfield {
+
+struct LabelSessionOptions {
+  std::string run_dir;  ///< made, or gone on with where it is a run of such a session
+  int class_room = 0;   ///< most classes; 0: 32, or eight more than the scene has
+};
+
+/// The run's folder holds run.yaml, clicks.jsonl, metrics.jsonl and checkpoints, so every verb works on it while the
+/// session goes on and afterwards.
+class LabelSession {
+ public:
+  /// Opens scene and run; `listener` may be null. Throws as open_session and Training do.
+  LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options, TrainingListener* listener);
+  ~LabelSession();
+  LabelSession(const LabelSession&) = delete;
+  LabelSession& operator=(const LabelSession&) = delete;
+
+  // From any thread:
+
+  /// Stored and synced before it returns; false: an event of this id was there already. Throws Error: data for an event
+  /// that is wrong, io where it could not be stored; nothing has changed then.
+  bool apply(const LabelEvent& event);
+  std::shared_ptr<const LabelState> state() const;
+  /// The state once its revision is above `after`, or after `most` as it is then.
+  std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const;
+  /// Waits for the thread that trains. Throws Error for a request that is wrong or a training that has failed.
+  Picture picture(const PictureRequest& request);
+  /// The photograph of a view at its loaded size.
+  const StoredFrame& photo(int view) const;
+  FreeCamera camera_of(int view) const;
+  /// Number of the view that shows a frame of the scene; -1: none.
+  int view_of(int frame) const;
+  /// Writes a checkpoint, and returns when it is there.
+  void save();
+  /// run() returns after its checkpoint.
+  void stop();
+  const std::string& run_dir() const;
+
+  /// Trains until stop(), or until an error, which is in the state then; pictures and events go on until stop().
+  void run();
+
+ private:
+  struct Parts;
+  std::unique_ptr<Parts> parts_;
+};
+
+}  // namespace semfield

@@ -1,0 +1,72 @@
+// The semantic part of a pass learned anew from labelled points of the surface, while colour and geometry stand.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "core/small_math.h"
+#include "execution/pipeline.h"
+#include "execution/thread_arenas.h"
+
+namespace semfield {
+
+/// Points with what the network reads of them, [N, dims], row by row.
+struct PointRows {
+  std::int32_t dims = 0;
+  std::vector<float> values;
+
+  std::int64_t count() const { return dims == 0 ? 0 : std::ssize(values) / dims; }
+  View<float> view() { return {values.data(), count(), dims}; }
+  View<const float> view() const { return {values.data(), count(), dims}; }
+};
+
+struct PointLearning {
+  std::int64_t steps = 150;
+  std::int64_t batch = 512;
+  double learning_rate = 5e-3;  ///< falls to a tenth along half a cosine
+  double weight_decay = 1e-2;   ///< share of a value times the learning rate [Loshchilov19]
+  std::uint64_t seed = 1;       ///< of the order of points and of dropout
+};
+
+/// Works on the tensors of the pipeline's last pass on the processor: those of its branch, if it has one, and of its
+/// head. Nothing else of the pipeline may run meanwhile. Where a pipeline runs on another device, the caller brings the
+/// store up to date first (Executor::download) and hands it back afterwards (Executor::upload).
+class PointLearner {
+ public:
+  /// Borrows the pipeline, which must be trainable and have semantics.
+  explicit PointLearner(Pipeline<float>& pipeline);
+
+  std::int32_t classes() const { return classes_; }
+  /// What the network reads at world positions. Valid while the geometry stays.
+  PointRows rows_at(std::span<const Vec3d> positions);
+
+  /// Puts the semantic tensors back to where the run began and learns the points: rows, and a logit each. Every class
+  /// that occurs is drawn as often as any other; where `weight` is given, points of a class in proportion to it. The
+  /// moments of the optimiser are zero afterwards. The same bits for any number of threads.
+  void learn(const PointRows& rows, std::span<const std::int16_t> logit, std::span<const float> weight,
+             const PointLearning& options);
+
+  /// Class probabilities [N, classes] of points; logits whose entry of `live` is false get none, and the others are
+  /// divided by `temperature` first.
+  std::vector<float> probabilities(const PointRows& rows, const std::vector<bool>& live, double temperature = 1);
+  /// logits [N, classes].
+  std::vector<float> logits(const PointRows& rows);
+
+ private:
+  struct Batch;
+  void gradients(const Batch& batch);
+  void update(const PointLearning& options, std::int64_t number);
+  StepContext context(std::int64_t number, bool training, Workspace& arena) const;
+  const Pass<float>& pass() const { return pipeline_.passes().back(); }
+
+  Pipeline<float>& pipeline_;
+  ThreadArenas arenas_;
+  std::int32_t classes_ = 0;
+  std::vector<Tensor<float>*> tensors_;  // semantic, with gradients
+};
+
+/// Probabilities from logits, in place: [N, classes].
+void softmax_live(std::span<float> logits, std::int32_t classes, const std::vector<bool>& live, double temperature);
+
+}  // namespace semfield
