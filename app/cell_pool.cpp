@@ -1,11 +1,8 @@
 #include "app/cell_pool.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -16,6 +13,7 @@
 #include <set>
 #include <thread>
 
+#include "app/child_process.h"
 #include "app/scene/pack_scene.h"
 #include "app/signals.h"
 #include "core/work_scope.h"
@@ -44,22 +42,6 @@ double available_memory_gb() {
 fs::path pack_file(const PoolOptions& options, const Cell& cell) {
   return fs::absolute(fs::path(options.folder) / "scenes" / (cell.pack + ".sfpack"));
 }
-
-// Where a process writes; refused here where it cannot be written, before the process starts.
-class OutputFile {
- public:
-  explicit OutputFile(const std::string& path)
-      : descriptor_(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0644)) {
-    if (descriptor_ < 0) throw write_error("open", path, errno);
-  }
-  OutputFile(const OutputFile&) = delete;
-  OutputFile& operator=(const OutputFile&) = delete;
-  ~OutputFile() { close(descriptor_); }
-  int descriptor() const { return descriptor_; }
-
- private:
-  int descriptor_;
-};
 
 // A packed copy whose header and list of frames are whole. Cells check what they read of it.
 bool is_packed(const std::string& file, const PoolHooks& hooks) {
@@ -122,10 +104,9 @@ class Pool {
   }
 
   std::vector<std::string> words_of(const Cell& cell, const fs::path& folder) const {
-    const std::string program = fs::read_symlink("/proc/self/exe").string();
     const std::string config = (folder / "config.yaml").string(), run = (folder / "run").string();
     const std::string threads = "runtime.threads=" + std::to_string(options_.threads);
-    std::vector<std::string> words{program};
+    std::vector<std::string> words{own_program()};
     if (!cell.fuse.method.empty()) {
       words.insert(words.end(), {"fuse", config, "--method", cell.fuse.method, "--json"});
       if (!cell.field_cell.empty())
@@ -184,27 +165,14 @@ class Pool {
                           : with_packed_scene(cell.config, options_.pack_reader, pack_file(options_, cell).string());
     write_file_atomic((folder / "config.yaml").string(), config);
     const std::vector<std::string> words = words_of(cell, folder);
-    const OutputFile out((folder / "output.txt").string()), log((folder / "log.txt").string());
-    std::vector<char*> argv;
-    for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
-    argv.push_back(nullptr);
-    const pid_t sweep = getpid();
-    const pid_t pid = fork();
-    if (pid == 0) {
-      // At once: our own handlers would swallow a signal that comes before the program starts.
-      signal(SIGINT, SIG_DFL);
-      signal(SIGTERM, SIG_DFL);
-      setpgid(0, 0);                     // Ctrl-C reaches the sweep alone, which asks every cell once
-      prctl(PR_SET_PDEATHSIG, SIGTERM);  // a killed sweep leaves no cell behind
-      if (getppid() != sweep) _exit(128 + SIGTERM);
-      lock.keep_over_exec();
-      dup2(open("/dev/null", O_RDONLY | O_CLOEXEC), STDIN_FILENO);
-      dup2(out.descriptor(), STDOUT_FILENO);
-      dup2(log.descriptor(), STDERR_FILENO);
-      execv(argv[0], argv.data());
-      _exit(127);
+    pid_t pid = 0;
+    try {
+      pid = start_child(words, {(folder / "output.txt").string(), (folder / "log.txt").string()},
+                        [&] { lock.keep_over_exec(); });
+    } catch (const Error& error) {
+      if (error.kind() != ErrorKind::unavailable) throw;
+      throw Error(error.kind(), "cannot start a process for a cell", "give fewer --jobs");
     }
-    if (pid < 0) throw Error(ErrorKind::unavailable, "cannot start a process for a cell", "give fewer --jobs");
     lock.sign(pid);
     const bool resumed = std::find(words.begin(), words.end(), "--resume") != words.end();
     running_.push_back({std::move(lock), pid, &cell, Clock::now(), resumed});
@@ -233,7 +201,7 @@ class Pool {
     if (WIFEXITED(status) && WEXITSTATUS(status) == 0) {
       take_result(cell, folder, used, outcome);
     } else if (stop_signal() == 0) {
-      outcome.failure = failure_text(status, folder);
+      outcome.failure = child_failure(status, (folder / "log.txt").string());
     } else {
       return;  // stopped with us
     }
@@ -260,17 +228,6 @@ class Pool {
     } catch (const Error& e) {
       outcome.failure = e.what();
     }
-  }
-
-  static std::string failure_text(int status, const fs::path& folder) {
-    const std::string log = read_text_file((folder / "log.txt").string());
-    const std::size_t end = log.find_last_not_of("\n");
-    const std::size_t begin = end == std::string::npos ? 0 : log.find_last_of('\n', end);
-    const std::string last =
-        end == std::string::npos ? "" : log.substr(begin == std::string::npos ? 0 : begin + 1, end - begin);
-    const std::string how = WIFSIGNALED(status) ? fmt::format("ended by signal {}", WTERMSIG(status))
-                                                : fmt::format("exit code {}", WEXITSTATUS(status));
-    return fmt::format("{}: {} (see {})", how, last, (folder / "log.txt").string());
   }
 
   const PoolOptions& options_;

@@ -1,0 +1,76 @@
+#include "app/child_process.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <csignal>
+#include <filesystem>
+
+#include "system/files.h"
+
+namespace semfield::app {
+
+namespace {
+
+// Where a process writes; refused here where it cannot be written, before the process starts.
+class OutputFile {
+ public:
+  explicit OutputFile(const std::string& path)
+      : descriptor_(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0644)) {
+    if (descriptor_ < 0) throw write_error("open", path, errno);
+  }
+  OutputFile(const OutputFile&) = delete;
+  OutputFile& operator=(const OutputFile&) = delete;
+  ~OutputFile() { close(descriptor_); }
+  int descriptor() const { return descriptor_; }
+
+ private:
+  int descriptor_;
+};
+
+}  // namespace
+
+std::string own_program() { return std::filesystem::read_symlink("/proc/self/exe").string(); }
+
+pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
+                  const std::function<void()>& in_child) {
+  const OutputFile out(files.out), log(files.log);
+  std::vector<char*> argv;
+  for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
+  argv.push_back(nullptr);
+  const pid_t parent = getpid();
+  const pid_t pid = fork();
+  if (pid == 0) {
+    // At once: our own handlers would swallow a signal that comes before the program starts.
+    signal(SIGINT, SIG_DFL);
+    signal(SIGTERM, SIG_DFL);
+    setpgid(0, 0);                     // Ctrl-C reaches the parent alone, which asks every child once
+    prctl(PR_SET_PDEATHSIG, SIGTERM);  // a parent that is killed leaves no child behind
+    if (getppid() != parent) _exit(128 + SIGTERM);
+    if (in_child) in_child();
+    dup2(open("/dev/null", O_RDONLY | O_CLOEXEC), STDIN_FILENO);
+    dup2(out.descriptor(), STDOUT_FILENO);
+    dup2(log.descriptor(), STDERR_FILENO);
+    execv(argv[0], argv.data());
+    _exit(127);
+  }
+  if (pid < 0) throw Error(ErrorKind::unavailable, "no process can be started", "see what limits them: ulimit -u");
+  return pid;
+}
+
+std::string child_failure(int status, const std::string& log_file) {
+  const std::string log = read_text_file(log_file);
+  const std::size_t end = log.find_last_not_of("\n");
+  const std::size_t begin = end == std::string::npos ? 0 : log.find_last_of('\n', end);
+  const std::string last =
+      end == std::string::npos ? "" : log.substr(begin == std::string::npos ? 0 : begin + 1, end - begin);
+  const std::string how = WIFSIGNALED(status) ? fmt::format("ended by signal {}", WTERMSIG(status))
+                                              : fmt::format("exit code {}", WEXITSTATUS(status));
+  return fmt::format("{}: {} (see {})", how, last, log_file);
+}
+
+}  // namespace semfield::app

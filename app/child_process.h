@@ -1,0 +1,28 @@
+// This program as a process of its own: what it prints goes to files, and it ends with the one that started it.
+#pragma once
+
+#include <sys/types.h>
+
+#include <functional>
+#include <string>
+#include <vector>
+
+namespace semfield::app {
+
+/// The file of the running program.
+std::string own_program();
+
+struct ChildFiles {
+  std::string out, log;  ///< for stdout and stderr; replaced
+};
+
+/// Starts `words`, the first of which is the program's file, in a process group of its own, so that Ctrl-C does not
+/// reach it. `in_child` runs between fork and exec, so it calls what is async-signal-safe alone. The thread that starts
+/// it is the one that it ends with. Throws write_error for the files, Error(unavailable) where no process can be had.
+pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
+                  const std::function<void()>& in_child = {});
+
+/// How a child that ended with this status failed: code or signal, the last line of its log, and where the rest is.
+std::string child_failure(int status, const std::string& log_file);
+
+}  // namespace semfield::app

@@ -1,0 +1,78 @@
+#include "app/serve/page_pictures.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "app/serve/jpeg.h"
+#include "core/check.h"
+#include "core/error.h"
+#include "formats/image_io.h"
+#include "formats/png_codec.h"
+
+namespace semfield::app {
+
+namespace {
+
+constexpr int kQuick = 1;                                         // zlib's level: a picture is sent once
+constexpr std::array<std::uint8_t, 3> kUnnamed{{128, 128, 128}};  // a class that the state does not list yet
+
+void put_part(std::string& out, std::string_view part) {
+  const auto size = static_cast<std::uint32_t>(part.size());
+  for (int shift = 0; shift < 32; shift += 8) out += static_cast<char>((size >> shift) & 0xFF);
+  out += part;
+}
+
+std::string_view text_of(const std::vector<std::uint8_t>& bytes) {
+  return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+}
+
+}  // namespace
+
+std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_px, std::span<const std::int16_t> label,
+                                    const std::vector<ClassState>& classes) {
+  int most = kVoid;
+  for (const std::int16_t index : label) most = std::max<int>(most, index);
+  for (const ClassState& c : classes) most = std::max(most, c.index);
+  if (most >= kMostPageClasses)
+    throw Error(ErrorKind::data, "the page shows at most " + std::to_string(kMostPageClasses) + " classes",
+                "give the scene a table of fewer classes: scene.classes");
+  std::vector<std::uint8_t> palette, index(label.size());
+  for (int entry = 0; entry < most + 2; ++entry) palette.insert(palette.end(), kUnnamed.begin(), kUnnamed.end());
+  for (const ClassState& c : classes)
+    std::copy(c.color.begin(), c.color.end(), palette.begin() + 3 * (static_cast<std::ptrdiff_t>(c.index) + 1));
+  std::transform(label.begin(), label.end(), index.begin(),
+                 [](std::int16_t value) { return static_cast<std::uint8_t>(value + 1); });
+  const std::array<std::uint8_t, 1> clear{{0}};
+  return encode_png(width_px, height_px, 3, 8, index, {palette, clear}, kQuick);
+}
+
+std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes) {
+  const nlohmann::ordered_json facts{{"width", picture.width_px},
+                                     {"height", picture.height_px},
+                                     {"overlay_revision", picture.overlay_revision},
+                                     {"render_ms", picture.render_ms},
+                                     {"stale", picture.stale}};
+  const std::int32_t w = picture.width_px, h = picture.height_px;
+  std::string out;
+  put_part(out, facts.dump());
+  put_part(out, picture.rgb.empty() ? std::string_view() : text_of(encode_jpeg(w, h, picture.rgb)));
+  put_part(out, picture.label.empty() ? std::string_view() : text_of(label_png(w, h, picture.label, classes)));
+  put_part(out,
+           picture.entropy.empty() ? std::string_view() : text_of(encode_png(w, h, 0, 8, picture.entropy, {}, kQuick)));
+  return out;
+}
+
+std::vector<std::uint8_t> photo_jpeg(const PagePhoto& photo, std::int32_t most_px) {
+  const std::int32_t longest = std::max(photo.width_px, photo.height_px);
+  if (most_px <= 0 || longest <= most_px) return encode_jpeg(photo.width_px, photo.height_px, photo.rgb);
+  const auto shorter = [&](std::int32_t side) {
+    return std::max<std::int32_t>(1, static_cast<std::int32_t>(std::lround(double{1} * side * most_px / longest)));
+  };
+  const Image<std::uint8_t> whole{photo.width_px, photo.height_px, 3, {photo.rgb.begin(), photo.rgb.end()}};
+  const Image<std::uint8_t> small = resize_area(whole, shorter(photo.width_px), shorter(photo.height_px));
+  return encode_jpeg(small.width_px, small.height_px, small.pixels);
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,24 @@
+// Rendered maps and photographs as the page gets them.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "app/serve/page_source.h"
+
+namespace semfield::app {
+
+inline constexpr int kMostPageClasses = 255;  ///< a palette has an entry for each and one for none
+
+/// Class indices as a palette PNG: entry index + 1 has the class's colour, entry 0 is transparent and means none.
+std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_px, std::span<const std::int16_t> label,
+                                    const std::vector<ClassState>& classes);
+
+/// What answers a request for a picture: JSON of its facts, then JPEG, PNG of labels and PNG of entropy, each behind
+/// its length in four bytes, little-endian; 0 for one that there is not.
+std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes);
+
+/// A photograph as JPEG, made smaller where its longest side is above `most_px`; 0: never.
+std::vector<std::uint8_t> photo_jpeg(const PagePhoto& photo, std::int32_t most_px);
+
+}  // namespace semfield::app

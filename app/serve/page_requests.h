@@ -1,0 +1,26 @@
+// What the page asks for, as it comes over the wire: JSON of pictures and exports, numbers of queries.
+#pragma once
+
+#include <string>
+#include <string_view>
+
+#include "serve/label_state.h"
+
+namespace semfield::app {
+
+inline constexpr std::int32_t kMostPictureSide = 2048;  ///< pixels of a free camera's picture or a photograph
+
+/// Throws Error(data) with a sentence that names the key, for every value out of its bounds and for keys that are
+/// missing, unknown or given twice. That the view exists is the session's to say.
+PictureRequest parse_picture_request(std::string_view json);
+
+enum class ExportKind { labels, coco, mesh };
+const char* export_name(ExportKind kind);
+/// Throws as parse_picture_request does.
+ExportKind parse_export_request(std::string_view json);
+
+/// Value of `key` in a query "a=1&b=2", a whole number from 0 to `most`; `otherwise` where it is missing. Throws
+/// Error(data).
+std::uint64_t query_number(std::string_view query, std::string_view key, std::uint64_t otherwise, std::uint64_t most);
+
+}  // namespace semfield::app

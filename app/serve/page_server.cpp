@@ -1,0 +1,181 @@
+#include "app/serve/page_server.h"
+
+#include <algorithm>
+#include <chrono>
+#include <nlohmann/json.hpp>
+
+#include "app/serve/page_pictures.h"
+#include "app/serve/page_requests.h"
+#include "app/serve/page_state.h"
+#include "core/error.h"
+
+namespace semfield::app {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr auto kLook = std::chrono::milliseconds(100);  // at exports, and whether the server ends
+constexpr std::uint64_t kMostNumber = std::uint64_t{1} << 53;
+constexpr const char* kJpeg = "image/jpeg";
+constexpr const char* kForEver = "private, max-age=31536000, immutable";
+
+std::int64_t now_ms() {
+  return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
+      .count();
+}
+
+// What the client did wrong is 400; what could not be kept or made now is 503.
+int status_of(ErrorKind kind) {
+  if (kind == ErrorKind::data || kind == ErrorKind::usage) return 400;
+  return kind == ErrorKind::internal ? 500 : 503;
+}
+
+HttpResponse json(std::string text) { return {200, "application/json", std::move(text)}; }
+
+std::string type_of_export(const std::string& file) {
+  if (file.ends_with(".zip")) return "application/zip";
+  if (file.ends_with(".json")) return "application/json";
+  return "application/octet-stream";
+}
+
+}  // namespace
+
+PageServer::PageServer(PageSource& source, PageOptions options)
+    : source_(source), options_(std::move(options)), exports_(source, options_.exports) {
+  HttpOptions& http = options_.http;
+  http.port = free_port(http.address, http.port, options_.next_port);
+  access_ = std::make_unique<PageAccess>(options_.token, http.address, http.port);
+  HttpHandler& self = *this;
+  http_ = std::make_unique<HttpServer>(http, self);
+}
+
+PageServer::~PageServer() {
+  stopping_ = true;
+  http_.reset();
+}
+
+std::optional<HttpResponse> PageServer::refuse(const HttpRequest& head) noexcept {
+  try {
+    return access_->refuse(head);
+  } catch (const std::exception&) {  // no memory
+    return HttpResponse{500, "text/plain", ""};
+  }
+}
+
+HttpResponse PageServer::answer(const HttpRequest& request) noexcept {
+  try {
+    try {
+      return route(access_->name_of(request.path), request);
+    } catch (const Error& e) {
+      return {status_of(e.kind()), "application/json", error_json(e.message(), e.remedy())};
+    } catch (const std::exception& e) {
+      return {500, "application/json", error_json(std::string("internal error: ") + e.what(), "")};
+    }
+  } catch (const std::exception&) {
+    return {500, "text/plain", ""};
+  }
+}
+
+HttpResponse PageServer::route(const std::string& name, const HttpRequest& request) {
+  using Get = HttpResponse (PageServer::*)(const HttpRequest&) const;
+  static const std::map<std::string, Get> gets{
+      {"state", &PageServer::get_state}, {"photo", &PageServer::get_photo}, {"camera", &PageServer::get_camera}};
+  using Post = HttpResponse (PageServer::*)(const HttpRequest&);
+  static const std::map<std::string, Post> posts{
+      {"event", &PageServer::post_event}, {"picture", &PageServer::post_picture}, {"export", &PageServer::post_export}};
+  const auto not_this = [](const char* allowed) {
+    HttpResponse wrong{405, "application/json", error_json("this address takes another method", "")};
+    wrong.allow = allowed;
+    return wrong;
+  };
+  if (const auto post = posts.find(name); post != posts.end())
+    return request.method == "POST" ? (this->*(post->second))(request) : not_this("POST");
+  if (const auto get = gets.find(name); get != gets.end())
+    return request.method == "GET" ? (this->*(get->second))(request) : not_this("GET");
+  const std::string exported = "export/";
+  const auto file = options_.files.find(name);
+  if (file == options_.files.end() && !name.starts_with(exported))
+    return {404, "application/json", error_json("nothing is at this address", "see docs/reference/labelling_http.md")};
+  if (request.method != "GET") return not_this("GET");
+  if (file == options_.files.end()) return get_export(name.substr(exported.size()));
+  return {200, file->second.type, file->second.bytes};
+}
+
+// Exports change beside the session, so the page follows the sum of both counts.
+HttpResponse PageServer::get_state(const HttpRequest& request) const {
+  std::uint64_t after = query_number(request.query, "after", 0, kMostNumber);
+  const auto end = Clock::now() + std::chrono::milliseconds(options_.longest_poll_ms);
+  if (after > source_.state()->revision + exports_.changes()) after = 0;  // of an earlier life of the server
+  for (;;) {
+    const std::uint64_t exported = exports_.changes();
+    const std::uint64_t known = after > exported ? after - exported : 0;
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
+    const bool last = left.count() <= 0 || stopping_ || after == 0;
+    const auto state = last ? source_.state() : source_.wait_state(known, std::min(kLook, left));
+    if (last || state->revision + exported > after)
+      return json(state_json(*state, source_, exports_.list(), known, state->revision + exported));
+  }
+}
+
+void PageServer::check_view(std::uint64_t view) const {
+  const std::size_t views = source_.state()->views.size();
+  if (view >= views)
+    throw Error(ErrorKind::data, "view " + std::to_string(view) + ": the scene has " + std::to_string(views) + " views",
+                "count from 0; the views are listed in the state");
+}
+
+int PageServer::view_of(const HttpRequest& request) const {
+  const std::uint64_t view = query_number(request.query, "view", kMostNumber, kMostNumber);
+  if (view == kMostNumber) throw Error(ErrorKind::data, "request: 'view' is missing", "ask for ?view=0");
+  check_view(view);
+  return static_cast<int>(view);
+}
+
+HttpResponse PageServer::get_photo(const HttpRequest& request) const {
+  const auto most = static_cast<std::int32_t>(query_number(request.query, "most_px", 0, kMostPictureSide));
+  const std::vector<std::uint8_t> jpeg = photo_jpeg(source_.photo(view_of(request)), most);
+  HttpResponse response{200, kJpeg, std::string(jpeg.begin(), jpeg.end())};
+  response.cache = kForEver;
+  return response;
+}
+
+HttpResponse PageServer::get_camera(const HttpRequest& request) const {
+  return json(camera_json(source_.camera_of(view_of(request))));
+}
+
+HttpResponse PageServer::post_event(const HttpRequest& request) {
+  LabelEvent event = parse_label_event(request.body);
+  event.unix_ms = now_ms();
+  const bool applied = source_.apply(event);
+  const std::uint64_t revision = source_.state()->revision + exports_.changes();
+  return json(nlohmann::ordered_json{{"applied", applied}, {"revision", revision}}.dump());
+}
+
+HttpResponse PageServer::post_picture(const HttpRequest& request) {
+  const PictureRequest wanted = parse_picture_request(request.body);
+  if (!wanted.camera) check_view(static_cast<std::uint64_t>(wanted.view));
+  const Picture picture = source_.picture(wanted);
+  return {200, "application/octet-stream", picture_bytes(picture, source_.state()->classes)};
+}
+
+HttpResponse PageServer::post_export(const HttpRequest& request) {
+  const std::string id = exports_.start(parse_export_request(request.body));
+  return json(nlohmann::ordered_json{{"id", id}}.dump());
+}
+
+HttpResponse PageServer::get_export(const std::string& rest) const {
+  const std::size_t slash = rest.find('/');
+  const std::string number = slash == std::string::npos ? "" : rest.substr(slash + 1);
+  const bool digits = !number.empty() && number.size() < 4 &&
+                      std::all_of(number.begin(), number.end(), [](char c) { return c >= '0' && c <= '9'; });
+  const std::string file = digits ? exports_.file(rest.substr(0, slash), std::stoul(number)) : "";
+  if (file.empty())
+    return {404, "application/json", error_json("no such file of an export", "the state lists what is done")};
+  HttpResponse response{200, type_of_export(file), ""};
+  response.file = file;
+  response.download_name = file.substr(file.rfind('/') + 1);
+  return response;
+}
+
+}  // namespace semfield::app

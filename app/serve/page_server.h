@@ -1,0 +1,62 @@
+// The page over HTTP: every address below the secret folder, and what it answers.
+#pragma once
+
+#include <atomic>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "app/serve/http_server.h"
+#include "app/serve/page_access.h"
+#include "app/serve/page_exports.h"
+#include "app/serve/page_files.h"
+#include "app/serve/page_source.h"
+
+namespace semfield::app {
+
+struct PageOptions {
+  HttpOptions http;
+  bool next_port = false;  ///< when http.port is taken, one of the 99 behind it
+  ExportOptions exports;
+  std::map<std::string, PageFile> files;
+  std::string token;            ///< new_token()
+  int longest_poll_ms = 20000;  ///< how long a request for news waits
+};
+
+class PageServer final : private HttpHandler {
+ public:
+  /// Serves when it returns; the source must outlive it. Throws as free_port does.
+  PageServer(PageSource& source, PageOptions options);
+  /// Requests that wait for news are answered, pictures are waited for.
+  ~PageServer() override;
+  PageServer(const PageServer&) = delete;
+  PageServer& operator=(const PageServer&) = delete;
+
+  /// The address to open.
+  std::string url() const { return access_->url(); }
+  int port() const { return access_->port(); }
+
+ private:
+  std::optional<HttpResponse> refuse(const HttpRequest& head) noexcept override;
+  HttpResponse answer(const HttpRequest& request) noexcept override;
+
+  HttpResponse route(const std::string& name, const HttpRequest& request);
+  HttpResponse get_state(const HttpRequest& request) const;
+  HttpResponse get_photo(const HttpRequest& request) const;
+  HttpResponse get_camera(const HttpRequest& request) const;
+  HttpResponse get_export(const std::string& rest) const;
+  HttpResponse post_event(const HttpRequest& request);
+  HttpResponse post_picture(const HttpRequest& request);
+  HttpResponse post_export(const HttpRequest& request);
+  int view_of(const HttpRequest& request) const;
+  void check_view(std::uint64_t view) const;
+
+  PageSource& source_;
+  PageOptions options_;
+  PageExports exports_;
+  std::atomic<bool> stopping_{false};
+  std::unique_ptr<PageAccess> access_;
+  std::unique_ptr<HttpServer> http_;
+};
+
+}  // namespace semfield::app

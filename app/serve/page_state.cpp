@@ -1,0 +1,103 @@
+#include "app/serve/page_state.h"
+
+#include <nlohmann/json.hpp>
+
+namespace semfield::app {
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// Texts of files and folders may be no UTF-8; numbers that are none become null.
+std::string text_of(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
+
+Json run_json(const LabelState& s) {
+  return {{"name", s.name},
+          {"folder", s.run_dir},
+          {"device", s.device},
+          {"step", s.step},
+          {"train_s", s.train_s},
+          {"loss", s.loss},
+          {"psnr", s.psnr_db},
+          {"rays_per_s", s.rays_per_s},
+          {"phase", s.phase},
+          {"geometry_ready", s.geometry_ready},
+          {"temperature", s.temperature}};
+}
+
+Json class_json(const ClassState& c) {
+  return {{"index", c.index},          {"id", c.id},         {"name", c.name},
+          {"color", c.color},          {"clicks", c.clicks}, {"area_share", c.area_share},
+          {"confidence", c.confidence}};
+}
+
+Json view_json(const ViewState& v) {
+  return {{"frame", v.frame},   {"width", v.width_px},  {"height", v.height_px},
+          {"clicks", v.clicks}, {"entropy", v.entropy}, {"ready", v.ready}};
+}
+
+Json mark_json(const Annotations::Mark& mark, const PageSource& source) {
+  Json points = Json::array();
+  for (const PixelPoint& p : mark.points) points.push_back({p.x, p.y});
+  return {{"id", mark.id},
+          {"view", source.view_of(mark.frame)},
+          {"points", std::move(points)},
+          {"radius", mark.radius_px},
+          {"class", mark.class_index}};
+}
+
+Json proposal_json(const std::optional<ProposalState>& p) {
+  if (!p) return nullptr;
+  return {
+      {"id", p->id}, {"view", p->view}, {"at", {p->at.x, p->at.y}}, {"why", p->why}, {"class_guess", p->class_guess}};
+}
+
+template <class Items, class ToJson>
+Json list(const Items& items, ToJson&& to_json) {
+  Json out = Json::array();
+  for (const auto& item : items) out.push_back(to_json(item));
+  return out;
+}
+
+}  // namespace
+
+std::string state_json(const LabelState& s, const PageSource& source, const std::vector<ExportState>& exports,
+                       std::uint64_t known, std::uint64_t revision) {
+  Json out;
+  out["revision"] = revision;
+  out["overlay"] = {{"revision", s.overlay_revision}, {"events", s.overlay_events}};
+  out["events"] = s.events;
+  out["run"] = run_json(s);
+  out["room"] = {{"named", s.named}, {"most", s.room}};
+  out["classes"] = list(s.classes, class_json);
+  out["views"] = list(s.views, view_json);
+  out["proposal"] = proposal_json(s.proposal);
+  out["marks"] = nullptr;
+  if (known == 0 || s.marks_revision > known)
+    out["marks"] = list(s.marks, [&](const Annotations::Mark& mark) { return mark_json(mark, source); });
+  out["history"] = nullptr;
+  if (known == 0 || s.history_revision > known)
+    out["history"] = list(s.history, [](const HistoryRow& row) {
+      return Json{row.train_s, row.loss, row.psnr_db, row.clicks};
+    });
+  out["exports"] = list(exports, [](const ExportState& e) {
+    return Json{{"id", e.id}, {"what", e.what}, {"state", e.state}, {"text", e.text}, {"files", e.files}};
+  });
+  out["notes"] = s.notes;
+  out["failure"] = s.failure;
+  return text_of(out);
+}
+
+std::string camera_json(const FreeCamera& camera) {
+  const Pose& pose = camera.world_from_camera;
+  Json rotation = Json::array();
+  for (const auto& row : pose.r)
+    for (const double value : row) rotation.push_back(value);
+  return text_of({{"position", {pose.t.x, pose.t.y, pose.t.z}}, {"rotation", rotation}, {"fov_deg", camera.fov_deg}});
+}
+
+std::string error_json(const std::string& message, const std::string& remedy) {
+  return text_of({{"error", message}, {"remedy", remedy}});
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,31 @@
+// The state of a session as JSON, as the page follows it.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "app/serve/page_source.h"
+
+namespace semfield::app {
+
+/// One export, as the page shows it.
+struct ExportState {
+  std::string id;
+  std::string what;                ///< "labels", "coco" or "mesh"
+  std::string state = "running";   ///< or "done", "failed"
+  std::string text;                ///< a short sentence
+  std::vector<std::string> files;  ///< names, when it is done
+};
+
+/// `known`: the session's revision that the client has seen, 0 for none: marks and history that are no newer are null.
+/// `revision`: what the client gives back as `after`.
+std::string state_json(const LabelState& state, const PageSource& source, const std::vector<ExportState>& exports,
+                       std::uint64_t known, std::uint64_t revision);
+
+/// {"position", "rotation", "fov_deg"}, as pictures of a free camera ask for it.
+std::string camera_json(const FreeCamera& camera);
+
+/// {"error", "remedy"}.
+std::string error_json(const std::string& message, const std::string& remedy);
+
+}  // namespace semfield::app

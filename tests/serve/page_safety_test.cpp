@@ -1,0 +1,288 @@
+// What the page's server refuses, and that no client can hold it up.
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <cstdio>
+#include <future>
+#include <list>
+#include <random>
+#include <set>
+
+#include "tests/serve/served_page.h"
+
+namespace semfield::app {
+namespace {
+
+using testing_http::Answer;
+using testing_http::Connection;
+
+TEST_F(ServedPage, WithoutTheTokenThereIsNothing) {
+  const std::string end = " HTTP/1.1\r\nHost: " + host() + "\r\n\r\n";
+  std::string almost = token();
+  almost.back() = 'b';
+  for (const std::string& path :
+       {std::string("/"), std::string("/state"), "/" + almost + "/state", "/" + token() + "b/state",
+        "/" + token().substr(1) + "/state", "/x/" + token() + "/state", "//" + token() + "/state"}) {
+    const Answer answer = ask("GET " + path + end);
+    EXPECT_EQ(answer.status, 404) << path;
+    EXPECT_EQ(answer.body, "not found\n") << path;
+  }
+}
+
+TEST_F(ServedPage, TokensAreLongAndDiffer) {
+  std::set<std::string> tokens;
+  for (int i = 0; i < 100; ++i) tokens.insert(new_token());
+  EXPECT_EQ(tokens.size(), 100u);
+  for (const std::string& t : tokens) {
+    EXPECT_EQ(t.size(), 32u);
+    EXPECT_EQ(t.find_first_not_of("0123456789abcdef"), std::string::npos);
+  }
+}
+
+TEST_F(ServedPage, AnotherHostIsRefused) {
+  const auto with_host = [&](const std::string& lines) {
+    return ask("GET /" + token() + "/state HTTP/1.1\r\n" + lines + "\r\n").status;
+  };
+  const std::string p = std::to_string(port());
+  for (const std::string& good : {"127.0.0.1:" + p, "localhost:" + p, "LocalHost:" + p})
+    EXPECT_EQ(with_host("Host: " + good + "\r\n"), 200) << good;
+  for (const std::string& bad :
+       {std::string("evil.example:") + p, std::string("127.0.0.1"), std::string("127.0.0.1:1"), "127.0.0.2:" + p,
+        "127.0.0.1:" + p + "0", "localhost.evil.example:" + p, std::string("")})
+    EXPECT_EQ(with_host("Host: " + bad + "\r\n"), 403) << bad;
+  EXPECT_EQ(with_host(""), 403);
+  EXPECT_EQ(with_host("Host: 127.0.0.1:" + p + "\r\nHost: evil.example\r\n"), 403);
+}
+
+TEST_F(ServedPage, AServerOfEveryAddressKnowsNumbersAlone) {
+  const PageAccess access(token(), "0.0.0.0", 8787);
+  const auto allowed = [&](const std::string& host) {
+    return !access.refuse({"GET", "/" + token() + "/state", "", {{"host", host}}, ""}).has_value();
+  };
+  EXPECT_TRUE(allowed("192.168.1.7:8787"));
+  EXPECT_TRUE(allowed("localhost:8787"));
+  EXPECT_FALSE(allowed("evil.example:8787"));
+  EXPECT_FALSE(allowed("192.168.1.7:8788"));
+  EXPECT_EQ(access.url(), "http://127.0.0.1:8787/" + token() + "/");
+}
+
+TEST_F(ServedPage, PagesOfOthersMayNotSend) {
+  const auto as = [&](const std::string& lines) { return ask(text("POST", "event", click("a-1"), lines)).status; };
+  for (const char* bad : {"Origin: http://evil.example\r\n", "Origin: null\r\n", "Origin: http://127.0.0.1:1\r\n",
+                          "Sec-Fetch-Site: cross-site\r\n", "Sec-Fetch-Site: same-site\r\n"})
+    EXPECT_EQ(as(bad), 403) << bad;
+  EXPECT_EQ(as("Origin: https://" + host() + "\r\n"), 403);
+  EXPECT_EQ(as("Origin: http://localhost:" + std::to_string(port()) + "\r\n"), 403);  // not the one that was asked
+  EXPECT_EQ(source_.events().size(), 0u);
+  EXPECT_EQ(as("Origin: http://" + host() + "\r\nSec-Fetch-Site: same-origin\r\n"), 200);
+}
+
+TEST_F(ServedPage, PagesOfOthersMayLinkAndNothingElse) {
+  const auto as = [&](const std::string& lines) { return ask(text("GET", "", "", lines)).status; };
+  const std::string cross = "Sec-Fetch-Site: cross-site\r\n";
+  EXPECT_EQ(as(cross), 403);
+  EXPECT_EQ(as(cross + "Sec-Fetch-Mode: no-cors\r\nSec-Fetch-Dest: image\r\n"), 403);
+  EXPECT_EQ(as(cross + "Sec-Fetch-Mode: navigate\r\nSec-Fetch-Dest: iframe\r\n"), 403);
+  EXPECT_EQ(as(cross + "Sec-Fetch-Mode: navigate\r\nSec-Fetch-Dest: document\r\n"), 200);
+}
+
+TEST_F(ServedPage, LargeBodiesAreRefusedUnread) {
+  const std::string large(300 << 10, ' ');
+  EXPECT_EQ(post("event", large).status, 413);
+  Connection promised(port());
+  promised.send("POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\nContent-Length: 99999999999\r\n\r\n");
+  EXPECT_EQ(promised.receive(5).status, 413);
+  Connection chunks(port());
+  chunks.send("POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\nTransfer-Encoding: chunked\r\n\r\n");
+  for (int i = 0; i < 64 && chunks.send("2000\r\n" + std::string(0x2000, ' ') + "\r\n"); ++i) {
+  }
+  EXPECT_EQ(chunks.receive(5).status, 413);
+  EXPECT_EQ(source_.events().size(), 0u);
+}
+
+TEST_F(ServedPage, ABodyInChunksIsRead) {
+  const std::string body = click("a-1");
+  char size[16];
+  std::snprintf(size, sizeof size, "%zx", body.size());
+  EXPECT_EQ(ask("POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\nTransfer-Encoding: chunked\r\n\r\n" +
+                size + "\r\n" + body + "\r\n0\r\n\r\n")
+                .status,
+            200);
+  EXPECT_EQ(source_.events().size(), 1u);
+}
+
+TEST_F(ServedPage, ARequestWithTwoLengthsIsRefused) {
+  for (const char* lengths :
+       {"Content-Length: 5\r\nContent-Length: 6\r\n", "Content-Length: 5\r\nTransfer-Encoding: chunked\r\n"}) {
+    Connection c(port());
+    c.send("POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\n" + lengths + "\r\n0\r\n\r\n");
+    const int status = c.receive(5).status;
+    EXPECT_TRUE(status == 400 || status == 0) << lengths << status;  // 0: civetweb itself hangs up
+    EXPECT_TRUE(c.closes(5)) << lengths;
+  }
+  EXPECT_EQ(source_.events().size(), 0u);
+}
+
+TEST_F(ServedPage, LongHeadsAreCutOff) {
+  Connection c(port());
+  c.send("GET /" + token() + "/ HTTP/1.1\r\nHost: " + host() + "\r\nX: ");
+  for (int i = 0; i < 100 && c.send(std::string(1 << 16, 'z')); ++i) {
+  }
+  EXPECT_TRUE(c.closes(10));
+}
+
+TEST_F(ServedPage, ClientsThatSendAByteAtATimeAreCutOffWhileOthersAreServed) {
+  std::list<Connection> slow;
+  for (int i = 0; i < 8; ++i) slow.emplace_back(port());  // half of the threads
+  for (Connection& c : slow)
+    c.send("POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\nContent-Length: 1000\r\n\r\n");
+  bool cut = false;
+  for (int i = 0; i < 60 && !cut; ++i) {
+    cut = true;
+    for (Connection& c : slow) cut = !c.send("x") && cut;
+    EXPECT_EQ(get("").status, 200);
+    std::this_thread::sleep_for(std::chrono::milliseconds(500));
+  }
+  EXPECT_TRUE(cut) << "still served after 30 s";
+}
+
+TEST_F(ServedPage, ClientsThatReadNothingAreCutOffWhileOthersAreServed) {
+  PageOptions o = options();
+  o.files["big.js"] = {"text/javascript", std::string(64 << 20, 'x')};
+  o.http.head_ms = 1000;
+  start(o);
+  std::list<Connection> deaf;
+  for (int i = 0; i < 8; ++i) deaf.emplace_back(port());
+  for (Connection& c : deaf) c.send(text("GET", "big.js"));
+  for (int i = 0; i < 20; ++i) EXPECT_EQ(get("").status, 200);
+  std::this_thread::sleep_for(std::chrono::seconds(4));
+  for (int i = 0; i < 12; ++i) deaf.emplace_back(port());  // more than the threads that would be left
+  EXPECT_EQ(get("").status, 200);
+}
+
+TEST_F(ServedPage, IdleConnectionsDoNotHoldTheServer) {
+  std::list<Connection> idle;
+  for (int i = 0; i < 100; ++i) idle.emplace_back(port());
+  const Answer answer = get("");  // behind those that wait, each of which is cut off in time
+  EXPECT_EQ(answer.status, 200);
+}
+
+TEST_F(ServedPage, TenThousandMalformedMessagesLeaveTheSourceUntouched) {
+  std::mt19937 random(7);
+  const std::string good_event = click("a-1"), good_picture = R"({"client":"c","view":0,"labels":true})",
+                    good_export = R"({"what":"coco"})";
+  int sent = 0;
+  const auto below = [&](std::size_t n) { return static_cast<std::size_t>(random()) % n; };
+  while (sent < 10000) {
+    Connection c(port());
+    for (int on_one = 0; on_one < 50 && sent < 10000; ++on_one, ++sent) {
+      const std::size_t kind = below(4);
+      std::string bytes;
+      if (kind == 0) {  // anything at all, as a head
+        for (std::size_t i = 1 + below(200); i > 0; --i) bytes += static_cast<char>(random());
+        bytes += "\r\n\r\n";
+        c.send(bytes);
+        break;
+      }
+      // A good body with bytes changed, cut or doubled, so that it is no good one any more.
+      const std::string& whole = kind == 1 ? good_event : kind == 2 ? good_picture : good_export;
+      std::string body = whole;
+      for (std::size_t i = 1 + below(4); i > 0; --i) {
+        const std::size_t at = below(body.size());
+        switch (below(3)) {
+          case 0:
+            body[at] = static_cast<char>(random());
+            break;
+          case 1:
+            body.resize(at + 1);
+            break;
+          default:
+            body.insert(at, body.substr(at));
+        }
+      }
+      body += '!';  // never JSON
+      c.send(text("POST", kind == 1 ? "event" : kind == 2 ? "picture" : "export", body));
+      const Answer answer = c.receive();
+      ASSERT_TRUE(answer.status == 400 || answer.status == 413) << answer.status << " for " << body;
+    }
+  }
+  EXPECT_EQ(source_.events().size(), 0u);
+  EXPECT_TRUE(source_.requests.empty());
+  EXPECT_EQ(source_.saves, 0);
+  EXPECT_EQ(source_.state()->revision, 5u);
+  EXPECT_EQ(post("event", good_event).status, 200);
+}
+
+TEST_F(ServedPage, OddPathsAndHeadsLeaveTheServerAnswering) {
+  const std::vector<std::string> odd{
+      "GET / HTTP/1.1\r\n\r\n",
+      "GET  HTTP/1.1\r\n\r\n",
+      "GET /" + token() + "/" + std::string(15000, 'a') + " HTTP/1.1\r\nHost: " + host() + "\r\n\r\n",
+      "GET /" + std::string(8000, '/') + " HTTP/1.1\r\nHost: " + host() + "\r\n\r\n",
+      "GET /" + token() + "/" + std::string(3000, '.') + std::string(3000, '/') + " HTTP/1.1\r\nHost: " + host() +
+          "\r\n\r\n",
+      "GET /%%%%%%%%00%ff%f HTTP/1.1\r\nHost: " + host() + "\r\n\r\n",
+      "GET http://evil.example/" + token() + "/ HTTP/1.1\r\nHost: " + host() + "\r\n\r\n",
+      "GET * HTTP/1.1\r\nHost: " + host() + "\r\n\r\n",
+      "GET /" + token() + "/ HTTP/9.9\r\nHost: " + host() + "\r\n\r\n",
+      "GET /" + token() + "/ HTTP/1.1\nHost: " + host() + "\n\n",
+      "POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\nContent-Length: -1\r\n\r\n",
+      "POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\nContent-Length: 99999999999999999999999\r\n\r\n",
+      "POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\nTransfer-Encoding: chunked\r\n\r\nzzzz\r\n",
+      "POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() +
+          "\r\nTransfer-Encoding: chunked\r\n\r\nffffffffffffffff\r\n",
+      "GET /" + token() +
+          "/ HTTP/1.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+          "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nHost: " +
+          host() + "\r\n\r\n",
+      std::string("\0\0\0\0\r\n\r\n", 8)};
+  for (const std::string& request : odd) {
+    Connection c(port());
+    c.send(request);
+    const int status = c.receive(4).status;
+    EXPECT_NE(status, 101);
+    EXPECT_NE(status, 500) << request.substr(0, 80);
+    EXPECT_EQ(get("").status, 200) << request.substr(0, 80);
+  }
+  EXPECT_EQ(source_.events().size(), 0u);
+}
+
+TEST_F(ServedPage, ClosingAnswersRequestsThatWait) {
+  std::future<Answer> waiting = std::async(std::launch::async, [&] { return get("state?after=5"); });
+  std::this_thread::sleep_for(std::chrono::milliseconds(200));
+  server_.reset();
+  EXPECT_EQ(waiting.get().status, 200);
+}
+
+TEST_F(ServedPage, APortThatIsTakenIsNamedOrTheNextIsUsed) {
+  PageOptions o = options();
+  o.http.port = port();
+  FakeSource other;
+  try {
+    const PageServer second(other, o);
+    FAIL() << "two servers on one port";
+  } catch (const Error& e) {
+    EXPECT_EQ(e.kind(), ErrorKind::unavailable);
+    EXPECT_EQ(e.message(), "port " + std::to_string(port()) + " of 127.0.0.1 is taken by another program");
+    EXPECT_NE(e.remedy(), "");
+  }
+  o.next_port = true;
+  const PageServer second(other, o);
+  EXPECT_GT(second.port(), port());
+}
+
+TEST_F(ServedPage, AddressesThatAreNoneAreNamed) {
+  for (const auto& [address, kind] :
+       {std::pair{"somewhere", ErrorKind::usage}, {"::1", ErrorKind::usage}, {"203.0.113.7", ErrorKind::unavailable}}) {
+    try {
+      (void)free_port(address, 8787, true);
+      FAIL() << address;
+    } catch (const Error& e) {
+      EXPECT_EQ(e.kind(), kind) << address;
+      EXPECT_NE(e.message().find(address), std::string::npos);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace semfield::app
