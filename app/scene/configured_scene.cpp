@@ -12,7 +12,7 @@ OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context) {
   return opened;
 }
 
-LoadedScene load_for_labels(const OpenedDataset& opened, Diagnostics& diagnostics) {
+LoadedScene load_for_labels(OpenedDataset& opened, Diagnostics& diagnostics) {
   SceneLoadOptions load = opened.config.load;
   load.depth = opened.config.labels.wants_depth() ? DepthKept::all : DepthKept::none;
   load.with_instances = opened.config.labels.needs_instances();

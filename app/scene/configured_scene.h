@@ -17,6 +17,6 @@ struct OpenedDataset {
 OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context);
 
 /// The scene with what its label steps ask for.
-LoadedScene load_for_labels(const OpenedDataset& opened, Diagnostics& diagnostics);
+LoadedScene load_for_labels(OpenedDataset& opened, Diagnostics& diagnostics);
 
 }  // namespace semfield::app

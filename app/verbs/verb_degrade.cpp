@@ -19,7 +19,7 @@ struct DegradeOptions {
 
 int run(const DegradeOptions& options, AppContext& context) {
   refuse_used_folder(options.out);
-  const OpenedDataset opened = dataset_of(options.config, context);
+  OpenedDataset opened = dataset_of(options.config, context);
   Diagnostics diagnostics;
   const LoadedScene scene = load_for_labels(opened, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");

@@ -34,8 +34,8 @@ void show_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnos
 }
 
 // Training would refuse it at its first step.
-void check_ray_source(const LoadedScene& scene, const TrainParams& params, Diagnostics& diagnostics) {
-  if (params.ray_source != RaySourceKind::label_balanced) return;
+void check_ray_source(const LoadedScene& scene, const RunConfig& config, Diagnostics& diagnostics) {
+  if (config.train.ray_source != RaySourceKind::label_balanced || config.labels.selection.class_room > 0) return;
   for (const int f : scene.frames_of(Split::train)) {
     const std::vector<std::int64_t>& pixels = scene.class_pixels[static_cast<std::size_t>(f)];
     if (!pixels.empty() && std::any_of(pixels.begin(), pixels.end() - 1, [](std::int64_t n) { return n > 0; })) return;
@@ -49,7 +49,7 @@ int run(const InspectOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   LoadedScene scene = load_for_labels(opened, diagnostics);
   if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
-  if (!diagnostics.has_errors()) check_ray_source(scene, opened.config.train, diagnostics);
+  if (!diagnostics.has_errors()) check_ray_source(scene, opened.config, diagnostics);
   std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
   if (!options.frusta.empty()) {
     write_frusta_ply(options.frusta, scene);

@@ -23,6 +23,8 @@ struct LabelParams {
   LabelMode mode = LabelMode::even;
   std::int64_t seed = 1;
   std::vector<std::string> names;
+  std::string clicks;  ///< label events (labels/clicks) painted over the labels; absolute
+  int class_room = 0;
 };
 void describe(ParamVisitor& visit, LabelParams& params);
 void validate(const LabelParams& params, Diagnostics& diagnostics);

@@ -65,6 +65,8 @@ class LabelReader : public LabelStep {
   /// table that the files bring, empty without one. `known` is the table of the scene, which wins where both exist;
   /// paths in the parameters are absolute.
   virtual ClassTable open(const ClassTable& known, Diagnostics& diagnostics) = 0;
+  /// True: the table that open() returns is `known` with classes behind its own, and takes its place.
+  virtual bool adds_classes() const { return false; }
   /// Whether the frame has labels here; frames are told apart by FrameInfo::name and by the stem of FrameInfo::source.
   virtual bool has(const FrameInfo& frame) const = 0;
   /// Thread-safe. `classes` is the table that holds for the run; names or ids that it lacks throw Error(data) naming

@@ -1,9 +1,11 @@
 #include "labels/training_labels.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <optional>
 
 #include "compute/parallel.h"
+#include "labels/clicks/click_log.h"
 #include "labels/label_files.h"
 #include "scene/scene_checks.h"
 #include "scene/unknown_labels.h"
@@ -77,7 +79,8 @@ LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const 
 
 // As in LoadedScene. Soft labels count for their most probable class; a class that is nowhere the most probable but has
 // probability somewhere counts 1, so that it keeps its logit.
-std::vector<std::int64_t> count_classes(const FrameLabels& frame, int classes) {
+template <class Labels>
+std::vector<std::int64_t> count_classes(const Labels& frame, int classes) {
   const auto valid = static_cast<std::size_t>(classes);
   std::vector<std::int64_t> counts(valid + 1);
   std::vector<float> row(valid);
@@ -96,6 +99,15 @@ std::vector<std::int64_t> count_classes(const FrameLabels& frame, int classes) {
   return counts;
 }
 
+// Of a table that has only classes behind those of the scene's own.
+void take_table(LoadedScene& scene, const ClassTable& table) {
+  const auto added = static_cast<std::size_t>(std::max(0, table.valid_count() - scene.info.classes.valid_count()));
+  for (std::vector<std::int64_t>& counts : scene.class_pixels) {
+    if (!counts.empty()) counts.insert(counts.end() - 1, added, 0);  // the last one counts void
+  }
+  scene.info.classes = table;
+}
+
 }  // namespace
 
 bool LabelConfig::needs_instances() const {
@@ -106,8 +118,9 @@ bool LabelConfig::wants_depth() const {
   return std::any_of(degrade.begin(), degrade.end(), [](const Step& s) { return s.degradation->wants_depth(); });
 }
 
-void open_label_files(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
-  if (!config.from.reader) return;
+namespace {
+
+void open_reader(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
   Diagnostics found;
   const ClassTable table = config.from.reader->open(scene.info.classes, found);
   for (const Diagnostic& d : found.all()) {
@@ -128,11 +141,34 @@ void open_label_files(LoadedScene& scene, const LabelConfig& config, Diagnostics
     diagnostics.error("scene.labels.from", "no training frame has labels",
                       "use the names of the frames, such as '" + frames.front().name + "'");
   }
-  if (scene.info.classes.empty()) scene.info.classes = table;
+  if (scene.info.classes.empty() || config.from.reader->adds_classes()) take_table(scene, table);
   if (scene.info.classes.empty() && !diagnostics.has_errors()) {
     diagnostics.error("scene.labels.from", "neither the scene nor its label files have a class table",
                       "write classes.yaml beside the scene, or name a table in scene.labels.from");
   }
+}
+
+Annotations read_clicks(const SceneInfo& scene, const LabelParams& params, Diagnostics& diagnostics) {
+  Diagnostics found;
+  std::vector<LabelEvent> events;
+  std::error_code unknown;
+  try {
+    if (!params.clicks.empty() && (params.class_room == 0 || std::filesystem::exists(params.clicks, unknown)))
+      events = read_click_log(params.clicks, found);
+    for (const Diagnostic& d : found.all()) diagnostics.warning("scene.labels.clicks: " + d.where, d.message, d.remedy);
+    return replay(scene, params.class_room, events, params.clicks);
+  } catch (const Error& e) {
+    throw Error(e.kind(), "scene.labels.clicks: " + e.message(), e.remedy());
+  }
+}
+
+}  // namespace
+
+void open_label_files(LoadedScene& scene, LabelConfig& config, Diagnostics& diagnostics) {
+  if (config.from.reader) open_reader(scene, config, diagnostics);
+  if (diagnostics.has_errors() || (config.selection.clicks.empty() && config.selection.class_room == 0)) return;
+  config.clicks = read_clicks(scene.info, config.selection, diagnostics);
+  take_table(scene, config.clicks->classes());
 }
 
 void read_test_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
@@ -208,12 +244,19 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
     }
     labels[i] = {};
   });
+  if (config.clicks) {
+    out.unclicked = out.frames;
+    const std::vector<int> clicked = config.clicks->frames_with_marks();
+    parallel_for(std::ssize(clicked),
+                 [&](std::int64_t i) { paint_clicks(*config.clicks, clicked[static_cast<std::size_t>(i)], out); });
+  }
   const auto has_class = [](const std::vector<std::int64_t>& pixels) {
     return !pixels.empty() && std::any_of(pixels.begin(), pixels.end() - 1, [](std::int64_t n) { return n > 0; });
   };
   const auto labelled = std::count_if(out.class_pixels.begin(), out.class_pixels.end(),
                                       [](const auto& pixels) { return !pixels.empty(); });
-  if (labelled > 0 && std::none_of(out.class_pixels.begin(), out.class_pixels.end(), has_class)) {
+  if (labelled > 0 && config.selection.class_room == 0 &&
+      std::none_of(out.class_pixels.begin(), out.class_pixels.end(), has_class)) {
     diagnostics.error(scene.info.name,
                       "the labels of all " + std::to_string(labelled) +
                           " labelled training frames are void in every pixel: nothing can be learned from them",
@@ -222,6 +265,34 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
   }
   out.soft = std::any_of(out.frames.begin(), out.frames.end(), [](const auto& f) { return !f.soft.empty(); });
   return out;
+}
+
+void paint_clicks(const Annotations& clicks, int frame, TrainingLabels& labels) {
+  const auto f = static_cast<std::size_t>(frame);
+  const TrainingLabels::Frame& base = labels.unclicked.at(f);
+  TrainingLabels::Frame& out = labels.frames[f];
+  const bool clicked = std::any_of(clicks.marks().begin(), clicks.marks().end(),
+                                   [frame](const Annotations::Mark& mark) { return mark.frame == frame; });
+  if (!clicked) {
+    out = base;
+  } else if (base.soft.empty()) {
+    out = {LabelMap(clicks.paint(frame, base.hard.expand())), {}};
+  } else {
+    constexpr std::int16_t kNotPainted = -2;
+    out = base;
+    const auto classes = static_cast<std::size_t>(clicks.classes().valid_count());
+    const std::vector<std::int16_t> painted =
+        clicks.paint(frame, std::vector<std::int16_t>(base.soft.pixels(), kNotPainted));
+    std::vector<float> row(classes);
+    for (std::size_t p = 0; p < painted.size(); ++p) {
+      if (painted[p] == kNotPainted) continue;
+      std::fill(row.begin(), row.end(), 0.0F);
+      if (painted[p] >= 0) row[static_cast<std::size_t>(painted[p])] = 1;
+      out.soft.set_row(p, row);
+    }
+  }
+  labels.class_pixels[f].clear();
+  if (!out.empty()) labels.class_pixels[f] = count_classes(out, clicks.classes().valid_count());
 }
 
 }  // namespace semfield

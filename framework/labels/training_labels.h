@@ -2,9 +2,11 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "labels/clicks/annotations.h"
 #include "labels/label_selection.h"
 #include "labels/label_steps.h"
 
@@ -22,6 +24,8 @@ struct LabelConfig {
     std::unique_ptr<Degradation> degradation;
   };
   std::vector<Step> degrade;  ///< applied in order
+  /// What selection.clicks tells, once open_label_files has read it; none without the keys clicks and class_room.
+  std::optional<Annotations> clicks;
   bool needs_instances() const;
   bool wants_depth() const;
 };
@@ -38,7 +42,9 @@ struct TrainingLabels {
     std::size_t bytes() const { return hard.bytes() + soft.bytes(); }
   };
   std::vector<Frame> frames;  ///< as scene.info.frames
-  bool soft = false;          ///< some frame has soft labels
+  /// The same before clicks were painted over them; empty without LabelConfig::clicks.
+  std::vector<Frame> unclicked;
+  bool soft = false;  ///< some frame has soft labels
   struct Step {
     std::string type;
     StepFacts facts;
@@ -48,14 +54,19 @@ struct TrainingLabels {
 };
 
 /// Opens `from` (nothing without one): a scene without a class table takes the files' one. Throws when there is none.
-void open_label_files(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
+/// Then reads `clicks`, whose classes and those that wait for a name stand behind the others of the table.
+void open_label_files(LoadedScene& scene, LabelConfig& config, Diagnostics& diagnostics);
 
 /// Labels of test frames that the dataset does not have, from the files of `from`: they are the truth of these frames.
 void read_test_labels(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
 
 /// The scene's own labels of training frames, or those of `from`, scaled to the loaded size by the nearest pixel; then
-/// the selection of frames; then every degradation in order, with the selection's seed; a type that is named again draws
-/// anew. The scene's own labels stay in `scene` as the truth. Call open_label_files first.
+/// the selection of frames; then every degradation in order, with the selection's seed; a type that is named again
+/// draws anew; then the clicks, whatever the selection. The scene's own labels stay in `scene` as the truth. Call
+/// open_label_files first.
 TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics);
+
+/// The labels of a training frame become those of `unclicked` with its clicks of now.
+void paint_clicks(const Annotations& clicks, int frame, TrainingLabels& labels);
 
 }  // namespace semfield

@@ -12,8 +12,8 @@
 namespace semfield {
 
 /// Layout (all paths relative to the folder, which may be moved as a whole):
-///   run.yaml  classes.yaml  metrics.jsonl  events.out.tfevents.*  environment.json  left_out.json  labels.json
-///   final_eval.json  worst_frames.json  report.html  .lock
+///   run.yaml  classes.yaml  clicks.jsonl (of the labelling page)  metrics.jsonl  events.out.tfevents.*
+///   environment.json  left_out.json  labels.json final_eval.json  worst_frames.json  report.html  .lock
 ///   self_labels/round_00010000.safetensors (runs with self-training)
 ///   checkpoints/step_00020000.safetensors + latest    render/<split>/<frame>_{rgb,label,label_vis,depth,entropy}.*
 class RunFolder {
@@ -29,6 +29,7 @@ class RunFolder {
   const std::string& path() const { return path_; }
   std::string config_path() const { return in("run.yaml"); }
   std::string classes_path() const { return in("classes.yaml"); }
+  std::string clicks_path() const { return in("clicks.jsonl"); }
   std::string metrics_path() const { return in("metrics.jsonl"); }
   std::string environment_path() const { return in("environment.json"); }
   std::string left_out_path() const { return in("left_out.json"); }

@@ -69,9 +69,7 @@ void RaySource::relabel() {
   }
   if (options_.train.ray_source != RaySourceKind::label_balanced) return;
   index_labels();
-  if (ranks_before_.back() == 0) {
-    throw no_labelled_pixel();
-  }
+  if (!balanced() && !options_.labels_may_come) throw no_labelled_pixel();
 }
 
 void RaySource::index_labels() {
@@ -115,8 +113,7 @@ RaySource::Pixel RaySource::locate(std::int64_t global) const {
 
 // Every ray whose running share crosses an integer: spread evenly over the tiles.
 bool RaySource::for_its_label(std::int64_t ray) const {
-  return options_.train.ray_source == RaySourceKind::label_balanced &&
-         label_only_rays(options_.train.labelled_share, ray, ray + 1) > 0;
+  return balanced() && label_only_rays(options_.train.labelled_share, ray, ray + 1) > 0;
 }
 
 RayGroup RaySource::group_of(std::int64_t ray, std::int16_t label) const {
@@ -236,8 +233,7 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
 void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
   constexpr std::int64_t kPiece = 256;
   batch.resize(options_.train.rays, soft_logits_, options_.with_depth);
-  const bool apart =
-      options_.train.ray_source == RaySourceKind::label_balanced && !options_.train.label_rays_teach_color;
+  const bool apart = balanced() && !options_.train.label_rays_teach_color;
   batch.label_only_share = apart ? options_.train.labelled_share : 0;
   const std::int64_t tile_rays = std::min(options_.tile_rays, options_.train.rays);
   const std::int64_t tiles = (options_.train.rays + tile_rays - 1) / tile_rays;

@@ -58,8 +58,9 @@ struct BatchBuffers {
 };
 
 struct RaySourceOptions {
-  TrainParams train;        ///< rays a step, and where they come from
-  bool with_depth = false;  ///< batches tell the depth of their rays
+  TrainParams train;             ///< rays a step, and where they come from
+  bool labels_may_come = false;  ///< label_balanced draws from all pixels as long as none has a label; else an error
+  bool with_depth = false;       ///< batches tell the depth of their rays
   std::uint64_t seed = 1;
   std::int64_t tile_rays = 32;
 };
@@ -67,7 +68,7 @@ struct RaySourceOptions {
 class RaySource {
  public:
   /// `logit_of_class` maps a frame's class to the head's logit, kVoid for a class without one. Throws Error(data) when
-  /// there is no training pixel, or no labelled one for label_balanced.
+  /// there is no training pixel, or no labelled one for label_balanced unless labels_may_come.
   RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> logit_of_class, const RayLimits& limits,
             const RaySourceOptions& options);
 
@@ -114,6 +115,7 @@ class RaySource {
   // labelled ones lie before each block. A list of the pixels themselves would outweigh the labels.
   static constexpr std::int64_t kBlock = 64;
   void index_labels();
+  bool balanced() const { return !ranks_before_.empty() && ranks_before_.back() > 0; }
   Pixel labelled_pixel(std::uint32_t rank) const;
 
   std::vector<std::int64_t> offsets_;        // first global pixel of each frame, and the total

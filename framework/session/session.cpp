@@ -100,6 +100,7 @@ void measure_scene(Session& s) {
         std::max(facts.pixels, static_cast<std::size_t>(frame.width_px) * static_cast<std::size_t>(frame.height_px));
   }
   for (const TrainingLabels::Frame& frame : s.labels.frames) facts.frames += frame.bytes();
+  for (const TrainingLabels::Frame& frame : s.labels.unclicked) facts.frames += frame.bytes();
   facts.train_pixels = s.manifest.train_pixels;
   facts.classes = s.classes();
 }
@@ -137,7 +138,8 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   s.scene = load_scene(*dataset, load, diagnostics);
   if (options.trainable) require_loss_data(s.config.losses, s.scene.info, diagnostics);
   open_label_files(s.scene, s.config.labels, diagnostics);
-  if (options.trained_classes) require_class_table(*options.trained_classes, s.scene.info.classes);
+  if (options.trained_classes)
+    require_class_table(*options.trained_classes, s.scene.info.classes, s.config.labels.clicks);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
   if (load.pixels) read_test_labels(s.scene, s.config.labels, diagnostics);
   if (make_labels) s.labels = make_training_labels(s.scene, s.config.labels, diagnostics);
@@ -214,6 +216,7 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
   const std::size_t program_bytes = resident_bytes();
   keep_components(config, options.keep);
+  if (config.labels.selection.class_room > 0) keep_components(config, {"semantics", "absent_classes"});
   const InputLimits limits = config.limits;
   WorkSettings work = work_settings();
   work.limits = &limits;
@@ -224,9 +227,9 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   const DeviceId device = chosen.device;
   if (config.runtime.precision == Precision::automatic) {
     config.runtime.precision = precision_of(config, registry, device);  // what run.yaml says from here on
-    diagnostics.note("runtime.precision",
-                     config.runtime.precision == Precision::bf16 ? "auto is bf16 here, which this machine computes faster"
-                                                                 : "auto is fp32 here: no faster kernels of bf16");
+    diagnostics.note("runtime.precision", config.runtime.precision == Precision::bf16
+                                              ? "auto is bf16 here, which this machine computes faster"
+                                              : "auto is fp32 here: no faster kernels of bf16");
   }
   Session s = load_session(std::move(config), registry, options, chosen, diagnostics);
   s.memory_facts.program = program_bytes;
@@ -292,6 +295,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   RaySourceOptions options;
   options.train = config.train;
   options.with_depth = losses_read_depth(config.losses);
+  options.labels_may_come = config.labels.selection.class_room > 0;
   options.seed = config.runtime.seed;
   options.tile_rays = pipeline->executor().tile_rays(config.train.rays);
   return std::make_unique<RaySource>(std::move(frames), plan.semantics ? logit_of_class() : std::vector<std::int16_t>{},

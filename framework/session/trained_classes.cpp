@@ -13,6 +13,8 @@ namespace semfield {
 
 namespace {
 
+constexpr const char* kIgnored = ", ignored";
+
 // "'chair'" or "'void', ignored" by id.
 std::map<std::int64_t, std::string> classes_by_id(const std::string& yaml) {
   std::map<std::int64_t, std::string> out;
@@ -29,14 +31,14 @@ std::map<std::int64_t, std::string> classes_by_id(const std::string& yaml) {
     std::int64_t number = -1;
     if (id != nullptr) std::from_chars(id->text().data(), id->text().data() + id->text().size(), number);
     out[number] = fmt::format("'{}'{}", name == nullptr ? "" : name->text(),
-                              ignore != nullptr && ignore->text() == "true" ? ", ignored" : "");
+                              ignore != nullptr && ignore->text() == "true" ? kIgnored : "");
   }
   return out;
 }
 
 }  // namespace
 
-void require_class_table(const std::string& trained, const ClassTable& now) {
+void require_class_table(const std::string& trained, const ClassTable& now, const std::optional<Annotations>& clicks) {
   const std::map<std::int64_t, std::string> before = classes_by_id(trained),
                                             after = classes_by_id(now.empty() ? std::string() : now.to_yaml());
   std::map<std::int64_t, std::string> all = before;
@@ -44,6 +46,10 @@ void require_class_table(const std::string& trained, const ClassTable& now) {
   for (const auto& [id, name] : all) {
     const auto then = before.find(id), today = after.find(id);
     if (then != before.end() && today != after.end() && then->second == today->second) continue;
+    const int index = now.index_of(static_cast<std::int32_t>(id));
+    const bool was_valid = then != before.end() && !then->second.ends_with(kIgnored);
+    if (clicks && was_valid && index >= clicks->own_classes() && index < clicks->named_classes()) continue;
+    const bool lost = clicks && was_valid && (index >= clicks->named_classes() || today == after.end());
     const auto said = [](const auto& found, const auto& end) {
       return found == end ? "not in the table" : found->second;
     };
@@ -52,7 +58,8 @@ void require_class_table(const std::string& trained, const ClassTable& now) {
         fmt::format("the scene's class table is not the one that the run was trained with: class {} was {}, and "
                     "is {} now",
                     id, said(then, before.end()), said(today, after.end())),
-        "restore the table (the run folder's classes.yaml is that of training), or train anew with --out");
+        lost ? "give the file of clicks that named it: --set scene.labels.clicks=FILE"
+             : "restore the table (the run folder's classes.yaml is that of training), or train anew with --out");
   }
 }
 

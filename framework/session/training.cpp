@@ -24,6 +24,13 @@ Session opened(RunConfig config, Registry& registry, const SessionOptions& optio
   return session;
 }
 
+Error no_logit(const std::string& place, const std::string& name) {
+  return Error(ErrorKind::data,
+               fmt::format("{}: no label had class '{}' when the session opened, so the network has no logit for it",
+                           place, name),
+               "open it with runtime.keep: [semantics, absent_classes]");
+}
+
 }  // namespace
 
 void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session) {
@@ -86,13 +93,15 @@ SplitScore Training::evaluate(std::vector<int> frames) const {
                             session_.plan.class_of_logit);
 }
 
-void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
+void Training::require_drawn(int frame) const {
   const std::vector<int> drawn = session_.drawn_frames();
-  if (std::find(drawn.begin(), drawn.end(), frame) == drawn.end()) {
-    throw Error(ErrorKind::data,
-                fmt::format("frame {}: it is no training frame, so it has no labels that train", frame),
-                "name one of Session::drawn_frames");
-  }
+  if (std::find(drawn.begin(), drawn.end(), frame) != drawn.end()) return;
+  throw Error(ErrorKind::data, fmt::format("frame {}: it is no training frame, so it has no labels that train", frame),
+              "name one of Session::drawn_frames");
+}
+
+void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
+  require_drawn(frame);
   const auto f = static_cast<std::size_t>(frame);
   const FrameInfo& info = session_.scene.info.frames[f];
   const auto refuse = [&](const std::string& what, const std::string& remedy) {
@@ -119,9 +128,8 @@ void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
              "give class indices, which begin at 0, or -1 for none");
     }
     if (!session_.plan.semantics || logit_of_class[static_cast<std::size_t>(label)] == kVoid) {
-      refuse(fmt::format("{}: no label had class '{}' when the session opened, so the network has no logit for it",
-                         place(), session_.scene.info.classes.valid(label).name),
-             "open it with runtime.keep: [semantics, absent_classes]");
+      throw no_logit(fmt::format("labels of frame '{}': {}", info.name, place()),
+                     session_.scene.info.classes.valid(label).name);
     }
     ++counts[static_cast<std::size_t>(label)];
   }
@@ -139,6 +147,51 @@ void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
   }
   session_.labels.class_pixels[f] = std::move(counts);
   was_set_[f] = true;
+}
+
+void Training::set_clicks(const Annotations& clicks, std::span<const int> frames) {
+  const ClassTable& classes = session_.scene.info.classes;
+  if (session_.labels.unclicked.empty() || clicks.classes().valid_count() != classes.valid_count()) {
+    throw Error(ErrorKind::data, "clicks: they are not those of this session, which was opened for other ones",
+                "open it with scene.labels.clicks or .class_room, and apply events to a copy of config.labels.clicks");
+  }
+  for (const int frame : frames) require_drawn(frame);
+  const WorkScope scope(work_);
+  TrainingLabels& labels = session_.labels;
+  struct Before {
+    TrainingLabels::Frame frame;
+    std::vector<std::int64_t> counts;
+  };
+  std::vector<Before> before;
+  const auto swap_back = [&] {
+    for (std::size_t i = 0; i < before.size(); ++i) {
+      const auto f = static_cast<std::size_t>(frames[i]);
+      std::swap(labels.frames[f], before[i].frame);
+      std::swap(labels.class_pixels[f], before[i].counts);
+    }
+  };
+  try {
+    const std::vector<std::int16_t> logit_of_class = session_.logit_of_class();
+    for (const int frame : frames) {
+      const auto f = static_cast<std::size_t>(frame);
+      before.push_back({std::move(labels.frames[f]), std::move(labels.class_pixels[f])});
+      paint_clicks(clicks, frame, labels);
+      const std::vector<std::int64_t>& counts = labels.class_pixels[f];
+      for (std::size_t c = 0; c + 1 < counts.size(); ++c) {
+        if (counts[c] > 0 && logit_of_class[c] == kVoid)
+          throw no_logit(fmt::format("clicks in frame '{}'", session_.scene.info.frames[f].name),
+                         classes.valid(static_cast<int>(c)).name);
+      }
+    }
+    rays_->relabel();
+  } catch (...) {
+    swap_back();
+    rays_->relabel();
+    throw;
+  }
+  for (const int frame : frames)
+    was_set_[static_cast<std::size_t>(frame)] = session_.config.labels.selection.clicks.empty();
+  session_.scene.info.classes = clicks.classes();
 }
 
 // "" where none were set.
@@ -184,7 +237,7 @@ void Training::load(const std::string& path) {
   const WorkScope scope(work_);
   const TensorFile file = TensorFile::read(path);
   const CheckpointFacts facts = read_checkpoint_facts(file);
-  require_class_table(facts.classes, session_.scene.info.classes);
+  require_class_table(facts.classes, session_.scene.info.classes, session_.config.labels.clicks);
   const auto named = file.metadata().find(kSetLabels);
   if (named != file.metadata().end() && named->second != set_labels_name()) {
     throw Error(ErrorKind::data,

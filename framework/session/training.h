@@ -79,6 +79,11 @@ class Training {
   /// class table with runtime.keep: [semantics, absent_classes]. Class weights stay those of the start. A checkpoint
   /// names the labels that were set, and load() asks for them. Throws Error(data); nothing has changed then.
   void set_labels(int frame, std::vector<std::int16_t> labels);
+  /// From the next step on these training frames have the labels that the session opened with, without its clicks, and
+  /// `clicks` painted over them; classes have the names that clicks give them. `clicks` grew from
+  /// config.labels.clicks, by events that are in the file scene.labels.clicks: a checkpoint does not name these labels,
+  /// for that file tells them. Throws Error(data) as set_labels; nothing has changed then.
+  void set_clicks(const Annotations& clicks, std::span<const int> frames);
 
   /// What a checkpoint says of now, but for self-training.
   CheckpointFacts facts();
@@ -92,6 +97,7 @@ class Training {
 
  private:
   std::string set_labels_name() const;
+  void require_drawn(int frame) const;
 
   Session session_;
   WorkSettings work_;

@@ -15,6 +15,12 @@ ConfigNode step_config(const std::string& type, LabelStep& step) {
   return typed_config(type, [&](ParamVisitor& visit) { step.describe(visit); });
 }
 
+// Whether a path has to be made absolute; --set is always written in the working folder.
+bool starts_elsewhere(const ConfigNode* value, bool paths_are_absolute) {
+  if (value == nullptr || !value->is_scalar() || value->text().empty()) return false;
+  return !paths_are_absolute || value->location().line <= 0;
+}
+
 template <class Step>
 void add_docs(const char* key, const std::vector<StepKind<Step>>& kinds, std::vector<LabelStepDoc>& docs) {
   for (const StepKind<Step>& kind : kinds) {
@@ -32,8 +38,7 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelCo
     ConfigNode anchored = *from;
     for (const char* key : kPathKeys) {
       const ConfigNode* value = from->is_map() ? from->find(key) : nullptr;
-      if (value == nullptr || !value->is_scalar() || value->text().empty()) continue;
-      if (paths_are_absolute && value->location().line > 0) continue;  // --set is written in the working folder
+      if (!starts_elsewhere(value, paths_are_absolute)) continue;
       anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
     }
     config.from.reader =
@@ -52,6 +57,11 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelCo
     step.degradation = read_typed<Degradation>(item, path, degradation_kinds(), step.type, diagnostics);
     if (step.degradation) config.degrade.push_back(std::move(step));
   }
+}
+
+void anchor_click_file(const ConfigNode& labels, bool paths_are_absolute, LabelParams& params) {
+  const ConfigNode* value = labels.find("clicks");
+  if (starts_elsewhere(value, paths_are_absolute)) params.clicks = resolve_path(*value);
 }
 
 ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config) {

@@ -14,6 +14,9 @@ namespace semfield {
 /// unless `paths_are_absolute`.
 void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelConfig& config, Diagnostics& diagnostics);
 
+/// Makes the path of the key `clicks` absolute, as those of `from`.
+void anchor_click_file(const ConfigNode& labels, bool paths_are_absolute, LabelParams& params);
+
 /// `labels` with the keys `from` and `degrade` of `config`; without steps the keys are absent.
 ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config);
 

@@ -243,6 +243,7 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
     if (!loaded) return config;  // every name of theirs would be an error
   }
   config.plugins = registry.module_files();
+  const bool of_a_run = !config.base_dir.empty();
   read_scene(tree, registry, config, diagnostics);
   each_section(config, [&](const char* path, const char*, auto& params) {
     const ConfigNode* node = find_path(tree, path);
@@ -250,6 +251,8 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
     read_params(
         *node, path, [&](ParamVisitor& visit) { describe(visit, params); }, diagnostics, nested_keys(path));
   });
+  if (const ConfigNode* labels = find_path(tree, "scene.labels"); labels != nullptr && labels->is_map())
+    anchor_click_file(*labels, of_a_run, config.labels.selection);
   validate_section(tree, "scene.labels", config.labels.selection, diagnostics);
   validate_section(tree, "scene.load", config.load, diagnostics);
   validate_section(tree, "rendering", config.rendering, diagnostics);

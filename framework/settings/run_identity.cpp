@@ -30,6 +30,7 @@ constexpr std::array<std::string_view, 19> kFree{"name",
                                                  "scene.root",
                                                  "scene.file",
                                                  "scene.classes",
+                                                 "scene.labels.clicks",
                                                  "scene.labels.from.folder",
                                                  "scene.labels.from.file",
                                                  "scene.labels.from.classes"};
@@ -95,6 +96,7 @@ std::string identity_hash(const RunConfig& config) {
 void require_scene_places(const RunConfig& config, const std::string& run_dir) {
   for (const ConfigDifference& setting : settings_of(config)) {
     if (!setting.key.starts_with("scene.") || is_part_of_identity(setting.key)) continue;
+    if (setting.key == "scene.labels.clicks" && config.labels.selection.class_room > 0) continue;  // it may come later
     const std::string place = parse_config_value(setting.left, setting.key).text();
     std::error_code unknown;
     if (place.empty() || std::filesystem::exists(std::filesystem::path(config.base_dir) / place, unknown)) continue;

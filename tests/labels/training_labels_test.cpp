@@ -118,7 +118,7 @@ TEST(TrainingLabels, ATypeNamedAgainDrawsAnew) {
 
 TEST(TrainingLabels, FilesReplaceTrainingLabelsAndGiveTestFramesTheirTruth) {
   LoadedScene scene = tiny_scene(false);
-  const LabelConfig config = files_config();
+  LabelConfig config = files_config();
   Diagnostics d;
   open_label_files(scene, config, d);
   EXPECT_EQ(scene.info.classes.valid_count(), 2);

@@ -164,6 +164,44 @@ TEST(RaySource, NoLabelledPixelIsAnErrorForLabelBalanced) {
   EXPECT_THROW(f.make(options), Error);
 }
 
+TEST(RaySource, LabelsThatMayComeAreWaitedFor) {
+  Fixture f;
+  f.a.label.assign(32, kVoid);
+  RaySourceOptions options;
+  options.train.rays = 64;
+  options.train.label_rays_teach_color = false;
+  RaySource all = f.make(options);
+  options.train.ray_source = RaySourceKind::label_balanced;
+  options.labels_may_come = true;
+  RaySource source = f.make(options);
+  BatchBuffers one, two;
+  all.fill(3, one);
+  source.fill(3, two);
+  EXPECT_EQ(one.origin, two.origin) << "as all_images, to the bit";
+  EXPECT_EQ(one.direction, two.direction);
+  EXPECT_EQ(one.label, two.label);
+  EXPECT_EQ(two.label_only_share, 0);
+
+  std::vector<std::int16_t> labels(32, kVoid);
+  labels[5] = 1;
+  f.labels_a.hard = LabelMap(labels);
+  source.relabel();
+  BatchBuffers three, always;
+  source.fill(3, three);
+  EXPECT_GE(std::count(three.label.begin(), three.label.end(), 1), 32) << "half of the rays, and chance hits";
+  EXPECT_EQ(three.label_only_share, 0.5);
+  options.labels_may_come = false;
+  Fixture g;
+  g.make(options).fill(3, always);
+  EXPECT_EQ(three.origin, always.origin) << "as if the labels had always been there";
+  EXPECT_EQ(three.label, always.label);
+
+  f.labels_a.hard = LabelMap(std::vector<std::int16_t>(32, kVoid));
+  source.relabel();
+  source.fill(3, two);
+  EXPECT_EQ(one.origin, two.origin);
+}
+
 TEST(Rays, PixelCentresLieAtHalves) {
   RayCamera camera;
   camera.camera.width_px = 8;

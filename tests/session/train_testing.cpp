@@ -22,6 +22,7 @@ struct AnalyticRoomParams {
   int width_px = 48;
   int height_px = 36;
   bool with_labels = true;
+  bool with_classes = true;  // a class table
   bool with_depth = true;
   int absent_class = -1;  // of the table, but void in every frame
 };
@@ -30,6 +31,7 @@ void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
   SEMFIELD_PARAM(visit, p, width_px, "width", {1, 1000});
   SEMFIELD_PARAM(visit, p, height_px, "height", {1, 1000});
   SEMFIELD_PARAM(visit, p, with_labels, "with labels");
+  SEMFIELD_PARAM(visit, p, with_classes, "with a class table");
   SEMFIELD_PARAM(visit, p, with_depth, "with depth");
   SEMFIELD_PARAM(visit, p, absent_class, "a class without pixels", {-1, 1000});
 }
@@ -38,7 +40,7 @@ void validate(const AnalyticRoomParams&, Diagnostics&) {}
 class AnalyticRoom final : public Dataset {
  public:
   AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&)
-      : with_depth_(p.with_depth), absent_class_(p.absent_class) {
+      : with_classes_(p.with_classes), with_depth_(p.with_depth), absent_class_(p.absent_class) {
     testkit::AnalyticSceneOptions options;
     options.frames = p.frames;
     options.width_px = p.width_px;
@@ -49,6 +51,7 @@ class AnalyticRoom final : public Dataset {
   }
   SceneInfo open(Diagnostics& diagnostics) override {
     SceneInfo info = inner_->open(diagnostics);
+    if (!with_classes_) info.classes = ClassTable();
     if (!with_depth_) {  // as photographs: nothing tells the extent
       info.bounds = Box();
       info.near_hint_m = info.far_hint_m = 0;
@@ -63,7 +66,7 @@ class AnalyticRoom final : public Dataset {
   }
 
  private:
-  bool with_depth_;
+  bool with_classes_, with_depth_;
   int absent_class_;
   std::unique_ptr<Dataset> inner_;
 };

@@ -120,7 +120,7 @@ void Annotations::check_undo(const LabelEvent& event) const {
   }
   if (last.event.kind == LabelEventKind::skip) return;
   const auto uses = [&](const Mark& mark) { return mark.class_index == last.class_index; };
-  const auto clicks = std::count_if(marks_.begin(), marks_.end(), uses);
+  const auto clicks = std::count_if(marks().begin(), marks().end(), uses);
   if (last.event.kind == LabelEventKind::add_class && !turned.in_force && clicks > 0) {
     refuse(event, "the class '" + named_[c]->name + "' has " + std::to_string(clicks) + " clicks",
            "undo its clicks first");
@@ -175,27 +175,43 @@ bool Annotations::check(const LabelEvent& event) const {
 
 bool Annotations::apply(const LabelEvent& event) {
   if (seen(event.id)) return false;
-  Record record = resolve(event);
-  record_of_.emplace(event.id, static_cast<int>(records_.size()));
-  const bool undo = event.kind == LabelEventKind::undo;
-  const int of = record.of, class_index = record.class_index;
-  if (undo) {
-    for (const int r : turned_by(of).records) {
+  records_.push_back(resolve(event));
+  const auto last = static_cast<int>(records_.size()) - 1;
+  record_of_.emplace(event.id, last);
+  int changed = last;
+  if (event.kind == LabelEventKind::undo) {
+    const Turned turned = turned_by(records_.back().of);
+    for (const int r : turned.records) {
       bool& in_force = records_[static_cast<std::size_t>(r)].in_force;
       in_force = !in_force;
     }
+    changed = turned.records.back();
   }
-  records_.push_back(std::move(record));
-  if (event.kind == LabelEventKind::add_class) named_.emplace_back();
-  if (event.kind == LabelEventKind::click || event.kind == LabelEventKind::skip) {
-    const int frame = frame_of_.at(event.frame);
-    std::vector<Mark>& list = event.kind == LabelEventKind::click ? marks_ : skips_;
-    list.push_back(mark_of(event, frame, frames_[static_cast<std::size_t>(frame)].camera, class_index));
+  const Record& record = records_[static_cast<std::size_t>(changed)];
+  if (record.event.kind == LabelEventKind::click || record.event.kind == LabelEventKind::skip) {
+    put_mark(changed, record.in_force);
   } else {
+    if (event.kind == LabelEventKind::add_class) named_.emplace_back();
     list_classes();
-    if (undo) list_marks();
   }
   return true;
+}
+
+// In its place by the order of events, or out of the list.
+void Annotations::put_mark(int record, bool in_force) {
+  const Record& of = records_[static_cast<std::size_t>(record)];
+  Marks& marks = of.event.kind == LabelEventKind::click ? marks_ : skips_;
+  const auto at = std::lower_bound(marks.records.begin(), marks.records.end(), record);
+  const auto place = at - marks.records.begin();
+  if (in_force) {
+    const int frame = frame_of_.at(of.event.frame);
+    const Camera& camera = frames_[static_cast<std::size_t>(frame)].camera;
+    marks.list.insert(marks.list.begin() + place, mark_of(of.event, frame, camera, of.class_index));
+    marks.records.insert(at, record);
+  } else {
+    marks.list.erase(marks.list.begin() + place);
+    marks.records.erase(at);
+  }
 }
 
 // With the record `turned`, if any, taken out or put back.
@@ -231,18 +247,6 @@ void Annotations::list_classes() {
   classes_ = ClassTable(std::move(entries));
 }
 
-void Annotations::list_marks() {
-  marks_.clear();
-  skips_.clear();
-  for (const Record& record : records_) {
-    const bool click = record.event.kind == LabelEventKind::click;
-    if (!record.in_force || (!click && record.event.kind != LabelEventKind::skip)) continue;
-    const int frame = frame_of_.at(record.event.frame);
-    const Camera& camera = frames_[static_cast<std::size_t>(frame)].camera;
-    (click ? marks_ : skips_).push_back(mark_of(record.event, frame, camera, record.class_index));
-  }
-}
-
 bool Annotations::is_named(int class_index) const {
   return class_index >= 0 && class_index < named_classes() && named_[static_cast<std::size_t>(class_index)].has_value();
 }
@@ -257,7 +261,7 @@ ClassTable Annotations::named_table() const {
 
 std::vector<int> Annotations::frames_with_marks() const {
   std::set<int> frames;
-  for (const Mark& mark : marks_) frames.insert(mark.frame);
+  for (const Mark& mark : marks()) frames.insert(mark.frame);
   return {frames.begin(), frames.end()};
 }
 
@@ -269,12 +273,26 @@ std::vector<std::int16_t> Annotations::paint(int frame, std::span<const std::int
       throw Error(ErrorKind::internal, "labels to paint over have another size than the frame");
     raster.hard.assign(base.begin(), base.end());
   }
-  for (const Mark& mark : marks_) {
+  for (const Mark& mark : marks()) {
     if (mark.frame != frame) continue;
     semfield::paint(stroke_runs(mark.points, mark.radius_px, camera.width_px, camera.height_px),
                     static_cast<std::int16_t>(mark.class_index), raster);
   }
   return std::move(raster.hard);
+}
+
+Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEvent>& events, const std::string& name) {
+  const auto added = std::count_if(events.begin(), events.end(),
+                                   [](const LabelEvent& e) { return e.kind == LabelEventKind::add_class; });
+  Annotations sum(scene, std::max(room, scene.classes.valid_count() + static_cast<int>(added)));
+  for (std::size_t i = 0; i < events.size(); ++i) {
+    try {
+      sum.apply(events[i]);
+    } catch (const Error& e) {
+      throw Error(e.kind(), name + ":" + std::to_string(i + 1) + ": " + e.message(), e.remedy());
+    }
+  }
+  return sum;
 }
 
 }  // namespace semfield

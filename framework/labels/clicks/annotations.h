@@ -36,8 +36,8 @@ class Annotations {
     double radius_px = 0;
     int class_index = kVoid;  ///< kVoid: takes labels away (a void class was named); of skips always
   };
-  const std::vector<Mark>& marks() const { return marks_; }  ///< clicks in force, in the order of their events
-  const std::vector<Mark>& skips() const { return skips_; }
+  const std::vector<Mark>& marks() const { return marks_.list; }  ///< clicks in force, in the order of their events
+  const std::vector<Mark>& skips() const { return skips_.list; }
 
   /// As many valid classes as there is room for: the scene's, the added ones, then "unnamed ID". A class keeps index
   /// and id for ever; one whose event is undone is called "unnamed ID" and keeps its place, too.
@@ -46,6 +46,8 @@ class Annotations {
   /// ones.
   int named_classes() const { return static_cast<int>(named_.size()); }
   bool is_named(int class_index) const;
+  /// The first of these are the scene's own, whose names no event changes.
+  int own_classes() const { return own_classes_; }
   /// The table without the unnamed classes.
   ClassTable named_table() const;
 
@@ -84,7 +86,7 @@ class Annotations {
   Turned turned_by(int of) const;
   void check_undo(const LabelEvent& event) const;
   std::vector<std::optional<Naming>> namings(int turned = -1) const;
-  void list_marks();
+  void put_mark(int record, bool in_force);
   void list_classes();
 
   std::vector<FrameShape> frames_;
@@ -95,8 +97,15 @@ class Annotations {
   std::vector<Record> records_;
   std::map<std::string, int> record_of_;
   std::vector<std::optional<Naming>> named_;  // of the places taken; nullopt: its event is undone
-  std::vector<Mark> marks_, skips_;
+  struct Marks {
+    std::vector<Mark> list;
+    std::vector<int> records;  // of each, ascending
+  } marks_, skips_;
   ClassTable classes_;
 };
+
+/// What `events` add up to; event i stood in line i + 1 of `name`, which errors tell. There is room for all classes
+/// that they add, also where that is more than `room`.
+Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEvent>& events, const std::string& name);
 
 }  // namespace semfield

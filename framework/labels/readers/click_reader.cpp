@@ -1,12 +1,16 @@
-// Clicks: a CSV file of pixels that somebody has named.
+// Clicks: pixels that somebody has named, in a CSV file or a log of label events.
 #include <algorithm>
 #include <filesystem>
+#include <optional>
 
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
+#include "labels/clicks/annotations.h"
+#include "labels/clicks/click_log.h"
 #include "labels/label_files.h"
 #include "labels/outline_fill.h"
 #include "labels/readers/label_readers.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -53,16 +57,78 @@ ImageSize clicked_size(const FrameInfo& frame) {
   return {frame.camera.width_px, frame.camera.height_px, 0, 0};
 }
 
+// By its extension, or by its first character: a CSV file begins with the name of a frame.
+bool holds_events(const std::string& path) {
+  if (std::filesystem::path(path).extension() == ".jsonl") return true;
+  const std::string start = read_file_start(path, 4096);
+  const std::size_t first = start.find_first_not_of(" \t\r\n");
+  return first != std::string::npos && start[first] == '{';
+}
+
+// Label events whose frames are known by what the events say of them.
+class EventFrames {
+ public:
+  EventFrames(std::string file, const ClassTable& known, Diagnostics& diagnostics)
+      : file_(std::move(file)), events_(read_click_log(file_, diagnostics)) {
+    scene_.classes = known;
+    for (const LabelEvent& event : events_) {
+      if (event.frame.empty() || !frame_of_.emplace(event.frame, static_cast<int>(scene_.frames.size())).second)
+        continue;
+      FrameInfo& frame = scene_.frames.emplace_back();
+      frame.name = event.frame;
+      frame.camera.width_px = event.width_px;
+      frame.camera.height_px = event.height_px;
+    }
+    const Annotations sum = replay(scene_, 0, events_, file_);
+    table_ = sum.named_table();
+    const std::vector<int> clicked = sum.frames_with_marks();
+    std::erase_if(frame_of_,
+                  [&](const auto& entry) { return !std::binary_search(clicked.begin(), clicked.end(), entry.second); });
+  }
+
+  const ClassTable& table() const { return table_; }
+  bool empty() const { return frame_of_.empty(); }
+  bool has(const FrameInfo& frame) const { return entry_of(frame_of_, frame) != nullptr; }
+
+  LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const {
+    const int* index = entry_of(frame_of_, frame);
+    if (index == nullptr) refuse(file_, "no click in frame '" + frame.name + "'");
+    SceneInfo scene = scene_;
+    Camera& camera = scene.frames[static_cast<std::size_t>(*index)].camera;
+    camera.width_px = frame.camera.width_px;
+    camera.height_px = frame.camera.height_px;
+    const Annotations sum = replay(scene, 0, events_, file_);
+    LabelRaster raster{camera.width_px, camera.height_px, sum.paint(*index, {}), {}};
+    for (std::int16_t& label : raster.hard) {
+      if (label != kVoid) label = static_cast<std::int16_t>(classes.index_of(sum.classes().valid(label).id));
+    }
+    return raster;
+  }
+
+ private:
+  std::string file_;
+  std::vector<LabelEvent> events_;
+  SceneInfo scene_;
+  std::map<std::string, int> frame_of_;  // those with clicks
+  ClassTable table_;
+};
+
 class ClickReader : public LabelReader {
  public:
   void describe(ParamVisitor& visit) override {
     SEMFIELD_PARAM(visit, *this, file,
                    "CSV file of lines frame,x,y,class[,radius]: column and row of a pixel of the stored image, and the "
-                   "radius of a disc in pixels");
+                   "radius of a disc in pixels; or a log of the labelling page, clicks.jsonl");
   }
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     clicks_.clear();
+    events_.reset();
+    if (holds_events(file)) {
+      events_.emplace(file, known, diagnostics);
+      if (events_->empty()) diagnostics.error(file, "no clicks in it", "label the scene with `semfield serve`");
+      return events_->table();
+    }
     const std::vector<TextRow> rows = read_text_rows(file, ',');
     ProblemList problems(diagnostics);
     std::map<std::string, std::string> place_of_name;
@@ -79,9 +145,14 @@ class ClickReader : public LabelReader {
     return table_for(place_of_name, known, problems);
   }
 
-  bool has(const FrameInfo& frame) const override { return entry_of(clicks_, frame) != nullptr; }
+  bool adds_classes() const override { return events_.has_value(); }
+
+  bool has(const FrameInfo& frame) const override {
+    return events_ ? events_->has(frame) : entry_of(clicks_, frame) != nullptr;
+  }
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
+    if (events_) return events_->read(frame, classes);
     const std::vector<Click>* clicks = entry_of(clicks_, frame);
     if (clicks == nullptr) refuse(file, "no click in frame '" + frame.name + "'");
     // At the frame's own size: scaled as an image by the nearest pixel, a single pixel could get lost.
@@ -111,6 +182,7 @@ class ClickReader : public LabelReader {
 
  private:
   std::map<std::string, std::vector<Click>> clicks_;  // by frame
+  std::optional<EventFrames> events_;                 // of a log
 };
 
 }  // namespace
