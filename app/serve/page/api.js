@@ -1,0 +1,139 @@
+// Requests to the program. All addresses are relative, so they carry the page's secret folder.
+
+/// What the program refused: a sentence, what to do about it, and the HTTP status (0: no answer came).
+export class Refusal extends Error {
+  constructor(what, remedy, status) {
+    super(what);
+    this.remedy = remedy ?? '';
+    this.status = status;
+  }
+  /// No answer, or one that says "later": the same request may succeed in a while.
+  get passes() { return this.status === 0 || this.status >= 500 || this.status === 429; }
+}
+
+async function answered(path, options, timeout_ms) {
+  const signal = options.signal ? AbortSignal.any([options.signal, AbortSignal.timeout(timeout_ms)]) : AbortSignal.timeout(timeout_ms);
+  let answer;
+  try {
+    answer = await fetch(path, {...options, signal, credentials: 'omit', cache: options.cache ?? 'no-store'});
+  } catch (error) {
+    if (options.signal?.aborted) throw error;
+    throw new Refusal('The program does not answer.', 'Look whether it still runs.', 0);
+  }
+  if (answer.ok) return answer;
+  let told = {};
+  try {
+    told = await answer.json();
+  } catch { /* not JSON: a proxy, or another server on this port */ }
+  throw new Refusal(told.error ?? `The program answered ${answer.status}.`, told.remedy, answer.status);
+}
+
+/// The body, all of it; a connection that breaks on the way is a Refusal too.
+async function body(answer, kind) {
+  try {
+    return await answer[kind]();
+  } catch {
+    throw new Refusal('The answer broke off.', 'Look whether the program still runs.', 0);
+  }
+}
+
+export const getJson = async (path, timeout_ms = 30000) => body(await answered(path, {}, timeout_ms), 'json');
+export const getBlob = async (path) => body(await answered(path, {cache: 'default'}, 60000), 'blob');
+const postRaw = (path, value, signal) =>
+  answered(path, {method: 'POST', headers: {'Content-Type': 'application/json'}, body: JSON.stringify(value), signal}, 120000);
+export const postJson = async (path, value) => body(await postRaw(path, value), 'json');
+
+/// Parts of a picture: u32 little-endian length and bytes, four times.
+export function pictureParts(buffer) {
+  const view = new DataView(buffer);
+  const parts = [];
+  for (let at = 0; parts.length < 4;) {
+    const length = view.getUint32(at, true);
+    if (at + 4 + length > buffer.byteLength) throw new Refusal('A picture came incomplete.', '', 0);
+    parts.push(new Uint8Array(buffer, at + 4, length));
+    at += 4 + length;
+  }
+  const [head, color, labels, entropy] = parts;
+  return {...JSON.parse(new TextDecoder().decode(head)), color, labels, entropy};
+}
+
+const decoded = (bytes, type) => (bytes.length ? createImageBitmap(new Blob([bytes], {type})) : null);
+
+/// One request for a picture in flight; a newer wish takes the place of the one that waits.
+export class PictureChannel {
+  constructor(client) {
+    this.client = client;
+    this.waiting = null;
+    this.flying = null;
+  }
+
+  get idle() { return !this.flying && !this.waiting; }
+
+  /// done(picture) with bitmaps `color`, `labels`, `entropy` or null; failed(error). Neither is called when a newer wish came first.
+  wish(request, done, failed) {
+    this.waiting = {request, done, failed};
+    if (!this.flying) this.next();
+    else if (this.flying.request.full) this.flying.abort.abort();  // a slow one; nobody waits for it any more
+  }
+
+  forget() {
+    this.waiting = null;
+    this.flying?.abort.abort();
+  }
+
+  async next() {
+    const job = this.waiting;
+    this.waiting = null;
+    this.flying = job;
+    if (!job) return;
+    job.abort = new AbortController();
+    try {
+      const answer = await postRaw('./picture', {client: this.client, ...job.request}, job.abort.signal);
+      const picture = pictureParts(await body(answer, 'arrayBuffer'));
+      [picture.color, picture.labels, picture.entropy] = await Promise.all(
+        [decoded(picture.color, 'image/jpeg'), decoded(picture.labels, 'image/png'), decoded(picture.entropy, 'image/png')]);
+      if (!job.abort.signal.aborted) job.done(picture);
+    } catch (error) {
+      if (!job.abort.signal.aborted) job.failed(error);
+    }
+    this.next();
+  }
+}
+
+const kBackoff_ms = [300, 700, 1500, 3000, 5000];
+
+/// Waits that grow up to 5 s; poke() ends one.
+export class Backoff {
+  constructor() { this.reset(); }
+  reset() { this.failures = 0; }
+  poke() { this.wake?.(); }
+  wait() {
+    const most_ms = kBackoff_ms[Math.min(this.failures++, kBackoff_ms.length - 1)];
+    return new Promise((resolve) => {
+      const timer = setTimeout(resolve, most_ms);
+      this.wake = () => { clearTimeout(timer); resolve(); };
+    });
+  }
+}
+
+/// Follows the program's state for ever. state(value, anew): anew after the first answer and after each lost connection;
+/// lost(error): no answer came, or none that helps (its status says which).
+export async function followState({state, lost}) {
+  const backoff = new Backoff();
+  addEventListener('online', () => backoff.poke());
+  for (let after = 0;;) {
+    try {
+      const value = await getJson(`./state?after=${after}`);
+      const anew = after === 0 || value.revision < after;
+      if (anew && after !== 0 && value.marks === null) { after = 0; continue; }  // another process: it must tell all
+      after = value.revision;
+      backoff.reset();
+      state(value, anew);
+    } catch (error) {
+      if (!(error instanceof Refusal)) console.error(error);
+      after = 0;
+      lost(error);
+      await backoff.wait();
+    }
+  }
+}

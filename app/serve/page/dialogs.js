@@ -1,0 +1,122 @@
+// Dialogs: name and colour of a class, and the help.
+import {cssColor, freeColor, hexColor, kPalette, rgbOfHex} from './colors.js';
+import {byId, make, setText} from './dom.js';
+import {nameProblem} from './model.js';
+
+/// Asks for a class's name and colour. `row`: the class to change, or none for a new one. Resolves to {name, color} or null.
+export function askClass(classes, row) {
+  const dialog = byId('class-dialog');
+  const input = byId('class-name');
+  const picker = byId('class-color');
+  const others = classes.filter((other) => other !== row);
+  let color = row?.color ?? freeColor(classes.map((other) => other.color));
+  setText(byId('class-dialog-title'), row ? `Change "${row.name}"` : 'New class');
+  setText(byId('class-ok'), row ? 'Change it' : 'Make it');
+  setText(byId('class-problem'), '');
+  input.value = row?.name ?? '';
+
+  const offered = kPalette.some((rgb) => hexColor(rgb) === hexColor(color)) ? kPalette : [color, ...kPalette.slice(0, -1)];
+  const swatches = offered.map((rgb) => {
+    const swatch = make('button', {type: 'button', role: 'radio', title: hexColor(rgb), 'aria-label': hexColor(rgb)});
+    swatch.style.setProperty('--color', cssColor(rgb));
+    swatch.addEventListener('click', () => pick(rgb));
+    return swatch;
+  });
+  const pick = (rgb) => {
+    color = rgb;
+    picker.value = hexColor(rgb);
+    let any = false;
+    swatches.forEach((swatch, i) => {
+      const on = hexColor(offered[i]) === hexColor(rgb);
+      any ||= on;
+      swatch.setAttribute('aria-checked', on);
+      swatch.tabIndex = on ? 0 : -1;
+    });
+    if (!any) swatches[0].tabIndex = 0;
+  };
+  pick(color);
+  const group = byId('swatches');
+  group.replaceChildren(...swatches);
+  group.onkeydown = (event) => {
+    const step = {ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1}[event.key];
+    if (!step) return;
+    event.preventDefault();
+    const next = (swatches.indexOf(document.activeElement) + step + swatches.length) % swatches.length;
+    pick(offered[next]);
+    swatches[next].focus();
+  };
+  picker.oninput = () => pick(rgbOfHex(picker.value));
+
+  return new Promise((resolve) => {
+    let result = null;
+    const form = dialog.querySelector('form');
+    form.onsubmit = (event) => {
+      const name = input.value.trim();
+      const problem = nameProblem(name, others.map((other) => other.name));
+      setText(byId('class-problem'), problem);
+      if (problem) {
+        event.preventDefault();
+        input.focus();
+      } else {
+        result = {name, color};
+      }
+    };
+    byId('class-cancel').onclick = () => dialog.close();
+    dialog.onclose = () => resolve(result);
+    dialog.showModal();
+    input.focus();
+    input.select();
+  });
+}
+
+const kHelp = [
+  ['Label', [
+    ['click', 'label the pixel with the chosen class'],
+    ['drag', 'label a stroke'],
+    ['1 ... 9', 'choose a class'],
+    ['shift+1 ... 9', 'give the chosen class this key'],
+    [', .', 'the class before, the next'],
+    ['c', 'choose the class under the pointer'],
+    ['n', 'make a class'],
+    ['F2', 'rename the chosen class (or double click)'],
+    ['[ ]', 'smaller brush, larger brush'],
+    ['z, shift+z', 'undo, do again'],
+  ]],
+  ['Proposed click', [
+    ['space', 'go to it; there: label it with the chosen class'],
+    ['g', 'label it with the class that the model guesses'],
+    ['s', 'skip it'],
+  ]],
+  ['Look', [
+    ['wheel, pinch, + -', 'zoom'],
+    ['right drag, two fingers', 'move the picture (alt+drag too)'],
+    ['0', 'fit the picture'],
+    ['arrows', 'the view before, the next'],
+    ['home, end', 'the first view, the last'],
+    ['r', 'photograph or rendered'],
+    ['e', 'labels or entropy'],
+    ['o', 'overlay off and on'],
+    ['t', 'names of clicks off and on'],
+  ]],
+  ['Without a mouse', [
+    ['shift+arrows', 'move a cross over the view (with ctrl: by one pixel)'],
+    ['enter', 'click at the cross'],
+  ]],
+  ['Fly', [
+    ['f', 'fly through the scene; f or esc leaves'],
+    ['w a s d, q e', 'move; down, up (with shift: faster)'],
+    ['drag, arrows', 'look around'],
+    ['wheel', 'move ahead or back'],
+  ]],
+];
+
+export function showHelp() {
+  const tables = byId('help-tables');
+  if (!tables.childElementCount) {
+    for (const [title, rows] of kHelp) {
+      const list = make('dl', {}, ...rows.flatMap(([keys, what]) => [make('dt', {}, keys), make('dd', {}, what)]));
+      tables.append(make('section', {}, make('h3', {}, title), list));
+    }
+  }
+  byId('help-dialog').showModal();
+}

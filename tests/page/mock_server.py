@@ -1,0 +1,284 @@
+#!/usr/bin/env python3
+"""A stand-in for `semfield serve`: serves the page with a small room that learns at once. For tests of the page, and to work on it:
+  python3 mock_server.py [--port 8090] [--views 12] [--size 160x120] [--classes]"""
+
+import argparse
+import http.server
+import json
+import math
+import pathlib
+import struct
+import threading
+import time
+import urllib.parse
+
+import mock_room
+
+PAGE = pathlib.Path(__file__).resolve().parents[2] / "app/serve/page"
+TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+COLORS = [[200, 60, 60], [60, 140, 220], [80, 180, 90], [230, 180, 60]]
+
+
+class Room:
+    """Events, and what a program that learns would say about them. `faults` is for tests:
+    "overlay": label maps stay as they are; "event": 503 and a sentence; "drop": applied, but the answer is lost; "picture": slow."""
+
+    def __init__(self, views=12, size=(160, 120), classes=(), room=32):
+        self.size, self.most = size, room
+        self.cameras = mock_room.cameras(views)
+        self.frames = [f"rgb_{k:02}" for k in range(views)]
+        self.given = [{"name": name, "color": COLORS[i % 4]} for i, name in enumerate(classes)]
+        self.events, self.exports, self.faults = [], [], set()
+        self.start, self.revision, self.overlay, self.failure = time.time(), 1, [1, 0], ""
+        self.changed = threading.Condition()
+        self.rendered, self.pictures, self.most_pictures, self.render_lock = {}, 0, 0, threading.Lock()
+
+    def touch(self):
+        with self.changed:
+            self.revision += 1
+            self.changed.notify_all()
+
+    def view(self, k):
+        with self.render_lock:
+            if k not in self.rendered:
+                self.rendered[k] = mock_room.render(self.cameras[k], *self.size)
+            return self.rendered[k]
+
+    # What the events add up to.
+    def alive(self, events):
+        dead = set()
+        for event in reversed(events):  # an undo that is undone undoes nothing
+            if event["type"] == "undo" and event["id"] not in dead:
+                dead ^= {event["of"]}
+        return [e for e in events if e["type"] != "undo" and e["id"] not in dead]
+
+    def classes(self, alive):
+        classes = [dict(row) for row in self.given]
+        names = {row["name"]: row for row in classes}
+        for event in alive:
+            if event["type"] == "class":
+                row = {"name": event["name"], "color": event.get("color") or COLORS[len(classes) % 4]}
+                classes.append(row)
+                names[event["name"]] = row
+            if event["type"] == "rename" and event["class"] in names:
+                row = names[event["class"]]
+                row["name"], row["color"] = event["name"], event.get("color", row["color"])
+                names[event["name"]] = row
+        return classes, {name: classes.index(row) for name, row in names.items()}
+
+    def marks(self, alive, index):
+        return [{"id": e["id"], "view": self.frames.index(e["frame"]), "points": e["points"], "radius": e["radius"], "class": index[e["class"]]}
+                for e in alive if e["type"] == "click" and e["class"] in index]
+
+    def learned(self, marks):
+        """Object -> class by the last click on it."""
+        known = {}
+        for mark in marks:
+            x, y = mark["points"][0]
+            known[self.view(mark["view"])[1][int(y)][int(x)]] = mark["class"]
+        return known
+
+    def apply(self, event):
+        if any(e["id"] == event["id"] for e in self.events):
+            return False
+        alive = self.alive(self.events)
+        classes, index = self.classes(alive)
+        if event["type"] == "click" and event["class"] not in index:
+            raise ValueError(f"there is no class '{event['class']}'", "make it first")
+        if event["type"] == "class" and event["name"] in {row["name"] for row in classes}:
+            raise ValueError(f"there is a class '{event['name']}' already", "choose another name")
+        self.events.append(event)
+        self.touch()
+        threading.Timer(0.35, self.learn).start()
+        return True
+
+    def learn(self):
+        if "overlay" not in self.faults and self.overlay[1] != len(self.events):
+            self.overlay = [self.overlay[0] + 1, len(self.events)]
+            self.touch()
+
+    def proposal(self, known, skipped):
+        for which in (4, 5, 6, 0, 7, 2, 1, 3):
+            for k in range(len(self.frames)):
+                if which in known or (which, k) in skipped or k % 3:
+                    continue
+                at = [(i, j) for j, row in enumerate(self.view(k)[1]) for i, v in enumerate(row) if v == which]
+                if len(at) > 40:
+                    i, j = at[len(at) // 2]
+                    return {"id": f"p{which}-{k}", "view": k, "at": [i + 0.5, j + 0.5], "why": "unseen" if len(known) < 2 else "uncertain",
+                            "class_guess": known[min(known)] if known else -1}
+        return None
+
+    def state(self, after):
+        alive = self.alive(self.events)
+        classes, index = self.classes(alive)
+        marks = self.marks(alive, index)
+        known = self.learned(marks)
+        skipped = set()
+        for e in alive:
+            if e["type"] == "skip":
+                k = self.frames.index(e["frame"])
+                skipped.add((self.view(k)[1][int(e["points"][0][1])][int(e["points"][0][0])], k))
+        seconds = time.time() - self.start
+        history = [[t, 0.9 * math.exp(-t / 20) + 0.08 + 0.01 * math.sin(t), 14 + 12 * (1 - math.exp(-t / 15)), sum(1 for e in alive if e["type"] == "click")]
+                   for t in (seconds * k / 60 for k in range(61))]
+        history = [[t, loss, psnr, round(clicks * k / 60)] for k, (t, loss, psnr, clicks) in enumerate(history)]
+        share = 1 / max(1, len(known))
+        return {
+            "revision": self.revision, "overlay": {"revision": self.overlay[0], "events": self.overlay[1]}, "events": len(self.events),
+            "run": {"name": "mock_room", "folder": "runs/mock_room", "device": "CPU, 2 threads", "step": int(seconds * 9), "train_s": seconds, "loss": history[-1][1],
+                    "psnr": history[-1][2], "rays_per_s": 21500, "phase": "learning colour and geometry", "geometry_ready": True, "temperature": 1.2},
+            "room": {"named": len(classes), "most": self.most},
+            "classes": [{"index": i, **row, "clicks": sum(m["class"] == i for m in marks), "area_share": share * list(known.values()).count(i),
+                         "confidence": 0.9 if i in known.values() else 0} for i, row in enumerate(classes)],
+            "views": [{"frame": f, "width": self.size[0], "height": self.size[1], "clicks": sum(m["view"] == k for m in marks),
+                       "entropy": max(0.05, 0.9 - 0.1 * len(known) - 0.02 * (k % 4)), "ready": bool(known)} for k, f in enumerate(self.frames)],
+            "proposal": self.proposal(known, skipped), "marks": marks, "history": history, "exports": self.exports, "notes": [], "failure": self.failure}
+
+    def picture(self, wish):
+        marks = [m for m in self.marks(*(lambda a: (a, self.classes(a)[1]))(self.alive(self.events[:self.overlay[1]])))]
+        classes = self.classes(self.alive(self.events))[0]
+        known = self.learned(marks)
+        begin = time.time()
+        if "camera" in wish:
+            width = min(wish["most_px"], 160)
+            height = width * 3 // 4
+            rows, objects = mock_room.render(wish["camera"], width, height)
+        else:
+            (width, height), (rows, objects) = self.size, self.view(wish["view"])
+        other = known[min(known)] if known else -1
+        table = bytes(known.get(v, other) + 1 for v in range(256))
+        doubt = bytes((40 if v in known else 220) if known else 128 for v in range(256))
+        head = {"width": width, "height": height, "overlay_revision": self.overlay[0], "render_ms": 1000 * (time.time() - begin), "stale": False}
+        parts = [json.dumps(head).encode(), mock_room.png(width, height, rows, 2) if wish.get("color") else b"",
+                 mock_room.png(width, height, [r.translate(table) for r in objects], 3, [[0, 0, 0]] + [c["color"] for c in classes]) if wish.get("labels") else b"",
+                 mock_room.png(width, height, [r.translate(doubt) for r in objects], 0) if wish.get("entropy") else b""]
+        return b"".join(struct.pack("<I", len(part)) + part for part in parts)
+
+    def export(self, what):
+        job = {"id": f"x{len(self.exports) + 1}", "what": what, "state": "running", "text": "12 views", "files": []}
+        self.exports.append(job)
+        self.touch()
+
+        def finish():
+            if what == "mesh":
+                job.update(state="failed", text="The surface is empty yet. Train for a minute, then export again.")
+            else:
+                job.update(state="done", text="", files=[f"{f}_label.png" for f in self.frames] if what == "labels" else ["annotations.json"])
+            self.touch()
+        threading.Timer(0.4, finish).start()
+        return {"id": job["id"]}
+
+
+class Handler(http.server.BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+
+    def log_message(self, *_):
+        pass
+
+    def answer(self, body, kind="application/json", status=200, cache="no-store"):
+        if not isinstance(body, bytes):
+            body = json.dumps(body).encode()
+        self.send_response(status)
+        for name, value in {"Content-Type": kind, "Content-Length": len(body), "Cache-Control": cache, "Referrer-Policy": "no-referrer",
+                            "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:", "X-Content-Type-Options": "nosniff"}.items():
+            self.send_header(name, str(value))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def path_below_token(self):
+        path, _, query = self.path.partition("?")
+        if not path.startswith(self.server.folder):
+            self.answer({"error": "This address has another token.", "remedy": "Open the address that the program prints."}, status=404)
+            return None, None
+        return path[len(self.server.folder):], dict(urllib.parse.parse_qsl(query))
+
+    def do_GET(self):
+        room = self.server.room
+        path, query = self.path_below_token()
+        if path is None:
+            return
+        file = PAGE / (path or "index.html")
+        if "/" not in path and file.is_file():
+            self.answer(file.read_bytes(), TYPES[file.suffix])
+        elif path == "state":
+            with room.changed:
+                if int(query["after"]) > 0:
+                    room.changed.wait_for(lambda: room.revision > int(query["after"]) or self.server.ended, timeout=2)
+                state = room.state(int(query["after"]))
+            self.answer(state)
+        elif path == "photo":
+            (width, height), rows = room.size, room.view(int(query["view"]))[0]
+            self.answer(mock_room.png(width, height, rows, 2), "image/png", cache="max-age=600")
+        elif path == "camera":
+            self.answer(room.cameras[int(query["view"])])
+        elif path.startswith("export/"):
+            self.answer(b"exported", "application/octet-stream")
+        else:
+            self.answer({"error": "Nothing is here.", "remedy": ""}, status=404)
+
+    def do_POST(self):
+        room = self.server.room
+        body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        path, _ = self.path_below_token()
+        if path == "event":
+            if "event" in room.faults:
+                return self.answer({"error": "The click could not be stored: no space left on the disk.", "remedy": "Make room; the page sends it again."}, status=503)
+            try:
+                applied = room.apply(body)
+            except ValueError as error:
+                return self.answer({"error": error.args[0], "remedy": error.args[1]}, status=400)
+            if "drop" in room.faults:
+                room.faults.discard("drop")
+                self.close_connection = True
+                return None
+            self.answer({"applied": applied, "revision": room.revision})
+        elif path == "picture":
+            room.pictures += 1
+            room.most_pictures = max(room.most_pictures, room.pictures)
+            if "picture" in room.faults:
+                time.sleep(0.4)
+            data = room.picture(body)
+            room.pictures -= 1
+            self.answer(data, "application/octet-stream")
+        elif path == "export":
+            self.answer(room.export(body["what"]))
+
+
+class Server:
+    """Serves a room until it is stopped; start again with the same room, port and token goes on."""
+
+    def __init__(self, room, port=0, token="mocktoken"):
+        self.room, self.port, self.token = room, port, token
+
+    def start(self):
+        http.server.ThreadingHTTPServer.allow_reuse_address = True
+        self.http = http.server.ThreadingHTTPServer(("127.0.0.1", self.port), Handler)
+        self.http.room, self.http.folder, self.http.ended, self.http.daemon_threads = self.room, f"/{self.token}/", False, True
+        self.port = self.http.server_address[1]
+        threading.Thread(target=self.http.serve_forever, args=(0.05,), daemon=True).start()
+        return f"http://127.0.0.1:{self.port}/{self.token}/"
+
+    def stop(self):
+        """Like a killed process: no answer comes any more, not to waiting requests either."""
+        self.http.shutdown()
+        self.http.server_close()
+        self.http.folder = "/gone/"
+        self.http.ended = True
+        self.room.touch()
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--port", type=int, default=8090)
+    parser.add_argument("--views", type=int, default=12)
+    parser.add_argument("--size", default="160x120")
+    parser.add_argument("--classes", action="store_true", help="the scene has classes of its own")
+    given = parser.parse_args()
+    room = Room(given.views, tuple(int(v) for v in given.size.split("x")), ("floor", "wall", "sofa") if given.classes else ())
+    print(Server(room, given.port).start(), flush=True)
+    threading.Event().wait()
+
+
+if __name__ == "__main__":
+    main()
