@@ -1,12 +1,10 @@
 #include "run/train_run.h"
 
-#include <fmt/chrono.h>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <ctime>
 #include <filesystem>
 
 #include "compute/parallel.h"
@@ -15,9 +13,9 @@
 #include "core/text.h"
 #include "eval/final_eval.h"
 #include "run/checkpoint_store.h"
-#include "run/leave_out_proofs.h"
 #include "run/run_folder.h"
-#include "run/run_resume.h"
+#include "run/run_start.h"
+
 #include "session/self_training.h"
 #include "session/trainer.h"
 #include "settings/run_identity.h"
@@ -48,10 +46,7 @@ class Run {
         point_(std::move(point)),
         self_training_(session(), training_.rays(), folder_.self_labels_path()) {
     const WorkScope scope(work_);
-    if (!session().scene.info.classes.empty())
-      write_file_atomic(folder_.classes_path(), session().scene.info.classes.to_yaml());
-    write_left_out();
-    write_environment(registry);
+    write_run_records(folder_, training_, registry, point_);
     write_labels();
   }
 
@@ -264,41 +259,6 @@ class Run {
     listener_.progress(p);
   }
 
-  void write_left_out() {
-    std::vector<LeftOutRow> rows;
-    for (const LeftOut& out : session().plan.left_out) {
-      rows.push_back({out.component, out.rule, out.evidence, std::string(1, static_cast<char>(out.proof)), out.saving,
-                      out.measured.empty() ? shipped_saving(out.component) : out.measured});
-    }
-    write_file_atomic(folder_.left_out_path(), left_out_json(rows));
-  }
-
-  void write_environment(const Registry& registry) {
-    Environment environment = this_environment();
-    environment.threads = thread_count();
-    environment.seed = session().config.runtime.seed;
-    environment.input_hash = training_.inputs().hash();
-    environment.settings_changed = settings_changed();
-    for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
-    environment.more.emplace_back("started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr))));
-    environment.more.emplace_back("device", session().pipeline->executor().description());
-    environment.more.emplace_back("matrix products", session().pipeline->executor().matrix_products());
-    environment.more.emplace_back("precision", std::string(precision_name(session().config.runtime.precision)));
-    write_file_atomic(folder_.environment_path(), environment_json(environment));
-  }
-
-  // Those of earlier resumes, which the file holds that is about to be written again, and this one's.
-  std::vector<std::string> settings_changed() const {
-    std::vector<std::string> changes;
-    const std::string path = folder_.environment_path();
-    if (std::filesystem::exists(path)) changes = parse_settings_changed(read_text_file(path), path);
-    for (const ConfigDifference& change : point_.changed) {
-      const std::string line = fmt::format("step {}: {}", point_.step(), change.text());
-      if (std::find(changes.begin(), changes.end(), line) == changes.end()) changes.push_back(line);
-    }
-    return changes;
-  }
-
   RunListener& listener_;
   RunFolder folder_;
   Training training_;
@@ -321,29 +281,9 @@ class Run {
 TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* told) {
   RunListener nobody;
   RunListener& listener = told != nullptr ? *told : nobody;
-  Diagnostics diagnostics;
-  SessionOptions options;
-  options.keep = request.keep;
-  options.probe = true;
-  if (config.report.training_frames > 0) options.depth = DepthKept::all;
-  // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
-  std::optional<RunFolder> folder;
-  ResumePoint point;
-  if (request.resume) {
-    folder.emplace(RunFolder::resume(request.out_dir));
-    keep_components(config, request.keep);
-    point = find_resume_point(*folder, config, registry, diagnostics);
-    require_scene_places(config, folder->path());
-    if (point.facts) options.trained_classes = point.facts->classes;
-  }
-  Session session = open_session(std::move(config), registry, options, diagnostics);
-  SceneInputs inputs = scene_inputs(session.scene);
-  if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
-  tell_findings(listener, diagnostics, session);
-  const std::string text = run_config_text(session.config, registry);
-  if (!folder) folder.emplace(RunFolder::create(request.out_dir));
-  if (!request.resume || read_text_file(folder->config_path()) != text) write_file_atomic(folder->config_path(), text);
-  Run run(std::move(*folder), std::move(session), registry, listener, std::move(point), std::move(inputs));
+  OpenedForTraining opened = open_for_training(std::move(config), registry, request, listener);
+  Run run(std::move(opened.folder), std::move(opened.session), registry, listener, std::move(opened.point),
+          std::move(opened.inputs));
   if (request.resume) run.go_on();
   return run.train();
 }

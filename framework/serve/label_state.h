@@ -60,7 +60,8 @@ struct LabelState {
   std::vector<ClassState> classes;  ///< the named ones
   std::vector<ViewState> views;
   std::optional<ProposalState> proposal;
-  std::vector<Annotations::Mark> marks;  ///< Mark::frame is the number of a frame of the scene; see LabelSession::view_of
+  std::vector<Annotations::Mark>
+      marks;  ///< Mark::frame is the number of a frame of the scene; see LabelSession::view_of
   std::vector<HistoryRow> history;
   std::vector<std::string> notes;
   std::string failure;  ///< not empty: training has ended with this; what was labelled is safe
@@ -79,7 +80,7 @@ struct PictureRequest {
   bool color = false;                ///< rendered colour
   bool labels = true;
   bool entropy = false;
-  bool full = false;                 ///< every pixel rendered: a free camera that stands still, or a view's final labels
+  bool full = false;  ///< every pixel rendered: a free camera that stands still, or a view's final labels
 };
 
 /// Maps row by row; those that were not asked for are empty.

@@ -1,6 +1,7 @@
 // The surface that all views together show, thinned to one point a cell: what is still uncertain is summed over it.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -19,13 +20,19 @@ struct PoolView {
   SurfaceMap map;                      ///< empty: not seen yet
 };
 
+/// Place of a cell in a regular grid, in cells from the origin.
+using SurfaceCell = std::array<std::int32_t, 3>;
+std::uint64_t surface_cell_key(const SurfaceCell& cell);
+
 /// Where a cell of the surface is seen best: in a view's middle rather than at a border of depth, and from near.
 struct PoolPoint {
-  Vec3d position;
+  Vec3d position;  ///< mean of what lies in the cell
+  Vec3d normal;    ///< mean of what is seen of it, towards the cameras; 0 where there is none
+  SurfaceCell cell{};
   int view = 0;
   PixelPlace pixel;
   bool interior = false;  ///< no border of depth beside it
-  float color[3] = {};    ///< of the photograph there, 0 to 1
+  float color[3] = {};    ///< mean of the photographs there, 0 to 1
 };
 
 struct SurfacePool {

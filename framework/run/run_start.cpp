@@ -1,0 +1,97 @@
+#include "run/run_start.h"
+
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <ctime>
+#include <filesystem>
+#include <optional>
+
+#include "compute/parallel.h"
+#include "run/leave_out_proofs.h"
+#include "settings/run_identity.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+void write_left_out(const RunFolder& folder, const Session& session) {
+  std::vector<LeftOutRow> rows;
+  for (const LeftOut& out : session.plan.left_out) {
+    rows.push_back({out.component, out.rule, out.evidence, std::string(1, static_cast<char>(out.proof)), out.saving,
+                    out.measured.empty() ? shipped_saving(out.component) : out.measured});
+  }
+  write_file_atomic(folder.left_out_path(), left_out_json(rows));
+}
+
+// Those of earlier resumes, which the file holds that is about to be written again, and this one's.
+std::vector<std::string> settings_changed(const RunFolder& folder, const ResumePoint& point) {
+  std::vector<std::string> changes;
+  const std::string path = folder.environment_path();
+  if (std::filesystem::exists(path)) changes = parse_settings_changed(read_text_file(path), path);
+  for (const ConfigDifference& change : point.changed) {
+    const std::string line = fmt::format("step {}: {}", point.step(), change.text());
+    if (std::find(changes.begin(), changes.end(), line) == changes.end()) changes.push_back(line);
+  }
+  return changes;
+}
+
+void write_environment(const RunFolder& folder, Training& training, const Registry& registry,
+                       const ResumePoint& point) {
+  const Session& session = training.session();
+  Environment environment = this_environment();
+  environment.threads = thread_count();
+  environment.seed = session.config.runtime.seed;
+  environment.input_hash = training.inputs().hash();
+  environment.settings_changed = settings_changed(folder, point);
+  for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
+  environment.more.emplace_back("started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr))));
+  environment.more.emplace_back("device", session.pipeline->executor().description());
+  environment.more.emplace_back("matrix products", session.pipeline->executor().matrix_products());
+  environment.more.emplace_back("precision", std::string(precision_name(session.config.runtime.precision)));
+  write_file_atomic(folder.environment_path(), environment_json(environment));
+}
+
+}  // namespace
+
+OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
+                                    TrainingListener& listener) {
+  Diagnostics diagnostics;
+  SessionOptions options;
+  options.keep = request.keep;
+  options.probe = true;
+  if (config.report.training_frames > 0) options.depth = DepthKept::all;
+  // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
+  std::optional<RunFolder> folder;
+  ResumePoint point;
+  if (request.resume) {
+    folder.emplace(RunFolder::resume(request.out_dir));
+    keep_components(config, request.keep);
+    point = find_resume_point(*folder, config, registry, diagnostics);
+    require_scene_places(config, folder->path());
+    if (point.facts) options.trained_classes = point.facts->classes;
+  }
+  Session session = open_session(std::move(config), registry, options, diagnostics);
+  SceneInputs inputs = scene_inputs(session.scene);
+  if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
+  tell_findings(listener, diagnostics, session);
+  const std::string text = run_config_text(session.config, registry);
+  if (!folder) folder.emplace(RunFolder::create(request.out_dir));
+  if (!request.resume || read_text_file(folder->config_path()) != text) write_file_atomic(folder->config_path(), text);
+  return {std::move(*folder), std::move(session), std::move(inputs), std::move(point)};
+}
+
+void write_run_records(const RunFolder& folder, Training& training, const Registry& registry,
+                       const ResumePoint& point) {
+  const Session& session = training.session();
+  const WorkSettings work = session.work();
+  const WorkScope scope(work);
+  if (!session.scene.info.classes.empty())
+    write_file_atomic(folder.classes_path(), session.scene.info.classes.to_yaml());
+  write_left_out(folder, session);
+  write_environment(folder, training, registry, point);
+}
+
+}  // namespace semfield

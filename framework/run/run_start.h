@@ -1,0 +1,26 @@
+// How a run begins or goes on: its folder and session, and what it writes down before the first step.
+#pragma once
+
+#include "run/run_folder.h"
+#include "run/run_resume.h"
+#include "run/train_run.h"
+#include "session/training.h"
+
+namespace semfield {
+
+struct OpenedForTraining {
+  RunFolder folder;  ///< locked
+  Session session;
+  SceneInputs inputs;
+  ResumePoint point;  ///< what a Training of the session is to load
+};
+
+/// Opens the scene and, for a run that goes on, finds its newest checkpoint; makes the folder of a new one when nothing
+/// can refuse it any more; writes run.yaml. Findings are told. Throws Error, and then a new run has left nothing.
+OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
+                                    TrainingListener& listener);
+
+/// classes.yaml, left_out.json and environment.json.
+void write_run_records(const RunFolder& folder, Training& training, const Registry& registry, const ResumePoint& point);
+
+}  // namespace semfield

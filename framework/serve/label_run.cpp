@@ -1,0 +1,298 @@
+#include "serve/label_run.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+
+#include "core/rng.h"
+#include "serve/mark_pixels.h"
+#include "settings/run_identity.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::int64_t kFirstSurface = 150;  // steps before geometry is looked at
+constexpr std::int64_t kAfterChange = 300;   // steps that labels get which came when training had ended
+constexpr double kTendingShare = 0.05;       // of the time of training, once every view has a surface
+constexpr double kFirstTendingShare = 0.5;   // until then
+constexpr double kLookedAtShare = 0.5;       // of the time of training, for the view that somebody looks at
+constexpr std::size_t kMostHistory = 600;
+constexpr double kHistoryEvery_s = 1;
+constexpr std::size_t kGivenPixels = 48;  // of a class in a frame whose labels the configuration gives
+constexpr std::size_t kMostGiven = 6000;
+
+double since(std::chrono::steady_clock::time_point start) {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+std::uint64_t mix(std::uint64_t hash, std::uint64_t value) { return (hash ^ value) * 0x100000001B3ull; }
+
+// Tells marks of a frame apart that paint something else.
+std::vector<std::uint64_t> checksums(const Annotations& annotations, std::size_t frames) {
+  std::vector<std::uint64_t> sums(frames, 0);
+  for (const Annotations::Mark& mark : annotations.marks()) {
+    std::uint64_t& sum = sums[static_cast<std::size_t>(mark.frame)];
+    sum = mix(mix(sum + 1, std::hash<std::string>{}(mark.id)), static_cast<std::uint64_t>(mark.class_index + 2));
+  }
+  return sums;
+}
+
+}  // namespace
+
+LabelRun::LabelRun(OpenedForTraining opened, const Registry& registry, TrainingListener* listener)
+    : folder_(std::move(opened.folder)),
+      training_(std::move(opened.session), listener, std::move(opened.inputs)),
+      loop_(training_, training_.session().drawn_frames(), {}),
+      pictures_(training_, loop_),
+      checkpoints_(folder_.checkpoints_path(), training_.session().config.report.keep_checkpoints) {
+  write_run_records(folder_, training_, registry, opened.point);
+  if (opened.point.facts) {
+    training_.load(opened.point.path);
+    saved_step_ = training_.step();
+  }
+  log_.emplace(MetricsLog::resume(folder_.metrics_path(), training_.step()));
+  view_of_frame_.assign(session().scene.frames.size(), -1);
+  for (std::size_t v = 0; v < loop_.views().size(); ++v)
+    view_of_frame_[static_cast<std::size_t>(loop_.views()[v].frame)] = static_cast<int>(v);
+  marked_.assign(session().scene.frames.size(), 0);
+  given_ = given_labels();
+}
+
+// Pixels that the configuration's own labels name, some of every class in every frame.
+std::vector<LabelledPixels> LabelRun::given_labels() const {
+  std::vector<LabelledPixels> out;
+  std::size_t total = 0;
+  for (std::size_t v = 0; v < loop_.views().size() && total < kMostGiven; ++v) {
+    const auto frame = static_cast<std::size_t>(loop_.views()[v].frame);
+    if (frame >= session().labels.unclicked.size()) continue;
+    const TrainingLabels::Frame& labels = session().labels.unclicked[frame];
+    if (labels.empty()) continue;
+    std::vector<std::vector<std::uint32_t>> of(static_cast<std::size_t>(session().classes()));
+    for (std::size_t p = 0; p < labels.size(); ++p)
+      if (labels[p] >= 0) of[static_cast<std::size_t>(labels[p])].push_back(static_cast<std::uint32_t>(p));
+    const std::int32_t width = loop_.views()[v].photo->width_px;
+    for (std::size_t c = 0; c < of.size(); ++c) {
+      if (of[c].empty()) continue;
+      LabelledPixels some{static_cast<int>(v), static_cast<std::int16_t>(c), {}};
+      const std::size_t count = std::min(kGivenPixels, of[c].size());
+      for (std::size_t i = 0; i < count; ++i) {
+        const auto pixel = static_cast<std::int32_t>(of[c][(2 * i + 1) * of[c].size() / (2 * count)]);
+        some.pixels.push_back({pixel % width, pixel / width});
+      }
+      total += count;
+      out.push_back(std::move(some));
+    }
+  }
+  return out;
+}
+
+std::vector<LabelledPixels> LabelRun::named_by(const Annotations& annotations) const {
+  std::vector<LabelledPixels> out;
+  std::vector<std::vector<std::int16_t>> painted(view_of_frame_.size());
+  for (const Annotations::Mark& mark : annotations.marks()) {
+    const auto frame = static_cast<std::size_t>(mark.frame);
+    if (mark.class_index == kVoid || view_of_frame_[frame] < 0) continue;
+    if (painted[frame].empty()) painted[frame] = annotations.paint(mark.frame, {});
+    const Camera& camera = session().scene.info.frames[frame].camera;
+    LabelledPixels named{view_of_frame_[frame], static_cast<std::int16_t>(mark.class_index),
+                         pixels_of(mark, camera.width_px, camera.height_px, painted[frame])};
+    if (!named.pixels.empty()) out.push_back(std::move(named));
+  }
+  return out;
+}
+
+void LabelRun::take(const Annotations& annotations) {
+  const std::vector<std::uint64_t> sums = checksums(annotations, marked_.size());
+  std::vector<int> changed;
+  for (std::size_t f = 0; f < sums.size(); ++f)
+    if (sums[f] != marked_[f]) changed.push_back(static_cast<int>(f));
+  training_.set_clicks(annotations, changed);
+  if (!changed.empty()) changed_step_ = training_.step();
+  marked_ = sums;
+  write_file_atomic(folder_.classes_path(), session().scene.info.classes.to_yaml());
+  clicks_ = given_;
+  for (LabelledPixels& named : named_by(annotations)) clicks_.push_back(std::move(named));
+  marks_ = annotations.marks().size();
+  if (loop_.ready() && (!changed.empty() || !loop_.learned())) loop_.learn(clicks_);
+  if (annotations.skips().size() != skips_) {
+    skips_ = annotations.skips().size();
+    std::vector<LabelledPixels> skipped;
+    for (const Annotations::Mark& mark : annotations.skips()) {
+      const auto frame = static_cast<std::size_t>(mark.frame);
+      const Camera& camera = session().scene.info.frames[frame].camera;
+      if (view_of_frame_[frame] >= 0)
+        skipped.push_back({view_of_frame_[frame], 0, pixels_of(mark, camera.width_px, camera.height_px)});
+    }
+    loop_.set_skipped(std::move(skipped));
+  }
+  ask();
+}
+
+void LabelRun::ask() {
+  proposal_.reset();
+  if (!loop_.ready()) return;
+  const std::optional<Asked> asked = loop_.propose(Acquisition::surface, session().config.runtime.seed, asked_++);
+  if (!asked) return;
+  const PoolPoint& point = loop_.pool().points[static_cast<std::size_t>(asked->point)];
+  ProposalState proposal;
+  proposal.id = fmt::format("q{}", asked_);
+  proposal.view = point.view;
+  proposal.at = {point.pixel.column + 0.5, point.pixel.row + 0.5};
+  proposal.why = asked->why;
+  if (const std::vector<float>& p = loop_.pool_probability(); !p.empty()) {
+    const auto row = p.begin() + std::ptrdiff_t{asked->point} * loop_.classes();
+    const std::ptrdiff_t best = std::max_element(row, row + loop_.classes()) - row;
+    proposal.class_guess = session().plan.class_of_logit[static_cast<std::size_t>(best)];
+  }
+  proposal_ = std::move(proposal);
+}
+
+bool LabelRun::still_learns() const {
+  const std::int64_t until = std::max(session().config.train.steps, marks_ > 0 ? changed_step_ + kAfterChange : 0);
+  return training_.step() < until;
+}
+
+bool LabelRun::train(double budget_s) {
+  if (!still_learns()) return false;
+  const double before = training_.train_s();
+  const auto most = static_cast<std::int64_t>(std::clamp(budget_s / std::max(step_s_, 1e-5), 1.0, 256.0));
+  std::int64_t made = 0;
+  while (made < most) {
+    const std::span<const StepLosses> steps = training_.advance(most - made);
+    made += std::ssize(steps);
+    record(steps);
+  }
+  const double spent = training_.train_s() - before;
+  step_s_ = 0.8 * step_s_ + 0.2 * spent / static_cast<double>(made);
+  training_s_ += spent;
+  rays_per_s_ = static_cast<double>(session().config.train.rays) / step_s_;
+  return true;
+}
+
+void LabelRun::record(std::span<const StepLosses> steps) {
+  const std::int64_t every = session().config.report.log_every_steps;
+  for (std::size_t i = 0; i < steps.size(); ++i) {
+    const StepLosses& losses = steps[i];
+    const std::int64_t step = training_.step() - std::ssize(steps) + 1 + static_cast<std::int64_t>(i);
+    const double share = mse_ == 0 ? 1 : 0.05;
+    mse_ += share * (losses.mse - mse_);
+    loss_ += share * (losses.total - loss_);
+    if (step % every != 0) continue;
+    MetricsRow row;
+    row.step = step;
+    row.train_s = training_.train_s();
+    row.set("loss", losses.total);
+    row.set("loss_color", losses.color);
+    row.set("loss_semantic", losses.semantic);
+    row.set("psnr", -10 * std::log10(mse_));
+    row.set("rays_per_s", rays_per_s_);
+    row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(session().config.train.rays));
+    log_->append(row);
+  }
+  if (!history_.empty() && training_.train_s() - history_.back().train_s < kHistoryEvery_s) return;
+  history_.push_back({training_.train_s(), loss_, -10 * std::log10(mse_), static_cast<int>(marks_)});
+  if (history_.size() <= kMostHistory) return;
+  for (std::size_t i = 0; 2 * i + 1 < history_.size(); ++i) history_[i] = history_[2 * i + 1];
+  history_.resize(history_.size() / 2);
+}
+
+bool LabelRun::tend(bool looked_at, bool quiet) {
+  if (training_.step() < std::min(kFirstSurface, session().config.train.steps)) return false;
+  const Clock::time_point start = Clock::now();
+  const bool trains = still_learns(), was_ready = loop_.ready();
+  bool changed = false;
+  if (!trains || tending_s_ < (was_ready ? kTendingShare : kFirstTendingShare) * training_s_ + 0.05) {
+    changed = loop_.update_surfaces(0.03);
+    tending_s_ += since(start);
+  }
+  if (!was_ready && loop_.ready()) tending_s_ = kTendingShare * training_s_;  // the first surfaces are paid
+  if (changed && !was_ready && !clicks_.empty()) loop_.learn(clicks_);
+  if (changed && !proposal_) ask();
+  if (looked_at && (!trains || refining_s_ < kLookedAtShare * training_s_ + 0.05)) {
+    const Clock::time_point refined = Clock::now();
+    changed = pictures_.refine(0.05) || changed;
+    refining_s_ += since(refined);
+  }
+  const std::size_t own = clicks_.size() - given_.size();
+  if (quiet && loop_.learned() && own >= 10 && own * 2 >= fitted_at_ * 3) {
+    fitted_at_ = own;
+    loop_.set_temperature(loop_.fit_temperature(std::span(clicks_).subspan(given_.size())));
+    if (!given_.empty()) loop_.learn(clicks_);
+    changed = true;
+  }
+  return changed;
+}
+
+void LabelRun::describe(LabelState& state) const {
+  state.name = session().config.name;
+  state.run_dir = folder_.path();
+  state.device = session().pipeline->executor().description();
+  state.step = training_.step();
+  state.train_s = training_.train_s();
+  state.loss = loss_;
+  state.psnr_db = mse_ > 0 ? -10 * std::log10(mse_) : 0;
+  state.rays_per_s = rays_per_s_;
+  state.geometry_ready = loop_.ready();
+  state.temperature = loop_.temperature();
+  state.proposal = proposal_;
+  state.history = history_;
+  state.phase = !still_learns()   ? "trained; more clicks go on with it"
+                : !loop_.ready()  ? "learning colour and geometry"
+                : loop_.learned() ? "learning with your clicks"
+                                  : "ready for the first click";
+  const std::vector<float>& probability = loop_.pool_probability();
+  const auto width = static_cast<std::size_t>(loop_.classes());
+  const std::size_t points = loop_.pool().points.size();
+  std::vector<double> area(static_cast<std::size_t>(session().classes()), 0), sure(area), entropy(points, 1);
+  const double most = std::log(
+      static_cast<double>(std::max<std::ptrdiff_t>(2, std::count(loop_.live().begin(), loop_.live().end(), true))));
+  for (std::size_t i = 0; i < points && !probability.empty(); ++i) {
+    const float* const row = &probability[i * width];
+    const auto best = static_cast<std::size_t>(std::max_element(row, row + width) - row);
+    const auto cls = static_cast<std::size_t>(session().plan.class_of_logit[best]);
+    area[cls] += 1;
+    sure[cls] += static_cast<double>(row[best]);
+    double sum = 0;
+    for (std::size_t c = 0; c < width; ++c)
+      if (row[c] > 0) sum -= static_cast<double>(row[c]) * std::log(static_cast<double>(row[c]));
+    entropy[i] = std::min(1.0, sum / most);
+  }
+  for (ClassState& cls : state.classes) {
+    const auto c = static_cast<std::size_t>(cls.index);
+    if (c >= area.size()) continue;
+    cls.area_share = points > 0 ? area[c] / static_cast<double>(points) : 0;
+    cls.confidence = area[c] > 0 ? sure[c] / area[c] : 0;
+  }
+  for (std::size_t v = 0; v < state.views.size(); ++v) {
+    state.views[v].ready = !loop_.views()[v].map.empty();
+    if (!loop_.ready() || v >= loop_.pool().point_of_pixel.size()) continue;
+    double sum = 0;
+    std::int64_t count = 0;
+    for (const std::int32_t point : loop_.pool().point_of_pixel[v]) {
+      if (point < 0) continue;
+      sum += entropy[static_cast<std::size_t>(point)];
+      ++count;
+    }
+    state.views[v].entropy = count > 0 ? sum / static_cast<double>(count) : 1;
+  }
+}
+
+bool LabelRun::save_is_due() const {
+  const double every = session().config.report.checkpoint_every_s;
+  return every > 0 && training_.step() != saved_step_ && since(last_save_) >= every;
+}
+
+void LabelRun::save() {
+  const std::vector<TensorRef> tensors = training_.state();
+  log_->sync();
+  const CheckpointFacts facts = training_.facts();
+  checkpoints_.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
+  saved_step_ = training_.step();
+  last_save_ = Clock::now();
+}
+
+}  // namespace semfield

@@ -1,0 +1,378 @@
+#include "serve/label_session.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <condition_variable>
+#include <filesystem>
+#include <mutex>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "core/findings.h"
+#include "labels/clicks/click_log.h"
+#include "serve/label_run.h"
+
+namespace semfield {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr int kClassRoom = 32, kMoreClasses = 8;
+constexpr double kTurn_s = 0.03;  // of training between looks at what others want
+constexpr auto kIdle = std::chrono::milliseconds(100);
+constexpr auto kPublishEvery = std::chrono::milliseconds(400);
+constexpr auto kQuietAfter = std::chrono::seconds(3);
+constexpr auto kLookedFor = std::chrono::seconds(30);
+
+OpenedForTraining open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
+                                 TrainingListener& listener) {
+  TrainRequest request;
+  request.out_dir = options.run_dir;
+  const std::filesystem::path folder = std::filesystem::absolute(options.run_dir);
+  request.resume = std::filesystem::exists(folder / "run.yaml");
+  LabelParams& labels = config.labels.selection;
+  if (labels.clicks.empty()) labels.clicks = (folder / "clicks.jsonl").string();
+  if (labels.class_room == 0) labels.class_room = options.class_room > 0 ? options.class_room : kClassRoom;
+  config.train.ray_source = RaySourceKind::label_balanced;
+  return open_for_training(std::move(config), registry, request, listener);
+}
+
+}  // namespace
+
+struct LabelSession::Parts {
+  Parts(OpenedForTraining opened, const Registry& registry, TrainingListener* listener)
+      : annotations(*opened.session.config.labels.clicks),
+        log([&] {
+          Diagnostics findings;
+          ClickLog made = ClickLog::open(opened.session.config.labels.selection.clicks, findings);
+          for (const Diagnostic& finding : folded(findings)) notes.push_back(finding.text());
+          return made;
+        }()),
+        run(std::move(opened), registry, listener) {}
+
+  // A picture that somebody waits for.
+  struct Order {
+    PictureRequest request;
+    std::optional<Picture> made;
+    std::optional<Error> error;
+    bool done() const { return made || error; }
+  };
+
+  std::vector<std::string> notes;
+  // Of events. Held while one is stored, so it is never taken by the thread that trains for longer than a copy takes.
+  std::mutex events_mutex;
+  Annotations annotations;
+  ClickLog log;
+
+  // Of everything below, but for `run`, which belongs to the thread that trains.
+  mutable std::mutex mutex;
+  mutable std::condition_variable changed;  // the state, or an order
+  std::condition_variable wanted;           // something of the thread that trains
+  std::shared_ptr<const LabelState> state;
+  std::uint64_t taken_events = 0;  // that `run` knows
+  std::vector<std::shared_ptr<Order>> orders;
+  std::uint64_t saves_wanted = 0, saves_made = 0;
+  std::optional<Error> save_error;
+  bool stopping = false, ended = false, poked = false;  // poked: look again before going to sleep
+  Clock::time_point last_event = Clock::now() - kQuietAfter, last_look = Clock::now() - kLookedFor;
+
+  LabelRun run;
+
+  void poke() {
+    poked = true;
+    wanted.notify_all();
+  }
+  template <class Change>
+  void publish(const Change& change) {
+    const std::lock_guard lock(mutex);
+    auto next = std::make_shared<LabelState>(*state);
+    change(*next);
+    ++next->revision;
+    state = std::move(next);
+    changed.notify_all();
+  }
+  /// Whether somebody looks, and whether nobody has clicked for a while.
+  std::pair<bool, bool> watched() const {
+    const std::lock_guard lock(mutex);
+    const Clock::time_point now = Clock::now();
+    return {now - last_look<kLookedFor, now - last_event> kQuietAfter};
+  }
+  void name_classes(LabelState& next) const;
+  void take_events();
+  void serve_orders();
+  void save_if_wanted();
+  void fail(const Error& error);
+};
+
+// Classes, marks and counts, from `annotations`.
+void LabelSession::Parts::name_classes(LabelState& next) const {
+  const std::vector<ClassState> before = std::move(next.classes);
+  next.classes.clear();
+  const ClassTable& table = annotations.classes();
+  for (int c = 0; c < annotations.named_classes(); ++c) {
+    if (!annotations.is_named(c)) continue;
+    const ClassEntry& entry = table.valid(c);
+    ClassState cls;
+    const auto known =
+        std::find_if(before.begin(), before.end(), [&](const ClassState& old) { return old.index == c; });
+    if (known != before.end()) cls = *known;
+    cls.index = c;
+    cls.id = entry.id;
+    cls.name = entry.name;
+    cls.color = entry.color;
+    cls.clicks = 0;
+    next.classes.push_back(cls);
+  }
+  for (ViewState& view : next.views) view.clicks = 0;
+  next.marks = annotations.marks();
+  for (const Annotations::Mark& mark : next.marks) {
+    const auto cls = std::find_if(next.classes.begin(), next.classes.end(),
+                                  [&](const ClassState& c) { return c.index == mark.class_index; });
+    if (cls != next.classes.end()) ++cls->clicks;
+    for (std::size_t v = 0; v < next.views.size(); ++v)
+      if (run.loop().views()[v].frame == mark.frame) ++next.views[v].clicks;
+  }
+  next.named = static_cast<int>(next.classes.size());
+  next.room = table.valid_count();
+  next.marks_revision = next.revision + 1;
+}
+
+LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
+                           TrainingListener* told) {
+  TrainingListener nobody;
+  TrainingListener& listener = told != nullptr ? *told : nobody;
+  parts_ = std::make_unique<Parts>(open_labelling(std::move(config), registry, options, listener), registry, told);
+  auto first = std::make_shared<LabelState>();
+  const Session& session = parts_->run.session();
+  for (const PoolView& view : parts_->run.loop().views()) {
+    const FrameInfo& info = session.scene.info.frames[static_cast<std::size_t>(view.frame)];
+    first->views.push_back({info.name, info.camera.width_px, info.camera.height_px, 0, 1, false});
+  }
+  first->events = parts_->log.events().size();
+  first->notes = parts_->notes;
+  parts_->name_classes(*first);
+  parts_->run.describe(*first);
+  first->revision = 1;
+  parts_->state = std::move(first);
+}
+
+LabelSession::~LabelSession() = default;
+
+bool LabelSession::apply(const LabelEvent& event) {
+  Parts& p = *parts_;
+  const std::lock_guard events(p.events_mutex);
+  if (!p.annotations.check(event)) return false;
+  p.log.append(event);
+  p.annotations.apply(event);
+  p.publish([&](LabelState& next) {
+    next.events = p.log.events().size();
+    p.name_classes(next);
+    if (event.kind == LabelEventKind::click || event.kind == LabelEventKind::skip) next.proposal.reset();
+  });
+  const std::lock_guard lock(p.mutex);
+  p.last_event = Clock::now();
+  p.poke();
+  return true;
+}
+
+std::shared_ptr<const LabelState> LabelSession::state() const {
+  const std::lock_guard lock(parts_->mutex);
+  return parts_->state;
+}
+
+std::shared_ptr<const LabelState> LabelSession::wait_state(std::uint64_t after, std::chrono::milliseconds most) const {
+  std::unique_lock lock(parts_->mutex);
+  parts_->changed.wait_for(lock, most, [&] { return parts_->state->revision > after || parts_->stopping; });
+  return parts_->state;
+}
+
+Picture LabelSession::picture(const PictureRequest& request) {
+  Parts& p = *parts_;
+  const auto order = std::make_shared<Parts::Order>();
+  order->request = request;
+  std::unique_lock lock(p.mutex);
+  Picture none;
+  none.stale = true;
+  for (const std::shared_ptr<Parts::Order>& other : p.orders)
+    if (!other->done() && other->request.client == request.client) other->made = none;
+  if (p.stopping || p.ended) return none;
+  p.orders.push_back(order);
+  p.last_look = Clock::now();
+  p.changed.notify_all();
+  p.poke();
+  p.changed.wait(lock, [&] { return order->done() || p.ended; });
+  std::erase(p.orders, order);
+  if (order->error) throw *order->error;
+  return order->made ? std::move(*order->made) : none;
+}
+
+const StoredFrame& LabelSession::photo(int view) const {
+  return *parts_->run.loop().views().at(static_cast<std::size_t>(view)).photo;
+}
+
+FreeCamera LabelSession::camera_of(int view) const {
+  const RayCamera& camera = parts_->run.loop().views().at(static_cast<std::size_t>(view)).camera;
+  constexpr double kDegrees = 57.29577951308232;
+  return {camera.world_from_camera, 2 * kDegrees * std::atan(camera.camera.width_px / (2 * camera.camera.fx))};
+}
+
+int LabelSession::view_of(int frame) const {
+  const std::vector<PoolView>& views = parts_->run.loop().views();
+  const auto found = std::find_if(views.begin(), views.end(), [&](const PoolView& v) { return v.frame == frame; });
+  return found == views.end() ? -1 : static_cast<int>(found - views.begin());
+}
+
+const std::string& LabelSession::run_dir() const { return parts_->run.folder().path(); }
+
+void LabelSession::save() {
+  Parts& p = *parts_;
+  std::unique_lock lock(p.mutex);
+  const std::uint64_t mine = ++p.saves_wanted;
+  p.poke();
+  p.changed.wait(lock, [&] { return p.saves_made >= mine || p.ended; });
+  if (p.save_error) throw *p.save_error;
+}
+
+void LabelSession::stop() {
+  const std::lock_guard lock(parts_->mutex);
+  parts_->stopping = true;
+  parts_->poke();
+  parts_->changed.notify_all();
+}
+
+// Copies what has come, and learns from it.
+void LabelSession::Parts::take_events() {
+  std::optional<Annotations> now;
+  std::uint64_t events = 0;
+  {
+    const std::lock_guard lock(events_mutex);
+    events = log.events().size();
+    if (events == taken_events && state->overlay_revision > 0) return;
+    now = annotations;
+  }
+  run.take(*now);
+  taken_events = events;
+  publish([&](LabelState& next) {
+    run.describe(next);
+    next.overlay_events = events;
+    next.overlay_revision = next.revision + 1;
+  });
+}
+
+void LabelSession::Parts::serve_orders() {
+  std::shared_ptr<Order> order;
+  std::uint64_t overlay = 0;
+  {
+    const std::lock_guard lock(mutex);
+    const auto first = std::find_if(orders.begin(), orders.end(), [](const auto& o) { return !o->done(); });
+    if (first == orders.end()) return;
+    order = *first;
+    overlay = state->overlay_revision;
+  }
+  std::optional<Picture> made;
+  std::optional<Error> error;
+  try {
+    run.pictures().begin(order->request);
+    while (!(made = run.pictures().work(kTurn_s))) {
+      {
+        const std::lock_guard lock(mutex);
+        if (order->done() || stopping) return;
+      }
+      take_events();  // a click does not wait for a large picture
+      (void)run.train(kTurn_s);
+    }
+    made->overlay_revision = overlay;
+  } catch (const Error& found) {
+    error = found;
+  }
+  const std::lock_guard lock(mutex);
+  if (order->done()) return;
+  order->made = std::move(made);
+  order->error = std::move(error);
+  changed.notify_all();
+}
+
+void LabelSession::Parts::save_if_wanted() {
+  std::uint64_t wanted_now = 0;
+  {
+    const std::lock_guard lock(mutex);
+    wanted_now = saves_wanted;
+    if (wanted_now == saves_made && !run.save_is_due()) return;
+  }
+  std::optional<Error> error;
+  try {
+    run.save();
+  } catch (const Error& found) {
+    error = found;
+    if (wanted_now == saves_made) throw;
+  }
+  const std::lock_guard lock(mutex);
+  save_error = std::move(error);
+  saves_made = wanted_now;
+  changed.notify_all();
+}
+
+void LabelSession::Parts::fail(const Error& error) {
+  publish([&](LabelState& next) {
+    next.failure = error.what();
+    next.phase = "training has ended with an error; labels are stored";
+  });
+}
+
+void LabelSession::run() {
+  Parts& p = *parts_;
+  bool failed = false;
+  Clock::time_point published = Clock::now();
+  const auto asked_to_stop = [&] {
+    const std::lock_guard lock(p.mutex);
+    return p.stopping;
+  };
+  while (!asked_to_stop()) {
+    bool busy = false, overlay = false;
+    try {
+      p.take_events();
+      p.serve_orders();
+      p.save_if_wanted();
+      if (!failed) {
+        busy = p.run.train(kTurn_s);
+        const auto [looked_at, quiet] = p.watched();
+        overlay = p.run.tend(looked_at, quiet);
+      }
+    } catch (const Error& error) {
+      failed = true;
+      p.fail(error);
+    }
+    if (const Clock::time_point now = Clock::now(); overlay || now - published >= kPublishEvery) {
+      if (busy || overlay) {
+        p.publish([&](LabelState& next) {
+          p.run.describe(next);
+          next.history_revision = next.revision + 1;
+          if (overlay) next.overlay_revision = next.revision + 1;
+        });
+      }
+      published = now;
+    }
+    if (busy || overlay) continue;
+    std::unique_lock lock(p.mutex);
+    p.wanted.wait_for(lock, kIdle, [&] { return p.poked; });
+    p.poked = false;
+  }
+  try {
+    p.take_events();
+    if (!failed) p.run.save();
+  } catch (...) {
+    const std::lock_guard lock(p.mutex);
+    p.ended = true;
+    p.changed.notify_all();
+    throw;
+  }
+  const std::lock_guard lock(p.mutex);
+  p.ended = true;
+  p.changed.notify_all();
+}
+
+}  // namespace semfield

@@ -1,0 +1,128 @@
+#include "serve/surface_graph.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <queue>
+#include <unordered_map>
+
+#include "compute/parallel.h"
+
+namespace semfield {
+
+namespace {
+
+float step_cost(const PoolPoint& a, const PoolPoint& b, double cell, const SurfaceGraphRules& rules) {
+  double color = 0;
+  for (int c = 0; c < 3; ++c) {
+    const double d = static_cast<double>(a.color[c]) - static_cast<double>(b.color[c]);
+    color += d * d;
+  }
+  const Vec3d bend = a.normal - b.normal;
+  return static_cast<float>(rules.way * length(a.position - b.position) / cell +
+                            std::min(rules.most, color / (2 * rules.color_sigma * rules.color_sigma)) +
+                            std::min(rules.most, dot(bend, bend) / (2 * rules.normal_sigma * rules.normal_sigma)));
+}
+
+}  // namespace
+
+SurfaceGraph::SurfaceGraph(const SurfacePool& pool, const SurfaceGraphRules& rules) {
+  const auto count = static_cast<std::int64_t>(pool.points.size());
+  std::unordered_map<std::uint64_t, std::int32_t> at;
+  at.reserve(static_cast<std::size_t>(2 * count));
+  for (std::int64_t i = 0; i < count; ++i)
+    at.emplace(surface_cell_key(pool.points[static_cast<std::size_t>(i)].cell), static_cast<std::int32_t>(i));
+  std::vector<std::vector<Edge>> of(pool.points.size());
+  parallel_for((count + 511) / 512, [&](std::int64_t block) {
+    for (std::int64_t i = block * 512; i < std::min(count, (block + 1) * 512); ++i) {
+      const PoolPoint& own = pool.points[static_cast<std::size_t>(i)];
+      for (std::int32_t k = 0; k < 27; ++k) {
+        const SurfaceCell other{own.cell[0] + k % 3 - 1, own.cell[1] + k / 3 % 3 - 1, own.cell[2] + k / 9 - 1};
+        const auto found = at.find(surface_cell_key(other));
+        if (found == at.end() || found->second == i) continue;
+        const PoolPoint& point = pool.points[static_cast<std::size_t>(found->second)];
+        of[static_cast<std::size_t>(i)].push_back({found->second, step_cost(own, point, pool.cell_m, rules)});
+      }
+    }
+  });
+  first_.assign(1, 0);
+  for (const std::vector<Edge>& edges : of) {
+    edges_.insert(edges_.end(), edges.begin(), edges.end());
+    first_.push_back(static_cast<std::int32_t>(edges_.size()));
+  }
+  settle({});
+}
+
+void SurfaceGraph::settle(std::span<const GraphSeed> seeds) {
+  settled_.assign(first_.empty() ? 0 : first_.size() - 1, {{kUnreached, kUnreached}, {kVoid, kVoid}});
+  for (const GraphSeed& seed : seeds) add(seed);
+}
+
+void SurfaceGraph::add(const GraphSeed& seed) {
+  // The queue's entries: cost, and point with class. An entry that is dearer than what the point has is passed over.
+  using Entry = std::pair<float, std::int64_t>;
+  std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue;
+  // True when a way to the point is the cheapest of its class and among the two cheapest classes.
+  const auto take = [&](std::int32_t point, std::int16_t cls, float cost) {
+    Settled& s = settled_[static_cast<std::size_t>(point)];
+    if (s.class_index[0] == cls) {
+      if (cost >= s.cost[0]) return false;
+      s.cost[0] = cost;
+      return true;
+    }
+    if (s.class_index[1] == cls) {
+      if (cost >= s.cost[1]) return false;
+      s.cost[1] = cost;
+    } else {
+      if (cost >= s.cost[1]) return false;
+      s.cost[1] = cost;
+      s.class_index[1] = cls;
+    }
+    if (s.cost[1] < s.cost[0]) {
+      std::swap(s.cost[0], s.cost[1]);
+      std::swap(s.class_index[0], s.class_index[1]);
+    }
+    return true;
+  };
+  if (seed.point < 0 || !take(seed.point, seed.class_index, 0)) return;
+  queue.emplace(0.0F, seed.point);
+  while (!queue.empty()) {
+    const auto [cost, packed] = queue.top();
+    queue.pop();
+    const auto point = static_cast<std::int32_t>(packed);
+    const Settled& s = settled_[static_cast<std::size_t>(point)];
+    const int slot = s.class_index[0] == seed.class_index ? 0 : 1;
+    if (s.class_index[slot] != seed.class_index || cost > s.cost[slot]) continue;
+    for (auto e = static_cast<std::size_t>(first_[static_cast<std::size_t>(point)]);
+         e < static_cast<std::size_t>(first_[static_cast<std::size_t>(point) + 1]); ++e) {
+      const float next = cost + edges_[e].cost;
+      if (take(edges_[e].to, seed.class_index, next)) queue.emplace(next, edges_[e].to);
+    }
+  }
+}
+
+std::vector<SurfaceGraph::Near> SurfaceGraph::around(std::int32_t point, float reach) const {
+  using Entry = std::pair<float, std::int32_t>;
+  std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue;
+  std::unordered_map<std::int32_t, float> best{{point, 0.0F}};
+  std::vector<Near> out;
+  queue.emplace(0.0F, point);
+  while (!queue.empty()) {
+    const auto [cost, at] = queue.top();
+    queue.pop();
+    if (cost > best[at]) continue;
+    out.push_back({at, cost});
+    for (auto e = static_cast<std::size_t>(first_[static_cast<std::size_t>(at)]);
+         e < static_cast<std::size_t>(first_[static_cast<std::size_t>(at) + 1]); ++e) {
+      const float next = cost + edges_[e].cost;
+      if (next > reach) continue;
+      const auto [found, fresh] = best.emplace(edges_[e].to, next);
+      if (!fresh && next >= found->second) continue;
+      found->second = next;
+      queue.emplace(next, edges_[e].to);
+    }
+  }
+  return out;
+}
+
+}  // namespace semfield
