@@ -1,7 +1,6 @@
 // metrics.jsonl: writer, reader, resume.
 #include "run/metrics_log.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <unistd.h>
 
@@ -112,7 +111,7 @@ std::vector<MetricsRow> parse_metrics(std::string_view text, const std::string& 
 std::vector<MetricsRow> read_metrics(const std::string& path) { return parse_metrics(read_text_file(path), path); }
 
 MetricsLog MetricsLog::open(const std::string& path) {
-  const int descriptor = ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
+  const int descriptor = open_for_appending(path);
   if (descriptor < 0) {
     throw Error(ErrorKind::cannot_create, fmt::format("cannot open '{}' for writing: {}", path, std::strerror(errno)),
                 "make the run folder writable, or choose another with --out");

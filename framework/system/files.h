@@ -30,6 +30,8 @@ Error write_error(std::string_view doing, const std::string& path, int cause, st
 /// Creates a folder and those above it that are missing, and syncs every entry made. Throws write_error.
 void create_folders(const std::string& path);
 
+/// A descriptor of a file that grows, made where it is missing, the caller's to close; -1 with errno. Past EINTR.
+int open_for_appending(const std::string& path);
 /// Appends to an open file, past EINTR and short writes. Throws write_error.
 void append_all(int file, const std::string& path, std::string_view bytes);
 /// fsync. EINTR is tried again; any other failure is final, because a second fsync of the same descriptor may report

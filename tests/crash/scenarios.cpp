@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <vector>
 
+#include "labels/clicks/click_log.h"
 #include "loading/packed_scene.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
@@ -82,6 +83,12 @@ void look_at_checkpoints(const std::string& folder, Look& out) {
   (void)TensorFile::read(checkpoints(folder) + "/" + name);
 }
 
+void append_clicks(const std::string& folder, int first, int count) {
+  Diagnostics none;
+  ClickLog log = ClickLog::open(click_log_path(folder), none);
+  for (int i = first; i < first + count; ++i) log.append(click_event(i));
+}
+
 void look_at_scene(const std::string& folder, Look& out) {
   const PackedScene scene(folder + "/room.sfpack");
   FrameBuffer buffer;
@@ -94,17 +101,34 @@ void look_at_scene(const std::string& folder, Look& out) {
 }  // namespace
 
 const char* name_of(Save what) {
-  return what == Save::checkpoint ? "checkpoint"
-         : what == Save::first    ? "first"
-         : what == Save::scene    ? "scene"
-                                  : "text";
+  return what == Save::clicks       ? "clicks"
+         : what == Save::checkpoint ? "checkpoint"
+         : what == Save::first      ? "first"
+         : what == Save::scene      ? "scene"
+                                    : "text";
 }
 
 Save save_of(const std::string& name) {
+  if (name == name_of(Save::clicks)) return Save::clicks;
   return *std::find_if(std::begin(kSaves), std::end(kSaves), [&](Save what) { return name == name_of(what); });
 }
 
+std::string click_log_path(const std::string& folder) { return folder + "/clicks.jsonl"; }
+
+LabelEvent click_event(int number) {
+  LabelEvent event;
+  event.id = "click-" + std::to_string(number);
+  event.frame = "rgb_12";
+  event.width_px = 320;
+  event.height_px = 240;
+  event.points = {{0.5 + number % 320, 33}, {12.25, 0.1 * (number % 2000)}};
+  event.radius_px = 4;
+  event.class_name = "chair";
+  return event;
+}
+
 void prepare(Save what, const std::string& folder) {
+  if (what == Save::clicks) append_clicks(folder, 0, 2);
   if (what == Save::scene) write_scene(folder, 0);
   if (what == Save::text) write_file_atomic(folder + "/run.yaml", text_of(0));
   if (what != Save::checkpoint) return;
@@ -115,6 +139,7 @@ void prepare(Save what, const std::string& folder) {
 }
 
 void perform(Save what, const std::string& folder) {
+  if (what == Save::clicks) return append_clicks(folder, 2, 1);
   if (what == Save::scene) write_scene(folder, 1);
   if (what == Save::text) write_file_atomic(folder + "/run.yaml", text_of(1));
   if (what == Save::scene || what == Save::text) return;
@@ -127,6 +152,10 @@ Look look(Save what, const std::string& folder) {
   try {
     if (what == Save::scene) {
       look_at_scene(folder, out);
+    } else if (what == Save::clicks) {
+      Diagnostics torn;
+      (void)ClickLog::open(click_log_path(folder), torn);
+      out.crc = crc_of(click_log_path(folder));
     } else if (what == Save::text) {
       const RunFolder run = RunFolder::resume(folder);
       out.crc = crc_of(run.config_path());

@@ -5,6 +5,7 @@
 #include "config/config_tree.h"
 #include "config/params_read.h"
 #include "formats/npz.h"
+#include "labels/clicks/label_event.h"
 #include "labels/label_steps.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
@@ -36,7 +37,7 @@ void read_labels(std::string_view type, const std::string& yaml) {
         Diagnostics diagnostics;
         const ClassTable own = reader->open(known, diagnostics);
         if (diagnostics.has_errors() || !reader->has(frame)) return;
-        const ClassTable& classes = known.empty() ? own : known;
+        const ClassTable& classes = known.empty() || reader->adds_classes() ? own : known;
         const LabelRaster raster = reader->read(frame, classes);
         const std::size_t pixels =
             static_cast<std::size_t>(raster.width_px) * static_cast<std::size_t>(raster.height_px);
@@ -60,6 +61,18 @@ void fuzz_labelme(std::string_view bytes) {
 void fuzz_coco(std::string_view bytes) { read_labels("coco", "file: " + put("coco.json", bytes)); }
 
 void fuzz_clicks(std::string_view bytes) { read_labels("clicks", "file: " + put("clicks.csv", bytes)); }
+
+void fuzz_label_event(std::string_view bytes) {
+  accepted([&] {
+    const LabelEvent event = parse_label_event(bytes);
+    const std::string line = label_event_json(event);
+    promise(line.find('\n') == std::string::npos, "an event of more than one line");
+    promise(line.size() <= kMostEventBytes, "an event that is longer than it may be");
+    promise(parse_label_event(line) == event, "an event that reads back as another one");
+  });
+}
+
+void fuzz_click_log(std::string_view bytes) { read_labels("clicks", "file: " + put("clicks.jsonl", bytes)); }
 
 // Parts: a table of colours, then the image.
 void fuzz_label_image(std::string_view bytes) {

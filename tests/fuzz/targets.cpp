@@ -22,6 +22,8 @@ std::span<const Target> targets() {
       {"labelme", fuzz_labelme},
       {"coco", fuzz_coco},
       {"clicks", fuzz_clicks},
+      {"label_event", fuzz_label_event},
+      {"click_log", fuzz_click_log},
       {"label_image", fuzz_label_image},
       {"npy", fuzz_npy},
       {"npz", fuzz_npz},

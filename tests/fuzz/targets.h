@@ -39,6 +39,8 @@ void fuzz_class_rules(std::string_view bytes);
 void fuzz_labelme(std::string_view bytes);
 void fuzz_coco(std::string_view bytes);
 void fuzz_clicks(std::string_view bytes);
+void fuzz_label_event(std::string_view bytes);
+void fuzz_click_log(std::string_view bytes);
 void fuzz_label_image(std::string_view bytes);
 void fuzz_npy(std::string_view bytes);
 void fuzz_npz(std::string_view bytes);

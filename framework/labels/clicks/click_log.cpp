@@ -1,6 +1,5 @@
 #include "labels/clicks/click_log.h"
 
-#include <fcntl.h>
 #include <unistd.h>
 
 #include <cerrno>
@@ -75,7 +74,7 @@ ClickLog ClickLog::open(const std::string& path, Diagnostics& diagnostics) {
   std::error_code ignored;
   if (std::filesystem::exists(path, ignored)) text = read_text_file(path, kMostLogBytes);
   std::vector<LabelEvent> events = parse_click_log(text, path, diagnostics);
-  const int file = ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0666);
+  const int file = open_for_appending(path);
   if (file < 0) throw write_error("open", path, errno);
   ClickLog log(path, file);
   log.events_ = std::move(events);
