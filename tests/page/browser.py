@@ -32,7 +32,7 @@ class Driver:
         self.folder = tempfile.mkdtemp(prefix="semfield_page_")
         environment = {**os.environ, "TMPDIR": self.folder, "HOME": self.folder}
         self.process = subprocess.Popen([driver, f"--port={self.port}", "--silent"], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        self.browsers = []
+        self.browsers, self.idle = [], []
         for _ in range(200):
             try:
                 if self.call("GET", "/status")["ready"]:
@@ -51,10 +51,18 @@ class Driver:
             told = json.load(error)["value"]
             raise AssertionError(f"{path}: {told['error']}: {told['message'].splitlines()[0]}") from None
 
-    def browser(self, width=1280, height=720, touch=False):
-        browser = Browser(self, width, height, touch)
-        self.browsers.append(browser)
+    def browser(self, width=1280, height=720):
+        """One that nobody uses, or a new one. A page of another port finds its storage empty."""
+        browser = self.idle.pop() if self.idle else Browser(self)
+        if browser not in self.browsers:
+            self.browsers.append(browser)
+        browser.size(width, height)
         return browser
+
+    def give_back(self, browser):
+        browser.open("about:blank")
+        browser.complaints()
+        self.idle.append(browser)
 
     def close(self):
         for browser in self.browsers:
@@ -76,16 +84,13 @@ class Driver:
 class Browser:
     """One browser with storage of its own."""
 
-    def __init__(self, driver, width, height, touch):
+    def __init__(self, driver):
         self.driver = driver
         arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars=false", "--force-color-profile=srgb",
-                     "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", f"--window-size={width},{height}"]
-        if touch:
-            arguments.append("--touch-events=enabled")
+                     "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
         options = {"binary": driver.chromium, "args": arguments}
         wish = {"browserName": "chrome", "goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
         self.path = "/session/" + driver.call("POST", "/session", {"capabilities": {"alwaysMatch": wish}})["sessionId"]
-        self.size(width, height)
 
     def call(self, method, path, value=None):
         return self.driver.call(method, self.path + path, value)

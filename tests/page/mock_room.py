@@ -1,7 +1,9 @@
 """A small room of boxes and a ball, cast ray by ray: photographs, true objects and PNG files for the mock server."""
 
+import functools
 import math
 import struct
+import threading
 import zlib
 
 OBJECTS = ["floor", "ceiling", "wall", "wall", "sofa", "table", "cupboard", "lamp"]  # by number; two walls look different
@@ -93,6 +95,20 @@ def render(camera, width, height):
         rows.append(bytes(row))
         objects.append(bytes(line))
     return rows, objects
+
+
+LOCK = threading.Lock()
+
+
+def rendered(k, count, width, height):
+    """View k of `count`; cast once."""
+    with LOCK:
+        return cast_view(k, count, width, height)
+
+
+@functools.lru_cache(maxsize=None)
+def cast_view(k, count, width, height):
+    return render(cameras(count)[k], width, height)
 
 
 def cameras(count):

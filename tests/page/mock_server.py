@@ -21,7 +21,7 @@ COLORS = [[200, 60, 60], [60, 140, 220], [80, 180, 90], [230, 180, 60]]
 
 class Room:
     """Events, and what a program that learns would say about them. `faults` is for tests:
-    "overlay": label maps stay as they are; "event": 503 and a sentence; "drop": applied, but the answer is lost; "picture": slow."""
+    "overlay": label maps stay as they are; "event": 503 and a sentence; "refuse": 400; "drop": applied, but the answer is lost; "picture": slow."""
 
     def __init__(self, views=12, size=(160, 120), classes=(), room=32):
         self.size, self.most = size, room
@@ -31,7 +31,7 @@ class Room:
         self.events, self.exports, self.faults = [], [], set()
         self.start, self.revision, self.overlay, self.failure = time.time(), 1, [1, 0], ""
         self.changed = threading.Condition()
-        self.rendered, self.pictures, self.most_pictures, self.render_lock = {}, 0, 0, threading.Lock()
+        self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
 
     def touch(self):
         with self.changed:
@@ -39,10 +39,7 @@ class Room:
             self.changed.notify_all()
 
     def view(self, k):
-        with self.render_lock:
-            if k not in self.rendered:
-                self.rendered[k] = mock_room.render(self.cameras[k], *self.size)
-            return self.rendered[k]
+        return mock_room.rendered(k, len(self.cameras), *self.size)
 
     # What the events add up to.
     def alive(self, events):
@@ -188,6 +185,9 @@ class Handler(http.server.BaseHTTPRequestHandler):
 
     def path_below_token(self):
         path, _, query = self.path.partition("?")
+        if self.server.ended:  # the process is gone
+            self.close_connection = True
+            return None, None
         if not path.startswith(self.server.folder):
             self.answer({"error": "This address has another token.", "remedy": "Open the address that the program prints."}, status=404)
             return None, None
@@ -205,6 +205,9 @@ class Handler(http.server.BaseHTTPRequestHandler):
             with room.changed:
                 if int(query["after"]) > 0:
                     room.changed.wait_for(lambda: room.revision > int(query["after"]) or self.server.ended, timeout=2)
+                if self.server.ended:
+                    self.close_connection = True
+                    return
                 state = room.state(int(query["after"]))
             self.answer(state)
         elif path == "photo":
@@ -224,6 +227,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
         if path == "event":
             if "event" in room.faults:
                 return self.answer({"error": "The click could not be stored: no space left on the disk.", "remedy": "Make room; the page sends it again."}, status=503)
+            if "refuse" in room.faults:
+                return self.answer({"error": "frame 'rgb_00' is held out for tests", "remedy": "label another view"}, status=400)
             try:
                 applied = room.apply(body)
             except ValueError as error:
@@ -234,15 +239,28 @@ class Handler(http.server.BaseHTTPRequestHandler):
                 return None
             self.answer({"applied": applied, "revision": room.revision})
         elif path == "picture":
-            room.pictures += 1
-            room.most_pictures = max(room.most_pictures, room.pictures)
+            with room.picture_lock:
+                room.pictures += 1
+                room.most_pictures = max(room.most_pictures, room.pictures)
             if "picture" in room.faults:
                 time.sleep(0.4)
             data = room.picture(body)
-            room.pictures -= 1
+            with room.picture_lock:
+                room.pictures -= 1
             self.answer(data, "application/octet-stream")
         elif path == "export":
             self.answer(room.export(body["what"]))
+        elif path:
+            self.answer({"error": "Nothing is here.", "remedy": ""}, status=404)
+
+
+class Quiet(http.server.ThreadingHTTPServer):
+    """Says nothing of browsers that leave."""
+
+    allow_reuse_address = daemon_threads = True
+
+    def handle_error(self, *_):
+        pass
 
 
 class Server:
@@ -252,19 +270,17 @@ class Server:
         self.room, self.port, self.token = room, port, token
 
     def start(self):
-        http.server.ThreadingHTTPServer.allow_reuse_address = True
-        self.http = http.server.ThreadingHTTPServer(("127.0.0.1", self.port), Handler)
-        self.http.room, self.http.folder, self.http.ended, self.http.daemon_threads = self.room, f"/{self.token}/", False, True
+        self.http = Quiet(("127.0.0.1", self.port), Handler)
+        self.http.room, self.http.folder, self.http.ended = self.room, f"/{self.token}/", False
         self.port = self.http.server_address[1]
         threading.Thread(target=self.http.serve_forever, args=(0.05,), daemon=True).start()
         return f"http://127.0.0.1:{self.port}/{self.token}/"
 
     def stop(self):
         """Like a killed process: no answer comes any more, not to waiting requests either."""
+        self.http.ended = True
         self.http.shutdown()
         self.http.server_close()
-        self.http.folder = "/gone/"
-        self.http.ended = True
         self.room.touch()
 
 

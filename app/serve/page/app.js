@@ -26,7 +26,7 @@ class Page {
     this.settings = new Settings();
     this.session = safeStorage('sessionStorage');
     this.messages = new Messages();
-    const refuse = (sentence, remedy) => this.messages.refuse(sentence, remedy);
+    const refuse = (...told) => this.messages.refuse(...told);
     this.labeller = new Labeller({changed: this.changed, tell: (text) => this.messages.tell(text), refuse});
     this.channel = new PictureChannel(this.labeller.ids.tab);
     this.pictures = new Pictures(this.channel, this.changed, (error) => { if (error.status === 400) refuse(error.message, error.remedy); });
@@ -108,6 +108,7 @@ class Page {
     byId('connection').classList.toggle('lost', Boolean(this.isLost));
     setText(byId('saving'), unsaved ? `${unsaved} not saved yet` : this.labeller.marks.length ? 'every click is saved' : '');
     byId('saving').classList.toggle('waiting', unsaved > 0);
+    if (!unsaved) this.messages.settled();
   }
 
   updateTools() {
@@ -131,15 +132,16 @@ class Page {
     const {proposal, chosen} = this.labeller;
     const text = byId('proposal-text');
     const isHere = proposal?.view === this.index && !this.flight;
+    const none = this.classes.length === 0;
     const guess = this.classes.find(({index}) => index >= 0 && index === proposal?.class_guess);
-    text.classList.toggle('some', Boolean(proposal));
+    text.classList.toggle('some', Boolean(proposal) && !this.flight);
     setText(text, this.flight ? 'Flying: w a s d q e move, drag looks around, f leaves.'
       : !proposal ? 'No click is proposed at the moment.'
       : `Click proposed ${isHere ? 'here' : `in ${this.state.views[proposal.view].frame}`}: ${reason(proposal.why)}.`);
     const take = byId('proposal-take');
     take.hidden = byId('proposal-skip').hidden = !proposal || this.flight !== null;
-    this.fill(take, isHere && chosen !== null ? ['Label as ', this.classOf(chosen)] : [isHere ? 'Choose a class' : 'Go to it'], isHere && chosen === null ? '' : 'space');
-    take.disabled = isHere && chosen === null && this.classes.length > 0;
+    this.fill(take, !isHere ? ['Go to it'] : chosen !== null ? ['Label as ', this.classOf(chosen)] : [none ? 'Name it' : 'Choose a class'], isHere && chosen === null && !none ? '' : 'space');
+    take.disabled = isHere && chosen === null && !none;
     const button = byId('proposal-guess');
     button.hidden = take.hidden || !isHere || !guess || guess.name === chosen;
     if (!button.hidden) this.fill(button, ['Guess: ', guess], 'g');
@@ -367,7 +369,7 @@ class Page {
       'Enter': () => { if (stage.cross) this.click([stage.cross]); },
     };
     for (const [key, step] of [['ArrowLeft', -1], ['ArrowUp', -1], ['ArrowRight', 1], ['ArrowDown', 1]]) {
-      actions[key] = () => this.show(this.strip.neighbour(step));
+      actions[key] = () => this.show(this.strip.neighbour(this.index, step));
       const [dx, dy] = key === 'ArrowLeft' || key === 'ArrowRight' ? [step, 0] : [0, step];
       actions[`shift+${key}`] = () => stage.moveCross(dx, dy, false);
       actions[`ctrl+shift+${key}`] = () => stage.moveCross(dx, dy, true);

@@ -20,13 +20,16 @@ function oklab(rgb) {
           0.0259040371 * l + 0.7827717662 * m - 0.808675766 * s];
 }
 
+/// Hues are told apart better than shades over a photograph, so lightness counts half.
+const hue = (rgb) => oklab(rgb).map((v, i) => (i ? v : v / 2));
+
 /// The colour of the palette that is farthest from all that are used.
 export function freeColor(used) {
-  const labs = used.map(oklab);
+  const labs = used.map(hue);
   let best = kPalette[0];
   let most = -1;
   for (const rgb of kPalette) {
-    const lab = oklab(rgb);
+    const lab = hue(rgb);
     const nearest = Math.min(1, ...labs.map((other) => Math.hypot(...lab.map((v, i) => v - other[i]))));
     if (nearest > most) [most, best] = [nearest, rgb];
   }

@@ -15,7 +15,7 @@ function inWords(event) {
 }
 
 export class Labeller {
-  /// changed(): something shown is another; tell(text): a word of what was done; refuse(sentence, remedy): an error to show.
+  /// changed(): something shown is another; tell(text): a word of what was done; refuse(sentence, remedy, passes): an error to show, passes: until all is saved.
   constructor({changed, tell, refuse}) {
     Object.assign(this, {changed, tell, refuse});
     this.ids = new Ids();
@@ -43,7 +43,7 @@ export class Labeller {
         this.refuse(`Not taken (${inWords(event)}): ${error.message}`, error.remedy);
       },
       failed: (error) => {
-        if (error.status >= 500) this.refuse(error.message, error.remedy || 'It stays in this browser and is sent again.');
+        if (error.status >= 500) this.refuse(error.message, error.remedy || 'It stays in this browser and is sent again.', true);
       },
     });
   }

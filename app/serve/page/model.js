@@ -45,7 +45,7 @@ export function combined(state, pending, everyEvent) {
   const marks = [];
   for (const mark of state.marks) {
     const row = byIndex.get(mark.class);
-    if (!undone.has(mark.id)) marks.push({...mark, name: row?.name ?? '', color: row?.color ?? [160, 160, 160], saved: true});
+    if (!undone.has(mark.id)) marks.push({...mark, name: row?.name ?? 'void', color: row?.color ?? [160, 160, 160], saved: true});
   }
   const known = new Set(state.marks.map((mark) => mark.id));
   const viewOf = new Map(state.views.map((view, i) => [view.frame, i]));
@@ -123,8 +123,8 @@ export function nameProblem(name, others) {
 }
 
 const kWhy = {
-  uncertain: 'the model is uncertain here',
-  unseen: 'no label reaches this surface yet',
+  uncertain: 'the model is uncertain',
+  unseen: 'no label reaches it yet',
   border: 'classes meet here',
 };
 export const reason = (why) => kWhy[why] ?? why;

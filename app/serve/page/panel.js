@@ -89,7 +89,7 @@ export class Panel {
 
   updateExports(exports) {
     for (const button of document.querySelectorAll('#exports button')) {
-      button.disabled = exports.some(({what, state}) => what === button.dataset.what && state === 'running');
+      button.disabled = exports.some(({state}) => state === 'running');  // one is made at a time
     }
     const told = JSON.stringify(exports);
     if (this.exports === told) return;
@@ -117,12 +117,17 @@ export class Messages {
     setTimeout(() => message.remove(), 3500);
   }
 
-  refuse(sentence, remedy) {
+  /// All is saved: what was told about saving is over.
+  settled() {
+    for (const message of this.list.querySelectorAll('.passes')) message.remove();
+  }
+
+  refuse(sentence, remedy, passes = false) {
     const text = remedy ? `${sentence} ${remedy}` : sentence;
     for (const other of this.list.querySelectorAll('.error')) if (other.dataset.text === text) return;
     while (this.list.querySelectorAll('.error').length > 2) this.list.querySelector('.error').remove();
     const close = make('button', {'aria-label': 'Close the message', onclick: () => message.remove()}, 'Close');
-    const message = make('div', {class: 'error', role: 'alert', 'data-text': text},
+    const message = make('div', {class: passes ? 'error passes' : 'error', role: 'alert', 'data-text': text},
                          make('p', {}, make('b', {}, sentence), remedy ? ` ${remedy}` : ''), close);
     this.list.append(message);
   }

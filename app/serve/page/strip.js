@@ -17,7 +17,7 @@ export class Strip {
         image.src = `./photo?view=${target.dataset.view}&most_px=160`;
         image.addEventListener('error', () => setTimeout(() => this.seen.observe(target), 3000), {once: true});
       }
-    }, {root: byId('views'), rootMargin: '200px'});
+    }, {root: this.list, rootMargin: '200px'});
     this.order.addEventListener('change', () => this.arrange());
     this.list.addEventListener('click', (event) => {
       const button = event.target.closest('button');
@@ -76,9 +76,9 @@ export class Strip {
     this.items[this.current]?.item.scrollIntoView({block: 'nearest', inline: 'nearest'});
   }
 
-  /// The view `steps` further along the strip.
-  neighbour(steps) {
-    const at = this.shown.indexOf(this.current);
+  /// The view `steps` further along the strip than `view`.
+  neighbour(view, steps) {
+    const at = this.shown.indexOf(view);
     return this.shown[Math.min(Math.max(at + steps, 0), this.shown.length - 1)];
   }
 }
