@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <nlohmann/json.hpp>
+#include <thread>
 
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
@@ -111,6 +112,7 @@ HttpResponse PageServer::get_state(const HttpRequest& request) const {
     const std::uint64_t exported = exports_.changes();
     const std::uint64_t known = after > exported ? after - exported : 0;
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
+    if (stopping_) std::this_thread::sleep_for(kLook);  // a page that asks again and again stays calm
     const bool last = left.count() <= 0 || stopping_ || after == 0;
     const auto state = last ? source_.state() : source_.wait_state(known, std::min(kLook, left));
     if (last || state->revision + exported > after)

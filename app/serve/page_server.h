@@ -32,6 +32,8 @@ class PageServer final : private HttpHandler {
   PageServer(const PageServer&) = delete;
   PageServer& operator=(const PageServer&) = delete;
 
+  /// Requests for news no longer wait: the session ends.
+  void end_waiting() { stopping_ = true; }
   /// The address to open.
   std::string url() const { return access_->url(); }
   int port() const { return access_->port(); }

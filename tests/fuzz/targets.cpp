@@ -29,6 +29,7 @@ std::span<const Target> targets() {
       {"npz", fuzz_npz},
       {"checkpoint", fuzz_checkpoint},
       {"metrics", fuzz_metrics},
+      {"page", fuzz_page},
   };
   return kTargets;
 }

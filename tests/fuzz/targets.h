@@ -47,5 +47,7 @@ void fuzz_npz(std::string_view bytes);
 // run_targets.cpp
 void fuzz_checkpoint(std::string_view bytes);
 void fuzz_metrics(std::string_view bytes);
+// page_targets.cpp
+void fuzz_page(std::string_view bytes);
 
 }  // namespace semfield::fuzz

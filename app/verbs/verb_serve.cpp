@@ -1,0 +1,196 @@
+// serve: label a scene in the browser while its field trains.
+#include "app/verb.h"
+
+#ifdef SEMFIELD_WITH_SERVE
+
+#include <fmt/format.h>
+
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <thread>
+
+#include "app/child_process.h"
+#include "app/serve/page_pictures.h"
+#include "app/serve/page_server.h"
+#include "app/shared_files.h"
+#include "app/signals.h"
+#include "core/text.h"
+#include "run/run_folder.h"
+#include "scene/stored_frame.h"
+#include "serve/label_session.h"
+
+#endif
+
+namespace semfield::app {
+
+namespace {
+
+struct ServeOptions {
+  std::string what;  ///< configuration file or run folder
+  std::string out, address = "127.0.0.1";
+  std::optional<int> port;
+  std::vector<std::string> set;
+};
+
+#ifdef SEMFIELD_WITH_SERVE
+
+namespace fs = std::filesystem;
+
+constexpr int kUsualPort = 8787;
+
+// The session as the page's server calls it.
+class SessionSource final : public PageSource {
+ public:
+  explicit SessionSource(LabelSession& session) : session_(session) {}
+  bool apply(const LabelEvent& event) override { return session_.apply(event); }
+  std::shared_ptr<const LabelState> state() const override { return session_.state(); }
+  std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const override {
+    return session_.wait_state(after, most);
+  }
+  Picture picture(const PictureRequest& request) override { return session_.picture(request); }
+  PagePhoto photo(int view) const override {
+    const StoredFrame& frame = session_.photo(view);
+    return {frame.width_px, frame.height_px, frame.rgb};
+  }
+  FreeCamera camera_of(int view) const override { return session_.camera_of(view); }
+  int view_of(int frame) const override { return session_.view_of(frame); }
+  void save() override { session_.save(); }
+
+ private:
+  LabelSession& session_;
+};
+
+class Told final : public TrainingListener {
+ public:
+  explicit Told(const AppContext& context) : context_(context) {}
+  void note(const std::string& text) override { print_note(context_, text); }
+
+ private:
+  const AppContext& context_;
+};
+
+struct Target {
+  RunConfig config;
+  std::string run_dir;
+};
+
+// A run goes on with its own configuration; a configuration begins one, or goes on with that of its name.
+Target target_of(const ServeOptions& options, const AppContext& context, Registry& registry) {
+  if (fs::is_directory(options.what)) {
+    if (!options.out.empty())
+      throw Error(ErrorKind::usage, "--out " + options.out + ": a run goes on in its own folder", "leave --out out");
+    return {load_run_config(RunFolder::read(options.what).config_path(), options.set, registry), options.what};
+  }
+  RunConfig config = load_run_config(options.what, options.set, registry);
+  const std::string run_dir = options.out.empty() ? "runs/" + config.name : options.out;
+  if (!fs::exists(fs::path(run_dir) / "run.yaml")) return {std::move(config), run_dir};
+  const RunConfig begun = load_run_config(RunFolder::read(run_dir).config_path(), {}, registry);
+  if (begun.labels.selection.class_room == 0)
+    throw Error(ErrorKind::cannot_create, run_dir + ": it holds a run that was not begun by `semfield serve`",
+                "name another folder with --out, or another run with --set name=...");
+  print_note(context, "going on with " + run_dir + ", which is there already");
+  return {std::move(config), run_dir};
+}
+
+PageOptions page_options(const ServeOptions& options, const AppContext& context, const std::string& run_dir) {
+  PageOptions page;
+  page.http.address = options.address;
+  page.http.port = options.port.value_or(kUsualPort);
+  page.next_port = !options.port;
+  page.files = read_page_files(shared_file("app/serve/page"));
+  page.token = new_token();
+  page.exports = {own_program(), run_dir, context.registry.module_files()};
+  return page;
+}
+
+// Does what signals ask while the main thread trains.
+class SignalWatch {
+ public:
+  SignalWatch(LabelSession& session, PageServer& server, const AppContext& context)
+      : thread_([&] {
+          while (!ended_ && stop_signal() == 0) {
+            std::this_thread::sleep_for(std::chrono::milliseconds(50));
+            if (take_save_request()) save(session, context);
+          }
+          server.end_waiting();
+          session.stop();
+        }) {}
+  SignalWatch(const SignalWatch&) = delete;
+  SignalWatch& operator=(const SignalWatch&) = delete;
+  ~SignalWatch() {
+    ended_ = true;
+    thread_.join();
+  }
+
+ private:
+  static void save(LabelSession& session, const AppContext& context) {
+    try {
+      session.save();
+      print_note(context, "saved, as SIGHUP asked");
+    } catch (const Error& e) {
+      print_note(context, std::string("not saved: ") + e.what());
+    }
+  }
+  std::atomic<bool> ended_{false};
+  std::thread thread_;  // last: it reads ended_
+};
+
+int run(const ServeOptions& options, AppContext& context) {
+  PageOptions page = page_options(options, context, "");
+  (void)free_port(options.address, page.http.port, page.next_port);  // before anything that takes time
+  Target target = target_of(options, context, context.registry);
+  context.adopt(target.config);
+  install_stop_signals();
+  install_save_signal();
+  const std::string go_on = "semfield serve " + shell_word(target.run_dir);
+  stop_waits(false, context.quiet ? "" : "\nstopped before the page was there\n");
+  Told told(context);
+  LabelSession session(std::move(target.config), context.registry, {target.run_dir}, &told);
+  stop_waits(true);
+  if (const int room = session.state()->room; room > kMostPageClasses)
+    throw Error(ErrorKind::data,
+                fmt::format("the scene has room for {} classes, and the page shows at most {}", room, kMostPageClasses),
+                "give it a table of fewer classes: scene.classes");
+  SessionSource source(session);
+  page.exports.run_dir = session.run_dir();
+  PageServer server(source, std::move(page));
+  std::printf("serve: open %s in a browser\n", server.url().c_str());
+  std::fflush(stdout);
+  {
+    const SignalWatch watch(session, server, context);
+    session.run();
+  }
+  const std::shared_ptr<const LabelState> state = session.state();
+  if (!state->failure.empty())
+    throw Error(ErrorKind::failure, "training ended with an error: " + state->failure,
+                "every label is stored; go on from the last checkpoint with: " + go_on);
+  print_note(context, fmt::format("stopped at step {} with {} labels, all saved; go on with: {}", state->step,
+                                  state->marks.size(), go_on));
+  return 128 + stop_signal();
+}
+
+#else
+
+int run(const ServeOptions&, AppContext&) {
+  throw Error(ErrorKind::unavailable, "this build has no labelling page",
+              "build with -DSEMFIELD_WITH_SERVE=ON, which needs the packages libcivetweb-dev and libturbojpeg0-dev");
+}
+
+#endif
+
+void words(VerbWords& verb, ServeOptions& options) {
+  verb.operand("what", options.what, "configuration file, or a run folder to go on with");
+  verb.value_in("--port", options.port, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
+  verb.value("--address", options.address,
+             "IPv4 address to listen on (default: 127.0.0.1, this machine alone); 0.0.0.0 is every network");
+  verb.value("--out", options.out, "run folder to create (default: runs/<name>)");
+  verb.run_settings(options.set);
+  verb.setting(options.set, "--device", "runtime.device", "auto, cpu, cuda or cuda:N");
+}
+
+}  // namespace
+
+Verb verb_serve() { return make_verb("serve", 15, "label a scene in the browser while its field trains", words, run); }
+
+}  // namespace semfield::app
