@@ -114,7 +114,7 @@ TEST(MessageKeys, EveryKeyIsOneThatSetTakes) {
   static const std::regex key(
       R"((^|[^a-zA-Z0-9_./<-])((?:scene|semantics|rendering|passes|train|runtime|report|fuse|propagate|limits|labels)\.[a-z_N0-9]+(?:\.[a-z_N0-9]+)*)(?![/a-z]))");
   static const std::regex index(R"(\.[0-9]+)");
-  static const std::regex file(R"(.*\.(json|html|h|yaml|yml|csv|tsv|tfevents|sfpack|png))");
+  static const std::regex file(R"(.*\.(json|html|h|yaml|yml|csv|tsv|tfevents|sfpack|png|zip))");
   int seen = 0;
   for (const Literal& literal : literals()) {
     if (std::regex_match(literal.text, setting)) continue;
