@@ -74,7 +74,10 @@ ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, 
 void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
                            Diagnostics& diagnostics) {
   if (facts.inputs) warn_of_other_inputs(*facts.inputs, inputs, diagnostics);
-  if (facts.scene) compare_training_labels(*facts.scene, session.manifest, session.scene.info.classes, diagnostics);
+  if (!facts.scene) return;
+  Diagnostics ignored;  // clicks are meant to come
+  compare_training_labels(*facts.scene, session.manifest, session.scene.info.classes, session.config.runtime.keep,
+                          session.config.labels.clicks ? ignored : diagnostics);
 }
 
 bool asks_for_the_scene_of_training(const CheckpointFacts& facts, const RunConfig& config, Registry& registry) {

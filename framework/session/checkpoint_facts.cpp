@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <nlohmann/json.hpp>
@@ -159,14 +160,19 @@ void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Di
 }
 
 void compare_training_labels(const KnownScene& trained, const SceneManifest& now, const ClassTable& classes,
-                             Diagnostics& diagnostics) {
+                             const std::vector<std::string>& keep, Diagnostics& diagnostics) {
   const std::vector<std::int64_t>&before = trained.manifest.train_class_pixels, &after = now.train_class_pixels;
+  const auto kept = [&](const char* name) { return std::find(keep.begin(), keep.end(), name) != keep.end(); };
+  const auto any = [](const std::vector<std::int64_t>& pixels) {
+    return std::any_of(pixels.begin(), pixels.end(), [](std::int64_t n) { return n > 0; });
+  };
+  const bool every_class_has_a_logit = kept("absent_classes") && (kept("semantics") || (any(before) && any(after)));
   for (std::size_t c = 0; c < std::min(before.size(), after.size()); ++c) {
     if (before[c] == after[c]) continue;
     const std::string what =
         fmt::format("class '{}' had {} labelled training pixels when the run began, and has {} now",
                     classes.valid(static_cast<int>(c)).name, before[c], after[c]);
-    if ((before[c] == 0) != (after[c] == 0))
+    if ((before[c] == 0) != (after[c] == 0) && !every_class_has_a_logit)
       throw Error(ErrorKind::data, what + ": the network has one logit for each class with such pixels",
                   "restore the labels, or train anew with --out");
     diagnostics.warning("scene", "the labels are not as they were: " + what, "restore the labels, or train anew");

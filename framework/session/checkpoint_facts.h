@@ -43,7 +43,8 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file);
 /// One warning where frames, cameras or images are others. What one side does not know is not compared.
 void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Diagnostics& diagnostics);
 /// The same for the labels of a run that goes on: Error(data) where a class with a logit would be another one.
+/// `keep`: components that were forced back in, then and now.
 void compare_training_labels(const KnownScene& trained, const SceneManifest& now, const ClassTable& classes,
-                             Diagnostics& diagnostics);
+                             const std::vector<std::string>& keep, Diagnostics& diagnostics);
 
 }  // namespace semfield

@@ -11,6 +11,7 @@
 #include "run/checkpoint_store.h"
 #include "run/metrics_log.h"
 #include "run/open_run.h"
+#include "run/run_resume.h"
 #include "run/train_run.h"
 #include "session/trainer.h"
 #include "system/files.h"
@@ -195,6 +196,82 @@ TEST(TrainRun, AStopSignalSavesAndResumeGoesOn) {
     last = row.step;
   }
   EXPECT_EQ(last, 200);
+}
+
+// A class that had no label when the run began has some when it goes on: from the file of clicks, or from other labels
+// where every class has a logit.
+TEST(TrainRun, LabelsOfAnotherClassMayComeWhereEveryClassHasALogit) {
+  Registry registry = make_registry();
+  const TempDir dir;
+  const std::string log = dir / "clicks.jsonl";
+  const auto train = [&](const std::string& yaml, std::int64_t steps, bool resume) {
+    TrainRequest request;
+    request.out_dir = dir / "run";
+    request.resume = resume;
+    RunConfig config = config_of(yaml, registry);
+    if (resume) config = load_run_config(request.out_dir + "/run.yaml", {}, registry);
+    config.train.steps = steps;
+    std::string warnings;
+    HookListener hooks;
+    hooks.on_note = [&](const std::string& text) { warnings += text + "\n"; };
+    EXPECT_EQ(run_training(std::move(config), registry, request, &hooks).step, steps);
+    EXPECT_EQ(warnings.find("the labels are not as they were"), std::string::npos) << warnings;
+  };
+  std::string yaml = hash_config("report: {eval_every_s: 0}\n");
+  yaml.replace(yaml.find("analytic_room}"), 14,
+               "analytic_room, labels: {frames: none, class_room: 8, clicks: " + log + "}}");
+  train(yaml, 4, false);
+  EXPECT_EQ(read_text_file(dir / "run/classes.yaml").find("sofa"), std::string::npos);
+  const Session session = open_text(hash_config(), registry);
+  const std::string frame = session.scene.info.frames[static_cast<std::size_t>(session.drawn_frames().front())].name;
+  const std::string click = R"("type":"click","frame":")" + frame + R"(","size":[48,36],"points":[[9,9]],"radius":3,)";
+  write_file_atomic(log, R"({"id":"1","type":"class","name":"sofa"})"
+                         "\n"
+                         R"({"id":"2",)" +
+                             click + "\"class\":\"sofa\"}\n" + R"({"id":"3",)" + click + "\"class\":\"wall\"}\n");
+  train(yaml, 8, true);
+  EXPECT_NE(read_text_file(dir / "run/classes.yaml").find("sofa"), std::string::npos);
+  write_file_atomic(log, read_text_file(log) + R"({"id":"4","type":"rename","class":"sofa","name":"couch"})" + "\n");
+  Diagnostics diagnostics;
+  const OpenedRun opened = open_run(dir / "run", {}, registry, diagnostics, OpenFor::evaluation);
+  EXPECT_EQ(opened.step, 8);
+  EXPECT_EQ(opened.session.plan.class_of_logit.size(), 8u);
+  EXPECT_NE(opened.session.scene.info.classes.to_yaml().find("couch"), std::string::npos);
+}
+
+TEST(TrainRun, LabelsOfAnotherClassAreRefusedWhereItHasNoLogit) {
+  Registry registry = make_registry();
+  const TempDir dir;
+  for (const bool kept : {false, true}) {
+    TrainRequest request;
+    request.out_dir = dir / (kept ? "kept" : "run");
+    std::string yaml = hash_config("report: {eval_every_s: 0}\n");
+    if (kept) yaml += "runtime: {keep: [absent_classes]}\n";
+    const auto with = [&](const std::string& scene) {
+      std::string out = yaml;
+      return out.replace(out.find("analytic_room}"), 14, "analytic_room" + scene + "}");
+    };
+    RunConfig config = config_of(with(", absent_class: 3"), registry);
+    config.train.steps = 3;
+    (void)run_training(std::move(config), registry, request, {});
+    // The same scene, whose labels hold the class now.
+    const CheckpointFacts facts = read_checkpoint_facts(
+        CheckpointStore(request.out_dir + "/checkpoints").find_latest(*std::make_unique<Diagnostics>())->file);
+    Session now = open_text(with(""), registry);
+    Diagnostics diagnostics;
+    std::string said;
+    try {
+      compare_with_training(facts, scene_inputs(now.scene), now, diagnostics);
+    } catch (const Error& error) {
+      said = error.what();
+    }
+    if (kept) {
+      EXPECT_EQ(said, "");
+      EXPECT_EQ(diagnostics.all().size(), 1u) << "a warning: the labels are others";
+    } else {
+      EXPECT_NE(said.find("the network has one logit for each class with such pixels"), std::string::npos) << said;
+    }
+  }
 }
 
 TEST(TrainRun, AFlippedBitIsFoundAndTheOlderCheckpointServes) {
