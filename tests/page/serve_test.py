@@ -1,0 +1,232 @@
+#!/usr/bin/env python3
+"""The page in headless Chromium against `semfield serve` on the shipped room: serve_test.py PROGRAM CONFIG"""
+
+import json
+import pathlib
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import unittest
+import urllib.request
+
+import browser
+
+PROGRAM, CONFIG = sys.argv[1:3] if len(sys.argv) > 2 else ("", "")
+WIDTH, HEIGHT = 96, 72
+SETTINGS = {"scene.frames": 8, "scene.test_frames": 2, "scene.labels.frames": "none", "scene.load.width_px": WIDTH, "runtime.threads": 2}
+
+
+class Serve:
+    """The program at work; a new start on the same folder and port goes on."""
+
+    def __init__(self):
+        self.folder = pathlib.Path(tempfile.mkdtemp(prefix="semfield_serve_"))
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.process = None
+
+    def start(self, by_run=False):
+        run = str(self.folder / "run")
+        words = [PROGRAM, "serve", *([run] if by_run else [CONFIG, "--out", run]), "--port", str(self.port)]
+        for key, value in ({} if by_run else SETTINGS).items():
+            words += ["--set", f"{key}={value}"]
+        with open(self.folder / "stderr.txt", "w") as errors:
+            self.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=errors, text=True)
+        line = self.process.stdout.readline()
+        if "http://" not in line:
+            raise AssertionError(f"{line}{(self.folder / 'stderr.txt').read_text()}")
+        self.url = line[line.index("http://"):].split()[0]
+        return self.url
+
+    def kill(self):
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+        self.process.stdout.close()
+
+    def state(self):
+        with urllib.request.urlopen(f"{self.url}state?after=0", timeout=30) as answer:
+            return json.load(answer)
+
+    def events(self):
+        return [json.loads(line) for line in (self.folder / "run/clicks.jsonl").read_text().splitlines()]
+
+    def close(self):
+        if self.process.poll() is None:
+            self.kill()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+class ServeTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.driver = browser.Driver()
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.driver.close()
+
+    def setUp(self):
+        self.serve = Serve()
+        self.serve.start()
+        self.addCleanup(self.serve.close)
+
+    def open(self):
+        page = self.driver.browser()
+        self.addCleanup(self.driver.give_back, page)
+        page.open(self.serve.url)
+        self.wait_start(page)
+        return page
+
+    def wait_start(self, page):
+        page.wait("document.getElementById('connection').textContent == 'connected' && document.querySelector('#strip [aria-current=true]')", "the page does not start")
+
+    def page_of(self, page, x, y):
+        box = page.box("#canvas")
+        scale = min((box["width"] - 16) / WIDTH, (box["height"] - 16) / HEIGHT)
+        return (box["x"] + (box["width"] - scale * WIDTH) / 2 + x * scale, box["y"] + (box["height"] - scale * HEIGHT) / 2 + y * scale)
+
+    def click(self, page, x, y):
+        page.mouse(self.page_of(page, x, y))
+        page.hover(5, 715)
+
+    def make_class(self, page, name):
+        page.keys("n")
+        page.wait("document.getElementById('class-dialog').open")
+        page.type(name)
+        page.keys("enter")
+        page.wait("!document.getElementById('class-dialog').open")
+
+    def wait_saved(self, page, clicks):
+        page.wait("document.getElementById('saving').textContent == 'every click is saved'", "not saved")
+        self.assertEqual(sum(e["type"] == "click" for e in self.serve.events()), clicks)
+
+    def wait_learned(self, page):
+        """Until the labels know every event."""
+        for _ in range(600):
+            state = self.serve.state()
+            if state["overlay"]["events"] == state["events"]:
+                return
+            page.run("return new Promise((resolve) => setTimeout(resolve, 100))")
+        self.fail(f"labels stay behind: {state['overlay']} of {state['events']} events, {state['run']}")
+
+    def wait_mixed(self, page, x, y, color, why):
+        """Until the page shows the class over the picture at a pixel of the view: 55 of 100 parts of it."""
+        at = self.page_of(page, x, y)
+        seen = under = None
+        for _ in range(40):
+            seen = page.pixels([at])[0]
+            page.keys("o")
+            page.wait("document.getElementById('opacity-value').textContent == 'off'")
+            under = page.pixels([at])[0]
+            page.keys("o")
+            page.wait("document.getElementById('opacity-value').textContent != 'off'")
+            if max(abs(0.45 * u + 0.55 * c - s) for u, c, s in zip(under, color, seen)) < 10:
+                return
+        self.fail(f"{why}: {seen} over {under}, not of {color}")
+
+    def colors(self):
+        return {row["name"]: row["color"] for row in self.serve.state()["classes"]}
+
+    def test_what_a_person_does(self):
+        page = self.open()
+        page.keys("home")
+        self.make_class(page, "my own thing")
+        self.click(page, 20.5, 50.5)
+        self.wait_saved(page, 1)
+        page.keys("2")
+        self.click(page, 75.5, 20.5)
+        self.wait_saved(page, 2)
+        colors = self.colors()
+        second = list(colors)[1]
+        page.wait("[...document.querySelectorAll('#classes .name')].at(-1).textContent == 'my own thing'")
+        self.wait_learned(page)
+        self.wait_mixed(page, 22.5, 50.5, colors["my own thing"], "the click is not in the overlay")
+        self.wait_mixed(page, 77.5, 20.5, colors[second], "the other click is not in the overlay")
+        page.keys("1")  # wrong: again with the right class
+        self.click(page, 75.5, 20.5)
+        self.wait_saved(page, 3)
+        self.wait_learned(page)
+        self.wait_mixed(page, 77.5, 20.5, colors[list(colors)[0]], "the correction is not in the overlay")
+        page.keys("z")
+        page.wait("document.getElementById('messages').textContent.includes('Undone')")
+        self.wait_saved(page, 3)
+        self.assertEqual(len(self.serve.state()["marks"]), 2)
+        self.wait_learned(page)
+        self.wait_mixed(page, 77.5, 20.5, colors[second], "undo does not bring the label back")
+
+        page.wait("document.getElementById('proposal-text').textContent.startsWith('Click proposed')", "nothing is proposed", 60)
+        proposal = self.serve.state()["proposal"]
+        page.keys("space")
+        page.wait(f"document.querySelector('#strip [aria-current=true]').dataset.view == {proposal['view']}", "space does not go to the proposal")
+        page.wait("document.getElementById('saving').textContent == 'every click is saved'")
+        if self.serve.events()[-1]["type"] != "click":  # it was in another view: once more takes it
+            page.keys("space")
+            page.wait("document.querySelector('#classes .clicks').textContent == '1'")
+        self.wait_saved(page, 4)
+        event = self.serve.events()[-1]
+        self.assertEqual((event["frame"], event["class"]), (self.serve.state()["views"][proposal["view"]]["frame"], list(colors)[0]))
+
+        other = self.open()  # another tab of the person, or another person
+        other.wait("[...document.querySelectorAll('#classes .clicks')].at(-1).textContent == '1'")
+        other.keys("home")
+        self.make_class(other, "theirs")
+        self.click(other, 60.5, 60.5)
+        self.wait_saved(other, 5)
+        page.keys("home")
+        page.wait("[...document.querySelectorAll('#classes .name')].at(-1).textContent == 'theirs'")
+        self.wait_mixed(page, 62.5, 60.5, self.colors()["theirs"], "the other browser's click is not seen")
+
+        page.keys("e")
+        page.wait("!document.getElementById('legend').hidden")
+        page.keys("e", "r", "r", "f")
+        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera", 60)
+        page.keys("escape")
+        page.click("[data-what=labels]")
+        page.wait("document.querySelector('#export-list a')", "no export", 120)
+        head = page.run("return fetch(document.querySelector('#export-list a').href).then((a) => a.arrayBuffer()).then((b) => [...new Uint8Array(b).slice(0, 2)])")
+        self.assertEqual(bytes(head), b"PK")
+        self.assertEqual(page.complaints() + other.complaints(), [])
+
+    def test_kills_lose_nothing(self):
+        page = self.open()
+        page.keys("home")
+        self.make_class(page, "kept")
+        clicks = 0
+        for round_ in range(2):
+            self.click(page, 20.5 + 10 * round_, 30.5)
+            clicks += 1
+            self.wait_saved(page, clicks)
+            self.serve.kill()
+            self.click(page, 20.5 + 10 * round_, 60.5)  # nobody answers
+            page.wait("document.getElementById('saving').textContent == '1 not saved yet'")
+            page.wait("document.getElementById('connection').textContent.startsWith('Connection lost')")
+            old = self.serve.url
+            if self.serve.start(by_run=True) != old:
+                page.open(self.serve.url)
+                self.wait_start(page)
+            clicks += 1
+            self.wait_saved(page, clicks)
+            state = self.serve.state()
+            self.assertEqual(len(state["marks"]), clicks)
+            self.assertEqual(state["classes"][-1]["name"], "kept")
+            page.wait(f"[...document.querySelectorAll('#classes .clicks')].at(-1).textContent == '{clicks}'")
+            page.keys("home")
+            page.wait("document.querySelector('#strip [aria-current=true]').dataset.view == 0")
+            page.run("document.querySelector('#classes button:last-child').click()")
+        self.wait_learned(page)
+        self.wait_mixed(page, 22.5, 60.5, self.colors()["kept"], "the click that was sent again is not in the overlay")
+        ids = [event["id"] for event in self.serve.events()]
+        self.assertEqual(len(ids), len(set(ids)))
+
+
+if __name__ == "__main__":
+    if not browser.programs():
+        print("skipped: the page was tried in no browser; install Debian's chromium and chromium-driver")
+        sys.exit(77)
+    if not PROGRAM:
+        sys.exit(__doc__)
+    unittest.main(argv=sys.argv[:1] + sys.argv[3:], verbosity=2)
