@@ -75,22 +75,27 @@ struct Target {
   std::string run_dir;
 };
 
-// A run goes on with its own configuration; a configuration begins one, or goes on with that of its name.
+// A run goes on with the configuration that it has settled.
+Target going_on(const std::string& run_dir, const ServeOptions& options, Registry& registry, const char* remedy) {
+  RunConfig begun = load_run_config(RunFolder::read(run_dir).config_path(), options.set, registry);
+  // A run of `semfield train` has no logits for classes that are named later.
+  if (begun.labels.selection.class_room == 0)
+    throw Error(ErrorKind::cannot_create, run_dir + ": it holds a run that was not begun by `semfield serve`", remedy);
+  return {std::move(begun), run_dir};
+}
+
 Target target_of(const ServeOptions& options, const AppContext& context, Registry& registry) {
   if (fs::is_directory(options.what)) {
     if (!options.out.empty())
       throw Error(ErrorKind::usage, "--out " + options.out + ": a run goes on in its own folder", "leave --out out");
-    return {load_run_config(RunFolder::read(options.what).config_path(), options.set, registry), options.what};
+    return going_on(options.what, options, registry, "begin one of its own: semfield serve CONFIG --out FOLDER");
   }
   RunConfig config = load_run_config(options.what, options.set, registry);
   const std::string run_dir = options.out.empty() ? "runs/" + config.name : options.out;
   if (!fs::exists(fs::path(run_dir) / "run.yaml")) return {std::move(config), run_dir};
-  const RunConfig begun = load_run_config(RunFolder::read(run_dir).config_path(), {}, registry);
-  if (begun.labels.selection.class_room == 0)
-    throw Error(ErrorKind::cannot_create, run_dir + ": it holds a run that was not begun by `semfield serve`",
-                "name another folder with --out, or another run with --set name=...");
-  print_note(context, "going on with " + run_dir + ", which is there already");
-  return {std::move(config), run_dir};
+  Target target = going_on(run_dir, options, registry, "name another folder with --out");
+  print_note(context, "going on with " + run_dir + ", which is there already, by the settings in its run.yaml");
+  return target;
 }
 
 PageOptions page_options(const ServeOptions& options, const AppContext& context, const std::string& run_dir) {
@@ -180,7 +185,7 @@ int run(const ServeOptions&, AppContext&) {
 #endif
 
 void words(VerbWords& verb, ServeOptions& options) {
-  verb.operand("what", options.what, "configuration file, or a run folder to go on with");
+  verb.operand("config_or_run", options.what, "configuration file, or a run folder to go on with");
   verb.value_in("--port", options.port, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
   verb.value("--address", options.address,
              "IPv4 address to listen on (default: 127.0.0.1, this machine alone); 0.0.0.0 is every network");

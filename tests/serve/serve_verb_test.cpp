@@ -1,0 +1,222 @@
+// The real program with a small room: clicks over HTTP, kills, signals, exports by its own verbs.
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <csignal>
+#include <cstdlib>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <random>
+#include <set>
+#include <thread>
+
+#include "formats/zip_archive.h"
+#include "labels/clicks/label_event.h"
+#include "system/files.h"
+#include "tests/program.h"
+#include "tests/serve/http_client.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+using testing_http::Answer;
+using testing_http::Connection;
+using testing_program::program;
+using testing_program::Result;
+using Json = nlohmann::json;
+
+Result run(const std::vector<std::string>& words, const TempDir& dir) {
+  return testing_program::Process(program(), words, dir.path()).wait();
+}
+
+// A `semfield serve` that has printed its address.
+class Served {
+ public:
+  Served(const std::string& what, const TempDir& dir, const std::vector<std::string>& more = {})
+      : process_(program(), words(what, more), dir.path()) {
+    const std::string said = "serve: open http://127.0.0.1:", out = dir / "stdout";
+    for (int i = 0; i < 3000 && line_.find('\n') == std::string::npos; ++i) {
+      if (process_.wait_for(0.01)) return;
+      line_ = read_text_file(out);
+    }
+    if (line_.rfind(said, 0) != 0) return;
+    port_ = std::atoi(line_.c_str() + said.size());
+    const std::size_t slash = line_.find('/', said.size());
+    folder_ = line_.substr(slash, line_.find(' ', slash) - slash);
+  }
+
+  bool up() const { return port_ != 0; }
+  int port() const { return port_; }
+  const std::string& line() const { return line_; }
+  testing_program::Process& process() { return process_; }
+
+  std::string text(const std::string& method, const std::string& name, const std::string& body = "") const {
+    return method + " " + folder_ + name + " HTTP/1.1\r\nHost: 127.0.0.1:" + std::to_string(port_) +
+           "\r\nContent-Length: " + std::to_string(body.size()) + "\r\n\r\n" + body;
+  }
+  Answer ask(const std::string& method, const std::string& name, const std::string& body = "") const {
+    Connection c(port_);
+    c.send(text(method, name, body));
+    return c.receive(120);
+  }
+  Json state(const std::string& after = "0") const { return Json::parse(ask("GET", "state?after=" + after).body); }
+  std::string click(const std::string& id) const {
+    const Json view = state()["views"][0];
+    return Json{
+        {"id", id},           {"type", "click"}, {"frame", view["frame"]}, {"size", {view["width"], view["height"]}},
+        {"points", {{3, 4}}}, {"radius", 2},     {"class", "chair"}}
+        .dump();
+  }
+
+ private:
+  static std::vector<std::string> words(const std::string& what, const std::vector<std::string>& more) {
+    std::vector<std::string> all{"serve", what};
+    all.insert(all.end(), more.begin(), more.end());
+    return all;
+  }
+  testing_program::Process process_;
+  std::string line_, folder_;
+  int port_ = 0;
+};
+
+constexpr const char* kChair = R"({"id":"c","type":"class","name":"chair"})";
+
+TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 200, 1), room = dir / "room";
+  {
+    Served served(config, dir, {"--out", room});
+    ASSERT_TRUE(served.up()) << served.process().err_so_far();
+    EXPECT_EQ(served.ask("POST", "event", kChair).status, 200);
+    EXPECT_EQ(Json::parse(served.ask("POST", "event", served.click("k")).body)["applied"], true);
+    served.process().send(SIGKILL);
+    served.process().wait();
+  }
+  {
+    Served served(config, dir, {"--out", room});
+    ASSERT_TRUE(served.up()) << served.process().err_so_far();
+    EXPECT_NE(served.process().err_so_far().find("going on with " + room +
+                                                 ", which is there already, by the settings in its run.yaml"),
+              std::string::npos);
+    const Json s = served.state();
+    EXPECT_EQ(s["events"], 2);
+    EXPECT_EQ(s["marks"].size(), 1u);
+    EXPECT_EQ(Json::parse(served.ask("POST", "event", served.click("k")).body)["applied"], false);
+    served.process().send(SIGINT);
+    const Result ended = served.process().wait();
+    EXPECT_EQ(ended.code, 130);
+    EXPECT_NE(ended.err.find("all saved; go on with: semfield serve " + room), std::string::npos) << ended.err;
+  }
+  Served served(room, dir);
+  ASSERT_TRUE(served.up()) << served.process().err_so_far();
+  EXPECT_EQ(served.state()["events"], 2);
+  served.process().send(SIGTERM);
+  EXPECT_EQ(served.process().wait().code, 143);
+}
+
+// Kills at any moment between a click and its answer; SEMFIELD_TORTURE_KILLS asks for more of them.
+TEST(ServeVerb, RandomKillsLoseNoAnsweredClick) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 200, 1), room = dir / "room";
+  const char* wanted = std::getenv("SEMFIELD_TORTURE_KILLS");
+  const int kills = wanted != nullptr ? std::atoi(wanted) : 8;
+  std::mt19937 random(11);
+  std::set<std::string> answered;
+  for (int kill = 0; kill < kills; ++kill) {
+    Served served(config, dir, {"--out", room});
+    ASSERT_TRUE(served.up()) << "start " << kill << ": " << served.process().err_so_far();
+    if (kill == 0) {
+      ASSERT_EQ(served.ask("POST", "event", kChair).status, 200);
+    }
+    const Json s = served.state();
+    EXPECT_EQ(s["failure"], "");
+    std::set<std::string> there;
+    for (const Json& mark : s["marks"]) there.insert(mark["id"]);
+    for (const std::string& id : answered) EXPECT_TRUE(there.contains(id)) << id << " is lost after kill " << kill;
+    const std::string form = served.click("ID");
+    const auto last = std::chrono::steady_clock::now() + std::chrono::microseconds(random() % 60000);
+    std::thread killer([&] {
+      std::this_thread::sleep_until(last);
+      served.process().send(SIGKILL);
+    });
+    Connection c(served.port());
+    for (int n = 0;; ++n) {
+      const std::string id = "k" + std::to_string(kill) + "-" + std::to_string(n);
+      std::string event = form;
+      event.replace(event.find("ID"), 2, id);
+      if (!c.send(served.text("POST", "event", event)) || c.receive(10).status != 200) break;
+      answered.insert(id);
+    }
+    killer.join();
+    served.process().wait();
+  }
+  EXPECT_GT(answered.size(), 10u);
+}
+
+TEST(ServeVerb, ExportsAreThoseOfTheVerbs) {
+  const TempDir dir;
+  Served served(write_packed_config(dir, 50, 1), dir, {"--out", dir / "room"});
+  ASSERT_TRUE(served.up()) << served.process().err_so_far();
+  ASSERT_EQ(served.ask("POST", "event", kChair).status, 200);
+  ASSERT_EQ(served.ask("POST", "event", served.click("k")).status, 200);
+  const std::size_t views = served.state()["views"].size();
+  for (const char* what : {"labels", "coco", "mesh"}) {
+    const Answer begun = served.ask("POST", "export", Json{{"what", what}}.dump());
+    ASSERT_EQ(begun.status, 200) << begun.body;
+    Json s = served.state();
+    const auto end = std::chrono::steady_clock::now() + std::chrono::minutes(4);
+    while (s["exports"].back()["state"] == "running" && std::chrono::steady_clock::now() < end)
+      s = served.state(s["revision"].dump());
+    ASSERT_EQ(s["exports"].back()["state"], "done") << s["exports"].dump(1);
+  }
+  const std::string zip = served.ask("GET", "export/labels-1/0").body;
+  EXPECT_EQ(zip_entries(zip).size(), views + 1);  // and the classes
+  EXPECT_EQ(Json::parse(served.ask("GET", "export/coco-1/0").body)["images"].size(), views);
+  EXPECT_EQ(served.ask("GET", "export/mesh-1/0").body.substr(0, 4), "ply\n");
+  EXPECT_EQ(served.ask("GET", "export/mesh-1/1").body.substr(0, 4), "glTF");
+}
+
+TEST(ServeVerb, TheNextPortIsTakenUnlessOneIsNamed) {
+  const TempDir dir, other;
+  const std::string config = write_packed_config(dir, 50, 1);
+  Served first(config, dir, {"--out", dir / "room"});
+  ASSERT_TRUE(first.up()) << first.process().err_so_far();
+  const Result named = run({"serve", config, "--out", other / "room", "--port", std::to_string(first.port())}, other);
+  EXPECT_EQ(named.code, 69);
+  EXPECT_EQ(named.err, "semfield: port " + std::to_string(first.port()) +
+                           " of 127.0.0.1 is taken by another program; end that program, name another port, or leave "
+                           "--port out\n");
+  EXPECT_FALSE(std::filesystem::exists(other / "room"));
+  Served second(config, other, {"--out", other / "room"});
+  ASSERT_TRUE(second.up()) << second.process().err_so_far();
+  EXPECT_NE(second.port(), first.port());
+}
+
+TEST(ServeVerb, ARunOfTrainIsNotTakenForOneOfItsOwn) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 3, 1), room = dir / "room";
+  ASSERT_EQ(run({"train", config, "--out", room, "-q"}, dir).code, 0);
+  for (const std::vector<std::string>& words :
+       {std::vector<std::string>{"serve", config, "--out", room}, {"serve", room}}) {
+    const Result refused = run(words, dir);
+    EXPECT_EQ(refused.code, 73) << refused.err;
+    EXPECT_NE(refused.err.find(room + ": it holds a run that was not begun by `semfield serve`"), std::string::npos)
+        << refused.err;
+  }
+  EXPECT_FALSE(std::filesystem::exists(room + "/clicks.jsonl"));
+}
+
+TEST(ServeVerb, ARunThatIsServedAlreadyIsLeftAlone) {
+  const TempDir dir, other;
+  Served first(write_packed_config(dir, 50, 1), dir, {"--out", dir / "room"});
+  ASSERT_TRUE(first.up()) << first.process().err_so_far();
+  const Result second = run({"serve", dir / "room"}, other);
+  EXPECT_NE(second.code, 0);
+  EXPECT_NE(second.err.find(dir / "room"), std::string::npos) << second.err;
+  EXPECT_EQ(first.ask("POST", "event", kChair).status, 200);
+}
+
+}  // namespace
+}  // namespace semfield
