@@ -21,14 +21,15 @@ COLORS = [[200, 60, 60], [60, 140, 220], [80, 180, 90], [230, 180, 60]]
 
 class Room:
     """Events, and what a program that learns would say about them. `faults` is for tests:
-    "overlay": label maps stay as they are; "event": 503 and a sentence; "refuse": 400; "drop": applied, but the answer is lost; "picture": slow."""
+    "overlay": label maps stay as they are; "event": 503 and a sentence; "refuse": 400; "lost": a click never arrives; "drop": it is
+    applied, but the answer is lost; "silent": the state is told to nobody; "picture": slow."""
 
     def __init__(self, views=12, size=(160, 120), classes=(), room=32):
         self.size, self.most = size, room
         self.cameras = mock_room.cameras(views)
         self.frames = [f"rgb_{k:02}" for k in range(views)]
         self.given = [{"name": name, "color": COLORS[i % 4]} for i, name in enumerate(classes)]
-        self.events, self.exports, self.faults = [], [], set()
+        self.events, self.exports, self.faults, self.received = [], [], set(), []
         self.start, self.revision, self.overlay, self.failure = time.time(), 1, [1, 0], ""
         self.changed = threading.Condition()
         self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
@@ -183,6 +184,13 @@ class Handler(http.server.BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(body)
 
+    def break_off(self):
+        """An answer that begins and does not end: browsers repeat a request by themselves only when none begins."""
+        self.send_response(200)
+        self.send_header("Content-Length", "100")
+        self.end_headers()
+        self.close_connection = True
+
     def path_below_token(self):
         path, _, query = self.path.partition("?")
         if self.server.ended:  # the process is gone
@@ -204,7 +212,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
         elif path == "state":
             with room.changed:
                 if int(query["after"]) > 0:
-                    room.changed.wait_for(lambda: room.revision > int(query["after"]) or self.server.ended, timeout=2)
+                    room.changed.wait_for(lambda: "silent" not in room.faults and room.revision > int(query["after"]) or self.server.ended,
+                                          timeout=30 if "silent" in room.faults else 2)
                 if self.server.ended:
                     self.close_connection = True
                     return
@@ -225,6 +234,10 @@ class Handler(http.server.BaseHTTPRequestHandler):
         body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
         path, _ = self.path_below_token()
         if path == "event":
+            room.received.append(body["id"])
+            if "lost" in room.faults:
+                room.faults.discard("lost")
+                return self.break_off()
             if "event" in room.faults:
                 return self.answer({"error": "The click could not be stored: no space left on the disk.", "remedy": "Make room; the page sends it again."}, status=503)
             if "refuse" in room.faults:
@@ -235,8 +248,7 @@ class Handler(http.server.BaseHTTPRequestHandler):
                 return self.answer({"error": error.args[0], "remedy": error.args[1]}, status=400)
             if "drop" in room.faults:
                 room.faults.discard("drop")
-                self.close_connection = True
-                return None
+                return self.break_off()
             self.answer({"applied": applied, "revision": room.revision})
         elif path == "picture":
             with room.picture_lock:

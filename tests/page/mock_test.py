@@ -242,11 +242,12 @@ class PageTest(unittest.TestCase):
     def test_an_answer_that_is_lost(self):
         self.serve(classes=("sofa",))
         page = self.open()
-        self.room.faults.add("drop")  # stored, but the answer never comes
-        self.click(page, 30.5, 40.5)
-        self.wait_saved(page, 1)
-        self.click(page, 60.5, 40.5)
-        self.wait_saved(page, 2)
+        for clicks, fault in ((1, "drop"), (2, "lost")):  # stored, but the answer never comes; or not even that
+            self.room.faults.add(fault)
+            self.click(page, 30.5 * clicks, 40.5)
+            self.wait_saved(page, clicks)
+        ids = [event["id"] for event in self.room.events]
+        self.assertEqual(self.room.received, [ids[0], ids[0], ids[1], ids[1]])
 
     def test_a_refused_click_is_taken_back(self):
         self.serve(classes=("sofa",))
@@ -276,6 +277,24 @@ class PageTest(unittest.TestCase):
         self.wait_saved(page, 2)
         self.assertEqual(self.room.events[-1]["class"], "floor")
         page.wait("document.querySelectorAll('#classes .clicks')[1].textContent == '1'")
+
+    def test_an_acknowledged_event_of_an_ended_process(self):
+        self.serve(classes=("sofa",))
+        page = self.open()
+        self.click(page, 30.5, 40.5)
+        self.wait_saved(page, 1)
+        self.room.faults.add("silent")  # the answer comes, a new state does not
+        self.room.revision += 1000
+        page.keys("z")
+        page.wait("document.querySelector('#classes .clicks').textContent == '' && document.getElementById('saving').textContent == ''")
+        self.assertEqual(self.room.events[-1]["type"], "undo")
+        self.server.stop()
+        self.room.faults.clear()
+        self.room.revision = 1  # another process counts anew
+        self.server.start()
+        page.wait("document.getElementById('connection').textContent == 'connected'")
+        self.room.apply({"id": "somebody-1", "type": "undo", "of": self.room.events[-1]["id"]})
+        page.wait("document.querySelector('#classes .clicks').textContent == '1'", "an undo that is stored hides for ever")
 
     def test_two_browsers(self):
         self.serve()
@@ -308,6 +327,7 @@ class PageTest(unittest.TestCase):
     def test_fingers(self):
         self.serve(classes=("sofa",))
         page = self.open(820, 1180)
+        self.room.faults.add("overlay")
         at = self.page_of(page, 60, 45)
         page.fingers([at])
         self.wait_saved(page, 1)
@@ -319,6 +339,11 @@ class PageTest(unittest.TestCase):
         page.fingers([(at[0] - 40, at[1]), (at[0] - 200, at[1])], [(at[0] + 40, at[1]), (at[0] + 200, at[1])])
         page.wait("document.getElementById('saving').textContent == 'every click is saved'")
         self.assertEqual(len(self.room.events), 2, "a pinch labels")
+        x = 60 - 40 / ((min(page.box("#canvas")["width"] - 16, (page.box("#canvas")["height"] - 16) * 4 / 3)) / SIZE[0])
+        photo, label = self.room.view(0)[0][45][3 * int(x):3 * int(x) + 3], self.mixed(0, x, 45, [200, 60, 60])
+        seen = page.pixels([(at[0] - 200, at[1])])[0]
+        apart = [sum(abs(a - b) for a, b in zip(seen, other)) for other in (photo, label)]
+        self.assertLess(*apart, "the first finger of a pinch leaves a stroke")
         page.fingers([at])
         self.wait_saved(page, 3)
         x, y = self.room.events[-1]["points"][0]
@@ -411,6 +436,7 @@ class PageTest(unittest.TestCase):
               const redo = {event: {id: 'v', type: 'undo', of: 'u'}};
               const known = new Map([['x', {id: 'x', type: 'click', frame: 'f', points: [[1, 1]], radius: 0, class: 'a'}]]);
               is(model.combined(state, [undo], known).marks.length, 0, 'an undo hides');
+              is(model.combined(state, [undo], known).classes[0].clicks, 0, 'and counts');
               is(model.combined(state, [undo, redo], known).marks.length, 1, 'an undo of it shows again');
               const late = model.combined({...state, marks: []}, [redo], new Map([...known, ['u', undo.event]]));
               is(late.marks.map((mark) => mark.saved), [false], 'also when the first is saved already');

@@ -54,8 +54,8 @@ export function combined(state, pending, everyEvent) {
     const row = byName.get(event.class);
     marks.push({id: event.id, view: viewOf.get(event.frame), points: event.points, radius: event.radius, name: event.class,
                 color: row?.color ?? [160, 160, 160], saved: false});
-    if (row) row.clicks += 1;
   }
+  for (const row of classes) row.clicks = marks.filter(({name}) => name === row.name).length;
   return {classes, marks};
 }
 
