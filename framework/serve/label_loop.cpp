@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <set>
 #include <utility>
 
 #include "compute/parallel.h"
@@ -19,12 +20,6 @@ constexpr double kStale = 1.6;
 constexpr double kAlikeColor = 24;        // of 255, a channel
 constexpr double kAlikeDistance = 0.03;   // of the distance
 constexpr std::size_t kMostPixels = 256;  // of a stroke
-
-const float* color_of(const StoredFrame& photo, const PixelPlace& pixel, float (&color)[3]) {
-  const std::size_t at = 3 * static_cast<std::size_t>(std::int64_t{pixel.row} * photo.width_px + pixel.column);
-  for (std::size_t c = 0; c < 3; ++c) color[c] = static_cast<float>(photo.rgb[at + c]) / 255.0F;
-  return color;
-}
 
 }  // namespace
 
@@ -84,6 +79,8 @@ void LabelLoop::make_pool() {
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : pool_.points) positions.push_back(point.position);
   pool_rows_ = learner_.rows_at(positions);
+  graph_ = SurfaceGraph(pool_, options_.graph);
+  graph_.settle(seeds_);
   predict_pool();
 }
 
@@ -128,7 +125,6 @@ LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks)
   Named named;
   std::vector<Vec3d> positions;
   answered_.clear();
-  answered_color_.clear();
   const RayLimits& limits = training_.session().limits;
   for (std::size_t k = 0; k < clicks.size(); ++k) {
     const LabelledPixels& click = clicks[k];
@@ -145,10 +141,7 @@ LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks)
       named.logit.push_back(logit);
       named.click.push_back(static_cast<std::int32_t>(k));
       if (taken++ > 0) continue;
-      float color[3];
       answered_.push_back(positions.back());
-      color_of(*view.photo, pixels[i], color);
-      answered_color_.insert(answered_color_.end(), color, color + 3);
     }
     // A click weighs as one, and a stroke by the root of what it covers.
     for (std::size_t i = 0; i < taken; ++i) {
@@ -157,14 +150,45 @@ LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks)
     }
   }
   named.rows = learner_.rows_at(positions);
+  named.position = std::move(positions);
   return named;
+}
+
+std::vector<GraphSeed> LabelLoop::seeds_of(const Named& named) const {
+  std::vector<GraphSeed> seeds;
+  std::set<std::pair<std::int32_t, std::int16_t>> known;
+  for (std::size_t i = 0; i < named.logit.size(); ++i)
+    if (const std::int32_t point = graph_.point_at(named.position[i]);
+        point >= 0 && known.emplace(point, named.logit[i]).second)
+      seeds.push_back({point, named.logit[i]});
+  return seeds;
+}
+
+void LabelLoop::add_spread(Named& named) {
+  const std::vector<Settled>& settled = graph_.settled();
+  const auto dims = static_cast<std::size_t>(pool_rows_.dims);
+  for (std::size_t i = 0; i < settled.size(); ++i) {
+    const Settled& s = settled[i];
+    if (s.class_index[0] == kVoid) continue;
+    const double lead = static_cast<double>(s.cost[1] - s.cost[0]);
+    const double weight = std::exp(-static_cast<double>(s.cost[0]) / options_.far_cost) *
+                          std::tanh(std::min(lead / options_.doubt_cost, 20.0));
+    if (weight < 1e-3) continue;
+    named.logit.push_back(s.class_index[0]);
+    named.weight.push_back(static_cast<float>(weight * options_.spread_weight));
+    const auto row = pool_rows_.values.begin() + static_cast<std::ptrdiff_t>(i * dims);
+    named.rows.values.insert(named.rows.values.end(), row, row + static_cast<std::ptrdiff_t>(dims));
+  }
 }
 
 void LabelLoop::learn(std::span<const LabelledPixels> clicks) {
   pipeline_.executor().download(training_.step());
-  const Named named = named_points(clicks);
+  Named named = named_points(clicks);
   std::fill(live_.begin(), live_.end(), false);
   for (const std::int16_t logit : named.logit) live_[static_cast<std::size_t>(logit)] = true;
+  seeds_ = seeds_of(named);
+  graph_.settle(seeds_);
+  add_spread(named);
   learner_.learn(named.rows, named.logit, named.weight, options_.learning);
   learned_ = !named.logit.empty();
   pipeline_.executor().upload(training_.step());
@@ -216,34 +240,29 @@ ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
 std::optional<Asked> LabelLoop::propose(Acquisition how, std::uint64_t seed, std::uint64_t round) const {
   ProposalInput input;
   input.pool = &pool_;
-  input.rows = &pool_rows_;
+  input.graph = &graph_;
   input.probability = pool_probability_;
   input.classes = learner_.classes();
-  std::vector<Vec3d> places = answered_;
-  std::vector<float> colors = answered_color_;
-  places.insert(places.end(), skipped_.begin(), skipped_.end());
-  colors.insert(colors.end(), skipped_color_.begin(), skipped_color_.end());
-  input.answered = places;
-  input.answered_color = colors;
+  input.answered = answered_;
+  std::vector<std::int32_t> passed;
+  for (const Vec3d& place : skipped_)
+    if (const std::int32_t point = graph_.point_at(place); point >= 0) passed.push_back(point);
+  input.passed = passed;
   input.seed = seed;
   input.round = round;
+  input.rules = options_.proposals;
   const WorkScope scope(pipeline_.options().work);
   return choose_click(how, input);
 }
 
 void LabelLoop::set_skipped(std::vector<LabelledPixels> skipped) {
   skipped_.clear();
-  skipped_color_.clear();
+  const RayLimits& limits = training_.session().limits;
   for (const LabelledPixels& place : skipped) {
-    const PoolView& view = views_[static_cast<std::size_t>(place.view)];
-    const std::vector<float> distance =
-        surface_distances(pipeline_, view.camera, training_.session().limits, place.pixels);
-    if (distance.empty() || !(distance[0] > 0)) continue;
-    float color[3];
-    skipped_.push_back(
-        point_at(view.camera, training_.session().limits, place.pixels[0], static_cast<double>(distance[0])));
-    color_of(*view.photo, place.pixels[0], color);
-    skipped_color_.insert(skipped_color_.end(), color, color + 3);
+    const RayCamera& camera = views_[static_cast<std::size_t>(place.view)].camera;
+    const std::vector<float> distance = surface_distances(pipeline_, camera, limits, place.pixels);
+    if (!distance.empty() && distance[0] > 0)
+      skipped_.push_back(point_at(camera, limits, place.pixels[0], static_cast<double>(distance[0])));
   }
 }
 

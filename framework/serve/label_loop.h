@@ -10,6 +10,7 @@
 
 #include "serve/point_learner.h"
 #include "serve/proposals.h"
+#include "serve/surface_graph.h"
 #include "serve/surface_pool.h"
 #include "session/training.h"
 
@@ -24,8 +25,13 @@ struct LabelledPixels {
 
 struct LabelLoopOptions {
   std::int64_t map_rays = 400'000;  ///< of the coarse maps of all views together
-  std::int64_t pool_points = 8'000;
-  std::int32_t reach_px = 4;  ///< a click names the pixels around it that look alike; of an image 320 pixels wide
+  std::int64_t pool_points = 30'000;
+  SurfaceGraphRules graph;
+  ProposalRules proposals;
+  double spread_weight = 0.02;  ///< of a point that clicks spread to, where a click is 1
+  double far_cost = 2;          ///< what is this far from a click says 1/e as much as the click
+  double doubt_cost = 0.5;      ///< difference of the ways to two classes that leaves no doubt (tanh 1)
+  std::int32_t reach_px = 4;    ///< a click names the pixels around it that look alike; of an image 320 pixels wide
   PointLearning learning;
 };
 
@@ -44,6 +50,7 @@ class LabelLoop {
 
   const std::vector<PoolView>& views() const { return views_; }
   const SurfacePool& pool() const { return pool_; }
+  const SurfaceGraph& graph() const { return graph_; }
   /// Every view has a map, and there is a pool.
   bool ready() const { return !pool_.points.empty(); }
 
@@ -86,7 +93,11 @@ class LabelLoop {
     std::vector<std::int16_t> logit;
     std::vector<float> weight;
     std::vector<std::int32_t> click;  // that a point belongs to
+    std::vector<Vec3d> position;
   };
+  // Points of the surface to which clicks spread, behind those of the clicks.
+  void add_spread(Named& named);
+  std::vector<GraphSeed> seeds_of(const Named& named) const;
   Named named_points(std::span<const LabelledPixels> clicks);
   std::vector<PixelPlace> alike_around(const LabelledPixels& click) const;
   void predict_pool();
@@ -99,16 +110,17 @@ class LabelLoop {
   std::vector<PoolView> views_;
   std::int32_t stride_ = 1;
   SurfacePool pool_;
+  SurfaceGraph graph_;
   PointRows pool_rows_;
   std::int64_t pool_step_ = 0;
   PointLearner learner_;
   std::vector<std::int16_t> logit_of_class_;
+  std::vector<GraphSeed> seeds_;
   bool learned_ = false;
   std::vector<bool> live_;
   std::vector<float> pool_probability_;
   double temperature_ = 1;
   std::vector<Vec3d> answered_, skipped_;
-  std::vector<float> answered_color_, skipped_color_;
 };
 
 }  // namespace semfield

@@ -12,32 +12,6 @@ namespace semfield {
 namespace {
 
 constexpr const char* kRandom = "proposals/candidates";
-constexpr std::int64_t kCandidates = 512;
-// Two points of the surface count as alike by the square of their distance, in cells of the pool, and of their colours.
-constexpr double kReachCells = 8;
-constexpr double kColorReach = 0.12;
-constexpr double kEntropyShare = 0.7;  // the rest is novelty alone
-constexpr double kAreaPower = 0.5;     // a region counts by this power of its area: small things have classes too
-
-class Alike {
- public:
-  explicit Alike(const SurfacePool& pool)
-      : by_place_(0.5 / (kReachCells * kReachCells * pool.cell_m * pool.cell_m)),
-        by_color_(0.5 / (kColorReach * kColorReach)) {}
-  double operator()(Vec3d a, const float* color_a, Vec3d b, const float* color_b) const {
-    const Vec3d d = a - b;
-    double square = dot(d, d) * by_place_;
-    for (int c = 0; c < 3; ++c) {
-      const double step = static_cast<double>(color_a[c]) - static_cast<double>(color_b[c]);
-      square += step * step * by_color_;
-    }
-    return square > 12 ? 0 : std::exp(-square);
-  }
-
- private:
-  double by_place_, by_color_;
-};
-
 // [N] entropy as a share of the largest there can be; all 1 while nothing is learned.
 std::vector<double> entropies(const ProposalInput& in) {
   const std::size_t count = in.pool->points.size();
@@ -79,53 +53,71 @@ Asked best_of(std::size_t count, const Score& score) {
   return best;
 }
 
-Asked by_surface(const ProposalInput& in) {
-  const std::vector<PoolPoint>& points = in.pool->points;
-  const Alike alike(*in.pool);
+// How little is known of each point, 0 to 1: far from every click by way of the surface, or doubted by the network.
+std::vector<float> doubts(const ProposalInput& in) {
   const std::vector<double> entropy = entropies(in);
-  std::vector<double> open(points.size()), novelty(points.size(), 1.0);
-  parallel_for(std::ssize(points), [&](std::int64_t n) {
-    const auto i = static_cast<std::size_t>(n);
-    for (std::size_t a = 0; a < in.answered.size(); ++a) {
-      novelty[i] = std::min(novelty[i],
-                            1 - alike(points[i].position, points[i].color, in.answered[a], &in.answered_color[3 * a]));
-    }
-    open[i] = novelty[i] * (1 - kEntropyShare + kEntropyShare * entropy[i]);
-  });
-  // Candidates: points that are open, drawn in proportion to it, and not beside a border.
+  std::vector<float> doubt(entropy.size());
+  for (std::size_t i = 0; i < doubt.size(); ++i) {
+    const float way = std::min(1.0F, in.graph->settled()[i].cost[0] / in.rules.unseen);
+    doubt[i] = static_cast<float>((1 - in.rules.entropy_share) * static_cast<double>(way) +
+                                  in.rules.entropy_share * static_cast<double>(way) * entropy[i]);
+  }
+  std::vector<SurfaceGraph::Near> near;
+  SurfaceGraph::Scratch scratch;
+  for (const std::int32_t point : in.passed) {
+    in.graph->around(point, in.rules.reach, in.rules.most, scratch, near);
+    for (const SurfaceGraph::Near& n : near) doubt[static_cast<std::size_t>(n.point)] = 0;
+  }
+  return doubt;
+}
+
+// Points drawn in proportion to their doubt, and not beside a border.
+std::vector<std::int32_t> candidates_of(const ProposalInput& in, std::span<const float> doubt) {
   std::vector<double> up_to;
   std::vector<std::int32_t> may;
   double sum = 0;
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    if (!points[i].interior) continue;
+  for (std::size_t i = 0; i < doubt.size(); ++i) {
+    if (!in.pool->points[i].interior) continue;
     may.push_back(static_cast<std::int32_t>(i));
-    up_to.push_back(sum += open[i] + 1e-9);
+    up_to.push_back(sum += static_cast<double>(doubt[i]) + 1e-9);
   }
-  if (may.empty()) return {0, 0, "unseen"};
+  std::vector<std::int32_t> out;
+  if (may.empty()) return out;
   const RandomAddress address{in.seed, in.round, stream_id(kRandom)};
-  std::vector<std::int32_t> candidates;
-  for (std::int64_t k = 0; k < kCandidates; ++k) {
+  for (std::int64_t k = 0; k < in.rules.candidates; ++k) {
     const double at =
         (static_cast<double>(k) + static_cast<double>(uniform01(address, static_cast<std::uint64_t>(k)))) /
-        static_cast<double>(kCandidates) * sum;
+        static_cast<double>(in.rules.candidates) * sum;
     const auto found = std::upper_bound(up_to.begin(), up_to.end(), at) - up_to.begin();
-    candidates.push_back(may[static_cast<std::size_t>(std::min(found, std::ssize(may) - 1))]);
+    out.push_back(may[static_cast<std::size_t>(std::min(found, std::ssize(may) - 1))]);
   }
+  return out;
+}
+
+Asked by_surface(const ProposalInput& in) {
+  const std::vector<float> doubt = doubts(in);
+  const std::vector<std::int32_t> candidates = candidates_of(in, doubt);
+  if (candidates.empty()) return {0, 0, "unseen"};
   std::vector<double> gain(candidates.size());
-  parallel_for(std::ssize(candidates), [&](std::int64_t k) {
-    const PoolPoint& c = points[static_cast<std::size_t>(candidates[static_cast<std::size_t>(k)])];
-    double settled = 0, area = 0;
-    for (std::size_t j = 0; j < points.size(); ++j) {
-      const double share = alike(c.position, c.color, points[j].position, points[j].color);
-      settled += share * open[j];
-      area += share;
+  constexpr std::int64_t kBlock = 16;
+  parallel_for((std::ssize(candidates) + kBlock - 1) / kBlock, [&](std::int64_t block) {
+    SurfaceGraph::Scratch scratch;
+    std::vector<SurfaceGraph::Near> near;
+    for (std::int64_t k = block * kBlock; k < std::min(std::ssize(candidates), (block + 1) * kBlock); ++k) {
+      in.graph->around(candidates[static_cast<std::size_t>(k)], in.rules.reach, in.rules.most, scratch, near);
+      double settled = 0, area = 0;
+      for (const SurfaceGraph::Near& n : near) {
+        const double share = 1 - static_cast<double>(n.cost / in.rules.reach);
+        settled += share * static_cast<double>(doubt[static_cast<std::size_t>(n.point)]);
+        area += share;
+      }
+      gain[static_cast<std::size_t>(k)] = settled / std::pow(area, 1 - in.rules.area_power);
     }
-    const auto own = static_cast<std::size_t>(candidates[static_cast<std::size_t>(k)]);
-    gain[static_cast<std::size_t>(k)] = open[own] * settled / std::pow(area, 1 - kAreaPower);
   });
   const auto best = static_cast<std::size_t>(std::max_element(gain.begin(), gain.end()) - gain.begin());
   const std::int32_t point = candidates[best];
-  return {point, gain[best], novelty[static_cast<std::size_t>(point)] > 0.9 ? "unseen" : "uncertain"};
+  const float way = in.graph->settled()[static_cast<std::size_t>(point)].cost[0];
+  return {point, gain[best], way >= in.rules.unseen ? "unseen" : "uncertain"};
 }
 
 }  // namespace

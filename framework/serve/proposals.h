@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "config/params.h"
-#include "serve/point_learner.h"
+#include "serve/surface_graph.h"
 #include "serve/surface_pool.h"
 
 namespace semfield {
@@ -19,7 +19,7 @@ namespace semfield {
 ///   farthest  the point farthest from earlier clicks;
 ///   entropy   the largest entropy;
 ///   margin    the smallest lead of the first class over the second;
-///   surface   uncertainty summed over the surface that a click would settle.
+///   surface   what a click would settle: doubt summed over the surface that it would spread to.
 enum class Acquisition : std::uint8_t { random, farthest, entropy, margin, surface };
 template <>
 struct ChoiceNames<Acquisition> {
@@ -32,16 +32,26 @@ struct Asked {
   std::string_view why;     ///< "unseen" or "uncertain"
 };
 
-/// What a choice knows. `rows` [N, dims] and `probability` [N, C] of the pool's points; empty while nothing is learned.
-/// `answered`: places of earlier clicks and of those that were passed over.
+struct ProposalRules {
+  float unseen = 4;            ///< a point this far from every click, or farther, is open
+  float reach = 1.5;           ///< a click settles what it spreads to for this
+  std::size_t most = 400;      ///< points that one click settles
+  double area_power = 0.35;    ///< a region counts by this power of its area: small things have classes too
+  double entropy_share = 0.5;  ///< of a point's doubt that the network's entropy tells; the rest is the way to a click
+  std::int64_t candidates = 256;
+};
+
+/// What a choice knows. `probability` [N, C] of the pool's points; empty while nothing is learned. `answered`: places
+/// of earlier clicks; `passed`: points that somebody did not want to name.
 struct ProposalInput {
   const SurfacePool* pool = nullptr;
-  const PointRows* rows = nullptr;
+  const SurfaceGraph* graph = nullptr;
   std::span<const float> probability;
   std::int32_t classes = 0;
   std::span<const Vec3d> answered;
-  std::span<const float> answered_color;  ///< [answered, 3]
+  std::span<const std::int32_t> passed;
   std::uint64_t seed = 1, round = 0;
+  ProposalRules rules{};
 };
 
 /// None for an empty pool.

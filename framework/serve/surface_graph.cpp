@@ -26,9 +26,9 @@ float step_cost(const PoolPoint& a, const PoolPoint& b, double cell, const Surfa
 
 }  // namespace
 
-SurfaceGraph::SurfaceGraph(const SurfacePool& pool, const SurfaceGraphRules& rules) {
+SurfaceGraph::SurfaceGraph(const SurfacePool& pool, const SurfaceGraphRules& rules) : cell_m_(pool.cell_m) {
   const auto count = static_cast<std::int64_t>(pool.points.size());
-  std::unordered_map<std::uint64_t, std::int32_t> at;
+  std::unordered_map<std::uint64_t, std::int32_t>& at = point_of_cell_;
   at.reserve(static_cast<std::size_t>(2 * count));
   for (std::int64_t i = 0; i < count; ++i)
     at.emplace(surface_cell_key(pool.points[static_cast<std::size_t>(i)].cell), static_cast<std::int32_t>(i));
@@ -101,28 +101,51 @@ void SurfaceGraph::add(const GraphSeed& seed) {
   }
 }
 
-std::vector<SurfaceGraph::Near> SurfaceGraph::around(std::int32_t point, float reach) const {
+std::int32_t SurfaceGraph::point_at(Vec3d place) const {
+  if (point_of_cell_.empty()) return -1;
+  const SurfaceCell own = surface_cell(place, cell_m_);
+  if (const auto found = point_of_cell_.find(surface_cell_key(own)); found != point_of_cell_.end())
+    return found->second;
+  std::int32_t nearest = -1;
+  double least = INFINITY;
+  for (std::int32_t k = 0; k < 27; ++k) {
+    const SurfaceCell other{own[0] + k % 3 - 1, own[1] + k / 3 % 3 - 1, own[2] + k / 9 - 1};
+    const auto found = point_of_cell_.find(surface_cell_key(other));
+    if (found == point_of_cell_.end()) continue;
+    const Vec3d center{(other[0] + 0.5) * cell_m_, (other[1] + 0.5) * cell_m_, (other[2] + 0.5) * cell_m_};
+    const double distance = length(center - place);
+    if (distance >= least) continue;
+    least = distance;
+    nearest = found->second;
+  }
+  return nearest;
+}
+
+void SurfaceGraph::around(std::int32_t point, float reach, std::size_t most, Scratch& scratch,
+                          std::vector<Near>& out) const {
   using Entry = std::pair<float, std::int32_t>;
+  scratch.best.resize(settled_.size(), kUnreached);
   std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue;
-  std::unordered_map<std::int32_t, float> best{{point, 0.0F}};
-  std::vector<Near> out;
-  queue.emplace(0.0F, point);
-  while (!queue.empty()) {
+  const auto take = [&](std::int32_t at, float cost) {
+    float& best = scratch.best[static_cast<std::size_t>(at)];
+    if (cost >= best) return;
+    if (best == kUnreached) scratch.touched.push_back(at);
+    best = cost;
+    queue.emplace(cost, at);
+  };
+  out.clear();
+  take(point, 0);
+  while (!queue.empty() && out.size() < most) {
     const auto [cost, at] = queue.top();
     queue.pop();
-    if (cost > best[at]) continue;
+    if (cost > scratch.best[static_cast<std::size_t>(at)]) continue;
     out.push_back({at, cost});
     for (auto e = static_cast<std::size_t>(first_[static_cast<std::size_t>(at)]);
-         e < static_cast<std::size_t>(first_[static_cast<std::size_t>(at) + 1]); ++e) {
-      const float next = cost + edges_[e].cost;
-      if (next > reach) continue;
-      const auto [found, fresh] = best.emplace(edges_[e].to, next);
-      if (!fresh && next >= found->second) continue;
-      found->second = next;
-      queue.emplace(next, edges_[e].to);
-    }
+         e < static_cast<std::size_t>(first_[static_cast<std::size_t>(at) + 1]); ++e)
+      if (const float next = cost + edges_[e].cost; next <= reach) take(edges_[e].to, next);
   }
-  return out;
+  for (const std::int32_t at : scratch.touched) scratch.best[static_cast<std::size_t>(at)] = kUnreached;
+  scratch.touched.clear();
 }
 
 }  // namespace semfield

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <span>
+#include <unordered_map>
 #include <vector>
 
 #include "serve/surface_pool.h"
@@ -41,19 +42,28 @@ class SurfaceGraph {
   /// One more seed, at the cost of what changes.
   void add(const GraphSeed& seed);
 
-  /// Cost of the cheapest way from `point` to each point that can be reached for at most `reach`: pairs in the order of
-  /// cost.
+  /// The point whose cell holds a place, or lies beside that cell; -1: none.
+  std::int32_t point_at(Vec3d place) const;
+
+  /// The points that can be reached from `point` for at most `reach`, and at most `most` of them, the cheapest first.
   struct Near {
     std::int32_t point;
     float cost;
   };
-  std::vector<Near> around(std::int32_t point, float reach) const;
+  /// Memory of around() for one thread.
+  struct Scratch {
+    std::vector<float> best;
+    std::vector<std::int32_t> touched;
+  };
+  void around(std::int32_t point, float reach, std::size_t most, Scratch& scratch, std::vector<Near>& out) const;
 
  private:
   struct Edge {
     std::int32_t to;
     float cost;
   };
+  double cell_m_ = 1;
+  std::unordered_map<std::uint64_t, std::int32_t> point_of_cell_;
   std::vector<std::int32_t> first_;  // [points + 1]
   std::vector<Edge> edges_;
   std::vector<Settled> settled_;

@@ -20,16 +20,6 @@ struct Seen {
   bool interior = false;
 };
 
-SurfaceCell cell_of(Vec3d p, double edge) {
-  SurfaceCell cell{};
-  for (int axis = 0; axis < 3; ++axis) {
-    const double index = std::clamp(std::floor(p[axis] / edge), -static_cast<double>(kCellRange - 1),
-                                    static_cast<double>(kCellRange - 2));
-    cell[static_cast<std::size_t>(axis)] = static_cast<std::int32_t>(index);
-  }
-  return cell;
-}
-
 // Across the smaller step of depth on either axis, so that borders do not turn them.
 void add_normals(const PoolView& view, std::vector<Seen>& seen) {
   const std::int32_t width = view.map.width_px, height = view.map.height_px;
@@ -110,6 +100,16 @@ double extent_of(const std::vector<std::vector<Seen>>& seen) {
 
 }  // namespace
 
+SurfaceCell surface_cell(Vec3d p, double edge) {
+  SurfaceCell cell{};
+  for (int axis = 0; axis < 3; ++axis) {
+    const double index = std::clamp(std::floor(p[axis] / edge), -static_cast<double>(kCellRange - 1),
+                                    static_cast<double>(kCellRange - 2));
+    cell[static_cast<std::size_t>(axis)] = static_cast<std::int32_t>(index);
+  }
+  return cell;
+}
+
 std::uint64_t surface_cell_key(const SurfaceCell& cell) {
   std::uint64_t key = 0;
   for (const std::int32_t index : cell) key = key << 21 | static_cast<std::uint64_t>(index + kCellRange);
@@ -139,7 +139,7 @@ SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& 
       for (std::size_t i = 0; i < seen[v].size(); ++i) {
         const Seen& found = seen[v][i];
         if (!(found.distance > 0)) continue;
-        const SurfaceCell cell = cell_of(found.position, pool.cell_m);
+        const SurfaceCell cell = surface_cell(found.position, pool.cell_m);
         const auto [entry, fresh] =
             number.emplace(surface_cell_key(cell), static_cast<std::int32_t>(pool.points.size()));
         const auto at = static_cast<std::size_t>(entry->second);

@@ -22,6 +22,7 @@ struct PoolView {
 
 /// Place of a cell in a regular grid, in cells from the origin.
 using SurfaceCell = std::array<std::int32_t, 3>;
+SurfaceCell surface_cell(Vec3d place, double edge_m);
 std::uint64_t surface_cell_key(const SurfaceCell& cell);
 
 /// Where a cell of the surface is seen best: in a view's middle rather than at a border of depth, and from near.
