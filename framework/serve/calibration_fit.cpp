@@ -12,73 +12,87 @@ constexpr int kFolds = 5;
 constexpr std::size_t kLeastClicks = 10;
 constexpr double kLowest = 0.25, kHighest = 20;
 
-// Mean negative log likelihood at a temperature; each click weighs the same.
-double likelihood(std::span<const float> logits, std::span<const std::int16_t> truth, std::span<const float> weight,
-                  const std::vector<std::vector<bool>>& live, std::span<const int> fold, double temperature) {
-  const std::size_t width = live.front().size();
+// A held-back point: its class probabilities by what was learned from the other clicks, and what it stands for.
+struct HeldBack {
+  std::vector<float> probability;
+  std::size_t truth = 0;
+  double counts = 0;
+};
+
+// Mean negative log likelihood at a temperature; NAN where there is nothing to compare.
+double likelihood(const std::vector<HeldBack>& held, double temperature) {
   double sum = 0, total = 0;
-  for (std::size_t i = 0; i < truth.size(); ++i) {
-    const float* const row = &logits[i * width];
-    const std::vector<bool>& has = live[static_cast<std::size_t>(fold[i])];
-    if (!has[static_cast<std::size_t>(truth[i])]) continue;  // nobody else has named its class
-    double most = -INFINITY, norm = 0;
-    for (std::size_t c = 0; c < width; ++c)
-      if (has[c]) most = std::max(most, static_cast<double>(row[c]) / temperature);
-    for (std::size_t c = 0; c < width; ++c)
-      if (has[c]) norm += std::exp(static_cast<double>(row[c]) / temperature - most);
-    const auto own = static_cast<double>(row[static_cast<std::size_t>(truth[i])]) / temperature;
-    sum += static_cast<double>(weight[i]) * (std::log(norm) + most - own);
-    total += static_cast<double>(weight[i]);
+  for (const HeldBack& point : held) {
+    double norm = 0;
+    for (const float p : point.probability)
+      if (p > 0) norm += std::pow(static_cast<double>(p), 1 / temperature);
+    const double own = std::max(1e-12, static_cast<double>(point.probability[point.truth]));
+    sum += point.counts * (std::log(norm) - std::log(own) / temperature);
+    total += point.counts;
   }
   return total > 0 ? sum / total : NAN;
 }
 
 }  // namespace
 
+std::vector<double> LabelLoop::areas_of(std::size_t clicks, const Named& named) const {
+  std::vector<double> area(clicks, 1);
+  for (const PoolPoint& point : pool_.points) {
+    double least = INFINITY;
+    std::size_t nearest = 0;
+    for (std::size_t i = 0; i < named.position.size(); ++i) {
+      if (i > 0 && named.click[i] == named.click[i - 1]) continue;  // a click's first point stands for it
+      const Vec3d way = point.position - named.position[i];
+      const double square = dot(way, way);
+      if (square >= least) continue;
+      least = square;
+      nearest = static_cast<std::size_t>(named.click[i]);
+    }
+    if (std::isfinite(least)) area[nearest] += 1;
+  }
+  return area;
+}
+
 double LabelLoop::fit_temperature(std::span<const LabelledPixels> clicks) {
-  if (clicks.size() < kLeastClicks) return 1;
+  if (clicks.size() < kLeastClicks || !ready()) return 1;
   pipeline_.executor().download(training_.step());
   const Named named = named_points(clicks);
-  const auto dims = static_cast<std::size_t>(named.rows.dims), width = static_cast<std::size_t>(classes());
-  std::vector<float> logits(named.logit.size() * width);
-  std::vector<int> fold_of(named.logit.size());
-  std::vector<std::vector<bool>> live(kFolds, std::vector<bool>(width, false));
+  // Clicks lie where there was doubt: each counts for the surface that it stands for.
+  const std::vector<double> area = areas_of(clicks.size(), named);
+  std::vector<HeldBack> held;
   for (int fold = 0; fold < kFolds; ++fold) {
-    PointRows others, held;
-    others.dims = held.dims = named.rows.dims;
-    std::vector<std::int16_t> logit;
-    std::vector<float> weight;
-    std::vector<std::size_t> of_held;
+    std::vector<LabelledPixels> others;
+    for (std::size_t k = 0; k < clicks.size(); ++k)
+      if (static_cast<int>(k % kFolds) != fold) others.push_back(clicks[k]);
+    learn_from(others);
+    std::vector<Vec3d> places;
+    std::vector<HeldBack> of_fold;
     for (std::size_t i = 0; i < named.logit.size(); ++i) {
-      const bool is_held = named.click[i] % kFolds == fold;
-      PointRows& to = is_held ? held : others;
-      const auto row = named.rows.values.begin() + static_cast<std::ptrdiff_t>(i * dims);
-      to.values.insert(to.values.end(), row, row + static_cast<std::ptrdiff_t>(dims));
-      if (is_held) {
-        of_held.push_back(i);
-        fold_of[i] = fold;
-      } else {
-        logit.push_back(named.logit[i]);
-        weight.push_back(named.weight[i]);
-        live[static_cast<std::size_t>(fold)][static_cast<std::size_t>(named.logit[i])] = true;
-      }
+      const auto click = static_cast<std::size_t>(named.click[i]);
+      const bool first = i == 0 || named.click[i] != named.click[i - 1];  // a click's first point stands for it
+      if (!first || static_cast<int>(click % kFolds) != fold) continue;
+      if (!live_[static_cast<std::size_t>(named.logit[i])]) continue;  // nobody else has named its class
+      places.push_back(named.position[i]);
+      of_fold.push_back({{}, static_cast<std::size_t>(named.logit[i]), area[click]});
     }
-    learner_.learn(others, logit, weight, options_.learning);
-    const std::vector<float> found = learner_.logits(held);
-    for (std::size_t k = 0; k < of_held.size(); ++k) std::copy_n(&found[k * width], width, &logits[of_held[k] * width]);
+    const std::vector<float> found = probabilities(learner_.rows_at(places), places, 1);
+    const auto width = static_cast<std::ptrdiff_t>(classes());
+    for (std::size_t k = 0; k < of_fold.size(); ++k) {
+      const auto row = found.begin() + static_cast<std::ptrdiff_t>(k) * width;
+      of_fold[k].probability.assign(row, row + width);
+      held.push_back(std::move(of_fold[k]));
+    }
   }
-  learner_.learn(named.rows, named.logit, named.weight, options_.learning);  // as it was
+  learn_from(clicks);
   pipeline_.executor().upload(training_.step());
-  // The likelihood has one minimum over log T: golden section.
+  predict_pool();
+  if (!std::isfinite(likelihood(held, 1))) return 1;
+  // One minimum over log T: golden section.
   double low = std::log(kLowest), high = std::log(kHighest);
   const double golden = (std::sqrt(5.0) - 1) / 2;
-  const auto value = [&](double at) {
-    return likelihood(logits, named.logit, named.weight, live, fold_of, std::exp(at));
-  };
-  if (!std::isfinite(value(0))) return 1;
   for (int i = 0; i < 40; ++i) {
     const double a = high - golden * (high - low), b = low + golden * (high - low);
-    if (value(a) < value(b)) {
+    if (likelihood(held, std::exp(a)) < likelihood(held, std::exp(b))) {
       high = b;
     } else {
       low = a;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <numeric>
 #include <set>
 #include <utility>
 
@@ -19,6 +20,7 @@ using Clock = std::chrono::steady_clock;
 constexpr double kStale = 1.6;
 constexpr double kAlikeColor = 24;        // of 255, a channel
 constexpr double kAlikeDistance = 0.03;   // of the distance
+constexpr float kMostLead = 6;            // of a way, beyond which it tells no more
 constexpr std::size_t kMostPixels = 256;  // of a stroke
 
 }  // namespace
@@ -86,7 +88,47 @@ void LabelLoop::make_pool() {
 
 void LabelLoop::predict_pool() {
   pool_probability_.clear();
-  if (learned_) pool_probability_ = learner_.probabilities(pool_rows_, live_, temperature_);
+  if (!learned_) return;
+  pool_probability_ = learner_.probabilities(pool_rows_, live_);
+  std::vector<std::int32_t> points(pool_.points.size());
+  std::iota(points.begin(), points.end(), 0);
+  weigh_by_way(points, temperature_, pool_probability_);
+}
+
+void LabelLoop::weigh_by_way(std::span<const std::int32_t> points, double temperature,
+                             std::span<float> probability) const {
+  const auto width = static_cast<std::size_t>(classes());
+  const auto fold = static_cast<float>(options_.graph_cost > 0 ? 1 / options_.graph_cost : 0);
+  const auto power = static_cast<float>(1 / temperature);
+  parallel_for((std::ssize(points) + 1023) / 1024, [&](std::int64_t block) {
+    for (auto i = static_cast<std::size_t>(block * 1024);
+         i < std::min(points.size(), static_cast<std::size_t>((block + 1) * 1024)); ++i) {
+      const std::span<float> row = probability.subspan(i * width, width);
+      if (points[i] >= 0) {
+        const Settled& s = graph_.settled()[static_cast<std::size_t>(points[i])];
+        const float factor = std::exp(-std::min(s.cost[1] - s.cost[0], kMostLead) * fold);
+        for (std::size_t c = 0; c < width && s.class_index[0] != kVoid; ++c)
+          if (static_cast<std::int16_t>(c) != s.class_index[0]) row[c] *= factor;
+      }
+      float sum = 0;
+      for (float& p : row) sum += p = power == 1 || p == 0 ? p : std::pow(p, power);
+      if (sum > 0)
+        for (float& p : row) p /= sum;
+    }
+  });
+}
+
+std::vector<float> LabelLoop::probabilities(const PointRows& rows, std::span<const Vec3d> places, double temperature) {
+  std::vector<float> out = learner_.probabilities(rows, live_);
+  std::vector<std::int32_t> points(places.size());
+  const WorkScope scope(pipeline_.options().work);
+  parallel_for((std::ssize(places) + 1023) / 1024, [&](std::int64_t block) {
+    for (auto i = static_cast<std::size_t>(block * 1024);
+         i < std::min(places.size(), static_cast<std::size_t>((block + 1) * 1024)); ++i)
+      points[i] = graph_.point_at(places[i]);
+  });
+  weigh_by_way(points, temperature, out);
+  return out;
 }
 
 std::vector<PixelPlace> LabelLoop::alike_around(const LabelledPixels& click) const {
@@ -181,8 +223,7 @@ void LabelLoop::add_spread(Named& named) {
   }
 }
 
-void LabelLoop::learn(std::span<const LabelledPixels> clicks) {
-  pipeline_.executor().download(training_.step());
+void LabelLoop::learn_from(std::span<const LabelledPixels> clicks) {
   Named named = named_points(clicks);
   std::fill(live_.begin(), live_.end(), false);
   for (const std::int16_t logit : named.logit) live_[static_cast<std::size_t>(logit)] = true;
@@ -191,6 +232,11 @@ void LabelLoop::learn(std::span<const LabelledPixels> clicks) {
   add_spread(named);
   learner_.learn(named.rows, named.logit, named.weight, options_.learning);
   learned_ = !named.logit.empty();
+}
+
+void LabelLoop::learn(std::span<const LabelledPixels> clicks) {
+  pipeline_.executor().download(training_.step());
+  learn_from(clicks);
   pipeline_.executor().upload(training_.step());
   predict_pool();
 }
@@ -216,7 +262,7 @@ ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
             point_at(view.camera, training_.session().limits, pixel, static_cast<double>(map.distance_m[where[k]]));
       }
     });
-    const std::vector<float> probability = learner_.probabilities(learner_.rows_at(positions), live_, temperature_);
+    const std::vector<float> probability = probabilities(learner_.rows_at(positions), positions, temperature_);
     const std::vector<int>& class_of_logit = training_.session().plan.class_of_logit;
     const auto width = static_cast<std::size_t>(classes());
     const double most =

@@ -28,8 +28,10 @@ struct LabelLoopOptions {
   std::int64_t pool_points = 30'000;
   SurfaceGraphRules graph;
   ProposalRules proposals;
-  double spread_weight = 0.02;  ///< of a point that clicks spread to, where a click is 1
-  double far_cost = 2;          ///< what is this far from a click says 1/e as much as the click
+  double graph_cost =
+      0.7;  ///< e-fold of a class's probability by the way that it is farther than the nearest; 0: the network alone
+  double spread_weight = 0.05;  ///< of a point that clicks spread to, where a click is 1
+  double far_cost = 3;          ///< what is this far from a click says 1/e as much as the click
   double doubt_cost = 0.5;      ///< difference of the ways to two classes that leaves no doubt (tanh 1)
   std::int32_t reach_px = 4;    ///< a click names the pixels around it that look alike; of an image 320 pixels wide
   PointLearning learning;
@@ -82,6 +84,9 @@ class LabelLoop {
   /// The temperature that explains the clicks best [Guo17, Sec. 4.2]: each fifth of them by what is learned from the
   /// others. Needs some ten clicks; 1 before. What was learned stays as it was.
   double fit_temperature(std::span<const LabelledPixels> clicks);
+  /// Class probabilities [N, classes()] of places on the surface, with what the network reads there: the network's, and
+  /// how much farther a class is by way of the surface.
+  std::vector<float> probabilities(const PointRows& rows, std::span<const Vec3d> places, double temperature);
   void set_temperature(double temperature);
   double temperature() const { return temperature_; }
 
@@ -98,6 +103,10 @@ class LabelLoop {
   // Points of the surface to which clicks spread, behind those of the clicks.
   void add_spread(Named& named);
   std::vector<GraphSeed> seeds_of(const Named& named) const;
+  void learn_from(std::span<const LabelledPixels> clicks);
+  void weigh_by_way(std::span<const std::int32_t> points, double temperature, std::span<float> probability) const;
+  // Of the surface that lies nearer to a click than to any other.
+  std::vector<double> areas_of(std::size_t clicks, const Named& named) const;
   Named named_points(std::span<const LabelledPixels> clicks);
   std::vector<PixelPlace> alike_around(const LabelledPixels& click) const;
   void predict_pool();

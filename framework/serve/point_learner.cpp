@@ -18,10 +18,10 @@ constexpr std::int64_t kTile = 64;         // rows of a batch that one lane take
 constexpr std::int64_t kPredicted = 1024;  // rows of a unit of work that only evaluates
 constexpr const char* kChoice = "point_learner/choice";
 
-// Labelled points by class: a class is drawn evenly, a point of it by weight.
+// Labelled points by class.
 class PointChoice {
  public:
-  PointChoice(std::span<const std::int16_t> logit, std::span<const float> weight, std::int32_t classes) {
+  PointChoice(std::span<const std::int16_t> logit, std::span<const float> weight, std::int32_t classes, double power) {
     std::vector<std::vector<std::int32_t>> of(static_cast<std::size_t>(classes));
     for (std::size_t i = 0; i < logit.size(); ++i)
       if (logit[i] >= 0) of[static_cast<std::size_t>(logit[i])].push_back(static_cast<std::int32_t>(i));
@@ -36,6 +36,7 @@ class PointChoice {
       if (!(sum > 0)) continue;
       entry.points = std::move(points);
       classes_.push_back(std::move(entry));
+      class_up_to_.push_back((class_up_to_.empty() ? 0 : class_up_to_.back()) + std::pow(sum, power));
     }
   }
 
@@ -43,18 +44,23 @@ class PointChoice {
 
   std::int32_t draw(const RandomAddress& address, std::int64_t i) const {
     const auto index = 2 * static_cast<std::uint64_t>(i);
-    const Class& from = classes_[uniform_below(address, index, classes_.size())];
+    const auto chosen = place_of(class_up_to_, static_cast<double>(uniform01(address, index)) * class_up_to_.back());
+    const Class& from = classes_[chosen];
     const double at = static_cast<double>(uniform01(address, index + 1)) * from.up_to.back();
-    const auto found = std::upper_bound(from.up_to.begin(), from.up_to.end(), at) - from.up_to.begin();
-    return from.points[static_cast<std::size_t>(std::min(found, std::ssize(from.points) - 1))];
+    return from.points[place_of(from.up_to, at)];
   }
 
  private:
+  static std::size_t place_of(const std::vector<double>& up_to, double at) {
+    const auto found = std::upper_bound(up_to.begin(), up_to.end(), at) - up_to.begin();
+    return static_cast<std::size_t>(std::min(found, std::ssize(up_to) - 1));
+  }
   struct Class {
     std::vector<std::int32_t> points;
     std::vector<double> up_to;  // sum of weights
   };
   std::vector<Class> classes_;
+  std::vector<double> class_up_to_;
 };
 
 }  // namespace
@@ -152,7 +158,7 @@ void PointLearner::learn(const PointRows& rows, std::span<const std::int16_t> lo
   const ComputeFloatMode mode;
   for (Tensor<float>* tensor : tensors_)
     if (tensor->learned()) pipeline_.store().restart(*tensor);
-  const PointChoice choice(logit, weight, classes_);
+  const PointChoice choice(logit, weight, classes_, options.class_power);
   const auto dims = static_cast<std::size_t>(rows.dims);
   Batch batch;
   batch.rows.resize(static_cast<std::size_t>(options.batch) * dims);
@@ -194,16 +200,15 @@ std::vector<float> PointLearner::logits(const PointRows& rows) {
   return out;
 }
 
-void softmax_live(std::span<float> logits, std::int32_t classes, const std::vector<bool>& live, double temperature) {
+void softmax_live(std::span<float> logits, std::int32_t classes, const std::vector<bool>& live) {
   const auto width = static_cast<std::size_t>(classes);
-  const auto inverse = static_cast<float>(1 / temperature);
   for (std::size_t begin = 0; begin < logits.size(); begin += width) {
     const std::span<float> row = logits.subspan(begin, width);
     float most = -INFINITY, sum = 0;
     for (std::size_t c = 0; c < width; ++c)
       if (live[c]) most = std::max(most, row[c]);
     for (std::size_t c = 0; c < width; ++c) {
-      row[c] = live[c] ? std::exp((row[c] - most) * inverse) : 0.0F;
+      row[c] = live[c] ? std::exp(row[c] - most) : 0.0F;
       sum += row[c];
     }
     if (sum > 0)
@@ -211,10 +216,9 @@ void softmax_live(std::span<float> logits, std::int32_t classes, const std::vect
   }
 }
 
-std::vector<float> PointLearner::probabilities(const PointRows& rows, const std::vector<bool>& live,
-                                               double temperature) {
+std::vector<float> PointLearner::probabilities(const PointRows& rows, const std::vector<bool>& live) {
   std::vector<float> values = logits(rows);
-  softmax_live(values, classes_, live, temperature);
+  softmax_live(values, classes_, live);
   return values;
 }
 

@@ -22,10 +22,11 @@ struct PointRows {
 };
 
 struct PointLearning {
-  std::int64_t steps = 150;
+  std::int64_t steps = 200;
   std::int64_t batch = 512;
   double learning_rate = 5e-3;  ///< falls to a tenth along half a cosine
   double weight_decay = 1e-2;   ///< share of a value times the learning rate [Loshchilov19]
+  double class_power = 0.5;     ///< a class is drawn as often as the weight of its points to this power tells
   std::uint64_t seed = 1;       ///< of the order of points and of dropout
 };
 
@@ -41,15 +42,14 @@ class PointLearner {
   /// What the network reads at world positions. Valid while the geometry stays.
   PointRows rows_at(std::span<const Vec3d> positions);
 
-  /// Puts the semantic tensors back to where the run began and learns the points: rows, and a logit each. Every class
-  /// that occurs is drawn as often as any other; where `weight` is given, points of a class in proportion to it. The
+  /// Puts the semantic tensors back to where the run began and learns the points: rows, and a logit each. A
+  /// class is drawn by PointLearning::class_power, a point of it by `weight` (empty: all alike). The
   /// moments of the optimiser are zero afterwards. The same bits for any number of threads.
   void learn(const PointRows& rows, std::span<const std::int16_t> logit, std::span<const float> weight,
              const PointLearning& options);
 
-  /// Class probabilities [N, classes] of points; logits whose entry of `live` is false get none, and the others are
-  /// divided by `temperature` first.
-  std::vector<float> probabilities(const PointRows& rows, const std::vector<bool>& live, double temperature = 1);
+  /// Class probabilities [N, classes] of points; logits whose entry of `live` is false get none.
+  std::vector<float> probabilities(const PointRows& rows, const std::vector<bool>& live);
   /// logits [N, classes].
   std::vector<float> logits(const PointRows& rows);
 
@@ -67,6 +67,6 @@ class PointLearner {
 };
 
 /// Probabilities from logits, in place: [N, classes].
-void softmax_live(std::span<float> logits, std::int32_t classes, const std::vector<bool>& live, double temperature);
+void softmax_live(std::span<float> logits, std::int32_t classes, const std::vector<bool>& live);
 
 }  // namespace semfield

@@ -18,9 +18,12 @@ std::vector<double> entropies(const ProposalInput& in) {
   std::vector<double> out(count, 1.0);
   if (in.probability.empty()) return out;
   const auto width = static_cast<std::size_t>(in.classes);
-  std::size_t live = 0;
-  for (std::size_t c = 0; c < width; ++c) live += in.probability[c] > 0 ? 1 : 0;
-  const double most = std::log(static_cast<double>(std::max<std::size_t>(live, 2)));
+  std::vector<bool> named(width, false);
+  for (std::size_t i = 0; i < in.probability.size(); ++i)
+    if (in.probability[i] > 0) named[i % width] = true;
+  const auto live = std::count(named.begin(), named.end(), true);
+  if (live < 2) return out;  // a single class is sure of everything
+  const double most = std::log(static_cast<double>(live));
   for (std::size_t i = 0; i < count; ++i) {
     double sum = 0;
     for (const float p : in.probability.subspan(i * width, width))
