@@ -26,7 +26,7 @@ struct PointLearning {
   std::int64_t batch = 512;
   double learning_rate = 5e-3;  ///< falls to a tenth along half a cosine
   double weight_decay = 1e-2;   ///< share of a value times the learning rate [Loshchilov19]
-  double class_power = 0.5;     ///< a class is drawn as often as the weight of its points to this power tells
+  double class_power = 0.75;    ///< a class is drawn as often as the weight of its points to this power tells
   std::uint64_t seed = 1;       ///< of the order of points and of dropout
 };
 

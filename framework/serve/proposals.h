@@ -36,7 +36,7 @@ struct ProposalRules {
   float unseen = 8;            ///< a point this far from every click, or farther, is open
   float reach = 1.5;           ///< a click settles what it spreads to for this
   std::size_t most = 400;      ///< points that one click settles
-  double area_power = 0.2;    ///< a region counts by this power of its area: small things have classes too
+  double area_power = 0.35;    ///< a region counts by this power of its area: small things have classes too
   double entropy_share = 0.8;  ///< of a point's doubt that the network's entropy tells; the rest is the way to a click
   std::int64_t candidates = 256;
 };

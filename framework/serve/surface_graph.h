@@ -13,7 +13,7 @@ namespace semfield {
 
 struct SurfaceGraphRules {
   double way = 0.08;           ///< cost of a way of one cell
-  double color_sigma = 0.1;   ///< a step of this much colour (0 to 1) costs 1/2, four times as much 8
+  double color_sigma = 0.1;    ///< a step of this much colour (0 to 1) costs 1/2, four times as much 8
   double normal_sigma = 0.35;  ///< likewise of the difference of unit normals
   double most = 6;             ///< of each of the two
 };
