@@ -124,6 +124,15 @@ class Browser:
                 raise AssertionError(f"{why or expression}: not within {seconds} s")
             time.sleep(0.05)
 
+    @staticmethod
+    def wait_for(value, want, why, seconds=20):
+        """Until value() is what is wanted."""
+        end = time.monotonic() + seconds
+        while (seen := value()) != want:
+            if time.monotonic() > end:
+                raise AssertionError(f"{why}: {seen} is not {want} within {seconds} s")
+            time.sleep(0.05)
+
     def text(self, selector):
         return self.run("return document.querySelector(arguments[0]).textContent", selector)
 

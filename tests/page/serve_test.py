@@ -101,8 +101,8 @@ class ServeTest(unittest.TestCase):
         page.wait("!document.getElementById('class-dialog').open")
 
     def wait_saved(self, page, clicks):
+        page.wait_for(lambda: sum(e["type"] == "click" for e in self.serve.events()), clicks, "clicks do not arrive")
         page.wait("document.getElementById('saving').textContent == 'every click is saved'", "not saved")
-        self.assertEqual(sum(e["type"] == "click" for e in self.serve.events()), clicks)
 
     def wait_learned(self, page):
         """Until the labels know every event."""
@@ -153,19 +153,17 @@ class ServeTest(unittest.TestCase):
         self.wait_mixed(page, 77.5, 20.5, colors[list(colors)[0]], "the correction is not in the overlay")
         page.keys("z")
         page.wait("document.getElementById('messages').textContent.includes('Undone')")
-        self.wait_saved(page, 3)
-        self.assertEqual(len(self.serve.state()["marks"]), 2)
+        page.wait_for(lambda: len(self.serve.state()["marks"]), 2, "no undo arrives")
         self.wait_learned(page)
         self.wait_mixed(page, 77.5, 20.5, colors[second], "undo does not bring the label back")
 
         page.wait("document.getElementById('proposal-text').textContent.startsWith('Click proposed')", "nothing is proposed", 60)
         proposal = self.serve.state()["proposal"]
+        here = page.run("return Number(document.querySelector('#strip [aria-current=true]').dataset.view)")
         page.keys("space")
         page.wait(f"document.querySelector('#strip [aria-current=true]').dataset.view == {proposal['view']}", "space does not go to the proposal")
-        page.wait("document.getElementById('saving').textContent == 'every click is saved'")
-        if self.serve.events()[-1]["type"] != "click":  # it was in another view: once more takes it
+        if here != proposal["view"]:
             page.keys("space")
-            page.wait("document.querySelector('#classes .clicks').textContent == '1'")
         self.wait_saved(page, 4)
         event = self.serve.events()[-1]
         self.assertEqual((event["frame"], event["class"]), (self.serve.state()["views"][proposal["view"]]["frame"], list(colors)[0]))
@@ -205,7 +203,7 @@ class ServeTest(unittest.TestCase):
             page.wait("document.getElementById('saving').textContent == '1 not saved yet'")
             page.wait("document.getElementById('connection').textContent.startsWith('Connection lost')")
             old = self.serve.url
-            if self.serve.start(by_run=True) != old:
+            if self.serve.start(by_run=round_ == 0) != old:
                 page.open(self.serve.url)
                 self.wait_start(page)
             clicks += 1
