@@ -25,7 +25,8 @@ class SetupScript : public testing::Test {
     fs::create_directories(root_ / "scripts");
     fs::create_directories(root_ / "bin");
     fs::copy_file(fs::path(SEMFIELD_SOURCE_DIR) / "scripts/setup", root_ / "scripts/setup");
-    stand_in("dpkg-query", "echo 'install ok installed'");
+    stand_in("dpkg-query", "[ \"${!#}\" = \"$MISSING\" ] || echo 'install ok installed'");
+    stand_in("apt-get", "[ $1 = update ]");
     stand_in("cmake", R"(
       case $1 in
         --version) echo 'cmake version 3.0.0';;
@@ -119,6 +120,22 @@ TEST_F(SetupScript, ShowsWhyItCouldNotConfigure) {
                       0),
             0u)
       << out;
+}
+
+TEST_F(SetupScript, DoesWithoutWhatIsOnlyWishedFor) {
+  setenv("SEMFIELD_WISHED_PACKAGES", "here nowhere", 1);
+  setenv("MISSING", "nowhere", 1);
+  const std::string out = printed("never");
+  EXPECT_EQ(code_, 0);
+  EXPECT_NE(out.find("setup: nowhere is not installed; what needs it is skipped\nsetup: building, 1 of 200\n"),
+            std::string::npos)
+      << out;
+  EXPECT_EQ(out.find("setup: here"), std::string::npos) << out;
+  setenv("MISSING", "cmake", 1);  // needed, and the stand-in installs nothing
+  (void)printed("never");
+  EXPECT_EQ(code_, 69);
+  unsetenv("SEMFIELD_WISHED_PACKAGES");
+  unsetenv("MISSING");
 }
 
 }  // namespace
