@@ -100,6 +100,10 @@ class Browser:
         self.call("POST", "/goog/cdp/execute", {"cmd": "Emulation.setDeviceMetricsOverride",
                                                 "params": {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}})
 
+    def touch(self, on):
+        """Whether fingers are what points here."""
+        self.call("POST", "/goog/cdp/execute", {"cmd": "Emulation.setTouchEmulationEnabled", "params": {"enabled": on}})
+
     def open(self, address):
         self.call("POST", "/url", {"url": address})
 

@@ -368,8 +368,10 @@ class PageTest(unittest.TestCase):
 
     def test_layout(self):
         self.serve(views=6, classes=("floor", "wall", "a class with a name that is rather long"))
-        for width, height in ((1280, 720), (820, 1180)):
+        for width, height, touch in ((1280, 720, False), (820, 1180, False), (820, 1180, True)):
             page = self.open(width, height)
+            page.touch(touch)
+            self.addCleanup(page.touch, False)
             self.click(page, 60.5, 40.5)
             page.keys("1")
             self.click(page, 60.5, 40.5)
@@ -399,7 +401,27 @@ class PageTest(unittest.TestCase):
                 const canvas = document.querySelector('#canvas').getBoundingClientRect();
                 if (canvas.width * canvas.height < 0.4 * innerWidth * innerHeight) faults.push('the view is small');
                 return faults;""")
-            self.assertEqual(faults, [], f"{width}x{height}")
+            self.assertEqual(faults, [], f"{width}x{height}, touch: {touch}")
+            page.keys("f")
+            page.wait("document.getElementById('fly').getAttribute('aria-pressed') == 'true'")
+            self.assertEqual(page.run("return document.getElementById('pad').offsetParent !== null"), touch, "buttons to fly with")
+            page.keys("f")
+
+    def test_what_the_program_tells(self):
+        self.serve(views=1, classes=("sofa",))
+        page = self.open()
+        page.wait("document.getElementById('welcome').textContent.startsWith('Click on something that is \"sofa\"')")
+        self.room.failure = "the loss is not finite at step 120"
+        self.room.most = 1
+        self.room.touch()
+        page.wait("document.querySelector('#messages .error')?.textContent.startsWith('Training has ended: the loss is not finite at step 120')")
+        page.wait("document.getElementById('new-class').disabled")
+        page.keys("n")
+        page.wait("document.querySelector('#messages').textContent.includes('No name is free')")
+        self.server.token = "another"  # a new start
+        self.server.http.folder = "/another/"
+        self.room.touch()
+        page.wait("document.getElementById('connection').textContent.includes('open the address that the program prints')")
 
     def test_many_views_load_as_they_are_seen(self):
         self.serve(views=230)

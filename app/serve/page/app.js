@@ -212,7 +212,7 @@ class Page {
   async make() {
     if (!this.state) return false;
     if (this.classes.length >= this.state.room.most) {
-      this.messages.refuse(`All ${this.state.room.most} classes of this run have names.`, 'Rename one that is not needed (F2).');
+      this.messages.refuse(`No name is free: this run has room for ${this.state.room.named} classes.`, 'Rename one that is not needed (F2).');
       return false;
     }
     const answer = await askClass(this.classes);

@@ -2,6 +2,8 @@
 import {cssColor, inkOn} from './colors.js';
 import {fitted, toImage, toScreen} from './viewport.js';
 
+const kMostLayer_px = 2e6;  // the overlay is drawn at every move of the pointer
+
 /// Paints what a click or stroke covers: discs along its points, a pixel alone when the radius is 0.
 export function paintClick(context, points, radius, color) {
   context.fillStyle = context.strokeStyle = cssColor(color);
@@ -37,6 +39,7 @@ export class ViewCanvas {
     this.canvas = canvas;
     this.context = canvas.getContext('2d');
     this.layer = new OffscreenCanvas(1, 1);
+    this.share = 1;  // of the image's size
     this.layerContext = this.layer.getContext('2d', {willReadFrequently: true});
     this.screen = {width: 1, height: 1};
     this.image = {width: 1, height: 1};
@@ -74,13 +77,17 @@ export class ViewCanvas {
     this.fit();
   }
 
-  /// Labels (or entropy) of the view at its own size, clicks that they do not know painted over.
+  /// Labels (or entropy) of the view at its own size, a very large one smaller; clicks that they do not know painted over.
   paintLayer(overlay, paints) {
     const {width, height} = this.image;
-    if (this.layer.width !== width || this.layer.height !== height) Object.assign(this.layer, {width, height});
+    this.share = Math.min(1, Math.sqrt(kMostLayer_px / (width * height)));
+    const size = {width: Math.ceil(width * this.share), height: Math.ceil(height * this.share)};
+    if (this.layer.width !== size.width || this.layer.height !== size.height) Object.assign(this.layer, size);
     const context = this.layerContext;
+    context.setTransform(1, 0, 0, 1, 0, 0);
     context.imageSmoothingEnabled = false;
-    context.clearRect(0, 0, width, height);
+    context.clearRect(0, 0, size.width, size.height);
+    context.scale(this.share, this.share);
     if (overlay) context.drawImage(overlay, 0, 0, width, height);
     for (const {points, radius, color} of paints) paintClick(context, points, radius, color);
   }
@@ -97,7 +104,7 @@ export class ViewCanvas {
 
   /// [r, g, b] of the layer at a pixel, or null where nothing is.
   layerColor(x, y) {
-    const [r, g, b, a] = this.layerContext.getImageData(Math.floor(x), Math.floor(y), 1, 1).data;
+    const [r, g, b, a] = this.layerContext.getImageData(Math.floor(x * this.share), Math.floor(y * this.share), 1, 1).data;
     return a ? [r, g, b] : null;
   }
 

@@ -29,7 +29,7 @@ export class Strip {
     this.list.replaceChildren();
     this.items = views.map((view, i) => {
       const image = make('img', {alt: '', draggable: 'false', width: view.width, height: view.height});
-      const name = make('span', {class: 'name'}, view.frame);
+      const name = make('span', {class: 'name'}, make('bdi', {dir: 'ltr'}, view.frame));
       const clicks = make('span', {class: 'clicks'});
       const bar = make('span', {class: 'bar'}, make('i'));
       const button = make('button', {'data-view': i, tabindex: -1, title: view.frame}, image, name, clicks, bar);
