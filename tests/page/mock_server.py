@@ -33,6 +33,7 @@ class Room:
         self.start, self.revision, self.overlay, self.failure = time.time(), 1, [1, 0], ""
         self.changed = threading.Condition()
         self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
+        self.flights = []  # sizes asked for by the free camera, with whether in full
 
     def touch(self):
         with self.changed:
@@ -139,6 +140,7 @@ class Room:
         known = self.learned(marks)
         begin = time.time()
         if "camera" in wish:
+            self.flights.append((wish["most_px"], wish["full"]))
             width = min(wish["most_px"], 160)
             height = width * 3 // 4
             rows, objects = mock_room.render(wish["camera"], width, height)

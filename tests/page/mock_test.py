@@ -152,6 +152,8 @@ class PageTest(unittest.TestCase):
         page = self.open()
         page.keys("f")
         page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
+        page.wait_for(lambda: [size for size, full in self.room.flights if full][-2:], [320, 640], "no full pictures when it stands still")
+        self.assertFalse(self.room.flights[0][1], "the first picture is no quick one")
         middle = [self.page_of(page, SIZE[0] * k / 8, SIZE[1] / 2) for k in range(1, 8)]
         before = page.pixels(middle)
         page.run("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight', bubbles: true}))")
@@ -162,6 +164,7 @@ class PageTest(unittest.TestCase):
                 break
         else:
             self.fail("looking around changes nothing")
+        self.assertFalse(all(full for _, full in self.room.flights[3:]), "no quick picture while it moves")
         self.assertFalse(self.room.events, "a drag of the free camera labels")
         page.keys("escape")
         page.wait("document.getElementById('fly').getAttribute('aria-pressed') == 'false'")

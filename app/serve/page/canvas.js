@@ -108,7 +108,7 @@ export class ViewCanvas {
     return a ? [r, g, b] : null;
   }
 
-  /// what: {picture, opacity, marks, showNames, ring, brush: {x, y, radius, color}, cross: [x, y], stroke}
+  /// what: {isSmooth: never show the picture's pixels, picture, opacity, marks, showNames, ring, brush: {x, y, radius, color}, cross: [x, y], stroke}
   draw(what) {
     const {context, port, image} = this;
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
@@ -116,7 +116,7 @@ export class ViewCanvas {
     const place = [port.x, port.y, image.width * port.scale, image.height * port.scale];
     context.fillStyle = '#0c0d0f';
     context.fillRect(...place);
-    context.imageSmoothingEnabled = port.scale < 6;
+    context.imageSmoothingEnabled = port.scale < 6 || what.isSmooth;
     context.imageSmoothingQuality = 'high';
     if (what.picture) context.drawImage(what.picture, ...place);
     context.imageSmoothingEnabled = false;

@@ -66,7 +66,7 @@ export class Flight {
     this.size_px = kSizes.first;
     this.moved_ms = performance.now() - kStill_ms;
     this.dirty = true;      // the newest place was not asked for
-    this.isFull = false;    // it was asked for in full
+    this.fulls = 0;         // how many of the full pictures were asked for from there: half the size first, for it comes sooner
     this.last_ms = performance.now();
     this.tick = this.tick.bind(this);
     this.frame = requestAnimationFrame(this.tick);
@@ -101,11 +101,14 @@ export class Flight {
   touched() {
     this.moved_ms = performance.now();
     this.dirty = true;
-    this.isFull = false;
+    this.fulls = 0;
   }
 
   /// Everything is asked for again (labels are newer).
-  renew() { this.dirty = true; this.isFull = false; }
+  renew() {
+    this.dirty = true;
+    this.fulls = 0;
+  }
 
   tick(now_ms) {
     if (this.ended) return;
@@ -122,15 +125,16 @@ export class Flight {
       this.touched();
     }
     const still = performance.now() - this.moved_ms >= kStill_ms;
-    if (still && !this.isFull && this.channel.idle && !this.dirty) this.ask(true);
+    if (still && this.fulls < 2 && this.channel.idle && !this.dirty) this.ask(true);
     else if (this.dirty && (this.channel.idle || !still)) this.ask(false);
   }
 
   ask(full) {
     this.dirty = false;
-    this.isFull = full;
+    if (full) this.fulls += 1;
     const asked_ms = performance.now();
-    const request = {camera: this.camera.value, most_px: full ? this.fullSize_px : this.size_px, color: true, labels: true, entropy: false, full};
+    const most_px = full ? Math.round(this.fullSize_px / (3 - this.fulls)) : this.size_px;
+    const request = {camera: this.camera.value, most_px, color: true, labels: true, entropy: false, full};
     this.channel.wish(request, (picture) => {
       if (!full && !picture.stale) {
         const took_ms = performance.now() - asked_ms;

@@ -131,7 +131,7 @@ export class Stage {
       this.view.setImage(picture.width, picture.height);
       this.paint(picture.labels, [], `flight ${picture.serial}`);
     }
-    this.view.draw({picture: picture?.color, opacity: picture ? this.opacity : 0, marks: []});
+    this.view.draw({isSmooth: true, picture: picture?.color, opacity: picture ? this.opacity : 0, marks: []});
     setText(byId('readout'), text);
   }
 
