@@ -64,6 +64,10 @@ void VerbWords::operands(const std::string& name, std::vector<std::string>& into
   verb_.add_option(name, into, help)->required();
 }
 
+void VerbWords::optional_operands(const std::string& name, std::vector<std::string>& into, const std::string& help) {
+  verb_.add_option(name, into, help);
+}
+
 void VerbWords::flag(const std::string& name, bool& into, const std::string& help) { verb_.add_flag(name, into, help); }
 
 template <class T>
@@ -89,6 +93,7 @@ template <class T>
 void VerbWords::positive(const std::string& name, T& into, const std::string& help) {
   verb_.add_option(name, into, help)->check(positive_number());
 }
+template void VerbWords::positive(const std::string&, double&, const std::string&);
 template void VerbWords::positive(const std::string&, std::optional<double>&, const std::string&);
 
 void VerbWords::required(const std::string& name, std::string& into, const std::string& help) {

@@ -32,6 +32,9 @@ class VerbWords {
   /// One word or several.
   void operands(const std::string& name, std::vector<std::string>& into, const std::string& help);
 
+  /// Any number of words.
+  void optional_operands(const std::string& name, std::vector<std::string>& into, const std::string& help);
+
   void flag(const std::string& name, bool& into, const std::string& help);
   template <class T>
   void value(const std::string& name, T& into, const std::string& help);

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <functional>
 
-#include "core/rng.h"
+#include "eval/metrics.h"
 #include "serve/mark_pixels.h"
 #include "settings/run_identity.h"
 #include "system/files.h"
@@ -129,6 +129,7 @@ void LabelRun::take(const Annotations& annotations) {
     }
     loop_.set_skipped(std::move(skipped));
   }
+  summarise();
   ask();
 }
 
@@ -224,6 +225,7 @@ bool LabelRun::tend(bool looked_at, bool quiet) {
     if (!given_.empty()) loop_.learn(clicks_);
     changed = true;
   }
+  if (changed) summarise();
   return changed;
 }
 
@@ -244,40 +246,46 @@ void LabelRun::describe(LabelState& state) const {
                 : !loop_.ready()  ? "learning colour and geometry"
                 : loop_.learned() ? "learning with your clicks"
                                   : "ready for the first click";
-  const std::vector<float>& probability = loop_.pool_probability();
-  const auto width = static_cast<std::size_t>(loop_.classes());
-  const std::size_t points = loop_.pool().points.size();
-  std::vector<double> area(static_cast<std::size_t>(session().classes()), 0), sure(area), entropy(points, 1);
-  const double most = std::log(
-      static_cast<double>(std::max<std::ptrdiff_t>(2, std::count(loop_.live().begin(), loop_.live().end(), true))));
-  for (std::size_t i = 0; i < points && !probability.empty(); ++i) {
-    const float* const row = &probability[i * width];
-    const auto best = static_cast<std::size_t>(std::max_element(row, row + width) - row);
-    const auto cls = static_cast<std::size_t>(session().plan.class_of_logit[best]);
-    area[cls] += 1;
-    sure[cls] += static_cast<double>(row[best]);
-    double sum = 0;
-    for (std::size_t c = 0; c < width; ++c)
-      if (row[c] > 0) sum -= static_cast<double>(row[c]) * std::log(static_cast<double>(row[c]));
-    entropy[i] = std::min(1.0, sum / most);
-  }
   for (ClassState& cls : state.classes) {
     const auto c = static_cast<std::size_t>(cls.index);
-    if (c >= area.size()) continue;
-    cls.area_share = points > 0 ? area[c] / static_cast<double>(points) : 0;
-    cls.confidence = area[c] > 0 ? sure[c] / area[c] : 0;
+    if (c >= summary_.area.size()) continue;
+    cls.area_share = summary_.area[c];
+    cls.confidence = summary_.sure[c];
   }
   for (std::size_t v = 0; v < state.views.size(); ++v) {
     state.views[v].ready = !loop_.views()[v].map.empty();
-    if (!loop_.ready() || v >= loop_.pool().point_of_pixel.size()) continue;
-    double sum = 0;
-    std::int64_t count = 0;
-    for (const std::int32_t point : loop_.pool().point_of_pixel[v]) {
+    if (v < summary_.entropy.size()) state.views[v].entropy = summary_.entropy[v];
+  }
+}
+
+void LabelRun::summarise() {
+  const std::vector<float>& probability = loop_.pool_probability();
+  const auto width = static_cast<std::size_t>(loop_.classes());
+  const std::size_t points = loop_.pool().points.size();
+  std::vector<double> count(static_cast<std::size_t>(session().classes()), 0), sure(count), entropy(points, 1);
+  const double most = std::log(
+      static_cast<double>(std::max<std::ptrdiff_t>(2, std::count(loop_.live().begin(), loop_.live().end(), true))));
+  for (std::size_t i = 0; i < points && !probability.empty(); ++i) {
+    const std::span<const float> row = std::span(probability).subspan(i * width, width);
+    const auto best = static_cast<std::size_t>(std::max_element(row.begin(), row.end()) - row.begin());
+    const auto cls = static_cast<std::size_t>(session().plan.class_of_logit[best]);
+    count[cls] += 1;
+    sure[cls] += static_cast<double>(row[best]);
+    entropy[i] = std::min(1.0, entropy_nats(row) / most);
+  }
+  summary_ = {count, sure, {}};
+  for (std::size_t c = 0; c < count.size(); ++c) {
+    summary_.sure[c] = count[c] > 0 ? sure[c] / count[c] : 0;
+    summary_.area[c] = points > 0 ? count[c] / static_cast<double>(points) : 0;
+  }
+  for (const std::vector<std::int32_t>& seen : loop_.pool().point_of_pixel) {
+    double sum = 0, pixels = 0;
+    for (const std::int32_t point : seen) {
       if (point < 0) continue;
       sum += entropy[static_cast<std::size_t>(point)];
-      ++count;
+      pixels += 1;
     }
-    state.views[v].entropy = count > 0 ? sum / static_cast<double>(count) : 1;
+    summary_.entropy.push_back(pixels > 0 ? sum / pixels : 1);
   }
 }
 

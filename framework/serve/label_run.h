@@ -43,6 +43,12 @@ class LabelRun {
 
  private:
   using Clock = std::chrono::steady_clock;
+  // What the pool's probabilities add up to; made when they change.
+  struct Summary {
+    std::vector<double> area, sure;  // of classes: share of the surface, and mean confidence
+    std::vector<double> entropy;     // of views
+  };
+  void summarise();
   bool still_learns() const;
   void record(std::span<const StepLosses> steps);
   void ask();
@@ -65,6 +71,7 @@ class LabelRun {
   std::int64_t changed_step_ = 0, saved_step_ = -1;
   double mse_ = 0, loss_ = 0, rays_per_s_ = 0, step_s_ = 0.01, tending_s_ = 0, refining_s_ = 0, training_s_ = 0;
   std::vector<HistoryRow> history_;
+  Summary summary_;
   Clock::time_point last_save_ = Clock::now();
 };
 

@@ -26,7 +26,7 @@ constexpr double kTurn_s = 0.03;  // of training between looks at what others wa
 constexpr auto kIdle = std::chrono::milliseconds(100);
 constexpr auto kPublishEvery = std::chrono::milliseconds(400);
 constexpr auto kQuietAfter = std::chrono::seconds(3);
-constexpr auto kLookedFor = std::chrono::seconds(30);
+constexpr auto kLookedFor = std::chrono::seconds(10);
 
 OpenedForTraining open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
                                  TrainingListener& listener) {
@@ -227,6 +227,8 @@ int LabelSession::view_of(int frame) const {
 }
 
 const std::string& LabelSession::run_dir() const { return parts_->run.folder().path(); }
+
+const Session& LabelSession::opened() const { return parts_->run.session(); }
 
 void LabelSession::save() {
   Parts& p = *parts_;

@@ -47,6 +47,8 @@ class LabelSession {
   /// run() returns after its checkpoint.
   void stop();
   const std::string& run_dir() const;
+  /// What was opened; its frames and cameras do not change, all else belongs to the thread that trains.
+  const Session& opened() const;
 
   /// Trains until stop(), or until an error, which is in the state then; pictures and events go on until stop().
   void run();

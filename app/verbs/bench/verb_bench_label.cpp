@@ -1,0 +1,95 @@
+// bench label: clicks that a simulated person needs, by what it is asked, and how long the answers take.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cstdio>
+
+#include "app/shared_files.h"
+#include "app/verb.h"
+#include "app/verbs/bench/bench_tools.h"
+#include "core/text.h"
+#include "studies/label_bench.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct BenchLabelOptions {
+  std::vector<std::string> configs;
+  std::vector<std::string> set;
+  std::vector<std::string> questions;
+  int seeds = 5;
+  int clicks = 300;
+  double geometry_s = 30;
+  std::optional<double> between_s;
+};
+
+constexpr int kKills = 200, kTimedClicks = 60;
+
+std::vector<Acquisition> questions_of(const std::vector<std::string>& names) {
+  std::vector<Acquisition> out;
+  const auto& known = ChoiceNames<Acquisition>::names;
+  for (const std::string& name : names) {
+    const auto found = std::find(known.begin(), known.end(), name);
+    if (found == known.end()) {
+      throw Error(ErrorKind::usage, "--questions " + name + ": there is no such way to ask",
+                  "choose of " + join(std::vector<std::string>(known.begin(), known.end()), ", "));
+    }
+    out.push_back(static_cast<Acquisition>(found - known.begin()));
+  }
+  return out;
+}
+
+int run(const BenchLabelOptions& options, AppContext& context) {
+  LabelBenchOptions bench;
+  if (!options.questions.empty()) bench.strategies = questions_of(options.questions);
+  bench.seeds = options.seeds;
+  bench.most_clicks = options.clicks;
+  bench.geometry_s = options.geometry_s;
+  const int lost = count_lost_clicks(kKills);  // forks, so before there are threads
+  std::vector<std::string> configs = options.configs;
+  if (configs.empty()) configs.push_back(shared_file("configs/quickstart.yaml"));
+  const StudyTools tools = study_tools(context);
+  const auto load = [&](const std::string& path) {
+    RunConfig config = load_run_config(path, options.set, context.registry);
+    context.adopt(config);
+    return config;
+  };
+  const LabelLatency latency = measure_label_latency(load(configs.front()), kTimedClicks, options.geometry_s, tools);
+  std::vector<LabelCourse> courses;
+  for (const std::string& path : configs) {
+    RunConfig config = load(path);
+    bench.between_s = options.between_s.value_or(2);
+    for (LabelCourse& course : measure_labelling(std::move(config), bench, tools)) courses.push_back(std::move(course));
+  }
+  if (context.json) {
+    std::printf("%s\n", label_json(courses, latency).c_str());
+    return 0;
+  }
+  std::printf("%s\n%s\n", label_tables(courses, options.clicks).c_str(),
+              label_line(courses, latency, lost, kKills, options.clicks).c_str());
+  return lost == 0 ? 0 : static_cast<int>(ErrorKind::failure);
+}
+
+void words(VerbWords& verb, BenchLabelOptions& options) {
+  verb.optional_operands("config", options.configs, "configurations of labelled scenes (default: the shipped room)");
+  verb.repeated("--set", options.set, "override a value: --set train.rays=2048");
+  verb.threads(options.set);
+  verb.setting(options.set, "--device", "runtime.device", "auto, cpu, cuda or cuda:N");
+  verb.list("--questions", options.questions,
+            "random, farthest, entropy, margin, surface; several with commas (default: all)");
+  verb.value_in("--seeds", options.seeds, 1, 100, "persons for each way to ask (default: 5)");
+  verb.value_in("--clicks", options.clicks, 1, 2000, "clicks of a person (default: 300)");
+  verb.positive("--geometry", options.geometry_s, "seconds of training before the first click (default: 30)");
+  verb.value("--between", options.between_s,
+             "seconds of training between two clicks (default: 2); 0: the geometry stands");
+}
+
+}  // namespace
+
+Verb verb_bench_label() {
+  return make_verb("bench label", 50, "count the clicks that a simulated person needs, and time the answers", words,
+                   run);
+}
+
+}  // namespace semfield::app
