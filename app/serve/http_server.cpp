@@ -168,6 +168,11 @@ struct HttpServer::Impl {
     --impl->answering;
     return 200;  // answered: civetweb does nothing more
   }
+  // What civetweb itself refuses, such as a head that is none: its own pages have none of our headers.
+  static int on_error(mg_connection* connection, int status, const char*) {
+    send(connection, {status == 500 ? 500 : 400, "text/plain", "the request cannot be read\n"}, false);
+    return 0;
+  }
   static int on_log(const mg_connection* connection, const char* message) {
     auto* impl = static_cast<Impl*>(mg_get_user_data(mg_get_context(connection)));
     if (impl == nullptr) return 1;
@@ -244,6 +249,7 @@ HttpServer::HttpServer(const HttpOptions& options, HttpHandler& handler)
                                              nullptr};
   mg_callbacks callbacks{};
   callbacks.begin_request = Impl::on_request;
+  callbacks.http_error = Impl::on_error;
   callbacks.log_message = Impl::on_log;
   mg_context* context = mg_start(&callbacks, impl_.get(), const_cast<const char**>(settings.data()));
   if (context == nullptr)

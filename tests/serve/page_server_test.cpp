@@ -69,7 +69,8 @@ TEST_F(ServedPage, StateHasTheKeysOfTheContract) {
 
 TEST_F(ServedPage, MarksAndHistoryAreSentWhenTheyAreNewAlone) {
   const Json s = Json::parse(get("state?after=3").body);
-  EXPECT_TRUE(s["marks"].is_array());   // changed in revision 4
+  EXPECT_TRUE(s["marks"].is_array());  // changed in revision 4
+  EXPECT_TRUE(Json::parse(get("state?after=4").body)["marks"].is_null());
   EXPECT_TRUE(s["history"].is_null());  // in revision 2
 }
 
@@ -83,6 +84,14 @@ TEST_F(ServedPage, NewsAreWaitedFor) {
   // Without news the old state comes when the wait is over; a number from an earlier server does not wait.
   EXPECT_EQ(Json::parse(get("state?after=6").body)["revision"], 6);
   EXPECT_TRUE(Json::parse(get("state?after=1000").body)["marks"].is_array());
+}
+
+TEST_F(ServedPage, NobodyWaitsForNewsOnceTheSessionEnds) {
+  PageOptions o = options();
+  o.longest_poll_ms = 600'000;
+  start(o);
+  server_->end_waiting();
+  EXPECT_EQ(Json::parse(get("state?after=5").body)["revision"], 5);
 }
 
 TEST_F(ServedPage, AnEventIsAppliedOnceAndItsTimeIsTheServers) {
