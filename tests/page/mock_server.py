@@ -243,7 +243,7 @@ class Handler(http.server.BaseHTTPRequestHandler):
             if "event" in room.faults:
                 return self.answer({"error": "The click could not be stored: no space left on the disk.", "remedy": "Make room; the page sends it again."}, status=503)
             if "refuse" in room.faults:
-                return self.answer({"error": "frame 'rgb_00' is held out for tests", "remedy": "label another view"}, status=400)
+                return self.answer({"error": f"event '{body['id']}': frame 'rgb_00' is held out for tests", "remedy": "label another view"}, status=400)
             try:
                 applied = room.apply(body)
             except ValueError as error:

@@ -1,26 +1,18 @@
 #!/usr/bin/env python3
 """The page in headless Chromium against the mock server: what a person does, what is seen, and what happens when things break."""
 
-import sys
-import unittest
+import pathlib
 
-import browser
-import mock_room
 import mock_server
+import page_case
 
 SIZE = (120, 90)
 RED, BLUE = [230, 75, 70], [70, 150, 240]  # the first colours that the page offers
 RING = [255, 213, 74]
 
 
-class PageTest(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.driver = browser.Driver()
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.driver.close()
+class PageTest(page_case.PageCase):
+    SIZE = SIZE
 
     def serve(self, **options):
         self.room = mock_server.Room(views=options.pop("views", 6), size=SIZE, **options)
@@ -28,33 +20,8 @@ class PageTest(unittest.TestCase):
         self.url = self.server.start()
         self.addCleanup(lambda: self.server.http.ended or self.server.stop())
 
-    def open(self, width=1280, height=720):
-        page = self.driver.browser(width, height)
-        self.addCleanup(self.driver.give_back, page)
-        page.open(self.url)
-        page.wait("document.getElementById('connection').textContent == 'connected' && document.querySelector('#strip img[src]')", "the page does not start")
-        return page
-
-    def page_of(self, page, x, y):
-        """Where a pixel of the fitted view lies on the page."""
-        box = page.box("#canvas")
-        scale = min((box["width"] - 16) / SIZE[0], (box["height"] - 16) / SIZE[1])
-        return (box["x"] + (box["width"] - scale * SIZE[0]) / 2 + x * scale, box["y"] + (box["height"] - scale * SIZE[1]) / 2 + y * scale)
-
-    def click(self, page, x, y):
-        page.mouse(self.page_of(page, x, y))
-        page.hover(5, 715)
-
-    def make_class(self, page, name):
-        page.keys("n")
-        page.wait("document.getElementById('class-dialog').open")
-        page.type(name)
-        page.keys("enter")
-        page.wait("!document.getElementById('class-dialog').open")
-
-    def wait_saved(self, page, clicks):
-        page.wait_for(lambda: sum(e["type"] == "click" for e in self.room.events), clicks, "clicks do not arrive")
-        page.wait("document.getElementById('saving').textContent == 'every click is saved'", "not saved")
+    def clicks(self):
+        return sum(e["type"] == "click" for e in self.room.events)
 
     def wait_pixel(self, page, x, y, want, why, tolerance=14):
         """Until the page shows about this colour at a pixel of the view."""
@@ -254,7 +221,8 @@ class PageTest(unittest.TestCase):
         page = self.open()
         self.room.faults.add("refuse")
         self.click(page, 30.5, 40.5)
-        page.wait("document.querySelector('#messages .error')?.textContent.includes('held out for tests label another view')")
+        page.wait("document.querySelector('#messages .error')?.textContent.includes('is held out for tests. Label another view.')")
+        self.assertIn("): frame 'rgb_00'", page.text("#messages .error"))
         page.wait("document.getElementById('saving').textContent == '' && document.querySelector('#classes .clicks').textContent == ''")
         self.room.faults.clear()
         self.click(page, 60.5, 40.5)
@@ -339,7 +307,7 @@ class PageTest(unittest.TestCase):
         before = page.pixels([corner])
         page.fingers([(at[0] - 40, at[1]), (at[0] - 200, at[1])], [(at[0] + 40, at[1]), (at[0] + 200, at[1])])
         self.assertEqual(len(self.room.events), 2, "a pinch labels")
-        x = 60 - 40 / ((min(page.box("#canvas")["width"] - 16, (page.box("#canvas")["height"] - 16) * 4 / 3)) / SIZE[0])
+        x = 60 - 40 / self.scale(page)
         photo, label = self.room.view(0)[0][45][3 * int(x):3 * int(x) + 3], self.mixed(0, x, 45, [200, 60, 60])
         seen = page.pixels([(at[0] - 200, at[1])])[0]
         apart = [sum(abs(a - b) for a, b in zip(seen, other)) for other in (photo, label)]
@@ -365,9 +333,7 @@ class PageTest(unittest.TestCase):
         page.mouse(at)
         self.wait_saved(page, 2)
         scale = 100 / (self.room.events[-1]["points"][0][0] - x)
-        box = page.box("#canvas")
-        fitted = min((box["width"] - 16) / SIZE[0], (box["height"] - 16) / SIZE[1])
-        self.assertGreater(scale, 1.5 * fitted, "the wheel does not zoom")
+        self.assertGreater(scale, 1.5 * self.scale(page), "the wheel does not zoom")
 
     def test_layout(self):
         self.serve(views=6, classes=("floor", "wall", "a class with a name that is rather long"))
@@ -438,61 +404,9 @@ class PageTest(unittest.TestCase):
     def test_modules(self):
         self.serve()
         page = self.open()
-        said = page.run("""
-            return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'api'].map((name) => import(`./${name}.js`)))
-            .then(([model, viewport, colors, fly, plots, events, api]) => {
-              const wrong = [];
-              const is = (got, want, what) => { if (JSON.stringify(got) !== JSON.stringify(want)) wrong.push(`${what}: ${JSON.stringify(got)}`); };
-              const image = {width: 100, height: 50}, screen = {width: 400, height: 400};
-              const port = viewport.zoomed(viewport.fitted(image, screen), 3, 150, 200, image, screen);
-              const fit = viewport.fitted(image, screen);
-              is(viewport.toImage(port, 150, 200).map((v) => v.toFixed(6)), viewport.toImage(fit, 150, 200).map((v) => v.toFixed(6)), 'zoom keeps the point');
-              is(viewport.zoomed(port, 0.01, 0, 0, image, screen), fit, 'never smaller than fitted');
-              is(model.strokeParts([[0, 0], [0.2, 0], [5, 0.04], [5.1, 0]], 1), [[[0, 0], [5, 0], [5.1, 0]]], 'a stroke is thinned');
-              const parts = model.strokeParts(Array.from({length: 10}, (_, i) => [i * 2, 0]), 1, 4);
-              is(parts.map((part) => part.length), [4, 4, 4], 'a long stroke has parts');
-              is(parts[1][0], parts[0][3], 'that share their ends');
-              is([model.duration(59), model.duration(3661), model.short(21500), model.short(950)], ['0:59', '1:01:01', '21.5 k', '950'], 'numbers');
-              const state = {classes: [{index: 0, name: 'a', color: [1, 2, 3], clicks: 1}], views: [{frame: 'f'}], marks: [{id: 'x', view: 0, points: [[1, 1]], radius: 0, class: 0}]};
-              const undo = {event: {id: 'u', type: 'undo', of: 'x'}};
-              const redo = {event: {id: 'v', type: 'undo', of: 'u'}};
-              const known = new Map([['x', {id: 'x', type: 'click', frame: 'f', points: [[1, 1]], radius: 0, class: 'a'}]]);
-              is(model.combined(state, [undo], known).marks.length, 0, 'an undo hides');
-              is(model.combined(state, [undo], known).classes[0].clicks, 0, 'and counts');
-              is(model.combined(state, [undo, redo], known).marks.length, 1, 'an undo of it shows again');
-              const late = model.combined({...state, marks: []}, [redo], new Map([...known, ['u', undo.event]]));
-              is(late.marks.map((mark) => mark.saved), [false], 'also when the first is saved already');
-              const renamed = model.combined(state, [{event: {id: 'r', type: 'rename', class: 'a', name: 'b'}}], known);
-              is([renamed.classes[0].name, renamed.marks[0].name], ['b', 'b'], 'renaming reaches marks');
-              is(model.nameProblem('', []) !== '' && model.nameProblem('a', ['a']) !== '' && model.nameProblem('b', ['a']) === '', true, 'names');
-              is(colors.kPalette.includes(colors.freeColor(colors.kPalette.slice(1))), true, 'a free colour');
-              is(colors.freeColor(colors.kPalette.slice(1)), colors.kPalette[0], 'the one that is left');
-              is(plots.polyline([0, 1, 2], [1, null, 3], false), '0.0,38.0 200.0,2.0', 'a plot with a gap');
-              const looks = {position: [0, 0, 0], rotation: [1, 0, 0, 0, 0, 1, 0, -1, 0], fov_deg: 60};  // along y, z is above
-              is(fly.upOf([looks]).map(Math.round).map((v) => v + 0), [0, 0, 1], 'up');
-              const camera = new fly.FreeCamera(looks, [0, 0, 1]);
-              camera.move(0, 0, 2);
-              is(camera.position, [0, 2, 0], 'ahead');
-              camera.turn(Math.PI / 2, 0);
-              camera.move(0, 0, 1);
-              is(camera.position.map((v) => Math.round(v * 1e6) / 1e6), [1, 2, 0], 'to the right');
-              camera.turn(0, 9);
-              const r = camera.value.rotation;
-              is(Math.abs(r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) + r[2] * (r[3] * r[7] - r[4] * r[6]) - 1) < 1e-9, true, 'a rotation');
-              is(camera.forward[2] > 0.99 && camera.forward[2] < 1, true, 'never upside down');
-              const sizes = new Uint8Array([2, 0, 0, 0, 123, 125, 1, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0, 0]);
-              is([...api.pictureParts(sizes.buffer).color], [9], 'parts of a picture');
-              const births = new model.MarkBirths();
-              births.see({overlay: {events: 1}, events: 2, marks: [{id: 'x'}]}, true);
-              births.see({overlay: {events: 1}, events: 3, marks: [{id: 'x'}, {id: 'y'}]}, false);
-              is([births.isPainted('x', 1), births.isPainted('y', 2), births.isPainted('y', 3)], [true, false, true], 'marks that an overlay knows');
-              return wrong;
-            });""")
+        said = page.run((pathlib.Path(__file__).parent / "modules.js").read_text())
         self.assertEqual(said, [])
 
 
 if __name__ == "__main__":
-    if not browser.programs():
-        print("skipped: the page was tried in no browser; install Debian's chromium and chromium-driver")
-        sys.exit(77)
-    unittest.main(verbosity=2)
+    page_case.main()

@@ -9,14 +9,13 @@ import socket
 import subprocess
 import sys
 import tempfile
-import unittest
 import urllib.request
 
-import browser
+import page_case
 
 PROGRAM, CONFIG = sys.argv[1:3] if len(sys.argv) > 2 else ("", "")
-WIDTH, HEIGHT = 96, 72
-SETTINGS = {"scene.frames": 8, "scene.test_frames": 2, "scene.labels.frames": "none", "scene.load.width_px": WIDTH, "runtime.threads": 2}
+SIZE = (96, 72)
+SETTINGS = {"scene.frames": 8, "scene.test_frames": 2, "scene.labels.frames": "none", "scene.load.width_px": SIZE[0], "runtime.threads": 2}
 
 
 class Serve:
@@ -60,49 +59,16 @@ class Serve:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-class ServeTest(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.driver = browser.Driver()
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.driver.close()
+class ServeTest(page_case.PageCase):
+    SIZE = SIZE
 
     def setUp(self):
         self.serve = Serve()
-        self.serve.start()
+        self.url = self.serve.start()
         self.addCleanup(self.serve.close)
 
-    def open(self):
-        page = self.driver.browser()
-        self.addCleanup(self.driver.give_back, page)
-        page.open(self.serve.url)
-        self.wait_start(page)
-        return page
-
-    def wait_start(self, page):
-        page.wait("document.getElementById('connection').textContent == 'connected' && document.querySelector('#strip [aria-current=true]')", "the page does not start")
-
-    def page_of(self, page, x, y):
-        box = page.box("#canvas")
-        scale = min((box["width"] - 16) / WIDTH, (box["height"] - 16) / HEIGHT)
-        return (box["x"] + (box["width"] - scale * WIDTH) / 2 + x * scale, box["y"] + (box["height"] - scale * HEIGHT) / 2 + y * scale)
-
-    def click(self, page, x, y):
-        page.mouse(self.page_of(page, x, y))
-        page.hover(5, 715)
-
-    def make_class(self, page, name):
-        page.keys("n")
-        page.wait("document.getElementById('class-dialog').open")
-        page.type(name)
-        page.keys("enter")
-        page.wait("!document.getElementById('class-dialog').open")
-
-    def wait_saved(self, page, clicks):
-        page.wait_for(lambda: sum(e["type"] == "click" for e in self.serve.events()), clicks, "clicks do not arrive")
-        page.wait("document.getElementById('saving').textContent == 'every click is saved'", "not saved")
+    def clicks(self):
+        return sum(e["type"] == "click" for e in self.serve.events())
 
     def wait_learned(self, page):
         """Until the labels know every event."""
@@ -222,9 +188,6 @@ class ServeTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    if not browser.programs():
-        print("skipped: the page was tried in no browser; install Debian's chromium and chromium-driver")
-        sys.exit(77)
     if not PROGRAM:
         sys.exit(__doc__)
-    unittest.main(argv=sys.argv[:1] + sys.argv[3:], verbosity=2)
+    page_case.main((PROGRAM, CONFIG))

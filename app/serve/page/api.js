@@ -25,7 +25,8 @@ async function answered(path, options, timeout_ms) {
   try {
     told = await answer.json();
   } catch { /* not JSON: a proxy, or another server on this port */ }
-  throw new Refusal(told.error ?? `The program answered ${answer.status}.`, told.remedy, answer.status);
+  const what = told.error?.replace(/^(event '[\w-]+'|request): /, '');  // the page knows what it sent
+  throw new Refusal(what ?? `The program answered ${answer.status}.`, told.remedy, answer.status);
 }
 
 /// The body, all of it; a connection that breaks on the way is a Refusal too.

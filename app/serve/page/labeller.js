@@ -163,6 +163,7 @@ export class Labeller {
     const event = this.everyEvent.get(undo.of);
     this.undoable.push(event);
     this.add({type: 'undo', of: undo.id}, false);
+    if (event.type === 'class') this.choose(event.name);
     this.tell(`Done again: ${inWords(event)}`);
   }
 

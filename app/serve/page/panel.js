@@ -106,6 +106,9 @@ export class Panel {
   }
 }
 
+/// What the program says begins small and ends open.
+const sentence = (text) => (text ? text[0].toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? '' : '.') : '');
+
 /// Messages over the canvas: errors stay until they are closed, others go after a while.
 export class Messages {
   constructor() { this.list = byId('messages'); }
@@ -122,13 +125,13 @@ export class Messages {
     for (const message of this.list.querySelectorAll('.passes')) message.remove();
   }
 
-  refuse(sentence, remedy, passes = false) {
-    const text = remedy ? `${sentence} ${remedy}` : sentence;
+  refuse(what, remedy, passes = false) {
+    const text = `${sentence(what)} ${sentence(remedy)}`;
     for (const other of this.list.querySelectorAll('.error')) if (other.dataset.text === text) return;
     while (this.list.querySelectorAll('.error').length > 2) this.list.querySelector('.error').remove();
     const close = make('button', {'aria-label': 'Close the message', onclick: () => message.remove()}, 'Close');
     const message = make('div', {class: passes ? 'error passes' : 'error', role: 'alert', 'data-text': text},
-                         make('p', {}, make('b', {}, sentence), remedy ? ` ${remedy}` : ''), close);
+                         make('p', {}, make('b', {}, sentence(what)), ` ${sentence(remedy)}`), close);
     this.list.append(message);
   }
 }

@@ -1,0 +1,50 @@
+// Unit tests of the page's modules, run inside the page: the body of a function that answers a list of what is wrong.
+return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'api'].map((name) => import(`./${name}.js`)))
+.then(([model, viewport, colors, fly, plots, events, api]) => {
+  const wrong = [];
+  const is = (got, want, what) => { if (JSON.stringify(got) !== JSON.stringify(want)) wrong.push(`${what}: ${JSON.stringify(got)}`); };
+  const image = {width: 100, height: 50}, screen = {width: 400, height: 400};
+  const port = viewport.zoomed(viewport.fitted(image, screen), 3, 150, 200, image, screen);
+  const fit = viewport.fitted(image, screen);
+  is(viewport.toImage(port, 150, 200).map((v) => v.toFixed(6)), viewport.toImage(fit, 150, 200).map((v) => v.toFixed(6)), 'zoom keeps the point');
+  is(viewport.zoomed(port, 0.01, 0, 0, image, screen), fit, 'never smaller than fitted');
+  is(model.strokeParts([[0, 0], [0.2, 0], [5, 0.04], [5.1, 0]], 1), [[[0, 0], [5, 0], [5.1, 0]]], 'a stroke is thinned');
+  const parts = model.strokeParts(Array.from({length: 10}, (_, i) => [i * 2, 0]), 1, 4);
+  is(parts.map((part) => part.length), [4, 4, 4], 'a long stroke has parts');
+  is(parts[1][0], parts[0][3], 'that share their ends');
+  is([model.duration(59), model.duration(3661), model.short(21500), model.short(950)], ['0:59', '1:01:01', '21.5 k', '950'], 'numbers');
+  const state = {classes: [{index: 0, name: 'a', color: [1, 2, 3], clicks: 1}], views: [{frame: 'f'}], marks: [{id: 'x', view: 0, points: [[1, 1]], radius: 0, class: 0}]};
+  const undo = {event: {id: 'u', type: 'undo', of: 'x'}};
+  const redo = {event: {id: 'v', type: 'undo', of: 'u'}};
+  const known = new Map([['x', {id: 'x', type: 'click', frame: 'f', points: [[1, 1]], radius: 0, class: 'a'}]]);
+  is(model.combined(state, [undo], known).marks.length, 0, 'an undo hides');
+  is(model.combined(state, [undo], known).classes[0].clicks, 0, 'and counts');
+  is(model.combined(state, [undo, redo], known).marks.length, 1, 'an undo of it shows again');
+  const late = model.combined({...state, marks: []}, [redo], new Map([...known, ['u', undo.event]]));
+  is(late.marks.map((mark) => mark.saved), [false], 'also when the first is saved already');
+  const renamed = model.combined(state, [{event: {id: 'r', type: 'rename', class: 'a', name: 'b'}}], known);
+  is([renamed.classes[0].name, renamed.marks[0].name], ['b', 'b'], 'renaming reaches marks');
+  is(model.nameProblem('', []) !== '' && model.nameProblem('a', ['a']) !== '' && model.nameProblem('b', ['a']) === '', true, 'names');
+  is(colors.kPalette.includes(colors.freeColor(colors.kPalette.slice(1))), true, 'a free colour');
+  is(colors.freeColor(colors.kPalette.slice(1)), colors.kPalette[0], 'the one that is left');
+  is(plots.polyline([0, 1, 2], [1, null, 3], false), '0.0,38.0 200.0,2.0', 'a plot with a gap');
+  const looks = {position: [0, 0, 0], rotation: [1, 0, 0, 0, 0, 1, 0, -1, 0], fov_deg: 60};  // along y, z is above
+  is(fly.upOf([looks]).map(Math.round).map((v) => v + 0), [0, 0, 1], 'up');
+  const camera = new fly.FreeCamera(looks, [0, 0, 1]);
+  camera.move(0, 0, 2);
+  is(camera.position, [0, 2, 0], 'ahead');
+  camera.turn(Math.PI / 2, 0);
+  camera.move(0, 0, 1);
+  is(camera.position.map((v) => Math.round(v * 1e6) / 1e6), [1, 2, 0], 'to the right');
+  camera.turn(0, 9);
+  const r = camera.value.rotation;
+  is(Math.abs(r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) + r[2] * (r[3] * r[7] - r[4] * r[6]) - 1) < 1e-9, true, 'a rotation');
+  is(camera.forward[2] > 0.99 && camera.forward[2] < 1, true, 'never upside down');
+  const sizes = new Uint8Array([2, 0, 0, 0, 123, 125, 1, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0, 0]);
+  is([...api.pictureParts(sizes.buffer).color], [9], 'parts of a picture');
+  const births = new model.MarkBirths();
+  births.see({overlay: {events: 1}, events: 2, marks: [{id: 'x'}]}, true);
+  births.see({overlay: {events: 1}, events: 3, marks: [{id: 'x'}, {id: 'y'}]}, false);
+  is([births.isPainted('x', 1), births.isPainted('y', 2), births.isPainted('y', 3)], [true, false, true], 'marks that an overlay knows');
+  return wrong;
+});
