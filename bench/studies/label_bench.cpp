@@ -246,9 +246,10 @@ std::vector<LabelCourse> measure_labelling(RunConfig config, const LabelBenchOpt
                                            const StudyTools& tools) {
   config.labels.selection.frames = "none";
   config.labels.selection.class_room = std::max(config.labels.selection.class_room, 1);
+  const auto first_seed = static_cast<int>(config.runtime.seed);
   Labelled labelled(std::move(config), options, tools);
   std::vector<LabelCourse> courses;
-  for (int seed = 1; seed <= options.seeds; ++seed) {
+  for (int seed = first_seed; seed < first_seed + options.seeds; ++seed) {
     for (const Acquisition how : options.strategies) {
       courses.push_back(labelled.course(how, seed));
       const LabelCourse& done = courses.back();

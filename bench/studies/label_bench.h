@@ -16,7 +16,7 @@ namespace semfield {
 struct LabelBenchOptions {
   std::vector<Acquisition> strategies{Acquisition::random, Acquisition::farthest, Acquisition::entropy,
                                       Acquisition::margin, Acquisition::surface};
-  int seeds = 5;
+  int seeds = 5;  ///< runtime.seed and the ones behind it
   int most_clicks = 300;
   double geometry_s = 30;  ///< training of colour and geometry before the first click
   double between_s = 2;    ///< training between two clicks; 0: geometry stands
@@ -53,11 +53,14 @@ LabelLatency measure_label_latency(RunConfig config, int clicks, double geometry
 /// the process has threads.
 int count_lost_clicks(int kills);
 
-std::string label_tables(const std::vector<LabelCourse>& courses, int most_clicks);
+std::string label_tables(const std::vector<LabelCourse>& courses);
 /// "label: clicks60_ours=... slowdown=...": medians over scenes and seeds; a course that never reaches a level counts
 /// as one of more clicks than all others.
-std::string label_line(const std::vector<LabelCourse>& courses, const LabelLatency& latency, int lost, int kills,
-                       int most_clicks);
+std::string label_line(const std::vector<LabelCourse>& courses, const LabelLatency& latency, int lost, int kills);
 std::string label_json(const std::vector<LabelCourse>& courses, const LabelLatency& latency);
+/// What label_json wrote: courses are added, and the latency is that of the last text that has one. Throws Error(data)
+/// naming `name`.
+void read_label_json(const std::string& text, const std::string& name, std::vector<LabelCourse>& courses,
+                     LabelLatency& latency);
 
 }  // namespace semfield

@@ -62,6 +62,14 @@ std::vector<double> all_of(const std::vector<LabelCourse>& courses,
   return out;
 }
 
+int longest(const std::vector<LabelCourse>& courses) {
+  std::size_t most = 0;
+  for (const LabelCourse& course : courses) most = std::max(most, course.miou.size());
+  return static_cast<int>(most);
+}
+
+std::string ms_text(double ms) { return std::isnan(ms) ? "n/a" : fmt::format("{:.0f}", ms); }
+
 double percentile(std::vector<double> values, double share) {
   if (values.empty()) return NAN;
   std::sort(values.begin(), values.end());
@@ -70,7 +78,8 @@ double percentile(std::vector<double> values, double share) {
 
 }  // namespace
 
-std::string label_tables(const std::vector<LabelCourse>& courses, int most_clicks) {
+std::string label_tables(const std::vector<LabelCourse>& courses) {
+  const int most_clicks = longest(courses);
   std::string text =
       "| scene | question | clicks to 0.5 | to 0.6 | to 0.7 | mIoU after 30 | after 100 | classes after 30 | ECE | "
       "with "
@@ -102,8 +111,8 @@ std::string label_tables(const std::vector<LabelCourse>& courses, int most_click
   return text;
 }
 
-std::string label_line(const std::vector<LabelCourse>& courses, const LabelLatency& latency, int lost, int kills,
-                       int most_clicks) {
+std::string label_line(const std::vector<LabelCourse>& courses, const LabelLatency& latency, int lost, int kills) {
+  const int most_clicks = longest(courses);
   const auto clicks = [&](Acquisition how, double level) { return median(clicks_of(courses, how, level)); };
   const double ours60 = clicks(Acquisition::surface, 0.6), random60 = clicks(Acquisition::random, 0.6);
   const double proposal = percentile(
@@ -112,12 +121,13 @@ std::string label_line(const std::vector<LabelCourse>& courses, const LabelLaten
           [](const LabelCourse& c) { return c.how == Acquisition::surface ? c.proposal_ms : std::vector<double>{}; }),
       0.5);
   return fmt::format(
-      "label: clicks60_ours={} clicks60_random={} clicks60_entropy={} ratio60={} ratio70={} proposal_ms={:.0f} "
-      "overlay_p50_ms={:.0f} overlay_p95_ms={:.0f} lost_clicks={}/{} slowdown={:.2f}",
+      "label: clicks60_ours={} clicks60_random={} clicks60_entropy={} ratio60={} ratio70={} proposal_ms={} "
+      "overlay_p50_ms={} overlay_p95_ms={} lost_clicks={}/{} slowdown={}",
       clicks_text(ours60, most_clicks), clicks_text(random60, most_clicks),
       clicks_text(clicks(Acquisition::entropy, 0.6), most_clicks), ratio_text(ours60, random60, most_clicks),
-      ratio_text(clicks(Acquisition::surface, 0.7), clicks(Acquisition::random, 0.7), most_clicks), proposal,
-      percentile(latency.overlay_ms, 0.5), percentile(latency.overlay_ms, 0.95), lost, kills, latency.slowdown);
+      ratio_text(clicks(Acquisition::surface, 0.7), clicks(Acquisition::random, 0.7), most_clicks), ms_text(proposal),
+      ms_text(percentile(latency.overlay_ms, 0.5)), ms_text(percentile(latency.overlay_ms, 0.95)), lost, kills,
+      latency.overlay_ms.empty() ? "n/a" : fmt::format("{:.2f}", latency.slowdown));
 }
 
 std::string label_json(const std::vector<LabelCourse>& courses, const LabelLatency& latency) {
@@ -128,11 +138,42 @@ std::string label_json(const std::vector<LabelCourse>& courses, const LabelLaten
                               {"seed", course.seed},
                               {"miou", course.miou},
                               {"classes", course.classes},
+                              {"proposal_ms", course.proposal_ms},
+                              {"learn_ms", course.learn_ms},
                               {"ece", course.ece_before},
                               {"ece_with_temperature", course.ece_after},
                               {"temperature", course.temperature}});
   }
   return out.dump();
+}
+
+void read_label_json(const std::string& text, const std::string& name, std::vector<LabelCourse>& courses,
+                     LabelLatency& latency) {
+  try {
+    const nlohmann::json read = nlohmann::json::parse(text);
+    if (!read.at("overlay_ms").empty())
+      latency = {read.at("overlay_ms").get<std::vector<double>>(), read.at("slowdown").get<double>()};
+    for (const nlohmann::json& one : read.value("courses", nlohmann::json::array())) {
+      LabelCourse course;
+      course.scene = one.at("scene");
+      const auto& names = ChoiceNames<Acquisition>::names;
+      const auto how = std::find(names.begin(), names.end(), one.at("question").get<std::string>());
+      if (how == names.end()) throw Error(ErrorKind::data, name + ": it names a question that there is not");
+      course.how = static_cast<Acquisition>(how - names.begin());
+      course.seed = one.at("seed");
+      course.miou = one.at("miou").get<std::vector<double>>();
+      course.classes = one.at("classes").get<std::vector<int>>();
+      course.proposal_ms = one.at("proposal_ms").get<std::vector<double>>();
+      course.learn_ms = one.at("learn_ms").get<std::vector<double>>();
+      course.ece_before = one.at("ece");
+      course.ece_after = one.at("ece_with_temperature");
+      course.temperature = one.at("temperature");
+      courses.push_back(std::move(course));
+    }
+  } catch (const nlohmann::json::exception& error) {
+    throw Error(ErrorKind::data, name + ": it is no result of `semfield bench label --json`: " + error.what(),
+                "write it again");
+  }
 }
 
 }  // namespace semfield

@@ -9,6 +9,7 @@
 #include "app/verbs/bench/bench_tools.h"
 #include "core/text.h"
 #include "studies/label_bench.h"
+#include "system/files.h"
 
 namespace semfield::app {
 
@@ -22,9 +23,11 @@ struct BenchLabelOptions {
   int clicks = 300;
   double geometry_s = 30;
   std::optional<double> between_s;
+  int timed_clicks = 60;
+  std::vector<std::string> combine;
 };
 
-constexpr int kKills = 200, kTimedClicks = 60;
+constexpr int kKills = 200;
 
 std::vector<Acquisition> questions_of(const std::vector<std::string>& names) {
   std::vector<Acquisition> out;
@@ -47,16 +50,19 @@ int run(const BenchLabelOptions& options, AppContext& context) {
   bench.most_clicks = options.clicks;
   bench.geometry_s = options.geometry_s;
   const int lost = count_lost_clicks(kKills);  // forks, so before there are threads
+  LabelLatency latency;
+  std::vector<LabelCourse> courses;
+  for (const std::string& file : options.combine) read_label_json(read_text_file(file), file, courses, latency);
   std::vector<std::string> configs = options.configs;
-  if (configs.empty()) configs.push_back(shared_file("configs/quickstart.yaml"));
+  if (configs.empty() && courses.empty()) configs.push_back(shared_file("configs/quickstart.yaml"));
   const StudyTools tools = study_tools(context);
   const auto load = [&](const std::string& path) {
     RunConfig config = load_run_config(path, options.set, context.registry);
     context.adopt(config);
     return config;
   };
-  const LabelLatency latency = measure_label_latency(load(configs.front()), kTimedClicks, options.geometry_s, tools);
-  std::vector<LabelCourse> courses;
+  if (!configs.empty() && options.timed_clicks > 0)
+    latency = measure_label_latency(load(configs.front()), options.timed_clicks, options.geometry_s, tools);
   for (const std::string& path : configs) {
     RunConfig config = load(path);
     bench.between_s = options.between_s.value_or(2);
@@ -66,8 +72,7 @@ int run(const BenchLabelOptions& options, AppContext& context) {
     std::printf("%s\n", label_json(courses, latency).c_str());
     return 0;
   }
-  std::printf("%s\n%s\n", label_tables(courses, options.clicks).c_str(),
-              label_line(courses, latency, lost, kKills, options.clicks).c_str());
+  std::printf("%s\n%s\n", label_tables(courses).c_str(), label_line(courses, latency, lost, kKills).c_str());
   return lost == 0 ? 0 : static_cast<int>(ErrorKind::failure);
 }
 
@@ -78,11 +83,15 @@ void words(VerbWords& verb, BenchLabelOptions& options) {
   verb.setting(options.set, "--device", "runtime.device", "auto, cpu, cuda or cuda:N");
   verb.list("--questions", options.questions,
             "random, farthest, entropy, margin, surface; several with commas (default: all)");
-  verb.value_in("--seeds", options.seeds, 1, 100, "persons for each way to ask (default: 5)");
+  verb.value_in("--seeds", options.seeds, 1, 100,
+                "persons for each way to ask (default: 5); the first one's seed is runtime.seed");
   verb.value_in("--clicks", options.clicks, 1, 2000, "clicks of a person (default: 300)");
   verb.positive("--geometry", options.geometry_s, "seconds of training before the first click (default: 30)");
   verb.value("--between", options.between_s,
              "seconds of training between two clicks (default: 2); 0: the geometry stands");
+  verb.value_in("--timed-clicks", options.timed_clicks, 0, 1000,
+                "clicks whose answers are timed while a session trains (default: 60)");
+  verb.list("--combine", options.combine, "files that `--json` has written; their persons count as if they were here");
 }
 
 }  // namespace
