@@ -1,14 +1,19 @@
 #include "app/serve/page_access.h"
 
 #include <arpa/inet.h>
+#include <fcntl.h>
 #include <sys/random.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cctype>
+#include <cerrno>
 #include <cstdint>
 
 #include "core/error.h"
+#include "system/files.h"
 
 namespace semfield::app {
 
@@ -35,6 +40,28 @@ std::string new_token() {
     token += "0123456789abcdef"[b >> 4];
     token += "0123456789abcdef"[b & 15];
   }
+  return token;
+}
+
+std::string kept_token(const std::string& run_dir) {
+  const std::string path = run_dir + "/serve_token";
+  struct stat facts {};
+  if (lstat(path.c_str(), &facts) == 0 && S_ISREG(facts.st_mode) && (facts.st_mode & 077) == 0 &&
+      facts.st_uid == geteuid()) {
+    const std::string kept = read_text_file(path);
+    if (kept.size() == 32 && kept.find_first_not_of("0123456789abcdef") == std::string::npos) return kept;
+  }
+  unlink(path.c_str());
+  const int file = open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600);
+  if (file < 0) throw write_error("create", path, errno);
+  const std::string token = new_token();
+  try {
+    append_all(file, path, token);
+  } catch (...) {
+    close(file);
+    throw;
+  }
+  close(file);
   return token;
 }
 

@@ -11,6 +11,10 @@ namespace semfield::app {
 /// 32 hexadecimal digits of 128 random bits from the kernel. Throws Error(unavailable) where it has none.
 std::string new_token();
 
+/// The token of a run: made once and kept in `run_dir`/serve_token, for its user alone, so that a page that is open
+/// goes on when the program starts again. One that others may read is replaced. Throws as new_token, and write_error.
+std::string kept_token(const std::string& run_dir);
+
 class PageAccess {
  public:
   /// `address` and `port`: what the server is bound to.

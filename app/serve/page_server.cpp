@@ -107,7 +107,9 @@ HttpResponse PageServer::route(const std::string& name, const HttpRequest& reque
 HttpResponse PageServer::get_state(const HttpRequest& request) const {
   std::uint64_t after = query_number(request.query, "after", 0, kMostNumber);
   const auto end = Clock::now() + std::chrono::milliseconds(options_.longest_poll_ms);
-  if (after > source_.state()->revision + exports_.changes()) after = 0;  // of an earlier life of the server
+  const std::uint64_t first = options_.first_revision;
+  const bool ours = after >= first && after - first <= source_.state()->revision + exports_.changes();
+  after = ours ? after - first : 0;  // else: of an earlier life of the server
   for (;;) {
     const std::uint64_t exported = exports_.changes();
     const std::uint64_t known = after > exported ? after - exported : 0;
@@ -116,7 +118,7 @@ HttpResponse PageServer::get_state(const HttpRequest& request) const {
     const bool last = left.count() <= 0 || stopping_ || after == 0;
     const auto state = last ? source_.state() : source_.wait_state(known, std::min(kLook, left));
     if (last || state->revision + exported > after)
-      return json(state_json(*state, source_, exports_.list(), known, state->revision + exported));
+      return json(state_json(*state, source_, exports_.list(), known, {first, first + state->revision + exported}));
   }
 }
 
@@ -150,14 +152,15 @@ HttpResponse PageServer::post_event(const HttpRequest& request) {
   LabelEvent event = parse_label_event(request.body);
   event.unix_ms = now_ms();
   const bool applied = source_.apply(event);
-  const std::uint64_t revision = source_.state()->revision + exports_.changes();
+  const std::uint64_t revision = options_.first_revision + source_.state()->revision + exports_.changes();
   return json(nlohmann::ordered_json{{"applied", applied}, {"revision", revision}}.dump());
 }
 
 HttpResponse PageServer::post_picture(const HttpRequest& request) {
   const PictureRequest wanted = parse_picture_request(request.body);
   if (!wanted.camera) check_view(static_cast<std::uint64_t>(wanted.view));
-  const Picture picture = source_.picture(wanted);
+  Picture picture = source_.picture(wanted);
+  picture.overlay_revision += options_.first_revision;
   return {200, "application/octet-stream", picture_bytes(picture, source_.state()->classes)};
 }
 

@@ -19,8 +19,9 @@ struct PageOptions {
   bool next_port = false;  ///< when http.port is taken, one of the 99 behind it
   ExportOptions exports;
   std::map<std::string, PageFile> files;
-  std::string token;            ///< new_token()
-  int longest_poll_ms = 20000;  ///< how long a request for news waits
+  std::uint64_t first_revision = 0;  ///< added to every revision; above all of an earlier server of the run
+  std::string token;                 ///< new_token()
+  int longest_poll_ms = 20000;       ///< how long a request for news waits
 };
 
 class PageServer final : private HttpHandler {

@@ -62,10 +62,10 @@ Json list(const Items& items, ToJson&& to_json) {
 }  // namespace
 
 std::string state_json(const LabelState& s, const PageSource& source, const std::vector<ExportState>& exports,
-                       std::uint64_t known, std::uint64_t revision) {
+                       std::uint64_t known, const PageRevision& revision) {
   Json out;
-  out["revision"] = revision;
-  out["overlay"] = {{"revision", s.overlay_revision}, {"events", s.overlay_events}};
+  out["revision"] = revision.now;
+  out["overlay"] = {{"revision", revision.first + s.overlay_revision}, {"events", s.overlay_events}};
   out["events"] = s.events;
   out["run"] = run_json(s);
   out["room"] = {{"named", s.named}, {"most", s.room}};

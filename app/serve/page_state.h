@@ -17,10 +17,14 @@ struct ExportState {
   std::vector<std::string> files;  ///< names, when it is done
 };
 
+struct PageRevision {
+  std::uint64_t first = 0;  ///< PageOptions::first_revision
+  std::uint64_t now = 0;    ///< what the client gives back as `after`
+};
+
 /// `known`: the session's revision that the client has seen, 0 for none: marks and history that are no newer are null.
-/// `revision`: what the client gives back as `after`.
 std::string state_json(const LabelState& state, const PageSource& source, const std::vector<ExportState>& exports,
-                       std::uint64_t known, std::uint64_t revision);
+                       std::uint64_t known, const PageRevision& revision);
 
 /// {"position", "rotation", "fov_deg"}, as pictures of a free camera ask for it.
 std::string camera_json(const FreeCamera& camera);

@@ -104,7 +104,9 @@ PageOptions page_options(const ServeOptions& options, const AppContext& context,
   page.http.port = options.port.value_or(kUsualPort);
   page.next_port = !options.port;
   page.files = read_page_files(shared_file("app/serve/page"));
-  page.token = new_token();
+  page.first_revision = static_cast<std::uint64_t>(
+      std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
+          .count());
   page.exports = {own_program(), run_dir, context.registry.module_files()};
   return page;
 }
@@ -159,6 +161,7 @@ int run(const ServeOptions& options, AppContext& context) {
                 "give it a table of fewer classes: scene.classes");
   SessionSource source(session);
   page.exports.run_dir = session.run_dir();
+  page.token = kept_token(session.run_dir());
   PageServer server(source, std::move(page));
   std::printf("serve: open %s in a browser\n", server.url().c_str());
   std::fflush(stdout);

@@ -39,6 +39,15 @@ TEST_F(ServedPage, TokensAreLongAndDiffer) {
   }
 }
 
+TEST_F(ServedPage, ARunKeepsItsTokenForItsUserAlone) {
+  const std::string token = kept_token(folder_), path = folder_ + "/serve_token";
+  EXPECT_EQ(kept_token(folder_), token);
+  EXPECT_EQ(std::filesystem::status(path).permissions(),
+            std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
+  std::filesystem::permissions(path, std::filesystem::perms::others_read, std::filesystem::perm_options::add);
+  EXPECT_NE(kept_token(folder_), token);
+}
+
 TEST_F(ServedPage, AnotherHostIsRefused) {
   const auto with_host = [&](const std::string& lines) {
     return ask("GET /" + token() + "/state HTTP/1.1\r\n" + lines + "\r\n").status;

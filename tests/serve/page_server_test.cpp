@@ -94,6 +94,16 @@ TEST_F(ServedPage, NobodyWaitsForNewsOnceTheSessionEnds) {
   EXPECT_EQ(Json::parse(get("state?after=5").body)["revision"], 5);
 }
 
+TEST_F(ServedPage, APageOfAnEarlierServerGetsEverythingAnew) {
+  PageOptions o = options();
+  o.first_revision = 1000;
+  start(o);
+  const Json s = Json::parse(get("state?after=900").body);
+  EXPECT_EQ(s["revision"], 1005);
+  EXPECT_TRUE(s["marks"].is_array());
+  EXPECT_TRUE(Json::parse(get("state?after=1004").body)["marks"].is_null());
+}
+
 TEST_F(ServedPage, AnEventIsAppliedOnceAndItsTimeIsTheServers) {
   const Answer first = post("event", click("a-1"));
   ASSERT_EQ(first.status, 200);

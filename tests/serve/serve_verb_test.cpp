@@ -49,7 +49,7 @@ class Served {
 
   bool up() const { return port_ != 0; }
   int port() const { return port_; }
-  const std::string& line() const { return line_; }
+  const std::string& folder() const { return folder_; }
   testing_program::Process& process() { return process_; }
 
   std::string text(const std::string& method, const std::string& name, const std::string& body = "") const {
@@ -86,11 +86,13 @@ constexpr const char* kChair = R"({"id":"c","type":"class","name":"chair"})";
 TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 200, 1), room = dir / "room";
+  std::string address;
   {
     Served served(config, dir, {"--out", room});
     ASSERT_TRUE(served.up()) << served.process().err_so_far();
     EXPECT_EQ(served.ask("POST", "event", kChair).status, 200);
     EXPECT_EQ(Json::parse(served.ask("POST", "event", served.click("k")).body)["applied"], true);
+    address = served.folder();
     served.process().send(SIGKILL);
     served.process().wait();
   }
@@ -100,6 +102,7 @@ TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
     EXPECT_NE(served.process().err_so_far().find("going on with " + room +
                                                  ", which is there already, by the settings in its run.yaml"),
               std::string::npos);
+    EXPECT_EQ(served.folder(), address);  // a page that is open goes on
     const Json s = served.state();
     EXPECT_EQ(s["events"], 2);
     EXPECT_EQ(s["marks"].size(), 1u);
