@@ -10,9 +10,8 @@
 
 namespace semfield {
 
-/// Pixels of a view of this size whose centres lie within the mark's radius of its points and of the lines between
-/// them, and those that its points lie in; the first point's own comes first. With `painted` [height * width], those
-/// alone that still have the mark's class.
+/// Pixels of a view of this size that the mark paints (stroke_runs); the first point's own comes first. With `painted`
+/// [height * width], those alone that still have the mark's class.
 std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px,
                                   std::span<const std::int16_t> painted = {});
 
