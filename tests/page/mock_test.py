@@ -185,6 +185,40 @@ class PageTest(page_case.PageCase):
             self.assertIn(name, reached)
         self.assertEqual([name for name, outline in reached.items() if outline == "none" and name != "BODY"], [])
 
+    def test_other_keys(self):
+        self.serve(classes=("floor", "wall", "sofa"))
+        page = self.open()
+        chosen = "document.querySelector('#classes [aria-checked=true] .name')?.textContent"
+        for key, name in (("2", "wall"), (".", "sofa"), (".", "floor"), (",", "sofa")):
+            page.keys(key)
+            page.wait(f"{chosen} == '{name}'", f"{key} does not choose {name}")
+        page.keys("shift+1")
+        page.wait("[...document.querySelectorAll('#classes .key')].map((e) => e.textContent).join() == '2,3,1'", "a class gets no key of its own")
+        page.keys("2")
+        page.wait(f"{chosen} == 'floor'")
+        page.keys("]", "]")
+        sofa = self.pixel_of(0, 4)
+        page.keys("1")
+        self.click(page, *sofa)
+        self.wait_saved(page, 1)
+        self.assertEqual((self.room.events[0]["class"], self.room.events[0]["radius"]), ("sofa", 5))
+        far = (sofa[0] + 7, sofa[1])
+        self.wait_pixel(page, *far, self.mixed(0, *far, mock_server.COLORS[2]), "the sofa is not learned")
+        page.keys("2")
+        page.hover(*self.page_of(page, *far))
+        page.wait("document.getElementById('readout').textContent.endsWith('sofa')", "the class under the pointer is not told")
+        page.keys("c")
+        page.wait(f"{chosen} == 'sofa'", "c does not choose what is under the pointer")
+        page.keys("o")
+        page.hover(5, 715)
+        photo = self.room.view(0)[0][int(far[1])][3 * int(far[0]):3 * int(far[0]) + 3]
+        self.wait_pixel(page, *far, photo, "o does not hide the overlay")
+        page.keys("o", "r")
+        page.wait("document.getElementById('show-rendered').getAttribute('aria-pressed') == 'true'")
+        page.keys("+", "+", "-", "0")
+        self.wait_pixel(page, *far, self.mixed(0, *far, mock_server.COLORS[2]), "0 does not fit the view")
+        self.assertEqual(page.complaints(), [])
+
     def test_an_unsent_click_outlives_a_reload(self):
         self.serve(classes=("sofa",))
         page = self.open()

@@ -1,4 +1,5 @@
 // The page put together: state comes in, the parts show it, keys and buttons act.
+import {actionsOf} from './actions.js';
 import {PictureChannel, followState, getJson, postJson} from './api.js';
 import {cssColor} from './colors.js';
 import {askClass, showHelp} from './dialogs.js';
@@ -23,6 +24,7 @@ const kMoved = 'Another run or a new start answers here: open the address that t
 class Page {
   constructor() {
     this.changed = this.changed.bind(this);
+    this.redraw = this.redraw.bind(this);
     this.settings = new Settings();
     this.session = safeStorage('sessionStorage');
     this.messages = new Messages();
@@ -38,11 +40,11 @@ class Page {
     this.panel = new Panel({
       choose: (name) => this.choose(name),
       rename: (row) => this.change(row),
-      point: (name) => { this.stage.pointed = name; this.changed(); },
+      point: (name) => { this.stage.pointed = name; this.redraw(); },
       export: (what) => postJson('./export', {what}).catch((error) => refuse(error.message, error.remedy)),
     });
     this.stage = new Stage(this.labeller, this.settings, {
-      changed: this.changed,
+      changed: this.redraw,
       click: (points) => this.click(points),
       isFlying: () => this.flight !== null,
       drag: (dx, dy) => this.flight.look(dx * 0.004, -dy * 0.004),
@@ -77,15 +79,23 @@ class Page {
 
   /// Something shown is another: drawn once, before the next frame.
   changed() {
+    this.isStale = true;
+    this.redraw();
+  }
+
+  /// The view alone is another: the pointer moved.
+  redraw() {
     if (this.isScheduled) return;
     this.isScheduled = true;
     requestAnimationFrame(() => {
       this.isScheduled = false;
-      this.update();
+      if (this.isStale) this.update();
+      else if (this.state) this.draw();
     });
   }
 
   update() {
+    this.isStale = false;
     this.updateFoot();
     if (!this.state) return;
     const {views} = this.state;
@@ -203,6 +213,7 @@ class Page {
     this.stage.cross = null;
     this.session.setItem('semfield.view', view);
     this.stage.fit();
+    this.changed();
   }
 
   choose(name) {
@@ -323,6 +334,7 @@ class Page {
     this.flight = null;
     this.pictures.wished = null;
     this.stage.fit();
+    this.changed();
   }
 
   connect() {
@@ -351,38 +363,7 @@ class Page {
     addEventListener('blur', () => this.flight?.held.clear());
     document.addEventListener('visibilitychange', this.changed);
 
-    const actions = {
-      'n': () => this.make(), 'F2': () => this.change(this.classOf(labeller.chosen)),
-      'z': () => labeller.undo(), 'ctrl+z': () => labeller.undo(),
-      'shift+z': () => labeller.redo(), 'ctrl+shift+z': () => labeller.redo(), 'ctrl+y': () => labeller.redo(),
-      ' ': () => this.space(), 'g': () => this.takeGuess(), 's': () => this.skip(),
-      'e': () => this.setKind(stage.kind === 'labels' ? 'entropy' : 'labels'),
-      'r': () => this.setRendered(!this.isRendered),
-      'o': () => { stage.isHidden = !stage.isHidden; this.changed(); },
-      't': () => { this.settings.set({names: !this.settings.names}); this.changed(); },
-      'c': () => { const name = stage.aim && stage.classAt(stage.aim); if (name) this.choose(name); },
-      ',': () => this.neighbourClass(-1), '.': () => this.neighbourClass(1),
-      '[': () => this.setRadius(this.settings.radius - 1), ']': () => this.setRadius(this.settings.radius + 1),
-      '+': () => stage.zoom(1.25), '=': () => stage.zoom(1.25), '-': () => stage.zoom(0.8), '0': () => stage.fit(),
-      'f': () => this.fly(), 'Escape': () => this.land(), '?': showHelp,
-      'Home': () => this.show(this.strip.shown[0]), 'End': () => this.show(this.strip.shown.at(-1)),
-      'Enter': () => { if (stage.cross) this.click([stage.cross]); },
-    };
-    for (const [key, step] of [['ArrowLeft', -1], ['ArrowUp', -1], ['ArrowRight', 1], ['ArrowDown', 1]]) {
-      actions[key] = () => this.show(this.strip.neighbour(this.index, step));
-      const [dx, dy] = key === 'ArrowLeft' || key === 'ArrowRight' ? [step, 0] : [0, step];
-      actions[`shift+${key}`] = () => stage.moveCross(dx, dy, false);
-      actions[`ctrl+shift+${key}`] = () => stage.moveCross(dx, dy, true);
-    }
-    for (const digit of '123456789') {
-      actions[digit] = () => this.choose([...this.settings.keysOf(this.classes)].find(([, key]) => key === digit)?.[0]);
-      actions[`shift+${digit}`] = () => {
-        if (labeller.chosen === null) return;
-        this.settings.give(labeller.chosen, digit);
-        this.changed();
-      };
-    }
-    followKeys(actions, (event, isDown) => Boolean(this.flight?.key(event.key, isDown, event.shiftKey)));
+    followKeys(actionsOf(this), (event, isDown) => Boolean(this.flight?.key(event.key, isDown, event.shiftKey)));
   }
 }
 
