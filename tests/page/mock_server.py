@@ -33,6 +33,7 @@ class Room:
         self.start, self.revision, self.overlay, self.failure = time.time(), 1, [1, 0], ""
         self.changed = threading.Condition()
         self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
+        self.polls = 0
         self.flights = []  # sizes asked for by the free camera, with whether in full
 
     def touch(self):
@@ -212,6 +213,7 @@ class Handler(http.server.BaseHTTPRequestHandler):
         if "/" not in path and file.is_file():
             self.answer(file.read_bytes(), TYPES[file.suffix])
         elif path == "state":
+            room.polls += 1
             with room.changed:
                 if int(query["after"]) > 0:
                     room.changed.wait_for(lambda: "silent" not in room.faults and room.revision > int(query["after"]) or self.server.ended,

@@ -315,6 +315,19 @@ class PageTest(page_case.PageCase):
         two.wait("document.querySelector('#classes .clicks')?.textContent == '1'")
         self.assertEqual([m["points"][0][0] > 50 for m in self.room.state(0)["marks"]], [True])
 
+    def test_a_tab_that_nobody_sees_asks_nothing(self):
+        self.serve(classes=("sofa",))
+        page = self.open()
+        page.run("Object.defineProperty(document, 'hidden', {get: () => window.isHidden ?? false}); window.isHidden = true;")
+        self.room.touch()  # answers the request that waits
+        page.run("return new Promise((resolve) => setTimeout(resolve, 300))")
+        polls = self.room.polls
+        self.room.apply({"id": "x-1", "type": "click", "frame": "rgb_00", "size": list(SIZE), "points": [[30.5, 40.5]], "radius": 3, "class": "sofa"})
+        page.run("return new Promise((resolve) => setTimeout(resolve, 700))")
+        self.assertEqual(self.room.polls, polls)
+        page.run("window.isHidden = false; document.dispatchEvent(new Event('visibilitychange'))")
+        page.wait("document.querySelector('#classes .clicks').textContent == '1'", "a tab that is seen again does not go on")
+
     def test_one_picture_at_a_time(self):
         self.serve(classes=("sofa",))
         page = self.open()

@@ -117,12 +117,26 @@ export class Backoff {
   }
 }
 
-/// Follows the program's state for ever. state(value, anew): anew after the first answer and after each lost connection;
+const shown = () => new Promise((resolve) => {
+  const look = () => {
+    if (document.hidden) return;
+    document.removeEventListener('visibilitychange', look);
+    resolve();
+  };
+  document.addEventListener('visibilitychange', look);
+  look();
+});
+
+/// Follows the program's state for ever, except in a tab that nobody sees (a browser has few connections to one server).
 /// lost(error): no answer came, or none that helps (its status says which).
 export async function followState({state, lost}) {
   const backoff = new Backoff();
   addEventListener('online', () => backoff.poke());
   for (let after = 0;;) {
+    if (document.hidden && after !== 0) {
+      await shown();
+      after = 0;
+    }
     try {
       const value = await getJson(`./state?after=${after}`);
       const anew = after === 0 || value.revision < after;
