@@ -128,6 +128,7 @@ const shown = () => new Promise((resolve) => {
 });
 
 /// Follows the program's state for ever, except in a tab that nobody sees (a browser has few connections to one server).
+/// state(value, anew): anew after the first answer, a rest and each lost connection;
 /// lost(error): no answer came, or none that helps (its status says which).
 export async function followState({state, lost}) {
   const backoff = new Backoff();
