@@ -64,7 +64,7 @@ double LabelLoop::fit_temperature(std::span<const LabelledPixels> clicks) {
     std::vector<LabelledPixels> others;
     for (std::size_t k = 0; k < clicks.size(); ++k)
       if (static_cast<int>(k % kFolds) != fold) others.push_back(clicks[k]);
-    learn_from(others);
+    learn_from(others, options_.learning.steps);
     std::vector<Vec3d> places;
     std::vector<HeldBack> of_fold;
     for (std::size_t i = 0; i < named.logit.size(); ++i) {
@@ -83,7 +83,7 @@ double LabelLoop::fit_temperature(std::span<const LabelledPixels> clicks) {
       held.push_back(std::move(of_fold[k]));
     }
   }
-  learn_from(clicks);
+  learn_from(clicks, options_.learning.steps);
   pipeline_.executor().upload(training_.step());
   predict_pool();
   if (!std::isfinite(likelihood(held, 1))) return 1;

@@ -187,7 +187,8 @@ LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks)
     }
     // A click weighs as one, and a stroke by the root of what it covers.
     for (std::size_t i = 0; i < taken; ++i) {
-      const double own = std::sqrt(static_cast<double>(std::max<std::size_t>(1, click.pixels.size() / 9)));
+      const double own =
+          click.weight * std::sqrt(static_cast<double>(std::max<std::size_t>(1, click.pixels.size() / 9)));
       named.weight.push_back(static_cast<float>(own / static_cast<double>(taken)));
     }
   }
@@ -198,11 +199,11 @@ LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks)
 
 std::vector<GraphSeed> LabelLoop::seeds_of(const Named& named) const {
   std::vector<GraphSeed> seeds;
-  std::set<std::pair<std::int32_t, std::int16_t>> known;
-  for (std::size_t i = 0; i < named.logit.size(); ++i)
-    if (const std::int32_t point = graph_.point_at(named.position[i]);
-        point >= 0 && known.emplace(point, named.logit[i]).second)
-      seeds.push_back({point, named.logit[i]});
+  std::set<std::int32_t> named_points;
+  for (std::size_t i = named.logit.size(); i-- > 0;) {  // the latest says what a point is
+    const std::int32_t point = graph_.point_at(named.position[i]);
+    if (point >= 0 && named_points.insert(point).second) seeds.push_back({point, named.logit[i]});
+  }
   return seeds;
 }
 
@@ -223,20 +224,22 @@ void LabelLoop::add_spread(Named& named) {
   }
 }
 
-void LabelLoop::learn_from(std::span<const LabelledPixels> clicks) {
+void LabelLoop::learn_from(std::span<const LabelledPixels> clicks, std::int64_t steps) {
   Named named = named_points(clicks);
   std::fill(live_.begin(), live_.end(), false);
   for (const std::int16_t logit : named.logit) live_[static_cast<std::size_t>(logit)] = true;
   seeds_ = seeds_of(named);
   graph_.settle(seeds_);
   add_spread(named);
-  learner_.learn(named.rows, named.logit, named.weight, options_.learning);
+  PointLearning learning = options_.learning;
+  learning.steps = steps;
+  learner_.learn(named.rows, named.logit, named.weight, learning);
   learned_ = !named.logit.empty();
 }
 
-void LabelLoop::learn(std::span<const LabelledPixels> clicks) {
+void LabelLoop::learn(std::span<const LabelledPixels> clicks, bool quickly) {
   pipeline_.executor().download(training_.step());
-  learn_from(clicks);
+  learn_from(clicks, quickly ? options_.quick_steps : options_.learning.steps);
   pipeline_.executor().upload(training_.step());
   predict_pool();
 }

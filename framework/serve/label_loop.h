@@ -21,6 +21,7 @@ struct LabelledPixels {
   int view = 0;
   std::int16_t class_index = 0;
   std::vector<PixelPlace> pixels;
+  double weight = 1;
 };
 
 struct LabelLoopOptions {
@@ -35,6 +36,7 @@ struct LabelLoopOptions {
   double doubt_cost = 0.5;      ///< difference of the ways to two classes that leaves no doubt (tanh 1)
   std::int32_t reach_px = 4;    ///< a click names the pixels around it that look alike; of an image 320 pixels wide
   PointLearning learning;
+  std::int64_t quick_steps = 80;
 };
 
 /// Labels of a view at its full size.
@@ -62,7 +64,8 @@ class LabelLoop {
 
   /// Learns the semantic part anew from these; with none there is nothing to tell any more. A click names the pixels
   /// around it too that lie on the same surface and have its colour.
-  void learn(std::span<const LabelledPixels> clicks);
+  /// `quickly`: in fewer steps, for labels that are to be seen at once.
+  void learn(std::span<const LabelledPixels> clicks, bool quickly = false);
   /// Something has been learned since the labels were last empty.
   bool learned() const { return learned_; }
   /// Class indices that have labels, as logits.
@@ -103,7 +106,7 @@ class LabelLoop {
   // Points of the surface to which clicks spread, behind those of the clicks.
   void add_spread(Named& named);
   std::vector<GraphSeed> seeds_of(const Named& named) const;
-  void learn_from(std::span<const LabelledPixels> clicks);
+  void learn_from(std::span<const LabelledPixels> clicks, std::int64_t steps);
   void weigh_by_way(std::span<const std::int32_t> points, double temperature, std::span<float> probability) const;
   // Of the surface that lies nearer to a click than to any other.
   std::vector<double> areas_of(std::size_t clicks, const Named& named) const;

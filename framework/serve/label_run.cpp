@@ -24,6 +24,7 @@ constexpr std::size_t kMostHistory = 600;
 constexpr double kHistoryEvery_s = 1;
 constexpr std::size_t kGivenPixels = 48;  // of a class in a frame whose labels the configuration gives
 constexpr std::size_t kMostGiven = 6000;
+constexpr double kGivenWeight = 0.1;  // where a click is 1: who clicks beside given labels corrects them
 
 double since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
@@ -77,7 +78,7 @@ std::vector<LabelledPixels> LabelRun::given_labels() const {
     const std::int32_t width = loop_.views()[v].photo->width_px;
     for (std::size_t c = 0; c < of.size(); ++c) {
       if (of[c].empty()) continue;
-      LabelledPixels some{static_cast<int>(v), static_cast<std::int16_t>(c), {}};
+      LabelledPixels some{static_cast<int>(v), static_cast<std::int16_t>(c), {}, kGivenWeight};
       const std::size_t count = std::min(kGivenPixels, of[c].size());
       for (std::size_t i = 0; i < count; ++i) {
         const auto pixel = static_cast<std::int32_t>(of[c][(2 * i + 1) * of[c].size() / (2 * count)]);
@@ -117,7 +118,10 @@ void LabelRun::take(const Annotations& annotations) {
   clicks_ = given_;
   for (LabelledPixels& named : named_by(annotations)) clicks_.push_back(std::move(named));
   marks_ = annotations.marks().size();
-  if (loop_.ready() && (!changed.empty() || !loop_.learned())) loop_.learn(clicks_);
+  if (loop_.ready() && (!changed.empty() || !loop_.learned())) {
+    loop_.learn(clicks_, true);
+    learned_quickly_ = true;
+  }
   if (annotations.skips().size() != skips_) {
     skips_ = annotations.skips().size();
     std::vector<LabelledPixels> skipped;
@@ -201,7 +205,7 @@ void LabelRun::record(std::span<const StepLosses> steps) {
   history_.resize(history_.size() / 2);
 }
 
-bool LabelRun::tend(bool looked_at, bool quiet) {
+bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
   if (training_.step() < std::min(kFirstSurface, session().config.train.steps)) return false;
   const Clock::time_point start = Clock::now();
   const bool trains = still_learns(), was_ready = loop_.ready();
@@ -217,6 +221,11 @@ bool LabelRun::tend(bool looked_at, bool quiet) {
     const Clock::time_point refined = Clock::now();
     changed = pictures_.refine(0.05) || changed;
     refining_s_ += since(refined);
+  }
+  if (pause && learned_quickly_) {
+    loop_.learn(clicks_);
+    learned_quickly_ = false;
+    changed = true;
   }
   const std::size_t own = clicks_.size() - given_.size();
   if (quiet && loop_.learned() && own >= 10 && own * 2 >= fitted_at_ * 3) {

@@ -32,9 +32,10 @@ class LabelRun {
   void take(const Annotations& annotations);
   /// Trains for about this long, while there is something to train; false: there is not.
   bool train(double budget_s);
-  /// Surfaces that are due, within the share of time that training grants them, and the temperature. True when labels
-  /// or questions have changed.
-  bool tend(bool looked_at, bool quiet);
+  /// Surfaces that are due, within the share of time that training grants them; in a pause between clicks what was
+  /// learned quickly is learned well; when nobody has clicked for long the temperature. True when labels or questions
+  /// have changed.
+  bool tend(bool looked_at, bool pause, bool quiet);
   /// Everything of the state but events, marks and names.
   void describe(LabelState& state) const;
   /// Checkpoint and log.
@@ -65,6 +66,7 @@ class LabelRun {
   std::vector<LabelledPixels> clicks_;  // and given labels
   std::vector<LabelledPixels> given_;
   std::vector<std::uint64_t> marked_;  // frames, by a checksum of their marks, to tell which have changed
+  bool learned_quickly_ = false;
   std::size_t marks_ = 0, skips_ = 0, fitted_at_ = 0;
   std::optional<ProposalState> proposal_;
   std::uint64_t asked_ = 0;

@@ -25,6 +25,7 @@ constexpr int kClassRoom = 32, kMoreClasses = 8;
 constexpr double kTurn_s = 0.03;  // of training between looks at what others want
 constexpr auto kIdle = std::chrono::milliseconds(100);
 constexpr auto kPublishEvery = std::chrono::milliseconds(400);
+constexpr auto kPauseAfter = std::chrono::milliseconds(700);
 constexpr auto kQuietAfter = std::chrono::seconds(3);
 constexpr auto kLookedFor = std::chrono::seconds(10);
 
@@ -95,11 +96,15 @@ struct LabelSession::Parts {
     state = std::move(next);
     changed.notify_all();
   }
-  /// Whether somebody looks, and whether nobody has clicked for a while.
-  std::pair<bool, bool> watched() const {
+  /// Whether somebody looks, and whether nobody has clicked for a moment, or for long.
+  struct Watched {
+    bool looked_at, pause, quiet;
+  };
+  Watched watched() const {
     const std::lock_guard lock(mutex);
     const Clock::time_point now = Clock::now();
-    return {now - last_look<kLookedFor, now - last_event> kQuietAfter};
+    const Clock::duration quiet = now - last_event;
+    return {now - last_look<kLookedFor, quiet> kPauseAfter, quiet > kQuietAfter};
   }
   void name_classes(LabelState& next) const;
   void take_events();
@@ -341,8 +346,8 @@ void LabelSession::run() {
       p.save_if_wanted();
       if (!failed) {
         busy = p.run.train(kTurn_s);
-        const auto [looked_at, quiet] = p.watched();
-        overlay = p.run.tend(looked_at, quiet);
+        const Parts::Watched watched = p.watched();
+        overlay = p.run.tend(watched.looked_at, watched.pause, watched.quiet);
       }
     } catch (const Error& error) {
       failed = true;

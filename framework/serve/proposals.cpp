@@ -12,16 +12,21 @@ namespace semfield {
 namespace {
 
 constexpr const char* kRandom = "proposals/candidates";
+// Classes that have a probability anywhere.
+std::ptrdiff_t named_classes(const ProposalInput& in) {
+  std::vector<bool> named(static_cast<std::size_t>(in.classes), false);
+  for (std::size_t i = 0; i < in.probability.size(); ++i)
+    if (in.probability[i] > 0) named[i % named.size()] = true;
+  return std::count(named.begin(), named.end(), true);
+}
+
 // [N] entropy as a share of the largest there can be; all 1 while nothing is learned.
 std::vector<double> entropies(const ProposalInput& in) {
   const std::size_t count = in.pool->points.size();
   std::vector<double> out(count, 1.0);
   if (in.probability.empty()) return out;
   const auto width = static_cast<std::size_t>(in.classes);
-  std::vector<bool> named(width, false);
-  for (std::size_t i = 0; i < in.probability.size(); ++i)
-    if (in.probability[i] > 0) named[i % width] = true;
-  const auto live = std::count(named.begin(), named.end(), true);
+  const auto live = named_classes(in);
   if (live < 2) return out;  // a single class is sure of everything
   const double most = std::log(static_cast<double>(live));
   for (std::size_t i = 0; i < count; ++i) {
@@ -131,6 +136,7 @@ std::optional<Asked> choose_click(Acquisition how, const ProposalInput& in) {
   const RandomAddress address{in.seed, in.round, stream_id(kRandom)};
   const auto any = static_cast<std::int32_t>(uniform_below(address, 1u << 30, points.size()));
   const auto width = static_cast<std::size_t>(in.classes);
+  const bool learned = named_classes(in) > 1;  // else nothing is doubted
   switch (how) {
     case Acquisition::random:
       break;
@@ -142,12 +148,12 @@ std::optional<Asked> choose_click(Acquisition how, const ProposalInput& in) {
         return nearest;
       });
     case Acquisition::entropy: {
-      if (in.probability.empty()) break;
+      if (!learned) break;
       const std::vector<double> entropy = entropies(in);
       return best_of(points.size(), [&](std::size_t i) { return entropy[i]; });
     }
     case Acquisition::margin:
-      if (in.probability.empty()) break;
+      if (!learned) break;
       return best_of(points.size(), [&](std::size_t i) { return -margin(in.probability.subspan(i * width, width)); });
     case Acquisition::surface:
       return by_surface(in);

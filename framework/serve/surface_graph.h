@@ -36,7 +36,7 @@ class SurfaceGraph {
   SurfaceGraph() = default;
   SurfaceGraph(const SurfacePool& pool, const SurfaceGraphRules& rules);
 
-  /// Of every point; Dijkstra's algorithm with two labels a point [Dijkstra59; Falcao04].
+  /// Of every point; Dijkstra's algorithm with two labels a point [Dijkstra59], as in [Falcao04].
   const std::vector<Settled>& settled() const { return settled_; }
   void settle(std::span<const GraphSeed> seeds);
   /// One more seed, at the cost of what changes.
