@@ -156,8 +156,10 @@ void PointLearner::learn(const PointRows& rows, std::span<const std::int16_t> lo
   SEMFIELD_CHECK(rows.count() == std::ssize(logit), "a logit for every point");
   const WorkScope scope(pipeline_.options().work);
   const ComputeFloatMode mode;
-  for (Tensor<float>* tensor : tensors_)
+  for (Tensor<float>* tensor : tensors_) {
     if (tensor->learned()) pipeline_.store().restart(*tensor);
+    std::fill_n(tensor->grad.data(), tensor->grad.size(), 0.0F);  // of the last step of training
+  }
   const PointChoice choice(logit, weight, classes_, options.class_power);
   const auto dims = static_cast<std::size_t>(rows.dims);
   Batch batch;
