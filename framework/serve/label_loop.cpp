@@ -22,6 +22,7 @@ constexpr double kAlikeColor = 24;        // of 255, a channel
 constexpr double kAlikeDistance = 0.03;   // of the distance
 constexpr float kMostLead = 6;            // of a way, beyond which it tells no more
 constexpr std::size_t kMostPixels = 256;  // of a stroke
+constexpr std::int64_t kCellPixels = 8;  // of maps, for a cell of the pool: with fewer, cells of a surface do not touch
 
 }  // namespace
 
@@ -77,12 +78,15 @@ bool LabelLoop::update_surfaces(double budget_s) {
 
 void LabelLoop::make_pool() {
   pipeline_.executor().download(training_.step());
-  pool_ = make_surface_pool(views_, training_.session().limits, options_.pool_points);
+  std::int64_t pixels = 0;
+  for (const PoolView& view : views_) pixels += std::ssize(view.map.distance_m);
+  pool_ = make_surface_pool(views_, training_.session().limits,
+                            std::clamp<std::int64_t>(pixels / kCellPixels, 1, options_.pool_points));
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : pool_.points) positions.push_back(point.position);
   pool_rows_ = learner_.rows_at(positions);
   graph_ = SurfaceGraph(pool_, options_.graph);
-  graph_.settle(seeds_);
+  settle_seeds();
   predict_pool();
 }
 
@@ -197,14 +201,14 @@ LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks)
   return named;
 }
 
-std::vector<GraphSeed> LabelLoop::seeds_of(const Named& named) const {
+void LabelLoop::settle_seeds() {
   std::vector<GraphSeed> seeds;
   std::set<std::int32_t> named_points;
-  for (std::size_t i = named.logit.size(); i-- > 0;) {  // the latest says what a point is
-    const std::int32_t point = graph_.point_at(named.position[i]);
-    if (point >= 0 && named_points.insert(point).second) seeds.push_back({point, named.logit[i]});
+  for (auto seed = seeds_.rbegin(); seed != seeds_.rend(); ++seed) {  // the latest says what a point is
+    const std::int32_t point = graph_.point_at(seed->position);
+    if (point >= 0 && named_points.insert(point).second) seeds.push_back({point, seed->logit});
   }
-  return seeds;
+  graph_.settle(seeds);
 }
 
 void LabelLoop::add_spread(Named& named) {
@@ -228,8 +232,9 @@ void LabelLoop::learn_from(std::span<const LabelledPixels> clicks, std::int64_t 
   Named named = named_points(clicks);
   std::fill(live_.begin(), live_.end(), false);
   for (const std::int16_t logit : named.logit) live_[static_cast<std::size_t>(logit)] = true;
-  seeds_ = seeds_of(named);
-  graph_.settle(seeds_);
+  seeds_.clear();
+  for (std::size_t i = 0; i < named.logit.size(); ++i) seeds_.push_back({named.position[i], named.logit[i]});
+  settle_seeds();
   add_spread(named);
   PointLearning learning = options_.learning;
   learning.steps = steps;

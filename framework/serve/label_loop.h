@@ -105,7 +105,8 @@ class LabelLoop {
   };
   // Points of the surface to which clicks spread, behind those of the clicks.
   void add_spread(Named& named);
-  std::vector<GraphSeed> seeds_of(const Named& named) const;
+  // Lets ways begin at the named places; their points are found anew, for the pool may have been made anew.
+  void settle_seeds();
   void learn_from(std::span<const LabelledPixels> clicks, std::int64_t steps);
   void weigh_by_way(std::span<const std::int32_t> points, double temperature, std::span<float> probability) const;
   // Of the surface that lies nearer to a click than to any other.
@@ -127,7 +128,11 @@ class LabelLoop {
   std::int64_t pool_step_ = 0;
   PointLearner learner_;
   std::vector<std::int16_t> logit_of_class_;
-  std::vector<GraphSeed> seeds_;
+  struct Seed {
+    Vec3d position;
+    std::int16_t logit = 0;
+  };
+  std::vector<Seed> seeds_;
   bool learned_ = false;
   std::vector<bool> live_;
   std::vector<float> pool_probability_;

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <numbers>
@@ -21,6 +22,12 @@ constexpr std::int32_t kLeastSide = 48, kMostSide = 4096;
 constexpr double kStale = 1.6;
 
 double since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+
+bool is_finite(const Pose& pose) {
+  double sum = pose.t.x + pose.t.y + pose.t.z;
+  for (const std::array<double, 3>& row : pose.r) sum += row[0] + row[1] + row[2];
+  return std::isfinite(sum);
+}
 
 std::int32_t fine_stride(const Camera& camera) {
   const double pixels = static_cast<double>(camera.width_px) * camera.height_px;
@@ -60,19 +67,24 @@ void ViewPictures::begin(const PictureRequest& request) {
   const auto refuse = [](const std::string& what, const std::string& remedy) {
     throw Error(ErrorKind::usage, "picture: " + what, remedy);
   };
-  if (request.view >= std::ssize(loop_.views()) || (request.view < 0) != request.camera.has_value()) {
+  if ((request.view < 0) != request.camera.has_value())
+    refuse(request.camera ? "it is of both a view and a camera" : "it is of neither a view nor a camera",
+           "name a view, or give a camera");
+  if (request.view >= std::ssize(loop_.views()))
     refuse(fmt::format("view {} is none of the {}", request.view, loop_.views().size()),
-           "name a view, or give a camera, and not both");
-  }
+           fmt::format("name one from 0 to {}", loop_.views().size() - 1));
   if (request.most_px != 0 && (request.most_px < kLeastSide || request.most_px > kMostSide))
     refuse(fmt::format("most_px {} is not in {} to {}", request.most_px, kLeastSide, kMostSide),
            "ask for another size");
   if (request.camera && !(request.camera->fov_deg >= 1 && request.camera->fov_deg <= 170))
     refuse("the field of view is not in 1 to 170 degrees", "give another one");
+  if (request.camera && !is_finite(request.camera->world_from_camera))
+    refuse("the camera has a number that is not finite", "give position and rotation as numbers");
   camera_ = camera_for(request);
   picture_ = {};
   rows_done_ = 0;
   spent_s_ = 0;
+  shows_labels_ = training_.session().pipeline->has_semantics() && loop_.learned();
   request_ = request;
   if (request.view >= 0 && !request.color && !request.full) return;
   Camera& camera = camera_.camera;
@@ -161,7 +173,6 @@ void ViewPictures::render_rows(double budget_s) {
   const Clock::time_point start = Clock::now();
   const Session& session = training_.session();
   const std::int32_t width = picture_.width_px, height = picture_.height_px;
-  const bool labels = session.pipeline->has_semantics() && loop_.learned() && (request_->labels || request_->entropy);
   const double most = std::log(
       static_cast<double>(std::max<std::ptrdiff_t>(2, std::count(loop_.live().begin(), loop_.live().end(), true))));
   std::vector<bool> live(static_cast<std::size_t>(std::max(session.classes(), 1)), false);
@@ -179,7 +190,7 @@ void ViewPictures::render_rows(double budget_s) {
     rays_per_s_ = 0.7 * rays_per_s_ + 0.3 * rays / std::max(since(begun), 1e-6);
     if (request_->color)
       for (const float value : frame.rgb) picture_.rgb.push_back(static_cast<std::uint8_t>(std::lround(value * 255)));
-    for (std::size_t i = 0; labels && i < frame.label.size(); ++i) {
+    for (std::size_t i = 0; shows_labels_ && i < frame.label.size(); ++i) {
       const std::int16_t label = frame.label[i];
       const bool known = label >= 0 && live[static_cast<std::size_t>(label)] && frame.opacity[i] >= kSurfaceOpacity;
       if (request_->labels) picture_.label.push_back(known ? label : kVoid);

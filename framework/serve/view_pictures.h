@@ -45,6 +45,7 @@ class ViewPictures {
   RayCamera camera_;
   Picture picture_;
   std::int32_t rows_done_ = 0;
+  bool shows_labels_ = false;  // something was learned when it began; all of its rows have labels, or none
   double spent_s_ = 0;
 };
 

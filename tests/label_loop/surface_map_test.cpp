@@ -18,8 +18,7 @@ namespace {
 
 using namespace testing_train;
 
-const std::string kDepth =
-    "losses: [{type: depth, kind: line_of_sight, weight: 0.3, from_step: 0}]\n";
+const std::string kDepth = "losses: [{type: depth, kind: line_of_sight, weight: 0.3, from_step: 0}]\n";
 
 class LearnedRoom : public testing::Test {
  protected:

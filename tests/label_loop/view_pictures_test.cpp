@@ -1,0 +1,176 @@
+// Pictures of views and of free cameras, made in pieces: their sizes, what they show, and requests that are refused.
+#include "serve/view_pictures.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <string>
+
+#include "core/error.h"
+#include "tests/label_loop/looped_room.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_loop;
+
+struct PicturedRoom : LoopedRoom {
+  ViewPictures pictures{*training, *loop};
+
+  FreeCamera camera() const { return {loop->views()[1].camera.world_from_camera, 60}; }
+  Picture made(const PictureRequest& request, double budget_s = 1e9) {
+    pictures.begin(request);
+    std::optional<Picture> picture;
+    for (int turn = 0; !picture && turn < 1000; ++turn) picture = pictures.work(budget_s);
+    EXPECT_TRUE(picture.has_value());
+    return picture ? std::move(*picture) : Picture();
+  }
+  std::string refusal(const PictureRequest& request) {
+    try {
+      pictures.begin(request);
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::usage);
+      return error.what();
+    }
+    return "";
+  }
+};
+
+PictureRequest of_view(int view) {
+  PictureRequest request;
+  request.view = view;
+  return request;
+}
+
+PictureRequest of_camera(const FreeCamera& camera, std::int32_t most_px = 0) {
+  PictureRequest request;
+  request.camera = camera;
+  request.most_px = most_px;
+  request.color = request.entropy = true;
+  request.full = true;
+  return request;
+}
+
+void expect_whole(const Picture& picture, bool rgb, bool label, bool entropy) {
+  const auto pixels = static_cast<std::size_t>(picture.width_px * picture.height_px);
+  EXPECT_GT(pixels, 0u);
+  EXPECT_EQ(picture.rgb.size(), rgb ? 3 * pixels : 0);
+  EXPECT_EQ(picture.label.size(), label ? pixels : 0);
+  EXPECT_EQ(picture.entropy.size(), entropy ? pixels : 0);
+}
+
+TEST(ViewPictures, AViewsLabelsAreThoseOfTheLoop) {
+  PicturedRoom room;
+  EXPECT_EQ(room.made(of_view(2)).label, std::vector<std::int16_t>(48 * 36, kVoid)) << "nothing is learned";
+  room.loop->learn(room.clicks(8));
+  PictureRequest request = of_view(2);
+  request.entropy = true;
+  const Picture coarse = room.made(request);
+  EXPECT_EQ(coarse.width_px, 48);
+  EXPECT_EQ(coarse.height_px, 36);
+  expect_whole(coarse, false, true, true);
+  EXPECT_EQ(coarse.label, room.loop->labels_of(2).label);
+  EXPECT_EQ(coarse.entropy, room.loop->labels_of(2).entropy);
+  while (!room.pictures.refine(0.001)) {
+  }
+  const SurfaceMap fine = room.loop->map_of(2, 1);
+  EXPECT_EQ(room.made(request).label, room.loop->labels_of(2, &fine).label) << "its own surface is finer";
+  EXPECT_FALSE(room.pictures.refine(1)) << "it is complete";
+  request.labels = false;
+  expect_whole(room.made(request), false, false, true);
+}
+
+TEST(ViewPictures, AFreeCameraIsRenderedInPieces) {
+  PicturedRoom room;
+  room.loop->learn(room.clicks(8));
+  const Picture whole = room.made(of_camera(room.camera()));
+  EXPECT_EQ(whole.width_px, 48);
+  EXPECT_EQ(whole.height_px, 36);
+  expect_whole(whole, true, true, true);
+  const Picture pieces = room.made(of_camera(room.camera()), 0);
+  EXPECT_EQ(pieces.rgb, whole.rgb);
+  EXPECT_EQ(pieces.label, whole.label);
+  EXPECT_EQ(pieces.entropy, whole.entropy);
+  const auto named = std::count_if(whole.label.begin(), whole.label.end(), [](std::int16_t l) { return l >= 0; });
+  EXPECT_GT(named, 48 * 36 / 2);
+  PictureRequest request = of_view(1);  // the same camera, but with its own focal length
+  request.color = request.full = true;
+  expect_whole(room.made(request), true, true, false);
+}
+
+TEST(ViewPictures, BoundsOfEveryNumberAreTaken) {
+  PicturedRoom room;
+  room.loop->learn(room.clicks(8));
+  for (const double fov : {1.0, 170.0}) {
+    FreeCamera camera = room.camera();
+    camera.fov_deg = fov;
+    const Picture picture = room.made(of_camera(camera, 48));
+    EXPECT_EQ(picture.width_px, 48);
+    EXPECT_EQ(picture.height_px, 36);
+    expect_whole(picture, true, true, true);
+  }
+  PictureRequest moving = of_camera(room.camera(), 4096);
+  moving.full = false;
+  const Picture quick = room.made(moving);  // a camera that moves gets what can be had at once
+  EXPECT_LT(quick.width_px, 4096);
+  EXPECT_GE(quick.width_px, 48);
+  expect_whole(quick, true, true, true);
+  FreeCamera away = room.camera();  // far outside the room: there is nothing to see, and no error
+  away.world_from_camera.t = {1e6, -1e6, 1e6};
+  const Picture nothing = room.made(of_camera(away, 64));
+  expect_whole(nothing, true, true, true);
+  EXPECT_EQ(nothing.label, std::vector<std::int16_t>(nothing.label.size(), kVoid));
+}
+
+TEST(ViewPictures, WrongRequestsAreRefusedWithASentence) {
+  PicturedRoom room;
+  const int views = static_cast<int>(room.loop->views().size());
+  EXPECT_NE(room.refusal(of_view(views)).find("view 9 is none of the 9"), std::string::npos);
+  EXPECT_NE(room.refusal(of_view(-1)).find("neither a view nor a camera"), std::string::npos)
+      << room.refusal(of_view(-1));
+  PictureRequest both = of_camera(room.camera());
+  both.view = 2;
+  EXPECT_NE(room.refusal(both).find("both a view and a camera"), std::string::npos) << room.refusal(both);
+  for (const std::int32_t side : {-1, 1, 47, 4097, std::numeric_limits<std::int32_t>::max()})
+    EXPECT_NE(room.refusal(of_camera(room.camera(), side)).find("most_px"), std::string::npos);
+  for (const double fov : {0.0, 0.5, 171.0, std::nan("")}) {
+    FreeCamera camera = room.camera();
+    camera.fov_deg = fov;
+    EXPECT_NE(room.refusal(of_camera(camera)).find("field of view"), std::string::npos);
+  }
+  for (const double bad : {std::nan(""), HUGE_VAL}) {
+    FreeCamera camera = room.camera();
+    camera.world_from_camera.t.y = bad;
+    EXPECT_NE(room.refusal(of_camera(camera)).find("not finite"), std::string::npos);
+    camera = room.camera();
+    camera.world_from_camera.r[1][2] = bad;
+    EXPECT_NE(room.refusal(of_camera(camera)).find("not finite"), std::string::npos);
+  }
+  EXPECT_FALSE(room.pictures.work(1).has_value()) << "nothing is under way";
+}
+
+// The first click, or the last undo, may come while rows of a picture are made.
+TEST(ViewPictures, APictureIsWholeWhateverIsLearnedMeanwhile) {
+  PicturedRoom room;
+  for (const bool click : {true, false}) {
+    PictureRequest request = of_camera(room.camera(), 4096);
+    request.camera->fov_deg = 100;
+    request.most_px = 96;
+    room.pictures.begin(request);
+    ASSERT_FALSE(room.pictures.work(0).has_value()) << "some rows are left";
+    room.loop->learn(click ? room.clicks(6) : std::vector<LabelledPixels>());
+    std::optional<Picture> picture;
+    while (!picture) picture = room.pictures.work(1e9);
+    const auto pixels = static_cast<std::size_t>(picture->width_px * picture->height_px);
+    EXPECT_EQ(picture->rgb.size(), 3 * pixels);
+    EXPECT_TRUE(picture->label.empty() || picture->label.size() == pixels) << picture->label.size();
+    EXPECT_TRUE(picture->entropy.empty() || picture->entropy.size() == pixels) << picture->entropy.size();
+  }
+}
+
+}  // namespace
+}  // namespace semfield
