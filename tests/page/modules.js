@@ -27,6 +27,9 @@ return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'ap
   is(model.nameProblem('', []) !== '' && model.nameProblem('a', ['a']) !== '' && model.nameProblem('b', ['a']) === '', true, 'names');
   is(colors.kPalette.includes(colors.freeColor(colors.kPalette.slice(1))), true, 'a free colour');
   is(colors.freeColor(colors.kPalette.slice(1)), colors.kPalette[0], 'the one that is left');
+  const used = [];
+  for (let i = 0; i < 40; ++i) used.push(colors.freeColor(used));
+  is(new Set(used.map(String)).size, 40, 'forty classes have forty colours');
   is(plots.polyline([0, 1, 2], [1, null, 3], false), '0.0,38.0 200.0,2.0', 'a plot with a gap');
   const looks = {position: [0, 0, 0], rotation: [1, 0, 0, 0, 0, 1, 0, -1, 0], fov_deg: 60};  // along y, z is above
   is(fly.upOf([looks]).map(Math.round).map((v) => v + 0), [0, 0, 1], 'up');

@@ -23,17 +23,21 @@ function oklab(rgb) {
 /// Hues are told apart better than shades over a photograph, so lightness counts half.
 const hue = (rgb) => oklab(rgb).map((v, i) => (i ? v : v / 2));
 
-/// The colour of the palette that is farthest from all that are used.
+const mixed = (rgb, other, share) => rgb.map((v) => Math.round(v + (other - v) * share));
+// Where the palette is used up: its colours darker and lighter.
+const kShades = [...kPalette.map((rgb) => mixed(rgb, 0, 0.45)), ...kPalette.map((rgb) => mixed(rgb, 255, 0.5))];
+const kApart = 0.03;
+
+/// The colour of the palette that is farthest from all that are used, or a shade of one where all are taken.
 export function freeColor(used) {
   const labs = used.map(hue);
-  let best = kPalette[0];
-  let most = -1;
-  for (const rgb of kPalette) {
-    const lab = hue(rgb);
-    const nearest = Math.min(1, ...labs.map((other) => Math.hypot(...lab.map((v, i) => v - other[i]))));
-    if (nearest > most) [most, best] = [nearest, rgb];
-  }
-  return best;
+  const farthest = (colors) => {
+    const found = colors.map((rgb) => Math.min(1, ...labs.map((other) => Math.hypot(...hue(rgb).map((v, i) => v - other[i])))));
+    const most = Math.max(...found);
+    return [most, colors[found.indexOf(most)]];
+  };
+  const [most, best] = farthest(kPalette);
+  return most > kApart ? best : farthest(kShades)[1];
 }
 
 /// Black or white, whichever is easier to read on the colour.
