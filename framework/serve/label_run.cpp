@@ -122,8 +122,10 @@ void LabelRun::take(const Annotations& annotations) {
     loop_.learn(clicks_, true);
     learned_quickly_ = true;
   }
-  if (annotations.skips().size() != skips_) {
-    skips_ = annotations.skips().size();
+  std::uint64_t skips = 0;
+  for (const Annotations::Mark& mark : annotations.skips()) skips = mix(skips, std::hash<std::string>{}(mark.id));
+  if (skips != skips_) {
+    skips_ = skips;
     std::vector<LabelledPixels> skipped;
     for (const Annotations::Mark& mark : annotations.skips()) {
       const auto frame = static_cast<std::size_t>(mark.frame);
@@ -251,10 +253,11 @@ void LabelRun::describe(LabelState& state) const {
   state.temperature = loop_.temperature();
   state.proposal = proposal_;
   state.history = history_;
-  state.phase = !still_learns()   ? "trained; more clicks go on with it"
-                : !loop_.ready()  ? "learning colour and geometry"
-                : loop_.learned() ? "learning with your clicks"
-                                  : "ready for the first click";
+  if (state.failure.empty())
+    state.phase = !still_learns()   ? "trained; more clicks go on with it"
+                  : !loop_.ready()  ? "learning colour and geometry"
+                  : loop_.learned() ? "learning with your clicks"
+                                    : "ready for the first click";
   for (ClassState& cls : state.classes) {
     const auto c = static_cast<std::size_t>(cls.index);
     if (c >= summary_.area.size()) continue;

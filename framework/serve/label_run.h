@@ -67,7 +67,8 @@ class LabelRun {
   std::vector<LabelledPixels> given_;
   std::vector<std::uint64_t> marked_;  // frames, by a checksum of their marks, to tell which have changed
   bool learned_quickly_ = false;
-  std::size_t marks_ = 0, skips_ = 0, fitted_at_ = 0;
+  std::uint64_t skips_ = 0;  // a checksum of their ids
+  std::size_t marks_ = 0, fitted_at_ = 0;
   std::optional<ProposalState> proposal_;
   std::uint64_t asked_ = 0;
   std::int64_t changed_step_ = 0, saved_step_ = -1;

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <condition_variable>
+#include <exception>
 #include <filesystem>
 #include <mutex>
 #include <optional>
@@ -21,13 +22,26 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr int kClassRoom = 32, kMoreClasses = 8;
+constexpr int kClassRoom = 32;
 constexpr double kTurn_s = 0.03;  // of training between looks at what others want
 constexpr auto kIdle = std::chrono::milliseconds(100);
 constexpr auto kPublishEvery = std::chrono::milliseconds(400);
 constexpr auto kPauseAfter = std::chrono::milliseconds(700);
 constexpr auto kQuietAfter = std::chrono::seconds(3);
 constexpr auto kLookedFor = std::chrono::seconds(10);
+
+// What a piece of work threw.
+template <class Work>
+std::optional<Error> error_of(const Work& work) {
+  try {
+    work();
+  } catch (const Error& error) {
+    return error;
+  } catch (const std::exception& error) {
+    return Error(ErrorKind::failure, error.what());
+  }
+  return std::nullopt;
+}
 
 OpenedForTraining open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
                                  TrainingListener& listener) {
@@ -74,11 +88,12 @@ struct LabelSession::Parts {
   mutable std::condition_variable changed;  // the state, or an order
   std::condition_variable wanted;           // something of the thread that trains
   std::shared_ptr<const LabelState> state;
-  std::uint64_t taken_events = 0;  // that `run` knows
+  std::optional<std::uint64_t> taken_events;  // that `run` knows
   std::vector<std::shared_ptr<Order>> orders;
   std::uint64_t saves_wanted = 0, saves_made = 0;
   std::optional<Error> save_error;
   bool stopping = false, ended = false, poked = false;  // poked: look again before going to sleep
+  bool failed = false;  // of the thread that trains: it trains no longer, and answers all the same
   Clock::time_point last_event = Clock::now() - kQuietAfter, last_look = Clock::now() - kLookedFor;
 
   LabelRun run;
@@ -110,7 +125,12 @@ struct LabelSession::Parts {
   void take_events();
   void serve_orders();
   void save_if_wanted();
+  template <class Work>
+  void attempt(const Work& work) {
+    if (const std::optional<Error> error = error_of(work)) fail(*error);
+  }
   void fail(const Error& error);
+  void end();
 };
 
 // Classes, marks and counts, from `annotations`.
@@ -241,6 +261,8 @@ void LabelSession::save() {
   const std::uint64_t mine = ++p.saves_wanted;
   p.poke();
   p.changed.wait(lock, [&] { return p.saves_made >= mine || p.ended; });
+  if (p.saves_made < mine && !p.state->failure.empty())
+    throw Error(ErrorKind::failure, "training has ended with an error: " + p.state->failure);
   if (p.save_error) throw *p.save_error;
 }
 
@@ -258,11 +280,11 @@ void LabelSession::Parts::take_events() {
   {
     const std::lock_guard lock(events_mutex);
     events = log.events().size();
-    if (events == taken_events && state->overlay_revision > 0) return;
+    if (events == taken_events) return;
     now = annotations;
   }
-  run.take(*now);
   taken_events = events;
+  run.take(*now);
   publish([&](LabelState& next) {
     run.describe(next);
     next.overlay_events = events;
@@ -281,21 +303,20 @@ void LabelSession::Parts::serve_orders() {
     overlay = state->overlay_revision;
   }
   std::optional<Picture> made;
-  std::optional<Error> error;
-  try {
+  std::optional<Error> error = error_of([&] {
     run.pictures().begin(order->request);
-    while (!(made = run.pictures().work(kTurn_s))) {
-      {
-        const std::lock_guard lock(mutex);
-        if (order->done() || stopping) return;
-      }
-      take_events();  // a click does not wait for a large picture
-      (void)run.train(kTurn_s);
+    made = run.pictures().work(kTurn_s);
+  });
+  while (!made && !error) {
+    {
+      const std::lock_guard lock(mutex);
+      if (order->done() || stopping) return;
     }
-    made->overlay_revision = overlay;
-  } catch (const Error& found) {
-    error = found;
+    attempt([&] { take_events(); });  // a click does not wait for a large picture
+    if (!failed) attempt([&] { (void)run.train(kTurn_s); });
+    error = error_of([&] { made = run.pictures().work(kTurn_s); });
   }
+  if (made) made->overlay_revision = overlay;
   const std::lock_guard lock(mutex);
   if (order->done()) return;
   order->made = std::move(made);
@@ -308,15 +329,10 @@ void LabelSession::Parts::save_if_wanted() {
   {
     const std::lock_guard lock(mutex);
     wanted_now = saves_wanted;
-    if (wanted_now == saves_made && !run.save_is_due()) return;
+    if (wanted_now == saves_made && (failed || !run.save_is_due())) return;
   }
-  std::optional<Error> error;
-  try {
-    run.save();
-  } catch (const Error& found) {
-    error = found;
-    if (wanted_now == saves_made) throw;
-  }
+  std::optional<Error> error = error_of([&] { run.save(); });
+  if (error && wanted_now == saves_made) return fail(*error);
   const std::lock_guard lock(mutex);
   save_error = std::move(error);
   saves_made = wanted_now;
@@ -324,62 +340,58 @@ void LabelSession::Parts::save_if_wanted() {
 }
 
 void LabelSession::Parts::fail(const Error& error) {
+  failed = true;
   publish([&](LabelState& next) {
     next.failure = error.what();
     next.phase = "training has ended with an error; labels are stored";
   });
 }
 
+void LabelSession::Parts::end() {
+  const std::lock_guard lock(mutex);
+  ended = true;
+  changed.notify_all();
+}
+
 void LabelSession::run() {
   Parts& p = *parts_;
-  bool failed = false;
+  // However it ends, whoever waits is answered.
+  const std::unique_ptr<Parts, void (*)(Parts*)> ending(&p, [](Parts* parts) { parts->end(); });
   Clock::time_point published = Clock::now();
   const auto asked_to_stop = [&] {
     const std::lock_guard lock(p.mutex);
     return p.stopping;
   };
+  bool untold = false;  // something has changed since the state was published
   while (!asked_to_stop()) {
     bool busy = false, overlay = false;
-    try {
-      p.take_events();
-      p.serve_orders();
-      p.save_if_wanted();
-      if (!failed) {
+    p.attempt([&] { p.take_events(); });
+    p.serve_orders();
+    p.save_if_wanted();
+    if (!p.failed) {
+      p.attempt([&] {
         busy = p.run.train(kTurn_s);
         const Parts::Watched watched = p.watched();
         overlay = p.run.tend(watched.looked_at, watched.pause, watched.quiet);
-      }
-    } catch (const Error& error) {
-      failed = true;
-      p.fail(error);
+      });
     }
-    if (const Clock::time_point now = Clock::now(); overlay || now - published >= kPublishEvery) {
-      if (busy || overlay) {
-        p.publish([&](LabelState& next) {
-          p.run.describe(next);
-          next.history_revision = next.revision + 1;
-          if (overlay) next.overlay_revision = next.revision + 1;
-        });
-      }
-      published = now;
+    untold = untold || busy || overlay;
+    if (untold && (overlay || !busy || Clock::now() - published >= kPublishEvery)) {
+      p.publish([&](LabelState& next) {
+        p.run.describe(next);
+        next.history_revision = next.revision + 1;
+        if (overlay) next.overlay_revision = next.revision + 1;
+      });
+      published = Clock::now();
+      untold = false;
     }
     if (busy || overlay) continue;
     std::unique_lock lock(p.mutex);
     p.wanted.wait_for(lock, kIdle, [&] { return p.poked; });
     p.poked = false;
   }
-  try {
-    p.take_events();
-    if (!failed) p.run.save();
-  } catch (...) {
-    const std::lock_guard lock(p.mutex);
-    p.ended = true;
-    p.changed.notify_all();
-    throw;
-  }
-  const std::lock_guard lock(p.mutex);
-  p.ended = true;
-  p.changed.notify_all();
+  p.attempt([&] { p.take_events(); });
+  if (!p.failed) p.run.save();
 }
 
 }  // namespace semfield

@@ -14,7 +14,7 @@ namespace semfield {
 
 struct LabelSessionOptions {
   std::string run_dir;  ///< made, or gone on with where it is a run of such a session
-  int class_room = 0;   ///< most classes; 0: 32, or eight more than the scene has
+  int class_room = 0;   ///< most classes; 0: 32. Never fewer than the scene has
 };
 
 /// The run's folder holds run.yaml, clicks.jsonl, metrics.jsonl and checkpoints, so every verb works on it while the
