@@ -82,7 +82,7 @@ TEST(LabelLoop, ASurfaceOfEveryPixelIsDrawnAsItIs) {
 }
 
 TEST(LabelLoop, UndoGivesTheBitsOfNeverHavingClicked) {
-  LoopedRoom room(100), other(100);
+  LoopedRoom room(60), other(60);
   const std::uint32_t trained = room.bits();
   ASSERT_EQ(trained, other.bits());
   std::vector<LabelledPixels> clicks = room.clicks(9);

@@ -19,6 +19,8 @@ namespace {
 using namespace testing_loop;
 
 struct PicturedRoom : LoopedRoom {
+  PicturedRoom() : LoopedRoom(60) {}
+
   ViewPictures pictures{*training, *loop};
 
   FreeCamera camera() const { return {loop->views()[1].camera.world_from_camera, 60}; }
