@@ -1,0 +1,139 @@
+// What the training thread of a labelling session makes of events that come together: clicks, skips, undos.
+#include "serve/label_run.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "tests/label_loop/running_session.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_loop;
+using testing_train::TempDir;
+
+// A run that has a surface, and whose events a test applies by itself.
+struct PreparedRun {
+  TempDir dir;
+  TrainingListener nobody;
+  LabelRun run;
+  Annotations annotations;
+
+  PreparedRun() : run(opened(), RunningSession::registry(), nullptr), annotations(*run.session().config.labels.clicks) {
+    for (int turn = 0; !run.loop().ready() && turn < 1000; ++turn) {
+      run.train(0.05);
+      run.tend(false, false, false);
+    }
+    run.take(annotations);
+  }
+  OpenedForTraining opened() {
+    const std::string yaml =
+        session_config("analytic_room, with_labels: false, with_classes: false, labels: {class_room: 4}");
+    TrainRequest request;
+    request.out_dir = dir / "run";
+    return open_for_training(run_config_of(parse_config_text(yaml, "test.yaml"), RunningSession::registry()),
+                             RunningSession::registry(), request, nobody);
+  }
+  LabelState state() const {
+    LabelState out;
+    out.views.resize(run.loop().views().size());
+    run.describe(out);
+    return out;
+  }
+  LabelEvent event(const std::string& id, LabelEventKind kind, int view = 0, PixelPoint at = {}) const {
+    const int frame = run.loop().views()[static_cast<std::size_t>(view)].frame;
+    LabelEvent made;
+    made.id = id;
+    made.kind = kind;
+    made.frame = run.session().scene.info.frames[static_cast<std::size_t>(frame)].name;
+    made.width_px = 48;
+    made.height_px = 36;
+    made.points = {at};
+    return made;
+  }
+  LabelEvent undo(const std::string& id, const std::string& of) const {
+    LabelEvent made;
+    made.id = id;
+    made.kind = LabelEventKind::undo;
+    made.of = of;
+    return made;
+  }
+  Vec3d place_of(const ProposalState& proposal) const {
+    const PixelPlace pixel{static_cast<std::int32_t>(proposal.at.x), static_cast<std::int32_t>(proposal.at.y)};
+    const PoolView& view = run.loop().views()[static_cast<std::size_t>(proposal.view)];
+    return point_at(view.camera, run.session().limits, pixel,
+                    static_cast<double>(view.map.at(pixel.column, pixel.row)));
+  }
+};
+
+// Undoing a skip and skipping something else leaves as many as before; they are others all the same.
+TEST(LabelRun, ASkipInTheSteadOfAnotherCounts) {
+  PreparedRun room;
+  for (int k = 0; k < 10; ++k) {
+    const LabelState asked = room.state();
+    ASSERT_TRUE(asked.proposal.has_value());
+    const std::string own = "skip-" + std::to_string(k);
+    if (k > 0) room.annotations.apply(room.undo("undo-" + std::to_string(k), "skip-" + std::to_string(k - 1)));
+    room.annotations.apply(room.event(own, LabelEventKind::skip, asked.proposal->view, asked.proposal->at));
+    ASSERT_EQ(room.annotations.skips().size(), 1u);
+    room.run.take(room.annotations);
+    const LabelState next = room.state();
+    ASSERT_TRUE(next.proposal.has_value());
+    EXPECT_NE(next.proposal->id, asked.proposal->id);
+    EXPECT_GT(length(room.place_of(*next.proposal) - room.place_of(*asked.proposal)), room.run.loop().pool().cell_m)
+        << "round " << k;
+  }
+}
+
+TEST(LabelRun, ClicksGiveTheStateItsNumbers) {
+  PreparedRun room;
+  LabelState state = room.state();
+  EXPECT_TRUE(state.geometry_ready);
+  EXPECT_EQ(state.temperature, 1);
+  for (const ViewState& view : state.views) {
+    EXPECT_TRUE(view.ready);
+    EXPECT_EQ(view.entropy, 1) << "nothing is known";
+  }
+  for (const char* name : {"wall", "floor"}) {
+    LabelEvent add = room.undo(name, "");
+    add.kind = LabelEventKind::add_class;
+    add.class_name = name;
+    room.annotations.apply(add);
+  }
+  LabelEvent wall = room.event("a", LabelEventKind::click, 0, {24.5, 5.5}),
+             floor = room.event("b", LabelEventKind::click, 0, {24.5, 33.5});
+  wall.class_name = "wall";
+  floor.class_name = "floor";
+  room.annotations.apply(wall);
+  room.annotations.apply(floor);
+  room.run.take(room.annotations);
+  state.classes = {{0, 1, "wall", {}, 1, 0, 0}, {1, 2, "floor", {}, 1, 0, 0}};
+  room.run.describe(state);
+  double area = 0;
+  for (const ClassState& cls : state.classes) {
+    area += cls.area_share;
+    EXPECT_GT(cls.confidence, 0.5);
+    EXPECT_LE(cls.confidence, 1);
+  }
+  EXPECT_NEAR(area, 1, 1e-9);
+  for (const ViewState& view : state.views) {
+    EXPECT_LT(view.entropy, 1);
+    EXPECT_GE(view.entropy, 0);
+  }
+  EXPECT_GE(state.proposal->class_guess, 0);
+  EXPECT_LE(state.proposal->class_guess, 1);
+  // A click of a void class takes labels away and names nothing.
+  LabelEvent none = room.event("c", LabelEventKind::click, 0, {24.5, 5.5});
+  none.class_name = "void";
+  none.radius_px = 5;
+  room.annotations.apply(none);
+  room.run.take(room.annotations);
+  EXPECT_EQ(room.run.loop().live(), (std::vector<bool>{false, true, false, false})) << "wall's click is painted over";
+}
+
+}  // namespace
+}  // namespace semfield
