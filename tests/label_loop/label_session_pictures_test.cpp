@@ -1,10 +1,11 @@
 // Pictures that a labelling session makes between its steps: of views, of free cameras, for several who look.
 #include <gtest/gtest.h>
 
-#include <algorithm>
+#include <chrono>
+#include <cstdint>
+#include <cstdlib>
 #include <future>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "tests/label_loop/running_session.h"
@@ -65,11 +66,13 @@ TEST(LabelSessionPictures, ALaterRequestOfTheSameClientTakesThePlace) {
   };
   // Nobody trains yet, so both wait: the earlier one is answered when the later one comes.
   std::future<Picture> one = ask("a"), two = ask("a"), other = ask("b");
-  bool one_first = false;
-  for (bool answered = false; !answered;) {
+  bool one_first = false, answered = false;
+  for (int turn = 0; !answered && turn < 2000; ++turn) {
     one_first = one.wait_for(std::chrono::milliseconds(5)) == std::future_status::ready;
     answered = one_first || two.wait_for(std::chrono::milliseconds(5)) == std::future_status::ready;
   }
+  if (!answered) run.start();  // nothing would be answered ever
+  ASSERT_TRUE(answered);
   const Picture stale = (one_first ? one : two).get();
   EXPECT_TRUE(stale.stale);
   EXPECT_TRUE(stale.rgb.empty());
