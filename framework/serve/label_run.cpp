@@ -112,7 +112,9 @@ void LabelRun::take(const Annotations& annotations) {
   for (std::size_t f = 0; f < sums.size(); ++f)
     if (sums[f] != marked_[f]) changed.push_back(static_cast<int>(f));
   training_.set_clicks(annotations, changed);
-  if (!changed.empty()) changed_step_ = training_.step();
+  // What a run that goes on had learned already is no change.
+  if (!changed.empty() && taken_) changed_step_ = training_.step();
+  taken_ = true;
   marked_ = sums;
   write_file_atomic(folder_.classes_path(), session().scene.info.classes.to_yaml());
   clicks_ = given_;
@@ -159,7 +161,8 @@ void LabelRun::ask() {
 }
 
 bool LabelRun::still_learns() const {
-  const std::int64_t until = std::max(session().config.train.steps, marks_ > 0 ? changed_step_ + kAfterChange : 0);
+  const std::int64_t until =
+      std::max(session().config.train.steps, changed_step_ >= 0 ? changed_step_ + kAfterChange : 0);
   return training_.step() < until;
 }
 

@@ -66,12 +66,12 @@ class LabelRun {
   std::vector<LabelledPixels> clicks_;  // and given labels
   std::vector<LabelledPixels> given_;
   std::vector<std::uint64_t> marked_;  // frames, by a checksum of their marks, to tell which have changed
-  bool learned_quickly_ = false;
+  bool taken_ = false, learned_quickly_ = false;
   std::uint64_t skips_ = 0;  // a checksum of their ids
   std::size_t marks_ = 0, fitted_at_ = 0;
   std::optional<ProposalState> proposal_;
   std::uint64_t asked_ = 0;
-  std::int64_t changed_step_ = 0, saved_step_ = -1;
+  std::int64_t changed_step_ = -1, saved_step_ = -1;
   double mse_ = 0, loss_ = 0, rays_per_s_ = 0, step_s_ = 0.01, tending_s_ = 0, refining_s_ = 0, training_s_ = 0;
   std::vector<HistoryRow> history_;
   Summary summary_;
