@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <iterator>
 #include <numeric>
 #include <set>
 #include <utility>
@@ -245,6 +246,9 @@ void LabelLoop::learn_from(std::span<const LabelledPixels> clicks, std::int64_t 
 void LabelLoop::learn(std::span<const LabelledPixels> clicks, bool quickly) {
   pipeline_.executor().download(training_.step());
   learn_from(clicks, quickly ? options_.quick_steps : options_.learning.steps);
+  clicks_.clear();
+  std::copy_if(clicks.begin(), clicks.end(), std::back_inserter(clicks_),
+               [](const LabelledPixels& click) { return click.weight >= 1; });
   pipeline_.executor().upload(training_.step());
   predict_pool();
 }
@@ -288,7 +292,16 @@ ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
       }
     });
   }
-  return upsampled(coarse, *view.photo);
+  ViewLabels labels = upsampled(coarse, *view.photo);
+  for (const LabelledPixels& click : clicks_) {
+    if (click.view != v) continue;
+    for (const PixelPlace& pixel : click.pixels) {
+      const auto at = static_cast<std::size_t>(std::int64_t{pixel.row} * labels.width_px + pixel.column);
+      labels.label[at] = click.class_index;
+      labels.entropy[at] = 0;
+    }
+  }
+  return labels;
 }
 
 std::optional<Asked> LabelLoop::propose(Acquisition how, std::uint64_t seed, std::uint64_t round) const {

@@ -21,7 +21,7 @@ struct LabelledPixels {
   int view = 0;
   std::int16_t class_index = 0;
   std::vector<PixelPlace> pixels;
-  double weight = 1;
+  double weight = 1;  ///< below 1: given by the configuration, and a click may say otherwise
 };
 
 struct LabelLoopOptions {
@@ -75,7 +75,7 @@ class LabelLoop {
   const std::vector<float>& pool_probability() const { return pool_probability_; }
   std::int32_t classes() const { return learner_.classes(); }
 
-  /// By the view's map, or by `fine` where it is given.
+  /// By the view's map, or by `fine` where it is given. Pixels that somebody has named are what they were named.
   ViewLabels labels_of(int view, const SurfaceMap* fine = nullptr);
   /// Of a view at another stride than that of its own map.
   SurfaceMap map_of(int view, std::int32_t stride);
@@ -133,6 +133,7 @@ class LabelLoop {
     std::int16_t logit = 0;
   };
   std::vector<Seed> seeds_;
+  std::vector<LabelledPixels> clicks_;  // of the last learn(), without given labels
   bool learned_ = false;
   std::vector<bool> live_;
   std::vector<float> pool_probability_;
