@@ -81,6 +81,32 @@ TEST(LabelLoop, ASurfaceOfEveryPixelIsDrawnAsItIs) {
   EXPECT_GT(right, 0.6 * 48 * 36);
 }
 
+// Six pixels, each amid given labels of another class, which outweigh it by far.
+TEST(LabelLoop, APixelThatSomebodyNamedIsShownAsNamed) {
+  LoopedRoom room;
+  std::vector<LabelledPixels> labels;
+  std::vector<PixelPlace> centers;
+  for (std::int32_t k = 0; k < 6; ++k) {
+    const PixelPlace center{6 + 7 * k, 8 + 4 * (k % 5)};
+    const std::int16_t around = room.truth(0, center);
+    LabelledPixels given{0, around, {}, 0.9};
+    for (std::int32_t i = 0; i < 49; ++i)
+      if (i != 24) given.pixels.push_back({center.column + i % 7 - 3, center.row + i / 7 - 3});
+    labels.push_back(std::move(given));
+    labels.push_back({0, static_cast<std::int16_t>((around + 1) % 5), {center}});
+    centers.push_back(center);
+  }
+  room.loop->learn(labels);
+  const ViewLabels shown = room.loop->labels_of(0);
+  for (const PixelPlace& center : centers) {
+    const auto at = static_cast<std::size_t>(center.row * 48 + center.column);
+    EXPECT_EQ(shown.label[at], (room.truth(0, center) + 1) % 5) << center.column << ", " << center.row;
+    EXPECT_EQ(shown.entropy[at], 0);
+  }
+  room.loop->learn({});
+  EXPECT_EQ(room.loop->labels_of(0).label, std::vector<std::int16_t>(48 * 36, kVoid)) << "undone";
+}
+
 TEST(LabelLoop, UndoGivesTheBitsOfNeverHavingClicked) {
   LoopedRoom room(60), other(60);
   const std::uint32_t trained = room.bits();
