@@ -19,23 +19,26 @@ constexpr std::int64_t kLeastRays = 64;    // below it a call that gets no memor
 
 // Rays of some pixels on their way into a call.
 struct RayBuffers {
-  explicit RayBuffers(std::int64_t rays)
+  RayBuffers(std::int64_t rays, std::size_t logits)
       : origin(3 * static_cast<std::size_t>(rays)),
         direction(3 * static_cast<std::size_t>(rays)),
         near_far(2 * static_cast<std::size_t>(rays)),
         cosine(static_cast<std::size_t>(rays)),
-        resolution(static_cast<std::size_t>(rays)) {}
+        resolution(static_cast<std::size_t>(rays)),
+        probability(logits * static_cast<std::size_t>(rays)) {}
   std::vector<double> origin, direction, near_far, cosine;
   std::vector<OpacityResolution> resolution;
+  std::vector<float> probability;  // a column a logit
 };
 
 // Calls render(begin, end, buffers) over all pixels, chunk by chunk; without memory for a chunk, by half of it.
+// `logits`: columns of RayBuffers::probability.
 template <class Render>
-void in_chunks(std::int64_t pixels, const Render& render) {
+void in_chunks(std::int64_t pixels, std::size_t logits, const Render& render) {
   std::int64_t chunk = kChunkRays;
   for (std::int64_t begin = 0; begin < pixels;) {
     try {
-      RayBuffers buffers(chunk);
+      RayBuffers buffers(chunk, logits);
       for (; begin < pixels; begin += chunk) render(begin, std::min(begin + chunk, pixels), buffers);
     } catch (const std::bad_alloc&) {
       if (chunk / 2 < kLeastRays) throw;
@@ -90,7 +93,12 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
       }
     }
   }
-  in_chunks(pixels, [&](std::int64_t begin, std::int64_t end, RayBuffers& rays) {
+  const std::size_t logits = semantics && options.probability ? class_of_logit.size() : 0;
+  const auto classes = static_cast<std::size_t>(options.classes);
+  SEMFIELD_CHECK(logits <= classes,
+                 "FrameOptions::classes counts the scene's classes where probabilities are asked for");
+  if (logits > 0) frame.probability.resize(classes * size);
+  in_chunks(pixels, logits, [&](std::int64_t begin, std::int64_t end, RayBuffers& rays) {
     const std::int64_t count = end - begin;
     for (std::int64_t i = 0; i < count; ++i) {
       const auto [column, row] = strided_place(begin + i, frame.width_px, options.stride);
@@ -115,6 +123,7 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
         job.truth = {truth_logit.data() + begin, count, 1};
         job.truth_probability = {frame.truth_probability.data() + begin, count, 1};
       }
+      if (logits > 0) job.probability = {rays.probability.data(), count, static_cast<std::int32_t>(logits)};
     }
     try {
       pipeline.render(job);
@@ -128,6 +137,11 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
       const OpacityResolution found = rays.resolution[static_cast<std::size_t>(i)];
       frame.resolution.opaque_px += found == OpacityResolution::clear ? 0 : 1;
       frame.resolution.under_resolved_px += found == OpacityResolution::under_resolved ? 1 : 0;
+      const std::size_t row = classes * static_cast<std::size_t>(begin + i);
+      for (std::size_t k = 0; k < logits; ++k) {
+        frame.probability[row + static_cast<std::size_t>(class_of_logit[k])] =
+            rays.probability[logits * static_cast<std::size_t>(i) + k];
+      }
     }
     if (options.progress) options.progress(static_cast<double>(end) / static_cast<double>(pixels));
   });

@@ -40,6 +40,7 @@ struct RenderedFrame {
   std::vector<float> entropy;            ///< [H * W] nats
   std::vector<float> confidence;         ///< [H * W]
   std::vector<float> truth_probability;  ///< [H * W], when truth was given
+  std::vector<float> probability;        ///< [H * W * C] by class index, 0 without a logit; FrameOptions::probability
   OpacityCounts resolution;
 };
 
@@ -49,6 +50,8 @@ using ClassOfLogit = std::vector<int>;
 struct FrameOptions {
   std::int32_t stride = 1;               ///< pixels taken (pixel_stride.h); maps are smaller by it
   std::function<void(double)> progress;  ///< share of the pixels that are done, 0 to 1; may be null
+  bool probability = false;              ///< fill RenderedFrame::probability, 4 C bytes a pixel
+  int classes = 0;                       ///< C of the scene; read for `probability` alone
 };
 
 /// `truth` [H * W] class indices of the pixels rendered, or empty. A value that is not finite is an Error that names

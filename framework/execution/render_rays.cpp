@@ -1,5 +1,7 @@
 #include "execution/render_rays.h"
 
+#include "core/check.h"
+
 namespace semfield {
 
 namespace {
@@ -41,7 +43,7 @@ RenderJob<Real> RenderJob<Real>::rows(std::int64_t begin, std::int64_t count) co
   RenderJob part = *this;
   const auto cut = [&](auto&... views) { ((views = views.row_range(begin, count)), ...); };
   cut(part.origin, part.direction, part.near_far, part.truth, part.color, part.depth, part.opacity, part.label,
-      part.entropy, part.confidence, part.truth_probability, part.resolution);
+      part.entropy, part.confidence, part.truth_probability, part.probability, part.resolution);
   return part;
 }
 
@@ -53,7 +55,8 @@ void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::i
   const Stages<Real>& stages = *parts.stages;
   const HostEnds<Real> ends{stages, *ctx.workspace};
   const Rays<Real> rays{ends.sent(job.origin), ends.sent(job.direction), ends.sent(job.near_far)};
-  const bool classes = parts.head && !(job.label.empty() && job.entropy.empty() && job.confidence.empty());
+  const bool classes =
+      parts.head && !(job.label.empty() && job.entropy.empty() && job.confidence.empty() && job.probability.empty());
   Proposal<Real> proposal;
   PassTrace<Real> trace;
   for (std::size_t p = 0; p < passes.size(); ++p) {
@@ -76,17 +79,21 @@ void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::i
     ends.fetch(found, job.resolution);
   }
   if (!classes) return;
+  SEMFIELD_CHECK(job.probability.empty() || job.probability.cols == trace.logits.cols,
+                 "probabilities of rays have a column a logit");
   ClassResults<Real> results;
   results.truth = ends.sent(job.truth);
   results.label = ends.room_for(job.label);
   results.entropy = ends.room_for(job.entropy);
   results.confidence = ends.room_for(job.confidence);
   results.truth_probability = ends.room_for(job.truth_probability);
+  results.probability = ends.room_for(job.probability);
   stages.class_results(trace.logits, results);
   ends.fetch(results.label, job.label);
   ends.fetch(results.entropy, job.entropy);
   ends.fetch(results.confidence, job.confidence);
   ends.fetch(results.truth_probability, job.truth_probability);
+  ends.fetch(results.probability, job.probability);
 }
 
 template <class Real>

@@ -20,6 +20,7 @@ struct RenderJob {
   View<Real> entropy;                  ///< [R, 1] nats
   View<Real> confidence;               ///< [R, 1] largest class probability
   View<Real> truth_probability;        ///< [R, 1] of the true class; 0 where void
+  View<Real> probability;              ///< [R, K] of each of the K logits, softmax of the composited ones
   View<OpacityResolution> resolution;  ///< [R, 1]
   double footprint_per_m = 0;          ///< width of a pixel at a distance of 1 m, metres; for `resolution`
 

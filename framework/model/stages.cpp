@@ -161,6 +161,7 @@ void class_results(View<Real> logits, const ClassResults<Real>& results) {
     const Real* const best = std::max_element(p, p + logits.cols);
     if (!results.label.empty()) results.label(r, 0) = static_cast<std::int16_t>(best - p);
     if (!results.confidence.empty()) results.confidence(r, 0) = *best;
+    if (!results.probability.empty()) std::copy_n(p, logits.cols, results.probability.row(r));
     if (results.truth_probability.empty()) continue;
     const std::int16_t truth = results.truth(r, 0);
     results.truth_probability(r, 0) = truth == kVoid ? Real(0) : p[truth];

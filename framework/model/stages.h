@@ -58,7 +58,7 @@ struct RoundedSumBackward {
   bool blocked = false;  ///< d_hidden lies in 8 x 8 blocks (FieldGrad::hidden)
 };
 
-/// What rendering asks of logits [R, C]; R rows each, empty: not wanted.
+/// What rendering asks of logits [R, C]; R rows each, one column but for `probability`, empty: not wanted.
 template <class Real>
 struct ClassResults {
   View<const std::int16_t> truth;  ///< true classes; only for truth_probability
@@ -66,6 +66,7 @@ struct ClassResults {
   View<Real> entropy;              ///< nats
   View<Real> confidence;           ///< largest class probability
   View<Real> truth_probability;    ///< of the true class; 0 where void
+  View<Real> probability;          ///< [R, C] softmax of the logits
 };
 
 /// Functions on views of one device. On a processor a pass works on a tile and knows how many samples it has. On

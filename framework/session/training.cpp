@@ -83,8 +83,10 @@ void Training::set_gradient_hook(GradientHook<float> hook) {
 
 RenderedFrame Training::render(const Camera& camera, const Pose& world_from_camera, const FrameOptions& options) const {
   const WorkScope scope(work_);
+  FrameOptions counted = options;
+  counted.classes = session_.classes();
   return render_frame(*session_.pipeline, {camera, world_from_camera, camera.has_distortion()}, session_.limits,
-                      session_.plan.class_of_logit, {}, options);
+                      session_.plan.class_of_logit, {}, counted);
 }
 
 SplitScore Training::evaluate(std::vector<int> frames) const {

@@ -69,7 +69,7 @@ class Training {
   /// Of the last step made; zeros before the first.
   const StepLosses& losses() const { return losses_; }
 
-  /// Any camera at any pose, with the options of render_frame.
+  /// Any camera at any pose, with the options of render_frame; FrameOptions::classes is the session's.
   RenderedFrame render(const Camera& camera, const Pose& world_from_camera, const FrameOptions& options = {}) const;
   /// Scores of frames of the scene, by their numbers.
   SplitScore evaluate(std::vector<int> frames) const;

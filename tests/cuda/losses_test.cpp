@@ -214,15 +214,16 @@ TEST(CudaClassResults, AsRenderingOnTheProcessor) {
       const Semantic s(rays, classes, classes == 29 ? 40 : 6);
       const DeviceMatrix<float> logits(s.logits, classes, classes + 1);
       const DeviceMatrix<std::int16_t> truth(s.hard, 1, 2), label(rays, 1, 2);
-      const DeviceMatrix<float> entropy(rays, 1, 3), confidence(rays, 1), of_truth(rays, 1, 2);
-      cuda::class_results(logits.view(),
-                          {truth.read_only(), label.view(), entropy.view(), confidence.view(), of_truth.view()});
+      const DeviceMatrix<float> entropy(rays, 1, 3), confidence(rays, 1), of_truth(rays, 1, 2),
+          probability(rays, classes, classes + 3);
+      cuda::class_results(logits.view(), {truth.read_only(), label.view(), entropy.view(), confidence.view(),
+                                          of_truth.view(), probability.view()});
       std::vector<float> p(s.logits.size()), want_entropy(static_cast<std::size_t>(rays));
       softmax<float>(testing::host_view(s.logits, classes), testing::host_view(p, classes));
       softmax_entropy<float>(testing::host_view(s.logits, classes), testing::host_view(want_entropy, 1));
       const std::vector<std::int16_t> got_label = label.read();
       const std::vector<float> got_entropy = entropy.read(), got_confidence = confidence.read(),
-                               got_truth = of_truth.read();
+                               got_truth = of_truth.read(), got_probability = probability.read();
       for (std::size_t r = 0; r < static_cast<std::size_t>(rays); ++r) {
         const auto* const row = p.data() + r * static_cast<std::size_t>(classes);
         const auto* const best = std::max_element(row, row + classes);
@@ -231,8 +232,13 @@ TEST(CudaClassResults, AsRenderingOnTheProcessor) {
         ASSERT_NEAR(got_entropy[r], want_entropy[r], 2e-7 * std::abs(want_entropy[r])) << r;
         const float want = s.hard[r] < 0 ? 0.F : row[s.hard[r]];
         ASSERT_NEAR(got_truth[r], want, 2e-7 * want) << r;
+        const auto* const got = got_probability.data() + r * static_cast<std::size_t>(classes);
+        for (std::int32_t c = 0; c < classes; ++c) ASSERT_NEAR(got[c], row[c], 2e-7 * row[c]) << r << ", class " << c;
+        ASSERT_EQ(std::max_element(got, got + classes) - got, got_label[r]) << r;
+        ASSERT_EQ(got[got_label[r]], got_confidence[r]) << r;
       }
-      EXPECT_EQ(label.surroundings() + entropy.surroundings() + of_truth.surroundings(), "");
+      EXPECT_EQ(label.surroundings() + entropy.surroundings() + of_truth.surroundings() + probability.surroundings(),
+                "");
     }
   }
 }

@@ -275,7 +275,11 @@ TEST(CudaRun, RendersWhatTheProcessorRenders) {
     const RayCamera camera{info.camera, info.world_from_camera, false};
     const std::vector<std::int16_t> truth;
     const auto draw = [&](Training& of) {
-      return render_frame(*of.session.pipeline, camera, of.session.limits, of.session.plan.class_of_logit, truth);
+      FrameOptions options;
+      options.probability = true;
+      options.classes = of.session.classes();
+      return render_frame(*of.session.pipeline, camera, of.session.limits, of.session.plan.class_of_logit, truth,
+                          options);
     };
     Training cpu(registry, config, "device: cpu");
     copy_values(cuda.session.pipeline->store(), cpu.session.pipeline->store());
@@ -291,6 +295,13 @@ TEST(CudaRun, RendersWhatTheProcessorRenders) {
     EXPECT_LT(worst, 2e-2);  // the processor stops rays early, the device does not
     EXPECT_LT(worst_depth, 5e-2);
     EXPECT_LE(other_label, a.label.size() / 200);
+    const auto classes = static_cast<std::size_t>(cuda.session.classes());
+    ASSERT_EQ(a.probability.size(), classes * a.label.size());
+    for (std::size_t i = 0; i < a.label.size(); ++i) {
+      const float* const row = a.probability.data() + i * classes;
+      ASSERT_EQ(row[a.label[i]], a.confidence[i]) << "pixel " << i;
+      ASSERT_EQ(*std::max_element(row, row + classes), a.confidence[i]) << "pixel " << i;
+    }
   }
 }
 

@@ -9,8 +9,8 @@ namespace {
 constexpr int kRays = 8;  // a block
 constexpr int kThreads = kRays * kWarp;
 
-// Exponentials in float64, as on the processor. 4 C B read (again from cache for each sweep) and up to 14 B written a
-// ray.
+// Exponentials in float64, as on the processor. 4 C B read (again from cache for each sweep) and up to 14 + 4 C B
+// written a ray.
 __global__ void __launch_bounds__(kThreads) results_kernel(View<const float> logits, ClassResults<float> results) {
   const int lane = static_cast<int>(threadIdx.x % kWarp);
   const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kRays + threadIdx.x / kWarp;
@@ -25,6 +25,7 @@ __global__ void __launch_bounds__(kThreads) results_kernel(View<const float> log
   for (std::int32_t c = lane; c < logits.cols; c += kWarp) {
     const double p = (c == top.argmax ? 1.0 : exp_below<double>(row, c, top.largest)) / (1.0 + rest);
     if (static_cast<float>(p) >= largest && c < best) best = c;
+    if (!results.probability.empty()) results.probability(r, c) = static_cast<float>(p);
     if (p > 0) entropy += p * (static_cast<double>(top.largest) - static_cast<double>(row[c]));
   }
   best = __reduce_min_sync(kFullMask, best);
