@@ -1,11 +1,10 @@
-// What pages point at exists: citations, links, folders, verbs and their options, exit codes.
+// What pages point at exists: citations, folders, verbs and their options, exit codes. `scripts/site --check` looks at links.
 #include "tests/docs/pages.h"
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <array>
-#include <cctype>
 #include <cstdio>
 #include <filesystem>
 #include <iterator>
@@ -56,64 +55,6 @@ TEST(References, EveryCitationResolvesAndEveryEntryIsCited) {
   for (const auto& [key, path] : cited)
     EXPECT_TRUE(entries.contains(key)) << path << " cites [" << key << "], which docs/reference/references.bib lacks";
   for (const std::string& key : entries) EXPECT_TRUE(cited.contains(key)) << "nothing cites [" << key << "]";
-}
-
-// Anchors that a host of Markdown gives the headings of a page: lower case, punctuation dropped, blanks to hyphens.
-std::set<std::string> anchors_of(const std::string& text) {
-  std::set<std::string> anchors;
-  std::map<std::string, int> seen;
-  std::istringstream lines(text);
-  bool fenced = false;
-  for (std::string line; std::getline(lines, line);) {
-    if (line.starts_with("```")) fenced = !fenced;
-    const std::size_t level = line.find_first_not_of('#');
-    if (fenced || level == 0 || level == std::string::npos || line[level] != ' ') continue;
-    std::string anchor;
-    for (const char c : line.substr(level + 1)) {
-      const auto byte = static_cast<unsigned char>(c);
-      if (byte >= 0x80 || std::isalnum(byte) != 0 || c == '-' || c == '_')
-        anchor += static_cast<char>(std::tolower(byte));
-      if (c == ' ') anchor += '-';
-    }
-    const int earlier = seen[anchor]++;
-    anchors.insert(earlier == 0 ? anchor : anchor + "-" + std::to_string(earlier));
-  }
-  return anchors;
-}
-
-TEST(Pages, LinksPointAtFilesAndHeadings) {
-  int files = 0, headings = 0;
-  for (const std::string& path : all_pages()) {
-    for (const std::string& link : matches(page(path), R"(\]\(([^)\s]+)[^)]*\))")) {
-      if (link.find("://") != std::string::npos) continue;
-      const std::string target = link.substr(0, link.find('#'));
-      const fs::path file =
-          target.empty() ? fs::path(path) : (fs::path(path).parent_path() / target).lexically_normal();
-      ++files;
-      EXPECT_TRUE(fs::exists(fs::path(SEMFIELD_SOURCE_DIR) / file)) << path << " links to " << target;
-      if (target.size() == link.size() || file.extension() != ".md") continue;
-      ++headings;
-      const std::string anchor = link.substr(link.find('#') + 1);
-      EXPECT_TRUE(anchors_of(page(file.generic_string())).contains(anchor)) << path << ": no heading for " << link;
-    }
-  }
-  EXPECT_GE(files, 100);
-  EXPECT_GE(headings, 5);
-}
-
-TEST(Pages, IndexLeadsToEveryFileOfTheDocuments) {
-  const std::set<std::string> linked = matches(page("docs/index.md"), R"(\]\(([^)#\s]+)\))");
-  const fs::path docs = fs::path(SEMFIELD_SOURCE_DIR) / "docs";
-  int pages = 0;
-  for (const char* room : {"guide", "reference", "evidence", "decisions"}) {
-    for (const auto& entry : fs::directory_iterator(docs / room)) {
-      if (entry.path().extension() == ".csv") continue;  // its page names it
-      ++pages;
-      const std::string name = std::string(room) + "/" + entry.path().filename().string();
-      EXPECT_TRUE(linked.contains(name)) << "docs/index.md does not link to " << name;
-    }
-  }
-  EXPECT_GE(pages, 30);
 }
 
 // What sources, configurations, scripts and messages call docs/... is there; a decision may be named by its number.
