@@ -1,36 +1,43 @@
-# What `cmake --install` gives outside users: component "sdk" = headers, libraries, testkit and the CMake package; component "app" = the
-# command and its configs.
+# What `cmake --install` gives. Components: "runtime" = the libraries, in a folder of their own, "app" = the command and what it reads, "sdk" =
+# headers, testkit and the CMake package, "python" = the module (python/CMakeLists.txt). No path of the build tree or of the prefix may leak
+# into them: an installed prefix can be moved.
 include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
 
+set(semfield_library_dir ${CMAKE_INSTALL_LIBDIR}/semfield)  # ours alone: their names and interfaces may change with every version before 1.0
 set(semfield_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/semfield)
 
-# Exported names are semfield::sdk, semfield::testkit and semfield::plugins; no path of the build tree may leak into them.
-set_target_properties(semfield PROPERTIES EXPORT_NAME sdk INSTALL_RPATH "$ORIGIN")
+# Exported names are semfield::sdk, semfield::testkit, semfield::plugins and semfield::cuda.
+set_target_properties(semfield PROPERTIES EXPORT_NAME sdk)
 set_target_properties(semfield_testkit PROPERTIES EXPORT_NAME testkit)
-set_target_properties(semfield_plugins PROPERTIES EXPORT_NAME plugins INSTALL_RPATH "$ORIGIN"
-                      INTERFACE_INCLUDE_DIRECTORIES "$<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/plugins>")
+set_target_properties(semfield_plugins PROPERTIES EXPORT_NAME plugins INTERFACE_INCLUDE_DIRECTORIES "$<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/plugins>")
 target_compile_features(semfield INTERFACE cxx_std_20)
 
 install(TARGETS semfield semfield_testkit semfield_plugins EXPORT semfieldTargets
-        LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk NAMELINK_COMPONENT sdk
-        ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
-foreach(companion semfield_images semfield_numerics)  # beside the framework's library, which looks for them there
-  if(TARGET ${companion})
-    set_target_properties(${companion} PROPERTIES INSTALL_RPATH "$ORIGIN")
-    install(TARGETS ${companion} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
-  endif()
-endforeach()
-if(TARGET semfield_cuda)  # beside it too; kernels of plugins outside link with it
-  set_target_properties(semfield_cuda PROPERTIES EXPORT_NAME cuda INSTALL_RPATH "$ORIGIN")
-  install(TARGETS semfield_cuda EXPORT semfieldCudaTargets LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk NAMELINK_COMPONENT sdk)
+        LIBRARY DESTINATION ${semfield_library_dir} COMPONENT runtime NAMELINK_COMPONENT sdk
+        ARCHIVE DESTINATION ${semfield_library_dir} COMPONENT sdk)
+install(EXPORT semfieldTargets NAMESPACE semfield:: DESTINATION ${semfield_package_dir} COMPONENT sdk)
+if(TARGET semfield_cuda)  # kernels of plugins outside link with it
+  set_target_properties(semfield_cuda PROPERTIES EXPORT_NAME cuda)
+  install(TARGETS semfield_cuda EXPORT semfieldCudaTargets LIBRARY DESTINATION ${semfield_library_dir} COMPONENT runtime NAMELINK_COMPONENT sdk)
   install(EXPORT semfieldCudaTargets NAMESPACE semfield:: DESTINATION ${semfield_package_dir} COMPONENT sdk)
 endif()
-if(TARGET semfield_step_probe)  # started by semfield_numerics, which looks for it beside itself
-  set_target_properties(semfield_step_probe PROPERTIES INSTALL_RPATH "$ORIGIN")
-  install(TARGETS semfield_step_probe RUNTIME DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT sdk)
-endif()
-install(EXPORT semfieldTargets NAMESPACE semfield:: DESTINATION ${semfield_package_dir} COMPONENT sdk)
+# Loaded late by the framework's library, which looks for them beside itself; the probe is a program that semfield_numerics starts.
+foreach(companion semfield_images semfield_numerics semfield_step_probe semfield_laws semfield_python)
+  if(TARGET ${companion})
+    set(component runtime)
+    if(companion STREQUAL "semfield_python")  # with the Python that it embeds
+      set(component python)
+    endif()
+    install(TARGETS ${companion} RUNTIME DESTINATION ${semfield_library_dir} COMPONENT ${component}
+            LIBRARY DESTINATION ${semfield_library_dir} COMPONENT ${component})
+  endif()
+endforeach()
+foreach(beside semfield semfield_plugins semfield_cuda semfield_images semfield_numerics semfield_step_probe semfield_laws semfield_python)
+  if(TARGET ${beside})
+    set_target_properties(${beside} PROPERTIES INSTALL_RPATH "$ORIGIN")
+  endif()
+endforeach()
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/framework/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/semfield COMPONENT sdk
         FILES_MATCHING PATTERN "*.h" PATTERN "*.cuh")
 
@@ -42,12 +49,8 @@ install(FILES ${PROJECT_BINARY_DIR}/semfieldConfig.cmake ${PROJECT_BINARY_DIR}/s
               ${PROJECT_SOURCE_DIR}/cmake/KernelObjects.cmake ${PROJECT_SOURCE_DIR}/cmake/SemfieldPlugin.cmake
         DESTINATION ${semfield_package_dir} COMPONENT sdk)
 
-foreach(command semfield_app semfield_cli)
-  if(TARGET ${command})
-    set_target_properties(${command} PROPERTIES INSTALL_RPATH "$ORIGIN/../${CMAKE_INSTALL_LIBDIR}")
-    install(TARGETS ${command} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT app)
-  endif()
+set_target_properties(semfield_app PROPERTIES INSTALL_RPATH "$ORIGIN/../${semfield_library_dir}")
+install(TARGETS semfield_app RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT app)
+foreach(folder configs scenes bench/peers app/serve/page)  # found by system/shared_files.h under the same names as in the source tree
+  install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_DATADIR}/semfield/${folder} COMPONENT app)
 endforeach()
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/configs/ DESTINATION ${CMAKE_INSTALL_DATADIR}/semfield/configs COMPONENT app)
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/bench/peers/ DESTINATION ${CMAKE_INSTALL_DATADIR}/semfield/bench/peers COMPONENT app)
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/app/serve/page/ DESTINATION ${CMAKE_INSTALL_DATADIR}/semfield/app/serve/page COMPONENT app)

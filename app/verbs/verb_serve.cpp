@@ -13,12 +13,12 @@
 #include "app/child_process.h"
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_server.h"
-#include "app/shared_files.h"
 #include "app/signals.h"
 #include "core/text.h"
 #include "run/run_folder.h"
 #include "scene/stored_frame.h"
 #include "serve/label_session.h"
+#include "system/shared_files.h"
 
 #endif
 

@@ -10,6 +10,7 @@
 #include <unordered_map>
 #include <utility>
 
+#include "config/shipped_config.h"
 #include "core/error.h"
 
 namespace semfield {
@@ -82,12 +83,19 @@ class Loader {
   ConfigNode load_included(const ConfigNode& item) {
     if (!item.is_scalar()) fail(item.location(), "include: expected a file name, got " + kind_text(item));
     const fs::path written(item.text());
-    const fs::path path =
+    fs::path path =
         written.is_absolute() ? written : (fs::path(item.location().file).parent_path() / written).lexically_normal();
     std::error_code unknown;
     if (!fs::exists(path, unknown) || fs::is_directory(path, unknown)) {
-      fail(item.location(), "include: no file '" + item.text() + "' (looked for '" + path.string() + "')",
-           "paths in a config are relative to the file that wrote them");
+      const std::string shipped = shipped_config(item.text());
+      if (shipped.empty()) {
+        const std::string place = shipped_place(item.text());
+        fail(item.location(),
+             "include: no file '" + item.text() + "' (looked for '" + path.string() + "'" +
+                 (place.empty() ? ")" : " and '" + place + "')"),
+             "paths in a config are relative to the file that wrote them");
+      }
+      path = shipped;
     }
     const std::string identity = fs::weakly_canonical(path, unknown).string();
     const auto first =
@@ -222,13 +230,13 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
 }
 
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides) {
-  ConfigNode root = Loader().load(path);
+  ConfigNode root = Loader().load(find_config(path));
   for (const std::string& override_text : overrides) root = apply_override(root, override_text);
   return resolve_like(root);
 }
 
 ConfigNode compose_config_with(const std::string& path, const std::vector<ConfigOverride>& overrides) {
-  ConfigNode root = Loader().load(path);
+  ConfigNode root = Loader().load(find_config(path));
   for (const ConfigOverride& o : overrides) root = apply_override(root, o.key, o.value, o.value.location());
   return resolve_like(root);
 }

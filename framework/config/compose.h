@@ -12,11 +12,11 @@ namespace semfield {
 /// from the base's is replaced whole.
 ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over);
 
-/// Loads `path`, resolves `include:` (a file or a list of files relative to the including file; cycles refused), then
-/// local keys, then each "a.b=value" of `overrides` in order (list items by index: "passes.0.sampler.samples=32"); what
-/// a flag of the command line sets is written "--threads runtime.threads=2", and messages then name the flag. Also
-/// resolves `like: NAME` of list items under `passes` (the item is merged onto the earlier item of that name). Throws
-/// Error(config).
+/// Loads `path`, a name as find_config takes it, resolves `include:` (a file or a list of files relative to the
+/// including file, else among the shipped configurations; cycles refused), then local keys, then each "a.b=value" of
+/// `overrides` in order (list items by index: "passes.0.sampler.samples=32"); what a flag of the command line sets is
+/// written "--threads runtime.threads=2", and messages then name the flag. Also resolves `like: NAME` of list items
+/// under `passes` (the item is merged onto the earlier item of that name). Throws Error(config).
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides = {});
 
 /// A value set at a key path ("passes.0.sampler.samples"), written in some file: paths in it start there.

@@ -5,6 +5,7 @@
 #include <functional>
 
 #include "config/compose.h"
+#include "config/shipped_config.h"
 #include "core/device_id.h"
 #include "core/spelling.h"
 #include "plugin/loader.h"
@@ -274,9 +275,10 @@ RunConfig run_config_of(const ConfigNode& tree, Registry& registry) {
 }
 
 RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
-  const ConfigNode tree = compose_config(path, overrides);
+  const std::string file = find_config(path);
+  const ConfigNode tree = compose_config(file, overrides);
   RunConfig config = run_config_of(tree, registry);
-  if (tree.find("name") == nullptr) config.name = std::filesystem::path(path).stem().string();
+  if (tree.find("name") == nullptr) config.name = std::filesystem::path(file).stem().string();
   return config;
 }
 

@@ -6,6 +6,7 @@
 #include <set>
 
 #include "config/params_read.h"
+#include "config/shipped_config.h"
 
 namespace semfield {
 
@@ -91,9 +92,12 @@ class Reader {
   std::string base_file(const ConfigNode& node) {
     const std::string path = resolve_path(node);
     std::error_code ignored;
-    if (!std::filesystem::is_regular_file(path, ignored))
-      error(node, "base: no file '" + path + "'", "paths are relative to the file that writes them");
-    return path;
+    if (std::filesystem::is_regular_file(path, ignored)) return path;
+    const std::string place = shipped_place(node.text()), shipped = shipped_config(node.text());
+    if (shipped.empty())
+      error(node, "base: no file '" + path + "'" + (place.empty() ? "" : ", and none '" + place + "'"),
+            "paths are relative to the file that writes them");
+    return shipped;
   }
 
   std::vector<ConfigOverride> overrides(const ConfigNode* node, const std::string& path) {

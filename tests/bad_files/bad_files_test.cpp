@@ -17,6 +17,7 @@
 #include "datasets/obj_room/raycast.h"
 #include "formats/image_io.h"
 #include "system/files.h"
+#include "system/shared_files.h"
 #include "tests/bad_files/case_file.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -116,10 +117,12 @@ class Bases {
   std::map<std::string, const Base*> by_name_;
 };
 
-// The case's folder as ROOT.
+// The case's folder as ROOT, that of shipped files as SHARE.
 std::string with_root(std::string said, const std::string& folder) {
-  for (std::size_t at = said.find(folder); at != std::string::npos; at = said.find(folder, at + 4))
-    said.replace(at, folder.size(), "ROOT");
+  for (const auto& [path, word] : {std::pair(folder, "ROOT"), std::pair(shared_root(), "SHARE")}) {
+    for (std::size_t at = said.find(path); at != std::string::npos; at = said.find(path, at + 4))
+      said.replace(at, path.size(), word);
+  }
   return said;
 }
 

@@ -5,10 +5,14 @@
 
 #include <filesystem>
 
+#include "config/shipped_config.h"
 #include "config_testing.h"
+#include "system/shared_files.h"
 
 namespace semfield {
 namespace {
+
+namespace fs = std::filesystem;
 
 ConfigNode parse(const std::string& yaml) { return parse_config_text(yaml, "t.yaml"); }
 std::string merged(const std::string& base, const std::string& over) {
@@ -68,8 +72,8 @@ TEST(Compose, RefusesMissingAndCyclicIncludes) {
   const TempFolder folder;
   const std::string missing = folder.write("missing.yaml", "train: {}\ninclude: [parts/x.yaml]\n");
   EXPECT_EQ(refusal([&] { compose_config(missing); }),
-            missing + ":2:11: include: no file 'parts/x.yaml' (looked for '" + folder.at("parts/x.yaml") +
-                "'); paths in a config are relative to the file that wrote them");
+            missing + ":2:11: include: no file 'parts/x.yaml' (looked for '" + folder.at("parts/x.yaml") + "' and '" +
+                shared_root() + "/configs/parts/x.yaml'); paths in a config are relative to the file that wrote them");
   const std::string a = folder.write("a.yaml", "include: sub/b.yaml\n");
   const std::string b = folder.write("sub/b.yaml", "x: 1\ninclude: ../a.yaml\n");
   EXPECT_EQ(refusal([&] { compose_config(a); }),
@@ -81,6 +85,70 @@ TEST(Compose, RefusesMissingAndCyclicIncludes) {
   EXPECT_EQ(refusal([&] { compose_config(odd); }), odd + ":1:11: include: expected a file name, got a map");
   const std::string empty = folder.write("empty.yaml", "include:\na: 1\n");
   EXPECT_EQ(refusal([&] { compose_config(empty); }), empty + ":1:1: include: expected a file name, got nothing");
+}
+
+TEST(Compose, ShippedPartsAreIncludedFromAnyFolder) {
+  const TempFolder folder;
+  const std::string path = folder.write("room.yaml", "include: parts/hash_room.yaml\ntrain: {rays: 7}\n");
+  const ConfigNode root = compose_config(path);
+  EXPECT_EQ(write_config(root.find("passes")->items().at(0)),
+            write_config(compose_config(shared_file("configs/parts/hash_room.yaml")).find("passes")->items().at(0)));
+  EXPECT_EQ(root.find("train")->find("rays")->text(), "7");
+  // A file of one's own comes first.
+  folder.write("parts/hash_room.yaml", "train: {steps: 3}\n");
+  EXPECT_EQ(write_config_inline(compose_config(path)), "{train: {steps: 3, rays: 7}}");
+}
+
+TEST(Compose, ConfigurationsAreFoundByName) {
+  const TempFolder folder;
+  const fs::path before = fs::current_path();
+  fs::current_path(folder.at(""));  // nothing lies there
+  const std::string shipped = shared_file("configs/quickstart.yaml");
+  for (const char* name : {"quickstart", "quickstart.yaml", "configs/quickstart.yaml", "configs/quickstart"})
+    EXPECT_EQ(find_config(name), shipped) << name;
+  EXPECT_EQ(find_config("scenes/../paper"), shared_file("configs/paper.yaml"));
+  fs::current_path(before);
+  const std::string own = folder.write("quickstart.yaml", "{}");
+  EXPECT_EQ(find_config(folder.at("quickstart")), own);
+  EXPECT_EQ(find_config(own), own);
+}
+
+TEST(Compose, AnUnknownConfigurationNamesBothPlacesAndTheNearest) {
+  const auto said = [](const std::string& name) {
+    try {
+      return find_config(name);
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::no_input);
+      return std::string(error.what());
+    }
+  };
+  const std::string configs = shared_root() + "/configs/";
+  EXPECT_EQ(said("qickstart"), "no configuration 'qickstart' (looked for 'qickstart' and '" + configs +
+                                   "qickstart'); did you mean 'quickstart'?");
+  EXPECT_EQ(said("parts/hash_rom.yaml"),
+            "no configuration 'parts/hash_rom.yaml' (looked for 'parts/hash_rom.yaml' and '" + configs +
+                "parts/hash_rom.yaml'); did you mean 'parts/hash_room.yaml'?");
+  EXPECT_EQ(said("xyz.yaml"),
+            "no configuration 'xyz.yaml' (looked for 'xyz.yaml' and '" + configs + "xyz.yaml'); check the path");
+  const TempFolder folder;
+  folder.write("my_room.yaml", "{}");
+  EXPECT_EQ(said(folder.at("my_rom.yaml")),
+            "no configuration '" + folder.at("my_rom.yaml") + "'; did you mean '" + folder.at("my_room.yaml") + "'?");
+}
+
+TEST(SharedFiles, TheEnvironmentNamesAnotherFolder) {
+  const TempFolder folder;
+  const std::string part = folder.write("configs/parts/hash_room.yaml", "train: {steps: 5}\n");
+  ::setenv("SEMFIELD_SHARE", folder.at("").c_str(), 1);
+  EXPECT_EQ(shared_file("configs/parts/hash_room.yaml"), part);
+  EXPECT_EQ(find_config("parts/hash_room"), part);
+  EXPECT_THROW(shared_file("scenes/room"), Error);
+  ::setenv("SEMFIELD_SHARE", folder.at("none").c_str(), 1);
+  EXPECT_EQ(refusal([] { shared_root(); }),
+            "environment variable SEMFIELD_SHARE: no folder '" + folder.at("none") +
+                "'; set it to the folder that holds configs/ and scenes/, or leave it out");
+  ::unsetenv("SEMFIELD_SHARE");
+  EXPECT_TRUE(std::filesystem::exists(shared_file("scenes/room/room.obj")));
 }
 
 TEST(Compose, RefusesIncludesThatMultiply) {

@@ -1,4 +1,4 @@
-# Installs the build tree into an empty prefix, builds this project against it and runs its host. Called by CTest with BUILD_DIR, WORK_DIR,
+# Installs the build tree into an empty prefix, builds this project against it and runs its host, then moves the prefix and uses the program there. Called by CTest with BUILD_DIR, WORK_DIR,
 # SOURCE_DIR, GENERATOR, COMPILER and FLAGS.
 function(step what)
   execute_process(COMMAND ${ARGN} RESULT_VARIABLE code OUTPUT_VARIABLE output ERROR_VARIABLE output)
@@ -9,7 +9,7 @@ function(step what)
 endfunction()
 
 file(REMOVE_RECURSE ${WORK_DIR})
-step("install" ${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${WORK_DIR}/prefix --component sdk)
+step("install" ${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${WORK_DIR}/prefix)
 step("configure" ${CMAKE_COMMAND} -S ${SOURCE_DIR} -B ${WORK_DIR}/build -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${COMPILER}
      -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} "-DCMAKE_CXX_FLAGS=${FLAGS}" -DCMAKE_PREFIX_PATH=${WORK_DIR}/prefix)
 step("build" ${CMAKE_COMMAND} --build ${WORK_DIR}/build)
@@ -45,3 +45,22 @@ endforeach()
 if(NOT reached)
   message(FATAL_ERROR "the best kernels, ${best}, are none of ${levels}")
 endif()
+
+# The prefix moved elsewhere: from an empty folder the program finds its configurations, their parts and the shipped room.
+set(moved "${WORK_DIR}/moved away")
+file(RENAME ${WORK_DIR}/prefix "${moved}")
+file(MAKE_DIRECTORY ${WORK_DIR}/empty)
+set(semfield "${moved}/bin/semfield")
+set(small --steps 20 --set scene.frames=8 --set scene.test_frames=2)
+step("train quickstart" ${CMAKE_COMMAND} -E chdir ${WORK_DIR}/empty ${semfield} train quickstart ${small})
+if(NOT last_output MATCHES "train: miou_present=0\\.[0-9]+ .* steps=20 ")
+  message(FATAL_ERROR "train says no result:\n${last_output}")
+endif()
+file(WRITE ${WORK_DIR}/empty/own.yaml "include: parts/hash_room.yaml\nscene: {type: obj_room, root: ${moved}/share/semfield/scenes/room}\n")
+step("config check" ${CMAKE_COMMAND} -E chdir ${WORK_DIR}/empty ${semfield} config check own.yaml)
+# Libraries as deep as Debian has them.
+file(RENAME "${moved}/lib" ${WORK_DIR}/libraries)
+file(MAKE_DIRECTORY "${moved}/lib")
+file(RENAME ${WORK_DIR}/libraries "${moved}/lib/x86_64-linux-gnu")
+step("config check, deeper" ${CMAKE_COMMAND} -E env "LD_LIBRARY_PATH=${moved}/lib/x86_64-linux-gnu/semfield"
+     ${CMAKE_COMMAND} -E chdir ${WORK_DIR}/empty ${semfield} config check quickstart)

@@ -12,6 +12,7 @@
 #include "sweep/sweep_cells.h"
 #include "sweep/sweep_schema.h"
 #include "system/files.h"
+#include "system/shared_files.h"
 
 namespace semfield {
 namespace {
@@ -162,7 +163,8 @@ TEST_F(SweepFile, ErrorsNameTheirPlaceAllAtOnce) {
             "sweep.yaml:3:16: variants.v: unknown key 'sett'; did you mean 'set'?\n"
             "sweep.yaml:3:29: variants.v.x: expected a number");
   EXPECT_EQ(error_of("base: bas.yaml\nscenes: {a: }\nvariants: {v: }\n"),
-            "sweep.yaml:1:7: base: no file 'bas.yaml'; paths are relative to the file that writes them");
+            "sweep.yaml:1:7: base: no file 'bas.yaml', and none '" + shared_root() +
+                "/configs/bas.yaml'; paths are relative to the file that writes them");
   EXPECT_EQ(error_of("base: base.yaml\nscenes: {a: }\nuse_scenes: [b]\n"
                      "variants: {v: {fuse: {method: bayes, field: w}}}\n"),
             "sweep.yaml:3:13: use_scenes: no scene 'b'; known: a\n"

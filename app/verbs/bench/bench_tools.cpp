@@ -1,7 +1,7 @@
 #include "app/verbs/bench/bench_tools.h"
 
 #include "app/allocation_count.h"
-#include "app/shared_files.h"
+#include "system/shared_files.h"
 
 namespace semfield::app {
 

@@ -4,12 +4,12 @@
 #include <algorithm>
 #include <cstdio>
 
-#include "app/shared_files.h"
 #include "app/verb.h"
 #include "app/verbs/bench/bench_tools.h"
 #include "core/text.h"
 #include "studies/label_bench.h"
 #include "system/files.h"
+#include "system/shared_files.h"
 
 namespace semfield::app {
 

@@ -7,11 +7,11 @@
 #include <filesystem>
 #include <optional>
 
-#include "app/shared_files.h"
 #include "app/verb.h"
 #include "run/run_folder.h"
 #include "studies/leave_out_page.h"
 #include "system/files.h"
+#include "system/shared_files.h"
 
 namespace semfield::app {
 

@@ -57,7 +57,7 @@ if("$ENV{TMPDIR}" MATCHES "[^A-Za-z0-9_./+-]")
 endif()
 set(common -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${COMPILER} -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} "-DCMAKE_CXX_FLAGS=${FLAGS}"
     -DCMAKE_PREFIX_PATH=${WORK_DIR}/prefix)
-step("install" ${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${WORK_DIR}/prefix --component sdk)
+step("install" ${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${WORK_DIR}/prefix)
 step("configuring the linked plugins" ${CMAKE_COMMAND} -S ${folder} -B ${WORK_DIR}/build ${common} -DTREE=${TREE})
 step("building the linked plugins" ${CMAKE_COMMAND} --build ${WORK_DIR}/build)
 step("configuring the modules" ${CMAKE_COMMAND} -S ${folder}/my_plugins -B ${folder}/my_plugins/build ${common})
