@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <map>
 
 #include "scene/camera_path.h"
 
@@ -13,15 +14,42 @@ namespace {
 constexpr int kFramesPerKey = 36;  // of a smooth path: a training camera every one and a half seconds
 
 NamedView view_of(const Session& s, const FrameInfo& info) {
-  return {info.name, {info.camera, info.world_from_camera, s.plan.undistortion}};
+  return {info.name, {info.camera, info.world_from_camera, s.plan.undistortion}, s.limits};
 }
 
 std::vector<NamedView> views_of_poses(const Session& s, const std::vector<Pose>& poses) {
   const Camera& camera = s.scene.info.frames.front().camera;
   std::vector<NamedView> views;
   for (const Pose& pose : poses)
-    views.push_back({fmt::format("{:05}", views.size()), {camera, pose, s.plan.undistortion}});
+    views.push_back({fmt::format("{:05}", views.size()), {camera, pose, s.plan.undistortion}, s.limits});
   return views;
+}
+
+// Each with its own lens and limits; bounds are the run's.
+std::vector<NamedView> views_of_cameras(const Session& s, const CameraSet& set) {
+  std::vector<NamedView> views;
+  for (const PlacedCamera& placed : set.cameras) {
+    NamedView view{placed.name, {placed.camera, placed.world_from_camera, placed.camera.has_distortion()}, s.limits};
+    if (placed.far_m > 0) {
+      view.limits.near_m = placed.near_m;
+      view.limits.far_m = placed.far_m;
+      view.limits.z_depth = set.z_depth;
+    }
+    views.push_back(std::move(view));
+  }
+  return views;
+}
+
+void require_own_names(const std::vector<NamedView>& views) {
+  std::map<std::string, const NamedView*> files;
+  for (const NamedView& view : views) {
+    const auto [other, fresh] = files.emplace(view.file_name(), &view);
+    if (fresh) continue;
+    throw Error(ErrorKind::data,
+                fmt::format("views '{}' and '{}' would write the same files {}_*", other->second->name, view.name,
+                            view.file_name()),
+                "rename one of the frames");
+  }
 }
 
 std::vector<Pose> smooth_path(const Session& s, int frames) {
@@ -37,15 +65,23 @@ std::vector<Pose> smooth_path(const Session& s, int frames) {
 
 }  // namespace
 
+std::string NamedView::file_name() const {
+  std::string file = name;
+  std::replace(file.begin(), file.end(), '/', '_');
+  return file;
+}
+
 std::string render_name(const RenderOptions& options) {
   if (options.trajectory.empty()) return options.split;
   return options.trajectory == "smooth" ? "smooth" : "trajectory";
 }
 
-std::vector<NamedView> render_views(const Session& s, const RenderOptions& options) {
+std::vector<NamedView> render_views(const Session& s, const RenderOptions& options, Diagnostics& diagnostics) {
   std::vector<NamedView> views;
   if (options.trajectory == "smooth") {
     views = views_of_poses(s, smooth_path(s, options.frames));
+  } else if (!options.trajectory.empty() && is_camera_set(options.trajectory)) {
+    views = views_of_cameras(s, read_cameras(options.trajectory, diagnostics));
   } else if (!options.trajectory.empty()) {
     views = views_of_poses(s, read_camera_file(options.trajectory, CameraAxes::right_down_forward));
   } else {
@@ -59,7 +95,18 @@ std::vector<NamedView> render_views(const Session& s, const RenderOptions& optio
     throw Error(ErrorKind::data, options.run + ": nothing to render in '" + render_name(options) + "'",
                 "see `semfield inspect`");
   }
+  require_own_names(views);
   return views;
+}
+
+CameraSet cameras_of(const std::vector<NamedView>& views) {
+  CameraSet set;
+  set.z_depth = views.front().limits.z_depth;
+  for (const NamedView& view : views) {
+    set.cameras.push_back(
+        {view.name, view.camera.camera, view.camera.world_from_camera, view.limits.near_m, view.limits.far_m});
+  }
+  return set;
 }
 
 }  // namespace semfield::app

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "scene/camera_set.h"
 #include "session/session.h"
 
 namespace semfield::app {
@@ -11,10 +12,11 @@ namespace semfield::app {
 struct RenderOptions {
   std::string run;
   std::string split = "test";
-  std::string trajectory;  ///< file of camera-to-world matrices, or "smooth"; replaces the split
+  std::string trajectory;  ///< file of cameras or of camera-to-world matrices, or "smooth"; replaces the split
   int frames = 240;        ///< of the smooth path
   std::string out;         ///< default: render/<split> of the run, or render/<split>.mp4
   bool npy = false;
+  bool probability = false;
   bool video = false;
   std::string panels;  ///< of the video: "rgb,label,depth,entropy"; "" = all that the run has
   double fps = 24;
@@ -22,13 +24,20 @@ struct RenderOptions {
 };
 
 struct NamedView {
-  std::string name;  ///< of its files
+  std::string name;
   RayCamera camera;
+  RayLimits limits;
+
+  /// What the names of its files begin with: slashes are '_'.
+  std::string file_name() const;
 };
 
-/// Throws Error(usage) for an unknown split or a path without frames, Error(data) for a bad trajectory file and for
-/// nothing to render.
-std::vector<NamedView> render_views(const Session& session, const RenderOptions& options);
+/// Throws Error(usage) for an unknown split or a path without frames, Error(data) for a bad trajectory file, for
+/// nothing to render and for views whose files would have the same names. Warnings about cameras go to the diagnostics.
+std::vector<NamedView> render_views(const Session& session, const RenderOptions& options, Diagnostics& diagnostics);
+
+/// As read_cameras reads them back.
+CameraSet cameras_of(const std::vector<NamedView>& views);
 
 /// "test", "train", "smooth" or "trajectory": names the output.
 std::string render_name(const RenderOptions& options);

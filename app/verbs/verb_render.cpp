@@ -1,12 +1,14 @@
 // render: images, or a video, of a run's field for a split or a trajectory.
 #include <fmt/format.h>
 
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <functional>
 #include <future>
+#include <nlohmann/json.hpp>
 
 #include "app/progress_line.h"
 #include "app/render/frame_strip.h"
@@ -15,7 +17,9 @@
 #include "app/verb.h"
 #include "core/findings.h"
 #include "eval/image_output.h"
+#include "formats/image_io.h"
 #include "run/open_run.h"
+#include "system/files.h"
 
 namespace semfield::app {
 
@@ -23,7 +27,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-using FrameSink = std::function<void(const std::string& name, const RenderedFrame& frame)>;
+using FrameSink = std::function<void(const NamedView& view, const RenderedFrame& frame)>;
+
+constexpr double kToldBytes = 1e9;  // of probabilities; below, nobody needs to be told
 
 void write_frame(const std::string& base, const RenderedFrame& frame, const Session& s, bool npy) {
   const MapSize size{frame.width_px, frame.height_px};
@@ -36,6 +42,28 @@ void write_frame(const std::string& base, const RenderedFrame& frame, const Sess
   write_label_colors(base + "_label_vis.png", size, frame.label, s.scene.info.classes);
   write_entropy(base + "_entropy.png", size, frame.entropy, logits);
   if (npy) write_map_npy(base + "_entropy.npy", size, frame.entropy);
+  if (frame.probability.empty()) return;
+  const std::array<std::int64_t, 3> shape{size.height_px, size.width_px, s.classes()};
+  write_npy(base + "_probability.npy", shape, frame.probability);
+}
+
+// Names of the classes in the order of the last axis of probabilities, as labels of type npz read them.
+void write_class_order(const std::string& path, const ClassTable& classes) {
+  nlohmann::json names = nlohmann::json::array();
+  for (int c = 0; c < classes.valid_count(); ++c) names.push_back(classes.valid(c).name);
+  write_file_atomic(path, names.dump(1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n");
+}
+
+void check_probability(const RenderOptions& options, const Session& s, const std::vector<NamedView>& views,
+                       const AppContext& context) {
+  if (!s.pipeline->has_semantics())
+    throw Error(ErrorKind::data, "--probability: " + options.run + " has no semantics", "train with labels");
+  double bytes = 0;
+  for (const NamedView& view : views)
+    bytes += 4.0 * s.classes() * view.camera.camera.width_px * view.camera.camera.height_px;
+  if (bytes < kToldBytes) return;
+  print_note(context, fmt::format("probabilities of {} views and {} classes take {:.1f} GB of disk", views.size(),
+                                  s.classes(), bytes / 1e9));
 }
 
 void create_folder(const fs::path& folder) {
@@ -47,7 +75,7 @@ void create_folder(const fs::path& folder) {
 }
 
 // Seconds a frame. A frame's files are compressed and written while the next is rendered.
-double render_all(const Session& s, const std::vector<NamedView>& views, const FrameSink& sink,
+double render_all(const Session& s, const std::vector<NamedView>& views, bool probability, const FrameSink& sink,
                   const AppContext& context) {
   const auto begin = std::chrono::steady_clock::now();
   std::future<void> written;
@@ -57,10 +85,10 @@ double render_all(const Session& s, const std::vector<NamedView>& views, const F
     progress.show(static_cast<double>(done) + share, static_cast<double>(views.size()));
   };
   for (const NamedView& view : views) {
-    RenderedFrame frame =
-        render_named_frame(*s.pipeline, view.name, view.camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
+    RenderedFrame frame = render_named_frame(*s.pipeline, view.name, view.camera, view.limits, s.plan.class_of_logit,
+                                             {}, {1, part_done, probability, s.classes()});
     if (written.valid()) written.get();
-    written = std::async(std::launch::async, [&view, &sink, frame = std::move(frame)] { sink(view.name, frame); });
+    written = std::async(std::launch::async, [&view, &sink, frame = std::move(frame)] { sink(view, frame); });
     ++done;
   }
   written.get();
@@ -72,12 +100,14 @@ void render_images(const RenderOptions& options, const Session& s, const std::ve
                    const AppContext& context) {
   const fs::path folder =
       options.out.empty() ? fs::path(options.run) / "render" / render_name(options) : fs::path(options.out);
+  if (options.probability) check_probability(options, s, views, context);
   create_folder(folder);
+  write_cameras((folder / "cameras.json").string(), cameras_of(views));
+  if (options.probability) write_class_order((folder / "classes.json").string(), s.scene.info.classes);
   const double seconds = render_all(
-      s, views,
-      [&](std::string name, const RenderedFrame& frame) {
-        for (char& c : name) c = c == '/' ? '_' : c;
-        write_frame((folder / name).string(), frame, s, options.npy);
+      s, views, options.probability,
+      [&](const NamedView& view, const RenderedFrame& frame) {
+        write_frame((folder / view.file_name()).string(), frame, s, options.npy);
       },
       context);
   std::printf("render: frames=%zu s_per_frame=%.3f folder=%s\n", views.size(), seconds, folder.string().c_str());
@@ -105,7 +135,7 @@ void render_video(const RenderOptions& options, const std::string& ffmpeg, const
   VideoWriter video(ffmpeg, file.string(), first.width_px * static_cast<std::int32_t>(panels.size()), first.height_px,
                     options.fps);
   const double seconds = render_all(
-      s, views, [&](const std::string&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); },
+      s, views, false, [&](const NamedView&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); },
       context);
   video.finish();
   std::printf("render: frames=%zu s_per_frame=%.3f file=%s\n", views.size(), seconds, file.string().c_str());
@@ -121,7 +151,9 @@ int run(const RenderOptions& options, AppContext& context) {
   const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
   context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
-  const std::vector<NamedView> views = render_views(run.session, options);
+  Diagnostics of_cameras;
+  const std::vector<NamedView> views = render_views(run.session, options, of_cameras);
+  for (const Diagnostic& finding : folded(of_cameras)) print_note(context, finding.text());
   if (options.video) {
     render_video(options, ffmpeg, run.session, views, context);
   } else {
@@ -134,8 +166,8 @@ void words(VerbWords& verb, RenderOptions& options) {
   verb.operand("run", options.run, "run folder");
   verb.value("--split", options.split, "train or test");
   verb.value("--trajectory", options.trajectory,
-             "file with one camera-to-world matrix per line (12 or 16 numbers), or 'smooth' for a path through the "
-             "training cameras, instead of a split");
+             "instead of a split: a cameras.json of an earlier render, a file with one camera-to-world matrix per line "
+             "(12 or 16 numbers), or 'smooth' for a path through the training cameras");
   verb.value("--frames", options.frames, "number of frames of the smooth path (default: 240)");
   verb.value("--out", options.out, "folder for the images, or the video's file (default: render/ in the run folder)");
   verb.flag("--video", options.video, "write a video through ffmpeg instead of images");
@@ -143,6 +175,10 @@ void words(VerbWords& verb, RenderOptions& options) {
   verb.needs("--panels", "--video");
   verb.value("--fps", options.fps, "frames per second of the video (default: 24)");
   verb.flag("--npy", options.npy, "also write depth and entropy as float32 .npy");
+  verb.excludes("--npy", "--video");
+  verb.flag("--probability", options.probability,
+            "also write the probability of every class as float32 .npy [height, width, classes]");
+  verb.excludes("--probability", "--video");
   verb.run_settings(options.set);
 }
 

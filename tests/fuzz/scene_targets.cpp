@@ -8,7 +8,9 @@
 #include "formats/png_codec.h"
 #include "loading/packed_scene.h"
 #include "scene/camera_path.h"
+#include "scene/camera_set.h"
 #include "system/checksum.h"
+#include "system/files.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
 
@@ -72,6 +74,28 @@ void fuzz_poses(std::string_view bytes) {
       }
     });
   }
+}
+
+void fuzz_cameras(std::string_view bytes) {
+  const std::string path = put("cameras.json", bytes);
+  CameraSet set;
+  const bool read = accepted([&] {
+    Diagnostics diagnostics;
+    set = read_cameras(path, diagnostics);
+  });
+  if (!read) return;
+  promise(!set.cameras.empty(), "an accepted file has a camera");
+  for (const PlacedCamera& placed : set.cameras) {
+    promise(placed.camera.fx > 0 && placed.camera.fy > 0, "an accepted camera has no focal length");
+    promise(placed.far_m == 0 || placed.near_m < placed.far_m, "an accepted camera sees nothing");
+    const Vec3d axis = placed.world_from_camera.axis(2);
+    promise(std::abs(dot(axis, axis) - 1) < 1e-6, "an accepted rotation is none");
+  }
+  write_cameras(path, set);
+  const std::string once = read_text_file(path);
+  Diagnostics diagnostics;
+  write_cameras(path, read_cameras(path, diagnostics));
+  promise(once == read_text_file(path), "cameras are read back otherwise");
 }
 
 // Parts: transforms.json, classes.yaml.

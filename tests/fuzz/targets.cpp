@@ -9,6 +9,7 @@ std::span<const Target> targets() {
       {"config", fuzz_config},
       {"sweep", fuzz_sweep},
       {"poses", fuzz_poses},
+      {"cameras", fuzz_cameras},
       {"transforms", fuzz_transforms},
       {"replica", fuzz_replica},
       {"scannet", fuzz_scannet},

@@ -24,6 +24,7 @@ void fuzz_config(std::string_view bytes);
 void fuzz_sweep(std::string_view bytes);
 // scene_targets.cpp
 void fuzz_poses(std::string_view bytes);
+void fuzz_cameras(std::string_view bytes);
 void fuzz_transforms(std::string_view bytes);
 void fuzz_replica(std::string_view bytes);
 void fuzz_scannet(std::string_view bytes);

@@ -4,12 +4,16 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <map>
 #include <nlohmann/json.hpp>
+#include <numeric>
 
 #include "core/text.h"
+#include "formats/npz.h"
 #include "loading/packed_scene.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
@@ -234,6 +238,71 @@ TEST_F(Verbs, VideoRefusesUnknownPanelsAndCounts) {
       << ending.err;
   EXPECT_EQ(run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "0"}).code, 2);
   EXPECT_EQ(run(*dir_, {"render", run_dir(), "--video", "--fps", "0"}).code, 2);
+}
+
+// Every file of a folder by name, as bytes.
+std::map<std::string, std::string> files_of(const std::string& folder) {
+  std::map<std::string, std::string> files;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder))
+    files[entry.path().filename().string()] = read_text_file(entry.path().string());
+  return files;
+}
+
+TEST_F(Verbs, CamerasOfARenderRenderTheSameAgain) {
+  const std::string first = *dir_ / "first", again = *dir_ / "again";
+  ASSERT_EQ(run(*dir_, {"render", run_dir(), "--npy", "--out", first}).code, 0);
+  const Result r = run(*dir_, {"render", run_dir(), "--npy", "--trajectory", first + "/cameras.json", "--out", again});
+  ASSERT_EQ(r.code, 0) << r.err;
+  const auto want = files_of(first);
+  EXPECT_GT(want.size(), 7U);
+  EXPECT_EQ(want, files_of(again));
+  // A view of its own: another size, and rays that end before they meet anything.
+  nlohmann::json set = nlohmann::json::parse(want.at("cameras.json"));
+  ASSERT_EQ(set["cameras"].size(), 3U);
+  nlohmann::json& view = set["cameras"][1];
+  view["name"] = "own";
+  view["width"] = 24;
+  view["cx"] = 12;
+  view["near"] = 1e-4;
+  view["far"] = 2e-4;
+  set["cameras"] = {set["cameras"][0], view};
+  write_file_atomic(*dir_ / "edited.json", set.dump());
+  const std::string edited = *dir_ / "edited";
+  ASSERT_EQ(run(*dir_, {"render", run_dir(), "--npy", "--trajectory", *dir_ / "edited.json", "--out", edited}).code, 0);
+  const NumpyArray depth =
+      read_npy(edited + "/own_depth.npy", [](std::span<const std::int64_t> shape) { ASSERT_EQ(shape[1], 24); });
+  EXPECT_LE(*std::max_element(depth.values.begin(), depth.values.end()), 2e-4F);
+  const std::string name = set["cameras"][0]["name"];
+  EXPECT_EQ(files_of(edited).at(name + "_depth.npy"), want.at(name + "_depth.npy"));
+}
+
+TEST_F(Verbs, ProbabilitiesOfViewsAreLabelsThatTrain) {
+  const std::string out = *dir_ / "probable";
+  const Result r = run(*dir_, {"render", run_dir(), "--split", "train", "--probability", "--out", out});
+  ASSERT_EQ(r.code, 0) << r.err;
+  const nlohmann::json order = nlohmann::json::parse(read_text_file(out + "/classes.json"));
+  const nlohmann::json cameras = nlohmann::json::parse(read_text_file(out + "/cameras.json"))["cameras"];
+  for (const nlohmann::json& camera : cameras) {
+    const std::string base = out + "/" + camera["name"].get<std::string>();
+    const NumpyArray p = read_npy(base + "_probability.npy", [&](std::span<const std::int64_t> shape) {
+      const std::vector<std::int64_t> want{camera["height"], camera["width"], std::ssize(order)};
+      ASSERT_EQ(std::vector<std::int64_t>(shape.begin(), shape.end()), want);
+    });
+    for (std::size_t i = 0; i < p.values.size(); i += order.size())
+      ASSERT_NEAR(std::accumulate(&p.values[i], &p.values[i] + order.size(), 0.0), 1, 1e-5) << base;
+  }
+  std::string yaml = read_text_file(*dir_ / "config.yaml");
+  yaml.replace(yaml.find("{type: packed, file: room.sfpack}"), 33,
+               "{type: packed, file: room.sfpack, labels: {from: {type: npz, folder: probable, pattern: "
+               "\"{name}_probability.npy\"}}}");
+  write_file_atomic(*dir_ / "soft.yaml", yaml);
+  const Result trained = run(*dir_, {"train", *dir_ / "soft.yaml", "--steps", "2", "--out", *dir_ / "soft"});
+  EXPECT_EQ(trained.code, 0) << trained.err;
+}
+
+TEST_F(Verbs, RenderRefusesWhatAVideoCannotHold) {
+  for (const char* flag : {"--npy", "--probability"})
+    EXPECT_EQ(run(*dir_, {"render", run_dir(), "--video", flag}).code, 2) << flag;
 }
 
 TEST_F(Verbs, SmoothPathRendersImagesToo) {
