@@ -25,6 +25,7 @@ struct AppContext {
   WorkSettings work;  ///< of the main thread
   bool quiet = false;
   bool json = false;
+  std::string verb;       ///< that runs: "config check"
   bool terminal = false;  ///< stderr is a terminal: one progress line, overwritten
 };
 

@@ -8,7 +8,7 @@
 #include <string>
 
 #include "app/app_context.h"
-#include "app/command_line.h"
+#include "app/command_line/command_line.h"
 #include "app/load_progress.h"
 #include "app/signals.h"
 #include "core/error.h"

@@ -7,12 +7,12 @@
 #include <vector>
 
 #include "app/app_context.h"
-
-namespace CLI {
-class App;
-}
+#include "config/params.h"
 
 namespace semfield::app {
+
+struct VerbGrammar;
+struct Word;
 
 /// A configuration, and what `--set a.b=c` and the flags that are short forms of it say.
 struct ConfigOptions {
@@ -21,37 +21,51 @@ struct ConfigOptions {
 };
 
 /// The words that a verb takes, declared one by one. Values are written when the command line is read, into variables
-/// that live as long as the verb. T is std::string, int, long long, double, or an optional of a number.
+/// that live as long as the verb.
+///
+/// The name of an option is followed by what stands for its value, "--out FOLDER": FILE, PATH and CONFIG complete to
+/// files, FOLDER and RUN to folders. A value that the variable holds already is told as the default. A number has a
+/// range, which is checked here and told in the help.
 class VerbWords {
  public:
-  explicit VerbWords(CLI::App& verb) : verb_(verb) {}
+  explicit VerbWords(VerbGrammar& verb) : verb_(verb) {}
 
   /// A word that must be there.
-  void operand(const std::string& name, std::string& into, const std::string& help);
+  void operand(const std::string& name, std::string& into, const std::string& help,
+               std::vector<std::string> choices = {});
   void optional_operand(const std::string& name, std::string& into, const std::string& help);
   /// One word or several.
   void operands(const std::string& name, std::vector<std::string>& into, const std::string& help);
-
   /// Any number of words.
-  void optional_operands(const std::string& name, std::vector<std::string>& into, const std::string& help);
+  void optional_operands(const std::string& name, std::vector<std::string>& into, const std::string& help,
+                         std::vector<std::string> offered = {});
 
   void flag(const std::string& name, bool& into, const std::string& help);
+  /// `offered` are values that completion offers; others are taken too.
+  void value(const std::string& name, std::string& into, const std::string& help,
+             std::vector<std::string> offered = {});
+  /// T is int, long long, double or an optional of one.
   template <class T>
-  void value(const std::string& name, T& into, const std::string& help);
-  template <class T>
-  void value_in(const std::string& name, T& into, int low, int high, const std::string& help);
-  /// A finite number above 0.
+  void value_in(const std::string& name, T& into, double low, double high, const std::string& help);
+  /// A finite number above 0. T is double or an optional of it.
   template <class T>
   void positive(const std::string& name, T& into, const std::string& help);
+  /// One of `choices`.
+  void choice(const std::string& name, std::string& into, const std::vector<std::string>& choices,
+              const std::string& help);
   void required(const std::string& name, std::string& into, const std::string& help);
   /// May be given several times, a value each.
   void repeated(const std::string& name, std::vector<std::string>& into, const std::string& help);
-  /// Values with commas between them.
-  void list(const std::string& name, std::vector<std::string>& into, const std::string& help);
+  /// Values with commas between them; with `choices`, each is one of them.
+  void list(const std::string& name, std::vector<std::string>& into, const std::string& help,
+            const std::vector<std::string>& choices = {});
 
-  /// A short form of `--set KEY=...`: added behind `--set`, whose values it follows.
-  void setting(std::vector<std::string>& set, const std::string& name, const std::string& key, const std::string& help);
+  /// A short form of `--set KEY=...`: added behind `--set`, whose values it follows; whoever reads the configuration
+  /// checks the value.
+  void setting(std::vector<std::string>& set, const std::string& name, const std::string& key, const std::string& help,
+               std::vector<std::string> offered = {});
   void threads(std::vector<std::string>& set);
+  void device(std::vector<std::string>& set);
   /// A configuration file and `--set`.
   void config(ConfigOptions& options);
   /// `--set` and `--threads` of a verb that opens a run.
@@ -62,7 +76,10 @@ class VerbWords {
   void excludes(const std::string& name, const std::string& other);
 
  private:
-  CLI::App& verb_;
+  Word& add(Word word);
+  Word& option(const std::string& name, const char* usual_value, const std::string& help);
+  Word& known(const std::string& name);
+  VerbGrammar& verb_;
 };
 
 /// A verb of the program, or a group of verbs.
@@ -73,6 +90,7 @@ struct Verb {
   int rank = 0;      ///< the help lists verbs in this order, those of a group among themselves
   std::string sentence;
   std::function<Run(VerbWords&)> declare;  ///< what runs when the words are read; empty: a group
+  bool json = false;                       ///< takes --json, and then prints its results by print_json()
 };
 
 /// `words` declares what `run` gets; `run` returns the exit code.
@@ -91,8 +109,20 @@ inline Verb make_verb(std::string name, int rank, std::string sentence, int (*ru
   return {std::move(name), rank, std::move(sentence), [run](VerbWords&) -> Verb::Run { return run; }};
 }
 
+/// A verb that takes --json: see print_json() in app/json_output.h.
+inline Verb with_json(Verb verb) {
+  verb.json = true;
+  return verb;
+}
+
 inline Verb make_group(std::string name, int rank, std::string sentence) {
   return {std::move(name), rank, std::move(sentence), {}};
+}
+
+/// Names of a setting's choices, by value.
+template <class T>
+std::vector<std::string> choice_names() {
+  return {ChoiceNames<T>::names.begin(), ChoiceNames<T>::names.end()};
 }
 
 /// Every verb_NAME() of the build, in no order. The build writes it (app/CMakeLists.txt).

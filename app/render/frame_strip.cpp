@@ -1,7 +1,6 @@
 #include "app/render/frame_strip.h"
 
 #include <algorithm>
-#include <sstream>
 
 #include "eval/image_output.h"
 
@@ -33,21 +32,20 @@ std::vector<std::uint8_t> panel_of(const RenderedFrame& frame, Panel panel, cons
 
 }  // namespace
 
-std::vector<Panel> parse_panels(const std::string& names, bool semantics) {
+const std::vector<std::string>& panel_names() {
+  static const std::vector<std::string> names{"rgb", "label", "depth", "entropy"};
+  return names;
+}
+
+std::vector<Panel> panels_of(const std::vector<std::string>& names, bool semantics) {
   if (names.empty()) {
     if (!semantics) return {Panel::rgb, Panel::depth};
     return {Panel::rgb, Panel::label, Panel::depth, Panel::entropy};
   }
-  static const std::vector<std::string> known{"rgb", "label", "depth", "entropy"};
   std::vector<Panel> panels;
-  std::istringstream stream(names);
-  for (std::string name; std::getline(stream, name, ',');) {
-    const auto found = std::find(known.begin(), known.end(), name);
-    if (found == known.end()) {
-      throw Error(ErrorKind::usage, "--panels: unknown panel '" + name + "'",
-                  "one of " + join(known) + ", with commas");
-    }
-    panels.push_back(static_cast<Panel>(found - known.begin()));
+  for (const std::string& name : names) {
+    const auto found = std::find(panel_names().begin(), panel_names().end(), name);
+    panels.push_back(static_cast<Panel>(found - panel_names().begin()));
     if (!semantics && (panels.back() == Panel::label || panels.back() == Panel::entropy)) {
       throw Error(ErrorKind::usage, "--panels: this run has no semantics, so no panel '" + name + "'",
                   "choose from rgb, depth");

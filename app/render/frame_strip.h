@@ -11,9 +11,11 @@ namespace semfield::app {
 
 enum class Panel : std::uint8_t { rgb, label, depth, entropy };
 
-/// "rgb,label" to panels; "": all that the run has. Throws Error(usage) for an unknown name, and for label or
-/// entropy of a run without semantics.
-std::vector<Panel> parse_panels(const std::string& names, bool semantics);
+/// By panel.
+const std::vector<std::string>& panel_names();
+/// Of names that are in panel_names(); of none: all that the run has. Throws Error(usage) for label or entropy of a run
+/// without semantics.
+std::vector<Panel> panels_of(const std::vector<std::string>& names, bool semantics);
 
 /// Colour; classes half over colour; depth and entropy in the house's colours over a range that is the same for every
 /// frame of the run (near to far, 0 to ln K). [H * panels W * 3]

@@ -18,7 +18,7 @@ struct RenderOptions {
   bool npy = false;
   bool probability = false;
   bool video = false;
-  std::string panels;  ///< of the video: "rgb,label,depth,entropy"; "" = all that the run has
+  std::vector<std::string> panels;  ///< of the video; none: all that the run has
   double fps = 24;
   std::vector<std::string> set;
 };
@@ -32,8 +32,7 @@ struct NamedView {
   std::string file_name() const;
 };
 
-/// Throws Error(usage) for an unknown split or a path without frames, Error(data) for a bad trajectory file, for
-/// nothing to render and for views whose files would have the same names. Warnings about cameras go to the diagnostics.
+/// Throws Error(data) for a bad trajectory file, for nothing to render and for views whose files would have the same names. Warnings about cameras go to the diagnostics.
 std::vector<NamedView> render_views(const Session& session, const RenderOptions& options, Diagnostics& diagnostics);
 
 /// As read_cameras reads them back.

@@ -40,7 +40,7 @@ int run(const CaptureOptions& options, AppContext& context) {
 void words(VerbWords& verb, CaptureOptions& options) {
   verb.config(options.config);
   verb.threads(options.config.set);
-  verb.required("--out", options.out, "folder to create");
+  verb.required("--out FOLDER", options.out, "folder to create");
 }
 
 }  // namespace

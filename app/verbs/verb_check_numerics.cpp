@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "app/json_output.h"
 #include "app/numerics_suite.h"
 #include "app/verb.h"
 #include "run/run_folder.h"
@@ -127,8 +128,7 @@ void write_page(const std::string& path, const std::vector<NumericsRow>& rows) {
   write_file_atomic(path, page);
 }
 
-void print_json(const std::vector<NumericsRow>& rows) {
-  using Json = nlohmann::ordered_json;
+Json results(const std::vector<NumericsRow>& rows) {
   const Counts counts = count_cases(rows);
   Json out = {{"passed", counts.passed}, {"failed", counts.failed}, {"absent", counts.absent}, {"cases", counts.cases}};
   out["rows"] = Json::array();
@@ -146,7 +146,7 @@ void print_json(const std::vector<NumericsRow>& rows) {
                            {"note", row.note},
                            {"known_failure", row.known_failure}});
   }
-  std::printf("%s\n", out.dump().c_str());
+  return out;
 }
 
 int run(const CheckNumericsOptions& options, AppContext& context) {
@@ -156,7 +156,7 @@ int run(const CheckNumericsOptions& options, AppContext& context) {
   std::vector<NumericsRow> rows;
   suite(context.registry, options.only, rows);
   if (context.json) {
-    print_json(rows);
+    print_json(context, results(rows));
   } else {
     print_table(rows);
   }
@@ -167,15 +167,16 @@ int run(const CheckNumericsOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, CheckNumericsOptions& options) {
-  verb.list("--only", options.only, "case ids or prefixes of them: --only A,C03");
-  verb.value("--write", options.page,
+  verb.list("--only LIST", options.only, "case ids or prefixes of them: --only A,C03");
+  verb.value("--write PAGE", options.page,
              "page whose marked part is replaced by the table, such as docs/evidence/numerics.md");
 }
 
 }  // namespace
 
 Verb verb_check_numerics() {
-  return make_verb("check-numerics", 190, "check stiff and extreme cases against their references", words, run);
+  return with_json(
+      make_verb("check-numerics", 190, "check stiff and extreme cases against their references", words, run));
 }
 
 }  // namespace semfield::app

@@ -19,13 +19,6 @@ struct ClassesOptions {
   std::string out;              ///< file; "" = stdout
 };
 
-void check_choice(const std::string& option, const std::string& value, const std::vector<std::string>& known) {
-  if (std::find(known.begin(), known.end(), value) != known.end()) return;
-  const std::string near = did_you_mean(value, known);
-  throw Error(ErrorKind::usage, option + " " + value + ": expected one of " + join(known),
-              near.empty() ? "" : "did you mean " + near + "?");
-}
-
 ClassTable table_of(const ClassesOptions& options) {
   const bool is_tsv = std::filesystem::path(options.in).extension() == ".tsv";
   if (options.ids != "raw" && !is_tsv) {
@@ -53,9 +46,6 @@ ClassTable recolored(const ClassTable& table, const std::string& colors) {
 }
 
 int run(const ClassesOptions& options, AppContext&) {
-  check_choice("--format", options.format, {"yaml", "csv", "cvat"});
-  check_choice("--ids", options.ids, {"raw", "nyu40", "nyu13"});
-  check_choice("--colors", options.colors, {"keep", "pascal", "semfield"});
   const ClassTable table = recolored(table_of(options), options.colors);
   const std::string text = options.format == "yaml"  ? table.to_yaml()
                            : options.format == "csv" ? to_class_csv(table)
@@ -71,11 +61,14 @@ int run(const ClassesOptions& options, AppContext&) {
 }
 
 void words(VerbWords& verb, ClassesOptions& options) {
-  verb.operand("in", options.in, "table (.yaml, .csv, .json, CVAT's .txt, ScanNet's .tsv), or nyu13, nyu40, scannet20");
-  verb.value("--format", options.format, "yaml, csv or cvat");
-  verb.value("--ids", options.ids, "ids to take from ScanNet's .tsv: raw, nyu40 or nyu13");
-  verb.value("--colors", options.colors, "keep, pascal (VOC's bit pattern) or semfield");
-  verb.value("--out", options.out, "file to write (default: stdout)");
+  verb.operand("table", options.in,
+               "table (.yaml, .csv, .json, CVAT's .txt, ScanNet's .tsv), or nyu13, nyu40, scannet20");
+  verb.choice("--format FORMAT", options.format, {"yaml", "csv", "cvat"}, "form of the table that is written");
+  verb.choice("--ids IDS", options.ids, {"raw", "nyu40", "nyu13"},
+              "ids to take from ScanNet's .tsv: raw, nyu40 or nyu13");
+  verb.choice("--colors COLORS", options.colors, {"keep", "pascal", "semfield"},
+              "keep them, or pascal (VOC's bit pattern) or semfield");
+  verb.value("--out FILE", options.out, "file to write (default: stdout)");
 }
 
 }  // namespace

@@ -38,7 +38,7 @@ int run(const DegradeOptions& options, AppContext& context) {
 void words(VerbWords& verb, DegradeOptions& options) {
   verb.config(options.config);
   verb.threads(options.config.set);
-  verb.required("--out", options.out, "folder to create");
+  verb.required("--out FOLDER", options.out, "folder to create");
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/verb.h"
 #include "core/findings.h"
@@ -22,14 +23,7 @@ struct EvalOptions {
   std::vector<std::string> set;
 };
 
-Split split_of(const std::string& name) {
-  if (name == "test") return Split::test;
-  if (name == "train") return Split::train;
-  throw Error(ErrorKind::usage, "--split " + name + ": expected train or test");
-}
-
-std::string json_text(const OpenedRun& run, const SplitScore& score, const std::string& split) {
-  using Json = nlohmann::ordered_json;
+Json results(const OpenedRun& run, const SplitScore& score, const std::string& split) {
   const ClassTable& table = run.session.scene.info.classes;
   Json out;
   out["run"] = run.run_dir;
@@ -46,7 +40,7 @@ std::string json_text(const OpenedRun& run, const SplitScore& score, const std::
   detail.step = run.step;
   detail.train_s = run.train_s;
   out.update(Json::parse(final_eval_json(detail)));
-  return out.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";  // a folder's name may be no UTF-8
+  return out;
 }
 
 SplitScore score_frames(const Session& s, Split split, const std::vector<int>& frames, const AppContext& context) {
@@ -58,7 +52,7 @@ SplitScore score_frames(const Session& s, Split split, const std::vector<int>& f
 }
 
 int run(const EvalOptions& options, AppContext& context) {
-  const Split split = split_of(options.split);
+  const Split split = options.split == "test" ? Split::test : Split::train;
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
                            split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames);
@@ -70,9 +64,10 @@ int run(const EvalOptions& options, AppContext& context) {
     throw Error(ErrorKind::data, options.run + ": the scene has no frames in split '" + options.split + "'",
                 "see `semfield inspect`");
   const SplitScore score = score_frames(s, split, frames, context);
-  if (!options.out.empty()) write_file_atomic(options.out, json_text(run, score, options.split));
+  const Json found = results(run, score, options.split);
+  if (!options.out.empty()) write_file_atomic(options.out, json_object(context, found));
   if (context.json) {
-    std::fputs(json_text(run, score, options.split).c_str(), stdout);
+    print_json(context, found);
     return 0;
   }
   std::printf("%s: %zu %s frames, step %lld, %.1f s of training\n", options.run.c_str(), score.frames.size(),
@@ -101,13 +96,13 @@ int run(const EvalOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, EvalOptions& options) {
   verb.operand("run", options.run, "run folder");
-  verb.value("--split", options.split, "train or test");
-  verb.value("--out", options.out, "also write the JSON object to this file");
+  verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames to score");
+  verb.value("--out FILE", options.out, "also write the JSON object to this file");
   verb.run_settings(options.set);
 }
 
 }  // namespace
 
-Verb verb_eval() { return make_verb("eval", 20, "evaluate a run's field on a split", words, run); }
+Verb verb_eval() { return with_json(make_verb("eval", 20, "evaluate a run's field on a split", words, run)); }
 
 }  // namespace semfield::app

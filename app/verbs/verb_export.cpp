@@ -27,15 +27,6 @@ struct ExportOptions {
   std::vector<std::string> set;
 };
 
-void check_options(const ExportOptions& options) {
-  if (options.split != "test" && options.split != "train")
-    throw Error(ErrorKind::usage, "--split " + options.split + ": expected train or test");
-  if (options.format != "coco" && options.format != "coco_rle" && options.format != "labelme")
-    throw Error(ErrorKind::usage, "--format " + options.format + ": expected coco, coco_rle or labelme");
-  if (options.min_area < 0)
-    throw Error(ErrorKind::usage, "--min-area " + std::to_string(options.min_area) + ": expected a number of pixels");
-}
-
 // The stored image of a frame, "" when its dataset has none.
 std::string image_of(const FrameInfo& info) {
   std::error_code ignored;
@@ -56,7 +47,6 @@ void note_other_size(const FrameInfo& info, const AppContext& context) {
 }
 
 int run(const ExportOptions& options, AppContext& context) {
-  check_options(options);
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
   context.adopt(run.session.config);
@@ -116,11 +106,11 @@ int run(const ExportOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, ExportOptions& options) {
   verb.operand("run", options.run, "run folder");
-  verb.value("--split", options.split, "train or test");
-  verb.value("--format", options.format, "coco (polygons), coco_rle (run lengths) or labelme");
-  verb.value("--min-area", options.min_area,
-             "merge regions of fewer pixels into the class around them (default: merge none)");
-  verb.required("--out", options.out, "file to write for COCO, folder for labelme");
+  verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames to export");
+  verb.choice("--format FORMAT", options.format, {"coco", "coco_rle", "labelme"},
+              "coco (polygons), coco_rle (run lengths) or labelme");
+  verb.value_in("--min-area N", options.min_area, 0, 1e9, "merge regions of fewer pixels into the class around them");
+  verb.required("--out PATH", options.out, "file to write for COCO, folder for labelme");
   verb.run_settings(options.set);
 }
 

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/scene/label_folder.h"
 #include "app/verb.h"
@@ -23,36 +24,18 @@ namespace {
 
 struct FuseOptions {
   ConfigOptions config;
-  std::string method;      ///< names with commas; replaces fuse.methods
-  std::string depth;       ///< true or learned; replaces fuse.depth
-  std::string depth_from;  ///< run folder
+  std::vector<std::string> methods;  ///< replace fuse.methods
+  std::string depth;                 ///< true or learned; replaces fuse.depth
+  std::string depth_from;            ///< run folder
   std::string out;
 };
 
 namespace fs = std::filesystem;
-using Json = nlohmann::ordered_json;
-
-std::vector<std::string> words_of(const std::string& list) {
-  std::vector<std::string> words;
-  for (std::size_t at = 0; at <= list.size();) {
-    const std::size_t comma = std::min(list.find(',', at), list.size());
-    words.push_back(list.substr(at, comma - at));
-    at = comma + 1;
-  }
-  return words;
-}
 
 // The words of the command line over the section `fuse`.
 void apply(const FuseOptions& options, FusionParams& params) {
-  if (!options.method.empty()) {
-    params.methods = words_of(options.method);
-    (void)fusion_methods(params.methods);
-  }
-  if (!options.depth.empty()) {
-    if (options.depth != "true" && options.depth != "learned")
-      throw Error(ErrorKind::usage, "--depth " + options.depth + ": expected true or learned");
-    params.depth = options.depth == "true" ? FusionDepth::truth : FusionDepth::learned;
-  }
+  if (!options.methods.empty()) params.methods = options.methods;
+  if (!options.depth.empty()) params.depth = options.depth == "true" ? FusionDepth::truth : FusionDepth::learned;
   if (!options.depth_from.empty()) {
     if (options.depth == "true")
       throw Error(ErrorKind::usage, "--depth true and --depth-from exclude each other", "drop one of them");
@@ -63,7 +46,6 @@ void apply(const FuseOptions& options, FusionParams& params) {
                 "name its folder: --depth-from RUN");
 }
 
-Json number(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
 std::string text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "none"; }
 
 std::string depth_name(const FusionParams& params) {
@@ -75,11 +57,11 @@ Json scores_json(const SceneFusion& fusion, const FusionParams& params) {
   for (const FusionScore& score : fusion.scores) {
     rows.push_back({{"method", score.method},
                     {"depth", depth_name(params)},
-                    {"miou", number(score.confusion.miou())},
-                    {"miou_present", number(score.confusion.miou_present())},
-                    {"total_accuracy", number(score.confusion.total_accuracy())},
-                    {"average_accuracy", number(score.confusion.average_accuracy())},
-                    {"visible_views_mean", number(score.views_mean)},
+                    {"miou", json_number(score.confusion.miou())},
+                    {"miou_present", json_number(score.confusion.miou_present())},
+                    {"total_accuracy", json_number(score.confusion.total_accuracy())},
+                    {"average_accuracy", json_number(score.confusion.average_accuracy())},
+                    {"visible_views_mean", json_number(score.views_mean)},
                     {"scored_px", score.confusion.scored_px()},
                     {"void_predicted_px", score.confusion.void_predicted_px()}});
   }
@@ -202,7 +184,7 @@ int run(const FuseOptions& options, AppContext& context) {
     writer->write_manifest(manifest);
   }
   if (context.json) {
-    std::printf("%s\n", scores_json(fusion, params).dump().c_str());
+    print_json(context, {{"scores", scores_json(fusion, params)}});
   } else {
     print_scores(fusion, params);
   }
@@ -212,16 +194,17 @@ int run(const FuseOptions& options, AppContext& context) {
 void words(VerbWords& verb, FuseOptions& options) {
   verb.config(options.config);
   verb.threads(options.config.set);
-  verb.value("--method", options.method, "monocular, bayesian, average, with commas (default: fuse.methods)");
-  verb.value("--depth", options.depth, "true or learned (default: fuse.depth)");
-  verb.value("--depth-from", options.depth_from, "run folder whose field gives depth, and another row of labels");
-  verb.value("--out", options.out, "folder for the fused maps and fuse.json");
+  verb.list("--method LIST", options.methods, "ways to combine, with commas (default: fuse.methods)",
+            choice_names<FusionMethod>());
+  verb.choice("--depth DEPTH", options.depth, {"true", "learned"}, "true or learned (default: fuse.depth)");
+  verb.value("--depth-from RUN", options.depth_from, "run folder whose field gives depth, and another row of labels");
+  verb.value("--out FOLDER", options.out, "folder for the fused maps and fuse.json");
 }
 
 }  // namespace
 
 Verb verb_fuse() {
-  return make_verb("fuse", 110, "combine predictions of several views by depth, and score them", words, run);
+  return with_json(make_verb("fuse", 110, "combine predictions of several views by depth, and score them", words, run));
 }
 
 }  // namespace semfield::app

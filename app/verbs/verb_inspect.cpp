@@ -61,7 +61,7 @@ int run(const InspectOptions& options, AppContext& context) {
 void words(VerbWords& verb, InspectOptions& options) {
   verb.config(options.config);
   verb.threads(options.config.set);
-  verb.value("--frusta", options.frusta, "write the cameras as a PLY file");
+  verb.value("--frusta FILE", options.frusta, "write the cameras as a PLY file");
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/verb.h"
 #include "core/findings.h"
@@ -32,7 +33,6 @@ struct MeshOptions {
 };
 
 namespace fs = std::filesystem;
-using Json = nlohmann::ordered_json;
 
 constexpr long long kDefaultResolution = 256;
 constexpr int kSightLines = 4096;
@@ -68,22 +68,13 @@ Targets targets_of(const MeshOptions& options) {
     if (!ending.empty()) check_format(ending, "--out " + options.out);
     targets.formats = {ending.empty() ? "ply" : ending};
   }
-  for (const std::string& format : targets.formats) check_format(format, "--format");
   targets.stem = ending_known ? out.replace_extension() : out;  // "scan.v2" keeps its name
   return targets;
 }
 
-double positive(double value, const char* option) {
-  if (value > 0 && std::isfinite(value)) return value;
-  throw Error(ErrorKind::usage, fmt::format("{} {}: expected a positive number", option, value));
-}
-
 VoxelGrid grid_of(const MeshOptions& options, const Box& bounds) {
-  if (options.voxel) return VoxelGrid::covering(bounds, positive(*options.voxel, "--voxel"));
+  if (options.voxel) return VoxelGrid::covering(bounds, *options.voxel);
   const long long cells = options.resolution.value_or(kDefaultResolution);
-  if (cells < 1 || cells > 4095) {
-    throw Error(ErrorKind::usage, fmt::format("--resolution {}: expected 1 to 4095 cells", cells));
-  }
   const Vec3d size = bounds.size();
   return VoxelGrid::covering(bounds, std::max({size.x, size.y, size.z}) / static_cast<double>(cells));
 }
@@ -93,7 +84,7 @@ SurfaceRequest request_of(const MeshOptions& options, const Session& s) {
   request.grid = grid_of(options, s.extent.bounds);
   request.opaque_border = s.limits.clip && s.config.rendering.far == FarMode::background;
   if (options.level) {
-    request.level_per_m = positive(*options.level, "--level");
+    request.level_per_m = *options.level;
     return request;
   }
   std::vector<RayCamera> cameras;
@@ -130,9 +121,6 @@ void write_surface(const std::string& format, const std::string& path, const Sur
 
 int run(const MeshOptions& options, AppContext& context) {
   const Targets targets = targets_of(options);
-  if (!(options.keep_components >= 0 && options.keep_components <= 1)) {
-    throw Error(ErrorKind::usage, fmt::format("--keep-components {}: expected 0 to 1", options.keep_components));
-  }
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
   context.adopt(run.session.config);
@@ -181,7 +169,7 @@ int run(const MeshOptions& options, AppContext& context) {
              {"components", components},
              {"files", files}};
     if (options.points) out["points"] = points;
-    std::printf("%s\n", out.dump(-1, ' ', false, Json::error_handler_t::replace).c_str());
+    print_json(context, out);
     return 0;
   }
   const std::string of_points = options.points ? fmt::format(" points={}", points) : "";
@@ -193,23 +181,26 @@ int run(const MeshOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, MeshOptions& options) {
   verb.operand("run", options.run, "run folder");
-  verb.value("--resolution", options.resolution, "cells along the longest side of the scene (default: 256)");
-  verb.value("--voxel", options.voxel, "edge of a cell in metres, instead of --resolution");
+  verb.value_in("--resolution N", options.resolution, 1, 4095,
+                "cells along the longest side of the scene (default: 256)");
+  verb.positive("--voxel X", options.voxel, "edge of a cell in metres, instead of --resolution");
   verb.excludes("--voxel", "--resolution");
-  verb.value("--level", options.level,
-             "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
-  verb.list("--format", options.formats, "ply, obj, glb; several with commas");
+  verb.positive("--level X", options.level,
+                "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
+  verb.list("--format LIST", options.formats, "forms of the files, with commas (default: what --out ends with, or ply)",
+            known_formats());
   verb.flag("--points", options.points, "also write a labelled point cloud from the depth of the training views");
-  verb.value("--out", options.out, "file to write (default: mesh.ply in the run folder)");
-  verb.value("--keep-components", options.keep_components,
-             "keep connected parts with at least this share of all faces (default: 0.002; 0 keeps all)");
+  verb.value("--out FILE", options.out, "file to write (default: mesh.ply in the run folder)");
+  verb.value_in("--keep-components X", options.keep_components, 0, 1,
+                "keep connected parts with at least this share of all faces; 0 keeps all");
   verb.run_settings(options.set);
 }
 
 }  // namespace
 
 Verb verb_mesh() {
-  return make_verb("mesh", 60, "write the field's surface with colour and class, as PLY, OBJ or GLB", words, run);
+  return with_json(
+      make_verb("mesh", 60, "write the field's surface with colour and class, as PLY, OBJ or GLB", words, run));
 }
 
 }  // namespace semfield::app

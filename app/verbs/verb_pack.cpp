@@ -28,7 +28,7 @@ int run(const PackVerbOptions& options, AppContext& context) {
 void words(VerbWords& verb, PackVerbOptions& options) {
   verb.config(options.config);
   verb.threads(options.config.set);
-  verb.required("--out", options.out, "file to write (.sfpack)");
+  verb.required("--out FILE", options.out, "file to write (.sfpack)");
 }
 
 }  // namespace

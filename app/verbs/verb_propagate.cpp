@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/scene/label_folder.h"
 #include "app/verb.h"
@@ -18,8 +19,6 @@ struct PropagateOptions {
   std::string run, out;
   std::vector<std::string> set;
 };
-
-using Json = nlohmann::ordered_json;
 
 std::string method_name(const PropagationParams& params) {
   return std::string(ChoiceNames<PropagationMethod>::names[static_cast<std::size_t>(params.method)]);
@@ -42,19 +41,17 @@ Worth worth_of_given(const Session& s) {
           score.miou_present()};
 }
 
-Json number(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
 std::string text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "-"; }
 
 void print_worth(const AppContext& context, const PropagateOptions& options, const PropagationParams& params,
                  const Worth& before, const Worth& after) {
   if (context.json) {
     const auto pair = [](Json a, Json b) { return Json{{"before", std::move(a)}, {"after", std::move(b)}}; };
-    const Json out{{"method", method_name(params)},
-                   {"labelled_share", pair(before.share, after.share)},
-                   {"accuracy", pair(number(before.accuracy), number(after.accuracy))},
-                   {"miou_present", pair(number(before.miou_present), number(after.miou_present))},
-                   {"folder", options.out}};
-    std::printf("%s\n", out.dump(-1, ' ', false, Json::error_handler_t::replace).c_str());
+    print_json(context, {{"method", method_name(params)},
+                         {"labelled_share", pair(before.share, after.share)},
+                         {"accuracy", pair(json_number(before.accuracy), json_number(after.accuracy))},
+                         {"miou_present", pair(json_number(before.miou_present), json_number(after.miou_present))},
+                         {"folder", options.out}});
     return;
   }
   std::printf("propagate: method=%s labelled_share=%.4f->%.4f accuracy=%s->%s miou_present=%s->%s folder=%s\n",
@@ -106,15 +103,17 @@ int run(const PropagateOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, PropagateOptions& options) {
   verb.operand("run", options.run, "run folder");
-  verb.required("--out", options.out, "folder to create");
+  verb.required("--out FOLDER", options.out, "folder to create");
   verb.run_settings(options.set);
-  verb.setting(options.set, "--method", "propagate.method", "surface (diffusion) or vote (pooling)");
+  verb.setting(options.set, "--method METHOD", "propagate.method",
+               "surface (diffusion) or vote (pooling) (default: propagate.method)", choice_names<PropagationMethod>());
 }
 
 }  // namespace
 
 Verb verb_propagate() {
-  return make_verb("propagate", 120, "spread training labels over the surface that a run has learned", words, run);
+  return with_json(
+      make_verb("propagate", 120, "spread training labels over the surface that a run has learned", words, run));
 }
 
 }  // namespace semfield::app

@@ -120,7 +120,7 @@ fs::path video_file(const RenderOptions& options) {
 
 void render_video(const RenderOptions& options, const std::string& ffmpeg, const Session& s,
                   const std::vector<NamedView>& views, const AppContext& context) {
-  const std::vector<Panel> panels = parse_panels(options.panels, s.pipeline->has_semantics());
+  const std::vector<Panel> panels = panels_of(options.panels, s.pipeline->has_semantics());
   const Camera& first = views.front().camera.camera;
   for (const NamedView& view : views) {
     const Camera& c = view.camera.camera;
@@ -145,8 +145,6 @@ int run(const RenderOptions& options, AppContext& context) {
   // Before anything that takes time.
   if (options.video) (void)video_format(video_file(options).string());
   const std::string ffmpeg = options.video ? find_ffmpeg() : std::string();
-  if (!(options.fps > 0 && options.fps <= 1000))
-    throw Error(ErrorKind::usage, fmt::format("--fps {}: expected more than 0, at most 1000", options.fps));
   Diagnostics diagnostics;
   const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
   context.adopt(run.session.config);
@@ -164,16 +162,19 @@ int run(const RenderOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, RenderOptions& options) {
   verb.operand("run", options.run, "run folder");
-  verb.value("--split", options.split, "train or test");
-  verb.value("--trajectory", options.trajectory,
+  verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames whose views are rendered");
+  verb.value("--trajectory FILE", options.trajectory,
              "instead of a split: a cameras.json of an earlier render, a file with one camera-to-world matrix per line "
-             "(12 or 16 numbers), or 'smooth' for a path through the training cameras");
-  verb.value("--frames", options.frames, "number of frames of the smooth path (default: 240)");
-  verb.value("--out", options.out, "folder for the images, or the video's file (default: render/ in the run folder)");
+             "(12 or 16 numbers), or 'smooth' for a path through the training cameras",
+             {"smooth"});
+  verb.value_in("--frames N", options.frames, 1, 100000, "number of frames of the smooth path");
+  verb.value("--out PATH", options.out,
+             "folder for the images, or the video's file (default: render/ in the run folder)");
   verb.flag("--video", options.video, "write a video through ffmpeg instead of images");
-  verb.value("--panels", options.panels, "panels side by side: rgb,label,depth,entropy (default: all)");
+  verb.list("--panels LIST", options.panels, "panels side by side, with commas (default: all that the run has)",
+            panel_names());
   verb.needs("--panels", "--video");
-  verb.value("--fps", options.fps, "frames per second of the video (default: 24)");
+  verb.value_in("--fps X", options.fps, 0.01, 1000, "frames per second of the video");
   verb.flag("--npy", options.npy, "also write depth and entropy as float32 .npy");
   verb.excludes("--npy", "--video");
   verb.flag("--probability", options.probability,

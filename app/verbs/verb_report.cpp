@@ -22,8 +22,8 @@ int run(const ReportOptions& options, AppContext&) {
 }
 
 void words(VerbWords& verb, ReportOptions& options) {
-  verb.operands("runs", options.runs, "run folders");
-  verb.value("--out", options.out, "file to write (default: report.html of the first run)");
+  verb.operands("run", options.runs, "run folders");
+  verb.value("--out FILE", options.out, "file to write (default: report.html of the first run)");
 }
 
 }  // namespace

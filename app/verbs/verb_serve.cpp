@@ -189,12 +189,12 @@ int run(const ServeOptions&, AppContext&) {
 
 void words(VerbWords& verb, ServeOptions& options) {
   verb.operand("config_or_run", options.what, "configuration file, or a run folder to go on with");
-  verb.value_in("--port", options.port, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
-  verb.value("--address", options.address,
+  verb.value_in("--port N", options.port, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
+  verb.value("--address ADDRESS", options.address,
              "IPv4 address to listen on (default: 127.0.0.1, this machine alone); 0.0.0.0 is every network");
-  verb.value("--out", options.out, "run folder to create (default: runs/<name>)");
+  verb.value("--out FOLDER", options.out, "run folder to create (default: runs/<name>)");
   verb.run_settings(options.set);
-  verb.setting(options.set, "--device", "runtime.device", "auto, cpu, cuda or cuda:N");
+  verb.device(options.set);
 }
 
 }  // namespace

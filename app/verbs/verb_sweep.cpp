@@ -72,10 +72,11 @@ FolderLock lock_of(const std::string& folder) {
   FolderLock lock;
   const int cause = lock.take(folder);
   if (cause == EWOULDBLOCK)
-    throw Error(ErrorKind::cannot_create,
-                fmt::format("the sweep folder '{}' is in use by {}, another sweep", folder, lock.holder()),
-                "wait for it to end, stop it (the next sweep continues from there), or choose another folder with --out; "
-                "--dry-run tells which cells are done");
+    throw Error(
+        ErrorKind::cannot_create,
+        fmt::format("the sweep folder '{}' is in use by {}, another sweep", folder, lock.holder()),
+        "wait for it to end, stop it (the next sweep continues from there), or choose another folder with --out; "
+        "--dry-run tells which cells are done");
   if (cause != 0) throw write_error("lock", folder, cause);
   return lock;
 }
@@ -148,10 +149,11 @@ int run(const SweepOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, SweepOptions& options) {
   verb.operand("file", options.file, "sweep file (YAML)");
-  verb.value("--out", options.out, "folder of cells and tables (default: runs/<name>); an existing one is resumed");
-  verb.value_in("--jobs", options.jobs, 1, 4096, "cells at a time (default: every core)");
-  verb.value_in("--threads", options.threads, 1, 4096, "threads of each cell (default: 1)");
-  verb.positive("--memory", options.memory_gb, "GB that all cells together may use (default: 80 % of what is free)");
+  verb.value("--out FOLDER", options.out,
+             "folder of cells and tables (default: runs/<name>); an existing one is resumed");
+  verb.value_in("--jobs N", options.jobs, 1, 4096, "cells at a time (default: every core)");
+  verb.value_in("--threads N", options.threads, 1, 4096, "threads of each cell (default: 1)");
+  verb.positive("--memory GB", options.memory_gb, "GB that all cells together may use (default: 80 % of what is free)");
   verb.flag("--keep-checkpoints", options.keep_checkpoints, "keep the checkpoints of finished cells");
   verb.flag("--dry-run", options.dry_run, "list the cells, then stop");
 }

@@ -171,16 +171,16 @@ int run(const TrainOptions& options, AppContext& context) {
 void words(VerbWords& verb, TrainOptions& options) {
   verb.optional_operand("config", options.config.config, "configuration file (YAML)");
   std::vector<std::string>& set = options.config.set;
-  verb.repeated("--set", set, "override a value: --set train.rays=2048");
-  verb.value("--out", options.out, "run folder to create (default: runs/<name>)");
-  verb.value("--resume", options.resume, "run folder to resume");
-  verb.value("--time", options.time, "end after this much training: 90s, 5m, 1h");
-  verb.setting(set, "--steps", "train.steps", "end after this many steps");
+  verb.repeated("--set KEY=VALUE", set, "override a value: --set train.rays=2048");
+  verb.value("--out FOLDER", options.out, "run folder to create (default: runs/<name>)");
+  verb.value("--resume RUN", options.resume, "run folder to resume");
+  verb.value("--time TIME", options.time, "end after this much training: 90s, 5m, 1h");
+  verb.setting(set, "--steps N", "train.steps", "end after this many steps (default: train.steps)");
   verb.threads(set);
-  verb.setting(set, "--memory", "runtime.memory_gb",
+  verb.setting(set, "--memory GB", "runtime.memory_gb",
                "GB that the run may use; a run that needs more is refused (default: what is free)");
-  verb.setting(set, "--device", "runtime.device", "auto, cpu, cuda or cuda:N");
-  verb.repeated("--keep", options.keep, "keep a component that would be left out");
+  verb.device(set);
+  verb.repeated("--keep COMPONENT", options.keep, "keep a component that would be left out");
   verb.flag("--dry-run", options.dry_run, "print what would be built, left out and needed, then stop");
 }
 

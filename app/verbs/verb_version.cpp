@@ -1,9 +1,10 @@
 // version: what this binary is.
 #include <cstdio>
+#include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
 #include "app/verb.h"
-#include "compute/isa.h"
-#include "plugin/loader.h"
+#include "app/version_text.h"
 #include "run/run_folder.h"
 
 namespace semfield::app {
@@ -11,22 +12,18 @@ namespace semfield::app {
 namespace {
 
 int run(AppContext& context) {
-  const Environment e = this_environment();
   if (context.json) {
-    std::fputs(environment_json(e).c_str(), stdout);
-    return 0;
+    print_json(context, Json::parse(environment_json(this_environment())));
+  } else {
+    std::fputs(version_lines().c_str(), stdout);
   }
-  std::printf("semfield %s (%s)\ncompiler  %s, %s\nplugin api %d, abi %s\ncpu       %s (%d threads)\n",
-              e.version.c_str(), e.source.c_str(), e.compiler.c_str(), e.build_type.c_str(), kPluginApi, e.abi.c_str(),
-              e.cpu.c_str(), e.hardware_threads);
-  std::printf("kernels   %s (this build has %s)\n", std::string(isa_name(isa())).c_str(), isas_of_build().c_str());
   return 0;
 }
 
 }  // namespace
 
 Verb verb_version() {
-  return make_verb("version", 200, "print version, compiler, plugin interface and instruction sets", run);
+  return with_json(make_verb("version", 200, "print version, compiler, plugin interface and instruction sets", run));
 }
 
 }  // namespace semfield::app

@@ -99,7 +99,7 @@ std::string output_of(const std::string& words) {
 // Help of a verb and of the words below it.
 std::string help_of(const std::string& verb) {
   std::string help = output_of(verb + " --help");
-  const std::size_t list = help.find("Subcommands:");
+  const std::size_t list = help.find("\nVerbs:");
   if (list == std::string::npos) return help;
   for (const std::string& word : matches(help.substr(list), R"(\n  ([a-z-]+) )"))
     help += output_of(verb + " " + word + " --help");
@@ -113,7 +113,7 @@ TEST(Readme, HasAtMost900Words) {
 
 TEST(CommandLinePage, TableOfVerbsIsThatOfTheProgram) {
   const std::string help = output_of("--help");
-  const std::size_t list = help.find("Subcommands:");
+  const std::size_t list = help.find("\nVerbs:");
   ASSERT_NE(list, std::string::npos) << help;
   const std::set<std::string> have = matches(help.substr(list), R"(\n  ([a-z-]+) )");
   const std::string text = page("docs/reference/command_line.md");
@@ -138,7 +138,7 @@ TEST(CommandLine, EveryVerbFileIsAVerbAndEveryVerbHasItsFile) {
     if (name.starts_with("verb_") && name.ends_with(".cpp")) files.insert(name.substr(5, name.size() - 9));
   }
   const auto words_of = [](const std::string& help) {
-    const std::size_t list = help.find("Subcommands:");
+    const std::size_t list = help.find("\nVerbs:");
     return list == std::string::npos ? std::set<std::string>() : matches(help.substr(list), R"(\n  ([a-z-]+) )");
   };
   const auto file_of = [](std::string verb) {
@@ -156,7 +156,7 @@ TEST(CommandLine, EveryVerbFileIsAVerbAndEveryVerbHasItsFile) {
 // A verb, option or operand without a sentence leaves its line of the help with blanks at the end.
 TEST(CommandLine, EveryVerbAndOptionHasASentence) {
   const std::string help = output_of("--help");
-  const std::set<std::string> verbs = matches(help.substr(help.find("Subcommands:")), R"(\n  ([a-z-]+) )");
+  const std::set<std::string> verbs = matches(help.substr(help.find("\nVerbs:")), R"(\n  ([a-z-]+) )");
   EXPECT_GE(verbs.size(), 15u);
   for (const std::string& verb : verbs) {
     for (const std::string& line : matches(help_of(verb), R"(\n(  \S[^\n]*) (?=\n))"))

@@ -52,7 +52,7 @@ TEST(FuseVerb, LinesJsonAndMaps) {
       "fuse " + shell_word(config) + " --json --set fuse.relative_tolerance=0.03 --out " + shell_word(dir / "maps"),
       dir);
   ASSERT_EQ(r.code, 0) << r.err;
-  const auto rows = nlohmann::json::parse(r.out);
+  const auto rows = nlohmann::json::parse(r.out).at("scores");
   ASSERT_EQ(rows.size(), 3u);
   EXPECT_EQ(rows[0]["method"], "monocular");
   EXPECT_EQ(rows[1]["method"], "bayesian");
@@ -88,7 +88,7 @@ TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
                                 " --set fuse.tolerance=0.2 " + "--out " + shell_word(dir / "maps"),
                             dir);
   ASSERT_EQ(r.code, 0) << r.err;
-  const auto rows = nlohmann::json::parse(r.out);
+  const auto rows = nlohmann::json::parse(r.out).at("scores");
   ASSERT_EQ(rows.size(), 4u);
   EXPECT_EQ(rows[3]["method"], "field");
   EXPECT_TRUE(rows[3]["visible_views_mean"].is_null());
@@ -125,7 +125,7 @@ TEST(FuseVerb, RealProbabilities) {
   write_file_atomic(dir / "config.yaml", yaml);
   const Result r = semfield("fuse config.yaml --json", dir);
   ASSERT_EQ(r.code, 0) << r.err;
-  const auto rows = nlohmann::json::parse(r.out);
+  const auto rows = nlohmann::json::parse(r.out).at("scores");
   ASSERT_EQ(rows.size(), 3u);
   const double alone = rows[0]["miou_present"].get<double>();
   EXPECT_NEAR(alone, 0.657, 0.001);
@@ -146,7 +146,8 @@ TEST(FuseVerb, Refusals) {
   refused("--depth learned", 2, "name its folder: --depth-from RUN");
   refused("--depth false", 2, "--depth false: expected true or learned");
   refused("--depth true --depth-from x", 2, "exclude each other");
-  refused("--method bayesian,mean", 78, "there is no method 'mean'");
+  refused("--method bayesian,mean", 2, "--method bayesian,mean: expected monocular, bayesian or average");
+  refused("--set fuse.methods=[mean]", 78, "there is no method 'mean'");
   refused("--depth-from " + shell_word(dir / "nowhere"), 66, "nowhere");
   refused("--set fuse.neighbourhood=2", 78, "a window of 2 pixels has no centre");
 }

@@ -127,7 +127,7 @@ TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
   };
   refused({"--format", "gbl"}, 2, "did you mean glb?");
   refused({"--out", *dir_ / "mesh.stl"}, 2, "unknown mesh format 'stl'");
-  refused({"--resolution", "5000"}, 2, "--resolution 5000: expected 1 to 4095 cells");
+  refused({"--resolution", "5000"}, 2, "--resolution 5000: expected 1 to 4095");
   refused({"--resolution", "8", "--voxel", "0.1"}, 2, "excludes");
   refused({"--voxel", "-1"}, 2, "--voxel -1: expected a positive number");
   refused({"--voxel", "1e-7"}, 2, "choose a larger --voxel");
@@ -229,7 +229,7 @@ TEST_F(Verbs, VideoRefusesUnknownPanelsAndCounts) {
   if (!found("ffmpeg")) GTEST_SKIP() << "no ffmpeg here";
   const Result panel = run(*dir_, {"render", run_dir(), "--video", "--panels", "rgb,normals"});
   EXPECT_EQ(panel.code, 2);
-  EXPECT_NE(panel.err.find("unknown panel 'normals'; one of rgb, label, depth, entropy"), std::string::npos)
+  EXPECT_NE(panel.err.find("--panels rgb,normals: expected rgb, label, depth or entropy"), std::string::npos)
       << panel.err;
   const Result ending = run(*dir_, {"render", run_dir(), "--video", "--out", *dir_ / "room.mpx"});
   EXPECT_EQ(ending.code, 2);

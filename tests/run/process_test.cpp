@@ -190,7 +190,7 @@ TEST(Process, RefusalsNamePlaceCauseAndRemedy) {
       {{"train", config, "--out", "/proc/semfield"}, 73, "/proc/semfield"},
       {{"train", "--resume", dir / "nowhere"}, 66, "nowhere"},
       {{"eval", dir / "nowhere"}, 66, "nowhere"},
-      {{"eval", dir / "run", "--split", "best"}, 2, "expected train or test"},
+      {{"eval", dir / "run", "--split", "best"}, 2, "expected test or train"},
       {{"train", config, "--set", "scene.load.invert_poses=true", "--out", dir / "x"},
        65,
        "add --set scene.load.invert_poses=false"},

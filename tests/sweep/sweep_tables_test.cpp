@@ -131,7 +131,8 @@ TEST(SweepResults, AreWrittenReadAndTakenFromRunsAndFusions) {
       (CellValues{{"ece", 0.5}, {"training_ece", 0.25}, {"given_wrong_auroc", 0.75}, {"train_s", 2.5}, {"steps", 9}}));
 
   const std::string fused =
-      "[{\"method\":\"monocular\",\"miou\":0.5},{\"method\":\"bayesian\",\"miou\":0.6,\"depth\":\"true\"}]";
+      "{\"semfield\":\"0.1.0\",\"verb\":\"fuse\",\"scores\":[{\"method\":\"monocular\",\"miou\":0.5},{\"method\":"
+      "\"bayesian\",\"miou\":0.6,\"depth\":\"true\"}]}";
   EXPECT_EQ(values_of_fusion(fused, "bayesian"), (CellValues{{"miou", 0.6}}));
   EXPECT_THROW((void)values_of_fusion(fused, "average"), Error);
   std::filesystem::remove_all(folder);

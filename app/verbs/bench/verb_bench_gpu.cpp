@@ -7,6 +7,7 @@
 #include <optional>
 #include <vector>
 
+#include "app/json_output.h"
 #include "app/verb.h"
 #include "app/verbs/bench/bench_tools.h"
 #include "studies/gpu_rows.h"
@@ -14,8 +15,6 @@
 namespace semfield::app {
 
 namespace {
-
-using Json = nlohmann::ordered_json;
 
 constexpr double kLimit_ms =
     1.09;  // of the paper step's multiply-adds in bf16 at 790 TFLOP/s, a good product on an H200
@@ -47,7 +46,7 @@ int run(const BenchGpuOptions& options, AppContext& context) {
     for (const GpuRow& row : bench.rows)
       out["ms"][row.name] = {1e3 * row.seconds.median, 1e3 * row.seconds.min, 1e3 * row.seconds.max};
     for (const auto& [name, value] : goals) out["goals"][name] = value;
-    std::printf("%s\n", out.dump().c_str());
+    print_json(context, out);
     return 0;
   }
   std::printf("device     %s\n", bench.about.c_str());
@@ -66,13 +65,15 @@ int run(const BenchGpuOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, BenchGpuOptions& options) {
   verb.flag("--peers", options.peers, "alternate with the same steps in PyTorch and print ratios");
-  verb.value("--only", options.only, "measurements whose names begin with this: --only 'paper bf16'");
-  verb.value_in("--repeats", options.repeats, 1, 1000, "rounds; figures are medians of them");
-  verb.value("--python", options.python, "interpreter with torch (default: python3)");
+  verb.value("--only NAME", options.only, "measurements whose names begin with this: --only 'paper bf16'");
+  verb.value_in("--repeats N", options.repeats, 1, 1000, "rounds; figures are medians of them");
+  verb.value("--python PROGRAM", options.python, "interpreter with torch (default: python3)");
 }
 
 }  // namespace
 
-Verb verb_bench_gpu() { return make_verb("bench gpu", 20, "time training steps and frames on a GPU", words, run); }
+Verb verb_bench_gpu() {
+  return with_json(make_verb("bench gpu", 20, "time training steps and frames on a GPU", words, run));
+}
 
 }  // namespace semfield::app

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdio>
 
+#include "app/json_output.h"
 #include "app/verb.h"
 #include "app/verbs/bench/bench_tools.h"
 #include "core/text.h"
@@ -22,7 +23,7 @@ struct BenchLabelOptions {
   int seeds = 5;
   int clicks = 300;
   double geometry_s = 30;
-  std::optional<double> between_s;
+  double between_s = 2;
   int timed_clicks = 60;
   std::vector<std::string> combine;
 };
@@ -32,14 +33,8 @@ constexpr int kKills = 200;
 std::vector<Acquisition> questions_of(const std::vector<std::string>& names) {
   std::vector<Acquisition> out;
   const auto& known = ChoiceNames<Acquisition>::names;
-  for (const std::string& name : names) {
-    const auto found = std::find(known.begin(), known.end(), name);
-    if (found == known.end()) {
-      throw Error(ErrorKind::usage, "--questions " + name + ": there is no such way to ask",
-                  "choose of " + join(std::vector<std::string>(known.begin(), known.end()), ", "));
-    }
-    out.push_back(static_cast<Acquisition>(found - known.begin()));
-  }
+  for (const std::string& name : names)
+    out.push_back(static_cast<Acquisition>(std::find(known.begin(), known.end(), name) - known.begin()));
   return out;
 }
 
@@ -65,11 +60,11 @@ int run(const BenchLabelOptions& options, AppContext& context) {
     latency = measure_label_latency(load(configs.front()), options.timed_clicks, options.geometry_s, tools);
   for (const std::string& path : configs) {
     RunConfig config = load(path);
-    bench.between_s = options.between_s.value_or(2);
+    bench.between_s = options.between_s;
     for (LabelCourse& course : measure_labelling(std::move(config), bench, tools)) courses.push_back(std::move(course));
   }
   if (context.json) {
-    std::printf("%s\n", label_json(courses, latency).c_str());
+    print_json(context, Json::parse(label_json(courses, latency)));
     return 0;
   }
   std::printf("%s\n%s\n", label_tables(courses).c_str(), label_line(courses, latency, lost, kKills).c_str());
@@ -78,27 +73,28 @@ int run(const BenchLabelOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, BenchLabelOptions& options) {
   verb.optional_operands("config", options.configs, "configurations of labelled scenes (default: the shipped room)");
-  verb.repeated("--set", options.set, "override a value: --set train.rays=2048");
+  verb.repeated("--set KEY=VALUE", options.set, "override a value: --set train.rays=2048");
   verb.threads(options.set);
-  verb.setting(options.set, "--device", "runtime.device", "auto, cpu, cuda or cuda:N");
-  verb.list("--questions", options.questions,
-            "random, farthest, entropy, margin, surface; several with commas (default: all)");
-  verb.value_in("--seeds", options.seeds, 1, 100,
-                "persons for each way to ask (default: 5); the first one's seed is runtime.seed");
-  verb.value_in("--clicks", options.clicks, 1, 2000, "clicks of a person (default: 300)");
-  verb.positive("--geometry", options.geometry_s, "seconds of training before the first click (default: 30)");
-  verb.value("--between", options.between_s,
-             "seconds of training between two clicks (default: 2); 0: the geometry stands");
-  verb.value_in("--timed-clicks", options.timed_clicks, 0, 1000,
-                "clicks whose answers are timed while a session trains (default: 60)");
-  verb.list("--combine", options.combine, "files that `--json` has written; their persons count as if they were here");
+  verb.device(options.set);
+  verb.list("--questions LIST", options.questions, "ways to ask, with commas (default: all)",
+            choice_names<Acquisition>());
+  verb.value_in("--seeds N", options.seeds, 1, 100,
+                "persons for each way to ask; the first one's seed is runtime.seed");
+  verb.value_in("--clicks N", options.clicks, 1, 2000, "clicks of a person");
+  verb.positive("--geometry X", options.geometry_s, "seconds of training before the first click");
+  verb.value_in("--between X", options.between_s, 0, 86400,
+                "seconds of training between two clicks; 0: the geometry stands");
+  verb.value_in("--timed-clicks N", options.timed_clicks, 0, 1000,
+                "clicks whose answers are timed while a session trains");
+  verb.list("--combine FILES", options.combine,
+            "files that `--json` has written; their persons count as if they were here");
 }
 
 }  // namespace
 
 Verb verb_bench_label() {
-  return make_verb("bench label", 50, "count the clicks that a simulated person needs, and time the answers", words,
-                   run);
+  return with_json(
+      make_verb("bench label", 50, "count the clicks that a simulated person needs, and time the answers", words, run));
 }
 
 }  // namespace semfield::app

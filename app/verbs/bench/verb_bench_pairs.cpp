@@ -96,12 +96,12 @@ int run(const LeaveOutOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, LeaveOutOptions& options) {
-  verb.repeated("--only", options.only, "pairs to run (default: all)");
-  verb.value_in("--rounds", options.rounds, 1, 1000, "number of alternating timed rounds (default: 9)");
-  verb.value_in("--seeds", options.seeds, 2, 1000, "runs on each side of a statistical pair (default: 5)");
-  verb.value_in("--steps", options.seed_steps, 20, 1000000, "steps of each of these runs (default: 400)");
-  verb.repeated("--set", options.set, "override a value of all pairs: --set train.rays=200");
-  verb.value("--write-docs", options.write_docs,
+  verb.repeated("--only PAIR", options.only, "pairs to run (default: all)");
+  verb.value_in("--rounds N", options.rounds, 1, 1000, "number of alternating timed rounds");
+  verb.value_in("--seeds N", options.seeds, 2, 1000, "runs on each side of a statistical pair");
+  verb.value_in("--steps N", options.seed_steps, 20, 1000000, "steps of each of these runs");
+  verb.repeated("--set KEY=VALUE", options.set, "override a value of all pairs: --set train.rays=200");
+  verb.value("--write-docs FOLDER", options.write_docs,
              "folder in which leave_out.json and leave_out.md are renewed: docs/reference");
 }
 

@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <filesystem>
 
+#include "app/json_output.h"
 #include "app/verb.h"
 #include "app/verbs/bench/bench_tools.h"
 #include "studies/quadrature_report.h"
@@ -38,7 +39,7 @@ int run(const BenchQuadratureOptions& options, AppContext& context) {
       write_file_atomic((folder / (problem.key + ".svg")).string(), quadrature_figure(results, problem));
   }
   if (context.json) {
-    std::printf("%s\n", quadrature_json(results).c_str());
+    print_json(context, Json::parse(quadrature_json(results)));
     return 0;
   }
   const OrderCount orders = count_orders(results);
@@ -48,17 +49,16 @@ int run(const BenchQuadratureOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, BenchQuadratureOptions& options) {
-  verb.value_in("--rays", options.rays, 16, 1000000,
-                "number of rays for jittered rules and media with jumps (default: 1024)");
-  verb.value("--out", options.out, "folder for plots (SVG), tables.md and quadrature.json");
+  verb.value_in("--rays N", options.rays, 16, 1000000, "number of rays for jittered rules and media with jumps");
+  verb.value("--out FOLDER", options.out, "folder for plots (SVG), tables.md and quadrature.json");
 }
 
 }  // namespace
 
 Verb verb_bench_quadrature() {
-  return make_verb("bench quadrature", 10,
-                   "measure the error of every sampler rule of the rendering integral, against evaluations and time",
-                   words, run);
+  return with_json(make_verb(
+      "bench quadrature", 10,
+      "measure the error of every sampler rule of the rendering integral, against evaluations and time", words, run));
 }
 
 }  // namespace semfield::app

@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
 #include "app/verb.h"
 #include "app/verbs/bench/bench_tools.h"
 #include "compute/isa.h"
@@ -13,8 +14,6 @@
 namespace semfield::app {
 
 namespace {
-
-using Json = nlohmann::ordered_json;
 
 std::string ratio_text(const std::optional<double>& value) {
   if (!value) return "n/a";
@@ -103,7 +102,7 @@ Json rows_json(const std::vector<StepRow>& rows) {
   return all;
 }
 
-void print_json(const BenchStepOptions& options, const BenchStepResults& r) {
+Json results_json(const BenchStepOptions& options, const BenchStepResults& r) {
   Json out = Json::parse(environment_json(this_environment()));
   out["threads"] = r.threads;
   out["repeats"] = options.repeats;
@@ -130,13 +129,13 @@ void print_json(const BenchStepOptions& options, const BenchStepResults& r) {
   for (const auto& [name, value] : goals_of(r)) out["goals"][name] = value ? Json(*value) : Json(nullptr);
   for (const auto& [name, value] : processor_goals_of(r))
     out["goals_by_processor_time"][name] = value ? Json(*value) : Json(nullptr);
-  std::printf("%s\n", out.dump().c_str());
+  return out;
 }
 
 int run(const BenchStepOptions& options, AppContext& context) {
   const BenchStepResults results = measure_steps(options, study_tools(context));
   if (context.json) {
-    print_json(options, results);
+    print_json(context, results_json(options, results));
     return 0;
   }
   print_table(options, results);
@@ -147,18 +146,18 @@ int run(const BenchStepOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, BenchStepOptions& options) {
   verb.flag("--peers", options.peers, "alternate with the same steps in PyTorch and print ratios");
-  verb.value_in("--threads", options.threads, 1, 4096, "CPU threads (default: every core)");
-  verb.value_in("--repeats", options.repeats, 1, 1000, "rounds; figures are medians of them");
-  verb.value("--size", options.size, "full, or tiny: narrow networks and few rays, for tests");
-  verb.repeated("--set", options.set, "override a value of both networks: --set runtime.tile_rays=8");
-  verb.value("--peer-script", options.peer_script, "the PyTorch script (default: the shipped one)");
-  verb.value("--python", options.python, "interpreter with torch (default: python3)");
+  verb.value_in("--threads N", options.threads, 1, 4096, "CPU threads (default: every core)");
+  verb.value_in("--repeats N", options.repeats, 1, 1000, "rounds; figures are medians of them");
+  verb.choice("--size SIZE", options.size, {"full", "tiny"}, "full, or tiny: narrow networks and few rays, for tests");
+  verb.repeated("--set KEY=VALUE", options.set, "override a value of both networks: --set runtime.tile_rays=8");
+  verb.value("--peer-script FILE", options.peer_script, "the PyTorch script (default: the shipped one)");
+  verb.value("--python PROGRAM", options.python, "interpreter with torch (default: python3)");
 }
 
 }  // namespace
 
 Verb verb_bench_step() {
-  return make_verb("bench step", 30, "time whole training steps, beside the machine's limits", words, run);
+  return with_json(make_verb("bench step", 30, "time whole training steps, beside the machine's limits", words, run));
 }
 
 }  // namespace semfield::app

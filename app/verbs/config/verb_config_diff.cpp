@@ -20,8 +20,8 @@ int run(const DiffOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, DiffOptions& options) {
-  verb.operand("a", options.a, "configuration file (YAML), such as a run.yaml");
-  verb.operand("b", options.b, "the other one");
+  verb.operand("config_a", options.a, "configuration file (YAML), such as a run.yaml");
+  verb.operand("config_b", options.b, "the other one");
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
 #include "config/params_read.h"
 #include "core/error.h"
 #include "execution/device_library.h"
@@ -12,17 +13,17 @@ namespace semfield::app {
 
 namespace {
 
-nlohmann::ordered_json entry_json(const PluginEntry& entry) {
-  nlohmann::ordered_json json{
+Json entry_json(const PluginEntry& entry) {
+  Json json{
       {"kind", kind_name(entry.kind)}, {"name", entry.name}, {"summary", entry.summary}, {"module", entry.module}};
-  json["parameters"] = nlohmann::ordered_json::array();
+  json["parameters"] = Json::array();
   const std::unique_ptr<PluginParams> params = entry.new_params();
   for (const ParamDoc& doc : describe_params([&params](ParamVisitor& visit) { params->describe(visit); })) {
-    nlohmann::ordered_json parameter{{"name", doc.name},
-                                     {"type", doc.type},
-                                     {"default", doc.default_value},
-                                     {"range", doc.range},
-                                     {"help", doc.help}};
+    Json parameter{{"name", doc.name},
+                   {"type", doc.type},
+                   {"default", doc.default_value},
+                   {"range", doc.range},
+                   {"help", doc.help}};
     if (!doc.choices.empty()) parameter["choices"] = doc.choices;
     json["parameters"].push_back(std::move(parameter));
   }
@@ -33,12 +34,12 @@ nlohmann::ordered_json entry_json(const PluginEntry& entry) {
 
 void print_text(const std::string& text) { std::fwrite(text.data(), 1, text.size(), stdout); }
 
-void print_plugins_json(const Registry& registry, const std::string& only) {
-  nlohmann::ordered_json all = nlohmann::ordered_json::array();
-  for (const PluginEntry* entry : registry.entries()) {
+void print_plugins_json(const AppContext& context, const std::string& only) {
+  Json all = Json::array();
+  for (const PluginEntry* entry : context.registry.entries()) {
     if (only.empty() || entry->name == only) all.push_back(entry_json(*entry));
   }
-  print_text(all.dump(1) + "\n");
+  print_json(context, {{"plugins", all}});
 }
 
 void add_cuda_kernels(AppContext& context) {

@@ -48,7 +48,7 @@ int run(const DocsOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, DocsOptions& options) {
-  verb.value("--out", options.out, "file to write, or a source tree whose pages are renewed (default: stdout)");
+  verb.value("--out PATH", options.out, "file to write, or a source tree whose pages are renewed (default: stdout)");
 }
 
 }  // namespace

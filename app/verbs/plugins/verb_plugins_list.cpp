@@ -9,7 +9,7 @@ namespace {
 
 int run(AppContext& context) {
   if (context.json) {
-    print_plugins_json(context.registry);
+    print_plugins_json(context);
   } else {
     print_text(plugins_list_text(context.registry));
   }
@@ -18,6 +18,8 @@ int run(AppContext& context) {
 
 }  // namespace
 
-Verb verb_plugins_list() { return make_verb("plugins list", 10, "list every plugin with one sentence", run); }
+Verb verb_plugins_list() {
+  return with_json(make_verb("plugins list", 10, "list every plugin with one sentence", run));
+}
 
 }  // namespace semfield::app

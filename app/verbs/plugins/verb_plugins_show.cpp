@@ -16,7 +16,7 @@ int run(const ShowOptions& options, AppContext& context) {
   const std::string text =
       plugin_details_text(context.registry, options.name);  // refuses an unknown name in either form
   if (context.json) {
-    print_plugins_json(context.registry, options.name);
+    print_plugins_json(context, options.name);
   } else {
     print_text(text);
   }
@@ -27,6 +27,8 @@ void words(VerbWords& verb, ShowOptions& options) { verb.operand("name", options
 
 }  // namespace
 
-Verb verb_plugins_show() { return make_verb("plugins show", 20, "print the parameters of one plugin", words, run); }
+Verb verb_plugins_show() {
+  return with_json(make_verb("plugins show", 20, "print the parameters of one plugin", words, run));
+}
 
 }  // namespace semfield::app

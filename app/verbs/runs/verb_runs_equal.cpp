@@ -25,8 +25,8 @@ int run(const EqualOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, EqualOptions& options) {
-  verb.operand("a", options.a, "run folder");
-  verb.operand("b", options.b, "run folder");
+  verb.operand("run_a", options.a, "run folder");
+  verb.operand("run_b", options.b, "run folder");
 }
 
 }  // namespace

@@ -1,0 +1,24 @@
+// What --json prints: one object on stdout, whatever the verb.
+#pragma once
+
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "app/app_context.h"
+
+namespace semfield::app {
+
+using Json = nlohmann::ordered_json;
+
+/// `results` behind the program's version as `semfield` and the verb's name as `verb`, in one line with its end. Bytes
+/// that are no UTF-8, as names of folders may have, become the replacement character.
+std::string json_object(const AppContext& context, const Json& results);
+void print_json(const AppContext& context, const Json& results);
+
+/// The number, or null where there is none.
+template <class T>
+Json json_number(const T& value) {
+  return value ? Json(*value) : Json(nullptr);
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,168 @@
+// Verbs and flags as they are typed: what is listed, what is refused, and what is suggested instead.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <regex>
+#include <sstream>
+
+#include "tests/program.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield {
+namespace {
+
+using testing_program::Result;
+using testing_train::TempDir;
+
+class Words : public ::testing::Test {
+ protected:
+  Result run(const std::string& words) { return testing_program::semfield_run(words, dir_.path()); }
+  // Refused with exit code 2, with this on stderr and nothing on stdout.
+  void refused(const std::string& words, const std::string& sentence) {
+    const Result r = run(words);
+    EXPECT_EQ(r.code, 2) << words << "\n" << r.err;
+    EXPECT_EQ(r.err, "semfield: " + sentence + "\n") << words;
+    EXPECT_EQ(r.out, "") << words;
+  }
+  TempDir dir_;
+};
+
+TEST_F(Words, WithoutAVerbTheVerbsAreListed) {
+  const Result alone = run("");
+  EXPECT_EQ(alone.code, 2);
+  EXPECT_EQ(alone.err, "");
+  EXPECT_NE(alone.out.find("\nVerbs:\n  train  "), std::string::npos) << alone.out;
+  const Result group = run("config");
+  EXPECT_EQ(group.code, 2);
+  EXPECT_NE(group.out.find("\nVerbs:\n  check  "), std::string::npos) << group.out;
+  for (const char* asked : {"help", "--help", "-h"}) {
+    const Result help = run(asked);
+    EXPECT_EQ(help.code, 0) << asked;
+    EXPECT_EQ(help.out, alone.out) << asked;
+  }
+  EXPECT_EQ(run("-q help").out, alone.out);
+}
+
+TEST_F(Words, HelpOfAVerbIsTheSameHoweverItIsAsked) {
+  for (const char* verb : {"render", "config", "config check", "help", "check-numerics"}) {
+    const Result help = run(std::string("help ") + verb), flag = run(std::string(verb) + " --help");
+    EXPECT_EQ(help.code, 0) << verb;
+    EXPECT_EQ(flag.code, 0) << verb;
+    EXPECT_EQ(help.out, flag.out) << verb;
+    EXPECT_EQ(help.out.find(std::string("Usage: semfield ") + verb), 0u) << help.out;
+  }
+  // Ranges, defaults and choices are told.
+  const std::string render = run("help render").out;
+  for (const char* part : {"--frames N", "(1 to 100000; default: 240)", "(default: test)", "-q, --quiet"})
+    EXPECT_NE(render.find(part), std::string::npos) << part << " in\n" << render;
+}
+
+TEST_F(Words, VersionInOneLineSaysWhatTheVerbSays) {
+  const Result line = run("--version"), lines = run("version");
+  EXPECT_EQ(line.code, 0);
+  EXPECT_EQ(std::count(line.out.begin(), line.out.end(), '\n'), 1);
+  std::string joined = std::regex_replace(lines.out, std::regex(" +"), " ");
+  joined = std::regex_replace(joined, std::regex("\n(?!$)"), "; ");
+  EXPECT_EQ(line.out, joined);
+}
+
+TEST_F(Words, AMisspelledVerbGetsASuggestion) {
+  refused("trian room.yaml", "there is no verb 'trian'; did you mean `semfield train`?");
+  refused("-q trian", "there is no verb 'trian'; did you mean `semfield train`?");
+  refused("config chek", "there is no verb 'config chek'; did you mean `semfield config check`?");
+  refused("explain", "there is no verb 'explain'; did you mean `semfield config explain`?");
+  refused("help config chek", "there is no verb 'config chek'; did you mean `semfield config check`?");
+  refused("xyzzy", "there is no verb 'xyzzy'; `semfield help` lists the verbs");
+  refused("bench xyzzy", "there is no verb 'bench xyzzy'; `semfield help bench` lists the verbs");
+}
+
+TEST_F(Words, AnUnknownFlagGetsASuggestionOrTheVerbThatItBelongsTo) {
+  refused("train --thread 4 room.yaml", "train has no flag --thread; did you mean --threads?");
+  refused("eval --spilt=train run", "eval has no flag --spilt; did you mean --split?");
+  refused("eval -split train run", "eval has no flag -split; did you mean --split?");
+  refused("eval --video run", "eval has no flag --video; it belongs to `semfield render`");
+  refused("eval run --viddeo", "eval has no flag --viddeo; did you mean --video of `semfield render`?");
+  refused("--steps 3 train room.yaml",
+          "no verb before the flag --steps; it belongs to `semfield train` or `semfield bench "
+          "pairs`, and stands behind the verb");
+  refused("train --xyzzy", "train has no flag --xyzzy; see `semfield help train`");
+  refused("eval --vers run", "eval has no flag --vers; did you mean --version?");
+}
+
+TEST_F(Words, WordsThatAreMissingOrTooMany) {
+  refused("eval", "eval: RUN is required; see `semfield help eval`");
+  refused("eval a b", "unexpected word 'b': the usage is `semfield eval RUN [OPTIONS]`");
+  refused("capture room.yaml", "capture: --out is required; see `semfield help capture`");
+  refused("render run --panels", "render: --panels: its value is missing; see `semfield help render`");
+  refused("--plugin", "--plugin: its value is missing; see `semfield help`");
+  refused("mesh run --format ply,,glb", "--format ply,,glb: an item between the commas is empty");
+  refused("render run --split tset", "--split tset: expected test or train; did you mean test?");
+}
+
+// A run folder may be called as a verb is.
+TEST_F(Words, AnOperandIsNoVerb) {
+  for (const char* words : {"eval config", "--json eval mesh", "eval --split test render", "eval -- help"}) {
+    const Result r = run(words);
+    EXPECT_EQ(r.code, 66) << words;
+    EXPECT_NE(r.err.find("there is no run folder '"), std::string::npos) << r.err;
+  }
+  // A list takes one word, and leaves the next to the operand.
+  EXPECT_EQ(run("mesh --format ply,glb run").code, 66);
+}
+
+// Every option with a range, as its own help tells it.
+TEST_F(Words, NumbersOutsideTheirRangesAreRefused) {
+  const std::regex row(R"(    (--[a-z-]+) (N|X|GB)\b)"), range(R"(\((-?[0-9.e+]+) to (-?[0-9.e+]+)[;)])");
+  int options = 0;
+  std::vector<std::string> verbs;
+  const auto verbs_of = [&](const std::string& help) {
+    std::vector<std::string> found;
+    const std::string list = help.substr(std::min(help.find("\nVerbs:"), help.size()));
+    const std::regex name(R"(\n  ([a-z-]+) )");
+    for (auto it = std::sregex_iterator(list.begin(), list.end(), name); it != std::sregex_iterator(); ++it)
+      found.push_back((*it)[1]);
+    return found;
+  };
+  for (const std::string& verb : verbs_of(run("help").out)) {
+    const std::vector<std::string> below = verbs_of(run("help " + verb).out);
+    if (below.empty()) verbs.push_back(verb);
+    for (const std::string& word : below) verbs.push_back(verb + " " + word);
+  }
+  EXPECT_GE(verbs.size(), 30u);
+  for (const std::string& verb : verbs) {
+    // One line an option: sentences are wrapped.
+    const std::string help = std::regex_replace(run("help " + verb).out, std::regex("\n {28}"), " ");
+    std::istringstream lines(help);
+    for (std::string line; std::getline(lines, line);) {
+      std::smatch option, bounds;
+      if (!std::regex_search(line, option, row)) continue;
+      if (line.find("runtime.") != std::string::npos || line.find("train.steps") != std::string::npos) continue;
+      if (line.find("what is free") != std::string::npos && verb == "train") continue;  // a setting, checked as such
+      ++options;
+      const bool positive = line.find("(more than 0") != std::string::npos;
+      ASSERT_TRUE(positive || std::regex_search(line, bounds, range)) << verb << ": " << line;
+      std::vector<std::string> wrong{"-1", "nan", "inf", "x", "''", "1e400"};
+      if (positive) wrong.push_back("0");
+      for (const std::string& value : wrong) {
+        const Result r = run(verb + " " + option[1].str() + "=" + value);
+        EXPECT_EQ(r.code, 2) << verb << " " << option[1] << " " << value;
+        EXPECT_NE(r.err.find(option[1]), std::string::npos) << r.err;
+      }
+      const std::string expected = positive ? "a positive number" : bounds[1].str() + " to " + bounds[2].str();
+      const Result r = run(verb + " " + option[1].str() + " -7");
+      EXPECT_EQ(r.code, 2) << verb;
+      EXPECT_EQ(r.err, "semfield: " + option[1].str() + " -7: expected " + expected + "\n") << verb;
+    }
+  }
+  EXPECT_GE(options, 15);
+}
+
+TEST_F(Words, JsonIsRefusedWhereThereIsNone) {
+  const Result r = run("help --json train");
+  EXPECT_EQ(r.code, 2);
+  EXPECT_EQ(r.err.find("semfield: help takes no --json; these verbs do: "), 0u) << r.err;
+  EXPECT_NE(r.err.find("eval"), std::string::npos) << r.err;
+}
+
+}  // namespace
+}  // namespace semfield
