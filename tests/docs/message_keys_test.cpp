@@ -1,82 +1,19 @@
-// Every key that a message names is one that `--set` takes.
+// Every key that a message or a page names is one that `--set` takes.
 #include <gtest/gtest.h>
 
 #include <filesystem>
-#include <map>
 #include <regex>
 #include <set>
 
 #include "core/text.h"
-#include "plugin/linked_plugins.h"
-#include "settings/label_config.h"
-#include "settings/loss_config.h"
-#include "settings/run_config.h"
 #include "system/files.h"
+#include "tests/docs/keys.h"
+#include "tests/docs/pages.h"
 
 namespace semfield::docs {
 namespace {
 
 namespace fs = std::filesystem;
-
-std::vector<ParamDoc> params_of(const PluginEntry& entry) {
-  const std::unique_ptr<PluginParams> params = entry.new_params();
-  return describe_params([&](ParamVisitor& visit) { params->describe(visit); });
-}
-
-// Keys as messages write them; an index of a list is N.
-class Keys {
- public:
-  Keys() {
-    for (const SectionDoc& section : describe_sections()) add(section.path, section.params);
-    for (const LabelStepDoc& step : describe_label_steps())
-      add("scene.labels." + step.key + (step.key == "degrade" ? ".N" : ""), step.params);
-    for (const LossDoc& term : describe_losses()) add("losses.N", term.params);
-    // By convention every dataset of files has these.
-    for (const char* key :
-         {"scene.root", "scene.file", "scene.classes", "scene.type", "scene.unknown_labels", "passes.N"})
-      keys_.insert(key);
-    register_linked_plugins(registry_);
-    for (const PluginEntry* entry : registry_.entries()) {
-      const std::vector<ParamDoc> params = params_of(*entry);
-      if (entry->kind == PluginKind::dataset) {
-        for (const ParamDoc& doc : params) datasets_[entry->name].insert("scene." + doc.name);
-        continue;
-      }
-      for (const char* slot : {"sampler", "position", "direction", "field", "semantic.position", "semantic.field"})
-        add("passes.N." + std::string(slot), params);
-    }
-  }
-
-  // `dataset`: whose sources name it; "": the framework's, which know none.
-  bool known(const std::string& key, const std::string& dataset) const {
-    const auto own = datasets_.find(dataset);
-    return keys_.contains(key) || (own != datasets_.end() && own->second.contains(key));
-  }
-
-  // Last parts of keys that a message could name bare: "near_m" for "scene.load.near_m".
-  std::set<std::string> bare() const {
-    std::set<std::string> out;
-    const auto take = [&](const std::string& key) {
-      const std::string last = key.substr(key.rfind('.') + 1);
-      if (key.starts_with("scene.") && last.find('_') != std::string::npos) out.insert(last);
-    };
-    for (const std::string& key : keys_) take(key);
-    for (const auto& [name, keys] : datasets_)
-      for (const std::string& key : keys) take(key);
-    return out;
-  }
-
- private:
-  void add(const std::string& path, const std::vector<ParamDoc>& params) {
-    for (std::size_t dot = path.find('.'); dot != std::string::npos; dot = path.find('.', dot + 1))
-      keys_.insert(path.substr(0, dot));
-    keys_.insert(path);
-    for (const ParamDoc& doc : params) keys_.insert(path + "." + doc.name);
-  }
-  Registry registry_;
-  std::set<std::string> keys_;
-  std::map<std::string, std::set<std::string>> datasets_;
-};
 
 struct Literal {
   std::string place, dataset, text;
@@ -137,6 +74,27 @@ TEST(MessageKeys, NoRemedyNamesAKeyOfTheSceneWithoutItsPath) {
     EXPECT_FALSE(bare.contains(found[1]))
         << literal.place << ": '" << found[1] << "' without its path: " << literal.text;
   }
+}
+
+// Code spans that begin with a section's name: `passes.0.sampler.samples`, `scene.split: paper`, `train.steps=2000`.
+TEST(PageKeys, EveryKeyIsOneThatSetTakes) {
+  const Keys keys;
+  static const std::regex span(
+      R"(`((?:scene|semantics|rendering|passes|train|runtime|report|fuse|propagate|limits|losses)(?:\.[A-Za-z_N0-9]+)+)(?:[=:][^`]*)?`)");
+  static const std::regex index(R"(\.(?:[0-9]+|N)(?=\.|$))");
+  static const std::regex file(R"(.*\.(json|html|h|cpp|yaml|md|csv|py|npz))");
+  int seen = 0;
+  for (const std::string& path : all_pages()) {
+    if (path == "CHANGELOG.md" || path.starts_with("docs/decisions/")) continue;  // have keys of earlier versions
+    const std::string text = page(path);
+    for (std::sregex_iterator found(text.begin(), text.end(), span), end; found != end; ++found) {
+      const std::string name = std::regex_replace((*found)[1].str(), index, ".N");
+      if (std::regex_match(name, file)) continue;
+      ++seen;
+      EXPECT_TRUE(keys.known_somewhere(name)) << path << ": no key '" << name << "'";
+    }
+  }
+  EXPECT_GT(seen, 100) << "pages name keys";
 }
 
 }  // namespace
