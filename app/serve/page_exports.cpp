@@ -29,7 +29,7 @@ constexpr const char* kLabelEnd = "_label.png";
 std::vector<std::string> files_of(ExportKind kind) {
   if (kind == ExportKind::labels) return {"labels.zip"};
   if (kind == ExportKind::coco) return {"coco.json"};
-  return {"mesh.ply", "mesh.glb"};
+  return {"mesh.ply", "mesh.glb", "mesh_classes.ply", "mesh_classes.glb"};
 }
 
 std::size_t labels_in(const std::string& folder) {

@@ -11,9 +11,11 @@
 #include "app/progress_line.h"
 #include "app/verb.h"
 #include "core/findings.h"
+#include "mesh/class_groups.h"
 #include "mesh/field_surface.h"
 #include "mesh/mesh_files.h"
 #include "mesh/point_cloud.h"
+#include "mesh/upright.h"
 #include "run/open_run.h"
 
 namespace semfield::app {
@@ -29,6 +31,8 @@ struct MeshOptions {
   std::optional<double> level;          ///< density of the surface, 1/m
   double keep_components = 0.002;       ///< least share of the faces: a chair is one, a floater is not
   bool points = false;                  ///< also a point cloud from the training views
+  std::string color;                    ///< photo, class or both; "": both where there are classes
+  std::string up;                       ///< axis that GLB files show upright; "": told by the cameras
   std::vector<std::string> set;
 };
 
@@ -55,7 +59,12 @@ void check_format(const std::string& name, const std::string& where) {
 struct Targets {
   fs::path stem;  ///< path without extension
   std::vector<std::string> formats;
-  std::string file(const std::string& format) const { return stem.string() + "." + format; }
+};
+
+// One way of colouring, and what its files' names have behind the stem.
+struct Coloring {
+  bool classes;
+  std::string suffix;
 };
 
 Targets targets_of(const MeshOptions& options) {
@@ -70,6 +79,18 @@ Targets targets_of(const MeshOptions& options) {
   }
   targets.stem = ending_known ? out.replace_extension() : out;  // "scan.v2" keeps its name
   return targets;
+}
+
+std::vector<Coloring> colorings_of(const MeshOptions& options, bool has_classes) {
+  if (!has_classes && (options.color == "class" || options.color == "both"))
+    throw Error(ErrorKind::data, "--color " + options.color + ": " + options.run + " has no semantics",
+                "train with labels, or leave --color out");
+  std::vector<Coloring> colorings;
+  if (options.color != "class") colorings.push_back({false, ""});
+  // A file that was named gets its name.
+  if (has_classes && options.color != "photo")
+    colorings.push_back({true, options.color == "class" && !options.out.empty() ? "" : "_classes"});
+  return colorings;
 }
 
 VoxelGrid grid_of(const MeshOptions& options, const Box& bounds) {
@@ -113,10 +134,26 @@ PointSet points_of(const Session& s, double voxel, const AppContext& context) {
 }
 
 void write_surface(const std::string& format, const std::string& path, const Surface& surface,
-                   const ClassTable& classes) {
+                   const ClassTable& classes, const GlbLook& look) {
   if (format == "ply") write_ply(path, surface, classes);
   if (format == "obj") write_obj(path, surface, classes);
-  if (format == "glb") write_glb(path, surface, classes);
+  if (format == "glb") write_glb(path, surface, classes, look);
+}
+
+// The axis that GLB files show upright; says how it was found.
+Vec3d up_of(const MeshOptions& options, const Session& s, const AppContext& context) {
+  if (const auto named = axis_named(options.up)) return *named;
+  std::vector<Pose> poses;
+  for (const int f : s.scene.frames_of(Split::train))
+    poses.push_back(s.scene.info.frames[static_cast<std::size_t>(f)].world_from_camera);
+  const std::optional<Vec3d> up = up_of_cameras(poses);
+  if (up) {
+    print_note(context,
+               fmt::format("GLB files show {} upright, as the cameras stand; --up names another axis", axis_text(*up)));
+  } else {
+    print_note(context, "the cameras do not tell which way is up: GLB files show +y upright; --up names another axis");
+  }
+  return up.value_or(Vec3d{0, 1, 0});
 }
 
 int run(const MeshOptions& options, AppContext& context) {
@@ -126,6 +163,8 @@ int run(const MeshOptions& options, AppContext& context) {
   context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   Session& s = run.session;
+  const ClassTable& classes = s.scene.info.classes;
+  const std::vector<Coloring> colorings = colorings_of(options, s.pipeline->has_semantics());
   const SurfaceRequest request = request_of(options, s);
   const VoxelGrid& grid = request.grid;
   const double level = request.level_per_m;
@@ -147,17 +186,25 @@ int run(const MeshOptions& options, AppContext& context) {
   }
   surface.attributes = render_attributes(*s.pipeline, surface.positions, surface.normals, kOffsetCells * grid.spacing,
                                          s.limits, s.plan.class_of_logit);
+  PointSet cloud;
+  if (options.points) cloud = points_of(s, grid.spacing, context);
+  const bool glb = std::find(targets.formats.begin(), targets.formats.end(), "glb") != targets.formats.end();
+  const Vec3d up = glb ? up_of(options, s, context) : Vec3d{0, 1, 0};
   std::vector<std::string> files;
-  for (const std::string& format : targets.formats) {
-    files.push_back(targets.file(format));
-    write_surface(format, files.back(), surface, s.scene.info.classes);
-  }
-  std::size_t points = 0;
-  if (options.points) {
-    const PointSet cloud = points_of(s, grid.spacing, context);
-    points = cloud.positions.size();
-    files.push_back(targets.stem.string() + "_points.ply");
-    write_ply(files.back(), cloud, s.scene.info.classes);
+  for (const Coloring& coloring : colorings) {
+    if (coloring.classes) {
+      surface.attributes.color = class_colors(surface.attributes, classes);
+      cloud.attributes.color = class_colors(cloud.attributes, classes);
+    }
+    const std::string stem = targets.stem.string();
+    for (const std::string& format : targets.formats) {
+      files.push_back(stem + coloring.suffix + "." + format);
+      // Photographs hold the light of the room; classes need some to show a form.
+      write_surface(format, files.back(), surface, classes, {up, !coloring.classes});
+    }
+    if (!options.points) continue;
+    files.push_back(stem + "_points" + coloring.suffix + ".ply");
+    write_ply(files.back(), cloud, classes);
   }
   if (context.json) {
     Json out{{"run", options.run},
@@ -168,11 +215,12 @@ int run(const MeshOptions& options, AppContext& context) {
              {"faces", surface.triangles.size()},
              {"components", components},
              {"files", files}};
-    if (options.points) out["points"] = points;
+    if (glb) out["up"] = {up.x, up.y, up.z};
+    if (options.points) out["points"] = cloud.positions.size();
     print_json(context, out);
     return 0;
   }
-  const std::string of_points = options.points ? fmt::format(" points={}", points) : "";
+  const std::string of_points = options.points ? fmt::format(" points={}", cloud.positions.size()) : "";
   std::printf("mesh: vertices=%zu faces=%zu components=%lld%s file=%s\n", surface.positions.size(),
               surface.triangles.size(), static_cast<long long>(components), of_points.c_str(),
               join(files, ",").c_str());
@@ -189,6 +237,10 @@ void words(VerbWords& verb, MeshOptions& options) {
                 "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
   verb.list("--format LIST", options.formats, "forms of the files, with commas (default: what --out ends with, or ply)",
             known_formats());
+  verb.choice("--color WHICH", options.color, {"photo", "class", "both"},
+              "colours as rendered, or of the class table, in files that end in _classes (default: both)");
+  verb.choice("--up AXIS", options.up, {"x", "-x", "y", "-y", "z", "-z"},
+              "axis of the world that GLB files show upright (default: as the cameras stand)");
   verb.flag("--points", options.points, "also write a labelled point cloud from the depth of the training views");
   verb.value("--out FILE", options.out, "file to write (default: mesh.ply in the run folder)");
   verb.value_in("--keep-components X", options.keep_components, 0, 1,

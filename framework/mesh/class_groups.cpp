@@ -19,13 +19,12 @@ std::vector<ClassGroup> class_groups(const Surface& surface, const ClassTable& c
   for (auto& [label, group] : by_class) {
     if (label == kVoid) {
       group.name = surface.attributes.has_labels() ? "void" : "surface";
-      group.color = {128, 128, 128};
     } else {
       const ClassEntry& entry = classes.valid(label);
       group.name = entry.name.empty() ? fmt::format("class_{}", entry.id) : entry.name;
       group.id = entry.id;
-      group.color = entry.color;
     }
+    group.color = class_color(label, classes);
     for (char& c : group.name) {
       // Words of an OBJ line end at a blank, lines at a control character.
       if (static_cast<unsigned char>(c) <= ' ' || c == 127) c = '_';
@@ -34,6 +33,18 @@ std::vector<ClassGroup> class_groups(const Surface& surface, const ClassTable& c
     groups.push_back(std::move(group));
   }
   return groups;
+}
+
+std::array<std::uint8_t, 3> class_color(std::int16_t label, const ClassTable& classes) {
+  if (label == kVoid) return {128, 128, 128};
+  return classes.valid(label).color;
+}
+
+std::vector<std::array<std::uint8_t, 3>> class_colors(const PointAttributes& attributes, const ClassTable& classes) {
+  std::vector<std::array<std::uint8_t, 3>> colors;
+  colors.reserve(attributes.label.size());
+  for (const std::int16_t label : attributes.label) colors.push_back(class_color(label, classes));
+  return colors;
 }
 
 double linear_light(std::uint8_t value) {

@@ -19,6 +19,11 @@ struct ClassGroup {
 /// Groups that have triangles, by ascending class index.
 std::vector<ClassGroup> class_groups(const Surface& surface, const ClassTable& classes);
 
+/// A class's colour in its table; grey for kVoid.
+std::array<std::uint8_t, 3> class_color(std::int16_t label, const ClassTable& classes);
+/// That of every point; the attributes must have labels.
+std::vector<std::array<std::uint8_t, 3>> class_colors(const PointAttributes& attributes, const ClassTable& classes);
+
 /// Linear light of a display-referred 8-bit value (IEC 61966-2-1), 0..1.
 double linear_light(std::uint8_t value);
 

@@ -8,6 +8,7 @@
 #include "mesh/buffered_file.h"
 #include "mesh/class_groups.h"
 #include "mesh/mesh_files.h"
+#include "mesh/upright.h"
 
 namespace semfield {
 
@@ -70,11 +71,12 @@ void set_range(Json& accessor, const std::vector<Vec3d>& positions) {
   accessor["max"] = most;
 }
 
-Json material(const ClassGroup& group) {
+Json material(const ClassGroup& group, bool unlit) {
   Json out{{"name", group.name},
            {"pbrMetallicRoughness",
             {{"baseColorFactor", {1.0, 1.0, 1.0, 1.0}}, {"metallicFactor", 0.0}, {"roughnessFactor", 1.0}}},
-           {"doubleSided", true}};
+           {"doubleSided", false}};
+  if (unlit) out["extensions"]["KHR_materials_unlit"] = Json::object();
   if (group.id >= 0) out["extras"] = {{"class_id", group.id}, {"class_color", group.color}};
   return out;
 }
@@ -103,15 +105,18 @@ void write_binary(BufferedFile& file, const Surface& surface, const ClassTable& 
 
 }  // namespace
 
-void write_glb(const std::string& path, const Surface& surface, const ClassTable& classes) {
+void write_glb(const std::string& path, const Surface& surface, const ClassTable& classes, const GlbLook& look) {
   const std::vector<ClassGroup> groups = class_groups(surface, classes);
   Json root;
   root["asset"] = {{"version", "2.0"},
                    {"generator", "Semfield"},
-                   {"extras", {{"axes", "those of the input's world; no axis is turned"}}}};
+                   {"extras",
+                    {{"axes", "positions are in the input's world; the node turns 'up' to +y"},
+                     {"up", {look.up.x, look.up.y, look.up.z}}}}};
+  if (look.unlit) root["extensionsUsed"] = Json::array({"KHR_materials_unlit"});
   root["scene"] = 0;
   root["scenes"] = Json::array({{{"nodes", {0}}}});
-  root["nodes"] = Json::array({{{"mesh", 0}, {"name", "surface"}}});
+  root["nodes"] = Json::array({{{"mesh", 0}, {"name", "surface"}, {"rotation", turn_to_y(look.up)}}});
   root["bufferViews"] = Json::array();
   root["accessors"] = Json::array();
   Layout layout(root);
@@ -127,7 +132,7 @@ void write_glb(const std::string& path, const Surface& surface, const ClassTable
   }
   Json primitives = Json::array();
   for (std::size_t g = 0; g < groups.size(); ++g) {
-    root["materials"].push_back(material(groups[g]));
+    root["materials"].push_back(material(groups[g], look.unlit));
     primitives.push_back({{"attributes", attributes},
                           {"indices", layout.indices(3 * groups[g].triangles.size())},
                           {"material", g},

@@ -26,10 +26,17 @@ void write_ply(const std::string& path, const PointSet& points, const ClassTable
 /// names, with blanks as '_'; two that would be equal get their id behind. Without semantics one material 'surface'.
 void write_obj(const std::string& path, const Surface& surface, const ClassTable& classes);
 
+/// How a viewer shows a GLB file.
+struct GlbLook {
+  Vec3d up{0, 1, 0};   ///< unit vector of the world that is upright
+  bool unlit = false;  ///< colours hold the light already: they are shown as they are (KHR_materials_unlit)
+};
+
 /// glTF 2.0 binary: one primitive and one material per class over shared attributes POSITION, NORMAL, COLOR_0 (linear
-/// light, 16 bits) and, with semantics, _LABEL (the id, 16 bits) and _ENTROPY (nats). Material extras hold class_id and
-/// the class's colour; asset.extras say that axes are those of the input. Positions are rounded to 32 bits. Throws
-/// Error(data) for files over 4 GiB.
-void write_glb(const std::string& path, const Surface& surface, const ClassTable& classes);
+/// light, 16 bits) and, with semantics, _LABEL (the id, 16 bits) and _ENTROPY (nats). Materials are single-sided, so
+/// that a room seen from outside is open; their extras hold class_id and the class's colour. Positions are in the
+/// input's world, rounded to 32 bits; the one node turns `up` to +y, and asset.extras say so. Throws Error(data) for
+/// files over 4 GiB.
+void write_glb(const std::string& path, const Surface& surface, const ClassTable& classes, const GlbLook& look);
 
 }  // namespace semfield

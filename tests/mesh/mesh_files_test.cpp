@@ -14,6 +14,8 @@
 #include "datasets/obj_room/raycast.h"
 #include "mesh/class_groups.h"
 #include "mesh/marching_cubes.h"
+#include "mesh/upright.h"
+#include "scene/camera_path.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"
 
@@ -59,8 +61,11 @@ nlohmann::json linear(const std::array<std::uint8_t, 3>& color) {
   return {linear_light(color[0]), linear_light(color[1]), linear_light(color[2])};
 }
 
-void write_expected(const std::string& path, const Surface& s, const std::vector<std::string>& names) {
+void write_expected(const std::string& path, const Surface& s, const GlbLook& look,
+                    const std::vector<std::string>& names) {
   nlohmann::json want;
+  want["up"] = {look.up.x, look.up.y, look.up.z};
+  want["unlit"] = look.unlit;
   for (std::size_t v = 0; v < s.positions.size(); ++v) {
     want["positions"].push_back({s.positions[v].x, s.positions[v].y, s.positions[v].z});
     want["normals"].push_back({s.normals[v].x, s.normals[v].y, s.normals[v].z});
@@ -99,25 +104,64 @@ void write_expected(const std::string& path, const Surface& s, const std::vector
   write_file_atomic(path, want.dump());
 }
 
-void expect_read_back(bool semantics, const std::vector<std::string>& names) {
+void expect_read_back(bool semantics, const GlbLook& look, const std::vector<std::string>& names) {
   if (!python_found()) GTEST_SKIP() << "no python3 here: the mesh files were written but not read by another program";
   const TempDir dir;
   const Surface surface = ball(semantics);
-  write_expected(dir / "expected.json", surface, names);
+  write_expected(dir / "expected.json", surface, look, names);
   write_ply(dir / "mesh.ply", surface, classes());
   write_ply(dir / "points.ply", PointSet{surface.positions, surface.attributes}, classes());
   write_obj(dir / "mesh.obj", surface, classes());
-  write_glb(dir / "mesh.glb", surface, classes());
+  write_glb(dir / "mesh.glb", surface, classes(), look);
   const std::string command =
       "python3 " + shell_word(SEMFIELD_SOURCE_DIR "/tests/mesh/read_mesh_files.py") + " " + shell_word(dir.path());
   EXPECT_EQ(std::system(command.c_str()), 0);
 }
 
 TEST(MeshFiles, AnotherProgramReadsWhatWasMeant) {
-  expect_read_back(true, {"void", "wall", "dining_table", "dining_table_65535"});
+  expect_read_back(true, {{0, 0, 1}, true}, {"void", "wall", "dining_table", "dining_table_65535"});
 }
 
-TEST(MeshFiles, WithoutSemanticsThereIsOneMaterial) { expect_read_back(false, {"surface"}); }
+TEST(MeshFiles, WithoutSemanticsThereIsOneMaterial) {
+  for (const Vec3d up : {Vec3d{0, 1, 0}, {0, -1, 0}, {-1, 0, 0}, {0, 0, -1}, normalized(Vec3d{0.3, -0.9, 0.2})})
+    expect_read_back(false, {up, false}, {"surface"});
+}
+
+TEST(MeshFiles, ClassColorsAreThoseOfTheTable) {
+  const Surface surface = ball(true);
+  const auto colors = class_colors(surface.attributes, classes());
+  ASSERT_EQ(colors.size(), surface.positions.size());
+  static const std::map<int, std::array<std::uint8_t, 3>> table{
+      {-1, {128, 128, 128}}, {0, {200, 100, 50}}, {1, {10, 20, 30}}, {2, {255, 255, 255}}};
+  std::map<int, int> seen;
+  for (std::size_t v = 0; v < colors.size(); ++v) {
+    EXPECT_EQ(colors[v], table.at(surface.attributes.label[v])) << v;
+    ++seen[surface.attributes.label[v]];
+  }
+  EXPECT_EQ(seen.size(), 4U);
+}
+
+// Cameras around a room, pitched by turns, in a world with another axis upright.
+TEST(Upright, CamerasTellTheAxisThatTheyStandAlong) {
+  for (const char* name : {"x", "-x", "y", "-y", "z", "-z"}) {
+    const Vec3d up = *axis_named(name);
+    const LevelAxes axes = level_axes(up);
+    std::vector<Pose> poses;
+    for (int i = 0; i < 12; ++i) poses.push_back(look_along({}, axes.direction(0.9 * i, 0.15 * (i % 5) - 0.5), up));
+    EXPECT_EQ(up_of_cameras(poses), up) << name;
+    EXPECT_EQ(axis_text(up), (name[0] == '-' ? "" : "+") + std::string(name));
+  }
+}
+
+TEST(Upright, ATiltedWorldKeepsItsDirectionAndCamerasThatCancelTellNothing) {
+  const Vec3d up = normalized(Vec3d{1, 2, 2});
+  EXPECT_NEAR(length(*up_of_cameras(std::vector{look_along({}, {2, -1, 0}, up)}) - up), 0, 1e-12);
+  EXPECT_EQ(axis_text(up), "(0.333, 0.667, 0.667)");
+  const std::vector<Pose> against{look_along({}, {1, 0, 0}, {0, 0, 1}), look_along({}, {1, 0, 0}, {0, 0, -1})};
+  EXPECT_FALSE(up_of_cameras(against));
+  EXPECT_FALSE(up_of_cameras({}));
+  for (const char* none : {"", "w", "+", "-", "xy", "--x", "Y"}) EXPECT_FALSE(axis_named(none)) << none;
+}
 
 TEST(MeshFiles, TheHousesOwnObjReaderAgrees) {
   if (!raycast_available()) GTEST_SKIP() << "this build reads no meshes";

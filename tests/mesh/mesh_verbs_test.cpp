@@ -97,9 +97,17 @@ TEST_F(Verbs, MeshWritesEveryFormatAndSaysSo) {
   EXPECT_GT(said["faces"], 1000);
   EXPECT_GE(said["components"], 1);
   EXPECT_GT(said["points"], 100);
-  const std::vector<std::string> files{stem + ".ply", stem + ".obj", stem + ".glb", stem + "_points.ply"};
+  std::vector<std::string> files;
+  for (const std::string colors : {"", "_classes"}) {
+    for (const char* format : {".ply", ".obj", ".glb"}) files.push_back(stem + colors + format);
+    files.push_back(stem + "_points" + colors + ".ply");
+  }
   EXPECT_EQ(said["files"], files);
   for (const std::string& file : files) EXPECT_GT(fs::file_size(file), 1000U) << file;
+  EXPECT_EQ(said["up"], (nlohmann::json{0.0, 0.0, 1.0}));
+  EXPECT_NE(r.err.find("GLB files show +z upright"), std::string::npos) << r.err;
+  EXPECT_NE(read_text_file(stem + ".glb").find("KHR_materials_unlit"), std::string::npos);
+  EXPECT_EQ(read_text_file(stem + "_classes.glb").find("KHR_materials_unlit"), std::string::npos);
   EXPECT_TRUE(fs::exists(stem + ".mtl"));
   const std::string head = read_file_start(stem + ".ply", 400);
   EXPECT_NE(head.find("element vertex " + std::to_string(said["vertices"].get<int>()) + "\n"), std::string::npos);
@@ -110,11 +118,55 @@ TEST_F(Verbs, MeshIsTheSameForAnyNumberOfThreadsAndItsDefaultsStandInTheRun) {
   const Result first = run(*dir_, {"mesh", run_dir(), "--resolution", "32"});
   ASSERT_EQ(first.code, 0) << first.err;
   EXPECT_EQ(first.out.find("mesh: vertices="), 0U) << first.out;
-  EXPECT_NE(first.out.find(" file=" + run_dir() + "/mesh.ply\n"), std::string::npos) << first.out;
+  EXPECT_NE(first.out.find(" file=" + run_dir() + "/mesh.ply," + run_dir() + "/mesh_classes.ply\n"), std::string::npos)
+      << first.out;
   const Result second =
       run(*dir_, {"mesh", run_dir(), "--resolution", "32", "--set", "runtime.threads=1", "--out", *dir_ / "one.ply"});
   ASSERT_EQ(second.code, 0) << second.err;
   EXPECT_EQ(read_text_file(run_dir() + "/mesh.ply"), read_text_file(*dir_ / "one.ply"));
+}
+
+TEST_F(Verbs, MeshColorsAreThoseAskedFor) {
+  const auto files = [&](std::vector<std::string> more, const std::string& of) {
+    std::vector<std::string> words{"mesh", of, "--resolution", "24", "--json"};
+    words.insert(words.end(), more.begin(), more.end());
+    const Result r = run(*dir_, words);
+    EXPECT_EQ(r.code, 0) << r.err;
+    return nlohmann::json::parse(r.out)["files"].get<std::vector<std::string>>();
+  };
+  using Files = std::vector<std::string>;
+  const std::string out = *dir_ / "c.ply";
+  EXPECT_EQ(files({"--color", "photo", "--out", out}, run_dir()), Files{out});
+  const std::string photo = read_text_file(out);
+  EXPECT_EQ(files({"--color", "class", "--out", out}, run_dir()), Files{out});
+  const std::string classes = read_text_file(out);
+  EXPECT_EQ(classes.size(), photo.size());
+  EXPECT_NE(classes, photo);
+  EXPECT_EQ(files({"--color", "class"}, run_dir()), Files{run_dir() + "/mesh_classes.ply"});
+  EXPECT_EQ(read_text_file(run_dir() + "/mesh_classes.ply"), classes);
+  EXPECT_EQ(files({"--color", "both", "--out", out}, run_dir()), (Files{out, *dir_ / "c_classes.ply"}));
+  EXPECT_EQ(read_text_file(out), photo);
+  EXPECT_EQ(read_text_file(*dir_ / "c_classes.ply"), classes);
+  // Without labels there is one colouring.
+  std::string yaml = read_text_file(*dir_ / "config.yaml");
+  yaml.replace(yaml.find("file: room.sfpack"), 17, "file: room.sfpack, labels: {frames: none}");
+  write_file_atomic(*dir_ / "plain.yaml", yaml);
+  const std::string plain = *dir_ / "plain";
+  ASSERT_EQ(run(*dir_, {"train", *dir_ / "plain.yaml", "--steps", "40", "--out", plain}).code, 0);
+  EXPECT_EQ(files({}, plain), Files{plain + "/mesh.ply"});
+  for (const char* color : {"class", "both"}) {
+    const Result r = run(*dir_, {"mesh", plain, "--color", color});
+    EXPECT_EQ(r.code, 65) << r.err;
+    EXPECT_NE(r.err.find("has no semantics; train with labels, or leave --color out"), std::string::npos) << r.err;
+  }
+}
+
+TEST_F(Verbs, MeshIsUprightAsTold) {
+  const Result r =
+      run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--up", "-y", "--out", *dir_ / "up.glb", "--json"});
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_EQ(nlohmann::json::parse(r.out)["up"], (nlohmann::json{0.0, -1.0, 0.0}));
+  EXPECT_EQ(r.err.find("upright"), std::string::npos) << r.err;
 }
 
 TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
@@ -133,6 +185,8 @@ TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
   refused({"--voxel", "1e-7"}, 2, "choose a larger --voxel");
   refused({"--level", "nan"}, 2, "--level nan");
   refused({"--keep-components", "2"}, 2, "expected 0 to 1");
+  refused({"--color", "rgb"}, 2, "--color rgb: expected photo, class or both");
+  refused({"--up", "w"}, 2, "--up w: expected x, -x, y, -y, z or -z");
   refused({"--resolution", "8", "--out", "/proc/none/x.ply"}, 73, "/proc/none: cannot create the folder");
 }
 
@@ -199,7 +253,7 @@ TEST_F(Verbs, VideoOnAFullDiskKeepsTheOldFilm) {
                     "  dd if=/dev/zero of=disk/other bs=1k count=$((508 - free)) 2>/dev/null\n"
                     "  " +
                         shell_word(SEMFIELD_BINARY) +
-                        " render run --trajectory smooth --frames 30 --video --out disk/room.mp4 >out 2>err\n"
+                        " render run --trajectory smooth --frames 30 --video --out disk/room.mp4 >said 2>err\n"
                         "  echo \"$free code $? $(grep -c 'an old film' disk/room.mp4) $(ls -A disk | wc -l)\" \\\n"
                         "    \"$(grep -c 'disk full: need .* have .*free some space or choose another disk' err)\"\n"
                         "done\n");

@@ -21,6 +21,15 @@ def float32(value):
     return struct.unpack("<f", struct.pack("<f", value))[0]
 
 
+def turned(quaternion, v):
+    """v turned by x, y, z, w, as glTF has them."""
+    *u, w = quaternion
+    check(abs(sum(c * c for c in quaternion) - 1) < 1e-12, "unit quaternion")
+    cross = lambda a, b: [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    t = [2 * c for c in cross(u, v)]
+    return [a + w * b + c for a, b, c in zip(v, t, cross(u, t))]
+
+
 def read_ply(path):
     kinds = {"double": "d", "float": "f", "uchar": "B", "ushort": "H", "uint": "I"}
     with open(path, "rb") as file:
@@ -152,7 +161,11 @@ def check_glb():
         return accessor, view, rows
 
     primitives = root["meshes"][root["nodes"][root["scenes"][root["scene"]]["nodes"][0]]["mesh"]]["primitives"]
-    check("matrix" not in root["nodes"][0] and "rotation" not in root["nodes"][0], "no axis is turned")
+    node = root["nodes"][root["scenes"][root["scene"]]["nodes"][0]]
+    check(not {"matrix", "scale", "translation"} & set(node), "the node turns and does nothing else")
+    check(near(turned(node["rotation"], want["up"]), [0, 1, 0], 1e-7), "up is shown as +y")
+    check(near(root["asset"]["extras"]["up"], want["up"], 1e-15), "up is told")
+    check(root.get("extensionsUsed", []) == (["KHR_materials_unlit"] if want["unlit"] else []), "extensions")
     check(len(primitives) == len(want["groups"]), "a primitive per class")
     for primitive, group in zip(primitives, want["groups"]):
         attributes = primitive["attributes"]
@@ -178,6 +191,8 @@ def check_glb():
         check([indices[i : i + 3] for i in range(0, len(indices), 3)] == group["triangles"], "triangles of a class")
         material = root["materials"][primitive["material"]]
         check(material["name"] == group["name"], "material " + material["name"])
+        check(material["doubleSided"] is False, "a room seen from outside is open")
+        check(("KHR_materials_unlit" in material.get("extensions", {})) == want["unlit"], "unlit")
         if group["id"] >= 0:
             check(material["extras"]["class_id"] == group["id"], "class_id")
 

@@ -64,10 +64,13 @@ TEST_F(Exports, LabelsAreRenderedWithLowPriorityAndZipped) {
 }
 
 TEST_F(Exports, CocoAndMeshesAreDownloaded) {
-  serve_with("case $out in *json) echo '{}' >$out;; *) echo ply >$out; echo glb >${out%ply}glb;; esac");
+  serve_with(
+      "case $out in *json) echo '{}' >$out;; *) echo ply >$out; echo glb >${out%ply}glb; echo cls "
+      ">${out%.ply}_classes.glb;; esac");
   ASSERT_EQ(post("export", R"({"what":"mesh"})").status, 200);
-  EXPECT_EQ(ended()["files"], (Json{"mesh.ply", "mesh.glb"}));
+  EXPECT_EQ(ended()["files"], (Json{"mesh.ply", "mesh.glb", "mesh_classes.ply", "mesh_classes.glb"}));
   EXPECT_EQ(get("export/mesh-1/1").body, "glb\n");
+  EXPECT_EQ(get("export/mesh-1/3").body, "cls\n");
   ASSERT_EQ(post("export", R"({"what":"coco"})").status, 200);
   Json s = Json::parse(get("state?after=0").body);
   while (s["exports"][1]["state"] == "running") s = Json::parse(get("state?after=" + s["revision"].dump()).body);

@@ -179,6 +179,8 @@ TEST(ServeVerb, ExportsAreThoseOfTheVerbs) {
   EXPECT_EQ(Json::parse(served.ask("GET", "export/coco-1/0").body)["images"].size(), views);
   EXPECT_EQ(served.ask("GET", "export/mesh-1/0").body.substr(0, 4), "ply\n");
   EXPECT_EQ(served.ask("GET", "export/mesh-1/1").body.substr(0, 4), "glTF");
+  EXPECT_EQ(served.ask("GET", "export/mesh-1/2").body.substr(0, 4), "ply\n");
+  EXPECT_EQ(served.ask("GET", "export/mesh-1/3").body.substr(0, 4), "glTF");
 }
 
 TEST(ServeVerb, TheNextPortIsTakenUnlessOneIsNamed) {
