@@ -59,7 +59,12 @@ class Loader {
     fs::path identity = fs::weakly_canonical(path, unknown);
     if (unknown) identity = fs::path(path).lexically_normal();
     open_.push_back({identity.string(), path});
-    const ConfigNode local = parse_config_file(path);
+    ConfigNode composed = with_includes(parse_config_file(path));
+    open_.pop_back();
+    return composed;
+  }
+
+  ConfigNode with_includes(const ConfigNode& local) {
     if (!local.is_map()) {
       fail(local.location(), "expected a map of sections at the top, got " + kind_text(local));
     }
@@ -69,9 +74,7 @@ class Loader {
         composed = merge_config(composed, load_included(item));
       }
     }
-    composed = merge_config(composed, local.without("include"));
-    open_.pop_back();
-    return composed;
+    return merge_config(composed, local.without("include"));
   }
 
  private:
@@ -211,6 +214,11 @@ ConfigNode resolve_like(const ConfigNode& root) {
       "passes", ConfigNode::make_list(std::move(items), passes->location()).with_key_location(passes->key_location()));
 }
 
+ConfigNode with_overrides(ConfigNode root, const std::vector<ConfigOverride>& overrides) {
+  for (const ConfigOverride& o : overrides) root = apply_override(root, o.key, o.value, o.value.location());
+  return resolve_like(root);
+}
+
 }  // namespace
 
 ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
@@ -236,9 +244,11 @@ ConfigNode compose_config(const std::string& path, const std::vector<std::string
 }
 
 ConfigNode compose_config_with(const std::string& path, const std::vector<ConfigOverride>& overrides) {
-  ConfigNode root = Loader().load(find_config(path));
-  for (const ConfigOverride& o : overrides) root = apply_override(root, o.key, o.value, o.value.location());
-  return resolve_like(root);
+  return with_overrides(Loader().load(find_config(path)), overrides);
+}
+
+ConfigNode compose_config_tree(const ConfigNode& tree, const std::vector<ConfigOverride>& overrides) {
+  return with_overrides(Loader().with_includes(tree), overrides);
 }
 
 std::string resolve_path(const ConfigNode& scalar) {

@@ -69,12 +69,13 @@ void Diagnostics::note(std::string where, std::string message) {
 void Diagnostics::throw_if_errors(ErrorKind kind, std::string_view summary) const {
   if (!has_errors()) return;
   std::string text(summary);
-  for (const Diagnostic& finding : folded(*this)) {
-    if (finding.severity != Severity::error) continue;
+  std::vector<Diagnostic> errors = folded(*this);
+  std::erase_if(errors, [](const Diagnostic& finding) { return finding.severity != Severity::error; });
+  for (const Diagnostic& finding : errors) {
     if (!text.empty()) text += '\n';
     text += finding.text();
   }
-  throw Error(kind, text);
+  throw FindingsError(kind, text, std::move(errors));
 }
 
 std::string join(const std::vector<std::string>& words, std::string_view separator) {

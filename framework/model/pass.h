@@ -173,6 +173,10 @@ class Pass {
   /// sigma [N, 1] after activation at world positions [N, 3].
   void density(const StepContext& ctx, View<const double> positions, View<Real> sigma) const;
 
+  /// color [N, 3] of samples at world positions [N, 3] seen along unit directions [N, 3]. Host memory.
+  void point_colors(const StepContext& ctx, View<const double> positions, View<const double> directions,
+                    View<Real> color) const;
+
   /// Semantics of points of the last pass, apart from rays. Host memory; only where parts().head stands.
   /// Numbers of a point that labels do not shape where the pass has a branch: its encoded position and what it reads of
   /// the field. Without a branch the field's feature.

@@ -1,6 +1,7 @@
 // What is asked for by position and not along rays: density, of which samplers and meshes are made, and semantics,
 // where a point is a sample of weight 1.
 #include <algorithm>
+#include <numeric>
 
 #include "core/check.h"
 #include "model/pass.h"
@@ -42,6 +43,33 @@ void Pass<Real>::observe(const StepContext& ctx, WorkspacePool* queries) const {
     if (queries != nullptr) local.workspace = arena.emplace(*queries).get();
     density(local, positions, sigma);
   });
+}
+
+template <class Real>
+void Pass<Real>::point_colors(const StepContext& ctx, View<const double> positions, View<const double> directions,
+                              View<Real> color) const {
+  SEMFIELD_CHECK(stages_->host_memory, "colours of points are the processor's");
+  if (positions.rows == 0) return;
+  Workspace& arena = *ctx.workspace;
+  const Workspace::Scope scope(arena);
+  const View<double> x = arena.take<double>(positions.rows, 3);
+  stages_->map_positions(positions, parts_.domain, x);
+  const View<Real> encoded = arena.take<Real>(positions.rows, encoded_dims());
+  parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
+  FieldIn<Real> in;
+  in.position = encoded;
+  if (parts_.direction) {
+    const View<Real> seen = arena.take<Real>(positions.rows, parts_.direction->traits().out_dims);
+    parts_.direction->forward(ctx, store_->tensors(direction_), directions, seen);
+    in.direction = seen;
+    const View<std::int32_t> own = arena.take<std::int32_t>(positions.rows, 1);
+    std::iota(own.data, own.data + own.rows, 0);
+    in.ray_of_sample = own;
+  }
+  FieldOut<Real> out;
+  out.sigma = arena.take<Real>(positions.rows, 1);
+  out.rgb = color;
+  parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
 }
 
 template <class Real>
@@ -105,12 +133,14 @@ void Pass<Real>::point_backward(const StepContext& ctx, int lane, const PointTra
   if (branch_) branch_->backward(ctx, lane, trace.branch, d_feature);
 }
 
-#define SEMFIELD_INSTANTIATE(Real)                                                                            \
-  template void Pass<Real>::density(const StepContext&, View<const double>, View<Real>) const;                \
-  template void Pass<Real>::observe(const StepContext&, WorkspacePool*) const;                                \
-  template std::int32_t Pass<Real>::point_dims() const;                                                       \
-  template void Pass<Real>::point_rows(const StepContext&, View<const double>, View<Real>) const;             \
-  template PointTrace<Real> Pass<Real>::point_forward(const StepContext&, int, View<Real>, View<Real>) const; \
+#define SEMFIELD_INSTANTIATE(Real)                                                                               \
+  template void Pass<Real>::density(const StepContext&, View<const double>, View<Real>) const;                   \
+  template void Pass<Real>::observe(const StepContext&, WorkspacePool*) const;                                   \
+  template void Pass<Real>::point_colors(const StepContext&, View<const double>, View<const double>, View<Real>) \
+      const;                                                                                                     \
+  template std::int32_t Pass<Real>::point_dims() const;                                                          \
+  template void Pass<Real>::point_rows(const StepContext&, View<const double>, View<Real>) const;                \
+  template PointTrace<Real> Pass<Real>::point_forward(const StepContext&, int, View<Real>, View<Real>) const;    \
   template void Pass<Real>::point_backward(const StepContext&, int, const PointTrace<Real>&, View<const Real>) const;
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)

@@ -77,6 +77,7 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
   SceneInputs inputs = scene_inputs(session.scene);
   if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
   tell_findings(listener, diagnostics, session);
+  if (request.out_dir.empty()) return {std::nullopt, std::move(session), std::move(inputs), std::move(point)};
   const std::string text = run_config_text(session.config, registry);
   if (!folder) folder.emplace(RunFolder::create(request.out_dir));
   if (!request.resume || read_text_file(folder->config_path()) != text) write_file_atomic(folder->config_path(), text);

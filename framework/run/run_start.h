@@ -1,6 +1,8 @@
 // How a run begins or goes on: its folder and session, and what it writes down before the first step.
 #pragma once
 
+#include <optional>
+
 #include "run/run_folder.h"
 #include "run/run_resume.h"
 #include "run/train_run.h"
@@ -9,14 +11,15 @@
 namespace semfield {
 
 struct OpenedForTraining {
-  RunFolder folder;  ///< locked
+  std::optional<RunFolder> folder;  ///< locked; none where the request names none
   Session session;
   SceneInputs inputs;
   ResumePoint point;  ///< what a Training of the session is to load
 };
 
 /// Opens the scene and, for a run that goes on, finds its newest checkpoint; makes the folder of a new one when nothing
-/// can refuse it any more; writes run.yaml. Findings are told. Throws Error, and then a new run has left nothing.
+/// can refuse it any more; writes run.yaml. Findings are told. Throws Error, and then a new run has left nothing. A
+/// request without out_dir gets no folder.
 OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
                                     TrainingListener& listener);
 

@@ -15,7 +15,7 @@
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 #include "run/run_start.h"
-
+#include "run/step_rows.h"
 #include "session/self_training.h"
 #include "session/trainer.h"
 #include "settings/run_identity.h"
@@ -62,6 +62,7 @@ class Run {
       return;
     }
     training_.load(point_.path);
+    rows_.leave_out(training_.train_s());
     note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", point_.step(), training_.train_s(),
                      point_.path));
     say_if_done();
@@ -171,8 +172,9 @@ class Run {
 
   // Steps to the next row of the log, the next round of self-training, or the end.
   std::int64_t steps_until_row() const {
-    const std::int64_t step = training_.step(), every = session().config.report.log_every_steps;
-    return self_training_.steps_until_due(step, std::min(every - step % every, session().config.train.steps - step));
+    const std::int64_t step = training_.step();
+    return self_training_.steps_until_due(step,
+                                          std::min(rows_.steps_until_row(step), session().config.train.steps - step));
   }
 
   // What it takes is training. False: a stop was asked for, and the round waits for the resume.
@@ -183,7 +185,7 @@ class Run {
     if (!self_training_.make_round(training_.step(), hooks)) return false;
     const double spent_s = seconds_since(start);
     training_.add_train_s(spent_s);
-    window_start_s_ += spent_s;
+    rows_.leave_out(spent_s);
     note(self_training_.rounds().back().text());
     write_labels();
     return true;
@@ -206,35 +208,12 @@ class Run {
   }
 
   void record(const StepLosses& losses, std::int64_t step) {
-    const RunConfig& config = session().config;
-    mse_sum_ += losses.mse;
-    ++mse_steps_;
-    const double psnr = -10 * std::log10(mse_sum_ / static_cast<double>(mse_steps_));
-    const double span = std::max(training_.train_s() - window_start_s_, 1e-9);
-    const double rays_per_s = static_cast<double>(mse_steps_ * config.train.rays) / span;
-    if (step % config.report.log_every_steps == 0 || step == config.train.steps) {
-      MetricsRow row;
-      row.step = step;
-      row.train_s = training_.train_s();
-      row.set("loss", losses.total);
-      row.set("loss_color", losses.color);
-      if (session().pipeline->has_semantics()) row.set("loss_semantic", losses.semantic);
-      const std::vector<LossEntry>& terms = config.losses;
-      for (std::size_t i = 0; i < terms.size(); ++i) {  // without a value while the term has not begun
-        row.set("loss_" + terms[i].type,
-                (losses.active >> i & 1U) != 0 ? std::optional(losses.terms[i]) : std::nullopt);
-      }
-      row.set("psnr", psnr);
-      row.set("rays_per_s", rays_per_s);
-      row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(config.train.rays));
-      log_->append(row);
-      for (const auto& [name, value] : row.values)
-        if (value) events_->scalar("train/" + name, step, *value, unix_seconds());
-      report_progress(losses, psnr, rays_per_s);
-      mse_sum_ = 0;
-      mse_steps_ = 0;
-      window_start_s_ = training_.train_s();
-    }
+    const std::optional<MetricsRow> row = rows_.add(losses, step, training_.train_s());
+    if (!row) return;
+    log_->append(*row);
+    for (const auto& [name, value] : row->values)
+      if (value) events_->scalar("train/" + name, step, *value, unix_seconds());
+    report_progress(losses, *row->get("psnr"), *row->get("rays_per_s"));
   }
 
   void report_progress(const StepLosses& losses, double psnr, double rays_per_s) {
@@ -266,11 +245,11 @@ class Run {
   CheckpointStore checkpoints_;
   ResumePoint point_;
   SelfTraining self_training_;
+  StepRows rows_{session(), 0};
   MetricsLog* log_ = nullptr;
   EventWriter* events_ = nullptr;
   double next_eval_s_ = 0;
-  double mse_sum_ = 0, window_start_s_ = 0;
-  std::int64_t mse_steps_ = 0, saved_step_ = 0;
+  std::int64_t saved_step_ = 0;
   Clock::time_point last_checkpoint_, last_progress_;
   bool warned_of_slow_steps_ = false;
   std::optional<RunScores> scores_;
@@ -282,7 +261,7 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   RunListener nobody;
   RunListener& listener = told != nullptr ? *told : nobody;
   OpenedForTraining opened = open_for_training(std::move(config), registry, request, listener);
-  Run run(std::move(opened.folder), std::move(opened.session), registry, listener, std::move(opened.point),
+  Run run(std::move(*opened.folder), std::move(opened.session), registry, listener, std::move(opened.point),
           std::move(opened.inputs));
   if (request.resume) run.go_on();
   return run.train();

@@ -45,7 +45,7 @@ std::vector<std::uint64_t> checksums(const Annotations& annotations, std::size_t
 }  // namespace
 
 LabelRun::LabelRun(OpenedForTraining opened, const Registry& registry, TrainingListener* listener)
-    : folder_(std::move(opened.folder)),
+    : folder_(std::move(*opened.folder)),
       training_(std::move(opened.session), listener, std::move(opened.inputs)),
       loop_(training_, training_.session().drawn_frames(), {}),
       pictures_(training_, loop_),

@@ -1,0 +1,151 @@
+#include "run/run_session.h"
+
+#include <algorithm>
+#include <chrono>
+#include <filesystem>
+#include <utility>
+
+#include "core/findings.h"
+#include "settings/run_identity.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+// A run that has room for classes and a folder keeps its clicks there.
+OpenedForTraining open(RunConfig config, Registry& registry, const RunSessionOptions& options,
+                       TrainingListener& listener) {
+  TrainRequest request;
+  request.out_dir = options.run_dir;
+  request.resume = options.resume;
+  request.keep = options.keep;
+  LabelParams& labels = config.labels.selection;
+  if (labels.clicks.empty() && labels.class_room > 0 && !options.run_dir.empty())
+    labels.clicks = (fs::absolute(options.run_dir) / "clicks.jsonl").string();
+  if (options.run_dir.empty() && !config.self_training.at.empty())
+    throw Error(ErrorKind::usage,
+                "train.self_training: its rounds are written to the run's folder, and this run has none",
+                "name a folder when the run is opened");
+  return open_for_training(std::move(config), registry, request, listener);
+}
+
+}  // namespace
+
+RunSession::RunSession(RunConfig config, Registry& registry, const RunSessionOptions& options,
+                       TrainingListener& listener)
+    : RunSession(open(std::move(config), registry, options, listener), registry, listener) {}
+
+RunSession::RunSession(OpenedForTraining opened, Registry& registry, TrainingListener& listener)
+    : registry_(registry),
+      listener_(listener),
+      folder_(std::move(opened.folder)),
+      training_(std::move(opened.session), &listener, std::move(opened.inputs)),
+      self_training_(session(), training_.rays(), folder_ ? folder_->self_labels_path() : ""),
+      step_rows_(std::in_place, session(), 0),
+      annotations_(session().config.labels.clicks) {
+  const WorkSettings work = session().work();
+  const WorkScope scope(work);
+  if (!session().config.labels.selection.clicks.empty()) open_clicks();
+  if (!folder_) return;
+  self_training_.resume(opened.point.step(), opened.point.facts ? opened.point.facts->self_labels : "");
+  if (opened.point.facts) training_.load(opened.point.path);
+  step_rows_.emplace(session(), training_.train_s());
+  write_records(opened.point);
+}
+
+// The file may have grown since the scene was opened by it.
+void RunSession::open_clicks() {
+  Diagnostics findings;
+  clicks_.emplace(ClickLog::open(session().config.labels.selection.clicks, findings));
+  for (const Diagnostic& finding : folded(findings)) listener_.note(finding.text());
+}
+
+void RunSession::write_records(const ResumePoint& point) {
+  write_run_records(*folder_, training_, registry_, point);
+  write_labels();
+  log_.emplace(MetricsLog::resume(folder_->metrics_path(), training_.step()));
+}
+
+void RunSession::write_labels() const {
+  LabelCounts counts = label_counts(session().manifest, session().scene.info.classes, session().labels.steps);
+  counts.rounds = self_training_.rounds();
+  write_file_atomic(folder_->labels_path(), label_counts_json(counts));
+}
+
+std::int64_t RunSession::advance(std::int64_t most, const std::function<bool()>& stop) {
+  using Clock = std::chrono::steady_clock;
+  const WorkSettings work = session().work();
+  const WorkScope scope(work);
+  const std::int64_t before = training_.step();
+  if (self_training_.due(before)) {
+    const Clock::time_point start = Clock::now();
+    if (!self_training_.make_round(before, {{}, stop})) return 0;
+    const double spent_s = std::chrono::duration<double>(Clock::now() - start).count();
+    training_.add_train_s(spent_s);
+    step_rows_->leave_out(spent_s);
+    listener_.note(self_training_.rounds().back().text());
+    write_labels();
+  }
+  const std::int64_t ahead =
+      self_training_.steps_until_due(before, std::min(most, step_rows_->steps_until_row(before)));
+  const std::span<const StepLosses> made = training_.advance(ahead);
+  for (std::size_t i = 0; i < made.size(); ++i) {
+    const std::optional<MetricsRow> row =
+        step_rows_->add(made[i], before + 1 + static_cast<std::int64_t>(i), training_.train_s());
+    if (!row) continue;
+    rows_.push_back(*row);
+    if (log_) log_->append(*row);
+  }
+  return std::ssize(made);
+}
+
+std::string RunSession::save(const std::string& run_dir) {
+  const WorkSettings work = session().work();
+  const WorkScope scope(work);
+  if (!folder_ && run_dir.empty())
+    throw Error(ErrorKind::usage, "the run has no folder yet", "name the folder to save it in");
+  if (folder_ && !run_dir.empty() &&
+      fs::absolute(run_dir).lexically_normal() != fs::absolute(folder_->path()).lexically_normal())
+    throw Error(ErrorKind::usage,
+                "the run has the folder '" + folder_->path() + "' and cannot be saved in '" + run_dir + "'",
+                "save it in its own folder; a copy of the folder is a run too");
+  const std::vector<TensorRef> tensors = training_.state();
+  if (!folder_) {
+    const std::string text = run_config_text(session().config, registry_);
+    folder_.emplace(RunFolder::create(run_dir));
+    write_file_atomic(folder_->config_path(), text);
+    write_records({});
+    for (const MetricsRow& row : rows_) log_->append(row);
+  }
+  log_->sync();
+  CheckpointFacts facts = training_.facts();
+  facts.self_labels = self_training_.named();
+  CheckpointStore checkpoints(folder_->checkpoints_path(), session().config.report.keep_checkpoints);
+  return checkpoints.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
+}
+
+bool RunSession::apply(const LabelEvent& event) {
+  if (!annotations_ || !clicks_)
+    throw Error(ErrorKind::usage, "the run has no file of clicks",
+                "open it with a folder and scene.labels.class_room, or with scene.labels.clicks");
+  Annotations next = *annotations_;
+  if (!next.apply(event)) return false;
+  std::vector<int> frames = annotations_->frames_with_marks();
+  for (const int frame : next.frames_with_marks())
+    if (std::find(frames.begin(), frames.end(), frame) == frames.end()) frames.push_back(frame);
+  training_.set_clicks(next, frames);
+  try {
+    clicks_->append(event);
+  } catch (...) {
+    training_.set_clicks(*annotations_, frames);
+    throw;
+  }
+  annotations_ = std::move(next);
+  if (folder_) write_file_atomic(folder_->classes_path(), session().scene.info.classes.to_yaml());
+  return true;
+}
+
+}  // namespace semfield
