@@ -74,3 +74,22 @@ if(SEMFIELD_WITH_CUDA STREQUAL "ON" OR (SEMFIELD_WITH_CUDA STREQUAL "AUTO" AND N
   endif()
 endif()
 message(STATUS "CUDA kernels: ${SEMFIELD_CUDA}")
+# Python: the system's own, whose packages NumPy and pytest are, unless another is named (Python_EXECUTABLE). A process with a sanitizer's
+# runtime cannot load the module.
+set(SEMFIELD_PYTHON OFF)
+if(SEMFIELD_WITH_PYTHON STREQUAL "ON" OR (SEMFIELD_WITH_PYTHON STREQUAL "AUTO" AND NOT SEMFIELD_SANITIZE))
+  if(NOT Python_EXECUTABLE AND EXISTS /usr/bin/python3)
+    set(Python_EXECUTABLE /usr/bin/python3)
+  endif()
+  find_package(Python 3.9 QUIET COMPONENTS Interpreter Development.Module Development.Embed)
+  if(Python_FOUND)
+    find_package(pybind11 2.10 QUIET CONFIG)
+  endif()
+  if(Python_FOUND AND pybind11_FOUND)
+    set(SEMFIELD_PYTHON ON)
+  elseif(SEMFIELD_WITH_PYTHON STREQUAL "ON")
+    message(FATAL_ERROR "SEMFIELD_WITH_PYTHON=ON, but Python's headers or pybind11 2.10 were not found; install the packages python3-dev and "
+                        "pybind11-dev, or set SEMFIELD_WITH_PYTHON=OFF")
+  endif()
+endif()
+message(STATUS "Python module: ${SEMFIELD_PYTHON}")

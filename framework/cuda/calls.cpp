@@ -39,8 +39,15 @@ void run(bool deterministic, const std::function<void()>& body) {
                                               left >> kFaultRowBits, left & ((FaultKey{1} << kFaultRowBits) - 1)));
 }
 
+void on(int ordinal, const std::function<void()>& body) {
+  Launch here;
+  here.ordinal = ordinal;
+  const LaunchScope scope(here);
+  body();
+}
+
 }  // namespace
 
-DeviceCalls device_calls() { return {{Device::cuda, take, give_back}, to_device, to_host, run}; }
+DeviceCalls device_calls() { return {{Device::cuda, take, give_back}, to_device, to_host, run, on}; }
 
 }  // namespace semfield::cuda

@@ -28,6 +28,8 @@ struct DeviceCalls {
   /// Calls `body`, whose kernels look for faults at once, and waits. Throws Error(failure) for a fault that `body` left
   /// behind. `deterministic` as in DeviceOptions.
   void (*run)(bool deterministic, const std::function<void()>& body) = nullptr;
+  /// Calls `body`, whose memory and copies are those of this device of the machine.
+  void (*on)(int ordinal, const std::function<void()>& body) = nullptr;
 };
 
 /// What the library of a device offers; its symbol is kDeviceLibrarySymbol.

@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "plugin/module_file.h"
+#include "system/shared_library.h"
 
 namespace semfield {
 
@@ -72,6 +73,14 @@ std::vector<std::string> trusted_folders() {
   return folders;
 }
 
+// By the library that embeds Python (python/host).
+void load_python(Registry& registry, const std::string& file, const std::string& doing) {
+  static const auto load = reinterpret_cast<void (*)(Registry&, const std::string&)>(
+      library_symbol("libsemfield_python.so", "semfield_load_python", doing + ": it is a file of Python, which needs",
+                     "install the package python3-semfield, or build with SEMFIELD_WITH_PYTHON=ON"));
+  load(registry, file);
+}
+
 bool is_below(const std::string& folder, const std::string& above) {
   return folder == above || folder.starts_with(above.ends_with('/') ? above : above + "/");
 }
@@ -111,6 +120,10 @@ void load_module(Registry& registry, const std::string& path) {
   const std::string file = real_path(path);
   for (const std::string& loaded : registry.module_files()) {
     if (loaded == file) return;
+  }
+  if (file.ends_with(".py")) {
+    load_python(registry, file, doing);
+    return;
   }
   check_module_file(file, doing);
   t_being_loaded = path;

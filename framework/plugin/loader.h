@@ -13,10 +13,11 @@ namespace semfield {
 void register_module(Registry& registry, const PluginModule& module);
 
 /// check_module_file, dlopen(RTLD_NOW | RTLD_LOCAL), register_module; never unloaded. A file that the registry has
-/// already is left at that. Its code runs, so `path` comes from who started the program. What was asked for by path
-/// must load: throws Error(unavailable) with a sentence that names both sides (missing file, no plugin, other API,
-/// other ABI, throwing registration, duplicate name). An exception out of a static initialiser cannot be caught here:
-/// it ends the program through std::terminate, whose handler may ask module_being_loaded().
+/// already is left at that. A file NAME.py is run by Python, which the library libsemfield_python.so embeds. Its code
+/// runs, so `path` comes from who started the program. What was asked for by path must load: throws Error(unavailable)
+/// with a sentence that names both sides (missing file, no plugin, other API, other ABI, throwing registration,
+/// duplicate name). An exception out of a static initialiser cannot be caught here: it ends the program through
+/// std::terminate, whose handler may ask module_being_loaded().
 void load_module(Registry& registry, const std::string& path);
 
 /// A module that a configuration names, which may come from anybody. It is loaded when it lies in a trusted folder -

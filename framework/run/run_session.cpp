@@ -75,14 +75,14 @@ void RunSession::write_labels() const {
   write_file_atomic(folder_->labels_path(), label_counts_json(counts));
 }
 
-std::int64_t RunSession::advance(std::int64_t most, const std::function<bool()>& stop) {
+std::span<const StepLosses> RunSession::advance(std::int64_t most, const std::function<bool()>& stop) {
   using Clock = std::chrono::steady_clock;
   const WorkSettings work = session().work();
   const WorkScope scope(work);
   const std::int64_t before = training_.step();
   if (self_training_.due(before)) {
     const Clock::time_point start = Clock::now();
-    if (!self_training_.make_round(before, {{}, stop})) return 0;
+    if (!self_training_.make_round(before, {{}, stop})) return {};
     const double spent_s = std::chrono::duration<double>(Clock::now() - start).count();
     training_.add_train_s(spent_s);
     step_rows_->leave_out(spent_s);
@@ -99,7 +99,7 @@ std::int64_t RunSession::advance(std::int64_t most, const std::function<bool()>&
     rows_.push_back(*row);
     if (log_) log_->append(*row);
   }
-  return std::ssize(made);
+  return made;
 }
 
 std::string RunSession::save(const std::string& run_dir) {

@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -33,8 +34,8 @@ class RunSession {
   std::string run_dir() const { return folder_ ? folder_->path() : ""; }
 
   /// At least one step and at most `most`: as many as run without waiting in between. A round of self-training that is
-  /// due is made first; nothing is made, and 0 returned, where `stop` ended it.
-  std::int64_t advance(std::int64_t most, const std::function<bool()>& stop);
+  /// due is made first; where `stop` ended it no step is made. Their losses, valid until the next call.
+  std::span<const StepLosses> advance(std::int64_t most, const std::function<bool()>& stop);
   /// Training rows so far, as metrics.jsonl has them; of a run that goes on those since.
   const std::vector<MetricsRow>& rows() const { return rows_; }
 

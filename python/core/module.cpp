@@ -1,0 +1,50 @@
+// semfield._core: what the package in python/semfield is made of. Users see the package alone.
+#include <pybind11/stl.h>
+
+#include "labels/clicks/label_event.h"
+#include "loading/packed_scene.h"
+#include "python/core/config_nodes.h"
+#include "python/core/device_arrays.h"
+#include "python/core/errors.h"
+#include "python/core/plugins.h"
+#include "python/core/scene_values.h"
+#include "python/core/session.h"
+#include "run/run_folder.h"
+
+namespace py = pybind11;
+
+namespace semfield::python {
+
+namespace {
+
+// Frames of the scene are asked for one by one: read(frame) gives the dict that fill_frame takes.
+void write_pack(const std::string& path, const py::dict& scene, const py::function& read) {
+  Diagnostics diagnostics;
+  const SceneInfo info = scene_info_of(scene, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::data, "");
+  PackOptions options;
+  options.depth_as_mm = false;
+  write_packed_scene(
+      path, info, [&](int frame, FrameBuffer& out) { fill_frame(read(frame), info, frame, out); }, options);
+}
+
+py::dict resolved(const py::object& config, const py::dict& set) {
+  Registry registry = base_registry();
+  return object_of(resolved_config(run_config_of(composed(config, set), registry)));
+}
+
+}  // namespace
+
+}  // namespace semfield::python
+
+PYBIND11_MODULE(_core, module) {
+  using namespace semfield::python;
+  register_errors(module);
+  define_session(module);
+  define_plugins(module);
+  define_device_arrays(module);
+  module.def("write_pack", write_pack);
+  module.def("resolved", resolved);
+  module.def("environment", [] { return semfield::environment_json(semfield::this_environment()); });
+  module.attr("__version__") = semfield::this_environment().version;
+}

@@ -1,0 +1,301 @@
+#include "python/core/plugins.h"
+
+#include <pybind11/stl.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <memory>
+
+#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
+#include "python/core/arrays.h"
+#include "python/core/errors.h"
+#include "python/core/plugin_params.h"
+#include "python/core/scene_values.h"
+
+namespace semfield::python {
+
+namespace {
+
+// An object of Python that threads without the GIL may hold and drop.
+using Held = std::shared_ptr<py::object>;
+
+Held hold(py::object object) {
+  return {new py::object(std::move(object)), [](py::object* p) {
+            if (Py_IsInitialized() == 0) return;  // the process ends: nothing is given back any more
+            const py::gil_scoped_acquire gil;
+            delete p;
+          }};
+}
+
+// Calls code of a plugin with the GIL; what it raises becomes an Error.
+template <class Call>
+auto called(const std::string& doing, const Call& call) {
+  const py::gil_scoped_acquire gil;
+  try {
+    return call();
+  } catch (py::error_already_set& raised) {
+    throw error_of(raised, doing);
+  } catch (const py::cast_error& wrong) {
+    throw Error(ErrorKind::failure, doing + ": " + wrong.what());
+  }
+}
+
+Domain domain_of(const std::string& name, const std::string& owner) {
+  if (name == "metric") return Domain::metric;
+  if (name == "unit_cube") return Domain::unit_cube;
+  if (name == "direction") return Domain::direction;
+  throw Error(ErrorKind::usage, owner + ": domain '" + name + "' is none", "it is metric, unit_cube or direction");
+}
+
+template <class Real>
+class PythonEncoder final : public Encoder<Real> {
+ public:
+  PythonEncoder(std::string name, const Held& type, const PythonParams& params, const EncoderBuild& build)
+      : owner_("encoder '" + name + "'"), name_(std::move(name)) {
+    called(owner_, [&] {
+      py::dict facts;
+      facts["in_dims"] = build.in_dims;
+      facts["is_direction"] = build.is_direction;
+      facts["extent_m"] = build.extent_m;
+      facts["pixel_footprint_m"] = build.pixel_footprint_m;
+      facts["largest_coordinate"] = build.largest_coordinate;
+      const py::object made = type->attr("_made")(params.values(), facts);
+      traits_.in_dims = build.in_dims;
+      traits_.out_dims = made.attr("out_dims").template cast<std::int32_t>();
+      traits_.domain = domain_of(made.attr("domain").template cast<std::string>(), owner_);
+      for (const auto& [tensor, spec] : made.attr("tensors").template cast<py::dict>()) {
+        TensorSpec declared;
+        declared.name = py::str(tensor).cast<std::string>();
+        declared.rows = spec.attr("rows").template cast<std::int64_t>();
+        declared.cols = spec.attr("cols").template cast<std::int32_t>();
+        declared.init = {spec.attr("low").template cast<double>(), spec.attr("high").template cast<double>()};
+        tensors_.push_back(std::move(declared));
+      }
+      instance_ = hold(made);
+    });
+    if (traits_.out_dims <= 0) throw Error(ErrorKind::usage, owner_ + ": setup must set out_dims above 0");
+  }
+
+  EncoderTraits traits() const noexcept override { return traits_; }
+  void declare(ParamDeclarer& declarer) const override {
+    for (const TensorSpec& spec : tensors_) declarer.tensor(spec);
+  }
+
+ protected:
+  void do_forward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const override {
+    called(owner_ + ".forward", [&] {
+      const py::object answer = instance_->attr("forward")(borrowed(x), arrays(tensors.value));
+      take(answer, y, "forward");
+    });
+  }
+  void do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
+                   View<Real> dx) const override {
+    called(owner_ + ".backward", [&] {
+      const py::object answer =
+          instance_->attr("backward")(borrowed(x), borrowed(dy), arrays(tensors.value), gradients(tensors.grad));
+      if (!dx.empty()) take(answer, dx, "backward");
+    });
+  }
+
+ private:
+  py::dict arrays(std::span<const View<Real>> views) const {
+    py::dict out;
+    for (std::size_t i = 0; i < tensors_.size(); ++i)
+      out[py::str(tensors_[i].name)] = borrowed(View<const Real>(views[i]));
+    return out;
+  }
+  py::dict gradients(std::span<const View<Real>> views) const {
+    py::dict out;
+    for (std::size_t i = 0; i < tensors_.size() && i < views.size(); ++i)
+      out[py::str(tensors_[i].name)] = borrowed(views[i]);
+    return out;
+  }
+  void take(const py::object& answer, View<Real> to, const char* what) const {
+    const py::array given = py::array::ensure(answer);
+    if (!given || given.ndim() != 2 || given.shape(0) != to.rows || given.shape(1) != to.cols) {
+      PyErr_Clear();
+      const std::string got =
+          given ? py::str(given.attr("shape")).cast<std::string>() : py::repr(answer.get_type()).cast<std::string>();
+      throw Error(ErrorKind::failure, owner_ + "." + what + ": expected an array of the shape (" +
+                                          std::to_string(to.rows) + ", " + std::to_string(to.cols) + "), got " + got);
+    }
+    py::array target = borrowed(to);
+    target[py::ellipsis()] = given;
+  }
+
+  std::string owner_, name_;
+  EncoderTraits traits_;
+  std::vector<TensorSpec> tensors_;
+  Held instance_;
+};
+
+class PythonDataset final : public Dataset {
+ public:
+  PythonDataset(const std::string& name, const Held& type, const PythonParams& params, const DatasetBuild& build)
+      : owner_("dataset '" + name + "'") {
+    called(owner_, [&] { instance_ = hold(type->attr("_made")(params.values(), build.config_dir)); });
+  }
+  SceneInfo open(Diagnostics& diagnostics) override {
+    info_ = called(owner_ + ".open", [&] { return scene_info_of(instance_->attr("_opened")(), diagnostics); });
+    return info_;
+  }
+  void read(int frame, FrameBuffer& out) const override {
+    called(owner_ + ".read", [&] {
+      const py::object pixels = instance_->attr("_read")(frame);
+      fill_frame(pixels.cast<py::dict>(), info_, frame, out);
+    });
+  }
+
+ private:
+  std::string owner_;
+  Held instance_;
+  SceneInfo info_;
+};
+
+// Everything of this process that sessions start from.
+struct Base {
+  Registry registry;
+  std::vector<PluginEntry> defined;  // in this process, not in a file
+  std::vector<std::string> files;    // loaded, in order
+  Registry* loading = nullptr;       // where a file that runs now adds its plugins; guarded by the GIL
+};
+
+Base& base() {
+  static Base& made = [&]() -> Base& {
+    auto* const fresh = new Base;  // never destroyed: it holds objects of Python
+    register_linked_plugins(fresh->registry);
+    return *fresh;
+  }();
+  return made;
+}
+
+void load_file(Registry& registry, const std::string& path) {
+  if (path.ends_with(".py")) {
+    load_python_file(registry, path);
+  } else {
+    load_module(registry, path);
+  }
+}
+
+void rebuild() {
+  Base& b = base();
+  Registry fresh;
+  register_linked_plugins(fresh);
+  for (const std::string& file : b.files) load_file(fresh, file);
+  fresh.set_current_module("Python");
+  for (const PluginEntry& entry : b.defined) fresh.add(entry);
+  fresh.set_current_module({});
+  b.registry = std::move(fresh);
+}
+
+void add(PluginEntry entry) {
+  Base& b = base();
+  if (b.loading != nullptr) {
+    b.loading->add(std::move(entry));
+    return;
+  }
+  // Defined again, as cells of a notebook are: the last one counts.
+  const auto same = [&](const PluginEntry& e) { return e.kind == entry.kind && e.name == entry.name; };
+  const std::vector<PluginEntry> before = b.defined;
+  std::erase_if(b.defined, same);
+  b.defined.push_back(std::move(entry));
+  try {
+    rebuild();
+  } catch (...) {
+    b.defined = before;
+    throw;
+  }
+}
+
+PluginEntry entry_of(const py::dict& declared, PluginKind kind) {
+  PluginEntry entry;
+  entry.kind = kind;
+  entry.name = declared["name"].cast<std::string>();
+  entry.summary = declared["summary"].cast<std::string>();
+  const std::vector<PythonParam> params =
+      params_of(declared["params"].cast<py::list>(), std::string(kind_name(kind)) + " '" + entry.name + "'");
+  entry.new_params = [params] { return std::unique_ptr<PluginParams>(std::make_unique<PythonParams>(params)); };
+  return entry;
+}
+
+}  // namespace
+
+Registry& base_registry() { return base().registry; }
+
+void add_encoder(const py::dict& declared) {
+  PluginEntry entry = entry_of(declared, PluginKind::encoder);
+  const Held type = hold(declared["class"]);
+  entry.encoder32 = [type, name = entry.name](const PluginParams& p, const EncoderBuild& build, const KernelTables&) {
+    return std::unique_ptr<Encoder<float>>(
+        std::make_unique<PythonEncoder<float>>(name, type, static_cast<const PythonParams&>(p), build));
+  };
+  entry.encoder64 = [type, name = entry.name](const PluginParams& p, const EncoderBuild& build, const KernelTables&) {
+    return std::unique_ptr<Encoder<double>>(
+        std::make_unique<PythonEncoder<double>>(name, type, static_cast<const PythonParams&>(p), build));
+  };
+  add(std::move(entry));
+}
+
+void add_dataset(const py::dict& declared) {
+  PluginEntry entry = entry_of(declared, PluginKind::dataset);
+  const Held type = hold(declared["class"]);
+  entry.dataset = [type, name = entry.name](const PluginParams& p, const DatasetBuild& build) {
+    return std::unique_ptr<Dataset>(
+        std::make_unique<PythonDataset>(name, type, static_cast<const PythonParams&>(p), build));
+  };
+  add(std::move(entry));
+}
+
+void load_python_file(Registry& registry, const std::string& path) {
+  const std::string doing = "cannot load plugin '" + path + "'";
+  Registry trial = registry;
+  trial.set_current_module(std::filesystem::path(path).filename().string());
+  const std::size_t before = trial.entries().size();
+  Base& b = base();
+  Registry* const outer = b.loading;
+  b.loading = &trial;
+  try {
+    py::module_::import("semfield.plugins").attr("_run_file")(path);
+  } catch (py::error_already_set& raised) {
+    b.loading = outer;
+    const Error error = error_of(raised, doing);
+    throw Error(ErrorKind::unavailable, error.message(), "mend the file, or leave it out");
+  }
+  b.loading = outer;
+  if (trial.entries().size() == before)
+    throw Error(ErrorKind::unavailable, doing + ": it defines no plugin",
+                "decorate a class with @semfield.encoder(\"name\") or @semfield.dataset(\"name\")");
+  trial.set_current_module({});
+  trial.add_module_file(path);
+  registry = std::move(trial);
+}
+
+void define_plugins(py::module_& module) {
+  module.def("add_encoder", add_encoder);
+  module.def("add_dataset", add_dataset);
+  module.def("load_plugin", [](const std::string& path) {
+    Base& b = base();
+    const std::string file = std::filesystem::absolute(path).lexically_normal().string();
+    if (std::find(b.files.begin(), b.files.end(), file) != b.files.end()) return;
+    Registry trial = b.registry;
+    load_file(trial, file);
+    b.registry = std::move(trial);
+    b.files.push_back(file);
+  });
+  module.def("plugin_names", [] {
+    py::list out;
+    for (const PluginEntry* entry : base().registry.entries())
+      out.append(py::make_tuple(std::string(kind_name(entry->kind)), entry->name, entry->summary, entry->module));
+    return out;
+  });
+  // For libsemfield_python.so, by which the program loads a file of Python: a function of C++, whose errors pass as
+  // they are, and the framework that it belongs to.
+  static const struct {
+    void (*load)(Registry&, const std::string&);
+    const char* (*framework)();
+  } host{load_python_file, abi_tag_of_framework};
+  module.attr("_host") = py::capsule(&host, "semfield.host");
+}
+
+}  // namespace semfield::python

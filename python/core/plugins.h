@@ -1,0 +1,27 @@
+// Encoders and datasets that are written in Python: one batch a call, under the GIL.
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include <string>
+
+#include "plugin/registry.h"
+
+namespace semfield::python {
+
+namespace py = pybind11;
+
+/// What every session of this process starts from: linked plugins, and those that were loaded or defined since.
+Registry& base_registry();
+
+/// Where the decorators of semfield/plugins.py add their plugins now.
+void add_encoder(const py::dict& declared);
+void add_dataset(const py::dict& declared);
+
+/// Runs a file of Python, whose plugins go into `registry`. Throws Error(unavailable) for a file that raises, or that
+/// defines no plugin. To be called with the GIL.
+void load_python_file(Registry& registry, const std::string& path);
+
+void define_plugins(py::module_& module);
+
+}  // namespace semfield::python

@@ -1,0 +1,209 @@
+#include "python/core/scene_values.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "python/core/arrays.h"
+#include "scene/scene_checks.h"
+
+namespace semfield::python {
+
+namespace {
+
+using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+// `value` as a C-ordered array of T with this shape; throws Error(data) naming what came instead.
+template <class T>
+py::array_t<T, py::array::c_style | py::array::forcecast> shaped(const py::object& value,
+                                                                 const std::vector<py::ssize_t>& shape,
+                                                                 const std::string& place) {
+  const auto text = [](const auto* sizes, std::size_t count) {
+    std::string out;
+    for (std::size_t i = 0; i < count; ++i) out += (i == 0 ? "[" : ", ") + std::to_string(sizes[i]);
+    return out + "]";
+  };
+  const py::array given = py::array::ensure(value);
+  if (!given) {
+    PyErr_Clear();
+    throw Error(ErrorKind::data, place + ": expected an array, got " + py::repr(value.get_type()).cast<std::string>());
+  }
+  const bool same =
+      given.ndim() == static_cast<py::ssize_t>(shape.size()) && std::equal(shape.begin(), shape.end(), given.shape());
+  if (!same) {
+    throw Error(ErrorKind::data,
+                fmt::format("{}: expected the shape {}, got {}", place, text(shape.data(), shape.size()),
+                            text(given.shape(), static_cast<std::size_t>(given.ndim()))));
+  }
+  const char kind = given.dtype().kind();
+  if (std::is_integral_v<T> && kind != 'u' && kind != 'i' && kind != 'b')
+    throw Error(ErrorKind::data, place + ": expected whole numbers, got " + py::str(given.dtype()).cast<std::string>(),
+                sizeof(T) == 1 ? "give uint8 values of 0 to 255" : "give class ids as integers");
+  if (std::is_same_v<T, std::uint8_t> && !(kind == 'u' && given.itemsize() == 1))
+    throw Error(ErrorKind::data, place + ": expected uint8, got " + py::str(given.dtype()).cast<std::string>(),
+                "give values of 0 to 255 as uint8");
+  return py::array_t<T, py::array::c_style | py::array::forcecast>(given);
+}
+
+Split split_of(const std::string& name, const std::string& place) {
+  if (name == "train") return Split::train;
+  if (name == "test") return Split::test;
+  if (name == "unused") return Split::unused;
+  throw Error(ErrorKind::data, place + ": split '" + name + "' is none", "it is train, test or unused");
+}
+
+ClassTable classes_of(const py::list& classes) {
+  std::vector<ClassEntry> entries;
+  for (const py::handle item : classes) {
+    const auto row = py::reinterpret_borrow<py::tuple>(item);
+    ClassEntry entry;
+    entry.id = row[0].cast<std::int32_t>();
+    entry.name = row[1].cast<std::string>();
+    entry.color = ClassTable::default_color(entry.id);
+    if (!row[2].is_none()) {
+      const auto color = row[2].cast<py::sequence>();
+      for (std::size_t i = 0; i < 3; ++i) entry.color[i] = color[i].cast<std::uint8_t>();
+    }
+    entry.ignore = row[3].cast<bool>();
+    entries.push_back(std::move(entry));
+  }
+  return entries.empty() ? ClassTable() : ClassTable(std::move(entries));
+}
+
+}  // namespace
+
+py::array pose_array(const Pose& pose) {
+  std::vector<double> rows(16, 0);
+  for (int r = 0; r < 3; ++r) {
+    const auto row = static_cast<std::size_t>(r);
+    for (std::size_t c = 0; c < 3; ++c) rows[4 * row + c] = pose.r[row][c];
+    rows[4 * row + 3] = pose.t[r];
+  }
+  rows[15] = 1;
+  return array_of(std::move(rows), {4, 4});
+}
+
+Pose pose_of(const py::object& value, const std::string& place) {
+  const py::array given = py::array::ensure(value);
+  const bool tall = given && given.ndim() == 2 && given.shape(0) == 4;
+  PyErr_Clear();
+  const auto rows = shaped<double>(value, {tall ? 4 : 3, 4}, place + ": pose");
+  const std::span<const double> numbers(rows.data(), static_cast<std::size_t>(rows.size()));
+  Diagnostics diagnostics;
+  if (tall && !check_last_row(numbers, place, diagnostics)) diagnostics.throw_if_errors(ErrorKind::data, "");
+  Pose pose = pose_from_rows(numbers);
+  if (check_pose(pose, place, diagnostics) == PoseState::not_finite)
+    throw Error(ErrorKind::data, place + ": the pose has numbers that are not finite");
+  diagnostics.throw_if_errors(ErrorKind::data, "");
+  return pose;
+}
+
+Camera camera_of(const py::dict& camera) {
+  Camera out;
+  out.width_px = camera["width"].cast<std::int32_t>();
+  out.height_px = camera["height"].cast<std::int32_t>();
+  out.fx = camera["fx"].cast<double>();
+  out.fy = camera["fy"].cast<double>();
+  out.cx = camera["cx"].cast<double>();
+  out.cy = camera["cy"].cast<double>();
+  const auto lens = camera["distortion"].cast<py::sequence>();
+  double* const values[] = {&out.k1, &out.k2, &out.p1, &out.p2, &out.k3, &out.k4};
+  for (std::size_t i = 0; i < lens.size() && i < 6; ++i) *values[i] = lens[i].cast<double>();
+  return out;
+}
+
+py::dict camera_dict(const Camera& camera) {
+  py::dict out;
+  out["width"] = camera.width_px;
+  out["height"] = camera.height_px;
+  out["fx"] = camera.fx;
+  out["fy"] = camera.fy;
+  out["cx"] = camera.cx;
+  out["cy"] = camera.cy;
+  out["distortion"] = py::make_tuple(camera.k1, camera.k2, camera.p1, camera.p2, camera.k3, camera.k4);
+  return out;
+}
+
+SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
+  SceneInfo info;
+  info.name = scene["name"].cast<std::string>();
+  for (const py::handle item : scene["frames"]) {
+    const auto given = py::reinterpret_borrow<py::dict>(item);
+    FrameInfo frame;
+    frame.name = given["name"].cast<std::string>();
+    frame.source = given["source"].cast<std::string>();
+    const std::string place = "frame '" + frame.name + "'";
+    frame.camera = camera_of(given["camera"].cast<py::dict>());
+    frame.split = split_of(given["split"].cast<std::string>(), place);
+    frame.has_depth = given["has_depth"].cast<bool>();
+    frame.has_labels = given["has_labels"].cast<bool>();
+    try {
+      frame.world_from_camera = pose_of(given["pose"], place);
+    } catch (const Error& error) {
+      diagnostics.error("", error.message(), error.remedy());
+    }
+    check_camera(frame.camera, place, diagnostics);
+    info.frames.push_back(std::move(frame));
+  }
+  info.classes = classes_of(scene["classes"].cast<py::list>());
+  if (!scene["bounds"].is_none()) {
+    const auto corners = shaped<double>(scene["bounds"], {2, 3}, "bounds");
+    for (int i = 0; i < 3; ++i) {
+      info.bounds.lo[i] = corners.at(0, i);
+      info.bounds.hi[i] = corners.at(1, i);
+    }
+  }
+  info.near_hint_m = scene["near"].cast<double>();
+  info.far_hint_m = scene["far"].cast<double>();
+  info.metric = scene["metric"].cast<bool>();
+  return info;
+}
+
+void fill_frame(const py::dict& pixels, const SceneInfo& info, int frame, FrameBuffer& out) {
+  const FrameInfo& own = info.frames[static_cast<std::size_t>(frame)];
+  const py::ssize_t height = own.camera.height_px, width = own.camera.width_px;
+  const std::string place = "frame '" + own.name + "'";
+  out = {};
+  out.width_px = own.camera.width_px;
+  out.height_px = own.camera.height_px;
+  const auto rgb = shaped<std::uint8_t>(pixels["rgb"], {height, width, 3}, place + ": rgb");
+  out.rgb.assign(rgb.data(), rgb.data() + rgb.size());
+  if (own.has_depth) {
+    const auto depth = shaped<float>(pixels["depth_m"], {height, width}, place + ": depth_m");
+    out.depth_m.assign(depth.data(), depth.data() + depth.size());
+    for (float& d : out.depth_m)
+      if (!std::isfinite(d) || d < 0) d = 0;
+  }
+  if (own.has_labels)
+    out.label =
+        indices_of(pixels["labels"], info.classes, own.camera.height_px, own.camera.width_px, place + ": labels");
+}
+
+py::array ids_array(const std::vector<std::int16_t>& indices, const ClassTable& classes, std::int32_t height,
+                    std::int32_t width) {
+  std::vector<std::int32_t> ids(indices.size());
+  std::transform(indices.begin(), indices.end(), ids.begin(),
+                 [&](std::int16_t index) { return index == kVoid ? -1 : classes.valid(index).id; });
+  return array_of(std::move(ids), {height, width});
+}
+
+std::vector<std::int16_t> indices_of(const py::object& ids, const ClassTable& classes, std::int32_t height,
+                                     std::int32_t width, const std::string& place) {
+  const auto given = shaped<std::int64_t>(ids, {height, width}, place);
+  std::vector<std::int16_t> out(static_cast<std::size_t>(given.size()));
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    const std::int64_t id = given.data()[i];
+    const int index = id == -1 ? kVoid : id >= 0 && id <= 65535 ? classes.index_of(static_cast<std::int32_t>(id)) : -2;
+    if (index == -2) {
+      const auto w = static_cast<std::size_t>(width);
+      throw Error(ErrorKind::data,
+                  fmt::format("{}: pixel x {}, y {}: {} is the id of no class", place, i % w, i / w, id),
+                  "add the class, or give -1 for pixels without a label");
+    }
+    out[i] = static_cast<std::int16_t>(index);
+  }
+  return out;
+}
+
+}  // namespace semfield::python

@@ -1,0 +1,307 @@
+#include "python/core/session.h"
+
+#include <pybind11/stl.h>
+
+#include <chrono>
+#include <optional>
+
+#include "core/findings.h"
+#include "eval/field_points.h"
+#include "eval/final_eval.h"
+#include "python/core/arrays.h"
+#include "python/core/config_nodes.h"
+#include "python/core/device_arrays.h"
+#include "python/core/plugins.h"
+#include "python/core/scene_values.h"
+
+namespace semfield::python {
+
+namespace {
+
+constexpr auto kLookForSignals = std::chrono::milliseconds(50);
+
+// Asks now and then, from a thread without the GIL, whether Ctrl-C was pressed.
+class Interrupt {
+ public:
+  bool came() {
+    const auto now = std::chrono::steady_clock::now();
+    if (!raised_ && now - last_ >= kLookForSignals) {
+      last_ = now;
+      const py::gil_scoped_acquire gil;
+      if (PyErr_CheckSignals() != 0) raised_.emplace();
+    }
+    return raised_.has_value();
+  }
+  void raise() const {
+    if (raised_) throw py::error_already_set(*raised_);
+  }
+
+ private:
+  std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
+  std::optional<py::error_already_set> raised_;
+};
+
+std::vector<Vec3d> vectors_of(const py::object& value, const char* what) {
+  using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
+  const Doubles rows = Doubles::ensure(value);
+  if (!rows || rows.ndim() != 2 || rows.shape(1) != 3) {
+    PyErr_Clear();
+    throw Error(ErrorKind::usage, std::string(what) + ": expected numbers of the shape [N, 3]");
+  }
+  std::vector<Vec3d> out(static_cast<std::size_t>(rows.shape(0)));
+  for (py::ssize_t i = 0; i < rows.shape(0); ++i)
+    out[static_cast<std::size_t>(i)] = {rows.at(i, 0), rows.at(i, 1), rows.at(i, 2)};
+  return out;
+}
+
+py::dict values_dict(const std::vector<std::pair<std::string, std::optional<double>>>& values) {
+  py::dict out;
+  for (const auto& [name, value] : values) out[py::str(name)] = value ? py::object(py::float_(*value)) : py::none();
+  return out;
+}
+
+}  // namespace
+
+PySession::PySession() : registry_(base_registry()) {}
+
+// Without the GIL, one caller at a time, under the settings of the session's work.
+template <class Work>
+auto PySession::computed(const Work& work) {
+  const py::gil_scoped_release free;
+  const std::lock_guard lock(mutex_);
+  const WorkSettings settings = session().work();
+  const WorkScope scope(settings);
+  return work();
+}
+
+std::unique_ptr<PySession> PySession::open(const py::object& config, const py::dict& set, const Opening& how) {
+  std::unique_ptr<PySession> made(new PySession);
+  const ConfigNode tree = composed(config, set);
+  const py::gil_scoped_release free;
+  made->run_ = std::make_unique<RunSession>(run_config_of(tree, made->registry_), made->registry_,
+                                            RunSessionOptions{how.run_dir, false, how.keep}, made->notes_);
+  return made;
+}
+
+std::unique_ptr<PySession> PySession::resume(const std::string& run_dir, const py::dict& set, const Opening& how) {
+  std::unique_ptr<PySession> made(new PySession);
+  const std::vector<ConfigOverride> overrides = overrides_of(set);
+  const py::gil_scoped_release free;
+  const ConfigNode tree = compose_config_with(RunFolder::read(run_dir).config_path(), overrides);
+  made->run_ = std::make_unique<RunSession>(run_config_of(tree, made->registry_), made->registry_,
+                                            RunSessionOptions{run_dir, true, how.keep}, made->notes_);
+  return made;
+}
+
+std::unique_ptr<PySession> PySession::load(const std::string& run_dir, const py::dict& set) {
+  std::unique_ptr<PySession> made(new PySession);
+  std::vector<std::string> overrides;
+  for (const ConfigOverride& o : overrides_of(set)) overrides.push_back(o.key + "=" + write_config_inline(o.value));
+  const py::gil_scoped_release free;
+  Diagnostics found;
+  made->loaded_ = std::make_unique<OpenedRun>(
+      open_run(run_dir, overrides, made->registry_, found, OpenFor::evaluation_of_training_frames));
+  for (const Diagnostic& finding : folded(found)) made->notes_.note(finding.text());
+  return made;
+}
+
+RunSession& PySession::training() {
+  if (run_) return *run_;
+  throw Error(ErrorKind::usage, "this run was opened to be looked at", "open it with semfield.resume to go on with it");
+}
+
+py::list PySession::rows() const {
+  py::list out;
+  if (!run_) return out;
+  for (const MetricsRow& row : run_->rows()) {
+    py::dict item = values_dict(row.values);
+    item["step"] = row.step;
+    item["train_s"] = row.train_s;
+    out.append(item);
+  }
+  return out;
+}
+
+py::dict PySession::train(std::int64_t steps) {
+  RunSession& run = training();
+  StepLosses sum;
+  std::int64_t made = 0;
+  std::vector<std::int64_t> active(session().config.losses.size(), 0);
+  Interrupt interrupt;
+  const double before_s = train_s();
+  computed([&] {
+    while (made < steps && !interrupt.came()) {
+      for (const StepLosses& losses : run.advance(steps - made, [&] { return interrupt.came(); })) {
+        ++made;
+        sum.total += losses.total;
+        sum.color += losses.color;
+        sum.semantic += losses.semantic;
+        sum.mse += losses.mse;
+        sum.samples += losses.samples;
+        sum.labelled += losses.labelled;
+        sum.correct += losses.correct;
+        for (std::size_t i = 0; i < active.size(); ++i) {
+          if ((losses.active >> i & 1U) == 0) continue;
+          ++active[i];
+          sum.terms[i] += losses.terms[i];
+        }
+      }
+    }
+  });
+  interrupt.raise();
+  py::dict out, terms;
+  const double count = static_cast<double>(std::max<std::int64_t>(made, 1));
+  for (std::size_t i = 0; i < active.size(); ++i)
+    if (active[i] > 0) terms[py::str(session().config.losses[i].type)] = sum.terms[i] / static_cast<double>(active[i]);
+  out["steps"] = made;
+  out["loss"] = sum.total / count;
+  out["color"] = sum.color / count;
+  out["semantic"] = sum.semantic / count;
+  out["mse"] = sum.mse / count;
+  out["samples"] = sum.samples;
+  out["labelled"] = sum.labelled;
+  out["correct"] = sum.correct;
+  out["terms"] = terms;
+  out["seconds"] = train_s() - before_s;
+  return out;
+}
+
+std::string PySession::save(const std::string& run_dir) {
+  RunSession& run = training();
+  return computed([&] { return run.save(run_dir); });
+}
+
+py::dict PySession::parameters() {
+  RunSession& run = training();
+  const std::vector<TensorRef> tensors = computed([&] { return run.training().state(); });
+  py::dict out;
+  for (const TensorRef& tensor : tensors) {
+    if (tensor.type != TensorType::f32) continue;
+    std::vector<float> values(tensor.bytes.size() / sizeof(float));
+    std::copy_n(tensor.bytes.data(), tensor.bytes.size(), reinterpret_cast<std::byte*>(values.data()));
+    out[py::str(tensor.name)] = array_of(std::move(values), {tensor.shape.begin(), tensor.shape.end()});
+  }
+  return out;
+}
+
+void PySession::set_labels(int frame, const py::object& ids) {
+  RunSession& run = training();
+  const std::vector<FrameInfo>& frames = session().scene.info.frames;
+  if (frame < 0 || frame >= std::ssize(frames))
+    throw Error(ErrorKind::usage, "frame " + std::to_string(frame) + ": there are " + std::to_string(frames.size()));
+  const FrameInfo& info = frames[static_cast<std::size_t>(frame)];
+  std::vector<std::int16_t> labels = indices_of(ids, session().scene.info.classes, info.camera.height_px,
+                                                info.camera.width_px, "labels of frame '" + info.name + "'");
+  computed([&] { run.training().set_labels(frame, std::move(labels)); });
+}
+
+bool PySession::apply(const std::string& event) {
+  RunSession& run = training();
+  const LabelEvent parsed = parse_label_event(event);
+  return computed([&] { return run.apply(parsed); });
+}
+
+py::dict PySession::annotations() const {
+  py::dict out;
+  py::list marks;
+  const Annotations* all = run_ ? run_->annotations() : nullptr;
+  out["room"] = all != nullptr ? all->classes().valid_count() : 0;
+  py::list named;
+  for (int i = 0; all != nullptr && i < all->named_classes(); ++i)
+    if (all->is_named(i)) named.append(all->classes().valid(i).name);
+  out["named"] = named;
+  if (all != nullptr) {
+    for (const Annotations::Mark& mark : all->marks()) {
+      py::dict item;
+      py::list points;
+      for (const PixelPoint& p : mark.points) points.append(py::make_tuple(p.x, p.y));
+      item["id"] = mark.id;
+      item["frame"] = session().scene.info.frames[static_cast<std::size_t>(mark.frame)].name;
+      item["points"] = points;
+      item["radius_px"] = mark.radius_px;
+      item["class_"] =
+          mark.class_index == kVoid ? py::object(py::none()) : py::str(all->classes().valid(mark.class_index).name);
+      marks.append(item);
+    }
+  }
+  out["clicks"] = marks;
+  return out;
+}
+
+py::dict PySession::render(const py::dict& camera, const py::object& pose, int stride, bool probability, int ordinal) {
+  const RayCamera view{camera_of(camera), pose_of(pose, "render"), true};
+  Diagnostics found;
+  check_camera(view.camera, "render", found);
+  found.throw_if_errors(ErrorKind::usage, "");
+  if (stride < 1 || stride > std::min(view.camera.width_px, view.camera.height_px))
+    throw Error(ErrorKind::usage, "stride " + std::to_string(stride) + ": expected 1 to the picture's shorter side");
+  FrameOptions options;
+  options.stride = stride;
+  options.probability = probability;
+  Interrupt interrupt;
+  options.progress = [&](double) {
+    if (interrupt.came()) interrupt.raise();
+  };
+  RenderedFrame frame = computed([&] {
+    return render_frame(*session().pipeline, {view.camera, view.world_from_camera, view.camera.has_distortion()},
+                        session().limits, session().plan.class_of_logit, {}, options);
+  });
+  const py::ssize_t height = frame.height_px, width = frame.width_px;
+  const ClassTable& classes = session().scene.info.classes;
+  py::dict out;
+  out["rgb"] = array_of(std::move(frame.rgb), {height, width, 3});
+  out["depth_m"] = array_of(std::move(frame.depth_m), {height, width});
+  out["opacity"] = array_of(std::move(frame.opacity), {height, width});
+  if (session().pipeline->has_semantics()) {
+    out["label"] = ids_array(frame.label, classes, frame.height_px, frame.width_px);
+    out["entropy"] = array_of(std::move(frame.entropy), {height, width});
+    out["confidence"] = array_of(std::move(frame.confidence), {height, width});
+    if (probability)
+      out["probability"] = array_of(std::move(frame.probability), {height, width, classes.valid_count()});
+  }
+  if (ordinal >= 0)
+    for (const auto& item : py::dict(out)) out[item.first] = on_device(item.second.cast<py::array>(), ordinal);
+  return out;
+}
+
+py::tuple PySession::evaluate(const std::string& split, const std::vector<int>& frames) {
+  if (frames.empty())
+    throw Error(ErrorKind::usage, "the scene has no frames in split '" + split + "'", "see run.frames");
+  Interrupt interrupt;
+  const SplitScore score = computed([&] {
+    EvalJob job = session().eval_job(frames);
+    job.stop = [&] { return interrupt.came(); };
+    return semfield::evaluate(*session().pipeline, job, session().limits, session().plan.class_of_logit);
+  });
+  interrupt.raise();
+  FinalEval detail = final_eval(score, session().scene.info.classes, split);
+  detail.step = step();
+  detail.train_s = train_s();
+  return py::make_tuple(values_dict(score.values()), final_eval_json(detail));
+}
+
+py::dict PySession::query(const py::object& positions, const py::object& directions) {
+  const std::vector<Vec3d> places = vectors_of(positions, "positions");
+  const std::vector<Vec3d> seen = directions.is_none() ? std::vector<Vec3d>() : vectors_of(directions, "directions");
+  if (!directions.is_none() && seen.size() != places.size())
+    throw Error(ErrorKind::usage, "directions: expected one for each of " + std::to_string(places.size()) +
+                                      " positions, got " + std::to_string(seen.size()));
+  const int classes = session().classes();
+  FieldPoints found = computed([&] {
+    session().pipeline->executor().download(step());
+    return field_at(*session().pipeline, places, seen, session().limits, session().plan.class_of_logit, classes);
+  });
+  const auto count = std::ssize(places);
+  py::dict out;
+  out["sigma"] = array_of(std::move(found.sigma), {count});
+  if (!directions.is_none()) out["rgb"] = array_of(std::move(found.rgb), {count, 3});
+  if (session().pipeline->has_semantics()) {
+    out["label"] =
+        ids_array(found.label, session().scene.info.classes, 1, static_cast<std::int32_t>(count)).attr("reshape")(-1);
+    out["probability"] = array_of(std::move(found.probability), {count, classes});
+    out["entropy"] = array_of(std::move(found.entropy), {count});
+  }
+  return out;
+}
+
+}  // namespace semfield::python
