@@ -32,6 +32,8 @@ OpenedForTraining open(RunConfig config, Registry& registry, const RunSessionOpt
   return open_for_training(std::move(config), registry, request, listener);
 }
 
+std::string place_of(const std::string& folder) { return fs::weakly_canonical(fs::absolute(folder)).string(); }
+
 }  // namespace
 
 RunSession::RunSession(RunConfig config, Registry& registry, const RunSessionOptions& options,
@@ -53,7 +55,8 @@ RunSession::RunSession(OpenedForTraining opened, Registry& registry, TrainingLis
   self_training_.resume(opened.point.step(), opened.point.facts ? opened.point.facts->self_labels : "");
   if (opened.point.facts) training_.load(opened.point.path);
   step_rows_.emplace(session(), training_.train_s());
-  write_records(opened.point);
+  write_records(*folder_, opened.point);
+  log_.emplace(MetricsLog::resume(folder_->metrics_path(), training_.step()));
 }
 
 // The file may have grown since the scene was opened by it.
@@ -63,16 +66,15 @@ void RunSession::open_clicks() {
   for (const Diagnostic& finding : folded(findings)) listener_.note(finding.text());
 }
 
-void RunSession::write_records(const ResumePoint& point) {
-  write_run_records(*folder_, training_, registry_, point);
-  write_labels();
-  log_.emplace(MetricsLog::resume(folder_->metrics_path(), training_.step()));
+void RunSession::write_records(const RunFolder& folder, const ResumePoint& point) {
+  write_run_records(folder, training_, registry_, point);
+  write_labels(folder);
 }
 
-void RunSession::write_labels() const {
+void RunSession::write_labels(const RunFolder& folder) const {
   LabelCounts counts = label_counts(session().manifest, session().scene.info.classes, session().labels.steps);
   counts.rounds = self_training_.rounds();
-  write_file_atomic(folder_->labels_path(), label_counts_json(counts));
+  write_file_atomic(folder.labels_path(), label_counts_json(counts));
 }
 
 std::span<const StepLosses> RunSession::advance(std::int64_t most, const std::function<bool()>& stop) {
@@ -87,7 +89,7 @@ std::span<const StepLosses> RunSession::advance(std::int64_t most, const std::fu
     training_.add_train_s(spent_s);
     step_rows_->leave_out(spent_s);
     listener_.note(self_training_.rounds().back().text());
-    write_labels();
+    write_labels(*folder_);
   }
   const std::int64_t ahead =
       self_training_.steps_until_due(before, std::min(most, step_rows_->steps_until_row(before)));
@@ -102,29 +104,48 @@ std::span<const StepLosses> RunSession::advance(std::int64_t most, const std::fu
   return made;
 }
 
+std::string RunSession::write_checkpoint(const RunFolder& folder) {
+  const std::vector<TensorRef> tensors = training_.state();
+  CheckpointFacts facts = training_.facts();
+  facts.self_labels = self_training_.named();
+  CheckpointStore checkpoints(folder.checkpoints_path(), session().config.report.keep_checkpoints);
+  return checkpoints.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
+}
+
 std::string RunSession::save(const std::string& run_dir) {
   const WorkSettings work = session().work();
   const WorkScope scope(work);
-  if (!folder_ && run_dir.empty())
+  const std::string own = folder_ ? place_of(folder_->path()) : saved_in_;
+  if (own.empty() && run_dir.empty())
     throw Error(ErrorKind::usage, "the run has no folder yet", "name the folder to save it in");
-  if (folder_ && !run_dir.empty() &&
-      fs::absolute(run_dir).lexically_normal() != fs::absolute(folder_->path()).lexically_normal())
-    throw Error(ErrorKind::usage,
-                "the run has the folder '" + folder_->path() + "' and cannot be saved in '" + run_dir + "'",
-                "save it in its own folder; a copy of the folder is a run too");
-  const std::vector<TensorRef> tensors = training_.state();
-  if (!folder_) {
-    const std::string text = run_config_text(session().config, registry_);
-    folder_.emplace(RunFolder::create(run_dir));
-    write_file_atomic(folder_->config_path(), text);
-    write_records({});
-    for (const MetricsRow& row : rows_) log_->append(row);
+  const std::string place = run_dir.empty() ? own : place_of(run_dir);
+  if (folder_) {
+    if (place != own)
+      throw Error(ErrorKind::usage, "the run has the folder '" + own + "' and cannot be saved in '" + run_dir + "'",
+                  "save it in its own folder; a copy of the folder is a run too");
+    log_->sync();
+    return write_checkpoint(*folder_);
   }
-  log_->sync();
-  CheckpointFacts facts = training_.facts();
-  facts.self_labels = self_training_.named();
-  CheckpointStore checkpoints(folder_->checkpoints_path(), session().config.report.keep_checkpoints);
-  return checkpoints.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
+  const bool again = place == saved_in_;
+  const std::string text = run_config_text(session().config, registry_);
+  training_.state();  // what cannot be stored leaves no folder
+  const RunFolder folder = again ? RunFolder::resume(place) : RunFolder::create(place);
+  if (again) {
+    const std::vector<CheckpointStore::Entry> there = CheckpointStore::read(folder.checkpoints_path()).list();
+    if (!there.empty() && there.front().path != last_saved_)
+      throw Error(ErrorKind::data,
+                  "somebody went on with the run in '" + place + "': its newest checkpoint is " + there.front().path,
+                  "save this one in another folder");
+  } else {
+    write_file_atomic(folder.config_path(), text);
+    write_records(folder, {});
+  }
+  MetricsLog log = MetricsLog::resume(folder.metrics_path(), 0);
+  for (const MetricsRow& row : rows_) log.append(row);
+  log.sync();
+  last_saved_ = write_checkpoint(folder);
+  saved_in_ = place;
+  return last_saved_;
 }
 
 bool RunSession::apply(const LabelEvent& event) {

@@ -30,8 +30,8 @@ class RunSession {
 
   Training& training() { return training_; }
   const Session& session() const { return training_.session(); }
-  /// "" without a folder.
-  std::string run_dir() const { return folder_ ? folder_->path() : ""; }
+  /// Where it is, or was last written to; "" for neither.
+  std::string run_dir() const { return folder_ ? folder_->path() : saved_in_; }
 
   /// At least one step and at most `most`: as many as run without waiting in between. A round of self-training that is
   /// due is made first; where `stop` ended it no step is made. Their losses, valid until the next call.
@@ -39,8 +39,10 @@ class RunSession {
   /// Training rows so far, as metrics.jsonl has them; of a run that goes on those since.
   const std::vector<MetricsRow>& rows() const { return rows_; }
 
-  /// A checkpoint in the run's folder. A run without one gets `run_dir`, which must not exist or be empty; "" is right
-  /// for a run that has its folder. Returns the checkpoint's path. Throws Error(usage) for no folder or for another.
+  /// A checkpoint in the run's folder; `run_dir` is then "" or that folder. A run without one is written to `run_dir`,
+  /// which must be empty or one that it was written to before, and nothing of it stays locked: any program may go on
+  /// with it there. Returns the checkpoint's path. Throws Error(usage) for no folder or another one, Error(data) where
+  /// somebody went on with the folder.
   std::string save(const std::string& run_dir);
 
   /// Clicks and classes; null where the configuration has neither scene.labels.clicks nor .class_room.
@@ -52,8 +54,9 @@ class RunSession {
 
  private:
   RunSession(OpenedForTraining opened, Registry& registry, TrainingListener& listener);
-  void write_records(const ResumePoint& point);
-  void write_labels() const;
+  void write_records(const RunFolder& folder, const ResumePoint& point);
+  std::string write_checkpoint(const RunFolder& folder);
+  void write_labels(const RunFolder& folder) const;
   void open_clicks();
 
   Registry& registry_;
@@ -66,6 +69,8 @@ class RunSession {
   std::optional<MetricsLog> log_;
   std::optional<Annotations> annotations_;
   std::optional<ClickLog> clicks_;
+  std::string saved_in_;  // of a run without a folder
+  std::string last_saved_;
 };
 
 }  // namespace semfield

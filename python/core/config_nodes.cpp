@@ -2,8 +2,8 @@
 
 #include <cstdlib>
 
+#include "config/params_read.h"
 #include "core/error.h"
-#include "core/text.h"
 
 namespace semfield::python {
 

@@ -13,6 +13,7 @@
 #include "python/core/device_arrays.h"
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"
+#include "scene/scene_checks.h"
 
 namespace semfield::python {
 
@@ -238,6 +239,7 @@ py::dict PySession::render(const py::dict& camera, const py::object& pose, int s
   FrameOptions options;
   options.stride = stride;
   options.probability = probability;
+  options.classes = session().classes();
   Interrupt interrupt;
   options.progress = [&](double) {
     if (interrupt.came()) interrupt.raise();

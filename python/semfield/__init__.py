@@ -1,0 +1,33 @@
+"""Semfield: neural fields of appearance, geometry and semantics for one scene.
+
+    import semfield as sf
+
+    run = sf.open("quickstart", set={"train.steps": 400})
+    for step in run.train(every=100):
+        print(step.step, step.loss, step.psnr)
+    view = run.render(frame="0007")      # view.rgb, view.label, view.depth_m, view.entropy
+    print(run.evaluate("test").miou_present)
+    run.save("runs/a")
+
+Conventions: poses are [4, 4] camera-to-world matrices with OpenCV axes (x right, y down, z forward); pixels are
+[row, column], top left first; lengths are metres where the scene is metric; labels are the ids of the scene's own
+class table, -1 for none. Calls that compute give the GIL back and answer Ctrl-C between steps.
+"""
+
+from __future__ import annotations
+
+from . import errors
+from ._core import DeviceArray, __version__, load_plugin, to_device
+from .errors import ConfigError, DataError, Error, Finding, InputError, UnavailableError, UsageError, WriteError
+from .plugins import Dataset, Encoder, Tensor, dataset, encoder, param, plugins
+from .program import CommandError, command
+from .runs import Labels, Outcome, Points, Run, Score, Step, View, load, open, resolved, resume, train
+from .scenes import Camera, ClassEntry, Frame, Scene
+from .sweeps import Sweep, sweep
+
+__all__ = [
+    "Camera", "ClassEntry", "CommandError", "ConfigError", "DataError", "Dataset", "DeviceArray", "Encoder", "Error",
+    "Finding", "Frame", "InputError", "Labels", "Outcome", "Points", "Run", "Scene", "Score", "Step", "Sweep", "Tensor",
+    "UnavailableError", "UsageError", "View", "WriteError", "command", "dataset", "encoder", "errors", "load",
+    "load_plugin", "open", "param", "plugins", "resolved", "resume", "sweep", "to_device", "train", "__version__",
+]

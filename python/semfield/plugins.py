@@ -1,0 +1,232 @@
+"""Encoders and datasets in Python, for trying ideas: NumPy in, NumPy out, one batch a call.
+
+They are held to the same laws as plugins in C++ (``semfield plugins check FILE``), and they are slow: a call takes the
+interpreter's lock, so one thread at a time is in them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import sys
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, Type, TypeVar
+
+import numpy as np
+
+from . import _core
+from .errors import UsageError
+from .scenes import Frame, _class_rows
+
+
+@dataclasses.dataclass(frozen=True)
+class param:  # noqa: N801 - read as a word in a class body: bands = sf.param(8, "number of bands", low=1)
+    """A parameter of a plugin: a class attribute, set from the configuration on every instance.
+
+    Attributes:
+        default: truth value, integer, float, text, or a list of numbers or texts; its type is the parameter's.
+        help: one sentence, with the unit.
+        low, high: range of a number, or of each number of a list, ends included.
+        choices: texts of which one is meant.
+    """
+
+    default: Any
+    help: str
+    low: Optional[float] = None
+    high: Optional[float] = None
+    choices: Optional[Sequence[str]] = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Tensor:
+    """Learned numbers of an encoder, float32 [rows, cols]; they start uniform in [low, high)."""
+
+    rows: int
+    cols: int
+    low: float = 0.0
+    high: float = 0.0
+
+
+class _Plugin:
+    @classmethod
+    def _params(cls) -> List[Dict[str, Any]]:
+        found: Dict[str, param] = {}
+        for base in reversed(cls.__mro__):
+            found.update({k: v for k, v in vars(base).items() if isinstance(v, param)})
+        return [{"name": name, **dataclasses.asdict(p)} for name, p in found.items()]
+
+    @classmethod
+    def _with(cls, values: Mapping[str, Any]) -> Any:
+        made = cls.__new__(cls)
+        for name, value in values.items():
+            setattr(made, name, value)
+        return made
+
+
+class Encoder(_Plugin):
+    """Coordinates to features.
+
+    A subclass has parameters (`param`), `setup`, `forward` and `backward`. Arrays are views of the framework's memory:
+    keep none of them beyond the call. Rows must not depend on each other, and the same row gives the same bits in
+    any batch.
+
+    Attributes:
+        domain: what coordinates are: "metric" (any real numbers, about -1 to 1), "unit_cube" ([0, 1], clamp yourself) or
+            "direction" (unit vectors).
+        in_dims: D, numbers of a coordinate.
+        out_dims: F, numbers of a feature; `setup` sets it.
+        tensors: learned numbers by name; `setup` sets them.
+        build: what else is known: is_direction, extent_m, pixel_footprint_m, largest_coordinate.
+    """
+
+    domain: str = "metric"
+    in_dims: int = 3
+    out_dims: int = 0
+    tensors: Dict[str, Tensor]
+    build: Dict[str, Any]
+
+    def setup(self) -> None:
+        """Sets out_dims, and tensors where there are any."""
+        raise NotImplementedError("setup")
+
+    def forward(self, x: np.ndarray, params: Dict[str, np.ndarray]) -> np.ndarray:
+        """Features of coordinates.
+
+        Args:
+            x: [N, D] float64.
+            params: the tensors by name, [rows, cols] float32 or, as the oracle of the laws, float64.
+
+        Returns:
+            [N, F]
+        """
+        raise NotImplementedError("forward")
+
+    def backward(
+        self, x: np.ndarray, dy: np.ndarray, params: Dict[str, np.ndarray], grads: Dict[str, np.ndarray]
+    ) -> Optional[np.ndarray]:
+        """Gradients of the loss.
+
+        Args:
+            x: [N, D] float64, as in forward.
+            dy: [N, F], dL/d(features).
+            params: as in forward.
+            grads: by name, [rows, cols]: add dL/d(tensor) to them in place.
+
+        Returns:
+            [N, D], dL/dx.
+        """
+        raise NotImplementedError("backward")
+
+    @classmethod
+    def _made(cls, values: Mapping[str, Any], build: Mapping[str, Any]) -> "Encoder":
+        made: Encoder = cls._with(values)
+        made.build = dict(build)
+        made.in_dims = int(build["in_dims"])
+        made.tensors = {}
+        made.setup()
+        return made
+
+
+class Dataset(_Plugin):
+    """A scene of files of another kind.
+
+    A subclass has parameters (`param`), `frames`, `pixels` and, where there are labels, `classes`. Threads ask for
+    pixels one after the other.
+
+    Attributes:
+        config_dir: relative paths of parameters start here.
+        bounds: [2, 3] corners of the content, or None.
+        near, far: distances along rays, metres; 0: found.
+        metric: False where the unit is unknown.
+    """
+
+    config_dir: str = ""
+    bounds: Any = None
+    near: float = 0.0
+    far: float = 0.0
+    metric: bool = True
+
+    def frames(self) -> Sequence[Frame]:
+        """Every frame, without pixels: name, camera, pose, split, has_labels, has_depth, source."""
+        raise NotImplementedError("frames")
+
+    def classes(self) -> Any:
+        """Names in the order of their ids, {id: name}, or ClassEntry objects."""
+        return []
+
+    def pixels(self, index: int) -> Frame:
+        """Frame `index` of `frames` with rgb [H, W, 3] uint8, and labels [H, W] ids and depth_m [H, W] where it has them."""
+        raise NotImplementedError("pixels")
+
+    @classmethod
+    def _made(cls, values: Mapping[str, Any], config_dir: str) -> "Dataset":
+        made: Dataset = cls._with(values)
+        made.config_dir = config_dir
+        return made
+
+    def _opened(self) -> Dict[str, Any]:
+        frames = []
+        for f in self.frames():
+            frames.append({
+                "name": f.name, "source": f.source or f.name, "camera": f.camera._dict(), "pose": f.pose, "split": f.split,
+                "has_depth": bool(f.has_depth), "has_labels": bool(f.has_labels),
+            })
+        return {
+            "name": type(self).__name__, "frames": frames, "classes": _class_rows(self.classes()),
+            "bounds": None if self.bounds is None else np.asarray(self.bounds, dtype=np.float64), "near": float(self.near),
+            "far": float(self.far), "metric": bool(self.metric),
+        }
+
+    def _read(self, index: int) -> Dict[str, Any]:
+        f = self.pixels(index)
+        return {"rgb": f.rgb, "labels": f.labels, "depth_m": f.depth_m}
+
+
+E_ = TypeVar("E_", bound=Type[Encoder])
+D_ = TypeVar("D_", bound=Type[Dataset])
+
+
+def _summary(cls: type, summary: str) -> str:
+    text = summary or (cls.__doc__ or "").strip().split("\n")[0]
+    if not text:
+        raise UsageError(f"{cls.__name__}: a plugin has a sentence that says what it is; give a docstring or summary=")
+    return text
+
+
+def encoder(name: str, summary: str = "") -> Callable[[E_], E_]:
+    """Makes a subclass of Encoder a plugin: ``position: {type: NAME}``. Defined again, the last one counts."""
+
+    def add(cls: E_) -> E_:
+        _core.add_encoder({"name": name, "summary": _summary(cls, summary), "class": cls, "params": cls._params()})
+        return cls
+
+    return add
+
+
+def dataset(name: str, summary: str = "") -> Callable[[D_], D_]:
+    """Makes a subclass of Dataset a plugin: ``scene: {type: NAME}``. Defined again, the last one counts."""
+
+    def add(cls: D_) -> D_:
+        _core.add_dataset({"name": name, "summary": _summary(cls, summary), "class": cls, "params": cls._params()})
+        return cls
+
+    return add
+
+
+def plugins() -> List[Tuple[str, str, str, str]]:
+    """Kind, name, sentence and module of every plugin that configurations can name."""
+    return list(_core.plugin_names())
+
+
+def _run_file(path: str) -> None:
+    """Runs a file that defines plugins, under a name of its own."""
+    name = f"semfield_plugin_{abs(hash(path)):x}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise UsageError(f"{path}: not a file of Python")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise

@@ -1,0 +1,56 @@
+"""The program `semfield` of this installation: verbs that Python has no call for."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import shutil
+import subprocess
+from typing import Any, List
+
+from . import _core
+from .errors import Error, UnavailableError
+
+
+class CommandError(Error):
+    """A verb that ended with another code than 0; `stderr` is what it said."""
+
+    stderr: str = ""
+
+
+def program() -> str:
+    """Path of the program: SEMFIELD_PROGRAM, else the one of this build or installation, else that of PATH."""
+    named = os.environ.get("SEMFIELD_PROGRAM")
+    if named:
+        return named
+    here = pathlib.Path(_core.__file__).resolve()
+    for above in list(here.parents)[:6]:
+        found = above / "bin" / "semfield"
+        if found.is_file() and os.access(found, os.X_OK):
+            return str(found)
+    on_path = shutil.which("semfield")
+    if on_path is None:
+        raise UnavailableError("the program semfield is not beside the module and not in PATH",
+                               remedy="install the package semfield, or set SEMFIELD_PROGRAM", exit_code=69)
+    return on_path
+
+
+def command(*words: Any, json_output: bool = False) -> Any:
+    """Runs a verb, as in a terminal: ``command("mesh", "runs/a", "--format", "ply")``.
+
+    Returns what it prints, as text; with `json_output` the object that ``--json`` makes it print.
+
+    Raises:
+        CommandError: it ended with another code than 0.
+    """
+    line: List[str] = [program(), *(os.fspath(w) if hasattr(w, "__fspath__") else str(w) for w in words)]
+    if json_output:
+        line.append("--json")
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        error = CommandError(f"semfield {' '.join(line[1:])}: {done.stderr.strip() or done.stdout.strip()}",
+                             exit_code=done.returncode)
+        error.stderr = done.stderr
+        raise error
+    return json.loads(done.stdout) if json_output else done.stdout
