@@ -12,7 +12,7 @@
 #include "run/report_frames.h"
 #include "run/run_folder.h"
 #include "run/run_listener.h"
-#include "run/tensorboard.h"
+#include "run/rows/tensorboard.h"
 #include "session/session.h"
 
 namespace semfield {

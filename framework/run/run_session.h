@@ -11,7 +11,7 @@
 #include "run/checkpoint_store.h"
 #include "run/metrics_log.h"
 #include "run/run_start.h"
-#include "run/step_rows.h"
+#include "run/rows/step_rows.h"
 #include "session/self_training.h"
 
 namespace semfield {

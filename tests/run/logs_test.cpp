@@ -11,7 +11,7 @@
 
 #include "core/error.h"
 #include "run/metrics_log.h"
-#include "run/tensorboard.h"
+#include "run/rows/tensorboard.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -1,5 +1,5 @@
 // Event records: protocol buffer messages Event and Summary with the few fields that a scalar needs.
-#include "run/tensorboard.h"
+#include "run/rows/tensorboard.h"
 
 #include <fcntl.h>
 #include <fmt/format.h>

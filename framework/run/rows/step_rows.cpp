@@ -1,4 +1,4 @@
-#include "run/step_rows.h"
+#include "run/rows/step_rows.h"
 
 #include <algorithm>
 #include <cmath>
