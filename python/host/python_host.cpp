@@ -50,9 +50,18 @@ void add_build_folder() {
   Py_XDECREF(word);
 }
 
+// Extension modules look for Python's functions among those that all libraries share, and this library was loaded for
+// itself.
+void share_python() {
+  Dl_info python{};
+  if (::dladdr(reinterpret_cast<const void*>(&Py_IsInitialized), &python) != 0 && python.dli_fname != nullptr)
+    (void)::dlopen(python.dli_fname, RTLD_NOW | RTLD_GLOBAL | RTLD_NOLOAD);
+}
+
 // The interpreter lives until the process ends: plugins hold objects of it.
 void start_python() {
   if (Py_IsInitialized() != 0) return;
+  share_python();
   PyConfig config;
   PyConfig_InitPythonConfig(&config);
   config.install_signal_handlers = 0;  // the program has its own
