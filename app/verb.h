@@ -125,6 +125,9 @@ std::vector<std::string> choice_names() {
   return {ChoiceNames<T>::names.begin(), ChoiceNames<T>::names.end()};
 }
 
+/// The words of which names of verbs are made, each once: for completion.
+std::vector<std::string> words_of_verbs();
+
 /// Every verb_NAME() of the build, in no order. The build writes it (app/CMakeLists.txt).
 std::vector<Verb> all_verbs();
 

@@ -5,6 +5,7 @@
 #include <charconv>
 #include <cmath>
 #include <optional>
+#include <set>
 #include <type_traits>
 
 #include "app/command_line/grammar.h"
@@ -69,6 +70,15 @@ std::function<std::string(const std::string&)> into_list(std::vector<std::string
 }
 
 }  // namespace
+
+// Names alone: what verbs declare may name all verbs.
+std::vector<std::string> words_of_verbs() {
+  std::set<std::string> words;
+  for (const Verb& verb : all_verbs()) {
+    for (const std::string_view word : words_of(verb.name)) words.emplace(word);
+  }
+  return {words.begin(), words.end()};
+}
 
 Word& VerbWords::add(Word word) {
   SEMFIELD_CHECK(!word.help.empty(), "a word without a sentence");

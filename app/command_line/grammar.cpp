@@ -69,6 +69,14 @@ std::vector<Word> words_everywhere(GlobalOptions& global) {
 std::string VerbGrammar::parent() const { return name.substr(0, std::max<std::size_t>(name.find(' ') + 1, 1) - 1); }
 std::string VerbGrammar::last() const { return name.substr(name.find(' ') + 1); }
 
+std::vector<const Word*> VerbGrammar::operands() const {
+  std::vector<const Word*> out;
+  for (const Word& word : words) {
+    if (word.kind == Word::Kind::operand) out.push_back(&word);
+  }
+  return out;
+}
+
 const VerbGrammar* Grammar::find(const std::string& name) const {
   const auto found = std::find_if(verbs.begin(), verbs.end(), [&](const VerbGrammar& v) { return v.name == name; });
   return found == verbs.end() ? nullptr : &*found;
@@ -87,6 +95,18 @@ std::vector<const Word*> Grammar::words_of(const VerbGrammar& verb) const {
   for (const Word& word : verb.words) out.push_back(&word);
   for (const Word& word : everywhere) {
     if (word.name != "--version" && (word.name != "--json" || verb.json)) out.push_back(&word);
+  }
+  return out;
+}
+
+std::vector<const Word*> Grammar::options_of(const VerbGrammar* verb) const {
+  std::vector<const Word*> out;
+  if (verb == nullptr) {
+    for (const Word& word : everywhere) out.push_back(&word);
+  } else {
+    for (const Word* word : words_of(*verb)) {
+      if (word->kind != Word::Kind::operand) out.push_back(word);
+    }
   }
   return out;
 }

@@ -43,6 +43,7 @@ struct VerbGrammar {
 
   std::string parent() const;  ///< "config"; "" of a verb without a group
   std::string last() const;    ///< "check"
+  std::vector<const Word*> operands() const;
 };
 
 struct Grammar {
@@ -54,6 +55,8 @@ struct Grammar {
   std::vector<const VerbGrammar*> below(const std::string& group) const;
   /// A verb's own words, then those of every verb that it takes.
   std::vector<const Word*> words_of(const VerbGrammar& verb) const;
+  /// The flags and values among them; without a verb, those that stand alone.
+  std::vector<const Word*> options_of(const VerbGrammar* verb) const;
 };
 
 /// What the words of every verb take.

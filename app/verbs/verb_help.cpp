@@ -22,7 +22,8 @@ int run(const HelpOptions& options, AppContext&) {
 }
 
 void words(VerbWords& verb, HelpOptions& options) {
-  verb.optional_operands("verb", options.verb, "verb, such as: train, config check (default: the list of all verbs)");
+  verb.optional_operands("verb", options.verb, "verb, such as: train, config check (default: the list of all verbs)",
+                         words_of_verbs());
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // plugins docs: the generated reference of plugins, on a page or in a whole source tree.
 #include <filesystem>
 
+#include "app/command_line/man_page.h"
 #include "app/verb.h"
 #include "app/verbs/plugins/plugin_output.h"
 #include "plugin/reference.h"
@@ -17,7 +18,8 @@ struct DocsOptions {
                     ///< pages renewed
 };
 
-// The generated pages of a source tree: docs/reference/plugins.md and the table in each plugin folder's README.
+// The generated pages of a source tree: plugins.md and verbs.md in docs/reference, and the table in each plugin
+// folder's README.
 int refresh_tree(const fs::path& root, const AppContext& context) {
   int written = 0;
   const auto write_if_new = [&written](const fs::path& path, const std::string& text) {
@@ -27,6 +29,7 @@ int refresh_tree(const fs::path& root, const AppContext& context) {
   };
   fs::create_directories(root / "docs" / "reference");
   write_if_new(root / "docs" / "reference" / "plugins.md", plugins_markdown(context.registry));
+  write_if_new(root / "docs" / "reference" / "verbs.md", verbs_page(program_grammar()));
   for (const PluginEntry* entry : context.registry.entries()) {
     const fs::path readme = root / "plugins" / (std::string(kind_name(entry->kind)) + "s") / entry->name / "README.md";
     if (fs::exists(readme)) write_if_new(readme, with_parameter_table(read_text_file(readme.string()), *entry));
