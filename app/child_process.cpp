@@ -2,14 +2,17 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <poll.h>
 #include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <array>
 #include <cerrno>
 #include <csignal>
 #include <filesystem>
 
+#include "app/signals.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -32,13 +35,8 @@ class OutputFile {
   int descriptor_;
 };
 
-}  // namespace
-
-std::string own_program() { return std::filesystem::read_symlink("/proc/self/exe").string(); }
-
-pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
-                  const std::function<void()>& in_child) {
-  const OutputFile out(files.out), log(files.log);
+// `out` and `log` become stdout and stderr of the child.
+pid_t spawn(const std::vector<std::string>& words, int out, int log, const std::function<void()>& in_child) {
   std::vector<char*> argv;
   for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
   argv.push_back(nullptr);
@@ -53,13 +51,56 @@ pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files
     if (getppid() != parent) _exit(128 + SIGTERM);
     if (in_child) in_child();
     dup2(open("/dev/null", O_RDONLY | O_CLOEXEC), STDIN_FILENO);
-    dup2(out.descriptor(), STDOUT_FILENO);
-    dup2(log.descriptor(), STDERR_FILENO);
+    dup2(out, STDOUT_FILENO);
+    dup2(log, STDERR_FILENO);
     execv(argv[0], argv.data());
     _exit(127);
   }
   if (pid < 0) throw Error(ErrorKind::unavailable, "no process can be started", "see what limits them: ulimit -u");
   return pid;
+}
+
+}  // namespace
+
+std::string own_program() { return std::filesystem::read_symlink("/proc/self/exe").string(); }
+
+pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
+                  const std::function<void()>& in_child) {
+  const OutputFile out(files.out), log(files.log);
+  return spawn(words, out.descriptor(), log.descriptor(), in_child);
+}
+
+ChildEnd run_child(const std::vector<std::string>& words) {
+  int ends[2] = {-1, -1};
+  if (pipe2(ends, O_CLOEXEC) != 0)
+    throw Error(ErrorKind::unavailable, "no pipe can be had", "raise the number of open files with `ulimit -n`");
+  pid_t pid = 0;
+  try {
+    pid = spawn(words, ends[1], STDERR_FILENO, {});
+  } catch (...) {
+    close(ends[0]);
+    close(ends[1]);
+    throw;
+  }
+  close(ends[1]);
+  ChildEnd end;
+  bool told = false, open = true;
+  while (open) {
+    pollfd reader{ends[0], POLLIN, 0};
+    const int ready = poll(&reader, 1, 100);
+    if (stop_signal() != 0 && !told) told = kill(pid, stop_signal()) == 0;
+    if (ready <= 0) continue;
+    std::array<char, 4096> part{};
+    const ssize_t got = read(ends[0], part.data(), part.size());
+    if (got > 0) end.out.append(part.data(), static_cast<std::size_t>(got));
+    open = got > 0 || (got < 0 && errno == EINTR);
+  }
+  close(ends[0]);
+  int status = 0;
+  while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
+  }
+  end.code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  return end;
 }
 
 std::string child_failure(int status, const std::string& log_file) {

@@ -1,4 +1,4 @@
-// This program as a process of its own: what it prints goes to files, and it ends with the one that started it.
+// This program as a process of its own, which ends with the one that started it.
 #pragma once
 
 #include <sys/types.h>
@@ -21,6 +21,16 @@ struct ChildFiles {
 /// it is the one that it ends with. Throws write_error for the files, Error(unavailable) where no process can be had.
 pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
                   const std::function<void()>& in_child = {});
+
+struct ChildEnd {
+  int code = 0;  ///< its exit code, or 128 and the number of the signal that ended it
+  std::string out;
+};
+
+/// Starts `words` as start_child does and waits for the end. Its stderr is this program's own, what it prints to stdout
+/// comes back. A stop signal that came here (app/signals.h, installed by the caller) is sent on to it once. Throws
+/// Error(unavailable) where no process can be had.
+ChildEnd run_child(const std::vector<std::string>& words);
 
 /// How a child that ended with this status failed: code or signal, the last line of its log, and where the rest is.
 std::string child_failure(int status, const std::string& log_file);

@@ -8,6 +8,7 @@
 
 #include "app/progress_line.h"
 #include "app/signals.h"
+#include "app/time_setting.h"
 #include "app/verb.h"
 #include "config/compose.h"
 #include "core/findings.h"
@@ -28,22 +29,6 @@ struct TrainOptions {
   std::vector<std::string> keep;
   bool dry_run = false;
 };
-
-double parse_seconds(const std::string& text) {
-  std::size_t end = 0;
-  double value = 0;
-  try {
-    value = std::stod(text, &end);
-  } catch (const std::exception&) {
-    end = 0;
-  }
-  const std::string unit = text.substr(end);
-  const double factor = unit.empty() || unit == "s" ? 1 : unit == "m" ? 60 : unit == "h" ? 3600 : -1;
-  if (end == 0 || factor < 0 || !(value > 0) || !std::isfinite(value)) {
-    throw Error(ErrorKind::usage, "--time " + text + ": expected a positive time such as 90s, 5m or 1h");
-  }
-  return value * factor;
-}
 
 std::string number(const std::vector<std::pair<std::string, std::optional<double>>>& values, const std::string& name,
                    const char* format) {
@@ -132,8 +117,7 @@ int run(const TrainOptions& options, AppContext& context) {
                 "see `semfield train --help`");
   }
   std::vector<std::string> settings = options.config.set;
-  if (!options.time.empty())
-    settings.push_back("--time train.time_limit_s=" + shortest_number(parse_seconds(options.time)));
+  if (!options.time.empty()) settings.push_back(time_setting(options.time));
   RunConfig config = load_run_config(resume ? RunFolder::read(options.resume).config_path() : options.config.config,
                                      settings, context.registry);
   if (options.dry_run) {

@@ -1,0 +1,145 @@
+// demo: the verbs that make a labelled scene, one after the other, on the shipped room.
+#include <fmt/format.h>
+
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <sstream>
+
+#include "app/child_process.h"
+#include "app/signals.h"
+#include "app/time_setting.h"
+#include "app/verb.h"
+#include "config/config_tree.h"
+#include "config/shipped_config.h"
+#include "core/text.h"
+#include "run/run_folder.h"
+#include "system/cache_folder.h"
+#include "system/shared_files.h"
+
+namespace semfield::app {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr const char* kOwnFolder = "runs/demo";
+
+struct DemoOptions {
+  std::string out, time;
+  std::vector<std::string> set;
+};
+
+// How a person starts this program: by its name where PATH leads to it.
+std::string typed_program() {
+  const fs::path own = own_program();
+  const char* const folders = std::getenv("PATH");
+  std::istringstream stream(folders == nullptr ? "" : folders);
+  for (std::string folder; std::getline(stream, folder, ':');) {
+    std::error_code unknown;
+    if (!folder.empty() && fs::equivalent(fs::path(folder) / own.filename(), own, unknown)) return own.filename();
+  }
+  const fs::path near = own.lexically_relative(fs::current_path());
+  return shell_word(near.empty() || *near.begin() == ".." ? own.string() : near.string());
+}
+
+bool is_demo(const std::string& folder) {
+  const std::string file = (fs::path(folder) / "run.yaml").string();
+  std::error_code unknown;
+  if (!fs::exists(file, unknown)) return false;
+  const ConfigNode tree = parse_config_file(file);
+  const ConfigNode* name = tree.find("name");
+  const ConfigNode* scene = tree.find("scene");
+  const ConfigNode* root = scene != nullptr ? scene->find("root") : nullptr;
+  return name != nullptr && name->text() == "demo" && root != nullptr &&
+         fs::equivalent(root->text(), shared_file("scenes/room"), unknown);
+}
+
+// Of the folder that nobody has named, only what an earlier demo wrote is replaced.
+void clear_own_folder(const AppContext& context) {
+  std::error_code unknown;
+  if (!fs::exists(kOwnFolder, unknown) || fs::is_empty(kOwnFolder, unknown)) return;
+  if (!is_demo(kOwnFolder))
+    throw Error(ErrorKind::cannot_create, fmt::format("'{}' is there already and is no earlier demo", kOwnFolder),
+                "name a new folder with --out");
+  print_note(context, fmt::format("the earlier demo in {} is replaced", kOwnFolder));
+  const RunFolder held = RunFolder::resume(kOwnFolder);  // refuses one that is being trained
+  fs::remove_all(kOwnFolder);
+}
+
+// The figures of train's last line that say what came out.
+std::string figures_of(const std::string& out) {
+  std::istringstream words(out.substr(out.rfind("train: ") == std::string::npos ? 0 : out.rfind("train: ") + 7));
+  std::vector<std::string> kept;
+  for (std::string word; words >> word;) {
+    if (!word.starts_with("steps=") && !word.starts_with("peak_mb=")) kept.push_back(word);
+  }
+  return join(kept, " ");
+}
+
+int run(const DemoOptions& options, AppContext& context) {
+  const std::string config = shared_file("configs/quickstart.yaml");  // a file `quickstart.yaml` here is not meant
+  const std::string out = options.out.empty() ? kOwnFolder : options.out;
+  std::vector<std::string> settings = options.set;
+  if (!options.time.empty()) settings.push_back(time_setting(options.time));
+  load_run_config(config, settings, context.registry);  // refuses what is wrong before anything is replaced
+  const std::string cache = cache_folder("rooms");
+  print_note(context, fmt::format("a demo on the shipped room, in {}{}", fs::absolute(out).lexically_normal().string(),
+                                  cache.empty() ? "" : "; cast frames are kept in " + cache));
+  if (options.out.empty()) clear_own_folder(context);
+  // The figures are of every test frame, on a slow machine too.
+  const std::string named = find_config("quickstart") == config ? "quickstart" : config;
+  std::vector<std::string> train{"train", named, "--set", "report.eval_share=0", "--set", "name=demo", "--out", out};
+  for (const std::string& setting : settings) {
+    // "--steps train.steps=60" was typed as "--steps 60".
+    train.push_back("--set");
+    train.push_back(setting.starts_with("--") ? setting.substr(setting.find(' ') + 1) : setting);
+  }
+  const std::string program = typed_program();
+  install_stop_signals();
+  std::string figures;
+  for (std::vector<std::string> words :
+       {train, {"render", out, "--split", "test"}, {"mesh", out, "--format", "ply,glb"}}) {
+    std::string shown = program;
+    for (const std::string& word : words) shown += " " + shell_word(word);
+    print_note(context, "$ " + shown);
+    words.insert(words.begin(), own_program());
+    if (context.quiet) words.push_back("--quiet");
+    const ChildEnd end = run_child(words);
+    if (!context.quiet) std::fputs(end.out.c_str(), stderr);
+    if (end.code != 0) return end.code;
+    if (figures.empty()) figures = figures_of(end.out);
+  }
+  const std::string folder = shell_word(out);
+  print_note(
+      context,
+      fmt::format(
+          "\nThe room is labelled: {0}\n"
+          "  report            {0}/report.html\n"
+          "  labels, depth, …  {0}/render/test/\n"
+          "  labelled mesh     {0}/mesh.ply, {0}/mesh.glb; by class: {0}/mesh_classes.ply, {0}/mesh_classes.glb\n"
+          "  all figures       {1} eval {0}\n"
+          "  longer training   {1} train --resume {0} --steps 6000 --time 5m\n"
+          "Your own scene: write my_scene.yaml, with `include: parts/hash_room.yaml` and where the "
+          "scene is, then\n  {1} inspect my_scene.yaml\n"
+          "The guide docs/guide/own_data.md says how.",
+          folder, program));
+  std::printf("demo: %s\n", figures.c_str());
+  return 0;
+}
+
+void words(VerbWords& verb, DemoOptions& options) {
+  verb.value("--out", options.out, "run folder to create (default: runs/demo, whose earlier demo is replaced)");
+  verb.repeated("--set", options.set, "override a value: --set train.rays=2048");
+  verb.value("--time", options.time, "end after this much training: 90s, 5m, 1h");
+  verb.setting(options.set, "--steps", "train.steps", "end after this many steps");
+  verb.threads(options.set);
+}
+
+}  // namespace
+
+Verb verb_demo() {
+  return make_verb("demo", 5, "train on the shipped room, render its held-out views and write its mesh", words, run);
+}
+
+}  // namespace semfield::app

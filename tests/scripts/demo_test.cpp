@@ -1,0 +1,89 @@
+// `semfield demo`: what it leaves in an empty folder, and what it does to one that is not empty.
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <regex>
+
+#include "tests/program.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+using testing_program::Result;
+using testing_program::semfield_run;
+
+class Demo : public testing::Test {
+ protected:
+  Demo() { fs::create_directories(root_); }
+  ~Demo() override { fs::remove_all(root_); }
+  Result run(const std::string& words) const { return semfield_run("demo " + words, root_.string()); }
+  Result small(const std::string& words) const {
+    return run(words +
+               " --set scene.frames=6 --set scene.test_frames=2 --set scene.width_px=40 --set scene.height_px=30"
+               " --set passes.0.position.finest_resolution=32");
+  }
+  void write(const std::string& name) const {
+    fs::create_directories((root_ / name).parent_path());
+    write_file_atomic((root_ / name).string(), "mine");
+  }
+
+  const fs::path root_ = fs::temp_directory_path() / ("semfield_demo_" + std::to_string(getpid()));
+};
+
+TEST_F(Demo, LabelsTheShippedRoomInAnEmptyFolder) {
+  const Result r = small("--steps 20");
+  ASSERT_EQ(r.code, 0) << r.err;
+  const std::regex line(
+      "demo: miou_present=\\S+ total_accuracy=\\S+ psnr=\\S+ absrel=\\S+ train_s=\\S+ report=runs/demo/report.html\n");
+  EXPECT_TRUE(std::regex_match(r.out, line)) << r.out;
+  for (const char* made : {"report.html", "mesh.ply", "mesh.glb", "render/test"})
+    EXPECT_TRUE(fs::exists(root_ / "runs/demo" / made)) << made;
+  EXPECT_NE(r.err.find("in " + (root_ / "runs/demo").string()), std::string::npos) << r.err;
+  EXPECT_NE(r.err.find("train quickstart "), std::string::npos) << r.err;
+
+  // The next one takes the place of its own run alone, and only when its words are right.
+  const std::string before = read_text_file((root_ / "runs/demo/run.yaml").string());
+  EXPECT_EQ(run("--steps x").code, 78);
+  EXPECT_EQ(run("--time x").code, 2);
+  EXPECT_EQ(read_text_file((root_ / "runs/demo/run.yaml").string()), before);
+  const Result again = small("--steps 10 --quiet");
+  EXPECT_EQ(again.code, 0) << again.err;
+  EXPECT_EQ(again.err, "");
+  EXPECT_NE(read_text_file((root_ / "runs/demo/run.yaml").string()).find("steps: 10"), std::string::npos);
+}
+
+TEST_F(Demo, LeavesFoldersOfOthersAlone) {
+  write("runs/demo/notes.txt");
+  const Result r = run("");
+  EXPECT_EQ(r.code, 73);
+  EXPECT_NE(r.err.find("'runs/demo' is there already and is no earlier demo; name a new folder with --out"),
+            std::string::npos)
+      << r.err;
+  EXPECT_TRUE(fs::exists(root_ / "runs/demo/notes.txt"));
+  // A run of somebody's, even of that name.
+  write_file_atomic((root_ / "runs/demo/run.yaml").string(), "name: demo\nscene: {root: /elsewhere}\n");
+  EXPECT_EQ(run("").code, 73);
+  EXPECT_TRUE(fs::exists(root_ / "runs/demo/notes.txt"));
+  write("named/notes.txt");
+  const Result named = small("--out named --steps 5");
+  EXPECT_EQ(named.code, 73) << named.err;
+  EXPECT_TRUE(fs::exists(root_ / "named/notes.txt"));
+}
+
+TEST_F(Demo, SaysWhereItCannotWrite) {
+  write("runs");  // a file
+  const Result r = small("--steps 5");
+  EXPECT_EQ(r.code, 73) << r.err;
+  EXPECT_NE(r.err.find("--out"), std::string::npos) << r.err;
+}
+
+TEST_F(Demo, TheScriptHasHelp) {
+  const std::string out = (root_ / "help").string();
+  ASSERT_EQ(std::system((shell_word(SEMFIELD_SOURCE_DIR "/scripts/demo") + " --help >" + shell_word(out)).c_str()), 0);
+  EXPECT_NE(read_text_file(out).find("./scripts/demo [FOLDER]"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace semfield
