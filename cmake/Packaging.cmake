@@ -1,5 +1,5 @@
 # Debian packages by CPack: `semfield` (program and libraries), `libsemfield-dev`, and `python3-semfield` where the build has the component
-# python. docs/decisions/0022-three-debian-packages.md says why these; the preset is `package`. Nothing where
+# python. docs/decisions/0021-three-debian-packages.md says why these; the preset is `package`. Nothing where
 # dpkg-shlibdeps is missing (package dpkg-dev).
 find_program(SEMFIELD_SHLIBDEPS dpkg-shlibdeps)
 if(NOT SEMFIELD_SHLIBDEPS)
@@ -43,7 +43,13 @@ find_package(semfield) finds. Programs that drive a training need it too.")
 
 set(CPACK_DEBIAN_MODULE_PACKAGE_NAME python3-semfield)
 set(CPACK_DEBIAN_MODULE_PACKAGE_SECTION python)
-set(CPACK_DEBIAN_MODULE_PACKAGE_CONTROL_EXTRA ${PROJECT_SOURCE_DIR}/packaging/debian/python.postinst ${PROJECT_SOURCE_DIR}/packaging/debian/python.prerm)
+if(SEMFIELD_PYTHON)  # the extension is of one version of Python
+  math(EXPR semfield_next_python "${Python_VERSION_MINOR} + 1")
+  set(CPACK_DEBIAN_MODULE_PACKAGE_DEPENDS "semfield (= ${semfield_deb_version}), python3 (>= ${Python_VERSION_MAJOR}.${Python_VERSION_MINOR}), \
+python3 (<< ${Python_VERSION_MAJOR}.${semfield_next_python}), python3-numpy")
+endif()
+set(CPACK_DEBIAN_MODULE_PACKAGE_CONTROL_EXTRA ${PROJECT_SOURCE_DIR}/packaging/debian/python3-semfield/postinst
+    ${PROJECT_SOURCE_DIR}/packaging/debian/python3-semfield/prerm)
 set(CPACK_DEBIAN_MODULE_DESCRIPTION "Python module of Semfield
 `import semfield` opens, trains, evaluates and renders semantic neural fields
 step by step. Images, depth and class probabilities are NumPy arrays.")
@@ -62,8 +68,13 @@ foreach(group program development module)
   if(NOT first IN_LIST semfield_components)  # a build without Python has no component python
     continue()
   endif()
+  set(package ${CPACK_DEBIAN_${upper}_PACKAGE_NAME})
+  file(WRITE ${semfield_deb_files}/${package}.overrides
+       "# These packages are made for people, not for Debian's archive: there is no report that asked for them.\n${package}: initial-upload-closes-no-bugs *\n")
+  install(FILES ${semfield_deb_files}/${package}.overrides DESTINATION ${CMAKE_INSTALL_DATADIR}/lintian/overrides RENAME ${package}
+          COMPONENT ${group}_documents EXCLUDE_FROM_ALL)
   install(FILES ${PROJECT_SOURCE_DIR}/packaging/debian/copyright ${semfield_deb_files}/changelog.Debian.gz
-          DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${CPACK_DEBIAN_${upper}_PACKAGE_NAME} COMPONENT ${group}_documents EXCLUDE_FROM_ALL)
+          DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package} COMPONENT ${group}_documents EXCLUDE_FROM_ALL)
   foreach(component ${semfield_deb_${group}} ${group}_documents)
     string(TOUPPER ${component} upper)
     set(CPACK_COMPONENT_${upper}_GROUP ${group})
