@@ -66,7 +66,7 @@ void add_word(CLI::App& parser, const Word& word) {
     option = parser.add_option_function<std::vector<std::string>>(name, [&word](const std::vector<std::string>& all) {
       for (const std::string& value : all) take(word, value);
     });
-    if (word.kind == Word::Kind::value) option->expected(1)->take_all();
+    if (word.kind == Word::Kind::value) option->expected(1)->take_all()->allow_extra_args(false);
   } else {
     option = parser.add_option_function<std::string>(name, [&word](const std::string& value) { take(word, value); });
   }

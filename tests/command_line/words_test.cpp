@@ -106,8 +106,12 @@ TEST_F(Words, AnOperandIsNoVerb) {
     EXPECT_EQ(r.code, 66) << words;
     EXPECT_NE(r.err.find("there is no run folder '"), std::string::npos) << r.err;
   }
-  // A list takes one word, and leaves the next to the operand.
+  // A list takes one word, and leaves the next to the operand; so does a flag that may be given several times.
   EXPECT_EQ(run("mesh --format ply,glb run").code, 66);
+  EXPECT_EQ(run("eval --set runtime.threads=2 --set train.rays=64 run").code, 66);
+  const Result plugin = run("--plugin none.so eval run");
+  EXPECT_EQ(plugin.code, 69) << plugin.err;
+  EXPECT_NE(plugin.err.find("none.so"), std::string::npos) << plugin.err;
 }
 
 // Every option with a range, as its own help tells it.
