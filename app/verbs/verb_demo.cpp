@@ -87,6 +87,7 @@ int run(const DemoOptions& options, AppContext& context) {
   print_note(context, fmt::format("a demo on the shipped room, in {}{}", fs::absolute(out).lexically_normal().string(),
                                   cache.empty() ? "" : "; cast frames are kept in " + cache));
   if (options.out.empty()) clear_own_folder(context);
+  (void)RunFolder::create(out);  // refuses a folder that cannot be written before the scene is read
   // The figures are of every test frame, on a slow machine too.
   const std::string named = find_config("quickstart") == config ? "quickstart" : config;
   std::vector<std::string> train{"train", named, "--set", "report.eval_share=0", "--set", "name=demo", "--out", out};

@@ -77,6 +77,7 @@ TEST_F(Demo, SaysWhereItCannotWrite) {
   const Result r = small("--steps 5");
   EXPECT_EQ(r.code, 73) << r.err;
   EXPECT_NE(r.err.find("--out"), std::string::npos) << r.err;
+  EXPECT_EQ(r.err.find("$ "), std::string::npos) << "told before anything is read: " << r.err;
 }
 
 TEST_F(Demo, TheScriptHasHelp) {
