@@ -25,9 +25,9 @@ ConfigNode node_at(const py::handle& value, const Location& where, const std::st
     const bool quoted = text.empty() || looks_typed(text);
     return scalar(std::move(text), quoted);
   }
-  if (py::isinstance<py::dict>(value)) {
+  if (py::hasattr(value, "keys")) {
     std::vector<ConfigNode::Entry> entries;
-    for (const auto& [name, item] : py::reinterpret_borrow<py::dict>(value)) {
+    for (const auto& [name, item] : py::dict(py::reinterpret_borrow<py::object>(value))) {
       if (!py::isinstance<py::str>(name))
         throw Error(ErrorKind::usage,
                     place_of(where.file, key) + ": a key is no text: " + py::repr(name).cast<std::string>());
@@ -41,6 +41,7 @@ ConfigNode node_at(const py::handle& value, const Location& where, const std::st
     for (const py::handle item : value) items.push_back(node_at(item, where, key + "." + std::to_string(items.size())));
     return ConfigNode::make_list(std::move(items), where);
   }
+  if (py::hasattr(value, "tolist")) return node_at(value.attr("tolist")(), where, key);  // arrays, and their numbers
   if (PyIndex_Check(value.ptr()) != 0) {
     const py::object whole = py::reinterpret_steal<py::object>(PyNumber_Index(value.ptr()));
     if (!whole) throw py::error_already_set();
@@ -100,6 +101,16 @@ std::vector<ConfigOverride> overrides_of(const py::dict& set) {
     out.push_back({name, node_of(value, "set[\"" + name + "\"]")});
   }
   return out;
+}
+
+ConfigNode with_scene(const ConfigNode& tree, const py::dict& scene) {
+  const ConfigNode given = node_of(scene, "the scene");
+  ConfigNode own = ConfigNode::make_map({}, given.location());
+  if (const ConfigNode* before = tree.find("scene"); before != nullptr) {
+    for (const char* stays : {"labels", "load"})
+      if (const ConfigNode* section = before->find(stays); section != nullptr) own = own.with(stays, *section);
+  }
+  return tree.with("scene", merge_config(own, given));
 }
 
 ConfigNode composed(const py::object& config, const py::dict& set) {

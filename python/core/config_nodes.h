@@ -22,6 +22,9 @@ py::object object_of(const ConfigNode& node);
 std::vector<ConfigOverride> overrides_of(const py::dict& set);
 
 /// A path of a file, or a dict. Composed, with overrides.
+/// `tree` with this scene in place of its own; what the tree says of labels and of loading stays.
+ConfigNode with_scene(const ConfigNode& tree, const py::dict& scene);
+
 ConfigNode composed(const py::object& config, const py::dict& set);
 
 }  // namespace semfield::python

@@ -21,6 +21,15 @@ namespace {
 void write_pack(const std::string& path, const py::dict& scene, const py::function& read) {
   Diagnostics diagnostics;
   const SceneInfo info = scene_info_of(scene, diagnostics);
+  // All that is wrong is told at once, and nothing is written then.
+  for (std::size_t i = 0; i < info.frames.size(); ++i) {
+    try {
+      FrameBuffer frame;
+      fill_frame(read(i), info, static_cast<int>(i), frame);
+    } catch (const Error& error) {
+      diagnostics.error("", error.message(), error.remedy());
+    }
+  }
   diagnostics.throw_if_errors(ErrorKind::data, "");
   PackOptions options;
   options.depth_as_mm = false;

@@ -35,6 +35,7 @@ auto called(const std::string& doing, const Call& call) {
   try {
     return call();
   } catch (py::error_already_set& raised) {
+    if (raised.matches(PyExc_KeyboardInterrupt)) throw;
     throw error_of(raised, doing);
   } catch (const py::cast_error& wrong) {
     throw Error(ErrorKind::failure, doing + ": " + wrong.what());

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "python/core/arrays.h"
 #include "scene/scene_checks.h"
@@ -128,12 +129,18 @@ py::dict camera_dict(const Camera& camera) {
 SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
   SceneInfo info;
   info.name = scene["name"].cast<std::string>();
+  std::map<std::string, std::size_t> frame_of;
   for (const py::handle item : scene["frames"]) {
     const auto given = py::reinterpret_borrow<py::dict>(item);
     FrameInfo frame;
     frame.name = given["name"].cast<std::string>();
     frame.source = given["source"].cast<std::string>();
     const std::string place = "frame '" + frame.name + "'";
+    const auto [first, fresh] = frame_of.emplace(frame.name, info.frames.size());
+    if (!fresh)
+      diagnostics.error("",
+                        fmt::format("{}: frames {} and {} have this name", place, first->second, info.frames.size()),
+                        "give each frame a name of its own");
     frame.camera = camera_of(given["camera"].cast<py::dict>());
     frame.split = split_of(given["split"].cast<std::string>(), place);
     frame.has_depth = given["has_depth"].cast<bool>();
@@ -152,6 +159,10 @@ SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
     for (int i = 0; i < 3; ++i) {
       info.bounds.lo[i] = corners.at(0, i);
       info.bounds.hi[i] = corners.at(1, i);
+      if (!(corners.at(0, i) < corners.at(1, i)))
+        diagnostics.error(
+            "", fmt::format("bounds: axis {} goes from {} to {}", "xyz"[i], corners.at(0, i), corners.at(1, i)),
+            "give the lowest corner first");
     }
   }
   info.near_hint_m = scene["near"].cast<double>();

@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "core/findings.h"
+#include "core/work_scope.h"
 #include "eval/field_points.h"
 #include "eval/final_eval.h"
 #include "python/core/arrays.h"
@@ -20,6 +21,12 @@ namespace semfield::python {
 namespace {
 
 constexpr auto kLookForSignals = std::chrono::milliseconds(50);
+constexpr std::size_t kPointsBetweenLooks = 65536;
+
+template <class T>
+void append(const std::vector<T>& part, std::vector<T>& whole) {
+  whole.insert(whole.end(), part.begin(), part.end());
+}
 
 // Asks now and then, from a thread without the GIL, whether Ctrl-C was pressed.
 class Interrupt {
@@ -41,6 +48,20 @@ class Interrupt {
   std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
   std::optional<py::error_already_set> raised_;
 };
+
+// Opening of a scene that Ctrl-C ends: images are read one by one, and between them somebody looks.
+template <class Open>
+auto opened(const Open& open) {
+  const py::gil_scoped_release free;
+  Interrupt interrupt;
+  const LoadProgress look = [&](std::string_view, std::size_t, std::size_t) {
+    if (interrupt.came()) interrupt.raise();
+  };
+  WorkSettings settings = work_settings();
+  settings.load_progress = &look;
+  const WorkScope scope(settings);
+  return open();
+}
 
 std::vector<Vec3d> vectors_of(const py::object& value, const char* what) {
   using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
@@ -77,20 +98,23 @@ auto PySession::computed(const Work& work) {
 
 std::unique_ptr<PySession> PySession::open(const py::object& config, const py::dict& set, const Opening& how) {
   std::unique_ptr<PySession> made(new PySession);
-  const ConfigNode tree = composed(config, set);
-  const py::gil_scoped_release free;
-  made->run_ = std::make_unique<RunSession>(run_config_of(tree, made->registry_), made->registry_,
-                                            RunSessionOptions{how.run_dir, false, how.keep}, made->notes_);
+  ConfigNode tree = composed(config, set);
+  if (!how.scene.is_none()) tree = with_scene(tree, how.scene.cast<py::dict>());
+  made->run_ = opened([&] {
+    return std::make_unique<RunSession>(run_config_of(tree, made->registry_), made->registry_,
+                                        RunSessionOptions{how.run_dir, false, how.keep}, made->notes_);
+  });
   return made;
 }
 
 std::unique_ptr<PySession> PySession::resume(const std::string& run_dir, const py::dict& set, const Opening& how) {
   std::unique_ptr<PySession> made(new PySession);
   const std::vector<ConfigOverride> overrides = overrides_of(set);
-  const py::gil_scoped_release free;
-  const ConfigNode tree = compose_config_with(RunFolder::read(run_dir).config_path(), overrides);
-  made->run_ = std::make_unique<RunSession>(run_config_of(tree, made->registry_), made->registry_,
-                                            RunSessionOptions{run_dir, true, how.keep}, made->notes_);
+  made->run_ = opened([&] {
+    const ConfigNode tree = compose_config_with(RunFolder::read(run_dir).config_path(), overrides);
+    return std::make_unique<RunSession>(run_config_of(tree, made->registry_), made->registry_,
+                                        RunSessionOptions{run_dir, true, how.keep}, made->notes_);
+  });
   return made;
 }
 
@@ -98,10 +122,11 @@ std::unique_ptr<PySession> PySession::load(const std::string& run_dir, const py:
   std::unique_ptr<PySession> made(new PySession);
   std::vector<std::string> overrides;
   for (const ConfigOverride& o : overrides_of(set)) overrides.push_back(o.key + "=" + write_config_inline(o.value));
-  const py::gil_scoped_release free;
   Diagnostics found;
-  made->loaded_ = std::make_unique<OpenedRun>(
-      open_run(run_dir, overrides, made->registry_, found, OpenFor::evaluation_of_training_frames));
+  made->loaded_ = opened([&] {
+    return std::make_unique<OpenedRun>(
+        open_run(run_dir, overrides, made->registry_, found, OpenFor::evaluation_of_training_frames));
+  });
   for (const Diagnostic& finding : folded(found)) made->notes_.note(finding.text());
   return made;
 }
@@ -289,10 +314,23 @@ py::dict PySession::query(const py::object& positions, const py::object& directi
     throw Error(ErrorKind::usage, "directions: expected one for each of " + std::to_string(places.size()) +
                                       " positions, got " + std::to_string(seen.size()));
   const int classes = session().classes();
-  FieldPoints found = computed([&] {
+  FieldPoints found;
+  Interrupt interrupt;
+  computed([&] {
     session().pipeline->executor().download(step());
-    return field_at(*session().pipeline, places, seen, session().limits, session().plan.class_of_logit, classes);
+    for (std::size_t first = 0; first < places.size() && !interrupt.came(); first += kPointsBetweenLooks) {
+      const std::size_t count = std::min(kPointsBetweenLooks, places.size() - first);
+      const auto along = seen.empty() ? std::span<const Vec3d>() : std::span(seen).subspan(first, count);
+      const FieldPoints part = field_at(*session().pipeline, std::span(places).subspan(first, count), along,
+                                        session().limits, session().plan.class_of_logit, classes);
+      append(part.sigma, found.sigma);
+      append(part.rgb, found.rgb);
+      append(part.label, found.label);
+      append(part.probability, found.probability);
+      append(part.entropy, found.entropy);
+    }
   });
+  interrupt.raise();
   const auto count = std::ssize(places);
   py::dict out;
   out["sigma"] = array_of(std::move(found.sigma), {count});

@@ -29,6 +29,7 @@ class PySession {
   struct Opening {
     std::string run_dir;
     std::vector<std::string> keep;
+    py::object scene = py::none();  ///< in place of the configuration's section: a dict
   };
   /// A configuration that trains.
   static std::unique_ptr<PySession> open(const py::object& config, const py::dict& set, const Opening& how);

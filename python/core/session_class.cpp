@@ -91,11 +91,11 @@ py::dict facts_of(const PySession& self) {
 void define_session(py::module_& module) {
   using Opening = PySession::Opening;
   const auto open = [](const py::object& config, const py::dict& set, const std::string& out,
-                       const std::vector<std::string>& keep) {
-    return PySession::open(config, set, Opening{out, keep});
+                       const std::vector<std::string>& keep, const py::object& scene) {
+    return PySession::open(config, set, Opening{out, keep, scene});
   };
   const auto resume = [](const std::string& run_dir, const py::dict& set, const std::vector<std::string>& keep) {
-    return PySession::resume(run_dir, set, Opening{run_dir, keep});
+    return PySession::resume(run_dir, set, Opening{run_dir, keep, py::none()});
   };
   module.def("open", open);
   module.def("resume", resume);

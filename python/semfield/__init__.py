@@ -19,15 +19,17 @@ from __future__ import annotations
 from . import errors
 from ._core import DeviceArray, __version__, load_plugin, to_device
 from .errors import ConfigError, DataError, Error, Finding, InputError, UnavailableError, UsageError, WriteError
+from .labels import Labels
 from .plugins import Dataset, Encoder, Tensor, dataset, encoder, param, plugins
 from .program import CommandError, command
-from .runs import Labels, Outcome, Points, Run, Score, Step, View, load, open, resolved, resume, train
+from .results import Outcome, Points, Score, Step, View
+from .runs import Run, Training, load, open, resolved, resume, train
 from .scenes import Camera, ClassEntry, Frame, Scene
 from .sweeps import Sweep, sweep
 
 __all__ = [
     "Camera", "ClassEntry", "CommandError", "ConfigError", "DataError", "Dataset", "DeviceArray", "Encoder", "Error",
     "Finding", "Frame", "InputError", "Labels", "Outcome", "Points", "Run", "Scene", "Score", "Step", "Sweep", "Tensor",
-    "UnavailableError", "UsageError", "View", "WriteError", "command", "dataset", "encoder", "errors", "load",
+    "Training", "UnavailableError", "UsageError", "View", "WriteError", "command", "dataset", "encoder", "errors", "load",
     "load_plugin", "open", "param", "plugins", "resolved", "resume", "sweep", "to_device", "train", "__version__",
 ]

@@ -88,7 +88,7 @@ class Encoder(_Plugin):
         """Sets out_dims, and tensors where there are any."""
         raise NotImplementedError("setup")
 
-    def forward(self, x: np.ndarray, params: Dict[str, np.ndarray]) -> np.ndarray:
+    def forward(self, x: np.ndarray[Any, Any], params: Dict[str, np.ndarray[Any, Any]]) -> np.ndarray[Any, Any]:
         """Features of coordinates.
 
         Args:
@@ -101,8 +101,9 @@ class Encoder(_Plugin):
         raise NotImplementedError("forward")
 
     def backward(
-        self, x: np.ndarray, dy: np.ndarray, params: Dict[str, np.ndarray], grads: Dict[str, np.ndarray]
-    ) -> Optional[np.ndarray]:
+        self, x: np.ndarray[Any, Any], dy: np.ndarray[Any, Any], params: Dict[str, np.ndarray[Any, Any]],
+        grads: Dict[str, np.ndarray[Any, Any]]
+    ) -> Optional[np.ndarray[Any, Any]]:
         """Gradients of the loss.
 
         Args:

@@ -16,6 +16,27 @@ from .errors import UsageError
 PathLike = Union[str, "os.PathLike[str]"]
 
 
+class _Arrays:
+    """A short repr for what holds arrays: their types and shapes in place of their numbers."""
+
+    def __repr__(self) -> str:
+        shown = []
+        for name, value in vars(self).items():
+            if value is None:
+                continue
+            shape = getattr(value, "shape", None)
+            text = repr(value) if shape is None else f"{value.dtype}{list(shape)}"
+            shown.append(f"{name}={text}")
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _floats(what: str, value: Any) -> np.ndarray[Any, Any]:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{what}: expected numbers: {error}") from None
+
+
 @dataclasses.dataclass(frozen=True)
 class Camera:
     """A pinhole camera with a lens.
@@ -34,6 +55,13 @@ class Camera:
     cx: Optional[float] = None
     cy: Optional[float] = None
     distortion: Tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, side in (("width", self.width), ("height", self.height)):
+            if int(side) != side:
+                raise UsageError(f"camera: {name} {side!r} is no whole number of pixels")
+        if len(self.distortion) > 6:
+            raise UsageError(f"camera: distortion has {len(self.distortion)} numbers; k1, k2, p1, p2, k3, k4 are known")
 
     @staticmethod
     def from_fov(width: int, height: int, degrees: float) -> "Camera":
@@ -77,8 +105,8 @@ class ClassEntry:
     learned: bool = False
 
 
-@dataclasses.dataclass
-class Frame:
+@dataclasses.dataclass(eq=False, repr=False)
+class Frame(_Arrays):
     """An image of a scene with its camera, and what is known of its pixels.
 
     Attributes:
@@ -93,11 +121,11 @@ class Frame:
 
     name: str
     camera: Camera
-    pose: np.ndarray
+    pose: np.ndarray[Any, Any]
     split: str = "train"
-    rgb: Optional[np.ndarray] = None
-    labels: Optional[np.ndarray] = None
-    depth_m: Optional[np.ndarray] = None
+    rgb: Optional[np.ndarray[Any, Any]] = None
+    labels: Optional[np.ndarray[Any, Any]] = None
+    depth_m: Optional[np.ndarray[Any, Any]] = None
     has_labels: bool = False
     has_depth: bool = False
     source: str = ""
@@ -112,7 +140,12 @@ def _class_rows(classes: Any) -> List[Tuple[int, str, Optional[Tuple[int, int, i
     for i, item in enumerate(classes):
         if isinstance(item, str):
             item = ClassEntry(i, item)
-        rows.append((int(item.id), item.name, item.color, bool(item.ignore)))
+        color: Optional[Tuple[int, int, int]] = None
+        if item.color is not None:
+            if len(item.color) != 3 or not all(0 <= c <= 255 for c in item.color):
+                raise UsageError(f"class {item.name!r}: color {item.color!r}: expected red, green and blue of 0 to 255")
+            color = (int(item.color[0]), int(item.color[1]), int(item.color[2]))
+        rows.append((int(item.id), str(item.name), color, bool(item.ignore)))
     return rows
 
 
@@ -121,7 +154,7 @@ class Scene:
 
     Args:
         images: N arrays [H, W, 3] uint8.
-        poses: [N, 4, 4], camera to world, OpenCV axes; metres where `metric`.
+        poses: [N, 4, 4] or [N, 3, 4], camera to world, OpenCV axes; metres where `metric`.
         cameras: one Camera for all images, or one for each.
         labels: N arrays [H, W] of class ids, -1 for none, or None for images without labels; None: no labels.
         classes: names in the order of their ids, {id: name}, or ClassEntry objects. Needed with labels.
@@ -140,12 +173,12 @@ class Scene:
 
     def __init__(
         self,
-        images: Sequence[np.ndarray],
+        images: Sequence[np.ndarray[Any, Any]],
         poses: Any,
         cameras: Union[Camera, Sequence[Camera]],
-        labels: Optional[Sequence[Optional[np.ndarray]]] = None,
+        labels: Optional[Sequence[Optional[np.ndarray[Any, Any]]]] = None,
         classes: Any = None,
-        depths: Optional[Sequence[Optional[np.ndarray]]] = None,
+        depths: Optional[Sequence[Optional[np.ndarray[Any, Any]]]] = None,
         names: Optional[Sequence[str]] = None,
         test: Sequence[int] = (),
         bounds: Any = None,
@@ -156,10 +189,10 @@ class Scene:
         file: Optional[PathLike] = None,
     ) -> None:
         count = len(images)
-        poses = np.asarray(poses, dtype=np.float64)
+        poses = _floats("poses", poses)
         all_cameras = [cameras] * count if isinstance(cameras, Camera) else list(cameras)
-        all_labels = [None] * count if labels is None else list(labels)
-        all_depths = [None] * count if depths is None else list(depths)
+        all_labels: List[Optional[np.ndarray[Any, Any]]] = [None] * count if labels is None else list(labels)
+        all_depths: List[Optional[np.ndarray[Any, Any]]] = [None] * count if depths is None else list(depths)
         all_names = [f"{i:04d}" for i in range(count)] if names is None else [str(n) for n in names]
         for what, given in (("poses", poses), ("cameras", all_cameras), ("labels", all_labels),
                             ("depths", all_depths), ("names", all_names)):
@@ -181,7 +214,7 @@ class Scene:
             })
         description = {
             "name": name, "frames": frames, "classes": _class_rows(classes),
-            "bounds": None if bounds is None else np.asarray(bounds, dtype=np.float64), "near": float(near),
+            "bounds": None if bounds is None else _floats("bounds", bounds), "near": float(near),
             "far": float(far), "metric": bool(metric),
         }
 
@@ -193,15 +226,27 @@ class Scene:
             handle, path = tempfile.mkstemp(prefix="semfield_", suffix=".sfpack")
             os.close(handle)
             self._remove = weakref.finalize(self, _remove_file, path)
+            _temporary[path] = self
         else:
             path = os.fspath(file)
         #: Absolute path of the packed scene: `scene: {type: packed, file: ...}` of a configuration.
         self.file = os.path.abspath(path)
+        self._text = f"{name!r}, frames={count}, file={self.file!r}"
         _core.write_pack(self.file, description, read)
+
+    def __repr__(self) -> str:
+        return f"Scene({self._text}{', temporary' if self.temporary else ''})"
+
+    def __reduce__(self) -> Any:
+        raise TypeError("a Scene cannot be pickled: name its file, Scene(..., file=\"room.sfpack\"), and send scene.config()")
 
     def config(self) -> Dict[str, Any]:
         """The section `scene` of a configuration that reads this scene."""
         return {"type": "packed", "file": self.file}
+
+
+#: Scenes in temporary files by path, so that runs keep those that they read.
+_temporary: "weakref.WeakValueDictionary[str, Scene]" = weakref.WeakValueDictionary()
 
 
 def _remove_file(path: str) -> None:

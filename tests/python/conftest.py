@@ -39,10 +39,10 @@ def cast(camera: sf.Camera, pose: np.ndarray) -> Tuple[np.ndarray, np.ndarray, n
     return rgb, wall.astype(np.int32), depth.astype(np.float32)
 
 
-def box_arrays(count: int = 10, width: int = 32, height: int = 24) -> Dict[str, Any]:
-    """Arguments of sf.Scene: `count` views from the middle of the box, the last two held out."""
+def box_arrays(count: int = 10, width: int = 32, height: int = 24, apart: float = 0.1) -> Dict[str, Any]:
+    """Arguments of sf.Scene: `count` views from around the middle of the box, `apart` off it, the last two held out."""
     camera = sf.Camera.from_fov(width, height, 90)
-    poses = [look(2 * np.pi * i / count, 0.5 * np.sin(3.0 * i), (0.1 * np.cos(i), 0.1 * np.sin(i), 0)) for i in range(count)]
+    poses = [look(2 * np.pi * i / count, 0.5 * np.sin(3.0 * i), (apart * np.cos(i), apart * np.sin(i), 0)) for i in range(count)]
     seen = [cast(camera, pose) for pose in poses]
     return {
         "images": [s[0] for s in seen], "labels": [s[1] for s in seen], "depths": [s[2] for s in seen],
@@ -79,6 +79,18 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> sf.Scene:
 def run(scene: sf.Scene) -> sf.Run:
     """A fresh run of the box."""
     return sf.open(config_of(scene))
+
+
+@pytest.fixture(scope="session")
+def box(tmp_path_factory: pytest.TempPathFactory) -> sf.Run:
+    """A box seen from places that lie far apart, trained until its walls stand."""
+    scene = sf.Scene(**box_arrays(count=20, apart=0.5), bounds=[[-1.3] * 3, [1.3] * 3], near=0.05, far=4,
+                     file=tmp_path_factory.mktemp("box") / "box.sfpack")
+    config = {**config_of(scene), "losses": [{"type": "depth", "weight": 0.5}],
+              "rendering": {"density_activation": "softplus", "far": "closed"}}
+    run = sf.open(config, {"train.rays": 512, "passes.0.sampler.samples": 48})
+    trained(run, 200)
+    return run
 
 
 def tensors_of(checkpoint: str) -> Dict[str, bytes]:
