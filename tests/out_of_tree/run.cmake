@@ -58,6 +58,12 @@ if(NOT last_output MATCHES "train: miou_present=0\\.[0-9]+ .* steps=20 ")
 endif()
 file(WRITE ${WORK_DIR}/empty/own.yaml "include: parts/hash_room.yaml\nscene: {type: obj_room, root: ${moved}/share/semfield/scenes/room}\n")
 step("config check" ${CMAKE_COMMAND} -E chdir ${WORK_DIR}/empty ${semfield} config check own.yaml)
+# The Python module of the prefix, in a process that knows nothing but where it lies.
+if(EXISTS "${moved}/lib/python3/dist-packages/semfield")
+  step("import semfield" ${CMAKE_COMMAND} -E env "PYTHONPATH=${moved}/lib/python3/dist-packages" PYTHONDONTWRITEBYTECODE=1 ${CMAKE_COMMAND} -E chdir ${WORK_DIR}/empty
+       ${PYTHON} -c "import semfield; semfield.command('config', 'check', 'quickstart'); print(semfield.resolved('quickstart')['name'], semfield.__file__)")
+  message(STATUS "${last_output}")
+endif()
 # Libraries as deep as Debian has them.
 file(RENAME "${moved}/lib" ${WORK_DIR}/libraries)
 file(MAKE_DIRECTORY "${moved}/lib")
