@@ -149,7 +149,9 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   }
   context.verb = split.verb->name;
   if (context.json && !split.verb->json) throw no_json(grammar, *split.verb);
-  for (const std::string& module : global.modules) load_module(context.registry, module);
+  Diagnostics of_checks;
+  for (const std::string& module : global.modules) load_module(context.registry, module, {true, &of_checks});
+  for (const Diagnostic& note : of_checks.all()) print_note(context, note.text());
   return split.verb->run(context);
 }
 

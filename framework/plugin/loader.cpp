@@ -7,7 +7,9 @@
 #include <filesystem>
 #include <sstream>
 
+#include "core/text.h"
 #include "plugin/module_file.h"
+#include "system/file_verdicts.h"
 #include "system/shared_library.h"
 
 namespace semfield {
@@ -85,6 +87,17 @@ bool is_below(const std::string& folder, const std::string& above) {
   return folder == above || folder.starts_with(above.ends_with('/') ? above : above + "/");
 }
 
+// A module that was checked and broke a law stays out until it is mended or its owner says otherwise.
+void refuse_broken(const std::string& file, const std::string& doing, Diagnostics* notes) {
+  Diagnostics unread;
+  const std::optional<FileVerdict> found =
+      read_verdict(file, SEMFIELD_VERSION_TEXT, notes == nullptr ? unread : *notes);
+  if (!found || found->passed()) return;
+  throw Error(ErrorKind::unavailable, doing + ": it was checked, and broke a law: " + found->fault,
+              "mend it and run `semfield plugins check " + shell_word(file) + "` again, or remove " +
+                  shell_word(found->entry) + " to load it as it is");
+}
+
 }  // namespace
 
 const char* abi_tag_of_framework() { return SEMFIELD_ABI_TAG; }
@@ -109,7 +122,11 @@ void register_module(Registry& registry, const PluginModule& module) {
   register_whole(registry, module);
 }
 
-void load_module(Registry& registry, const std::string& path) {
+void keep_check(const std::string& path, const std::string& broken_law, Diagnostics& notes) {
+  keep_verdict(path, SEMFIELD_VERSION_TEXT, broken_law, notes);
+}
+
+void load_module(Registry& registry, const std::string& path, const LoadOptions& options) {
   const std::string doing = "cannot load plugin '" + path + "'";
   std::error_code ignored;
   if (!fs::is_regular_file(path, ignored)) {
@@ -121,6 +138,7 @@ void load_module(Registry& registry, const std::string& path) {
   for (const std::string& loaded : registry.module_files()) {
     if (loaded == file) return;
   }
+  if (options.checked) refuse_broken(file, doing, options.notes);
   if (file.ends_with(".py")) {
     load_python(registry, file, doing);
     return;

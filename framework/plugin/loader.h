@@ -12,13 +12,22 @@ namespace semfield {
 /// name.
 void register_module(Registry& registry, const PluginModule& module);
 
+struct LoadOptions {
+  bool checked = true;           ///< a file that the last check of its bytes found at fault is refused
+  Diagnostics* notes = nullptr;  ///< gets what is amiss with what is kept about checks, which never stops a load
+};
+
 /// check_module_file, dlopen(RTLD_NOW | RTLD_LOCAL), register_module; never unloaded. A file that the registry has
 /// already is left at that. A file NAME.py is run by Python, which the library libsemfield_python.so embeds. Its code
 /// runs, so `path` comes from who started the program. What was asked for by path must load: throws Error(unavailable)
 /// with a sentence that names both sides (missing file, no plugin, other API, other ABI, throwing registration,
-/// duplicate name). An exception out of a static initialiser cannot be caught here: it ends the program through
-/// std::terminate, whose handler may ask module_being_loaded().
-void load_module(Registry& registry, const std::string& path);
+/// duplicate name, a broken law that keep_check told of). An exception out of a static initialiser cannot be caught
+/// here: it ends the program through std::terminate, whose handler may ask module_being_loaded().
+void load_module(Registry& registry, const std::string& path, const LoadOptions& options = {});
+
+/// What the laws said of a module's plugins, for every load of the same bytes by this version of the framework, until
+/// they are checked again; "" = they hold. Kept in the user's cache (system/file_verdicts.h).
+void keep_check(const std::string& path, const std::string& broken_law, Diagnostics& notes);
 
 /// A module that a configuration names, which may come from anybody. It is loaded when it lies in a trusted folder -
 /// those of the environment variable SEMFIELD_PLUGIN_PATH, absolute and separated by colons - or when one of its file

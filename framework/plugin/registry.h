@@ -81,6 +81,7 @@ struct PluginEntry {
       sampler64;
   std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
   bool reads_packs = false;  ///< a dataset that opens what loading/packed_scene.h writes, by its parameter `file`
+  bool slow = false;         ///< calls take so long that the laws are checked on fewer rows (plugins in Python)
 };
 
 class Registry {

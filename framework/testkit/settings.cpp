@@ -7,6 +7,9 @@
 #include <set>
 #include <system_error>
 
+#include "core/text.h"
+#include "system/files.h"
+
 namespace semfield::testkit {
 
 namespace {
@@ -148,6 +151,28 @@ class SettingsWriter final : public ParamVisitor {
 };
 
 }  // namespace
+
+std::vector<SettingsLine> read_settings_lines(const std::string& path) {
+  std::vector<SettingsLine> lines;
+  const std::string text = read_text_file(path);
+  std::string_view rest = text, line;
+  for (int number = 1; next_line(rest, line); ++number) {
+    const std::vector<std::string_view> words = words_of(line);
+    if (words.empty() || words[0].starts_with('#')) continue;
+    SettingsLine read{number, {}};
+    for (const std::string_view word : words) {
+      if (words.size() == 1 && word == "defaults") break;
+      const std::size_t equals = word.find('=');
+      if (equals == std::string_view::npos || equals == 0)
+        throw Error(ErrorKind::config,
+                    path + ":" + std::to_string(number) + ": '" + std::string(word) + "' sets nothing",
+                    "write name=value name=value, or the one word defaults");
+      read.settings[std::string(word.substr(0, equals))] = word.substr(equals + 1);
+    }
+    lines.push_back(std::move(read));
+  }
+  return lines;
+}
 
 Failures apply_settings(PluginParams& params, const Settings& settings) {
   SettingsReader reader(settings);

@@ -211,6 +211,7 @@ void add(PluginEntry entry) {
 
 PluginEntry entry_of(const py::dict& declared, PluginKind kind) {
   PluginEntry entry;
+  entry.slow = true;
   entry.kind = kind;
   entry.name = declared["name"].cast<std::string>();
   entry.summary = declared["summary"].cast<std::string>();

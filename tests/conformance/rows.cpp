@@ -1,8 +1,7 @@
 // Rows from the registry and the settings files.
 #include "tests/conformance/rows.h"
 
-#include <fstream>
-#include <sstream>
+#include <filesystem>
 
 #include "plugin/linked_plugins.h"
 
@@ -10,23 +9,12 @@ namespace semfield::testkit {
 
 namespace {
 
-Settings parse_line(const std::string& line) {
-  Settings settings;
-  std::istringstream words(line);
-  for (std::string word; words >> word;) {
-    const std::size_t equals = word.find('=');
-    settings[word.substr(0, equals)] = equals == std::string::npos ? "" : word.substr(equals + 1);
-  }
-  return settings;
-}
-
 std::vector<Settings> settings_for(PluginKind kind, const std::string& name) {
   const std::string source = SEMFIELD_SOURCE_DIR;
   const std::string own = source + "/plugins/" + std::string(kind_name(kind)) + "s/" + name + "/conformance.txt";
   std::vector<Settings> rows;
-  std::ifstream file(own);
-  for (std::string line; std::getline(file, line);) {
-    if (!line.empty() && line[0] != '#') rows.push_back(parse_line(line == "defaults" ? "" : line));
+  if (std::filesystem::exists(own)) {
+    for (SettingsLine& line : read_settings_lines(own)) rows.push_back(std::move(line.settings));
   }
   if (rows.empty()) rows.emplace_back();
   return rows;

@@ -21,6 +21,21 @@ const bool g_ran = [] {
 }();
 
 }  // namespace
+
+#if defined(CASE_BENT)
+/// Breaks a law: its gradient of the coordinates is wrong.
+template <class Real>
+class Bent final : public ToyEncoder<Real> {
+ public:
+  Bent(const ToyParams& params, const EncoderBuild& build, const KernelTables& kernels)
+      : ToyEncoder<Real>(params, build, kernels, Break::wrong_dx) {}
+};
+void register_bent(Registry& registry);
+void register_bent(Registry& registry) {
+  registry.add_encoder<Bent, ToyParams>("bent", "A toy with a wrong gradient.");
+}
+#endif
+
 }  // namespace semfield::toy
 
 #if defined(CASE_OTHER_API)
@@ -51,6 +66,8 @@ void probe_kernels(KernelTables& tables) {
 }
 }  // namespace semfield::cuda
 SEMFIELD_PLUGIN_CUDA_KERNELS(probe_kernels)
+#elif defined(CASE_BENT)
+SEMFIELD_PLUGIN_MODULE(bent, "1.0", semfield::toy::register_bent)
 #elif !defined(CASE_NO_STAMP)
 SEMFIELD_PLUGIN_MODULE(probe, "1.0", semfield::toy::register_into)
 #endif

@@ -39,7 +39,7 @@ inline void validate(const ToyParams& p, Diagnostics& diagnostics) {
 
 /// y[b] = gain * table[b] * sum_d sin((b + 1) x[d]).
 template <class Real>
-class ToyEncoder final : public Encoder<Real> {
+class ToyEncoder : public Encoder<Real> {
  public:
   ToyEncoder(const ToyParams& params, const EncoderBuild& build, const KernelTables& kernels,
              Break broken = Break::none)

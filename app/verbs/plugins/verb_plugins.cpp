@@ -3,6 +3,6 @@
 
 namespace semfield::app {
 
-Verb verb_plugins() { return make_group("plugins", 170, "list plugins and their parameters"); }
+Verb verb_plugins() { return make_group("plugins", 170, "list plugins and their parameters, and check them"); }
 
 }  // namespace semfield::app

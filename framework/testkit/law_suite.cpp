@@ -1,0 +1,195 @@
+// The laws of every kind on plugins that a registry has: what `semfield plugins check` runs.
+#include "plugin/check/law_suite.h"
+
+#include <algorithm>
+#include <map>
+
+#include "testkit/law_builds.h"
+
+namespace semfield::testkit {
+
+namespace {
+
+/// Plugins that take long (PluginEntry::slow) are asked less often, not less strictly.
+LawOptions options_of(const PluginEntry& entry, int gradient_elements) {
+  LawOptions options;
+  options.gradient_elements = entry.slow ? 4 : gradient_elements;
+  if (entry.slow) options.many_rows = 257;
+  return options;
+}
+
+Failures laws_of(const PluginEntry& entry, const Encoder<float>& single, const Encoder<double>& oracle,
+                 const EncoderBuild&) {
+  return encoder_laws(single, oracle, options_of(entry, 12));
+}
+Failures laws_of(const PluginEntry& entry, const Field<float>& single, const Field<double>& oracle,
+                 const FieldBuild& build) {
+  return field_laws(single, oracle, build, options_of(entry, 6));
+}
+Failures laws_of(const PluginEntry& entry, const Sampler<float>& single, const Sampler<double>& oracle,
+                 const SamplerBuild& build) {
+  return sampler_laws(single, oracle, build, options_of(entry, 24));
+}
+
+std::string text_of(const Settings& settings) {
+  std::string text;
+  for (const auto& [name, value] : settings) text += (text.empty() ? "" : " ") + name + "=" + value;
+  return text.empty() ? "defaults" : text;
+}
+
+std::vector<std::string> parameters_of(const PluginEntry& entry) {
+  std::vector<std::string> names;
+  for (const auto& [name, value] : settings_of(*entry.new_params())) names.push_back(name);
+  return names;
+}
+
+bool has_all(const PluginEntry& entry, const Settings& settings) {
+  const std::vector<std::string> names = parameters_of(entry);
+  return std::all_of(settings.begin(), settings.end(), [&](const auto& setting) {
+    return std::find(names.begin(), names.end(), setting.first) != names.end();
+  });
+}
+
+class Suite {
+ public:
+  Suite(const Registry& registry, const LawRequest& request) : registry_(registry), request_(request) {
+    if (!request.settings_file.empty()) lines_ = read_settings_lines(request.settings_file);
+    require_fit();
+    read_scene();
+  }
+
+  void run() const {
+    for (const PluginEntry* entry : request_.entries) {
+      tell({entry->kind, entry->name, "", "", LawStatus::passed, {}}, [&] { return declaration_laws(*entry); });
+      for (const Settings& settings : rows_of(*entry)) {
+        if (entry->kind == PluginKind::encoder) check(*entry, settings, encoder_builds(Device::cpu));
+        if (entry->kind == PluginKind::field)
+          check(*entry, settings, field_builds(registry_, entry->name, Device::cpu));
+        if (entry->kind == PluginKind::sampler) check(*entry, settings, std::vector{sampler_build(Device::cpu)});
+        if (entry->kind == PluginKind::dataset) check_dataset(*entry, settings);
+      }
+    }
+  }
+
+ private:
+  // A line is for the plugins that have every parameter it names. What is wrong with a line is no fault of theirs.
+  void require_fit() const {
+    for (const SettingsLine& line : lines_) {
+      const std::string place = request_.settings_file + ":" + std::to_string(line.number) + ": ";
+      bool fits = false;
+      for (const PluginEntry* entry : request_.entries) {
+        if (!has_all(*entry, line.settings)) continue;
+        fits = true;
+        try {
+          if (entry->kind != PluginKind::dataset) (void)make_params(*entry, line.settings);
+        } catch (const Error& error) {
+          throw Error(ErrorKind::config, place + error.message(), error.remedy());
+        }
+      }
+      if (fits) continue;
+      std::vector<std::string> known;
+      for (const PluginEntry* entry : request_.entries) {
+        for (const std::string& name : parameters_of(*entry)) known.push_back(name);
+      }
+      throw Error(ErrorKind::config, place + "no plugin has the parameters of '" + text_of(line.settings) + "'",
+                  "known: " + join(known));
+    }
+  }
+
+  void read_scene() {
+    for (const std::string& word : request_.scene) {
+      const std::size_t equals = word.find('=');
+      if (equals == std::string::npos || equals == 0)
+        throw Error(ErrorKind::usage, "--scene " + word + ": expected NAME=VALUE", "such as --scene root=my_room");
+      scene_[word.substr(0, equals)] = word.substr(equals + 1);
+    }
+    bool dataset = false;
+    for (const PluginEntry* entry : request_.entries) {
+      if (entry->kind != PluginKind::dataset) continue;
+      dataset = true;
+      try {
+        for (const Settings& settings : rows_of(*entry)) require_opens(*entry, settings);
+      } catch (const Error& error) {
+        throw Error(ErrorKind::usage,
+                    "dataset '" + entry->name + "' needs a scene that its laws can read: " + error.message(),
+                    "add --scene NAME=VALUE for each of its parameters that names one: " + join(parameters_of(*entry)));
+      }
+    }
+    if (!dataset && !scene_.empty())
+      throw Error(ErrorKind::usage, "--scene is for datasets, and the file registers none", "leave --scene out");
+  }
+
+  // A scene that is not there is no broken law.
+  void require_opens(const PluginEntry& entry, const Settings& settings) const {
+    Diagnostics diagnostics;
+    (void)entry.dataset(*make_params(entry, settings), DatasetBuild{request_.folder})->open(diagnostics);
+    diagnostics.throw_if_errors(ErrorKind::data, {});
+  }
+
+  std::vector<Settings> rows_of(const PluginEntry& entry) const {
+    std::vector<Settings> rows;
+    for (const SettingsLine& line : lines_) {
+      if (has_all(entry, line.settings)) rows.push_back(line.settings);
+    }
+    if (rows.empty()) rows.emplace_back();
+    if (entry.kind == PluginKind::dataset) {
+      for (Settings& row : rows) row.insert(scene_.begin(), scene_.end());
+    }
+    return rows;
+  }
+
+  template <class Laws>
+  void tell(LawRow row, const Laws& laws) const {
+    try {
+      row.found = laws();
+    } catch (const std::exception& error) {
+      row.found = {std::string("an error came out of a law: ") + error.what()};
+    }
+    row.status = row.found.empty() ? LawStatus::passed : LawStatus::failed;
+    request_.on_row(row);
+  }
+
+  template <class Build>
+  void check(const PluginEntry& entry, const Settings& settings, const std::vector<Build>& builds) const {
+    std::size_t accepted = 0;
+    for (const Build& build : builds) {
+      LawRow row{entry.kind, entry.name, text_of(settings), text_of_build(build), LawStatus::passed, {}};
+      decltype(make_twins(registry_, entry.name, settings, build)) twins;
+      try {
+        twins = make_twins(registry_, entry.name, settings, build);
+      } catch (const Error& error) {
+        // One that every way of building refuses has nothing that a law could be asked of.
+        const bool last = accepted == 0 && &build == &builds.back();
+        row.status = last ? LawStatus::failed : LawStatus::refused;
+        row.found = {(last ? "every way of building was refused: " : "") + std::string(error.what())};
+        request_.on_row(row);
+        continue;
+      }
+      ++accepted;
+      tell(std::move(row), [&] { return laws_of(entry, *twins.single, *twins.oracle, build); });
+    }
+  }
+  template <class Build>
+  static std::string text_of_build(const Build& build) {
+    return testkit::text_of(build);
+  }
+
+  void check_dataset(const PluginEntry& entry, const Settings& settings) const {
+    tell({entry.kind, entry.name, text_of(settings), "", LawStatus::passed, {}},
+         [&] { return dataset_laws(registry_, entry.name, settings, DatasetBuild{request_.folder}); });
+  }
+
+  const Registry& registry_;
+  const LawRequest& request_;
+  std::vector<SettingsLine> lines_;
+  Settings scene_;
+};
+
+}  // namespace
+
+}  // namespace semfield::testkit
+
+extern "C" void semfield_law_suite(const semfield::Registry& registry, const semfield::LawRequest& request);
+void semfield_law_suite(const semfield::Registry& registry, const semfield::LawRequest& request) {
+  semfield::testkit::Suite(registry, request).run();
+}

@@ -1,0 +1,169 @@
+// `semfield plugins check`, and what later loads make of what it found.
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "plugin/loader.h"
+#include "system/file_verdicts.h"
+#include "system/files.h"
+#include "tests/program.h"
+#include "tests/sweep/tiny_sweep.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+using testing_program::Process;
+using testing_program::Result;
+using testing_room::fresh_folder;
+using Words = std::vector<std::string>;
+
+std::string probe(const std::string& name) { return std::string(SEMFIELD_PROBES) + "/probe_" + name + ".so"; }
+
+class PluginsCheck : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fresh_folder("checks");
+    testing_sweep::write_sweep(folder_, 3);
+  }
+  Result run(const Words& words, const std::string& cache) {
+    return Process(testing_program::program(), words, folder_, {"SEMFIELD_CACHE=" + cache}).wait();
+  }
+  Result run(const Words& words) { return run(words, folder_ + "/cache"); }
+  Result train_with(const std::string& module) {
+    return run({"train", folder_ + "/base.yaml", "--dry-run", "--plugin", module});
+  }
+  std::vector<fs::path> verdicts() const {
+    std::vector<fs::path> found;
+    for (const auto& entry : fs::directory_iterator(folder_ + "/cache/checks")) found.push_back(entry.path());
+    return found;
+  }
+
+  std::string folder_;
+};
+
+TEST_F(PluginsCheck, LawsThatHoldAreToldALineEach) {
+  write_file_atomic(folder_ + "/rows.txt", "# as conformance.txt\ndefaults\nbands=3 gain=0.5\n");
+  const Result r = run({"plugins", "check", probe("sound"), "--settings", folder_ + "/rows.txt"});
+  EXPECT_EQ(r.code, 0) << r.out << r.err;
+  for (const char* subject :
+       {"declaration", "defaults, positions", "defaults, directions", "bands=3 gain=0.5, positions"})
+    EXPECT_NE(r.out.find(subject), std::string::npos) << r.out;
+  EXPECT_EQ(r.out.find("FAILED"), std::string::npos) << r.out;
+  EXPECT_NE(r.out.find("plugins check: passed=5 failed=0 refused=0 file=" + probe("sound") + "\n"), std::string::npos)
+      << r.out;
+  EXPECT_EQ(verdicts().size(), 1U);
+  EXPECT_EQ(train_with(probe("sound")).code, 0);
+}
+
+TEST_F(PluginsCheck, TrainRefusesAFileThatBrokeALawUntilItIsMendedOrItsOwnerWantsIt) {
+  const std::string file = folder_ + "/b e/bent.so";
+  fs::create_directories(folder_ + "/b e");
+  fs::copy_file(probe("bent"), file);
+  EXPECT_EQ(train_with(file).code, 0) << "a file that nobody checked loads";
+  const Result r = run({"plugins", "check", file, "--json"});
+  EXPECT_EQ(r.code, 1) << r.out << r.err;
+  const json said = json::parse(r.out);
+  EXPECT_EQ(said["verb"], "plugins check");
+  EXPECT_EQ(said["passed"], 1);
+  EXPECT_EQ(said["failed"], 2);
+  ASSERT_EQ(said["rows"].size(), 3U);
+  EXPECT_EQ(said["rows"][0]["status"], "passed");
+  EXPECT_EQ(said["rows"][1]["kind"], "encoder");
+  EXPECT_EQ(said["rows"][1]["name"], "bent");
+  EXPECT_EQ(said["rows"][1]["build"], "positions");
+  EXPECT_EQ(said["rows"][1]["status"], "FAILED");
+  const std::string found = said["rows"][1]["found"][0];
+  EXPECT_NE(found.find("gradient"), std::string::npos) << found;
+
+  const Result refused = train_with(file);
+  EXPECT_EQ(refused.code, 69) << refused.err;
+  const std::string entry = verdicts().at(0).string();
+  EXPECT_EQ(refused.err, "semfield: cannot load plugin '" + file +
+                             "': it was checked, and broke a law: encoder 'bent', defaults, positions: " + found +
+                             "; mend it and run `semfield plugins check '" + file + "'` again, or remove " + entry +
+                             " to load it as it is\n");
+  EXPECT_EQ(train_with(probe("bent")).code, 69) << "the same bytes elsewhere";
+  EXPECT_EQ(run({"plugins", "check", file}).code, 1) << "a check loads what it checks";
+  EXPECT_EQ(run({"plugins", "list", "--plugin", file}, "off").code, 0) << "without a cache nothing is known";
+
+  std::string mended = read_text_file(file) + "mended";
+  write_file_atomic(folder_ + "/b e/mended.so", mended);
+  EXPECT_EQ(train_with(folder_ + "/b e/mended.so").code, 0) << "other bytes are another file";
+  fs::remove(entry);
+  EXPECT_EQ(train_with(file).code, 0) << "the remedy works as it says";
+}
+
+TEST_F(PluginsCheck, ACacheThatIsDamagedOrCannotBeWrittenStopsNothing) {
+  ASSERT_EQ(run({"plugins", "check", probe("bent")}).code, 1);
+  const fs::path entry = verdicts().at(0);
+  const std::string whole = read_text_file(entry.string());
+  for (const std::string& text : {std::string(), std::string("\n"), whole.substr(0, whole.size() / 2), whole + "x",
+                                  "semfield-verdict-1\nanything\n00000000\n" + std::string()}) {
+    write_file_atomic(entry.string(), text);
+    const Result r = train_with(probe("bent"));
+    EXPECT_EQ(r.code, 0) << r.err;
+    EXPECT_NE(r.err.find("is damaged in '" + entry.string() + "' and counts as not there"), std::string::npos) << r.err;
+  }
+  fs::remove(entry);
+  fs::create_directories(entry);  // no file can take its name
+  const Result loaded = train_with(probe("bent"));
+  EXPECT_EQ(loaded.code, 0) << loaded.err;
+  EXPECT_NE(loaded.err.find("whether it was checked cannot be read: "), std::string::npos) << loaded.err;
+  const Result checked = run({"plugins", "check", probe("bent")});
+  EXPECT_EQ(checked.code, 1) << checked.err;
+  EXPECT_NE(checked.err.find("what the check found is not kept: "), std::string::npos) << checked.err;
+  const Result off = run({"plugins", "check", probe("bent")}, "off");
+  EXPECT_EQ(off.code, 1);
+  EXPECT_NE(off.err.find("there is no folder for caches"), std::string::npos) << off.err;
+}
+
+TEST_F(PluginsCheck, WordsThatFitNothingAreRefusedBeforeALawRuns) {
+  const auto refused = [&](Words more, int code, const std::string& text) {
+    Words words{"plugins", "check"};
+    words.insert(words.end(), more.begin(), more.end());
+    const Result r = run(words);
+    EXPECT_EQ(r.code, code) << r.err;
+    EXPECT_NE(r.err.find(text), std::string::npos) << r.err;
+    EXPECT_EQ(r.out, "");
+    EXPECT_FALSE(fs::exists(folder_ + "/cache/checks") && !verdicts().empty()) << "a verdict without laws";
+  };
+  const std::string rows = folder_ + "/rows.txt";
+  refused({folder_ + "/none.so"}, 69, "there is no such file");
+  refused({probe("other_api")}, 69, "plugin API 999");
+  refused({probe("sound"), "--settings", folder_ + "/none.txt"}, 66, "none.txt");
+  write_file_atomic(rows, "\nbands\n");
+  refused({probe("sound"), "--settings", rows}, 78, rows + ":2: 'bands' sets nothing; write name=value name=value");
+  write_file_atomic(rows, "bandz=2\n");
+  refused({probe("sound"), "--settings", rows}, 78, rows + ":1: no plugin has the parameters of 'bandz=2'; known: ");
+  refused({probe("sound"), "--scene", "root=x"}, 2, "--scene is for datasets, and the file registers none");
+  refused({probe("sound"), "--scene", "root"}, 2, "--scene root: expected NAME=VALUE");
+  write_file_atomic(rows, "defaults\nbands=99\n");
+  refused({probe("sound"), "--settings", rows}, 78, rows + ":2: toy: bands: expected int in [1, 8]");
+}
+
+TEST(FileVerdicts, GoWithBytesAndVersion) {
+  const std::string folder = fresh_folder("verdicts"), file = folder + "/a.so";
+  ::setenv("SEMFIELD_CACHE", (folder + "/cache").c_str(), 1);
+  write_file_atomic(file, "bytes");
+  Diagnostics notes;
+  EXPECT_FALSE(read_verdict(file, "1.0", notes));
+  keep_verdict(file, "1.0", "line\nand another", notes);
+  EXPECT_EQ(read_verdict(file, "1.0", notes)->fault, "line\nand another");
+  EXPECT_FALSE(read_verdict(file, "1.1", notes));
+  fs::copy_file(file, folder + "/b.so");
+  EXPECT_FALSE(read_verdict(folder + "/b.so", "1.0", notes)->passed());
+  keep_verdict(folder + "/b.so", "1.0", "", notes);
+  EXPECT_TRUE(read_verdict(file, "1.0", notes)->passed());
+  write_file_atomic(file, "bytez");
+  EXPECT_FALSE(read_verdict(file, "1.0", notes));
+  EXPECT_TRUE(notes.all().empty());
+  ::setenv("SEMFIELD_CACHE", "off", 1);
+}
+
+}  // namespace
+}  // namespace semfield
