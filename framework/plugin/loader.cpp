@@ -186,7 +186,8 @@ void load_listed_module(Registry& registry, const std::string& path) {
         "check the path, which starts at the file that wrote it, or name the module where it lies: --plugin FILE");
   throw Error(ErrorKind::unavailable,
               "the module '" + path + "' was not loaded: it is code, and a configuration alone does not make it run",
-              "if you trust it, add --plugin " + path + ", or set SEMFIELD_PLUGIN_PATH to a folder that holds it");
+              "if you trust it, add --plugin " + path +
+                  " (in Python: semfield.load_plugin), or set SEMFIELD_PLUGIN_PATH to a folder that holds it");
 }
 
 void add_cuda_kernels_of_modules(Registry& registry) {

@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include "config/params_read.h"
+
 namespace semfield::python {
 
 namespace {
@@ -15,6 +17,23 @@ bool all_are(const py::list& list, const T& is) {
 }
 
 bool is_whole(const py::handle& value) { return py::isinstance<py::int_>(value) && !py::isinstance<py::bool_>(value); }
+
+bool is_number(const py::handle& value) { return is_whole(value) || py::isinstance<py::float_>(value); }
+
+// A default that its own range refuses would be refused where nobody gave it.
+void require_in_range(const PythonParam& param, const std::string& owner) {
+  std::vector<double> numbers;
+  if (const auto* whole = std::get_if<std::int64_t>(&param.value)) numbers = {static_cast<double>(*whole)};
+  if (const auto* real = std::get_if<double>(&param.value)) numbers = {*real};
+  if (const auto* wholes = std::get_if<std::vector<std::int64_t>>(&param.value))
+    numbers.assign(wholes->begin(), wholes->end());
+  if (const auto* reals = std::get_if<std::vector<double>>(&param.value)) numbers = *reals;
+  for (const double number : numbers) {
+    if (number >= param.range.min && number <= param.range.max) continue;
+    throw Error(ErrorKind::usage, owner + ": the default of '" + param.name + "' is " + shortest_number(number) +
+                                      ", outside its own range");
+  }
+}
 
 }  // namespace
 
@@ -87,14 +106,19 @@ std::vector<PythonParam> params_of(const py::list& declared, const std::string& 
         p.value = list.cast<std::vector<std::int64_t>>();
       } else if (!list.empty() && all_are(list, [](const py::handle& v) { return py::isinstance<py::str>(v); })) {
         p.value = list.cast<std::vector<std::string>>();
-      } else {
+      } else if (all_are(list, is_number)) {
         p.value = list.cast<std::vector<double>>();
+      } else {
+        throw Error(ErrorKind::usage,
+                    owner + ": the default of '" + p.name + "' is " + py::repr(value).cast<std::string>(),
+                    "a list has numbers alone, or texts alone");
       }
     } else {
       throw Error(ErrorKind::usage,
                   owner + ": the default of '" + p.name + "' is " + py::repr(value).cast<std::string>(),
                   "a parameter is a truth value, a number, a text, or a list of numbers or texts");
     }
+    require_in_range(p, owner);
     out.push_back(std::move(p));
   }
   return out;

@@ -121,6 +121,9 @@ class PythonEncoder final : public Encoder<Real> {
       throw Error(ErrorKind::failure, owner_ + "." + what + ": expected an array of the shape (" +
                                           std::to_string(to.rows) + ", " + std::to_string(to.cols) + "), got " + got);
     }
+    if (std::string_view("fiub").find(given.dtype().kind()) == std::string_view::npos)
+      throw Error(ErrorKind::failure,
+                  owner_ + "." + what + ": expected real numbers, got " + py::str(given.dtype()).cast<std::string>());
     py::array target = borrowed(to);
     target[py::ellipsis()] = given;
   }

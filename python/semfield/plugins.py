@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+import os
 import sys
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, Type, TypeVar
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from . import _core
 from .errors import UsageError
-from .scenes import Frame, _class_rows
+from .scenes import Frame, PathLike, _class_rows
 
 
 @dataclasses.dataclass(frozen=True)
@@ -186,7 +187,9 @@ E_ = TypeVar("E_", bound=Type[Encoder])
 D_ = TypeVar("D_", bound=Type[Dataset])
 
 
-def _summary(cls: type, summary: str) -> str:
+def _summary(cls: type, base: type, summary: str) -> str:
+    if not (isinstance(cls, type) and issubclass(cls, base)):
+        raise UsageError(f"{cls!r}: expected a subclass of semfield.{base.__name__}")
     text = summary or (cls.__doc__ or "").strip().split("\n")[0]
     if not text:
         raise UsageError(f"{cls.__name__}: a plugin has a sentence that says what it is; give a docstring or summary=")
@@ -197,7 +200,7 @@ def encoder(name: str, summary: str = "") -> Callable[[E_], E_]:
     """Makes a subclass of Encoder a plugin: ``position: {type: NAME}``. Defined again, the last one counts."""
 
     def add(cls: E_) -> E_:
-        _core.add_encoder({"name": name, "summary": _summary(cls, summary), "class": cls, "params": cls._params()})
+        _core.add_encoder({"name": name, "summary": _summary(cls, Encoder, summary), "class": cls, "params": cls._params()})
         return cls
 
     return add
@@ -207,7 +210,7 @@ def dataset(name: str, summary: str = "") -> Callable[[D_], D_]:
     """Makes a subclass of Dataset a plugin: ``scene: {type: NAME}``. Defined again, the last one counts."""
 
     def add(cls: D_) -> D_:
-        _core.add_dataset({"name": name, "summary": _summary(cls, summary), "class": cls, "params": cls._params()})
+        _core.add_dataset({"name": name, "summary": _summary(cls, Dataset, summary), "class": cls, "params": cls._params()})
         return cls
 
     return add
@@ -216,6 +219,15 @@ def dataset(name: str, summary: str = "") -> Callable[[D_], D_]:
 def plugins() -> List[Tuple[str, str, str, str]]:
     """Kind, name, sentence and module of every plugin that configurations can name."""
     return list(_core.plugin_names())
+
+
+def load_plugin(file: PathLike) -> None:
+    """Loads a file of plugins, Python (idea.py) or C++ (libidea.so), as ``--plugin`` does; a second time changes nothing.
+
+    Raises:
+        UnavailableError: the file is not there, raises, or defines no plugin.
+    """
+    _core.load_plugin(os.fspath(file))
 
 
 def _run_file(path: str) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import pathlib
 import shutil
+import signal
 import subprocess
 from typing import Any, List
 
@@ -43,14 +44,20 @@ def command(*words: Any, json_output: bool = False) -> Any:
 
     Raises:
         CommandError: it ended with another code than 0.
+        KeyboardInterrupt: once the verb has ended in order, as it does after Ctrl-C in a terminal.
     """
     line: List[str] = [program(), *(os.fspath(w) if hasattr(w, "__fspath__") else str(w) for w in words)]
     if json_output:
         line.append("--json")
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        error = CommandError(f"semfield {' '.join(line[1:])}: {done.stderr.strip() or done.stdout.strip()}",
-                             exit_code=done.returncode)
-        error.stderr = done.stderr
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8") as running:
+        try:
+            out, told = running.communicate()
+        except KeyboardInterrupt:
+            running.send_signal(signal.SIGINT)  # it ends in order: a training writes its checkpoint
+            running.communicate()
+            raise
+    if running.returncode != 0:
+        error = CommandError(f"semfield {' '.join(line[1:])}: {told.strip() or out.strip()}", exit_code=running.returncode)
+        error.stderr = told
         raise error
-    return json.loads(done.stdout) if json_output else done.stdout
+    return json.loads(out) if json_output else out

@@ -7,6 +7,7 @@ import os
 import pathlib
 from typing import Any, Dict, List, Optional
 
+from .errors import InputError
 from .program import command
 from .scenes import PathLike
 
@@ -21,13 +22,22 @@ class Sweep:
     def __init__(self, folder: PathLike) -> None:
         self.folder = os.fspath(folder)
 
+    def __repr__(self) -> str:
+        return f"Sweep({self.folder!r})"
+
+    def _file(self, name: str) -> pathlib.Path:
+        path = pathlib.Path(self.folder) / name
+        if not path.is_file():
+            raise InputError(f"no sweep has ended in {self.folder!r}: there is no {name}; run semfield.sweep(file, out=...)", exit_code=66)
+        return path
+
     def table(self) -> List[Dict[str, Any]]:
         """A row for every value of every finished cell: experiment, scene, variant, seed, metric, value.
 
         ``pandas.DataFrame(sweep.table())`` takes them.
         """
         rows: List[Dict[str, Any]] = []
-        with open(pathlib.Path(self.folder) / "results.csv", newline="", encoding="utf-8") as file:
+        with open(self._file("results.csv"), newline="", encoding="utf-8") as file:
             for row in csv.DictReader(file):
                 rows.append({**row, "seed": int(row["seed"]), "value": float(row["value"])})
         return rows
@@ -35,6 +45,7 @@ class Sweep:
     def means(self) -> List[Dict[str, Any]]:
         """A row for every variant, scene and metric: n, mean, half_width of the 95 % interval over seeds."""
         rows: List[Dict[str, Any]] = []
+        self._file("results.csv")
         for path in sorted(pathlib.Path(self.folder).glob("*.csv")):
             if path.name in ("results.csv", "cells.csv"):
                 continue
@@ -46,7 +57,7 @@ class Sweep:
 
     def markdown(self) -> str:
         """The tables as people read them."""
-        return (pathlib.Path(self.folder) / "tables.md").read_text(encoding="utf-8")
+        return self._file("tables.md").read_text(encoding="utf-8")
 
 
 def sweep(file: PathLike, out: PathLike, jobs: Optional[int] = None, threads: Optional[int] = None) -> Sweep:

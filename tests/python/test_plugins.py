@@ -1,0 +1,409 @@
+"""Encoders and datasets written in Python: against those in C++, in the program, and where they are wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Dict, Iterator, Type
+
+import numpy as np
+import pytest
+
+import semfield as sf
+from conftest import NETWORK, WALLS, box_arrays, config_of, tensors_of, trained
+
+
+def with_position(scene: sf.Scene, **position: Any) -> Dict[str, Any]:
+    config = config_of(scene)
+    return {**config, "passes": [{**config["passes"][0], "position": position}], "rendering": {**config["rendering"], "scene_scale": 1.0}}
+
+
+class Waves(sf.Encoder):
+    """x, sin(2^k x), cos(2^k x), as frequency has them."""
+
+    bands = sf.param(4, "number of bands", low=1, high=12)
+
+    def setup(self) -> None:
+        self.out_dims = self.in_dims * (1 + 2 * self.bands)
+
+    def forward(self, x: np.ndarray, params: Dict[str, np.ndarray]) -> np.ndarray:
+        rows = [x]
+        for k in range(self.bands):
+            rows += [np.sin(2.0**k * x), np.cos(2.0**k * x)]
+        return np.concatenate(rows, 1)
+
+    def backward(self, x: np.ndarray, dy: np.ndarray, params: Dict[str, np.ndarray], grads: Dict[str, np.ndarray]) -> np.ndarray:
+        d = self.in_dims
+        dx = dy[:, :d].astype(np.float64)
+        for k in range(self.bands):
+            at = d * (1 + 2 * k)
+            dx += 2.0**k * (dy[:, at:at + d] * np.cos(2.0**k * x) - dy[:, at + d:at + 2 * d] * np.sin(2.0**k * x))
+        return dx
+
+
+class Through(sf.Encoder):
+    """Coordinates as they are."""
+
+    def setup(self) -> None:
+        self.out_dims = self.in_dims
+
+    def forward(self, x: np.ndarray, params: Dict[str, np.ndarray]) -> np.ndarray:
+        return x
+
+    def backward(self, x: np.ndarray, dy: np.ndarray, params: Dict[str, np.ndarray], grads: Dict[str, np.ndarray]) -> np.ndarray:
+        return dy
+
+
+class Plane(sf.Encoder):
+    """A learned feature for each cell of three axes."""
+
+    cells = sf.param(32, "cells along an axis", low=2)
+    features = sf.param(4, "features of a cell", low=1)
+
+    domain = "unit_cube"
+
+    def setup(self) -> None:
+        self.out_dims = self.in_dims * self.features
+        self.tensors = {f"axis_{d}": sf.Tensor(self.cells, self.features, -0.5, 0.5) for d in range(self.in_dims)}
+
+    def cell(self, x: np.ndarray) -> np.ndarray:
+        return np.clip((x * self.cells).astype(int), 0, self.cells - 1)
+
+    def forward(self, x: np.ndarray, params: Dict[str, np.ndarray]) -> np.ndarray:
+        cell = self.cell(x)
+        return np.concatenate([params[f"axis_{d}"][cell[:, d]] for d in range(self.in_dims)], 1)
+
+    def backward(self, x: np.ndarray, dy: np.ndarray, params: Dict[str, np.ndarray], grads: Dict[str, np.ndarray]) -> np.ndarray:
+        cell = self.cell(x)
+        for d in range(self.in_dims):
+            np.add.at(grads[f"axis_{d}"], cell[:, d], dy[:, d * self.features:(d + 1) * self.features])
+        return np.zeros_like(x)
+
+
+sf.encoder("py_waves")(Waves)
+sf.encoder("py_through")(Through)
+sf.encoder("py_plane")(Plane)
+
+IDEA = '''
+"""An idea."""
+import numpy as np
+import semfield as sf
+
+
+@sf.encoder("squares")
+class Squares(sf.Encoder):
+    """Coordinates and their squares."""
+
+    factor = sf.param(1.0, "of the squares", low=0, high=4)
+    shape = sf.param("plain", "of nothing", choices=["plain", "fancy"])
+
+    def setup(self):
+        self.out_dims = 2 * self.in_dims
+
+    def forward(self, x, params):
+        return np.concatenate([x, self.factor * x * x], 1)
+
+    def backward(self, x, dy, params, grads):
+        return dy[:, :self.in_dims] + 2 * self.factor * x * dy[:, self.in_dims:]
+'''
+
+
+@pytest.mark.parametrize("mine, built_in", [
+    ({"type": "py_through"}, {"type": "identity"}),
+    ({"type": "py_waves", "bands": 4}, {"type": "frequency", "frequencies": 4}),
+])
+def test_as_the_built_in_one(scene: sf.Scene, mine: Dict[str, Any], built_in: Dict[str, Any]) -> None:
+    a, b = sf.open(with_position(scene, **mine)), sf.open(with_position(scene, **built_in))
+    there = np.random.default_rng(1).uniform(-1, 1, (400, 3))
+    one, two = a.query(there), b.query(there)
+    assert np.allclose(one.density, two.density, rtol=2e-6) and np.allclose(one.probability, two.probability, atol=2e-6)
+    steps = [trained(run, 5)[0] for run in (a, b)]
+    assert steps[0].loss == pytest.approx(steps[1].loss, rel=1e-4)
+    for name, tensor in a.parameters().items():
+        if not name.startswith("adam/"):
+            assert np.allclose(tensor, b.parameters()[name], atol=2e-3), name
+
+
+def test_a_learned_one_trains(scene: sf.Scene) -> None:
+    run = sf.open(with_position(scene, type="py_plane", cells=16))
+    names = [n for n in run.parameters() if n.startswith("main/position/")]
+    assert len(names) == 3 and run.parameters()[names[0]].shape == (16, 4)
+    first = run.parameters()[names[0]]
+    assert -0.5 <= first.min() < -0.3 and 0.3 < first.max() < 0.5
+    steps = list(run.train(60, every=15))
+    assert steps[-1].loss < 0.6 * steps[0].loss
+    assert np.abs(run.parameters()[names[0]] - first).max() > 0.05
+
+
+def test_saved_and_opened_again(scene: sf.Scene, tmp_path: Path) -> None:
+    run = sf.open(with_position(scene, type="py_waves", bands=3))
+    trained(run, 4)
+    run.save(tmp_path / "a")
+    again = sf.resume(tmp_path / "a")
+    trained(run, 4)
+    trained(again, 4)
+    mine, theirs = run.parameters(), again.parameters()
+    assert all(np.array_equal(mine[k], theirs[k]) for k in mine)
+
+
+def raising(where: str) -> Type[sf.Encoder]:
+    class Raises(Through):
+        """Raises."""
+
+        def setup(self) -> None:
+            super().setup()
+            self.tensors = {"learned": sf.Tensor(1, 1)}  # without any, nobody asks for gradients
+            if where == "setup":
+                raise RuntimeError("setup is wrong")
+
+        def forward(self, x: np.ndarray, params: Dict[str, np.ndarray]) -> np.ndarray:
+            if where == "forward":
+                raise ZeroDivisionError("forward is wrong")
+            return x[:-1] if where == "rows" else x.tolist()[0] if where == "list" else x + 1j if where == "complex" else x
+
+        def backward(self, x: np.ndarray, dy: np.ndarray, params: Any, grads: Any) -> Any:
+            if where == "backward":
+                raise KeyError("backward is wrong")
+            return None if where == "none" else dy
+
+    return Raises
+
+
+@pytest.mark.parametrize("where, says", [
+    ("forward", r"encoder 'py_raises'.forward: ZeroDivisionError: forward is wrong \(.*test_plugins.py:\d+\)"),
+    ("backward", r"encoder 'py_raises'.backward: KeyError: .*backward is wrong.*test_plugins.py:\d+\)"),
+    ("setup", r"encoder 'py_raises': RuntimeError: setup is wrong \(.*test_plugins.py:\d+\)"),
+    ("rows", r"py_raises'.forward: expected an array of the shape \(\d+, 3\), got \(\d+, 3\)"),
+    ("list", r"expected an array of the shape \(\d+, 3\), got \(3,\)"),
+    ("complex", r"py_raises'.forward: expected real numbers, got complex128"),
+])
+def test_one_that_is_wrong(scene: sf.Scene, where: str, says: str) -> None:
+    sf.encoder("py_raises")(raising(where))
+    with pytest.raises(sf.Error, match=says):
+        trained(sf.open(with_position(scene, type="py_raises")), 3)
+    sf.encoder("py_raises")(raising("nowhere"))  # mended, as in a notebook
+    assert trained(sf.open(with_position(scene, type="py_raises")), 2)[0].step == 2
+
+
+def test_defined_again_the_last_counts(scene: sf.Scene) -> None:
+    before = sf.open(with_position(scene, type="py_through"))
+
+    @sf.encoder("py_again")
+    class First(Through):
+        """First."""
+
+    run = sf.open(with_position(scene, type="py_again"))
+
+    @sf.encoder("py_again", summary="Second, with words of its own.")
+    class Second(Waves):
+        pass
+
+    assert [p[2] for p in sf.plugins() if p[1] == "py_again"] == ["Second, with words of its own."]
+    other = sf.open(with_position(scene, type="py_again", bands=2))
+    assert run.parameters()["main/field/hidden_0/weight"].shape[0] == 3  # an open run keeps what it has
+    assert other.parameters()["main/field/hidden_0/weight"].shape[0] == 15
+    trained(run, 1)
+    trained(before, 1)
+
+
+def test_parameters(scene: sf.Scene) -> None:
+    class Many(Through):
+        """All kinds of parameters."""
+
+        flag = sf.param(True, "a truth value")
+        count = sf.param(3, "an integer", low=1, high=5)
+        size = sf.param(0.5, "a number", low=0)
+        word = sf.param("a", "a text")
+        kind = sf.param("plain", "one of some", choices=["plain", "fancy"])
+        list_of = sf.param([1.0, 2.0], "numbers", low=0)
+        seen: Dict[str, Any] = {}
+
+        def setup(self) -> None:
+            super().setup()
+            Many.seen = {k: getattr(self, k) for k in ("flag", "count", "size", "word", "kind", "list_of")}
+
+    sf.encoder("py_many")(Many)
+    sf.open(with_position(scene, type="py_many"))
+    assert Many.seen == {"flag": True, "count": 3, "size": 0.5, "word": "a", "kind": "plain", "list_of": [1.0, 2.0]}
+    sf.open(with_position(scene, type="py_many", flag=False, count=5, size=2, word="b", kind="fancy", list_of=[3]))
+    assert Many.seen == {"flag": False, "count": 5, "size": 2.0, "word": "b", "kind": "fancy", "list_of": [3.0]}
+    assert type(Many.seen["size"]) is float and type(Many.seen["count"]) is int
+    for wrong, says in [({"count": 6}, r"count.*\[1, 5\]"), ({"count": 1.5}, "count"), ({"kind": "other"}, "plain, fancy"),
+                        ({"size": -1}, "size"), ({"list_of": [-1]}, "list_of"), ({"coutn": 3}, "did you mean 'count'"), ({"flag": "maybe"}, "flag")]:
+        with pytest.raises(sf.ConfigError, match=says):
+            sf.open(with_position(scene, type="py_many", **wrong))
+    with pytest.raises(sf.ConfigError, match="did you mean 'py_many'"):
+        sf.open(with_position(scene, type="py_mny"))
+
+
+def test_declarations_that_cannot_be() -> None:
+    class Nothing(sf.Encoder):
+        def setup(self) -> None:
+            self.out_dims = 3
+
+    Nothing.__doc__ = ""
+    with pytest.raises(sf.UsageError, match="Nothing: a plugin has a sentence"):
+        sf.encoder("py_nothing")(Nothing)
+    for default, more, says in [(object(), {}, "the default of 'p' is <object"), ("c", {"choices": ["a", "b"]}, "none of its choices"),
+                                (9, {"low": 0, "high": 5}, "the default of 'p' is 9.0, outside its own range"),
+                                (["a", 1], {}, "p")]:
+        wrong = type("Wrong", (Through,), {"__doc__": "Wrong.", "p": sf.param(default, "of no use", **more)})
+        with pytest.raises(sf.Error, match=says):
+            sf.encoder("py_wrong")(wrong)
+        assert not [p for p in sf.plugins() if p[1] == "py_wrong"]
+    with pytest.raises(sf.Error, match="hash_grid"):
+        sf.encoder("hash_grid")(Through)
+    with pytest.raises(sf.UsageError, match="Encoder"):
+        sf.encoder("py_wrong")(sf.Dataset)  # type: ignore[type-var]
+
+
+class Box(sf.Dataset):
+    """The box of the tests."""
+
+    width = sf.param(32, "pixels", low=8)
+    wrong = sf.param("nothing", "what is wrong", choices=["nothing", "raise", "shape", "names", "open"])
+
+    def frames(self) -> Any:
+        if self.wrong == "open":
+            raise OSError("the disk is gone")
+        self.arrays = box_arrays(width=self.width)
+        return [sf.Frame("same" if self.wrong == "names" else f"{i:04d}", self.arrays["cameras"], self.arrays["poses"][i],
+                         "test" if i in self.arrays["test"] else "train", has_labels=True, has_depth=True) for i in range(10)]
+
+    def classes(self) -> Any:
+        return WALLS
+
+    def pixels(self, index: int) -> sf.Frame:
+        if self.wrong == "raise" and index == 3:
+            raise ValueError("frame 3 is lost")
+        rgb = self.arrays["images"][index]
+        return sf.Frame("", self.arrays["cameras"], np.eye(4), rgb=rgb[1:] if self.wrong == "shape" else rgb,
+                        labels=self.arrays["labels"][index], depth_m=self.arrays["depths"][index])
+
+
+sf.dataset("py_box")(Box)
+
+
+def test_a_dataset_has_the_bits_of_its_scene(scene: sf.Scene) -> None:
+    mine, packed = sf.open({**NETWORK, "scene": {"type": "py_box"}}), sf.open(config_of(scene))
+    trained(mine, 10)
+    trained(packed, 10)
+    one, two = mine.parameters(), packed.parameters()
+    assert all(np.array_equal(one[k], two[k]) for k in two)
+    assert np.array_equal(mine.pixels(3).labels, packed.pixels(3).labels)
+    assert mine.classes == packed.classes
+
+
+@pytest.mark.parametrize("wrong, says", [
+    ("raise", r"dataset 'py_box'.*ValueError: frame 3 is lost \(.*test_plugins.py:\d+\)"),
+    ("shape", r"frame '0000'.*expected the shape \[24, 32, 3\], got \[23, 32, 3\]"),
+    ("names", "frames 0 and 1 have this name"),
+    ("open", "the disk is gone"),
+])
+def test_a_dataset_that_is_wrong(wrong: str, says: str) -> None:
+    with pytest.raises(sf.Error, match=says):
+        sf.open({**NETWORK, "scene": {"type": "py_box", "wrong": wrong}})
+
+
+def idea_config(scene: sf.Scene, folder: Path, **position: Any) -> Path:
+    (folder / "idea.py").write_text(IDEA)
+    config = folder / "idea.yaml"
+    config.write_text(json.dumps({**with_position(scene, **{"type": "squares", **position}), "plugins": ["idea.py"]}))
+    return config
+
+
+def test_the_program_trains_it_with_the_same_bits(scene: sf.Scene, tmp_path: Path) -> None:
+    config = idea_config(scene, tmp_path, factor=0.5)
+    idea = tmp_path / "idea.py"
+    with pytest.raises(sf.ConfigError, match="load_plugin"):
+        sf.open(config)
+    sf.command("train", config, "--out", tmp_path / "a", "--steps", "8", "--plugin", idea, "--quiet")
+    sf.load_plugin(idea)
+    run = sf.open(config, {"train.steps": 8})
+    list(run.train())
+    run.save(tmp_path / "b")
+    one, two = (tensors_of(str(next((tmp_path / f / "checkpoints").glob("*.safetensors")))) for f in "ab")
+    assert one.keys() == two.keys() and all(one[k] == two[k] for k in one)
+    scored = sf.command("eval", tmp_path / "b", "--plugin", idea, json_output=True)
+    mine = sf.load(tmp_path / "b").evaluate("test")
+    assert mine.psnr == pytest.approx(scored["values"]["psnr"], rel=1e-6) if "values" in scored else scored
+
+
+def test_folders_that_are_trusted(scene: sf.Scene, tmp_path: Path) -> None:
+    config = idea_config(scene, tmp_path)
+    code = f"import semfield as sf; run = sf.open({str(config)!r}); list(run.train(2)); print(run.step)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60,
+                          env={**os.environ, "SEMFIELD_PLUGIN_PATH": str(tmp_path)})
+    assert (done.stdout, done.returncode) == ("2\n", 0), done.stderr
+
+
+def test_the_program_tells_of_it(tmp_path: Path) -> None:
+    (tmp_path / "idea.py").write_text(IDEA)
+    shown = sf.command("plugins", "show", "squares", "--plugin", tmp_path / "idea.py")
+    assert "Coordinates and their squares." in shown and "factor" in shown and "plain, fancy" in shown and "idea.py" in shown
+
+
+@pytest.mark.parametrize("text, says", [
+    ("x = 1\n", "defines no plugin"),
+    ("import semfield\ndef f(:\n", r"idea.py:2|line 2"),
+    ("import semfield\n\nraise RuntimeError('not today')\n", r"RuntimeError: not today \(.*idea.py:3\)"),
+    ("import no_such_module_at_all\n", "no_such_module_at_all"),
+    ("import sys\nsys.exit(3)\n", "SystemExit"),
+])
+def test_files_that_cannot_be_loaded(tmp_path: Path, text: str, says: str) -> None:
+    file = tmp_path / "idea.py"
+    file.write_text(text)
+    before = sf.plugins()
+    with pytest.raises(sf.UnavailableError, match=says) as caught:
+        sf.load_plugin(str(file))
+    assert str(file) in str(caught.value)
+    assert sf.plugins() == before
+    with pytest.raises(sf.CommandError, match=says) as ended:
+        sf.command("plugins", "list", "--plugin", file)
+    assert ended.value.exit_code == 69
+    with pytest.raises(sf.Error, match="nowhere.py"):
+        sf.load_plugin(str(tmp_path / "nowhere.py"))
+
+
+@pytest.fixture()
+def idea(tmp_path: Path) -> Iterator[Path]:
+    file = tmp_path / "other_idea.py"
+    file.write_text(IDEA.replace('"squares"', '"other_squares"'))
+    yield file
+
+
+def test_a_loaded_file_stays(idea: Path, scene: sf.Scene) -> None:
+    sf.load_plugin(idea)
+    sf.load_plugin(str(idea))  # again: nothing
+    assert [p[3] for p in sf.plugins() if p[1] == "other_squares"] == ["other_idea.py"]
+    assert trained(sf.open(with_position(scene, type="other_squares")), 1)[0].step == 1
+
+
+def test_a_step_that_raised_is_made_again_with_the_same_bits(scene: sf.Scene) -> None:
+    class Sometimes(Plane):
+        """Raises once."""
+
+        calls = 0
+        raises_at = -1
+
+        def backward(self, x: np.ndarray, dy: np.ndarray, params: Dict[str, np.ndarray], grads: Dict[str, np.ndarray]) -> np.ndarray:
+            Sometimes.calls += 1
+            if Sometimes.calls == Sometimes.raises_at:
+                raise RuntimeError("once")
+            return super().backward(x, dy, params, grads)
+
+    sf.encoder("py_sometimes")(Sometimes)
+    calm = sf.open(with_position(scene, type="py_sometimes"))
+    trained(calm, 6)
+    Sometimes.raises_at = Sometimes.calls + Sometimes.calls // 2
+    run = sf.open(with_position(scene, type="py_sometimes"))
+    with pytest.raises(sf.Error, match="once"):
+        trained(run, 6)
+    made = run.step
+    assert 0 < made < 6
+    trained(run, 6 - made)
+    mine, theirs = run.parameters(), calm.parameters()
+    assert all(np.array_equal(mine[k], theirs[k]) for k in theirs)
