@@ -123,8 +123,10 @@ void define_device_arrays(py::module_& module) {
           "__dlpack__", [](const DeviceArray& a, const py::object&, const py::kwargs&) { return dlpack(a); },
           py::arg("stream") = py::none(), "The array is complete; no stream has to be waited for.")
       .def("__dlpack_device__", [](const DeviceArray& a) { return py::make_tuple(2, a.memory->ordinal); })
-      .def_property_readonly("shape", [](const DeviceArray& a) { return py::tuple(py::cast(a.shape)); })
-      .def_property_readonly("dtype", [](const DeviceArray& a) { return a.dtype; })
+      .def_property_readonly(
+          "shape", [](const DeviceArray& a) { return py::tuple(py::cast(a.shape)); }, "Sizes of its axes.")
+      .def_property_readonly(
+          "dtype", [](const DeviceArray& a) { return a.dtype; }, "NumPy's type of its numbers.")
       .def("numpy", to_host, "A copy in the memory of the processor.")
       .def("__array__", [](const DeviceArray& a, const py::args&, const py::kwargs&) { return to_host(a); });
   module.def("to_device", on_device, py::arg("array"), py::arg("ordinal") = 0);

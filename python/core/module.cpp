@@ -6,6 +6,7 @@
 #include "python/core/config_nodes.h"
 #include "python/core/device_arrays.h"
 #include "python/core/errors.h"
+#include "python/core/interrupt.h"
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"
 #include "python/core/session.h"
@@ -54,6 +55,7 @@ PYBIND11_MODULE(_core, module) {
   define_device_arrays(module);
   module.def("write_pack", write_pack);
   module.def("resolved", resolved);
+  py::module_::import("atexit").attr("register")(py::cpp_function(end_work));
   module.def("environment", [] { return semfield::environment_json(semfield::this_environment()); });
   module.attr("__version__") = semfield::this_environment().version;
 }

@@ -10,6 +10,7 @@
 #include "plugin/loader.h"
 #include "python/core/arrays.h"
 #include "python/core/errors.h"
+#include "python/core/interrupt.h"
 #include "python/core/plugin_params.h"
 #include "python/core/scene_values.h"
 
@@ -35,7 +36,10 @@ auto called(const std::string& doing, const Call& call) {
   try {
     return call();
   } catch (py::error_already_set& raised) {
-    if (raised.matches(PyExc_KeyboardInterrupt)) throw;
+    if (raised.matches(PyExc_KeyboardInterrupt)) {
+      note_interrupt();
+      throw;
+    }
     throw error_of(raised, doing);
   } catch (const py::cast_error& wrong) {
     throw Error(ErrorKind::failure, doing + ": " + wrong.what());

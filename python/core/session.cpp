@@ -2,7 +2,6 @@
 
 #include <pybind11/stl.h>
 
-#include <chrono>
 #include <optional>
 
 #include "core/findings.h"
@@ -12,6 +11,7 @@
 #include "python/core/arrays.h"
 #include "python/core/config_nodes.h"
 #include "python/core/device_arrays.h"
+#include "python/core/interrupt.h"
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"
 #include "scene/scene_checks.h"
@@ -20,7 +20,6 @@ namespace semfield::python {
 
 namespace {
 
-constexpr auto kLookForSignals = std::chrono::milliseconds(50);
 constexpr std::size_t kPointsBetweenLooks = 65536;
 
 template <class T>
@@ -28,34 +27,13 @@ void append(const std::vector<T>& part, std::vector<T>& whole) {
   whole.insert(whole.end(), part.begin(), part.end());
 }
 
-// Asks now and then, from a thread without the GIL, whether Ctrl-C was pressed.
-class Interrupt {
- public:
-  bool came() {
-    const auto now = std::chrono::steady_clock::now();
-    if (!raised_ && now - last_ >= kLookForSignals) {
-      last_ = now;
-      const py::gil_scoped_acquire gil;
-      if (PyErr_CheckSignals() != 0) raised_.emplace();
-    }
-    return raised_.has_value();
-  }
-  void raise() const {
-    if (raised_) throw py::error_already_set(*raised_);
-  }
-
- private:
-  std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
-  std::optional<py::error_already_set> raised_;
-};
-
 // Opening of a scene that Ctrl-C ends: images are read one by one, and between them somebody looks.
 template <class Open>
 auto opened(const Open& open) {
-  const py::gil_scoped_release free;
+  const Work working;
   Interrupt interrupt;
-  const LoadProgress look = [&](std::string_view, std::size_t, std::size_t) {
-    if (interrupt.came()) interrupt.raise();
+  const LoadProgress look = [&](std::string_view, std::size_t, std::size_t total) {
+    if (total > 0 && interrupt.came()) interrupt.raise();  // 0: told by a destructor
   };
   WorkSettings settings = work_settings();
   settings.load_progress = &look;
@@ -87,13 +65,13 @@ py::dict values_dict(const std::vector<std::pair<std::string, std::optional<doub
 PySession::PySession() : registry_(base_registry()) {}
 
 // Without the GIL, one caller at a time, under the settings of the session's work.
-template <class Work>
-auto PySession::computed(const Work& work) {
-  const py::gil_scoped_release free;
+template <class Call>
+auto PySession::computed(const Call& call) {
+  const Work working;
   const std::lock_guard lock(mutex_);
   const WorkSettings settings = session().work();
   const WorkScope scope(settings);
-  return work();
+  return call();
 }
 
 std::unique_ptr<PySession> PySession::open(const py::object& config, const py::dict& set, const Opening& how) {

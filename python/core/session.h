@@ -64,8 +64,8 @@ class PySession {
  private:
   PySession();
   RunSession& training();
-  template <class Work>
-  auto computed(const Work& work);
+  template <class Call>
+  auto computed(const Call& call);
 
   Registry registry_;  // of its own: plugins that are loaded later leave it alone
   Notes notes_;

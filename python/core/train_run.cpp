@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "python/core/config_nodes.h"
+#include "python/core/interrupt.h"
 #include "python/core/plugins.h"
 #include "python/core/session.h"
 #include "report/run_report.h"
@@ -39,10 +40,10 @@ class Told final : public RunListener {
       raised.emplace(error);
     }
   }
-  int stop_signal() override {
-    const py::gil_scoped_acquire gil;
-    if (!raised && PyErr_CheckSignals() != 0) raised.emplace();
-    return raised ? SIGINT : 0;
+  int stop_signal() override { return raised || interrupt_.came() ? SIGINT : 0; }
+  void raise() const {
+    if (raised) throw py::error_already_set(*raised);
+    interrupt_.raise();
   }
   std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override {
     return write_run_report(folder, session, frames);
@@ -53,6 +54,7 @@ class Told final : public RunListener {
 
  private:
   const py::object& progress_;
+  Interrupt interrupt_;
 };
 
 }  // namespace
@@ -65,10 +67,10 @@ py::dict train_run(const py::object& config, const py::dict& set, const std::str
   Told told(progress);
   TrainOutcome outcome;
   {
-    const py::gil_scoped_release free;
+    const Work working;
     outcome = run_training(run_config_of(tree, registry), registry, {out, resume, {}}, &told);
   }
-  if (told.raised) throw py::error_already_set(*told.raised);
+  told.raise();
   py::dict scores;
   for (const auto& [name, value] : outcome.values)
     scores[py::str(name)] = value ? py::object(py::float_(*value)) : py::none();

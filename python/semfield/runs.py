@@ -118,7 +118,7 @@ class Run:
 
     @property
     def step(self) -> int:
-        """Steps made."""
+        """Steps made so far."""
         return int(self._session.step)
 
     @property
@@ -220,7 +220,8 @@ class Run:
         Raises:
             KeyboardInterrupt: after the step under way; the run can go on from there.
         """
-        left = max(0, self._steps - self.step) if steps is None else _whole("steps", steps)
+        made = self.step
+        left = max(0, self._steps - made) if steps is None else _whole("steps", steps)
         if left < 0 or _whole("every", every) < 1:
             raise UsageError(f"train({steps}, every={every}): expected steps of 0 or more, and every of 1 or more")
         return Training(self, left, int(every))

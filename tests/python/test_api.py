@@ -1,0 +1,402 @@
+"""The module as a whole: names, docstrings, types, and what it does to the process that imports it."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import gc
+import inspect
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import threading
+import warnings
+from pathlib import Path
+from typing import Any, Dict, List
+
+import numpy as np
+import pytest
+
+import semfield as sf
+from conftest import box_arrays, config_of, trained
+from semfield import _core
+
+PACKAGE = Path(sf.__file__).parent
+
+
+def in_a_process(code: str, **more: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120,
+                          env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), **more})
+
+
+def stub() -> ast.Module:
+    return ast.parse((PACKAGE / "_core.pyi").read_text())
+
+
+def test_the_stub_names_what_the_extension_has() -> None:
+    told: Dict[str, List[str]] = {"": []}
+    for node in stub().body:
+        if isinstance(node, ast.ClassDef):
+            told[node.name] = [f.name for f in node.body if isinstance(f, ast.FunctionDef)]
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef)):
+            told[""].append(node.name)
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            told[""].append(node.target.id)
+    plain = {n for n in vars(_core) if not n.startswith("_") or n == "__version__"}
+    assert set(told[""]) == plain
+    for name in ("Session", "DeviceArray"):
+        there = {n for n in vars(getattr(_core, name)) if not n.startswith("_") or n in ("__dlpack__", "__dlpack_device__", "__array__")}
+        assert set(told[name]) == there, name
+
+
+def test_the_stub_has_the_parameters_of_the_extension() -> None:
+    counted = 0
+    for node in stub().body:
+        functions = [(f, getattr(_core, node.name, None)) for f in node.body] if isinstance(node, ast.ClassDef) else [(node, _core)]
+        for function, owner in functions:
+            if not isinstance(function, ast.FunctionDef) or function.args.kwarg or function.decorator_list:
+                continue
+            doc = getattr(owner, function.name).__doc__ or ""
+            signature = re.match(r"\w+\((.*)\) ->", doc)
+            assert signature, function.name
+            depth, given = 0, 1 if signature[1] else 0
+            for letter in signature[1]:
+                depth += (letter in "[(") - (letter in "])")
+                given += letter == "," and depth == 0
+            assert given == len(function.args.args), f"{function.name}: {doc}"
+            counted += 1
+    assert counted > 20
+
+
+def public() -> Dict[str, Any]:
+    """Name to object: what `import semfield` gives, and the public methods of its classes."""
+    found: Dict[str, Any] = {}
+    for name in sf.__all__:
+        thing = getattr(sf, name)
+        if name in ("errors", "__version__"):
+            continue
+        found[name] = thing
+        if inspect.isclass(thing):
+            for method, value in vars(thing).items():
+                if not method.startswith("_") and (callable(value) or isinstance(value, (property, staticmethod, classmethod))):
+                    found[f"{name}.{method}"] = value
+    return found
+
+
+def test_every_name_has_words() -> None:
+    missing = []
+    for name, thing in public().items():
+        doc = getattr(thing, "__doc__", None) or getattr(getattr(thing, "__func__", None), "__doc__", None) or ""
+        if len(doc.split()) < 3 or (inspect.isclass(thing) and doc.startswith(thing.__name__ + "(")):
+            missing.append(name)
+    assert missing == []
+
+
+def test_arrays_have_shapes_in_their_words() -> None:
+    """Where a signature or an attribute is an array, the docstring has a shape like [N, 3] for it."""
+    missing = []
+    counted = 0
+    for name, thing in public().items():
+        if inspect.isclass(thing):
+            hints = {k: str(v) for k, v in vars(thing).get("__annotations__", {}).items() if "ndarray" in str(v) or "Array" in str(v)}
+            doc = thing.__doc__ or ""
+            for field in hints:
+                counted += 1
+                if not re.search(rf"\b{field}: .*\[[\w, ]+\]", doc):
+                    missing.append(f"{name}.{field}")
+        elif inspect.isfunction(thing):
+            returns = str(inspect.signature(thing).return_annotation)
+            if "ndarray" in returns and "Dict" not in returns:
+                counted += 1
+                if not re.search(r"\[[A-Z0-9][\w, ]*\]", thing.__doc__ or ""):
+                    missing.append(name)
+    assert missing == [] and counted > 15
+
+
+def test_parameters_are_all_told() -> None:
+    """A docstring with Args names every parameter, and none that is not there."""
+    wrong = []
+    for name, thing in public().items():
+        function = thing.__init__ if inspect.isclass(thing) else thing
+        doc = inspect.getdoc(thing) or ""
+        if not inspect.isfunction(function) or "Args:" not in doc:
+            continue
+        block = doc.split("Args:")[1].split("\n\n")[0]
+        told = [n.strip() for line in re.findall(r"^    (\w[\w, ]*):", block, re.M) for n in line.split(",")]
+        there = [p for p in inspect.signature(function).parameters if p not in ("self", "name")]
+        if not set(there) <= set(told) or not set(told) <= {*there, "name"}:
+            wrong.append((name, told, there))
+    assert wrong == []
+
+
+def test_types_hold() -> None:
+    """mypy --strict on the package (Debian's package mypy)."""
+    try:
+        version = subprocess.run([sys.executable, "-m", "mypy", "--version"], capture_output=True, check=False)
+    except OSError:
+        version = None
+    if version is None or version.returncode != 0:
+        pytest.skip("mypy is not installed for this Python (package mypy): the types of the package are not checked")
+    done = subprocess.run([sys.executable, "-m", "mypy", "--strict", "--cache-dir", os.devnull, "-p", "semfield"], capture_output=True,
+                          text=True, env={**os.environ, "MYPYPATH": str(PACKAGE.parent)}, cwd=PACKAGE.parent, check=False)
+    assert done.returncode == 0, done.stdout
+    assert (PACKAGE / "py.typed").exists()
+
+
+def test_import_brings_no_strangers() -> None:
+    done = in_a_process("import sys, semfield; print(sorted({m.split('.')[0] for m in sys.modules} & "
+                        "{'torch', 'pandas', 'matplotlib', 'scipy', 'PIL', 'jax'}), len(semfield.plugins()) > 8)")
+    assert done.stdout == "[] True\n", done.stderr
+
+
+def test_import_leaves_the_process_as_it_is() -> None:
+    code = ("import os, signal, threading, warnings; before = (signal.getsignal(signal.SIGINT), os.getcwd(), dict(os.environ))\n"
+            "import semfield\n"
+            "assert before == (signal.getsignal(signal.SIGINT), os.getcwd(), dict(os.environ))\n"
+            "assert threading.active_count() == 1\nprint('same')")
+    assert in_a_process(code).stdout == "same\n"
+
+
+def test_a_process_ends_with_runs_that_are_open(tmp_path: Path) -> None:
+    sf.Scene(**box_arrays(), file=tmp_path / "box.sfpack")
+    code = f"""
+import json, threading, numpy as np, semfield as sf
+@sf.encoder("ends")
+class Ends(sf.Encoder):
+    "Coordinates as they are."
+    def setup(self): self.out_dims = self.in_dims
+    def forward(self, x, params): return x
+    def backward(self, x, dy, params, grads): return dy
+config = json.loads({__import__("json").dumps(config_of(_Box(tmp_path)))!r})
+config["passes"][0]["position"] = {{"type": "ends"}}
+run = sf.open(config)
+steps = run.train(10**9, every=10)
+next(steps)
+threading.Thread(target=lambda: [None for _ in steps], daemon=True).start()
+import time; time.sleep(0.2)
+print("ends")
+"""
+    done = in_a_process(code)
+    assert (done.stdout, done.returncode) == ("ends\n", 0), done.stderr[-2000:]
+    assert "FATAL" not in done.stderr
+
+
+class _Box:
+    """Scene.config() of a file that is there."""
+
+    def __init__(self, folder: Path) -> None:
+        self.file = folder / "box.sfpack"
+
+    def config(self) -> Dict[str, Any]:
+        return {"type": "packed", "file": str(self.file)}
+
+
+def test_a_forked_process_is_told(run: sf.Run) -> None:
+    trained(run, 2)
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            run.render(frame=0, width=4)
+            words = "rendered"
+        except sf.Error as error:
+            words = str(error)
+        os.write(writer, words.encode())
+        os._exit(0)
+    alarm = threading.Timer(30, lambda: os.kill(child, signal.SIGKILL))
+    alarm.start()
+    _, status = os.waitpid(child, 0)
+    alarm.cancel()
+    words = os.read(reader, 1000).decode()
+    assert status == 0 and ("fork" in words or words == "rendered"), words
+    trained(run, 1)
+
+
+def test_a_closed_run_says_so(scene: sf.Scene) -> None:
+    with sf.open(config_of(scene)) as run:
+        steps = run.train(10, every=1)
+        next(steps)
+    assert "closed" in repr(run)
+    run.close()
+    for use in (lambda: run.step, lambda: run.classes, lambda: run.config, lambda: run.render(frame=0), lambda: run.query([[0, 0, 0]]),
+                lambda: run.evaluate(), lambda: run.save("x"), lambda: run.train(1), lambda: run.labels.clicks, lambda: run.notes,
+                lambda: run.labels.add_class("x"), lambda: run.pixels(0), lambda: run.parameters(), lambda: run.history, lambda: next(steps)):
+        with pytest.raises(sf.UsageError, match="'run' is closed; open it again"):
+            use()
+    assert run.frames[0].name == "0000" and run.bounds.shape == (2, 3)
+
+
+def test_a_run_with_a_name_is_told_by_it(scene: sf.Scene) -> None:
+    run = sf.open({**config_of(scene), "name": "attic"})
+    assert repr(run) == "Run('attic', step=0, frames=10, device='cpu')"
+    for thing in (run.labels, run.train(0), run.frames[0], run.render(frame=0, width=4), run.query([[0, 0, 0]]), run.evaluate(), run.classes[0]):
+        assert type(thing).__name__ in repr(thing) and len(repr(thing)) < 600
+
+
+def test_steps_that_nobody_asks_for_warn(run: sf.Run) -> None:
+    with pytest.warns(RuntimeWarning, match=r"run.train\(...\).last\(\)"):
+        run.train(5)
+        gc.collect()
+    assert run.step == 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        last = run.train(5, every=2).last()
+        assert last is not None and last.step == 5 == run.step
+        assert run.train(0).last() is None
+        list(run.train(1))
+        half = run.train(10, every=2)
+        next(half)
+        del half
+        gc.collect()
+    assert run.step == 8
+    for wrong in (dict(steps=-1), dict(steps=2.5), dict(every=0), dict(steps="ten")):
+        with pytest.raises(sf.UsageError):
+            run.train(**wrong)  # type: ignore[arg-type]
+
+
+def test_what_can_be_pickled_and_what_cannot(run: sf.Run, scene: sf.Scene, tmp_path: Path) -> None:
+    view = pickle.loads(pickle.dumps(run.render(frame=0, width=8)))
+    assert view.rgb.shape == (6, 8, 3)
+    score = copy.deepcopy(run.evaluate(frames=[0]))
+    assert score.psnr == score.values["psnr"] and "psnr" in dir(score) and not hasattr(score, "psnrr")
+    with pytest.raises(sf.ConfigError) as caught:
+        sf.resolved({**config_of(scene), "tarin": {}})
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert str(again) == str(caught.value) and again.findings == caught.value.findings and again.exit_code == 78
+    with pytest.raises(sf.InputError) as missing:
+        sf.load(tmp_path / "nothing")
+    assert str(pickle.loads(pickle.dumps(missing.value))) == str(missing.value)
+    for thing in (run, scene):
+        with pytest.raises(TypeError, match="cannot be pickled"):
+            pickle.dumps(thing)
+
+
+def test_memory_of_closed_runs_comes_back(tmp_path: Path) -> None:
+    def resident() -> int:
+        gc.collect()
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    scene = sf.Scene(**box_arrays(), file=tmp_path / "box.sfpack")
+    config: Any = config_of(scene)
+    config["passes"] = [{**config["passes"][0], "position": {"type": "hash_grid", "levels": 8, "log2_entries": 17}}]
+
+    def once() -> None:
+        with sf.open(config) as run:
+            trained(run, 1)
+            run.render(frame=0, width=16)
+
+    once()
+    before = resident()
+    one_run = 8 * 2**17 * 2 * 4 * 3  # values and two moments
+    for _ in range(8):
+        once()
+    assert resident() - before < 2 * one_run
+
+
+def test_errors_are_those_that_python_has(scene: sf.Scene, tmp_path: Path) -> None:
+    assert issubclass(sf.ConfigError, ValueError) and issubclass(sf.InputError, FileNotFoundError) and issubclass(sf.WriteError, OSError)
+    assert all(issubclass(getattr(sf, n), sf.Error) for n in sf.__all__ if n.endswith("Error"))
+    with pytest.raises(sf.Error) as caught:
+        sf.open("quikstart")
+    assert "did you mean 'quickstart'" in str(caught.value) and caught.value.exit_code in (66, 78)
+    with pytest.raises(sf.CommandError, match="did you mean") as ended:
+        sf.command("trian")
+    assert ended.value.exit_code == 2 and "trian" in ended.value.stderr
+
+
+def test_configurations_of_other_mappings_and_arrays(scene: sf.Scene) -> None:
+    import types
+
+    config = types.MappingProxyType({**config_of(scene), "train": types.MappingProxyType({"rays": np.int32(64)})})
+    seen = sf.resolved(config, {"scene.load.bounds": np.array([-1.0, -1, -1, 1, 1, 1]), "rendering.background": np.float32([0.25, 0.5, 1])})
+    assert seen["train"]["rays"] == 64 and seen["scene"]["load"]["bounds"] == [-1, -1, -1, 1, 1, 1]
+    assert seen["rendering"]["background"] == [0.25, 0.5, 1]
+    assert sf.resolved(config_of(scene), {"train": {"rays": 32}})["train"]["adam"]["learning_rate"] == 0.02
+
+
+def test_ctrl_c_ends_the_opening_of_a_scene() -> None:
+    class Slow(sf.Dataset):
+        """A box whose images come slowly."""
+
+        def frames(self) -> Any:
+            return [sf.Frame(f"{i:04d}", sf.Camera(8, 6, 5), np.eye(4)) for i in range(4000)]
+
+        def pixels(self, index: int) -> sf.Frame:
+            threading.Event().wait(0.01)
+            return sf.Frame("", sf.Camera(8, 6, 5), np.eye(4), rgb=np.zeros((6, 8, 3), np.uint8))
+
+    sf.dataset("py_slow")(Slow)
+    timer = threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        sf.open({"scene": {"type": "py_slow"}, "passes": [{"name": "main", "sampler": {"type": "stratified"}, "position": {"type": "identity"},
+                                                          "field": {"type": "tiny_mlp"}}]})
+    timer.join()
+
+
+def test_ctrl_c_ends_an_encoder_and_the_run_goes_on(scene: sf.Scene) -> None:
+    class Lazy(sf.Encoder):
+        """Coordinates, after a while."""
+
+        def setup(self) -> None:
+            self.out_dims = self.in_dims
+
+        def forward(self, x: Any, params: Any) -> Any:
+            threading.Event().wait(0.002)
+            return x
+
+        def backward(self, x: Any, dy: Any, params: Any, grads: Any) -> Any:
+            return dy
+
+    sf.encoder("py_lazy")(Lazy)
+    config: Any = config_of(scene)
+    config["passes"] = [{**config["passes"][0], "position": {"type": "py_lazy"}}]
+    run = sf.open(config)
+    timer = threading.Timer(0.4, lambda: os.kill(os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        run.train(10**7, every=10**7).last()
+    timer.join()
+    made = run.step
+    trained(run, 2)
+    assert run.step == made + 2
+
+
+def test_ctrl_c_lets_a_verb_end_in_order(scene: sf.Scene, tmp_path: Path) -> None:
+    import json
+
+    (tmp_path / "box.yaml").write_text(json.dumps(config_of(scene, steps=10**6)))
+
+    def press() -> None:
+        while not list((tmp_path / "a").glob("metrics.jsonl")):
+            threading.Event().wait(0.05)
+        threading.Event().wait(0.3)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        sf.command("train", tmp_path / "box.yaml", "--out", tmp_path / "a", "--quiet")
+    thread.join()
+    assert sf.load(tmp_path / "a").step > 0
+
+
+def test_many_threads_look_at_a_run(run: sf.Run) -> None:
+    trained(run, 5)
+    alone = run.render(frame=0, width=16)
+    seen: List[Any] = []
+
+    def look_at_it() -> None:
+        for _ in range(3):
+            seen.append(run.render(frame=0, width=16).rgb)
+            run.query([[0.0, 0.1, 0.2]])
+
+    threads = [threading.Thread(target=look_at_it) for _ in range(4)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    assert len(seen) == 12 and all(np.array_equal(s, alone.rgb) for s in seen)
