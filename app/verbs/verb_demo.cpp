@@ -1,6 +1,7 @@
 // demo: the verbs that make a labelled scene, one after the other, on the shipped room.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -58,7 +59,11 @@ bool is_demo(const std::string& folder) {
 // Of the folder that nobody has named, only what an earlier demo wrote is replaced.
 void clear_own_folder(const AppContext& context) {
   std::error_code unknown;
-  if (!fs::exists(kOwnFolder, unknown) || fs::is_empty(kOwnFolder, unknown)) return;
+  const fs::directory_iterator entries(kOwnFolder, unknown);
+  // A demo that was stopped before its first step leaves the lock alone.
+  if (unknown ||
+      std::all_of(begin(entries), end(entries), [](const auto& e) { return e.path().filename() == ".lock"; }))
+    return;
   if (!is_demo(kOwnFolder))
     throw Error(ErrorKind::cannot_create, fmt::format("'{}' is there already and is no earlier demo", kOwnFolder),
                 "name a new folder with --out");

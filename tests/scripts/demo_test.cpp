@@ -72,6 +72,32 @@ TEST_F(Demo, LeavesFoldersOfOthersAlone) {
   EXPECT_TRUE(fs::exists(root_ / "named/notes.txt"));
 }
 
+// Runs the demo until it has said `sign`, and sends `signal` to it alone.
+TEST_F(Demo, ASignalStopsItInOrder) {
+  const auto stopped = [&](const std::string& frames, const std::string& sign, int signal) {
+    const std::string here = fs::current_path().string();
+    fs::current_path(root_);
+    testing_program::Process demo(testing_program::program(),
+                                  {"demo", "--steps", "1000000", "--set", "scene.frames=" + frames, "--set",
+                                   "scene.test_frames=2", "--set", "scene.width_px=40", "--set", "scene.height_px=30"},
+                                  root_.string());
+    fs::current_path(here);
+    for (int i = 0; i < 3000 && demo.err_so_far().find(sign) == std::string::npos; ++i)
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    demo.send(signal);
+    return demo.wait();
+  };
+  // While the scene is read nothing is saved yet; the next demo may have the folder.
+  const Result early = stopped("2000", "$ ", SIGINT);
+  EXPECT_EQ(early.code, 130) << early.err;
+  EXPECT_FALSE(fs::exists(root_ / "runs/demo/run.yaml"));
+  const Result late = stopped("6", "step ", SIGTERM);
+  EXPECT_EQ(late.code, 143) << late.err;
+  EXPECT_NE(late.err.find("resume with: semfield train --resume runs/demo"), std::string::npos) << late.err;
+  EXPECT_TRUE(fs::exists(root_ / "runs/demo/checkpoints/latest"));
+  EXPECT_EQ(late.out, "");
+}
+
 TEST_F(Demo, SaysWhereItCannotWrite) {
   write("runs");  // a file
   const Result r = small("--steps 5");
