@@ -119,6 +119,21 @@ class Encoder(_Plugin):
         raise NotImplementedError("backward")
 
     @classmethod
+    def make(cls, in_dims: int = 3, **values: Any) -> "Encoder":
+        """An instance to call by hand, as a run would make it: ``Waves.make(in_dims=3, bands=4).forward(x, {})``.
+
+        Args:
+            in_dims: numbers of a coordinate.
+            values: parameters; those that are not named have their defaults. Ranges are not looked at.
+        """
+        known = {p["name"]: p["default"] for p in cls._params()}
+        unknown = [name for name in values if name not in known]
+        if unknown:
+            raise UsageError(f"{cls.__name__}: no parameter is named {unknown[0]!r}; there are {', '.join(known) or 'none'}")
+        return cls._made({**known, **values}, {"in_dims": in_dims, "is_direction": cls.domain == "direction", "extent_m": 1.0,
+                                               "pixel_footprint_m": 0.0, "largest_coordinate": 1.0})
+
+    @classmethod
     def _made(cls, values: Mapping[str, Any], build: Mapping[str, Any]) -> "Encoder":
         made: Encoder = cls._with(values)
         made.build = dict(build)
