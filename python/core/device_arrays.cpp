@@ -129,7 +129,8 @@ void define_device_arrays(py::module_& module) {
           "dtype", [](const DeviceArray& a) { return a.dtype; }, "NumPy's type of its numbers.")
       .def("numpy", to_host, "A copy in the memory of the processor.")
       .def("__array__", [](const DeviceArray& a, const py::args&, const py::kwargs&) { return to_host(a); });
-  module.def("to_device", on_device, py::arg("array"), py::arg("ordinal") = 0);
+  module.def("to_device", on_device, py::arg("array"), py::arg("ordinal") = 0,
+             "A copy of a NumPy array of any shape, as [N, 3], in the memory of CUDA device `ordinal`.");
 }
 
 }  // namespace semfield::python

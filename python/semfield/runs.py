@@ -68,28 +68,32 @@ class Training(Iterator[Step]):
 
 
 class Run:
-    """A scene and its field. Made by `open`, `resume` or `load`."""
+    """A scene and its field. Made by `open`, `resume` or `load`; ends with `close`, or ``with``.
+
+    Attributes:
+        labels: clicks and classes, a `Labels`.
+        name: of the configuration.
+        bounds: [2, 3] float64, lowest and highest corner of the content, world.
+        near_m: least distance along rays that is looked at, metres.
+        far_m: the largest one.
+        metric: whether lengths are metres.
+        device: where steps and rendering run.
+        left_out: what the scene does not need, and so was not built: component, rule, evidence, saving.
+        has_semantics: whether the field has classes.
+    """
 
     def __init__(self, session: Any) -> None:
         self._session: Any = session
         self._frames: List[Dict[str, Any]] = session.frames()
-        #: Clicks and classes.
         self.labels = Labels(session, self._frame)
         facts = session.facts()
-        #: Name of the configuration.
         self.name: str = facts["name"]
-        #: [2, 3] float64, lowest and highest corner of the content, world.
         self.bounds: np.ndarray[Any, Any] = facts["bounds"]
-        #: Distances along rays that are looked at, metres.
         self.near_m: float = facts["near_m"]
         self.far_m: float = facts["far_m"]
-        #: Whether lengths are metres.
         self.metric: bool = facts["metric"]
-        #: Where steps and rendering run.
         self.device: str = facts["device"]
-        #: What the scene does not need, and so was not built: component, rule, evidence, saving.
         self.left_out: List[Tuple[str, str, str, str]] = facts["left_out"]
-        #: Whether the field has classes.
         self.has_semantics: bool = facts["has_semantics"]
         self._steps: int = facts["steps"]
         # A temporary file lives as long as a run of it.
