@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <map>
 
 #include "scene/camera_path.h"
 
@@ -38,18 +37,6 @@ std::vector<NamedView> views_of_cameras(const Session& s, const CameraSet& set) 
     views.push_back(std::move(view));
   }
   return views;
-}
-
-void require_own_names(const std::vector<NamedView>& views) {
-  std::map<std::string, const NamedView*> files;
-  for (const NamedView& view : views) {
-    const auto [other, fresh] = files.emplace(view.file_name(), &view);
-    if (fresh) continue;
-    throw Error(ErrorKind::data,
-                fmt::format("views '{}' and '{}' would write the same files {}_*", other->second->name, view.name,
-                            view.file_name()),
-                "rename one of the frames");
-  }
 }
 
 std::vector<Pose> smooth_path(const Session& s, int frames) {
@@ -90,7 +77,6 @@ std::vector<NamedView> render_views(const Session& s, const RenderOptions& optio
     throw Error(ErrorKind::data, options.run + ": nothing to render in '" + render_name(options) + "'",
                 "see `semfield inspect`");
   }
-  require_own_names(views);
   return views;
 }
 

@@ -62,8 +62,8 @@ void check_probability(const RenderOptions& options, const Session& s, const std
   for (const NamedView& view : views)
     bytes += 4.0 * s.classes() * view.camera.camera.width_px * view.camera.camera.height_px;
   if (bytes < kToldBytes) return;
-  print_note(context, fmt::format("probabilities of {} views and {} classes take {:.1f} GB of disk", views.size(),
-                                  s.classes(), bytes / 1e9));
+  print_note(context, fmt::format("probabilities of {} view{} and {} classes take {:.1f} GB of disk", views.size(),
+                                  views.size() == 1 ? "" : "s", s.classes(), bytes / 1e9));
 }
 
 void create_folder(const fs::path& folder) {

@@ -354,6 +354,26 @@ TEST_F(Verbs, ProbabilitiesOfViewsAreLabelsThatTrain) {
   EXPECT_EQ(trained.code, 0) << trained.err;
 }
 
+TEST_F(Verbs, ProbabilitiesTellTheirSizeBeforeTheyAreRendered) {
+  const auto said_for = [&](int side) {
+    const nlohmann::json camera{
+        {"name", "wide"}, {"width", side},
+        {"height", side}, {"fx", 900},
+        {"fy", 900},      {"cx", 9},
+        {"cy", 9},        {"world_from_camera", {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}}}};
+    write_file_atomic(*dir_ / "wide.json",
+                      nlohmann::json{{"format", "semfield-cameras-1"}, {"cameras", {camera}}}.dump());
+    const Result r = run(*dir_, {"render", run_dir(), "--probability", "--trajectory", *dir_ / "wide.json", "--out",
+                                 "/proc/none/images"});
+    EXPECT_EQ(r.code, 73) << r.err;
+    return r.err;
+  };
+  // Four bytes for each of five classes.
+  EXPECT_EQ(said_for(1000).find("probabilities of"), std::string::npos);
+  const std::string large = said_for(16000);
+  EXPECT_NE(large.find("probabilities of 1 view and 5 classes take 5.1 GB of disk"), std::string::npos) << large;
+}
+
 TEST_F(Verbs, RenderRefusesWhatAVideoCannotHold) {
   for (const char* flag : {"--npy", "--probability"})
     EXPECT_EQ(run(*dir_, {"render", run_dir(), "--video", flag}).code, 2) << flag;

@@ -1,14 +1,18 @@
 // `semfield plugins check`, and what later loads make of what it found.
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
+#include "plugin/check/law_suite.h"
 #include "plugin/loader.h"
 #include "system/file_verdicts.h"
 #include "system/files.h"
+#include "system/shared_library.h"
+#include "tests/plugin/toy_encoder.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
 
@@ -144,6 +148,46 @@ TEST_F(PluginsCheck, WordsThatFitNothingAreRefusedBeforeALawRuns) {
   refused({probe("sound"), "--scene", "root"}, 2, "--scene root: expected NAME=VALUE");
   write_file_atomic(rows, "defaults\nbands=99\n");
   refused({probe("sound"), "--settings", rows}, 78, rows + ":2: toy: bands: expected int in [1, 8]");
+}
+
+// Counts the rows that it is asked for.
+std::atomic<std::int64_t> g_rows{0};
+template <class Real>
+class Counted final : public toy::ToyEncoder<Real> {
+ public:
+  Counted(const toy::ToyParams& params, const EncoderBuild& build, const KernelTables& kernels)
+      : toy::ToyEncoder<Real>(params, build, kernels) {}
+
+ protected:
+  void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
+                  View<Real> y) const override {
+    g_rows += x.rows;
+    toy::ToyEncoder<Real>::do_forward(ctx, tensors, x, y);
+  }
+};
+
+TEST(LawSuite, AsksPluginsThatAreSlowForFewerRows) {
+  const auto suite = reinterpret_cast<LawSuite>(library_symbol("libsemfield_laws.so", kLawSuiteSymbol, "laws", ""));
+  const auto rows_of = [&](bool slow) {
+    Registry registry;
+    registry.add_encoder<Counted, toy::ToyParams>("counted", "A toy that counts.");
+    PluginEntry entry = registry.get(PluginKind::encoder, "counted");
+    entry.slow = slow;
+    LawRequest request;
+    request.entries = {&entry};
+    int rows = 0;
+    request.on_row = [&](const LawRow& row) {
+      ++rows;
+      EXPECT_EQ(row.status, LawStatus::passed) << row.found.front();
+    };
+    g_rows = 0;
+    suite(registry, request);
+    EXPECT_EQ(rows, 3);
+    return g_rows.load();
+  };
+  const std::int64_t all = rows_of(false), few = rows_of(true);
+  EXPECT_GT(few, 1000);
+  EXPECT_LT(10 * few, 3 * all) << few << " of " << all;
 }
 
 TEST(FileVerdicts, GoWithBytesAndVersion) {
