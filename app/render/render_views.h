@@ -32,8 +32,7 @@ struct NamedView {
   std::string file_name() const;
 };
 
-/// Throws Error(data) for a bad trajectory file, for nothing to render and for views whose files would have the same
-/// names. Warnings about cameras go to the diagnostics.
+/// Throws Error(data) for a bad trajectory file and for nothing to render. Warnings about cameras go to the diagnostics.
 std::vector<NamedView> render_views(const Session& session, const RenderOptions& options, Diagnostics& diagnostics);
 
 /// As read_cameras reads them back.
