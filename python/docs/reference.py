@@ -96,12 +96,12 @@ def heading_of(name: str, thing: Any) -> str:
 
 def entry(name: str, thing: Any) -> str:
     heading = heading_of(name, thing)
-    shown = "" if heading == name else f"```python\n{heading}\n```\n\n"
+    shown = "" if heading == name else f"```text\n{heading}\n```\n\n"
     parts = [f"### {name}\n\n{shown}{text_of(words_of(thing))}\n"]
     if inspect.isclass(thing) and not issubclass(thing, sf.Error):
         for heading, doc in members_of(thing):
             word = re.split(r"\W", heading)[0]
-            parts.append(f"#### {name}.{word}\n\n```python\n{heading}\n```\n\n{text_of(doc)}\n")
+            parts.append(f"#### {name}.{word}\n\n```text\n{heading}\n```\n\n{text_of(doc)}\n")
     return "\n".join(parts)
 
 
