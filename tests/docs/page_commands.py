@@ -3,7 +3,7 @@
 A page's blocks run in order, in a scratch folder that looks like the repository's: configs/ (presets made small), scenes/, scripts/,
 data/ (what page_scenes.py made), and `semfield` in PATH. Blocks with `file=NAME` behind their language, the page's and those of
 own_data.md, are saved there before. Every command of
-a block marked `sh`, or behind `$ ` in one marked `console`, has to end with exit code 0; `semfield serve` is stopped when it serves. Blocks marked `python` that follow each other are one program.
+a block marked `sh`, or behind `$ ` in one marked `console`, has to end with exit code 0; `semfield serve` is stopped when it serves.
 A comment before a block says what a reader need not see, a thing a line:
 
   <!-- not run: needs a GPU -->                     the block is not run, for this reason
@@ -28,7 +28,6 @@ REPOSITORY = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__f
 BLOCK = re.compile(r"(?:^<!-- (?P<mark>(?:not )?run:\s(?:(?!-->).)*?)\s-->\n)?^```(?P<info>[^`\n]*)\n(?P<text>.*?)^```[ ]*$", re.M | re.S)
 COMMAND = re.compile(r"^(?:\$ )?(?:semfield|(?:\./)?scripts/\w+|cmake|ctest|cpack|python3|pip|apt-get|apt|docker|mkdocs) .*", re.M)
 SKIPPED = 69
-MODULE = "the Python module"
 SMALL = [(r"(\b|_)steps: [0-9]+", r"\1steps: 60"), (r"\brays: [0-9]+", "rays: 256"), (r"log2_entries: 0", "log2_entries: 10"),
          (r"resolution: 64", "resolution: 32"), (r"max_samples: [0-9]+", "max_samples: 8"), (r"\bframes: 200", "frames: 12, width_px: 48, height_px: 36"),
          (r"test_frames: [0-9]+", "test_frames: 2"), (r"\bframes: 60", "frames: 8"), (r"width_px: 160, height_px: 120", "width_px: 48, height_px: 36")]
@@ -65,35 +64,28 @@ def commands_of(kind, text):
 class Scratch:
     """Where the commands of a page run."""
 
-    def __init__(self, folder, options, texts):
+    def __init__(self, folder, program, scenes, texts):
         self.folder = folder
         small_presets(folder)
         for text in texts:
             self.save_named(text)
         for name in ("scenes", "scripts", "plugins"):
             os.symlink(os.path.join(REPOSITORY, name), os.path.join(folder, name))
-        shutil.copytree(options.scenes, os.path.join(folder, "data"), symlinks=True)
+        shutil.copytree(scenes, os.path.join(folder, "data"), symlinks=True)
         os.mkdir(os.path.join(folder, "bin"))
-        os.symlink(os.path.abspath(options.program), os.path.join(folder, "bin", "semfield"))
+        os.symlink(program, os.path.join(folder, "bin", "semfield"))
         self.environment = dict(os.environ, PATH=os.path.join(folder, "bin") + os.pathsep + os.environ["PATH"], HOME=folder,
                                 SEMFIELD_CACHE=os.path.join(folder, ".cache"), OMP_WAIT_POLICY="passive")
-        if options.python:
-            self.write("bin/python3", f'#!/bin/sh\nexec "{options.python}" "$@"\n')
-            os.chmod(os.path.join(folder, "bin", "python3"), 0o755)
-            self.environment["PYTHONPATH"] = os.path.abspath(options.modules)
-
-    def write(self, name, text):
-        path = os.path.join(self.folder, name)
-        os.makedirs(os.path.dirname(path), exist_ok=True)
-        with open(path, "w", encoding="utf-8") as file:
-            file.write(text)
 
     def save_named(self, text):
         """Writes the blocks that a page asks to save; of two with one name the first."""
         for block in reversed(list(BLOCK.finditer(text))):
             name = re.fullmatch(r"(?:yaml|json|csv|text) file=(\S+)", block["info"])
             if name:
-                self.write(name[1], block["text"])
+                path = os.path.join(self.folder, name[1])
+                os.makedirs(os.path.dirname(path), exist_ok=True)
+                with open(path, "w", encoding="utf-8") as file:
+                    file.write(block["text"])
 
     def run(self, command):
         """Exit code and what it printed."""
@@ -115,71 +107,45 @@ class Scratch:
         return 0 if process.returncode == 128 + signal.SIGINT else process.returncode, said
 
 
-class Mark:
-    """What the comment before a block says: commands before it, its text with replacements, its exit code, programs that are missing."""
-
-    def __init__(self, comment, text):
-        self.first, self.text, self.exit_code, self.missing, self.faults = [], text, 0, [], []
-        self.not_run = comment.startswith("not run: ")
-        for clause in [] if self.not_run else filter(None, (line.strip() for line in comment.removeprefix("run:").split("\n"))):
+def play(new_scratch, text):
+    """(commands run, sentences on what is wrong, programs that are missing) of a page."""
+    count, faults, missing, scratch = 0, [], [], None
+    for block in BLOCK.finditer(text):
+        kind = block["info"].partition(" ")[0]
+        if kind not in ("sh", "console"):
+            hidden = COMMAND.search(block["text"])
+            if hidden and kind not in ("cmake", "python", "cpp", "yaml", "dockerfile"):
+                faults.append(f"'{hidden[0]}' is in a block marked '{kind}'; mark it sh or console, so that it is run")
+            continue
+        mark, exit_code, body, first = block["mark"] or "", 0, block["text"], []
+        if mark.startswith("not run: "):
+            continue
+        clauses = [clause.strip() for clause in mark.removeprefix("run:").split("\n") if clause.strip()]
+        for clause in clauses:
             if clause.startswith("first "):
-                self.first.append(clause[len("first "):])
+                first.append(clause[len("first "):])
             elif clause.startswith("exit "):
-                self.exit_code = int(clause[len("exit "):])
+                exit_code = int(clause[len("exit "):])
             elif clause.startswith("needs "):
-                self.missing += [program for program in clause.split()[1:] if not shutil.which(program)]
+                missing += [program for program in clause.split()[1:] if not shutil.which(program)]
             elif " => " in clause:
-                self.replace(*clause.split(" => "))
+                long, short = clause.split(" => ")
+                if long not in body:
+                    faults.append(f"the block does not have '{long}', which its comment replaces")
+                body = body.replace(long, short)
             else:
-                self.faults.append(f"'{clause}' of a comment before a block means nothing")
-
-    def replace(self, long, short):
-        if long not in self.text:
-            self.faults.append(f"the block does not have '{long}', which its comment replaces")
-        self.text = self.text.replace(long, short)
-
-
-def play(new_scratch, text, has_python):
-    """(commands run, sentences on what is wrong, what is missing) of a page."""
-    count, faults, missing, scratch, program = 0, [], [], None, []
-
-    def run(commands, exit_code):
-        nonlocal count
-        for left, command in zip(range(len(commands) - 1, -1, -1), commands):
-            expected = 0 if left else exit_code
+                faults.append(f"'{clause}' of a comment before a block means nothing")
+        commands = first + commands_of(kind, body)
+        if missing:
+            continue
+        scratch = scratch or new_scratch()
+        for command in commands:
+            expected = exit_code if command == commands[-1] else 0
             code, said = scratch.run(command)
             count += 1
             if code != expected:
                 faults.append(f"`{command}` ends with {code}, not {expected}:\n{said[-2000:]}")
                 break
-
-    def python_so_far():
-        if not program:
-            return []
-        scratch.write("page.py", "".join(program))
-        program.clear()
-        return ["python3 page.py"]
-
-    for block in BLOCK.finditer(text):
-        kind = block["info"].partition(" ")[0]
-        if kind not in ("sh", "console", "python"):
-            hidden = COMMAND.search(block["text"])
-            if hidden and kind not in ("cmake", "cpp", "yaml", "dockerfile"):
-                faults.append(f"'{hidden[0]}' is in a block marked '{kind}'; mark it sh or console, so that it is run")
-            continue
-        mark = Mark(block["mark"] or "", block["text"])
-        faults += mark.faults
-        missing += mark.missing + ([MODULE] if kind == "python" and not mark.not_run and not has_python else [])
-        if mark.not_run or missing:
-            continue
-        scratch = scratch or new_scratch()
-        if kind == "python":
-            run(mark.first, 0)
-            program.append(mark.text)
-            continue
-        run(python_so_far() + mark.first + commands_of(kind, mark.text), mark.exit_code)
-    if program:
-        run(python_so_far(), 0)
     return count, faults, missing
 
 
@@ -187,15 +153,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", required=True)
     parser.add_argument("--scenes", required=True, help="folder that page_scenes.py made")
-    parser.add_argument("--python", help="interpreter that the module was built for")
-    parser.add_argument("--modules", help="folder that holds the Python module")
     parser.add_argument("pages", nargs="+")
     options = parser.parse_args()
     bad, gone, own_data = 0, [], read("docs/guide/own_data.md")
     for page in options.pages:
         text = read(page)
         with tempfile.TemporaryDirectory(prefix="semfield_page_") as folder:
-            count, faults, missing = play(lambda: Scratch(folder, options, (own_data, text)), text, options.python)
+            count, faults, missing = play(lambda: Scratch(folder, os.path.abspath(options.program), options.scenes, (own_data, text)), text)
         for fault in faults:
             print(f"{page}: {fault}")
         print(f"{page}: commands={count} faults={len(faults)}" + (f" NOT RUN for want of {' '.join(missing)}" if missing else ""))
