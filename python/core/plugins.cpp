@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <filesystem>
 #include <memory>
+#include <set>
 
 #include "plugin/linked_plugins.h"
 #include "plugin/loader.h"
@@ -228,6 +229,14 @@ PluginEntry entry_of(const py::dict& declared, PluginKind kind) {
   return entry;
 }
 
+void list_types(const ConfigNode& node, std::set<std::string>& types) {
+  for (const ConfigNode& item : node.items()) list_types(item, types);
+  for (const auto& [key, value] : node.entries()) {
+    if (key == "type") types.insert(value.text());
+    list_types(value, types);
+  }
+}
+
 }  // namespace
 
 Registry& base_registry() { return base().registry; }
@@ -278,6 +287,20 @@ void load_python_file(Registry& registry, const std::string& path) {
   trial.set_current_module({});
   trial.add_module_file(path);
   registry = std::move(trial);
+}
+
+RunConfig session_config_of(const ConfigNode& tree, Registry& registry) {
+  RunConfig config = run_config_of(tree, registry);
+  std::set<std::string> types;
+  list_types(resolved_config(config), types);
+  std::erase_if(config.plugins, [&](const std::string& file) {
+    if (!file.ends_with(".py")) return false;
+    const std::string module = std::filesystem::path(file).filename().string();
+    const std::vector<const PluginEntry*> entries = registry.entries();
+    return std::none_of(entries.begin(), entries.end(),
+                        [&](const PluginEntry* e) { return e->module == module && types.contains(e->name); });
+  });
+  return config;
 }
 
 void define_plugins(py::module_& module) {

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "plugin/registry.h"
+#include "settings/run_config.h"
 
 namespace semfield::python {
 
@@ -21,6 +22,10 @@ void add_dataset(const py::dict& declared);
 /// Runs a file of Python, whose plugins go into `registry`. Throws Error(unavailable) for a file that raises, or that
 /// defines no plugin. To be called with the GIL.
 void load_python_file(Registry& registry, const std::string& path);
+
+/// run_config_of, which lists only those loaded files of Python that it needs: a process tries many ideas, and a run
+/// should open without the others.
+RunConfig session_config_of(const ConfigNode& tree, Registry& registry);
 
 void define_plugins(py::module_& module);
 

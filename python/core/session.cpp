@@ -79,7 +79,7 @@ std::unique_ptr<PySession> PySession::open(const py::object& config, const py::d
   ConfigNode tree = composed(config, set);
   if (!how.scene.is_none()) tree = with_scene(tree, how.scene.cast<py::dict>());
   made->run_ = opened([&] {
-    return std::make_unique<RunSession>(run_config_of(tree, made->registry_), made->registry_,
+    return std::make_unique<RunSession>(session_config_of(tree, made->registry_), made->registry_,
                                         RunSessionOptions{how.run_dir, false, how.keep}, made->notes_);
   });
   return made;
@@ -90,7 +90,7 @@ std::unique_ptr<PySession> PySession::resume(const std::string& run_dir, const p
   const std::vector<ConfigOverride> overrides = overrides_of(set);
   made->run_ = opened([&] {
     const ConfigNode tree = compose_config_with(RunFolder::read(run_dir).config_path(), overrides);
-    return std::make_unique<RunSession>(run_config_of(tree, made->registry_), made->registry_,
+    return std::make_unique<RunSession>(session_config_of(tree, made->registry_), made->registry_,
                                         RunSessionOptions{run_dir, true, how.keep}, made->notes_);
   });
   return made;

@@ -68,7 +68,7 @@ py::dict train_run(const py::object& config, const py::dict& set, const std::str
   TrainOutcome outcome;
   {
     const Work working;
-    outcome = run_training(run_config_of(tree, registry), registry, {out, resume, {}}, &told);
+    outcome = run_training(session_config_of(tree, registry), registry, {out, resume, {}}, &told);
   }
   told.raise();
   py::dict scores;

@@ -40,7 +40,7 @@ def test_train_and_label(tmp_path: Path) -> None:
 
 
 def test_labels_to_pointcloud(tmp_path: Path) -> None:
-    said = play(tmp_path, EXAMPLES / "labels_to_pointcloud.py", steps=60)
+    said = play(tmp_path, EXAMPLES / "labels_to_pointcloud.py", steps=40)
     header, _, rows = (tmp_path / "points.ply").read_bytes().partition(b"end_header\n")
     count = int(header.split(b"element vertex ")[1].split()[0])
     points = np.frombuffer(rows, [("place", "<f4", 3), ("color", "u1", 3), ("label", "<u2")])
@@ -64,7 +64,7 @@ def test_the_notebook(tmp_path: Path) -> None:
         pytest.skip(f"{' and '.join(missing)} are not installed (packages python3-nbconvert and python3-ipykernel): "
                     "the notebook is not executed")
     play(tmp_path, "-m", "nbconvert", "--to", "notebook", "--execute", "--ExecutePreprocessor.timeout=200", "--ExecutePreprocessor.kernel_name=python3",
-         "--output-dir", tmp_path, "--output", "done", EXAMPLES / "try_an_encoder.ipynb", steps=40)
+         "--output-dir", tmp_path, "--output", "done", EXAMPLES / "try_an_encoder.ipynb", steps=20)
     done = cells(tmp_path / "done.ipynb")
     said = "\n".join("".join(o.get("text", "")) + "".join(o.get("data", {}).get("text/plain", "")) for c in done for o in c["outputs"])
     assert all(c["execution_count"] for c in done)

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, Dict, Iterator, Type
+from typing import Any, Dict, Type
 
 import numpy as np
 import pytest
@@ -368,11 +368,24 @@ def test_files_that_cannot_be_loaded(tmp_path: Path, text: str, says: str) -> No
         sf.load_plugin(str(tmp_path / "nowhere.py"))
 
 
-@pytest.fixture()
-def idea(tmp_path: Path) -> Iterator[Path]:
-    file = tmp_path / "other_idea.py"
+@pytest.fixture(scope="module")
+def idea(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of its own, which stays loaded."""
+    file = tmp_path_factory.mktemp("idea") / "other_idea.py"
     file.write_text(IDEA.replace('"squares"', '"other_squares"'))
-    yield file
+    return file
+
+
+def test_a_run_needs_only_the_files_that_it_names(idea: Path, scene: sf.Scene, tmp_path: Path) -> None:
+    sf.load_plugin(idea)
+    for name, position, needed in (("with", {"type": "other_squares"}, [str(idea)]), ("without", {"type": "identity"}, [])):
+        run = sf.open(with_position(scene, **position))
+        trained(run, 1)
+        run.save(tmp_path / name)
+        assert run.config.get("plugins", []) == needed
+    assert sf.command("eval", tmp_path / "without", json_output=True)["verb"] == "eval"
+    with pytest.raises(sf.CommandError, match="--plugin"):
+        sf.command("eval", tmp_path / "with")
 
 
 def test_a_loaded_file_stays(idea: Path, scene: sf.Scene) -> None:
