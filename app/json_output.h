@@ -5,6 +5,7 @@
 #include <string>
 
 #include "app/app_context.h"
+#include "eval/json_number.h"
 
 namespace semfield::app {
 
@@ -14,11 +15,5 @@ using Json = nlohmann::ordered_json;
 /// that are no UTF-8, as names of folders may have, become the replacement character.
 std::string json_object(const AppContext& context, const Json& results);
 void print_json(const AppContext& context, const Json& results);
-
-/// The number, or null where there is none.
-template <class T>
-Json json_number(const T& value) {
-  return value ? Json(*value) : Json(nullptr);
-}
 
 }  // namespace semfield::app

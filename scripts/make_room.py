@@ -13,6 +13,9 @@ from room_geometry import Room  # noqa: E402
 from room_png import write_png  # noqa: E402
 from room_textures import TEXTURES  # noqa: E402
 
+if len(sys.argv) > 2 or sys.argv[1:] and sys.argv[1].startswith("-"):
+    print(__doc__.strip() + "\n\nusage: make_room.py [FOLDER]   (default: scenes/room)")
+    sys.exit(0 if sys.argv[1] in ("-h", "--help") else 2)
 OUT = sys.argv[1] if len(sys.argv) > 1 else os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "scenes", "room")
 
 CLASSES = [  # id, name, colour

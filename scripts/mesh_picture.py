@@ -128,7 +128,12 @@ def rows_of(owner, colors, width, height):
 
 
 def main():
-    if len(sys.argv) < 4: sys.exit(__doc__)
+    if sys.argv[1:2] in (["-h"], ["--help"]):
+        print(__doc__)
+        sys.exit(0)
+    if len(sys.argv) < 4:
+        print(__doc__, file=sys.stderr)
+        sys.exit(2)
     mesh, classes, out = sys.argv[1:4]
     azimuth, elevation, width, height = [float(v) for v in sys.argv[4:8]] + [312.0, 38.0, 560.0, 440.0][len(sys.argv) - 4:]
     width, height = int(width) * SAMPLES, int(height) * SAMPLES

@@ -102,13 +102,31 @@ std::string preset_text(const LoadedScene& scene, int frames_with_depth) {
              : "preset      parts/hash_room.yaml: the cameras do not stand around one place\n";
 }
 
+struct Counted {
+  int depth = 0, read = 0;
+  Box cameras;
+};
+
+Counted count_frames(const LoadedScene& scene) {
+  Counted counted;
+  for (std::size_t i = 0; i < scene.info.frames.size(); ++i) {
+    counted.depth += scene.info.frames[i].has_depth ? 1 : 0;
+    counted.read += scene.frames[i].width_px > 0 ? 1 : 0;
+    counted.cameras.include(scene.info.frames[i].world_from_camera.t);
+  }
+  return counted;
+}
+
+const char* severity_word(Severity severity) {
+  return severity == Severity::error ? "error" : severity == Severity::warning ? "warning" : "note";
+}
+
 std::string problems(const Diagnostics& diagnostics) {
   const std::vector<Diagnostic> findings = folded(diagnostics);
   std::string out;
   for (const Severity severity : {Severity::error, Severity::warning, Severity::note}) {
-    const char* word = severity == Severity::error ? "error" : severity == Severity::warning ? "warning" : "note";
     for (const Diagnostic& d : findings) {
-      if (d.severity == severity) out += fmt::format("{:<11} {}\n", word, d.text());
+      if (d.severity == severity) out += fmt::format("{:<11} {}\n", severity_word(severity), d.text());
     }
   }
   return out.empty() ? "problems    none\n" : out;
@@ -123,13 +141,7 @@ void put(std::string& out, T value) {
 
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics) {
   const std::vector<int> train = scene.frames_of(Split::train), test = scene.frames_of(Split::test);
-  int depth = 0, read = 0;
-  Box cameras;
-  for (std::size_t i = 0; i < scene.info.frames.size(); ++i) {
-    depth += scene.info.frames[i].has_depth ? 1 : 0;
-    read += scene.frames[i].width_px > 0 ? 1 : 0;
-    cameras.include(scene.info.frames[i].world_from_camera.t);
-  }
+  const auto [depth, read, cameras] = count_frames(scene);
   std::string out = fmt::format("scene       {}\n", scene.info.name);
   out += fmt::format("frames      {} ({} train, {} test), {} read, {} with depth\n", scene.info.frames.size(),
                      train.size(), test.size(), read, depth);
@@ -144,6 +156,48 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
   if (!scene.geometry.empty()) out += "geometry    " + scene.geometry + "\n";
   out += preset_text(scene, depth);
   return out + class_table(scene) + problems(diagnostics);
+}
+
+nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics) {
+  using Json = nlohmann::ordered_json;
+  const auto vector = [](Vec3d v) { return Json{v.x, v.y, v.z}; };
+  const auto box = [&](const Box& b) {
+    return b.empty() ? Json(nullptr) : Json{{"low", vector(b.lo)}, {"high", vector(b.hi)}};
+  };
+  const Counted counted = count_frames(scene);
+  Json out{{"scene", scene.info.name},
+           {"frames", scene.info.frames.size()},
+           {"train_frames", scene.frames_of(Split::train).size()},
+           {"test_frames", scene.frames_of(Split::test).size()},
+           {"frames_read", counted.read},
+           {"frames_with_depth", counted.depth},
+           {"metric", scene.info.metric},
+           {"cameras", box(counted.cameras)},
+           {"bounds", box(scene.bounds)},
+           {"bounds_from", scene.bounds_from},
+           {"near", scene.near_m},
+           {"far", scene.far_m},
+           {"pixel", scene.pixel_footprint_m},
+           {"geometry", scene.geometry}};
+  const ClassTable& classes = scene.info.classes;
+  const SplitCounts train = counts_of(scene, Split::train), test = counts_of(scene, Split::test);
+  out["labelled_train_frames"] = train.labelled;
+  out["labelled_test_frames"] = test.labelled;
+  out["classes"] = Json::array();
+  for (int c = 0; c < classes.valid_count(); ++c) {
+    const auto i = static_cast<std::size_t>(c);
+    out["classes"].push_back({{"id", classes.valid(c).id},
+                              {"name", classes.valid(c).name},
+                              {"train_px", train.pixels[i]},
+                              {"test_px", test.pixels[i]},
+                              {"train_frames", train.frames[i]}});
+  }
+  out["findings"] = Json::array();
+  for (const Diagnostic& d : folded(diagnostics)) {
+    out["findings"].push_back(
+        {{"severity", severity_word(d.severity)}, {"where", d.where}, {"message", d.message}, {"remedy", d.remedy}});
+  }
+  return out;
 }
 
 void write_frusta_ply(const std::string& path, const LoadedScene& scene, double depth_m) {

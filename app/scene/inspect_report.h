@@ -1,6 +1,7 @@
-// What a scene holds, as text, and its cameras as a mesh.
+// What a scene holds, as text and as JSON, and its cameras as a mesh.
 #pragma once
 
+#include <nlohmann/json.hpp>
 #include <string>
 
 #include "core/error.h"
@@ -11,6 +12,8 @@ namespace semfield {
 /// Frames, splits, sizes, extent, bounds, near and far, class table with pixel shares of train and test and how many
 /// labelled training frames see each class, then every problem with its remedy. Ends with a line feed.
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics);
+/// The same for programs.
+nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics);
 
 /// Camera frusta as binary PLY: a pyramid a frame of `depth_m` height (0 = 2 % of the bounds' diagonal), train blue,
 /// test orange.

@@ -1,6 +1,7 @@
 // capture: any dataset written out in Replica layout.
 #include <cstdio>
 
+#include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/scene/capture_replica.h"
 #include "app/scene/configured_scene.h"
@@ -32,6 +33,10 @@ int run(const CaptureOptions& options, AppContext& context) {
         *opened.dataset, info, options.out, [&](int done, int total) { progress.show(done, total); },
         opened.config.load.convention);
   }
+  if (context.json) {
+    print_json(context, {{"frames", report.frames}, {"bytes", report.bytes}, {"folder", options.out}});
+    return 0;
+  }
   std::printf("capture: frames=%d bytes=%lld folder=%s\n", report.frames, static_cast<long long>(report.bytes),
               options.out.c_str());
   return 0;
@@ -45,6 +50,8 @@ void words(VerbWords& verb, CaptureOptions& options) {
 
 }  // namespace
 
-Verb verb_capture() { return make_verb("capture", 80, "write a scene's frames in Replica layout", words, run); }
+Verb verb_capture() {
+  return with_json(make_verb("capture", 80, "write a scene's frames in Replica layout", words, run));
+}
 
 }  // namespace semfield::app

@@ -3,6 +3,7 @@
 #include <cstdio>
 #include <filesystem>
 
+#include "app/json_output.h"
 #include "app/verb.h"
 #include "classes/class_import.h"
 #include "system/files.h"
@@ -45,15 +46,29 @@ ClassTable recolored(const ClassTable& table, const std::string& colors) {
   return ClassTable(std::move(entries));
 }
 
-int run(const ClassesOptions& options, AppContext&) {
+Json classes_json(const ClassTable& table) {
+  Json classes = Json::array();
+  for (const ClassEntry& entry : table.entries()) {
+    char color[8];
+    std::snprintf(color, sizeof color, "#%02x%02x%02x", entry.color[0], entry.color[1], entry.color[2]);
+    classes.push_back({{"id", entry.id}, {"name", entry.name}, {"color", color}, {"ignored", entry.ignore}});
+  }
+  return classes;
+}
+
+int run(const ClassesOptions& options, AppContext& context) {
   const ClassTable table = recolored(table_of(options), options.colors);
   const std::string text = options.format == "yaml"  ? table.to_yaml()
                            : options.format == "csv" ? to_class_csv(table)
                                                      : to_cvat_labelmap(table);
-  if (options.out.empty()) {
+  if (!options.out.empty()) write_file_atomic(options.out, text);
+  if (context.json) {
+    Json out{{"classes", classes_json(table)}};
+    if (!options.out.empty()) out["file"] = options.out;
+    print_json(context, out);
+  } else if (options.out.empty()) {
     std::fputs(text.c_str(), stdout);
   } else {
-    write_file_atomic(options.out, text);
     std::printf("classes: %d classes, %zu entries, file=%s\n", table.valid_count(), table.entries().size(),
                 options.out.c_str());
   }
@@ -74,7 +89,8 @@ void words(VerbWords& verb, ClassesOptions& options) {
 }  // namespace
 
 Verb verb_classes() {
-  return make_verb("classes", 140, "convert class tables from and to the formats of other tools", words, run);
+  return with_json(
+      make_verb("classes", 140, "convert class tables from and to the formats of other tools", words, run));
 }
 
 }  // namespace semfield::app

@@ -3,6 +3,7 @@
 
 #include <cstdio>
 
+#include "app/json_output.h"
 #include "app/scene/configured_scene.h"
 #include "app/scene/label_folder.h"
 #include "app/verb.h"
@@ -28,6 +29,14 @@ int run(const DegradeOptions& options, AppContext& context) {
   const DegradeSource source{write_config(resolved_config(opened.config)), opened.config.labels.from.type,
                              opened.config.labels.selection.seed};
   const DegradeReport report = write_degraded(scene, labels, source, options.out);
+  if (context.json) {
+    print_json(context, {{"frames", report.frames},
+                         {"labelled_px", report.labelled_px},
+                         {"accuracy", number_json<Json>(report.accuracy)},
+                         {"miou_present", number_json<Json>(report.miou_present)},
+                         {"folder", options.out}});
+    return 0;
+  }
   const auto number = [](const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "-"; };
   std::printf("degrade: frames=%d labelled_px=%lld accuracy=%s miou_present=%s folder=%s\n", report.frames,
               static_cast<long long>(report.labelled_px), number(report.accuracy).c_str(),
@@ -44,7 +53,8 @@ void words(VerbWords& verb, DegradeOptions& options) {
 }  // namespace
 
 Verb verb_degrade() {
-  return make_verb("degrade", 100, "write the training labels, degraded as the configuration says", words, run);
+  return with_json(
+      make_verb("degrade", 100, "write the training labels, degraded as the configuration says", words, run));
 }
 
 }  // namespace semfield::app

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <optional>
 
+#include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/verb.h"
 #include "core/findings.h"
@@ -99,6 +100,16 @@ int run(const ExportOptions& options, AppContext& context) {
   if (options.min_area > 0)
     print_note(context, fmt::format("{} regions of fewer than {} pixels took the class around them: {} of {} pixels",
                                     filled.regions, options.min_area, filled.pixels, pixels));
+  if (context.json) {
+    print_json(context, {{"run", options.run},
+                         {"step", run.step},
+                         {"split", options.split},
+                         {"frames", done},
+                         {"shapes", shapes},
+                         {"format", options.format},
+                         {"out", options.out}});
+    return 0;
+  }
   std::printf("export: frames=%d shapes=%lld format=%s out=%s\n", done, static_cast<long long>(shapes),
               options.format.c_str(), options.out.c_str());
   return 0;
@@ -117,7 +128,7 @@ void words(VerbWords& verb, ExportOptions& options) {
 }  // namespace
 
 Verb verb_export() {
-  return make_verb("export", 130, "write the labels of a run's field for labelling tools", words, run);
+  return with_json(make_verb("export", 130, "write the labels of a run's field for labelling tools", words, run));
 }
 
 }  // namespace semfield::app

@@ -57,11 +57,11 @@ Json scores_json(const SceneFusion& fusion, const FusionParams& params) {
   for (const FusionScore& score : fusion.scores) {
     rows.push_back({{"method", score.method},
                     {"depth", depth_name(params)},
-                    {"miou", json_number(score.confusion.miou())},
-                    {"miou_present", json_number(score.confusion.miou_present())},
-                    {"total_accuracy", json_number(score.confusion.total_accuracy())},
-                    {"average_accuracy", json_number(score.confusion.average_accuracy())},
-                    {"visible_views_mean", json_number(score.views_mean)},
+                    {"miou", number_json<Json>(score.confusion.miou())},
+                    {"miou_present", number_json<Json>(score.confusion.miou_present())},
+                    {"total_accuracy", number_json<Json>(score.confusion.total_accuracy())},
+                    {"average_accuracy", number_json<Json>(score.confusion.average_accuracy())},
+                    {"visible_views_mean", number_json<Json>(score.views_mean)},
                     {"scored_px", score.confusion.scored_px()},
                     {"void_predicted_px", score.confusion.void_predicted_px()}});
   }

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cstdio>
 
+#include "app/json_output.h"
 #include "app/scene/configured_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/verb.h"
@@ -50,7 +51,11 @@ int run(const InspectOptions& options, AppContext& context) {
   LoadedScene scene = load_for_labels(opened, diagnostics);
   if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
   if (!diagnostics.has_errors()) check_ray_source(scene, opened.config, diagnostics);
-  std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
+  if (context.json) {
+    print_json(context, inspect_json(scene, diagnostics));
+  } else {
+    std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
+  }
   if (!options.frusta.empty()) {
     write_frusta_ply(options.frusta, scene);
     print_note(context, "cameras written to " + options.frusta);
@@ -67,7 +72,8 @@ void words(VerbWords& verb, InspectOptions& options) {
 }  // namespace
 
 Verb verb_inspect() {
-  return make_verb("inspect", 70, "print what a scene contains, and every problem with its remedy", words, run);
+  return with_json(
+      make_verb("inspect", 70, "print what a scene contains, and every problem with its remedy", words, run));
 }
 
 }  // namespace semfield::app

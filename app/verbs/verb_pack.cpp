@@ -1,6 +1,7 @@
 // pack: any dataset into one file.
 #include <cstdio>
 
+#include "app/json_output.h"
 #include "app/scene/configured_scene.h"
 #include "app/scene/pack_scene.h"
 #include "app/verb.h"
@@ -20,6 +21,10 @@ int run(const PackVerbOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  if (context.json) {
+    print_json(context, {{"frames", summary.frames}, {"bytes", summary.bytes}, {"file", options.out}});
+    return 0;
+  }
   std::printf("pack: frames=%d bytes=%llu file=%s\n", summary.frames, static_cast<unsigned long long>(summary.bytes),
               options.out.c_str());
   return 0;
@@ -34,7 +39,8 @@ void words(VerbWords& verb, PackVerbOptions& options) {
 }  // namespace
 
 Verb verb_pack() {
-  return make_verb("pack", 90, "write a scene as one file, for machines without image libraries", words, run);
+  return with_json(
+      make_verb("pack", 90, "write a scene as one file, for machines without image libraries", words, run));
 }
 
 }  // namespace semfield::app

@@ -47,11 +47,12 @@ void print_worth(const AppContext& context, const PropagateOptions& options, con
                  const Worth& before, const Worth& after) {
   if (context.json) {
     const auto pair = [](Json a, Json b) { return Json{{"before", std::move(a)}, {"after", std::move(b)}}; };
-    print_json(context, {{"method", method_name(params)},
-                         {"labelled_share", pair(before.share, after.share)},
-                         {"accuracy", pair(json_number(before.accuracy), json_number(after.accuracy))},
-                         {"miou_present", pair(json_number(before.miou_present), json_number(after.miou_present))},
-                         {"folder", options.out}});
+    print_json(context,
+               {{"method", method_name(params)},
+                {"labelled_share", pair(before.share, after.share)},
+                {"accuracy", pair(number_json<Json>(before.accuracy), number_json<Json>(after.accuracy))},
+                {"miou_present", pair(number_json<Json>(before.miou_present), number_json<Json>(after.miou_present))},
+                {"folder", options.out}});
     return;
   }
   std::printf("propagate: method=%s labelled_share=%.4f->%.4f accuracy=%s->%s miou_present=%s->%s folder=%s\n",

@@ -10,6 +10,7 @@
 #include <future>
 #include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/render/frame_strip.h"
 #include "app/render/render_views.h"
@@ -74,6 +75,13 @@ void create_folder(const fs::path& folder) {
                 "choose another --out");
 }
 
+struct Rendered {
+  std::size_t frames = 0;
+  double s_per_frame = 0;
+  const char* what = "folder";
+  std::string where;
+};
+
 // Seconds a frame. A frame's files are compressed and written while the next is rendered.
 double render_all(const Session& s, const std::vector<NamedView>& views, bool probability, const FrameSink& sink,
                   const AppContext& context) {
@@ -96,8 +104,8 @@ double render_all(const Session& s, const std::vector<NamedView>& views, bool pr
   return seconds / static_cast<double>(done);
 }
 
-void render_images(const RenderOptions& options, const Session& s, const std::vector<NamedView>& views,
-                   const AppContext& context) {
+Rendered render_images(const RenderOptions& options, const Session& s, const std::vector<NamedView>& views,
+                       const AppContext& context) {
   const fs::path folder =
       options.out.empty() ? fs::path(options.run) / "render" / render_name(options) : fs::path(options.out);
   if (options.probability) check_probability(options, s, views, context);
@@ -110,7 +118,7 @@ void render_images(const RenderOptions& options, const Session& s, const std::ve
         write_frame((folder / view.file_name()).string(), frame, s, options.npy);
       },
       context);
-  std::printf("render: frames=%zu s_per_frame=%.3f folder=%s\n", views.size(), seconds, folder.string().c_str());
+  return {views.size(), seconds, "folder", folder.string()};
 }
 
 fs::path video_file(const RenderOptions& options) {
@@ -118,8 +126,8 @@ fs::path video_file(const RenderOptions& options) {
                              : fs::path(options.out);
 }
 
-void render_video(const RenderOptions& options, const std::string& ffmpeg, const Session& s,
-                  const std::vector<NamedView>& views, const AppContext& context) {
+Rendered render_video(const RenderOptions& options, const std::string& ffmpeg, const Session& s,
+                      const std::vector<NamedView>& views, const AppContext& context) {
   const std::vector<Panel> panels = panels_of(options.panels, s.pipeline->has_semantics());
   const Camera& first = views.front().camera.camera;
   for (const NamedView& view : views) {
@@ -138,7 +146,7 @@ void render_video(const RenderOptions& options, const std::string& ffmpeg, const
       s, views, false, [&](const NamedView&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); },
       context);
   video.finish();
-  std::printf("render: frames=%zu s_per_frame=%.3f file=%s\n", views.size(), seconds, file.string().c_str());
+  return {views.size(), seconds, "file", file.string()};
 }
 
 int run(const RenderOptions& options, AppContext& context) {
@@ -152,11 +160,18 @@ int run(const RenderOptions& options, AppContext& context) {
   Diagnostics of_cameras;
   const std::vector<NamedView> views = render_views(run.session, options, of_cameras);
   for (const Diagnostic& finding : folded(of_cameras)) print_note(context, finding.text());
-  if (options.video) {
-    render_video(options, ffmpeg, run.session, views, context);
-  } else {
-    render_images(options, run.session, views, context);
+  const Rendered done = options.video ? render_video(options, ffmpeg, run.session, views, context)
+                                      : render_images(options, run.session, views, context);
+  if (context.json) {
+    print_json(context, {{"run", options.run},
+                         {"step", run.step},
+                         {"frames", done.frames},
+                         {"s_per_frame", done.s_per_frame},
+                         {done.what, done.where}});
+    return 0;
   }
+  std::printf("render: frames=%zu s_per_frame=%.3f %s=%s\n", done.frames, done.s_per_frame, done.what,
+              done.where.c_str());
   return 0;
 }
 
@@ -186,7 +201,8 @@ void words(VerbWords& verb, RenderOptions& options) {
 }  // namespace
 
 Verb verb_render() {
-  return make_verb("render", 30, "render colour, label, depth and entropy images from a run's field", words, run);
+  return with_json(
+      make_verb("render", 30, "render colour, label, depth and entropy images from a run's field", words, run));
 }
 
 }  // namespace semfield::app

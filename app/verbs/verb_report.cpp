@@ -1,6 +1,7 @@
 // report: error against run time of one or several runs, one self-contained page.
 #include <cstdio>
 
+#include "app/json_output.h"
 #include "app/verb.h"
 #include "report/report.h"
 #include "system/files.h"
@@ -14,9 +15,13 @@ struct ReportOptions {
   std::string out;
 };
 
-int run(const ReportOptions& options, AppContext&) {
+int run(const ReportOptions& options, AppContext& context) {
   const std::string path = options.out.empty() ? options.runs.front() + "/report.html" : options.out;
   write_file_atomic(path, make_report(read_report_input(options.runs)));
+  if (context.json) {
+    print_json(context, {{"runs", options.runs}, {"file", path}});
+    return 0;
+  }
   std::printf("report: runs=%zu file=%s\n", options.runs.size(), path.c_str());
   return 0;
 }
@@ -28,6 +33,8 @@ void words(VerbWords& verb, ReportOptions& options) {
 
 }  // namespace
 
-Verb verb_report() { return make_verb("report", 40, "write one HTML page about one or several runs", words, run); }
+Verb verb_report() {
+  return with_json(make_verb("report", 40, "write one HTML page about one or several runs", words, run));
+}
 
 }  // namespace semfield::app

@@ -1,4 +1,5 @@
 // serve: label a scene in the browser while its field trains.
+#include "app/json_output.h"
 #include "app/verb.h"
 
 #ifdef SEMFIELD_WITH_SERVE
@@ -163,8 +164,12 @@ int run(const ServeOptions& options, AppContext& context) {
   page.exports.run_dir = session.run_dir();
   page.token = kept_token(session.run_dir());
   PageServer server(source, std::move(page));
-  std::printf("serve: open %s in a browser\n", server.url().c_str());
-  std::fflush(stdout);
+  if (context.json) {
+    print_json(context, {{"run", session.run_dir()}, {"url", server.url()}});
+  } else {
+    std::printf("serve: open %s in a browser\n", server.url().c_str());
+    std::fflush(stdout);
+  }
   {
     const SignalWatch watch(session, server, context);
     session.run();
@@ -199,6 +204,8 @@ void words(VerbWords& verb, ServeOptions& options) {
 
 }  // namespace
 
-Verb verb_serve() { return make_verb("serve", 15, "label a scene in the browser while its field trains", words, run); }
+Verb verb_serve() {
+  return with_json(make_verb("serve", 15, "label a scene in the browser while its field trains", words, run));
+}
 
 }  // namespace semfield::app

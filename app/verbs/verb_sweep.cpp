@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "app/cell_pool.h"
+#include "app/json_output.h"
 #include "app/signals.h"
 #include "app/verb.h"
 #include "compute/parallel.h"
@@ -105,6 +106,17 @@ int run(const SweepOptions& options, AppContext& context) {
       context,
       fmt::format("{}: {} experiments, {} cells, {} of them done; {} at a time with {} threads each, in {}", sweep.name,
                   sweep.experiments.size(), total, results.size(), pool.jobs, pool.threads, pool.folder));
+  if (options.dry_run && context.json) {
+    Json planned = Json::array();
+    for (const Cell& cell : cells)
+      planned.push_back({{"cell", cell.id},
+                         {"label", cell.label},
+                         {"scene", cell.scene},
+                         {"seed", cell.seed},
+                         {"done", results.contains(cell.id)}});
+    print_json(context, {{"folder", pool.folder}, {"planned", planned}});
+    return 0;
+  }
   if (options.dry_run) {
     for (const Cell& cell : cells)
       std::printf("%s %s, %s, seed %lld%s\n", cell.id.c_str(), cell.label.c_str(), cell.scene.c_str(),
@@ -139,7 +151,12 @@ int run(const SweepOptions& options, AppContext& context) {
   if (results.size() < total) pack_scenes(cells, pool, context.registry, hooks);
   const bool whole = run_cells(cells, pool, results, hooks);
   write_tables(pool.folder, sweep, cells, results);
-  std::printf("sweep: cells=%zu done=%zu failed=%d folder=%s\n", total, results.size(), failures, pool.folder.c_str());
+  if (context.json) {
+    print_json(context, {{"folder", pool.folder}, {"cells", total}, {"done", results.size()}, {"failed", failures}});
+  } else {
+    std::printf("sweep: cells=%zu done=%zu failed=%d folder=%s\n", total, results.size(), failures,
+                pool.folder.c_str());
+  }
   if (!whole) {
     print_note(context, "stopped; the same command resumes the sweep");
     return 128 + stop_signal();
@@ -161,7 +178,7 @@ void words(VerbWords& verb, SweepOptions& options) {
 }  // namespace
 
 Verb verb_sweep() {
-  return make_verb("sweep", 50, "run experiments: a grid of differences, scenes and seeds", words, run);
+  return with_json(make_verb("sweep", 50, "run experiments: a grid of differences, scenes and seeds", words, run));
 }
 
 }  // namespace semfield::app

@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <filesystem>
 
+#include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/signals.h"
 #include "app/time_setting.h"
@@ -50,6 +51,29 @@ std::string scores_text(const TrainOutcome& outcome) {
     text += fmt::format("{}{}={} ", whole ? "" : "sample_", name, number(outcome.values, name, format));
   text.pop_back();
   return text;
+}
+
+Json outcome_json(const TrainOutcome& outcome) {
+  Json out{{"run", outcome.run_dir},
+           {"step", outcome.step},
+           {"train_s", outcome.train_s},
+           {"peak_mb", outcome.peak_bytes >> 20},
+           {"report", outcome.report_path},
+           {"scored",
+            {{"frames", outcome.scored.frames},
+             {"split_frames", outcome.scored.of},
+             {"pixel_stride", outcome.scored.stride}}}};
+  for (const auto& [name, value] : outcome.values) out["values"][name] = number_json<Json>(value);
+  return out;
+}
+
+// What a dry run says, a line each.
+Json plan_json(const Session& session) {
+  Json lines = Json::array();
+  const std::string described = describe_session(session);
+  std::string_view text = described, line;
+  while (next_line(text, line)) lines.push_back(line);
+  return {{"plan", lines}};
 }
 
 std::string progress_text(const TrainProgress& p) {
@@ -126,7 +150,11 @@ int run(const TrainOptions& options, AppContext& context) {
     session_options.keep = options.keep;
     const Session session = open_session(std::move(config), context.registry, session_options, diagnostics);
     for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
-    std::fputs(describe_session(session).c_str(), stdout);
+    if (context.json) {
+      print_json(context, plan_json(session));
+    } else {
+      std::fputs(describe_session(session).c_str(), stdout);
+    }
     return 0;
   }
   TrainRequest request;
@@ -146,6 +174,10 @@ int run(const TrainOptions& options, AppContext& context) {
   }
   if (outcome.scored.frames == 0)
     print_note(context, "the scene has no test frames, so the field was not scored; see `semfield inspect`");
+  if (context.json) {
+    print_json(context, outcome_json(outcome));
+    return 0;
+  }
   std::printf("train: %s train_s=%.1f steps=%lld peak_mb=%zu report=%s\n", scores_text(outcome).c_str(),
               outcome.train_s, static_cast<long long>(outcome.step), outcome.peak_bytes >> 20,
               outcome.report_path.c_str());
@@ -170,6 +202,8 @@ void words(VerbWords& verb, TrainOptions& options) {
 
 }  // namespace
 
-Verb verb_train() { return make_verb("train", 10, "train a field on a scene; writes a run folder", words, run); }
+Verb verb_train() {
+  return with_json(make_verb("train", 10, "train a field on a scene; writes a run folder", words, run));
+}
 
 }  // namespace semfield::app

@@ -123,21 +123,34 @@ std::string joined(const std::vector<std::string>& segments, std::size_t count) 
   return join(std::vector<std::string>(segments.begin(), segments.begin() + static_cast<std::ptrdiff_t>(count)), ".");
 }
 
+// The item that a segment of a key names, by index or by item_key.
+std::size_t item_of(const ConfigNode& list, const std::string& segment, const std::string& key,
+                    const Location& origin) {
+  std::size_t index = 0;
+  const char* end = segment.data() + segment.size();
+  const auto parsed = std::from_chars(segment.data(), end, index);
+  if (parsed.ec == std::errc{} && parsed.ptr == end && index < list.items().size()) return index;
+  std::vector<std::string> names;
+  for (std::size_t i = 0; i < list.items().size(); ++i) {
+    const std::string name = item_key(list, i);
+    if (name == segment) return i;
+    if (name != std::to_string(i)) names.push_back(name);
+  }
+  const std::string range = list.items().empty() ? "it is empty" : "0 to " + std::to_string(list.items().size() - 1);
+  const std::string expected =
+      names.empty() ? "an item's index, " + range : "an item's name (" + join(names) + ") or its index (" + range + ")";
+  const std::string near = did_you_mean(segment, names);
+  fail(origin, key + " is a list (" + list.location().text() + "): expected " + expected + ", got '" + segment + "'",
+       near.empty() ? "" : "did you mean '" + near + "'?");
+}
+
 /// `node` with the value set at segments[at...]; `origin` is the override for messages.
 ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segments, std::size_t at,
                   const ConfigNode& value, const Location& origin) {
   if (at == segments.size()) return merge_config(node, value);
   const std::string& segment = segments[at];
   if (node.is_list()) {
-    std::size_t index = 0;
-    const char* end = segment.data() + segment.size();
-    const auto parsed = std::from_chars(segment.data(), end, index);
-    if (parsed.ec != std::errc{} || parsed.ptr != end || index >= node.items().size()) {
-      const std::string range =
-          node.items().empty() ? "it is empty" : "0 to " + std::to_string(node.items().size() - 1);
-      fail(origin, "'" + joined(segments, at) + "' is a list (" + node.location().text() +
-                       "): expected an item's index, " + range + ", got '" + segment + "'");
-    }
+    const std::size_t index = item_of(node, segment, "'" + joined(segments, at) + "'", origin);
     std::vector<ConfigNode> items = node.items();
     items[index] = set_at(items[index], segments, at + 1, value, origin);
     return ConfigNode::make_list(std::move(items), node.location()).with_key_location(node.key_location());
@@ -181,6 +194,19 @@ ConfigNode apply_override(const ConfigNode& root, const std::string& text) {
                         parse_config_value(std::string_view(text).substr(equals + 1), origin.file), origin);
 }
 
+// Every pass has a name, by which overrides can call it.
+ConfigNode with_named_passes(const ConfigNode& root) {
+  const ConfigNode* passes = root.find("passes");
+  if (passes == nullptr || !passes->is_list()) return root;
+  std::vector<ConfigNode> items = passes->items();
+  for (std::size_t i = 0; i < items.size(); ++i) {
+    if (items[i].is_map() && items[i].find("name") == nullptr)
+      items[i] = items[i].with("name", ConfigNode::make_scalar(usual_pass_name(i), false, {}));
+  }
+  return root.with(
+      "passes", ConfigNode::make_list(std::move(items), passes->location()).with_key_location(passes->key_location()));
+}
+
 /// Items of `passes` with `like: NAME`, each merged onto the earlier item of that name.
 ConfigNode resolve_like(const ConfigNode& root) {
   const ConfigNode* passes = root.find("passes");
@@ -215,11 +241,37 @@ ConfigNode resolve_like(const ConfigNode& root) {
 }
 
 ConfigNode with_overrides(ConfigNode root, const std::vector<ConfigOverride>& overrides) {
-  for (const ConfigOverride& o : overrides) root = apply_override(root, o.key, o.value, o.value.location());
-  return resolve_like(root);
+  for (const ConfigOverride& o : overrides)
+    root = apply_override(with_named_passes(root), o.key, o.value, o.value.location());
+  return resolve_like(with_named_passes(root));
+}
+
+// The scalar of an item that tells it from the others; null: none does.
+const ConfigNode* telling(const ConfigNode& item) {
+  for (const char* key : {"name", "labels"}) {
+    const ConfigNode* value = item.find(key);
+    if (value != nullptr && value->is_scalar()) return value;
+  }
+  return nullptr;
 }
 
 }  // namespace
+
+std::string item_key(const ConfigNode& list, std::size_t index) {
+  const ConfigNode* own = telling(list.items()[index]);
+  const auto is_letter = [](char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '_'; };
+  const auto is_plain = [&](char c) { return is_letter(c) || (c >= '0' && c <= '9') || c == '-'; };
+  if (own == nullptr || own->text().empty() || !is_letter(own->text().front()) ||
+      !std::all_of(own->text().begin(), own->text().end(), is_plain))
+    return std::to_string(index);
+  for (std::size_t i = 0; i < list.items().size(); ++i) {
+    const ConfigNode* other = telling(list.items()[i]);
+    if (i != index && other != nullptr && other->text() == own->text()) return std::to_string(index);
+  }
+  return own->text();
+}
+
+std::string usual_pass_name(std::size_t index) { return index == 0 ? "main" : "pass" + std::to_string(index); }
 
 ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
   if (!base.is_map() || !over.is_map() || type_changes(base, over)) return over;
@@ -239,8 +291,8 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
 
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides) {
   ConfigNode root = Loader().load(find_config(path));
-  for (const std::string& override_text : overrides) root = apply_override(root, override_text);
-  return resolve_like(root);
+  for (const std::string& override_text : overrides) root = apply_override(with_named_passes(root), override_text);
+  return resolve_like(with_named_passes(root));
 }
 
 ConfigNode compose_config_with(const std::string& path, const std::vector<ConfigOverride>& overrides) {

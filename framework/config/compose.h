@@ -14,12 +14,19 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over);
 
 /// Loads `path`, a name as find_config takes it, resolves `include:` (a file or a list of files relative to the
 /// including file, else among the shipped configurations; cycles refused), then local keys, then each "a.b=value" of
-/// `overrides` in order (list items by index: "passes.0.sampler.samples=32"); what a flag of the command line sets is
-/// written "--threads runtime.threads=2", and messages then name the flag. Also resolves `like: NAME` of list items
-/// under `passes` (the item is merged onto the earlier item of that name). Throws Error(config).
+/// `overrides` in order (items of lists by item_key or by index: "passes.main.sampler.samples=32"); what a flag of the
+/// command line sets is written "--threads runtime.threads=2", and messages then name the flag. Also resolves `like:
+/// NAME` of list items under `passes` (the item is merged onto the earlier item of that name). Throws Error(config).
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides = {});
 
-/// A value set at a key path ("passes.0.sampler.samples"), written in some file: paths in it start there.
+/// What overrides and messages call an item of a list: its `name`, or the `labels` that a semantic branch is for, where
+/// that is one plain word and no other item has it; else its index. A pass that no `name` was written for has one
+/// after composition.
+std::string item_key(const ConfigNode& list, std::size_t index);
+/// The name of a pass that is given none: "main", "pass1", ...
+std::string usual_pass_name(std::size_t index);
+
+/// A value set at a key path ("passes.main.sampler.samples"), written in some file: paths in it start there.
 struct ConfigOverride {
   std::string key;
   ConfigNode value;

@@ -6,6 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include "config/compose.h"
+
 namespace semfield {
 namespace {
 
@@ -43,18 +45,25 @@ bool is_list_of_parts(const ConfigNode& node) {
   return std::any_of(node.items().begin(), node.items().end(), [](const ConfigNode& item) { return item.is_map(); });
 }
 
-// Every value that one side alone has, key by key.
-void list_absent(const ConfigNode& node, const std::string& path, bool only_left, std::vector<ConfigDifference>& out) {
+// Every value below a node, key by key.
+template <class See>
+void each_value(const ConfigNode& node, const std::string& path, const See& see) {
   if (node.is_map() && has_parts(node)) {
-    for (const ConfigNode::Entry& entry : node.entries())
-      list_absent(entry.second, below(path, entry.first), only_left, out);
+    for (const ConfigNode::Entry& entry : node.entries()) each_value(entry.second, below(path, entry.first), see);
   } else if (is_list_of_parts(node)) {
     for (std::size_t i = 0; i < node.items().size(); ++i)
-      list_absent(node.items()[i], below(path, std::to_string(i)), only_left, out);
+      each_value(node.items()[i], below(path, item_key(node, i)), see);
   } else {
-    const std::string value = write_config_inline(node);
-    out.push_back({path, only_left ? value : kAbsent, only_left ? kAbsent : value});
+    see(path, node);
   }
+}
+
+// What one side alone has.
+void list_absent(const ConfigNode& node, const std::string& path, bool only_left, std::vector<ConfigDifference>& out) {
+  each_value(node, path, [&](const std::string& key, const ConfigNode& value) {
+    const std::string text = write_config_inline(value);
+    out.push_back({key, only_left ? text : kAbsent, only_left ? kAbsent : text});
+  });
 }
 
 void diff(const ConfigNode& a, const ConfigNode& b, const std::string& path, std::vector<ConfigDifference>& out) {
@@ -74,11 +83,14 @@ void diff(const ConfigNode& a, const ConfigNode& b, const std::string& path, std
   }
   if (a.is_list() && b.is_list() && (is_list_of_parts(a) || is_list_of_parts(b))) {
     const std::size_t shared = std::min(a.items().size(), b.items().size());
-    for (std::size_t i = 0; i < shared; ++i) diff(a.items()[i], b.items()[i], below(path, std::to_string(i)), out);
+    for (std::size_t i = 0; i < shared; ++i) {
+      const std::string key = item_key(a, i);  // the name where both have it
+      diff(a.items()[i], b.items()[i], below(path, key == item_key(b, i) ? key : std::to_string(i)), out);
+    }
     for (std::size_t i = shared; i < a.items().size(); ++i)
-      list_absent(a.items()[i], below(path, std::to_string(i)), true, out);
+      list_absent(a.items()[i], below(path, item_key(a, i)), true, out);
     for (std::size_t i = shared; i < b.items().size(); ++i)
-      list_absent(b.items()[i], below(path, std::to_string(i)), false, out);
+      list_absent(b.items()[i], below(path, item_key(b, i)), false, out);
     return;
   }
   if (equal_config(a, b)) return;
@@ -104,6 +116,14 @@ std::string explain_config(const ConfigNode& node) {
     out += "\n";
   }
   return out;
+}
+
+std::vector<ConfigSetting> config_settings(const ConfigNode& tree) {
+  std::vector<ConfigSetting> settings;
+  each_value(tree, "", [&](const std::string& key, const ConfigNode& value) {
+    settings.push_back({key, write_config_inline(value), origin(value)});
+  });
+  return settings;
 }
 
 ConfigNode with_origins(const ConfigNode& resolved, const ConfigNode& written) {

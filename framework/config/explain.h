@@ -19,6 +19,14 @@ ConfigNode with_origins(const ConfigNode& resolved, const ConfigNode& written);
 inline constexpr const char* kAbsent = "(absent)";
 
 /// A value that differs, in one line of YAML on either side, or kAbsent.
+/// A value of a tree that `--set KEY=VALUE` takes as it stands here.
+struct ConfigSetting {
+  std::string key, value;
+  std::string from;  ///< where it was written: "room.yaml:7:5", "default"
+};
+/// Every value, a list of plain values being one.
+std::vector<ConfigSetting> config_settings(const ConfigNode& tree);
+
 struct ConfigDifference {
   std::string key;  ///< path; "(top)" for the whole tree
   std::string left, right;

@@ -96,8 +96,9 @@ void plan_passes(const SceneManifest& manifest, const BuildRequest& request, Pla
   }
   const double spread = manifest.direction_spread_deg;
   if (!request.direction_encoder) {
-    planner.leave(true, {"view_branch", "not asked for", "the last pass names no direction encoder",
-                         ProofClass::bitwise, "the colour's direction input", "name passes.N.direction", ""});
+    planner.leave(true,
+                  {"view_branch", "not asked for", "the last pass names no direction encoder", ProofClass::bitwise,
+                   "the colour's direction input", "name " + request.last_pass + ".direction", ""});
     plan.view_branch = false;
   } else {
     plan.view_branch = !planner.leave(
@@ -112,7 +113,8 @@ void plan_passes(const SceneManifest& manifest, const BuildRequest& request, Pla
       {"empty_space", "the sampler passes over cells that it knows to be empty",
        certified ? "its budget bounds what a ray loses by the grid's densities, estimates that lag behind the field"
                  : "cells below a fixed density count as empty, which bounds no error",
-       ProofClass::statistical, "samples in empty space", "set the skip rule of passes.N.sampler", ""});
+       ProofClass::statistical, "samples in empty space", "set the skip rule of " + request.last_pass + ".sampler",
+       ""});
   plan.late_samples = !planner.leave(
       request.early_stop > 0,
       {"late_samples", "rendering ends a ray whose transmittance is below rendering.early_stop",

@@ -27,6 +27,7 @@ struct SceneManifest {
 /// What the config asks for, as far as it can be left out.
 struct BuildRequest {
   int passes = 1;
+  std::string last_pass = "passes.main";  ///< its key
   bool last_sampler_single_pass = false;
   EmptySpace empty_space = EmptySpace::sampled;  ///< of the last pass's sampler
   bool direction_encoder = true;                 ///< the last pass names one

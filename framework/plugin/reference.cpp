@@ -44,14 +44,6 @@ std::string cell(const std::string& text) {
 
 std::string code(const std::string& text) { return text.empty() ? "" : "`" + cell(text) + "`"; }
 
-std::string devices_text(const Registry& registry, const PluginEntry& entry) {
-  if (entry.kind == PluginKind::dataset) return "host";
-  const std::string devices =
-      registry.kernels().devices_of(std::string(kind_name(entry.kind)) + " '" + entry.name + "'");
-  return devices.empty() ? std::string(device_name(Device::cpu))
-                         : devices;  // no table: plain C++, which runs on the CPU
-}
-
 std::string details_text(const Registry& registry, const PluginEntry& entry) {
   std::string text = std::string(kind_name(entry.kind)) + " " + entry.name + "\n  " + entry.summary + "\n";
   text += "  module " + entry.module + ", devices: " + devices_text(registry, entry) + "\n";
@@ -64,6 +56,13 @@ std::string details_text(const Registry& registry, const PluginEntry& entry) {
 }
 
 }  // namespace
+
+std::string devices_text(const Registry& registry, const PluginEntry& entry) {
+  if (entry.kind == PluginKind::dataset) return "host";
+  const std::string devices =
+      registry.kernels().devices_of(std::string(kind_name(entry.kind)) + " '" + entry.name + "'");
+  return devices.empty() ? std::string(device_name(Device::cpu)) : devices;  // no table: plain C++
+}
 
 std::string plugins_list_text(const Registry& registry) {
   std::size_t width = 0;

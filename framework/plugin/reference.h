@@ -12,6 +12,8 @@ std::string plugins_list_text(const Registry& registry);
 /// Every plugin of that name (kinds may share one), with its parameters: type, default, range, sentence. Throws
 /// Error(config) for an unknown name, with the nearest known.
 std::string plugin_details_text(const Registry& registry, const std::string& name);
+/// "cpu, cuda": where one entry runs in this build.
+std::string devices_text(const Registry& registry, const PluginEntry& entry);
 /// Plugins by device: which kernels this build has. Datasets run on the host and have none.
 std::string support_matrix_text(const Registry& registry);
 

@@ -77,11 +77,11 @@ std::unique_ptr<SemanticBranchParts<Real>> make_branch(const PassConfig& pass, c
   const SemanticBranchConfig& branch = *pass.branch();
   auto parts = std::make_unique<SemanticBranchParts<Real>>();
   parts->rules = branch.rules;
-  parts->position = make_encoder<Real>(branch.position, registry, extent, false, device,
-                                       "passes." + pass.name + ".semantic.position");
+  parts->position =
+      make_encoder<Real>(branch.position, registry, extent, false, device, pass.key + "." + branch.key + ".position");
   if (declared_bytes<Real>(*parts->position, 1, true).learns) {
     throw Error(ErrorKind::config,
-                "passes." + pass.name + ".semantic.position: '" + branch.position.entry->name +
+                pass.key + "." + branch.key + ".position: '" + branch.position.entry->name +
                     "' has learned tensors, and the branch is to be smoother than such tables",
                 "choose an encoder without learned tensors: " + join(smooth_encoders(registry)));
   }
@@ -109,16 +109,14 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
   sampler_build.far_m = extent.far_m;
   parts.sampler =
       make<Real>(pass.sampler.entry->sampler32, pass.sampler.entry->sampler64, pass.sampler, sampler_build, registry);
-  parts.position =
-      make_encoder<Real>(pass.position, registry, extent, false, device, "passes." + pass.name + ".position");
+  parts.position = make_encoder<Real>(pass.position, registry, extent, false, device, pass.key + ".position");
   parts.domain =
       DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
   FieldBuild field_build;
   field_build.device = device;
   field_build.position_dims = parts.position->traits().out_dims;
   if (plan.view_branch && pass.direction.entry != nullptr) {
-    parts.direction =
-        make_encoder<Real>(pass.direction, registry, extent, true, device, "passes." + pass.name + ".direction");
+    parts.direction = make_encoder<Real>(pass.direction, registry, extent, true, device, pass.key + ".direction");
     field_build.direction_dims = parts.direction->traits().out_dims;
   }
   const bool by_branch = plan.semantics && pass.branch() != nullptr;
@@ -149,7 +147,7 @@ std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry
     passes.back().number = static_cast<std::uint32_t>(p);
     if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
       throw Error(ErrorKind::config,
-                  "passes." + pass.name + ".sampler: '" + pass.sampler.entry->name +
+                  pass.key + ".sampler: '" + pass.sampler.entry->name +
                       "' refines the weights of an earlier pass, but this is the first",
                   "put a pass with another sampler before it");
     }
@@ -194,6 +192,7 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry) {
   request.last_sampler_single_pass = traits.single_pass;
   request.empty_space = traits.empty_space;
   request.passes = static_cast<int>(config.passes.size());
+  request.last_pass = config.passes.back().key;
   request.direction_encoder = config.passes.back().direction.entry != nullptr;
   request.density_noise = config.rendering.density_noise;
   request.early_stop = config.rendering.early_stop;
@@ -219,12 +218,12 @@ std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent&
   for (PassConfig& pass : config.passes) {
     std::vector<std::string> chosen;
     pass.position.params->choose(build, chosen);
-    for (const std::string& sentence : chosen) lines.push_back("passes." + pass.name + ".position: " + sentence);
+    for (const std::string& sentence : chosen) lines.push_back(pass.key + ".position: " + sentence);
     if (pass.branch() == nullptr) continue;
     chosen.clear();
     pass.branch()->position.params->choose(build, chosen);
     for (const std::string& sentence : chosen)
-      lines.push_back("passes." + pass.name + ".semantic.position: " + sentence);
+      lines.push_back(pass.key + "." + pass.branch()->key + ".position: " + sentence);
   }
   return lines;
 }

@@ -69,12 +69,12 @@ std::vector<std::string> choose_branches(RunConfig& config, const LabelStatistic
     std::vector<SemanticBranchConfig> chosen;
     chosen.push_back(std::move(*fits));
     pass.semantic = std::move(chosen);
-    lines.push_back(fmt::format(
-        "passes.{}.semantic: {} and {} were chosen, because labels are {} ({:.3g} % of the training pixels have one; "
-        "{:.3g} % of neighbouring labels agree)",
-        pass.name, pass.branch()->position.entry->name, pass.branch()->field.entry->name,
-        ChoiceNames<LabelKind>::names[static_cast<std::size_t>(kind)], 100 * statistics.share(),
-        100 * statistics.agreement()));
+    lines.push_back(
+        fmt::format("{}.{}: {} and {} were chosen, because labels are {} ({:.3g} % of the training pixels have one; "
+                    "{:.3g} % of neighbouring labels agree)",
+                    pass.key, pass.branch()->key, pass.branch()->position.entry->name, pass.branch()->field.entry->name,
+                    ChoiceNames<LabelKind>::names[static_cast<std::size_t>(kind)], 100 * statistics.share(),
+                    100 * statistics.agreement()));
   }
   return lines;
 }

@@ -85,13 +85,12 @@ std::vector<Lever> levers_of(RunConfig& config) {
   levers.push_back({"train.rays", config.train.rays, 16, [&config](std::int64_t v) { config.train.rays = v; }});
   levers.push_back({"semantics.hidden_width", config.semantics.hidden_width, 16,
                     [&config](std::int64_t v) { config.semantics.hidden_width = static_cast<int>(v); }});
-  for (std::size_t p = 0; p < config.passes.size(); ++p) {
-    const PassConfig& pass = config.passes[p];
-    const std::string path = "passes." + std::to_string(p);
-    add_slot(levers, path + ".sampler", pass.sampler);
-    add_slot(levers, path + ".position", pass.position);
-    add_slot(levers, path + ".field", pass.field);
-    if (const SemanticBranchConfig* branch = pass.branch()) add_slot(levers, path + ".semantic.field", branch->field);
+  for (const PassConfig& pass : config.passes) {
+    add_slot(levers, pass.key + ".sampler", pass.sampler);
+    add_slot(levers, pass.key + ".position", pass.position);
+    add_slot(levers, pass.key + ".field", pass.field);
+    if (const SemanticBranchConfig* branch = pass.branch())
+      add_slot(levers, pass.key + "." + branch->key + ".field", branch->field);
   }
   return levers;
 }

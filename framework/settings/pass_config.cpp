@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <array>
 
+#include "config/compose.h"
+
 namespace semfield {
 
 void describe(ParamVisitor& visit, SemanticBranchConfig& branch) {
@@ -103,7 +105,8 @@ std::vector<SemanticBranchConfig> read_branches(const ConfigNode& node, const st
   }
   std::array<bool, ChoiceNames<LabelKind>::names.size()> served{};
   for (const ConfigNode& item : node.items()) {
-    branches.push_back(read_branch(item, path + "." + std::to_string(branches.size()), registry, diagnostics));
+    branches.push_back(read_branch(item, path + "." + item_key(node, branches.size()), registry, diagnostics));
+    branches.back().key = "semantic." + item_key(node, branches.size() - 1);
     bool& known = served[static_cast<std::size_t>(branches.back().labels)];
     if (known || served[0])
       diagnostics.error(item.location().text(), path + ": an earlier branch takes all labels that this one is for");
@@ -129,10 +132,11 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
     return;
   }
   static const std::vector<std::string> kKeys{"name", "like", "sampler", "position", "direction", "field", "semantic"};
-  int index = 0;
-  for (const ConfigNode& item : list->items()) {
-    const std::string path = "passes." + std::to_string(index);
+  for (std::size_t index = 0; index < list->items().size(); ++index) {
+    const ConfigNode& item = list->items()[index];
+    const std::string path = "passes." + item_key(*list, index);
     PassConfig pass;
+    pass.key = path;
     if (!item.is_map()) {
       diagnostics.error(item.location().text(), path + ": expected a map {name, sampler, position, direction, field}");
       continue;
@@ -143,7 +147,7 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
       diagnostics.error(value.key_location().text(), path + ": unknown key '" + key + "'",
                         near.empty() ? "known: " + join(kKeys) : "did you mean '" + near + "'?");
     }
-    pass.name = read_text(item, path, "name", index == 0 ? "main" : "pass" + std::to_string(index), diagnostics);
+    pass.name = read_text(item, path, "name", usual_pass_name(index), diagnostics);
     const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out, bool required) {
       const ConfigNode* node = item.find(key);
       if (node == nullptr || node->is_null()) {
@@ -163,7 +167,6 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
         diagnostics.error(item.location().text(), path + ": name '" + pass.name + "' is taken by an earlier pass");
     }
     config.passes.push_back(std::move(pass));
-    ++index;
   }
 }
 

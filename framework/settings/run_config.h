@@ -100,6 +100,7 @@ struct ChoiceNames<LabelKind> {
 
 /// What a pass's semantic branch is beside its plugins (model/semantic_branch.h).
 struct SemanticBranchConfig {
+  std::string key = "semantic";  ///< below its pass: "semantic.few" when it is one of several
   LabelKind labels = LabelKind::any;
   PluginSlot position, field;
   SemanticBranchRules rules;
@@ -109,6 +110,7 @@ void describe(ParamVisitor& visit, SemanticBranchConfig& branch);
 
 struct PassConfig {
   std::string name;
+  std::string key;  ///< as `--set` takes it: "passes.main"
   PluginSlot sampler, position, direction, field;
   std::vector<SemanticBranchConfig> semantic;  ///< none, one, or several of which the labels choose one
   /// The branch that is built: the first until choose_branches has been asked; null without one.

@@ -34,7 +34,8 @@ class Completion : public ::testing::TestWithParam<std::string> {
  protected:
   void SetUp() override {
     shell_ = GetParam();
-    if (output_of("command -v " + shell_).empty()) GTEST_SKIP() << shell_ << " is not installed: its script was not tried";
+    if (output_of("command -v " + shell_).empty())
+      GTEST_SKIP() << shell_ << " is not installed: its script was not tried";
     const testing_program::Result r = testing_program::semfield_run("completion " + shell_, dir_.path());
     ASSERT_EQ(r.code, 0) << r.err;
     write_file_atomic(dir_ / "script", r.out);
@@ -48,18 +49,19 @@ COMP_CWORD=$((${#COMP_WORDS[@]} - 1))
 _semfield 2>/dev/null
 printf '%s\n' "${COMPREPLY[@]}"
 )"));
-    write_file_atomic(dir_ / "try.fish", std::string_view("source $argv[1]; complete -C $argv[2] | string split -f 1 \\t\n"));
+    write_file_atomic(dir_ / "try.fish",
+                      std::string_view("source $argv[1]; complete -C $argv[2] | string split -f 1 \\t\n"));
   }
 
   // What is offered where `line` ends, without what stands before "=" and the last comma.
   Words offered(const std::string& line) {
     const std::string script = shell_word(dir_ / "script"), words = shell_word(line);
-    const std::string tool = shell_ == "zsh" ? SEMFIELD_SOURCE_DIR "/tests/command_line/zsh_candidates.zsh"
-                                             : dir_ / ("try." + shell_);
+    const std::string tool =
+        shell_ == "zsh" ? SEMFIELD_SOURCE_DIR "/tests/command_line/zsh_candidates.zsh" : dir_ / ("try." + shell_);
     const std::string flags = shell_ == "bash" ? " --norc " : shell_ == "zsh" ? " -f " : " --no-config ";
     std::istringstream lines(output_of("cd " + shell_word(dir_ / "work") + " && HOME=" + shell_word(dir_.path()) +
-                                       " timeout 60 " + shell_ + flags + shell_word(tool) + " " + script + " " +
-                                       words + " 2>&1"));
+                                       " timeout 60 " + shell_ + flags + shell_word(tool) + " " + script + " " + words +
+                                       " 2>&1"));
     Words out;
     for (std::string word; std::getline(lines, word);) {
       word = word.substr(word.rfind(',') + 1);

@@ -24,14 +24,16 @@ TEST(Man, PageOfAVerbHasItsWords) {
   const Result page = semfield_run("man render", dir.path(), "SOURCE_DATE_EPOCH=86400 ");
   ASSERT_EQ(page.code, 0) << page.err;
   EXPECT_EQ(page.out.find(".TH SEMFIELD\\-RENDER 1 \"1970-01-02\" \"Semfield "), 0u) << page.out;
-  for (const char* part : {".SH NAME\nsemfield\\-render \\-\nrender colour", ".SH SYNOPSIS\n.B semfield render\nRUN [OPTIONS]\n",
-                           ".SH OPERANDS\n.TP\n.I RUN\n", ".BI \\-\\-frames \" N\"\n", "(1 to 100000; default: 240)",
-                           ".SH SEE ALSO\n.BR semfield (1)\n"})
+  for (const char* part :
+       {".SH NAME\nsemfield\\-render \\-\nrender colour", ".SH SYNOPSIS\n.B semfield render\nRUN [OPTIONS]\n",
+        ".SH OPERANDS\n.TP\n.I RUN\n", ".BI \\-\\-frames \" N\"\n", "(1 to 100000; default: 240)",
+        ".SH SEE ALSO\n.BR semfield (1)\n"})
     EXPECT_NE(page.out.find(part), std::string::npos) << part << " in\n" << page.out;
   const Result whole = semfield_run("man", dir.path());
   EXPECT_NE(whole.out.find(".TP\n.BR semfield\\-render (1)\n"), std::string::npos) << whole.out;
   EXPECT_NE(whole.out.find(".SH EXIT STATUS\n.TP\n.B 0\ndone\n"), std::string::npos) << whole.out;
-  EXPECT_EQ(semfield_run("man rendr", dir.path()).err, "semfield: there is no verb 'rendr'; did you mean `semfield render`?\n");
+  EXPECT_EQ(semfield_run("man rendr", dir.path()).err,
+            "semfield: there is no verb 'rendr'; did you mean `semfield render`?\n");
   EXPECT_EQ(semfield_run("man render --out all", dir.path()).code, 2);
 }
 

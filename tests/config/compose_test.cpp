@@ -206,6 +206,36 @@ TEST_F(Overrides, ListItemsByIndex) {
   EXPECT_NE(set({"passes.1.samples=3"}).find("{name: fine, samples: 3}"), std::string::npos);
 }
 
+TEST_F(Overrides, ListItemsByName) {
+  for (const char* key : {"encoder.levels=4", "encoder.type=frequency", "encoder={type: frequency, frequencies: 4}"})
+    EXPECT_EQ(set({"passes.coarse." + std::string(key)}), set({"passes.0." + std::string(key)})) << key;
+  EXPECT_EQ(set({"passes.fine.samples=3"}), set({"passes.1.samples=3"}));
+  // A pass that an override names is called by its new name from there on.
+  EXPECT_EQ(set({"passes.fine.name=last", "passes.last.samples=3"}), set({"passes.1.samples=3", "passes.1.name=last"}));
+}
+
+// What messages call a pass that is given no name.
+TEST(Names, OfPassesWithoutOneAndOfBranches) {
+  const TempFolder folder;
+  const std::string path = folder.write("room.yaml",
+                                        "passes:\n"
+                                        "  - {n: 1, semantic: [{labels: few, n: 1}, {labels: any, n: 1}]}\n"
+                                        "  - {name: a.b, n: 1}\n"
+                                        "  - {name: '2', n: 1}\n"
+                                        "  - {n: 1, losses: [{type: x, n: 1}]}\n");
+  const ConfigNode passes = *compose_config(path).find("passes");
+  // A name with a dot, and one that looks like an index, are no keys.
+  const char* keys[] = {"main", "1", "2", "pass3"};
+  for (std::size_t i = 0; i < 4; ++i) {
+    EXPECT_EQ(item_key(passes, i), keys[i]);
+    EXPECT_EQ(write_config(compose_config(path, {"passes." + std::string(keys[i]) + ".n=2"})),
+              write_config(compose_config(path, {"passes." + std::to_string(i) + ".n=2"})));
+  }
+  EXPECT_EQ(write_config(compose_config(path, {"passes.main.semantic.any.n=2"})),
+            write_config(compose_config(path, {"passes.0.semantic.1.n=2"})));
+  EXPECT_EQ(item_key(*passes.items()[3].find("losses"), 0), "0");
+}
+
 TEST_F(Overrides, ChangedTypeReplacesWhole) {
   EXPECT_NE(set({"passes.0.encoder.type=frequency"}).find("encoder: {type: frequency}"), std::string::npos);
   EXPECT_NE(set({"passes.0.encoder.type=hash_grid"}).find("encoder: {type: hash_grid, levels: 8}"), std::string::npos);
@@ -217,12 +247,11 @@ TEST_F(Overrides, ChangedTypeReplacesWhole) {
 TEST_F(Overrides, RefusesPathsThatLeadNowhere) {
   EXPECT_EQ(refused("train.steps.x=1"),
             "--set train.steps.x=1: 'train.steps' is '10' (" + path_ + ":1:16), it has no key 'x'");
-  EXPECT_EQ(refused("passes.2.name=x"),
-            "--set passes.2.name=x: 'passes' is a list (" + path_ + ":3:3): expected an item's index, 0 to 1, got '2'");
-  EXPECT_EQ(refused("passes.coarse.name=x"), "--set passes.coarse.name=x: 'passes' is a list (" + path_ +
-                                                 ":3:3): expected an item's index, 0 to 1, got 'coarse'");
-  EXPECT_EQ(refused("passes.-1.name=x"), "--set passes.-1.name=x: 'passes' is a list (" + path_ +
-                                             ":3:3): expected an item's index, 0 to 1, got '-1'");
+  const std::string expected =
+      ": 'passes' is a list (" + path_ + ":3:3): expected an item's name (coarse, fine) or its index (0 to 1), got '";
+  EXPECT_EQ(refused("passes.2.name=x"), "--set passes.2.name=x" + expected + "2'");
+  EXPECT_EQ(refused("passes.corse.name=x"), "--set passes.corse.name=x" + expected + "corse'; did you mean 'coarse'?");
+  EXPECT_EQ(refused("passes.-1.name=x"), "--set passes.-1.name=x" + expected + "-1'");
   EXPECT_EQ(refused("none.0=x"),
             "--set none.0=x: 'none' is a list (" + path_ + ":6:7): expected an item's index, it is empty, got '0'");
   EXPECT_EQ(refused("train"), "--set train: expected KEY=VALUE; for example --set train.steps=1000");

@@ -78,7 +78,10 @@ TEST(Diff, OnlyDifferencesByPath) {
       "train.steps: 10 -> 20\ntrain.betas: [0.9, 0.99] -> [0.9, 0.999]\n");
   EXPECT_EQ(diff("a: 1", "a: '1'"), "a: 1 -> \"1\"\n");
   EXPECT_EQ(diff("a: 0.1", "a: 0.10"), "a: 0.1 -> 0.10\n");
-  EXPECT_EQ(diff("passes: [{name: x, n: 1}]", "passes: [{name: x, n: 2}]"), "passes.0.n: 1 -> 2\n");
+  EXPECT_EQ(diff("passes: [{name: x, n: 1}]", "passes: [{name: x, n: 2}]"), "passes.x.n: 1 -> 2\n");
+  // An index where the names differ: both sides take it.
+  EXPECT_EQ(diff("passes: [{name: x, n: 1}]", "passes: [{name: y, n: 2}]"),
+            "passes.0.name: x -> y\npasses.0.n: 1 -> 2\n");
 }
 
 TEST(Diff, WhatOneSideLacks) {

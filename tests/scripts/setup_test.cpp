@@ -24,7 +24,8 @@ class SetupScript : public testing::Test {
     fs::remove_all(root_);
     fs::create_directories(root_ / "scripts");
     fs::create_directories(root_ / "bin");
-    fs::copy_file(fs::path(SEMFIELD_SOURCE_DIR) / "scripts/setup", root_ / "scripts/setup");
+    for (const char* name : {"setup", "help.sh"})
+      fs::copy_file(fs::path(SEMFIELD_SOURCE_DIR) / "scripts" / name, root_ / "scripts" / name);
     stand_in("dpkg-query", "[ \"${!#}\" = \"$MISSING\" ] || echo 'install ok installed'");
     stand_in("apt-get", "[ $1 = update ]");
     stand_in("cmake", R"(

@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <optional>
 
+#include "app/json_output.h"
 #include "app/verb.h"
 #include "run/run_folder.h"
 #include "studies/leave_out_page.h"
@@ -83,6 +84,7 @@ int run(const LeaveOutOptions& options, AppContext& context) {
     const LeaveOutFinding& row = findings.rows.back();
     const bool counts = pair.but.empty();
     all_hold = all_hold && (row.holds || !counts);
+    if (context.json) continue;
     std::printf("%-22s %s  %-14s %s\n%26s saves %s  [%.1f s]\n", row.name.c_str(), row.proof.c_str(),
                 !counts     ? "kept"
                 : row.holds ? "holds"
@@ -92,6 +94,7 @@ int run(const LeaveOutOptions& options, AppContext& context) {
   }
   findings.about = about(options, pairs);
   if (docs) docs->write(findings);
+  if (context.json) print_json(context, Json::parse(findings_json(findings)));
   return all_hold ? 0 : static_cast<int>(ErrorKind::failure);
 }
 
@@ -108,9 +111,9 @@ void words(VerbWords& verb, LeaveOutOptions& options) {
 }  // namespace
 
 Verb verb_bench_pairs() {
-  return make_verb("bench pairs", 40,
-                   "compare runs that leave a component out with runs that keep it: the proof, and what it saves",
-                   words, run);
+  return with_json(make_verb(
+      "bench pairs", 40, "compare runs that leave a component out with runs that keep it: the proof, and what it saves",
+      words, run));
 }
 
 }  // namespace semfield::app

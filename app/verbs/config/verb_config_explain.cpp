@@ -1,6 +1,7 @@
 // config explain: the final tree, with where each value comes from.
 #include <cstdio>
 
+#include "app/json_output.h"
 #include "app/verb.h"
 #include "config/compose.h"
 #include "config/explain.h"
@@ -12,7 +13,15 @@ namespace {
 int run(const ConfigOptions& options, AppContext& context) {
   const ConfigNode written = compose_config(options.config, options.set);
   const RunConfig config = load_run_config(options.config, options.set, context.registry);
-  std::fputs(explain_config(with_origins(resolved_config(config), written)).c_str(), stdout);
+  const ConfigNode tree = with_origins(resolved_config(config), written);
+  if (context.json) {
+    Json settings = Json::array();
+    for (const ConfigSetting& setting : config_settings(tree))
+      settings.push_back({{"key", setting.key}, {"value", setting.value}, {"from", setting.from}});
+    print_json(context, {{"settings", settings}});
+    return 0;
+  }
+  std::fputs(explain_config(tree).c_str(), stdout);
   return 0;
 }
 
@@ -21,7 +30,7 @@ void words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
 }  // namespace
 
 Verb verb_config_explain() {
-  return make_verb("config explain", 20, "print the final tree, with the origin of every value", words, run);
+  return with_json(make_verb("config explain", 20, "print the final tree, with the origin of every value", words, run));
 }
 
 }  // namespace semfield::app

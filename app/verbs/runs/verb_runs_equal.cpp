@@ -1,6 +1,7 @@
 // runs equal: whether two finished runs are the same training.
 #include <cstdio>
 
+#include "app/json_output.h"
 #include "app/verb.h"
 #include "run/run_compare.h"
 
@@ -16,6 +17,16 @@ int run(const EqualOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   const RunComparison found = compare_runs(options.a, options.b, diagnostics);
   for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  if (context.json) {
+    Json out{{"equal", found.difference.empty()}};
+    if (found.difference.empty()) {
+      out.update({{"step", found.step}, {"tensors", found.tensors}});
+    } else {
+      out["difference"] = found.difference;
+    }
+    print_json(context, out);
+    return found.difference.empty() ? 0 : static_cast<int>(ErrorKind::failure);
+  }
   if (!found.difference.empty()) {
     std::printf("runs: different: %s\n", found.difference.c_str());
     return static_cast<int>(ErrorKind::failure);
@@ -32,9 +43,9 @@ void words(VerbWords& verb, EqualOptions& options) {
 }  // namespace
 
 Verb verb_runs_equal() {
-  return make_verb("runs equal", 10,
-                   "check whether two runs are the same training, bit by bit; times, threads and places do not count",
-                   words, run);
+  return with_json(make_verb(
+      "runs equal", 10,
+      "check whether two runs are the same training, bit by bit; times, threads and places do not count", words, run));
 }
 
 }  // namespace semfield::app
