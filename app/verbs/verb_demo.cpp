@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "app/child_process.h"
+#include "app/json_output.h"
 #include "app/signals.h"
 #include "app/time_setting.h"
 #include "app/verb.h"
@@ -111,10 +112,11 @@ int run(const DemoOptions& options, AppContext& context) {
     print_note(context, "$ " + shown);
     words.insert(words.begin(), own_program());
     if (context.quiet) words.push_back("--quiet");
+    if (context.json) words.push_back("--json");
     const ChildEnd end = run_child(words);
     if (!context.quiet) std::fputs(end.out.c_str(), stderr);
     if (end.code != 0) return end.code;
-    if (figures.empty()) figures = figures_of(end.out);
+    if (figures.empty()) figures = context.json ? end.out : figures_of(end.out);
   }
   const std::string folder = shell_word(out);
   print_note(
@@ -130,22 +132,30 @@ int run(const DemoOptions& options, AppContext& context) {
           "scene is, then\n  {1} inspect my_scene.yaml\n"
           "The guide docs/guide/own_data.md says how.",
           folder, program));
+  if (context.json) {
+    Json found = Json::parse(figures);  // by `train`
+    found.erase("semfield");
+    found.erase("verb");
+    print_json(context, found);
+    return 0;
+  }
   std::printf("demo: %s\n", figures.c_str());
   return 0;
 }
 
 void words(VerbWords& verb, DemoOptions& options) {
-  verb.value("--out", options.out, "run folder to create (default: runs/demo, whose earlier demo is replaced)");
-  verb.repeated("--set", options.set, "override a value: --set train.rays=2048");
-  verb.value("--time", options.time, "end after this much training: 90s, 5m, 1h");
-  verb.setting(options.set, "--steps", "train.steps", "end after this many steps");
+  verb.value("--out FOLDER", options.out, "run folder to create (default: runs/demo, whose earlier demo is replaced)");
+  verb.repeated("--set KEY=VALUE", options.set, "override a value: --set train.rays=2048");
+  verb.value("--time TIME", options.time, "end after this much training: 90s, 5m, 1h");
+  verb.setting(options.set, "--steps N", "train.steps", "end after this many steps (default: train.steps)");
   verb.threads(options.set);
 }
 
 }  // namespace
 
 Verb verb_demo() {
-  return make_verb("demo", 5, "train on the shipped room, render its held-out views and write its mesh", words, run);
+  return with_json(
+      make_verb("demo", 5, "train on the shipped room, render its held-out views and write its mesh", words, run));
 }
 
 }  // namespace semfield::app

@@ -52,6 +52,11 @@ TEST_F(Demo, LabelsTheShippedRoomInAnEmptyFolder) {
   EXPECT_EQ(again.code, 0) << again.err;
   EXPECT_EQ(again.err, "");
   EXPECT_NE(read_text_file((root_ / "runs/demo/run.yaml").string()).find("steps: 10"), std::string::npos);
+
+  const Result json = small("--steps 5 --quiet --json");
+  EXPECT_EQ(json.code, 0) << json.err;
+  const std::regex object(R"re(\{"semfield":"[^"]+","verb":"demo","run":"[^"]+","step":5,.*\}\n)re");
+  EXPECT_TRUE(std::regex_match(json.out, object)) << json.out;
 }
 
 TEST_F(Demo, LeavesFoldersOfOthersAlone) {
