@@ -57,9 +57,9 @@ const std::vector<std::pair<std::string, Case>>& cases() {
   return all;
 }
 
-// These measure for long, need a device or train on the shipped room; serve is tried below.
+// These measure for long, or need a device, the shipped room or a module; serve is tried below.
 const std::set<std::string> kElsewhere{
-    "bench gpu", "bench quadrature", "bench step", "bench pairs", "bench label", "serve", "demo"};
+    "bench gpu", "bench quadrature", "bench step", "bench pairs", "bench label", "serve", "demo", "plugins check"};
 
 class JsonOutput : public ::testing::Test {
  protected:
@@ -73,7 +73,8 @@ class JsonOutput : public ::testing::Test {
     std::string yaml = hash_config("report: {eval_every_s: 0, strips: 0}\n");
     yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: packed, file: room.sfpack}");
     write_file_atomic(dir_ / "config.yaml", yaml);
-    write_file_atomic(dir_ / "sweep.yaml", std::string_view("name: tried\nbase: config.yaml\ngrid: {train.rays: [64, 128]}\n"));
+    write_file_atomic(dir_ / "sweep.yaml",
+                      std::string_view("name: tried\nbase: config.yaml\ngrid: {train.rays: [64, 128]}\n"));
   }
   Result run(const std::string& words) { return testing_program::semfield_run(words, dir_.path()); }
   TempDir dir_;
