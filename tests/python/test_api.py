@@ -324,10 +324,13 @@ def test_ctrl_c_ends_the_opening_of_a_scene() -> None:
     class Slow(sf.Dataset):
         """A box whose images come slowly."""
 
+        seen: List[int] = []
+
         def frames(self) -> Any:
             return [sf.Frame(f"{i:04d}", sf.Camera(8, 6, 5), np.eye(4)) for i in range(4000)]
 
         def pixels(self, index: int) -> sf.Frame:
+            Slow.seen.append(index)
             threading.Event().wait(0.01)
             return sf.Frame("", sf.Camera(8, 6, 5), np.eye(4), rgb=np.zeros((6, 8, 3), np.uint8))
 
@@ -338,6 +341,7 @@ def test_ctrl_c_ends_the_opening_of_a_scene() -> None:
         sf.open({"scene": {"type": "py_slow"}, "passes": [{"name": "main", "sampler": {"type": "stratified"}, "position": {"type": "identity"},
                                                           "field": {"type": "tiny_mlp"}}]})
     timer.join()
+    assert 0 < len(Slow.seen) < 2000  # of 4000
 
 
 def test_ctrl_c_ends_an_encoder_and_the_run_goes_on(scene: sf.Scene) -> None:

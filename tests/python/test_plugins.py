@@ -239,6 +239,21 @@ def test_parameters(scene: sf.Scene) -> None:
         sf.open(with_position(scene, type="py_mny"))
 
 
+def test_parameters_of_a_subclass(scene: sf.Scene) -> None:
+    @sf.encoder("py_fewer")
+    class Fewer(Waves):
+        """Waves, with fewer bands."""
+
+        bands = sf.param(2, "number of bands", low=1, high=3)
+
+    assert Fewer.make().out_dims == 15 and Waves.make().out_dims == 27 and Waves.make(in_dims=2, bands=1).out_dims == 6
+    assert sf.open(with_position(scene, type="py_fewer")).parameters()["main/field/hidden_0/weight"].shape[0] == 15
+    with pytest.raises(sf.ConfigError, match="bands"):
+        sf.open(with_position(scene, type="py_fewer", bands=4))
+    with pytest.raises(sf.UsageError, match="no parameter is named 'band'; there are bands"):
+        Waves.make(band=3)
+
+
 def test_declarations_that_cannot_be() -> None:
     class Nothing(sf.Encoder):
         def setup(self) -> None:
