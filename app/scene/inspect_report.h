@@ -1,9 +1,9 @@
 // What a scene holds, as text and as JSON, and its cameras as a mesh.
 #pragma once
 
-#include <nlohmann/json.hpp>
 #include <string>
 
+#include "app/json_output.h"
 #include "core/error.h"
 #include "loading/frame_source.h"
 
@@ -13,7 +13,7 @@ namespace semfield {
 /// labelled training frames see each class, then every problem with its remedy. Ends with a line feed.
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics);
 /// The same for programs.
-nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics);
+app::Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics);
 
 /// Camera frusta as binary PLY: a pyramid a frame of `depth_m` height (0 = 2 % of the bounds' diagonal), train blue,
 /// test orange.
