@@ -19,7 +19,8 @@ std::string config_of(const std::string& branches, const std::string& labels) {
          "}}\n"
          "semantics: {hidden_width: 8}\n"
          "passes:\n"
-         "  - sampler: {type: stratified, samples: 8}\n"
+         "  - name: main\n"
+         "    sampler: {type: stratified, samples: 8}\n"
          "    position: {type: hash_grid, levels: 3, log2_entries: 8, finest_resolution: 32}\n"
          "    field: {type: tiny_mlp, hidden_width: 8, color_width: 8}\n"
          "    semantic: " +
@@ -89,7 +90,10 @@ TEST(BranchChoice, ASessionBuildsTheBranchForItsLabelsAndSaysSo) {
     ASSERT_EQ(s.config.passes[0].semantic.size(), 1U);
     EXPECT_EQ(s.config.passes[0].branch()->position.entry->name, c.position);
     ASSERT_EQ(s.chosen_branches.size(), 1U);
-    EXPECT_NE(s.chosen_branches[0].find("passes.main.semantic: " + std::string(c.position)), std::string::npos);
+    EXPECT_NE(
+        s.chosen_branches[0].find("passes.main.semantic." +
+                                  std::string(c.kind == std::string("many") ? "any" : c.kind) + ": " + c.position),
+        std::string::npos);
     EXPECT_NE(s.chosen_branches[0].find("labels are " + std::string(c.kind)), std::string::npos);
     EXPECT_NE(describe_session(s).find(s.chosen_branches[0]), std::string::npos);
     // What a run keeps names one branch, and opens as it is whatever the labels are then.

@@ -181,8 +181,8 @@ TEST(SemanticBranch, WrongSettingsAreNamed) {
     }
     return std::string();
   };
-  EXPECT_NE(refusal("field: {type: tiny_mlp}").find("passes.main.semantic: key 'position' is missing"), std::string::npos);
-  EXPECT_NE(refusal("position: {type: frequency}").find("passes.main.semantic: key 'field' is missing"),
+  EXPECT_NE(refusal("field: {type: tiny_mlp}").find("passes.0.semantic: key 'position' is missing"), std::string::npos);
+  EXPECT_NE(refusal("position: {type: frequency}").find("passes.0.semantic: key 'field' is missing"),
             std::string::npos);
   EXPECT_NE(refusal(kPlugins + ", least_wieght: 0.1").find("least_weight"), std::string::npos);
   EXPECT_NE(refusal(kPlugins + ", dropout: 1").find("dropout"), std::string::npos);
