@@ -42,6 +42,7 @@ constexpr const char* kFresh = "dltensor";  // a capsule of this name has not be
 struct Memory {
   explicit Memory(const std::byte* from, std::size_t size, int ordinal_in) : bytes(size), ordinal(ordinal_in) {
     const DeviceCalls& calls = cuda_library().calls;
+    (void)cuda_library().describe(ordinal);  // throws for a device that is not there
     calls.on(ordinal, [&] {
       data = calls.memory.allocate(std::max<std::size_t>(bytes, 1));
       if (bytes > 0) calls.to_device(from, data, bytes);

@@ -17,7 +17,8 @@ class table, -1 for none. Calls that compute give the GIL back and answer Ctrl-C
 from __future__ import annotations
 
 from . import errors
-from ._core import DeviceArray, __version__, to_device
+from ._core import DeviceArray, __version__
+from .devices import to_device
 from .errors import ConfigError, DataError, Error, Finding, InputError, UnavailableError, UsageError, WriteError
 from .labels import Labels
 from .plugins import Dataset, Encoder, Tensor, dataset, encoder, load_plugin, param, plugins

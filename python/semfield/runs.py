@@ -12,6 +12,7 @@ from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Seque
 import numpy as np
 
 from . import _core
+from .devices import ordinal_of
 from .errors import UsageError
 from .labels import Labels
 from .results import Outcome, Points, Score, Step, View
@@ -264,7 +265,7 @@ class Run:
             if height is None:
                 height = max(1, round(camera.height * int(width) / camera.width))
             camera = camera.resized(int(width), int(height))
-        maps = self._session.render(camera._dict(), at, _whole("stride", stride), bool(probability), _ordinal(device))
+        maps = self._session.render(camera._dict(), at, _whole("stride", stride), bool(probability), ordinal_of(device))
         whole = np.eye(4)
         whole[:3] = at[:3]
         return View(maps["rgb"], maps["depth_m"], maps["opacity"], maps.get("label"), maps.get("entropy"),
@@ -318,16 +319,6 @@ def _whole(what: str, value: Any) -> int:
         return operator.index(value)
     except TypeError:
         raise UsageError(f"{what}: {value!r} is no whole number") from None
-
-
-def _ordinal(device: str) -> int:
-    if device == "cpu":
-        return -1
-    if device == "cuda":
-        return 0
-    if device.startswith("cuda:") and device[5:].isdigit():
-        return int(device[5:])
-    raise UsageError(f"device {device!r}: expected cpu, cuda or cuda:N")
 
 
 def _words(words: Sequence[str]) -> List[str]:

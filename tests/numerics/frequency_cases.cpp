@@ -197,7 +197,7 @@ void pe_geometry(CaseRun& run) {
     const bool is_double = std::string(arithmetic) == "float64";
     run.expect((line == said.end()) == is_double, "a warning where bands are noise, and there alone");
     if (line == said.end()) continue;
-    run.expect(line->find("passes.main.position: warning: ") == 0 && line->find(" of 40") != std::string::npos,
+    run.expect(line->find("passes.0.position: warning: ") == 0 && line->find(" of 40") != std::string::npos,
                "it names pass and part, and how many of how many bands count");
     // Bounds fill [-1, 1]; floor(log2(0.1 / (pi dx))) with dx = 2^-24, twice that where factor and product round too.
     const int bands = std::stoi(line->substr(line->find("effective_bands is ") + 19));

@@ -118,7 +118,8 @@ TEST_F(ModuleTrust, AConfigurationAloneRunsNoCode) {
     EXPECT_FALSE(ran_) << verb[0] << " ran code that a configuration names";
     EXPECT_NE(r.err.find("named.yaml:4:11: the module '" + module + "' was not loaded: it is code"), std::string::npos)
         << r.err;
-    EXPECT_NE(r.err.find("add --plugin " + module + ", or set SEMFIELD_PLUGIN_PATH"), std::string::npos) << r.err;
+    EXPECT_NE(r.err.find("add --plugin " + module + " (in Python: "), std::string::npos) << r.err;
+    EXPECT_NE(r.err.find(", or set SEMFIELD_PLUGIN_PATH"), std::string::npos) << r.err;
   }
   // Both remedies, as written; and a module of that name which lies elsewhere.
   fs::create_directories(folder_ + "/mine");

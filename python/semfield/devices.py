@@ -1,0 +1,33 @@
+"""Devices by name, and arrays on them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from . import _core
+from .errors import UsageError
+
+
+def ordinal_of(device: str) -> int:
+    """Number of a CUDA device: 0 of "cuda", N of "cuda:N", -1 of "cpu"."""
+    if device == "cpu":
+        return -1
+    if device == "cuda":
+        return 0
+    if device.startswith("cuda:") and device[5:].isdigit():
+        return int(device[5:])
+    raise UsageError(f"device {device!r}: expected cpu, cuda or cuda:N")
+
+
+def to_device(array: np.ndarray[Any, Any], device: str = "cuda") -> _core.DeviceArray:
+    """A copy of an array of any shape, such as [N, 3], in the memory of a CUDA device: "cuda" or "cuda:N".
+
+    Raises:
+        UnavailableError: there is no such device.
+    """
+    ordinal = ordinal_of(device)
+    if ordinal < 0:
+        raise UsageError("to_device: an array in the memory of the processor is the array itself; name cuda or cuda:N")
+    return _core.to_device(np.asarray(array), ordinal)
