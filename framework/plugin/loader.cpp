@@ -75,12 +75,12 @@ std::vector<std::string> trusted_folders() {
   return folders;
 }
 
-// By the library that embeds Python (python/host).
-void load_python(Registry& registry, const std::string& file, const std::string& doing) {
-  static const auto load = reinterpret_cast<void (*)(Registry&, const std::string&)>(
+// That of the library which embeds Python (python/host).
+PythonLoader embedded_python(const std::string& doing) {
+  static const auto load = reinterpret_cast<PythonLoader>(
       library_symbol("libsemfield_python.so", "semfield_load_python", doing + ": it is a file of Python, which needs",
                      "install the package python3-semfield, or build with SEMFIELD_WITH_PYTHON=ON"));
-  load(registry, file);
+  return load;
 }
 
 bool is_below(const std::string& folder, const std::string& above) {
@@ -140,7 +140,7 @@ void load_module(Registry& registry, const std::string& path, const LoadOptions&
   }
   if (options.checked) refuse_broken(file, doing, options.notes);
   if (file.ends_with(".py")) {
-    load_python(registry, file, doing);
+    (options.python != nullptr ? options.python : embedded_python(doing))(registry, file);
     return;
   }
   check_module_file(file, doing);

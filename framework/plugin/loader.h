@@ -12,13 +12,17 @@ namespace semfield {
 /// name.
 void register_module(Registry& registry, const PluginModule& module);
 
+/// Runs a file of Python, whose plugins go into the registry.
+using PythonLoader = void (*)(Registry& registry, const std::string& path);
+
 struct LoadOptions {
-  bool checked = true;           ///< a file that the last check of its bytes found at fault is refused
-  Diagnostics* notes = nullptr;  ///< gets what is amiss with what is kept about checks, which never stops a load
+  bool checked = true;            ///< a file that the last check of its bytes found at fault is refused
+  Diagnostics* notes = nullptr;   ///< gets what is amiss with what is kept about checks, which never stops a load
+  PythonLoader python = nullptr;  ///< of a process that is Python's; null: libsemfield_python.so, which embeds it
 };
 
 /// check_module_file, dlopen(RTLD_NOW | RTLD_LOCAL), register_module; never unloaded. A file that the registry has
-/// already is left at that. A file NAME.py is run by Python, which the library libsemfield_python.so embeds. Its code
+/// already is left at that. A file NAME.py is run by Python (LoadOptions::python). Its code
 /// runs, so `path` comes from who started the program. What was asked for by path must load: throws Error(unavailable)
 /// with a sentence that names both sides (missing file, no plugin, other API, other ABI, throwing registration,
 /// duplicate name, a broken law that keep_check told of). An exception out of a static initialiser cannot be caught

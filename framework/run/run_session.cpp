@@ -68,13 +68,7 @@ void RunSession::open_clicks() {
 
 void RunSession::write_records(const RunFolder& folder, const ResumePoint& point) {
   write_run_records(folder, training_, registry_, point);
-  write_labels(folder);
-}
-
-void RunSession::write_labels(const RunFolder& folder) const {
-  LabelCounts counts = label_counts(session().manifest, session().scene.info.classes, session().labels.steps);
-  counts.rounds = self_training_.rounds();
-  write_file_atomic(folder.labels_path(), label_counts_json(counts));
+  write_label_counts(folder, session(), self_training_);
 }
 
 std::span<const StepLosses> RunSession::advance(std::int64_t most, const std::function<bool()>& stop) {
@@ -89,7 +83,7 @@ std::span<const StepLosses> RunSession::advance(std::int64_t most, const std::fu
     training_.add_train_s(spent_s);
     step_rows_->leave_out(spent_s);
     listener_.note(self_training_.rounds().back().text());
-    write_labels(*folder_);
+    write_label_counts(*folder_, session(), self_training_);
   }
   const std::int64_t ahead =
       self_training_.steps_until_due(before, std::min(most, step_rows_->steps_until_row(before)));

@@ -10,8 +10,8 @@
 #include "labels/clicks/click_log.h"
 #include "run/checkpoint_store.h"
 #include "run/metrics_log.h"
-#include "run/run_start.h"
 #include "run/rows/step_rows.h"
+#include "run/run_start.h"
 #include "session/self_training.h"
 
 namespace semfield {
@@ -25,7 +25,7 @@ struct RunSessionOptions {
 /// Steps have the bits of `semfield train`, and every verb works on the folder. One thread at a time.
 class RunSession {
  public:
-  /// Throws as open_session and RunFolder do, and Error(config) for rounds of self-training without a folder.
+  /// Throws as open_session and RunFolder do, and Error(usage) for rounds of self-training without a folder.
   RunSession(RunConfig config, Registry& registry, const RunSessionOptions& options, TrainingListener& listener);
 
   Training& training() { return training_; }
@@ -56,7 +56,6 @@ class RunSession {
   RunSession(OpenedForTraining opened, Registry& registry, TrainingListener& listener);
   void write_records(const RunFolder& folder, const ResumePoint& point);
   std::string write_checkpoint(const RunFolder& folder);
-  void write_labels(const RunFolder& folder) const;
   void open_clicks();
 
   Registry& registry_;

@@ -84,6 +84,12 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
   return {std::move(*folder), std::move(session), std::move(inputs), std::move(point)};
 }
 
+void write_label_counts(const RunFolder& folder, const Session& session, const SelfTraining& self_training) {
+  LabelCounts counts = label_counts(session.manifest, session.scene.info.classes, session.labels.steps);
+  counts.rounds = self_training.rounds();
+  write_file_atomic(folder.labels_path(), label_counts_json(counts));
+}
+
 void write_run_records(const RunFolder& folder, Training& training, const Registry& registry,
                        const ResumePoint& point) {
   const Session& session = training.session();

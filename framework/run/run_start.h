@@ -6,6 +6,7 @@
 #include "run/run_folder.h"
 #include "run/run_resume.h"
 #include "run/train_run.h"
+#include "session/self_training.h"
 #include "session/training.h"
 
 namespace semfield {
@@ -22,6 +23,9 @@ struct OpenedForTraining {
 /// request without out_dir gets no folder.
 OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
                                     TrainingListener& listener);
+
+/// labels.json, with the rounds so far.
+void write_label_counts(const RunFolder& folder, const Session& session, const SelfTraining& self_training);
 
 /// classes.yaml, left_out.json and environment.json.
 void write_run_records(const RunFolder& folder, Training& training, const Registry& registry, const ResumePoint& point);

@@ -191,11 +191,7 @@ class Run {
     return true;
   }
 
-  void write_labels() const {
-    LabelCounts counts = label_counts(session().manifest, session().scene.info.classes, session().labels.steps);
-    counts.rounds = self_training_.rounds();
-    write_file_atomic(folder_.labels_path(), label_counts_json(counts));
-  }
+  void write_labels() const { write_label_counts(folder_, session(), self_training_); }
 
   void save() {
     const std::vector<TensorRef> tensors = training_.state();

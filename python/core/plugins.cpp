@@ -57,8 +57,8 @@ Domain domain_of(const std::string& name, const std::string& owner) {
 template <class Real>
 class PythonEncoder final : public Encoder<Real> {
  public:
-  PythonEncoder(std::string name, const Held& type, const PythonParams& params, const EncoderBuild& build)
-      : owner_("encoder '" + name + "'"), name_(std::move(name)) {
+  PythonEncoder(const std::string& name, const Held& type, const PythonParams& params, const EncoderBuild& build)
+      : owner_("encoder '" + name + "'") {
     called(owner_, [&] {
       py::dict facts;
       facts["in_dims"] = build.in_dims;
@@ -133,7 +133,7 @@ class PythonEncoder final : public Encoder<Real> {
     target[py::ellipsis()] = given;
   }
 
-  std::string owner_, name_;
+  std::string owner_;
   EncoderTraits traits_;
   std::vector<TensorSpec> tensors_;
   Held instance_;
@@ -180,11 +180,9 @@ Base& base() {
 }
 
 void load_file(Registry& registry, const std::string& path) {
-  if (path.ends_with(".py")) {
-    load_python_file(registry, path);
-  } else {
-    load_module(registry, path);
-  }
+  LoadOptions options;
+  options.python = load_python_file;
+  load_module(registry, path, options);
 }
 
 void rebuild() {

@@ -66,7 +66,7 @@ PySession::PySession() : registry_(base_registry()) {}
 
 // Without the GIL, one caller at a time, under the settings of the session's work.
 template <class Call>
-auto PySession::computed(const Call& call) {
+auto PySession::computed(const Call& call) const {
   const Work working;
   const std::lock_guard lock(mutex_);
   const WorkSettings settings = session().work();
@@ -114,10 +114,15 @@ RunSession& PySession::training() {
   throw Error(ErrorKind::usage, "this run was opened to be looked at", "open it with semfield.resume to go on with it");
 }
 
+std::vector<std::string> PySession::notes() const {
+  return computed([&] { return notes_.texts; });
+}
+
 py::list PySession::rows() const {
   py::list out;
   if (!run_) return out;
-  for (const MetricsRow& row : run_->rows()) {
+  const std::vector<MetricsRow> rows = computed([&] { return run_->rows(); });
+  for (const MetricsRow& row : rows) {
     py::dict item = values_dict(row.values);
     item["step"] = row.step;
     item["train_s"] = row.train_s;
@@ -208,7 +213,11 @@ bool PySession::apply(const std::string& event) {
 py::dict PySession::annotations() const {
   py::dict out;
   py::list marks;
-  const Annotations* all = run_ ? run_->annotations() : nullptr;
+  const std::optional<Annotations> copy = computed([&]() -> std::optional<Annotations> {
+    if (!run_ || run_->annotations() == nullptr) return std::nullopt;
+    return *run_->annotations();
+  });
+  const Annotations* const all = copy ? &*copy : nullptr;
   out["room"] = all != nullptr ? all->classes().valid_count() : 0;
   py::list named;
   for (int i = 0; all != nullptr && i < all->named_classes(); ++i)

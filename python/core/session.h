@@ -39,7 +39,7 @@ class PySession {
   static std::unique_ptr<PySession> load(const std::string& run_dir, const py::dict& set);
 
   const Session& session() const { return run_ ? run_->session() : loaded_->session; }
-  std::vector<std::string> notes() const { return notes_.texts; }
+  std::vector<std::string> notes() const;
   bool trains() const { return run_ != nullptr; }
   std::int64_t step() const { return run_ ? run_->training().step() : loaded_->step; }
   double train_s() const { return run_ ? run_->training().train_s() : loaded_->train_s; }
@@ -65,11 +65,11 @@ class PySession {
   PySession();
   RunSession& training();
   template <class Call>
-  auto computed(const Call& call);
+  auto computed(const Call& call) const;
 
   Registry registry_;  // of its own: plugins that are loaded later leave it alone
   Notes notes_;
-  std::mutex mutex_;
+  mutable std::mutex mutex_;
   std::unique_ptr<RunSession> run_;
   std::unique_ptr<OpenedRun> loaded_;
 };

@@ -435,3 +435,31 @@ def test_a_step_that_raised_is_made_again_with_the_same_bits(scene: sf.Scene) ->
     trained(run, 6 - made)
     mine, theirs = run.parameters(), calm.parameters()
     assert all(np.array_equal(mine[k], theirs[k]) for k in theirs)
+
+
+def test_a_file_that_broke_a_law_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SEMFIELD_CACHE", str(tmp_path / "cache"))
+    file = tmp_path / "bent.py"
+    text = """
+import semfield as sf
+
+@sf.encoder("bent")
+class Bent(sf.Encoder):
+    \"\"\"The coordinates, with a gradient that is not theirs.\"\"\"
+    def setup(self):
+        self.out_dims = self.in_dims
+    def forward(self, x, params):
+        return x
+    def backward(self, x, dy, params, grads):
+        return FACTOR * dy
+"""
+    file.write_text(text.replace("FACTOR", "2"))
+    with pytest.raises(sf.CommandError):
+        sf.command("plugins", "check", file)
+    with pytest.raises(sf.UnavailableError, match="broke a law"):
+        sf.load_plugin(file)
+    assert "bent" not in [name for _, name, _, _ in sf.plugins()]
+    file.write_text(text.replace("FACTOR", "1"))  # mended: other bytes, so nobody has found fault with them
+    sf.command("plugins", "check", file)
+    sf.load_plugin(file)
+    assert "bent" in [name for _, name, _, _ in sf.plugins()]

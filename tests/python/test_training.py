@@ -139,6 +139,18 @@ def test_two_threads_take_turns(run: sf.Run) -> None:
     assert run.step == 20
 
 
+def test_what_a_run_tells_can_be_read_while_it_trains(scene: sf.Scene) -> None:
+    run = sf.open(config_of(scene), set={"report.log_every_steps": 1})
+    rows = []
+    thread = threading.Thread(target=trained, args=(run, 200))
+    thread.start()
+    while thread.is_alive():
+        rows.append(len(run.history))
+        assert len(run.notes) >= 0 and run.labels.clicks == []
+    thread.join()
+    assert rows == sorted(rows) and len(run.history) == 200
+
+
 def test_every_wrong_key_is_a_finding(scene: sf.Scene) -> None:
     config = config_of(scene, rayss=3)
     config["runtime"] = {"threadz": 1}
