@@ -22,7 +22,7 @@ bool ends_with(const std::string& text, const std::string& end) {
 const Folders kFrameworkFolders{"core",   "system",  "compute", "config",   "formats", "classes", "scene",
                                 "survey", "loading", "plugin",  "labels",   "losses",  "model",   "execution",
                                 "optim",  "cuda",    "eval",    "settings", "session", "run",     "report",
-                                "fuse",   "mesh",    "sweep",   "serve",    "testkit"};
+                                "fuse",   "mesh",    "sweep",   "serve",    "testkit", "ranks",    "mpi"};
 
 // A folder and those that it may include. Folders inside a folder stand on its floor.
 const std::map<std::string, Folders>& floors() {
@@ -34,12 +34,14 @@ const std::map<std::string, Folders>& floors() {
   static const Folders scene = with(ground, {"config", "formats", "classes", "scene"});
   static const Folders loading = with(scene, {"survey", "loading"});
   static const Folders model = with(scene, {"plugin", "losses", "optim", "model"});
-  static const Folders execution = with(model, {"execution"});
+  static const Folders execution = with(model, {"ranks", "execution"});
   static const Folders settings = with(execution, {"survey", "loading", "labels", "optim", "settings"});
   static const Folders run = with(settings, {"eval", "session", "run"});
   static const std::map<std::string, Folders> table{
       {"core", {"core"}},
       {"system", {"core", "system"}},
+      {"ranks", {"core", "system", "ranks"}},
+      {"mpi", {"core", "system", "ranks", "mpi"}},
       {"compute", ground},
       {"config", with(ground, {"config"})},
       {"formats", with(ground, {"config", "formats"})},
@@ -73,6 +75,7 @@ std::string forbidden_library(const std::string& path, const std::string& target
   static const std::vector<std::pair<std::string, std::string>> only{
       {"yaml-cpp/", "framework/config/config_tree.cpp"},
       {"yaml.h", "framework/config/config_tree.cpp"},
+      {"mpi.h", "framework/mpi/mpi_ranks.cpp"},
       {"OpenImageIO/", "framework/formats/image_formats.cpp"},
       {"tiny_obj_loader.h", "plugins/datasets/obj_room/mesh_io.cpp"},
       {"omp.h", "framework/compute/parallel.cpp"},

@@ -1,0 +1,84 @@
+// The processes that work on one run together, on one machine or on several.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/error.h"
+
+namespace semfield {
+
+struct Launched;
+
+/// A process of the run has ended or does not answer: the others cannot go on without it.
+class RankLost : public Error {
+ public:
+  using Error::Error;
+};
+
+/// All processes call the same functions in the same order; rank 0 leads. Each call is made by one thread at a time,
+/// and throws RankLost when another process has ended or does not answer. No call may follow that but abandon.
+class Ranks {
+ public:
+  Ranks() = default;
+  Ranks(const Ranks&) = delete;
+  Ranks& operator=(const Ranks&) = delete;
+  virtual ~Ranks() = default;
+
+  virtual int rank() const = 0;
+  virtual int size() const = 0;
+  /// "rank 1 on node7".
+  virtual const std::string& name_of(int rank) const = 0;
+  /// Among the ranks of this host.
+  virtual int local_rank() const = 0;
+  virtual int local_size() const = 0;
+
+  /// `data` of rank `root` becomes that of all.
+  virtual void broadcast(std::span<std::byte> data, int root = 0) = 0;
+  /// bytes[r] bytes of each rank r, one after the other, in `all` of every rank.
+  virtual void all_gather(std::span<const std::byte> mine, std::span<std::byte> all,
+                          std::span<const std::size_t> bytes) = 0;
+  /// The same in `all` of rank 0; the others' is not touched.
+  virtual void gather(std::span<const std::byte> mine, std::span<std::byte> all,
+                      std::span<const std::size_t> bytes) = 0;
+  /// Returns when `data` may be used again.
+  virtual void send(int to, std::span<const std::byte> data) = 0;
+  virtual void receive(int from, std::span<std::byte> data) = 0;
+
+  /// While this process waits for others, `asked` tells whether it was asked to end. It then waits half a second more:
+  /// whoever starts the processes ends them all where one has failed.
+  virtual void end_when(std::function<bool()> asked) = 0;
+  /// Ends the processes of the run, this one too, where their launcher can do so. Returns where it cannot.
+  virtual void abandon(int code) = 0;
+};
+
+/// A small value of every rank.
+template <class T>
+std::vector<T> all_of(Ranks& ranks, const T& mine) {
+  std::vector<T> all(static_cast<std::size_t>(ranks.size()));
+  const std::vector<std::size_t> bytes(all.size(), sizeof(T));
+  ranks.all_gather(std::as_bytes(std::span(&mine, 1)), std::as_writable_bytes(std::span(all)), bytes);
+  return all;
+}
+
+/// Text of every rank, in order.
+std::vector<std::string> texts_of(Ranks& ranks, const std::string& mine);
+
+/// Calls `work` and tells all ranks how it ended. Throws the Error that it threw here, or else that of the first rank
+/// where it failed; so all ranks throw or none does.
+void agree(Ranks& ranks, const std::function<void()>& work);
+
+/// Rank r's part of `count` things in a row: [first, second).
+std::pair<std::int64_t, std::int64_t> part_of(std::int64_t count, int rank, int size);
+
+/// Joins the other processes that `by` tells of, through MPI. Throws Error(unavailable) where this build has none, or
+/// where MPI sees other processes than the launcher tells of.
+std::unique_ptr<Ranks> join_ranks(const Launched& by);
+
+}  // namespace semfield
