@@ -51,9 +51,14 @@ class Ranks {
   virtual void send(int to, std::span<const std::byte> data) = 0;
   virtual void receive(int from, std::span<std::byte> data) = 0;
 
-  /// While this process waits for others, `asked` tells whether it was asked to end. It then waits half a second more:
-  /// whoever starts the processes ends them all where one has failed.
+  /// While this process waits for others, `asked` tells whether it was asked to end. Where some of them run on other
+  /// hosts, it then waits half a second more: a launcher asks all to end when one has failed, and soon kills them.
   virtual void end_when(std::function<bool()> asked) = 0;
+  /// Throws RankLost when another process has ended. To be called now and then by whoever waits for what others do by
+  /// other means than these calls.
+  virtual void watch() = 0;
+  /// Whether a call has thrown RankLost.
+  virtual bool lost() const = 0;
   /// Ends the processes of the run, this one too, where their launcher can do so. Returns where it cannot.
   virtual void abandon(int code) = 0;
 };
