@@ -55,6 +55,11 @@ class ThreadMeeting {
     box.pop_front();
     return letter;
   }
+  /// Throws where a rank has ended.
+  void look() {
+    const std::lock_guard lock(mutex_);
+    if (!lost_.empty()) throw RankLost(ErrorKind::failure, lost_, "");
+  }
   void end(int rank, bool failed) {
     const std::lock_guard lock(mutex_);
     ended_[static_cast<std::size_t>(rank)] = true;
@@ -108,28 +113,47 @@ class ThreadRanks final : public Ranks {
   int local_size() const override { return size(); }
 
   void broadcast(std::span<std::byte> data, int root = 0) override {
-    meeting_.meet(rank_, data, [&](const auto& shown) {
-      if (rank_ != root) copy(shown[static_cast<std::size_t>(root)], data);
+    call([&] {
+      meeting_.meet(rank_, data, [&](const auto& shown) {
+        if (rank_ != root) copy(shown[static_cast<std::size_t>(root)], data);
+      });
     });
   }
   void all_gather(std::span<const std::byte> mine, std::span<std::byte> all,
                   std::span<const std::size_t> bytes) override {
-    meeting_.meet(rank_, mine, [&](const auto& shown) { put_together(shown, all, bytes); });
+    call([&] { meeting_.meet(rank_, mine, [&](const auto& shown) { put_together(shown, all, bytes); }); });
   }
   void gather(std::span<const std::byte> mine, std::span<std::byte> all, std::span<const std::size_t> bytes) override {
-    meeting_.meet(rank_, mine, [&](const auto& shown) {
-      if (rank_ == 0) put_together(shown, all, bytes);
+    call([&] {
+      meeting_.meet(rank_, mine, [&](const auto& shown) {
+        if (rank_ == 0) put_together(shown, all, bytes);
+      });
     });
   }
   void send(int to, std::span<const std::byte> data) override { meeting_.put(rank_, to, data); }
   void receive(int from, std::span<std::byte> data) override {
-    const std::vector<std::byte> letter = meeting_.take(from, rank_);
-    copy(letter, data);
+    call([&] {
+      const std::vector<std::byte> letter = meeting_.take(from, rank_);
+      copy(letter, data);
+    });
   }
   void end_when(std::function<bool()>) override {}
+  void watch() override {
+    call([&] { meeting_.look(); });
+  }
+  bool lost() const override { return lost_; }
   void abandon(int) override { meeting_.end(rank_, true); }
 
  private:
+  template <class Work>
+  void call(const Work& work) {
+    try {
+      work();
+    } catch (const RankLost&) {
+      lost_ = true;
+      throw;
+    }
+  }
   static void copy(std::span<const std::byte> from, std::span<std::byte> to) {
     SEMFIELD_CHECK(from.size() == to.size(), "ranks disagree about the size of what they exchange");
     if (!from.empty()) std::memcpy(to.data(), from.data(), from.size());
@@ -146,6 +170,7 @@ class ThreadRanks final : public Ranks {
 
   ThreadMeeting& meeting_;
   int rank_;
+  bool lost_ = false;
 };
 
 /// Calls `body` as every one of `size` ranks at the same time. Throws what the first of them threw that did not merely

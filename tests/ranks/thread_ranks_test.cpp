@@ -76,5 +76,19 @@ TEST(ThreadRanks, NobodyWaitsForARankThatHasEnded) {
                RankLost);
 }
 
+TEST(ThreadRanks, WhoWatchesSeesThatARankHasEnded) {
+  as_ranks(2, [](Ranks& ranks) {
+    ranks.watch();
+    (void)all_of(ranks, 1);
+    if (ranks.rank() == 1) return;
+    EXPECT_FALSE(ranks.lost());
+    const auto watch = [&] {
+      for (;;) ranks.watch();
+    };
+    EXPECT_THROW(watch(), RankLost);
+    EXPECT_TRUE(ranks.lost());
+  });
+}
+
 }  // namespace
 }  // namespace semfield
