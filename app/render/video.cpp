@@ -9,14 +9,13 @@
 #include <cctype>
 #include <cerrno>
 #include <csignal>
-#include <cstdlib>
 #include <cstring>
 #include <filesystem>
-#include <sstream>
 #include <string_view>
 #include <utility>
 #include <vector>
 
+#include "app/program_in_path.h"
 #include "core/error.h"
 
 namespace semfield::app {
@@ -24,13 +23,8 @@ namespace semfield::app {
 namespace fs = std::filesystem;
 
 std::string find_ffmpeg() {
-  const char* const folders = std::getenv("PATH");
-  std::istringstream stream(folders == nullptr ? "" : folders);
-  for (std::string folder; std::getline(stream, folder, ':');) {
-    const std::string candidate = (fs::path(folder.empty() ? "." : folder) / "ffmpeg").string();
-    std::error_code ignored;
-    if (fs::is_regular_file(candidate, ignored) && access(candidate.c_str(), X_OK) == 0) return candidate;
-  }
+  const std::string program = program_in_path("ffmpeg");
+  if (!program.empty()) return program;
   throw Error(ErrorKind::unavailable, "--video: the program ffmpeg is not in PATH",
               "install it (Debian: apt-get install ffmpeg), or render images and join them elsewhere");
 }

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
+#include "studies/page_parts.h"
 
 namespace semfield {
 
@@ -36,22 +37,7 @@ std::string cell(std::string text) {
   return text;
 }
 
-std::string mark(const std::string& part, const char* edge) {
-  return "<!-- bench pairs: " + part + " " + edge + " -->";
-}
-
-// `text` between the marks of `part` on the page; what stands around them is the writer's.
-void put_part(std::string& page, const std::string& part, const std::string& text, const std::string& name) {
-  const std::string begin = mark(part, "begin"), end = mark(part, "end");
-  const std::size_t from = page.find(begin);
-  const std::size_t to = from == std::string::npos ? from : page.find(end, from);
-  if (to == std::string::npos) {
-    throw Error(ErrorKind::data, "'" + name + "' has no place for the part '" + part + "'",
-                "put the lines '" + begin + "' and '" + end + "' where it should stand");
-  }
-  const std::size_t at = from + begin.size();
-  page.replace(at, to - at, "\n\n" + text + "\n");
-}
+constexpr const char* kStudy = "bench pairs";
 
 }  // namespace
 
@@ -143,9 +129,9 @@ std::string with_findings(std::string page, const LeaveOutFindings& findings, co
                           row.result.empty() ? "not measured" : cell(row.result), cell(row.but));
     }
   }
-  put_part(page, "measured", findings.about + "\n", name);
-  put_part(page, "left out", out, name);
-  put_part(page, "kept", kept, name);
+  put_part(page, kStudy, "measured", findings.about + "\n", name);
+  put_part(page, kStudy, "left out", out, name);
+  put_part(page, kStudy, "kept", kept, name);
   return page;
 }
 
