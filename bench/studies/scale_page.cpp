@@ -267,7 +267,7 @@ std::string scale_figure(const ScaleResults& results) {
       spec.x_label = "devices";
       spec.log_x = spec.markers = true;
       spec.end_values = false;
-      spec.y_range = PlotRange{0, 1.1};
+      spec.y_range = PlotRange{0, 1};
       for (const ScaleCase& c : cases) {
         if (c.device != device) continue;
         const int color = c.step == "paper" ? 0 : 2;

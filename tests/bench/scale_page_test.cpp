@@ -145,7 +145,7 @@ TEST(ScalePage, TheShippedPageShowsItsData) {
   const ScaleResults results = parse_scale_json(read_text_file(docs + "evidence/scale.json"), "scale.json");
   EXPECT_FALSE(results.quick);
   EXPECT_EQ(read_text_file(name), with_scale(read_text_file(name), results, name));
-  EXPECT_EQ(read_text_file(docs + "images/scale.svg"), scale_figure(results));
+  EXPECT_TRUE(read_text_file(docs + "images/scale.svg") == scale_figure(results));
 }
 
 }  // namespace
