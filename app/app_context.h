@@ -1,10 +1,12 @@
 // What every verb gets from the program. Results go to stdout, sentences to stderr.
 #pragma once
 
+#include <memory>
 #include <string>
 
 #include "core/work_scope.h"
 #include "plugin/registry.h"
+#include "ranks/ranks.h"
 #include "settings/run_config.h"
 
 namespace semfield::app {
@@ -22,7 +24,8 @@ struct AppContext {
   Registry registry;
   InputLimits limits;
   LoadProgress load_progress;
-  WorkSettings work;  ///< of the main thread
+  WorkSettings work;             ///< of the main thread
+  std::unique_ptr<Ranks> ranks;  ///< the processes that this one leads or follows; null: it is alone
   bool quiet = false;
   bool json = false;
   std::string verb;       ///< that runs: "config check"

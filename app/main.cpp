@@ -9,6 +9,7 @@
 
 #include "app/app_context.h"
 #include "app/command_line/command_line.h"
+#include "app/launch.h"
 #include "app/load_progress.h"
 #include "app/signals.h"
 #include "core/error.h"
@@ -52,8 +53,16 @@ int main(int argc, char** argv) {
   try {
     register_linked_plugins(context.registry);
     return app::finish_stdout(app::run_command_line(argc, argv, context));
+  } catch (const RankLost& lost) {
+    const bool leads = context.ranks->rank() == 0;
+    if (leads) std::fprintf(stderr, "semfield: %s\n", lost.what());
+    std::fflush(nullptr);
+    if (!leads) sleep(1);  // rank 0 shall see the one that is gone first, and not this one
+    if (leads) context.ranks->abandon(static_cast<int>(lost.kind()));
+    std::_Exit(static_cast<int>(lost.kind()));  // a device may wait for ever for one that is gone
   } catch (const Error& error) {
-    std::fprintf(stderr, "semfield: %s\n", error.what());
+    if (context.ranks ? context.ranks->rank() == 0 : app::is_first_process())
+      std::fprintf(stderr, "semfield: %s\n", error.what());
     return static_cast<int>(error.kind());
   } catch (const std::bad_alloc&) {
     std::fprintf(

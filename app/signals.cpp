@@ -62,6 +62,10 @@ void install_stop_signals() {
   handle(SIGTERM, on_stop);
 }
 
+void leave_stop_to_rank_0() {
+  for (const int number : {SIGINT, SIGTERM, SIGHUP}) std::signal(number, SIG_IGN);
+}
+
 int stop_signal() { return g_signal; }
 
 void stop_waits(bool waits, const std::string& farewell) {

@@ -12,6 +12,8 @@ void prepare_process();
 
 /// SIGINT and SIGTERM raise a flag; a second one ends the process at once.
 void install_stop_signals();
+/// In a process that follows another one, which is told to stop too and sees to both: this one ignores these signals.
+void leave_stop_to_rank_0();
 /// 0, or the number of the signal received.
 int stop_signal();
 

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "app/app_context.h"
+#include "app/launch.h"
 #include "config/params.h"
 
 namespace semfield::app {
@@ -91,6 +92,7 @@ struct Verb {
   std::string sentence;
   std::function<Run(VerbWords&)> declare;  ///< what runs when the words are read; empty: a group
   bool json = false;                       ///< takes --json, and then prints its results by print_json()
+  Launch launch = Launch::alone;
 };
 
 /// `words` declares what `run` gets; `run` returns the exit code.
@@ -112,6 +114,12 @@ inline Verb make_verb(std::string name, int rank, std::string sentence, int (*ru
 /// A verb that takes --json: see print_json() in app/json_output.h.
 inline Verb with_json(Verb verb) {
   verb.json = true;
+  return verb;
+}
+
+/// A verb that works in several processes.
+inline Verb with_launch(Launch launch, Verb verb) {
+  verb.launch = launch;
   return verb;
 }
 

@@ -74,6 +74,18 @@ if(SEMFIELD_WITH_CUDA STREQUAL "ON" OR (SEMFIELD_WITH_CUDA STREQUAL "AUTO" AND N
   endif()
 endif()
 message(STATUS "CUDA kernels: ${SEMFIELD_CUDA}")
+# MPI: only the library that joins processes links with it. Sanitizers report what MPI itself leaves behind.
+set(SEMFIELD_MPI OFF)
+if(SEMFIELD_WITH_MPI STREQUAL "ON" OR (SEMFIELD_WITH_MPI STREQUAL "AUTO" AND NOT SEMFIELD_SANITIZE))
+  set(MPI_CXX_SKIP_MPICXX ON)
+  find_package(MPI QUIET COMPONENTS CXX)
+  if(MPI_CXX_FOUND)
+    set(SEMFIELD_MPI ON)
+  elseif(SEMFIELD_WITH_MPI STREQUAL "ON")
+    message(FATAL_ERROR "SEMFIELD_WITH_MPI=ON, but MPI was not found; install the package libopenmpi-dev, or set SEMFIELD_WITH_MPI=OFF")
+  endif()
+endif()
+message(STATUS "MPI: ${SEMFIELD_MPI}")
 # Python: the system's own, whose packages NumPy and pytest are, unless another is named (Python_EXECUTABLE). A process with a sanitizer's
 # runtime cannot load the module.
 set(SEMFIELD_PYTHON OFF)

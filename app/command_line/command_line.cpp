@@ -152,7 +152,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   Diagnostics of_checks;
   for (const std::string& module : global.modules) load_module(context.registry, module, {true, &of_checks});
   for (const Diagnostic& note : of_checks.all()) print_note(context, note.text());
-  return split.verb->run(context);
+  return run_launched(split.verb->name, split.verb->launch, split.verb->run, context);
 }
 
 }  // namespace semfield::app

@@ -120,6 +120,7 @@ Grammar program_grammar(GlobalOptions& global) {
     made.sentence = verb.sentence;
     made.group = !verb.declare;
     made.json = verb.json;
+    made.launch = verb.launch;
     if (verb.declare) {
       VerbWords words(made);
       made.run = verb.declare(words);

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "app/app_context.h"
+#include "app/launch.h"
 
 namespace semfield::app {
 
@@ -38,6 +39,7 @@ struct VerbGrammar {
   std::string sentence;
   bool group = false;
   bool json = false;  ///< takes --json
+  Launch launch = Launch::alone;
   std::vector<Word> words;
   Run run;  ///< with what `words` have taken
 

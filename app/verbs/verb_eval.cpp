@@ -55,7 +55,8 @@ int run(const EvalOptions& options, AppContext& context) {
   const Split split = options.split == "test" ? Split::test : Split::train;
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
-                           split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames);
+                           split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames,
+                           context.ranks.get());
   context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   Session& s = run.session;
@@ -103,6 +104,8 @@ void words(VerbWords& verb, EvalOptions& options) {
 
 }  // namespace
 
-Verb verb_eval() { return with_json(make_verb("eval", 20, "evaluate a run's field on a split", words, run)); }
+Verb verb_eval() {
+  return with_launch(Launch::ranks, with_json(make_verb("eval", 20, "evaluate a run's field on a split", words, run)));
+}
 
 }  // namespace semfield::app

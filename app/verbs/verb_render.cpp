@@ -154,7 +154,8 @@ int run(const RenderOptions& options, AppContext& context) {
   if (options.video) (void)video_format(video_file(options).string());
   const std::string ffmpeg = options.video ? find_ffmpeg() : std::string();
   Diagnostics diagnostics;
-  const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  const OpenedRun run =
+      open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering, context.ranks.get());
   context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
   Diagnostics of_cameras;
@@ -201,8 +202,10 @@ void words(VerbWords& verb, RenderOptions& options) {
 }  // namespace
 
 Verb verb_render() {
-  return with_json(
-      make_verb("render", 30, "render colour, label, depth and entropy images from a run's field", words, run));
+  return with_launch(
+      Launch::ranks,
+      with_json(
+          make_verb("render", 30, "render colour, label, depth and entropy images from a run's field", words, run)));
 }
 
 }  // namespace semfield::app

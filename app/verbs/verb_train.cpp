@@ -28,6 +28,7 @@ struct TrainOptions {
   std::string resume;
   std::string time;  ///< "90s", "5m", "1h"
   std::vector<std::string> keep;
+  bool weak = false;
   bool dry_run = false;
 };
 
@@ -142,8 +143,12 @@ int run(const TrainOptions& options, AppContext& context) {
   }
   std::vector<std::string> settings = options.config.set;
   if (!options.time.empty()) settings.push_back(time_setting(options.time));
+  if (options.weak && resume)
+    throw Error(ErrorKind::usage, "train: --weak multiplies the rays of a new run, and a resumed one keeps its own",
+                "leave out --weak");
   RunConfig config = load_run_config(resume ? RunFolder::read(options.resume).config_path() : options.config.config,
                                      settings, context.registry);
+  if (options.weak && context.ranks) config.train.rays *= context.ranks->size();
   if (options.dry_run) {
     Diagnostics diagnostics;
     SessionOptions session_options;
@@ -160,6 +165,7 @@ int run(const TrainOptions& options, AppContext& context) {
   TrainRequest request;
   request.resume = resume;
   request.keep = options.keep;
+  request.ranks = context.ranks.get();
   request.out_dir = resume ? options.resume : !options.out.empty() ? options.out : "runs/" + config.name;
   ShownRun shown(context, request.out_dir);
   install_stop_signals();
@@ -197,13 +203,15 @@ void words(VerbWords& verb, TrainOptions& options) {
                "GB that the run may use; a run that needs more is refused (default: what is free)");
   verb.device(set);
   verb.repeated("--keep COMPONENT", options.keep, "keep a component that would be left out");
+  verb.flag("--weak", options.weak, "under mpirun or srun: train.rays in each process, not in all together");
   verb.flag("--dry-run", options.dry_run, "print what would be built, left out and needed, then stop");
 }
 
 }  // namespace
 
 Verb verb_train() {
-  return with_json(make_verb("train", 10, "train a field on a scene; writes a run folder", words, run));
+  return with_launch(Launch::ranks,
+                     with_json(make_verb("train", 10, "train a field on a scene; writes a run folder", words, run)));
 }
 
 }  // namespace semfield::app

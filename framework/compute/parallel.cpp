@@ -98,6 +98,8 @@ int thread_count() {
   return all > 0 ? all : hardware_threads();
 }
 
+bool inside_parallel() { return ThreadTeam::inside_job(); }
+
 void parallel_for(std::int64_t count, IndexBody body) {
   if (count <= 1 || ThreadTeam::inside_job()) return run_serially(count, body);
   const int workers = thread_count() - 1;

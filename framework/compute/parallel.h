@@ -23,4 +23,7 @@ int hardware_threads();
 /// work_settings(). Nested calls run serially, and so does a call while another thread's call has the workers.
 void parallel_for(std::int64_t count, IndexBody body);
 
+/// Whether this is a body of parallel_for, where another parallel_for runs serially.
+bool inside_parallel();
+
 }  // namespace semfield

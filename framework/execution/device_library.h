@@ -10,6 +10,7 @@
 #include "core/workspace.h"
 #include "execution/pipeline.h"
 #include "plugin/kernels.h"
+#include "ranks/ranks.h"
 
 namespace semfield {
 
@@ -17,6 +18,7 @@ struct DeviceOptions {
   int ordinal = 0;
   bool trainable = true;
   bool deterministic = false;  ///< sums in a fixed order: the same bits in every run
+  Ranks* ranks = nullptr;      ///< processes that make every step together, each with a device; null: this one alone
 };
 
 /// Single calls of components on a device, and memory for them: what tests of plugins need (testkit/host_twin.h).

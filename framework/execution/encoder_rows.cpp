@@ -61,6 +61,7 @@ void LaneExecutor<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, st
   grow(a.tiles, tiles);
   grow(a.row, tiles);
   arenas_.for_units(tiles, [&](Workspace& arena, std::int64_t tile) {
+    if (!is_own(tile)) return;
     StepContext ctx = context(step, true, tile * pipeline_.tile_rays(), arena);
     ctx.pass = passes()[0].parts().number;
     const Rays<Real> rays = rays_of_tile<Real>(batch, tile, pipeline_.tile_rays());
@@ -71,13 +72,14 @@ void LaneExecutor<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, st
     samples.first = {a.first.data() + tile * (pipeline_.tile_rays() + 1), rays.origin.rows + 1, 1};
     pass.sample(ctx, rays, nullptr, samples);
   });
-  // Lane after lane, as the encoder's gradients are summed. Lane l has the tiles l, l + lanes, ...
+  // Lane after lane, as the encoder's gradients are summed. Lane l has the tiles l, l + lanes, ... Those of other
+  // processes have no rows here.
   const std::int32_t dims = pass.encoded_dims();
   a.rows = 0;
   grow(a.lane_begin, options().lanes + 1);
   for (int lane = 0; lane < options().lanes; ++lane) {
     a.lane_begin[static_cast<std::size_t>(lane)] = a.rows;
-    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
+    for (std::int64_t tile = lane; tile < tiles && is_own(tile); tile += options().lanes) {
       a.row[static_cast<std::size_t>(tile)] = a.rows;
       a.rows += a.tiles[static_cast<std::size_t>(tile)].samples.count;
     }
@@ -87,6 +89,7 @@ void LaneExecutor<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, st
   grow(a.encoded, dims * a.rows);
   grow(a.d_encoded, dims * a.rows);
   arenas_.for_units(tiles, [&](Workspace& arena, std::int64_t tile) {
+    if (!is_own(tile)) return;
     SampledTile<Real>& sampled = a.tiles[static_cast<std::size_t>(tile)];
     const std::int64_t row = a.row[static_cast<std::size_t>(tile)], count = sampled.samples.count;
     sampled.x = {a.x.data() + 3 * row, count, 3};
@@ -108,24 +111,23 @@ void LaneExecutor<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, st
 template <class Real>
 void LaneExecutor<Real>::scatter(std::int64_t step) {
   StepContext ctx = context(step, true);
-  if (draws_ahead()) {
-    const std::int32_t dims = passes()[0].encoded_dims();
-    passes()[0].scatter(ctx, {ahead_.x.data(), ahead_.rows, 3}, {ahead_.d_encoded.data(), ahead_.rows, dims});
-    return;
-  }
   for (std::size_t p = 0; p < passes().size(); ++p) {
-    ctx.pass = passes()[p].parts().number;
     if (!passes()[p].scatters()) continue;
-    const std::int32_t dims = passes()[p].encoded_dims();
-    const std::int64_t rows = gather(p);
-    passes()[p].scatter(ctx, {ahead_.x.data(), rows, 3}, {ahead_.d_encoded.data(), rows, dims});
+    if (!draws_ahead()) {
+      ctx.pass = passes()[p].parts().number;
+      gather(p);
+    }
+    EncodedRows<Real> rows{{ahead_.x.data(), ahead_.rows, 3},
+                           {ahead_.d_encoded.data(), ahead_.rows, passes()[p].encoded_dims()}};
+    if (ranks_) rows = ranks_->gather_rows(rows);
+    passes()[p].scatter(ctx, rows.x, rows.d_encoded);
   }
 }
 
 // What the lanes have for pass p, lane after lane, where a pass that draws ahead has its rows: an encoder's tables are
 // then walked once.
 template <class Real>
-std::int64_t LaneExecutor<Real>::gather(std::size_t p) {
+void LaneExecutor<Real>::gather(std::size_t p) {
   Ahead& a = ahead_;
   a.rows = 0;
   grow(a.lane_begin, std::ssize(inboxes_) + 1);
@@ -142,14 +144,13 @@ std::int64_t LaneExecutor<Real>::gather(std::size_t p) {
     std::copy_n(inbox.x.data(), 3 * inbox.rows, a.x.data() + 3 * begin);
     std::copy_n(inbox.dy.data(), dims * inbox.rows, a.d_encoded.data() + dims * begin);
   });
-  return a.rows;
 }
 
 #define SEMFIELD_INSTANTIATE(Real)                                                           \
   template struct EncoderInbox<Real>;                                                        \
   template std::size_t LaneExecutor<Real>::Ahead::bytes() const;                             \
   template void LaneExecutor<Real>::draw_ahead(std::int64_t, const RayBatch&, std::int64_t); \
-  template std::int64_t LaneExecutor<Real>::gather(std::size_t);                             \
+  template void LaneExecutor<Real>::gather(std::size_t);                                     \
   template void LaneExecutor<Real>::scatter(std::int64_t);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)

@@ -63,8 +63,9 @@ auto LaneExecutor<Real>::tile_of(std::int64_t number, std::int64_t rays) const -
 // Lanes with a tile more than others have the low numbers.
 template <class Real>
 void LaneExecutor<Real>::order_lanes(std::int64_t tiles) {
-  lane_order_.resize(static_cast<std::size_t>(std::min<std::int64_t>(options().lanes, tiles)));
-  std::iota(lane_order_.begin(), lane_order_.end(), 0);
+  const std::int64_t with_tiles = std::min<std::int64_t>(end_lane(), tiles) - first_lane();
+  lane_order_.resize(static_cast<std::size_t>(std::max<std::int64_t>(0, with_tiles)));
+  std::iota(lane_order_.begin(), lane_order_.end(), first_lane());
   if (!draws_ahead()) return;
   std::sort(lane_order_.begin(), lane_order_.end(), [&](int a, int b) {
     const std::int64_t of_a = ahead_.lane_rows(a), of_b = ahead_.lane_rows(b);
@@ -101,7 +102,30 @@ void LaneExecutor<Real>::observe(std::int64_t step) {
   StepContext ctx = context(step, true);
   for (const Pass<Real>& pass : passes()) {
     ctx.pass = pass.parts().number;
-    pass.observe(ctx, &queries_);
+    pass.observe(ctx, [&](View<const double> positions, View<Real> sigma) { ask(pass, ctx, positions, sigma); });
+  }
+}
+
+// The density at each position does not depend on the others, so that threads and processes may share them.
+template <class Real>
+void LaneExecutor<Real>::ask(const Pass<Real>& pass, const StepContext& ctx, View<const double> positions,
+                             View<Real> sigma) {
+  constexpr std::int64_t kPiece = 4096;
+  const auto answer = [&](std::int64_t begin, std::int64_t end) {
+    parallel_for((end - begin + kPiece - 1) / kPiece, [&](std::int64_t i) {
+      StepContext local = ctx;
+      const WorkspacePool::Loan arena(queries_);
+      local.workspace = arena.get();
+      const std::int64_t first = begin + i * kPiece, count = std::min(kPiece, end - first);
+      pass.density(local, positions.row_range(first, count), sigma.row_range(first, count));
+    });
+  };
+  // A sampler that asks from several threads asks each process in another order.
+  if (!ranks_ || inside_parallel()) return answer(0, positions.rows);
+  try {
+    ranks_->share_rows(sigma, answer);
+  } catch (const RankLost&) {  // the step is made but for this; the next one finds out
+    answer(0, positions.rows);
   }
 }
 
@@ -113,22 +137,18 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
   const std::int64_t tiles = (rays + tile_rays - 1) / tile_rays;
   guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
   const BatchScales scales = pipeline_.scales_of(step, batch);
-  tile_losses_.assign(static_cast<std::size_t>(tiles), StepLosses{});
-  for (auto& lane : inboxes_) {
-    for (EncoderInbox<Real>& inbox : lane) inbox.rows = 0;
+  if (ranks_) {
+    agree(ranks_->all(), [&] { walk_tiles(step, batch, tiles, scales); });
+    ranks_->gather_losses(tile_losses_);
+  } else {
+    walk_tiles(step, batch, tiles, scales);
   }
-  if (draws_ahead()) draw_ahead(step, batch, tiles);
-  order_lanes(tiles);
-  arenas_.for_units(std::ssize(lane_order_), [&](Workspace& arena, std::int64_t i) {
-    const int lane = lane_order_[static_cast<std::size_t>(i)];
-    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
-      const TileRange range = tile_of(tile, rays);
-      tile_losses_[static_cast<std::size_t>(tile)] =
-          train_tile(context(step, true, range.begin, arena), lane, batch, range, scales);
-    }
-  });
   scatter(step);
-  pipeline_.store().reduce_lanes();
+  if (ranks_) {
+    ranks_->sum_lanes(pipeline_.store());
+  } else {
+    pipeline_.store().reduce_lanes();
+  }
   StepContext ctx = context(step, true);
   for (const Pass<Real>& pass : passes()) {
     ctx.pass = pass.parts().number;
@@ -146,6 +166,25 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
     sum.dense_passes |= tile.dense_passes;
   }
   return pipeline_.means_of(sum, scales);
+}
+
+template <class Real>
+void LaneExecutor<Real>::walk_tiles(std::int64_t step, const RayBatch& batch, std::int64_t tiles,
+                                    const BatchScales& scales) {
+  tile_losses_.assign(static_cast<std::size_t>(tiles), StepLosses{});
+  for (auto& lane : inboxes_) {
+    for (EncoderInbox<Real>& inbox : lane) inbox.rows = 0;
+  }
+  if (draws_ahead()) draw_ahead(step, batch, tiles);
+  order_lanes(tiles);
+  arenas_.for_units(std::ssize(lane_order_), [&](Workspace& arena, std::int64_t i) {
+    const int lane = lane_order_[static_cast<std::size_t>(i)];
+    for (std::int64_t tile = lane; tile < tiles; tile += options().lanes) {
+      const TileRange range = tile_of(tile, batch.origin.rows);
+      tile_losses_[static_cast<std::size_t>(tile)] =
+          train_tile(context(step, true, range.begin, arena), lane, batch, range, scales);
+    }
+  });
 }
 
 // A tile on the processor: sums are the tile's, gradients at encoders are collected for the scatter of whole lanes.

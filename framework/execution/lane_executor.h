@@ -2,8 +2,11 @@
 // summed in a fixed order.
 #pragma once
 
+#include <optional>
 #include <vector>
 
+#include "core/workspace_pool.h"
+#include "execution/lane_ranks.h"
 #include "execution/pipeline.h"
 #include "execution/thread_arenas.h"
 #include "execution/train_rays.h"
@@ -40,6 +43,10 @@ class LaneExecutor final : public Executor<Real> {
   /// finite, with its number in the batch; none when only their sum fails. Leaves every gradient zero.
   std::optional<RayFault> find_fault(std::int64_t step, const RayBatch& batch);
 
+  /// From the next step on the lanes are shared with the other processes of a run, all of which make every step with
+  /// the same batch: each has a range of lanes, and all end with the bits of one process. Before the first step.
+  void share_with(Ranks& ranks) { ranks_.emplace(ranks, options().lanes); }
+
   /// For calls in this thread alone.
   StepContext context(std::int64_t step, bool training) { return context(step, training, 0, arenas_.own()); }
   /// Scratch memory: high-water marks of all threads, and how often it grew.
@@ -73,10 +80,20 @@ class LaneExecutor final : public Executor<Real> {
   const PipelineOptions& options() const { return pipeline_.options(); }
   bool draws_ahead() const { return passes().size() == 1 && passes()[0].scatters(); }
   StepContext context(std::int64_t step, bool training, std::int64_t first_ray, Workspace& arena) const;
+  /// Lanes of this process.
+  int first_lane() const { return ranks_ ? ranks_->first() : 0; }
+  int end_lane() const { return ranks_ ? ranks_->end() : options().lanes; }
+  bool is_own(std::int64_t tile) const {
+    const std::int64_t lane = tile % options().lanes;
+    return lane >= first_lane() && lane < end_lane();
+  }
+  /// Forward and backward of this process's tiles.
+  void walk_tiles(std::int64_t step, const RayBatch& batch, std::int64_t tiles, const BatchScales& scales);
   void draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles);
   void scatter(std::int64_t step);
-  std::int64_t gather(std::size_t pass);
+  void gather(std::size_t pass);
   void observe(std::int64_t step);
+  void ask(const Pass<Real>& pass, const StepContext& ctx, View<const double> positions, View<Real> sigma);
   /// Lanes with tiles of the step, the one with most samples first as far as they are known.
   void order_lanes(std::int64_t tiles);
   StepLosses train_tile(const StepContext& ctx, int lane, const RayBatch& batch, const TileRange& tile,
@@ -90,6 +107,7 @@ class LaneExecutor final : public Executor<Real> {
   std::vector<StepLosses> tile_losses_;
   Ahead ahead_;
   WorkspacePool queries_;
+  std::optional<LaneRanks<Real>> ranks_;
   GradientHook<Real> hook_;
   std::vector<StepLosses> queued_, done_;  // made since the last finish(), and before it
   std::optional<Error> afterwards_;

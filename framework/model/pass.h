@@ -167,7 +167,9 @@ class Pass {
   void derive_backward(const StepContext& ctx) const;
   /// Density is asked for with ctx.workspace, or, where the sampler asks from several threads, with arenas of
   /// `queries`.
-  void observe(const StepContext& ctx, WorkspacePool* queries = nullptr) const;
+  void observe(const StepContext& ctx, const DensityQuery<Real>& query) const;
+  /// The same with densities of this pass, one query after the other.
+  void observe(const StepContext& ctx) const;
   std::string status() const { return parts_.sampler->status(store_->tensors(sampler_)); }
 
   /// sigma [N, 1] after activation at world positions [N, 3].

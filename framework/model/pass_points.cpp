@@ -35,14 +35,13 @@ void Pass<Real>::density(const StepContext& ctx, View<const double> positions, V
 }
 
 template <class Real>
-void Pass<Real>::observe(const StepContext& ctx, WorkspacePool* queries) const {
-  if (!parts_.sampler->traits().observes) return;
-  parts_.sampler->observe(ctx, store_->tensors(sampler_), [&](View<const double> positions, View<Real> sigma) {
-    StepContext local = ctx;
-    std::optional<WorkspacePool::Loan> arena;
-    if (queries != nullptr) local.workspace = arena.emplace(*queries).get();
-    density(local, positions, sigma);
-  });
+void Pass<Real>::observe(const StepContext& ctx, const DensityQuery<Real>& query) const {
+  if (parts_.sampler->traits().observes) parts_.sampler->observe(ctx, store_->tensors(sampler_), query);
+}
+
+template <class Real>
+void Pass<Real>::observe(const StepContext& ctx) const {
+  observe(ctx, [&](View<const double> positions, View<Real> sigma) { density(ctx, positions, sigma); });
 }
 
 template <class Real>
@@ -135,7 +134,8 @@ void Pass<Real>::point_backward(const StepContext& ctx, int lane, const PointTra
 
 #define SEMFIELD_INSTANTIATE(Real)                                                                               \
   template void Pass<Real>::density(const StepContext&, View<const double>, View<Real>) const;                   \
-  template void Pass<Real>::observe(const StepContext&, WorkspacePool*) const;                                   \
+  template void Pass<Real>::observe(const StepContext&, const DensityQuery<Real>&) const;                        \
+  template void Pass<Real>::observe(const StepContext&) const;                                                   \
   template void Pass<Real>::point_colors(const StepContext&, View<const double>, View<const double>, View<Real>) \
       const;                                                                                                     \
   template std::int32_t Pass<Real>::point_dims() const;                                                          \

@@ -13,7 +13,7 @@
 namespace semfield {
 
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
-                   Diagnostics& diagnostics, OpenFor purpose) {
+                   Diagnostics& diagnostics, OpenFor purpose, Ranks* ranks) {
   OpenedRun run;
   const RunFolder folder = RunFolder::read(run_dir);
   run.run_dir = folder.path();
@@ -29,6 +29,7 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   SessionOptions options;
   options.trained_classes = facts.classes;
   options.trainable = false;
+  options.ranks = ranks;
   options.depth = purpose == OpenFor::evaluation  ? DepthKept::test
                   : purpose == OpenFor::rendering ? DepthKept::none
                                                   : DepthKept::all;

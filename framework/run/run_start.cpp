@@ -62,6 +62,7 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
   SessionOptions options;
   options.keep = request.keep;
   options.probe = true;
+  options.ranks = request.ranks;
   if (config.report.training_frames > 0) options.depth = DepthKept::all;
   // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
   std::optional<RunFolder> folder;

@@ -73,6 +73,12 @@ class Run {
     const WorkScope scope(work_);
     try {
       return train_to_the_end();
+    } catch (RankLost& lost) {
+      lost.while_doing(
+          fmt::format("training ended at step {} ({}; resume with `semfield train --resume {}`, with any "
+                      "number of processes)",
+                      training_.step(), checkpoints_.kept_text(), shell_word(folder_.path())));
+      throw;
     } catch (Error& error) {
       const bool writing = error.kind() == ErrorKind::io || error.kind() == ErrorKind::cannot_create;
       if (writing && error.message().starts_with("cannot ")) {
@@ -97,9 +103,35 @@ class Run {
     next_eval_s_ = config.report.eval_every_s > 0
                        ? (std::floor(training_.train_s() / config.report.eval_every_s) + 1) * config.report.eval_every_s
                        : INFINITY;
-    int signal = 0;
     saved_step_ = training_.step();
     listener_.stop_waits(true);
+    try {
+      make_steps();
+    } catch (const RankLost&) {
+      // On the processor every step is made by all or not at all. A device may wait for ever for the one that is gone.
+      if (session().pipeline->executor().device().kind == Device::cpu && training_.step() != saved_step_) save();
+      throw;
+    }
+    if (training_.step() != saved_step_ || training_.step() == 0) save();
+    listener_.stop_waits(false);
+    const int signal = listener_.stop_signal();
+    TrainOutcome outcome;
+    if (signal == 0) {
+      outcome.values = scores_->score_end(moment());
+      outcome.scored = scores_->last_part();
+    }
+    outcome.signal = signal;
+    outcome.step = training_.step();
+    outcome.train_s = training_.train_s();
+    outcome.run_dir = folder_.path();
+    outcome.peak_bytes = peak_resident_bytes();
+    if (signal == 0) outcome.report_path = listener_.write_report(folder_, session(), scores_->report_frames());
+    return outcome;
+  }
+
+  // Until the last step, the time limit or a stop.
+  void make_steps() {
+    const RunConfig& config = session().config;
     while (training_.step() < config.train.steps &&
            (config.train.time_limit_s <= 0 || training_.train_s() < config.train.time_limit_s)) {
       if (self_training_.due(training_.step()) && !make_round()) break;
@@ -126,23 +158,8 @@ class Run {
         save();
         note(fmt::format("checkpoint of step {} saved as asked", saved_step_));
       }
-      if ((signal = listener_.stop_signal()) != 0) break;
+      if (listener_.stop_signal() != 0) break;
     }
-    if (training_.step() != saved_step_ || training_.step() == 0) save();
-    listener_.stop_waits(false);
-    signal = listener_.stop_signal();  // one that came during the save
-    TrainOutcome outcome;
-    if (signal == 0) {
-      outcome.values = scores_->score_end(moment());
-      outcome.scored = scores_->last_part();
-    }
-    outcome.signal = signal;
-    outcome.step = training_.step();
-    outcome.train_s = training_.train_s();
-    outcome.run_dir = folder_.path();
-    outcome.peak_bytes = peak_resident_bytes();
-    if (signal == 0) outcome.report_path = listener_.write_report(folder_, session(), scores_->report_frames());
-    return outcome;
   }
 
   RunScores::Moment moment() const { return {training_.step(), training_.train_s()}; }

@@ -18,6 +18,7 @@ struct TrainRequest {
   std::string out_dir;
   bool resume = false;            ///< go on in out_dir from its newest checkpoint that verifies
   std::vector<std::string> keep;  ///< components forced back in
+  Ranks* ranks = nullptr;         ///< SessionOptions::ranks
 };
 
 struct TrainOutcome {

@@ -7,6 +7,7 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "execution/ranks_executor.h"
 #include "plugin/loader.h"
 
 namespace semfield {
@@ -203,6 +204,17 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry) {
   return request;
 }
 
+SceneExtent extent_of(const RunConfig& config, double pixel_footprint_m) {
+  const std::vector<double>& b = config.load.bounds;
+  SceneExtent extent;
+  extent.bounds = {{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
+  extent.near_m = config.load.near_m;
+  extent.far_m = config.load.far_m;
+  extent.pixel_footprint_m = pixel_footprint_m;
+  extent.contracted = config.rendering.outside == Outside::contracted;
+  return extent;
+}
+
 std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent, Device device) {
   std::vector<std::string> lines;
   EncoderBuild build = encoder_build(extent, false, device);
@@ -344,11 +356,15 @@ Precision precision_of(const RunConfig& config, const Registry& registry, Device
 }
 
 void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-            const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable) {
-  if (device.kind == Device::cpu) return;  // a pipeline begins there
-  const DeviceOptions options{device.ordinal, trainable, config.runtime.deterministic};
-  pipeline.run_on(
-      cuda_library().make(pipeline, make_passes<float>(config, registry, plan, extent, device.kind), options));
+            const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable, Ranks* ranks) {
+  std::unique_ptr<Executor<float>> executor;  // a pipeline begins on the processor
+  if (device.kind != Device::cpu) {
+    DeviceOptions options{device.ordinal, trainable, config.runtime.deterministic};
+    options.ranks = ranks;
+    executor = cuda_library().make(pipeline, make_passes<float>(config, registry, plan, extent, device.kind), options);
+  }
+  if (ranks != nullptr) executor = std::make_unique<RanksExecutor>(*ranks, pipeline, std::move(executor));
+  if (executor) pipeline.run_on(std::move(executor));
 }
 
 template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,

@@ -7,6 +7,7 @@
 #include "execution/network_plan.h"
 #include "execution/pipeline.h"
 #include "model/leave_out.h"
+#include "ranks/ranks.h"
 #include "settings/run_config.h"
 
 namespace semfield {
@@ -21,6 +22,9 @@ struct SceneExtent {
   double pixel_footprint_m = 0;
   bool contracted = false;  ///< rendering.outside
 };
+
+/// The extent that `config` was resolved to: its bounds, near and far are written out.
+SceneExtent extent_of(const RunConfig& config, double pixel_footprint_m);
 
 /// Lets position encoders replace what they choose from the scene by numbers; "passes.NAME.position: sentence" each.
 std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent, Device device);
@@ -58,9 +62,10 @@ void add_cuda_kernels(Registry& registry);
 /// As chosen_device where a device is there and its tables are in the registry.
 ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry, Diagnostics& diagnostics);
 
-/// From now on `pipeline` trains and renders on `device`, which chosen_device gave.
+/// From now on `pipeline` trains and renders on `device`, which chosen_device gave, and with it on those of all `ranks`
+/// where these are given: they call this together.
 void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-            const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable);
+            const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable, Ranks* ranks = nullptr);
 
 extern template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
                                                                  const SceneExtent&, std::vector<float>, bool);

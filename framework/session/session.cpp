@@ -12,6 +12,7 @@
 #include "formats/image_io.h"
 #include "session/bounds_probe.h"
 #include "session/branch_choice.h"
+#include "session/ranks_session.h"
 #include "session/trained_classes.h"
 #include "settings/loss_config.h"
 #include "system/memory_limit.h"
@@ -189,7 +190,11 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
   }
   s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
   add_built_rows(built_parts(s), s.plan);
-  run_on(device, s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
+  if (options.ranks != nullptr) {
+    lead(*options.ranks, s, registry, device, options.trainable);
+  } else {
+    run_on(device, s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
+  }
 }
 
 // The scene is lent to a session of its own, whose sizes the guess chooses; only what it sees comes back.
@@ -204,7 +209,9 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
   probe.plan = s.plan;
   probe.memory_facts = s.memory_facts;
   fix_extent(probe, registry, device);
-  build_session(probe, registry, options, device);
+  SessionOptions alone = options;
+  alone.ranks = nullptr;
+  build_session(probe, registry, alone, device);
   const std::optional<SurveyedExtent> seen = probe_extent(probe);
   s.scene = std::move(probe.scene);
   s.labels = std::move(probe.labels);

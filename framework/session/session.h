@@ -53,9 +53,10 @@ struct SessionOptions {
   DepthKept depth = DepthKept::test;  ///< what a later evaluation compares with
   /// What training knew of the scene (manifest_text.h); then the training labels are not made again.
   std::optional<KnownScene> known;
-  bool pixels = true;   ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
-  bool probe = false;   ///< let a short training find the bounds of a scene that only guesses them (bounds_probe.h)
-  bool labels = false;  ///< make the training labels although `known` is given
+  bool pixels = true;      ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
+  bool probe = false;      ///< let a short training find the bounds of a scene that only guesses them (bounds_probe.h)
+  Ranks* ranks = nullptr;  ///< processes that this session's work is shared with (ranks_session.h); null: none
+  bool labels = false;     ///< make the training labels although `known` is given
   LoadProgress progress = {};  ///< told while the scene is opened; null: whom the caller's WorkSettings tell
   /// The class table that the network was trained with, as YAML; a scene with another one is refused.
   std::optional<std::string> trained_classes;

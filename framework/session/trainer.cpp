@@ -77,6 +77,8 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
       rays_.fill(step, batch_);
       has_batch = true;
       executor.queue(step, batch_.view(pipeline_.has_semantics()), adam_step(adam_, rate, step));
+    } catch (const RankLost&) {
+      throw;
     } catch (const Error& error) {
       refused = error;
     }

@@ -22,8 +22,8 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little, "empty_bits keeps its bits in the low bytes");
 
-constexpr std::int64_t kChunkCells = 4096;  // cells of one density query
-constexpr std::int64_t kRoundChunks = 64;   // queries whose buffers are held at once
+constexpr std::int64_t kChunkCells = 4096;  // cells that a thread takes at a time
+constexpr std::int64_t kRoundChunks = 64;   // of one density query
 
 // Lattice samples [i, to) that are all passed over, or all evaluated.
 struct Stretch {
@@ -143,31 +143,29 @@ void sample(const OccupancySampleArgs& args, const OccupancyState<Real>& state, 
   out.count = count;
 }
 
-// Buffers of one density query.
+// Cells of one density query, and what it answers.
 template <class Real>
-struct QueryChunk {
-  View<double> position;    // [kChunkCells, 3]
-  View<Real> sigma;         // [kChunkCells, 1]
-  View<std::int64_t> cell;  // [kChunkCells, 1]
-  std::int64_t rows = 0;
+struct QueriedCells {
+  View<double> position;    // [held, 3]
+  View<Real> sigma;         // [held, 1]
+  View<std::int64_t> cell;  // [held, 1]
 };
 
 template <class Real>
 struct UpdateJob {
   const OccupancyUpdateArgs& args;
   const OccupancyState<Real>& state;
-  const DensityQuery<Real>& query;
+  QueriedCells<Real> asked;
   std::int64_t chosen;       // cells of this update
   std::int64_t first_chunk;  // of the round
-  QueryChunk<Real>* chunks;
+  std::int64_t rows[kRoundChunks];
 
-  // The densities of a chunk's cells, each checked.
-  void ask(std::int64_t slot) const {
-    QueryChunk<Real>& chunk = chunks[slot];
+  // A point in each cell of a chunk, from the row on where the chunk's cells would stand if all were asked for.
+  void draw(std::int64_t slot) {
     const OccupancyGeometry& g = args.geometry;
     const std::int64_t begin = (first_chunk + slot) * kChunkCells;
     const std::int64_t end = std::min(begin + kChunkCells, chosen);
-    std::int64_t rows = 0;
+    std::int64_t row = slot * kChunkCells;
     for (std::int64_t j = begin; j < end; ++j) {
       const std::int64_t index = args.part + j * args.parts;
       const OccupancyCell cell = cell_of_index(index, g.n);
@@ -175,46 +173,66 @@ struct UpdateJob {
       const PhiloxBlock random = random_block(args.random, static_cast<std::uint64_t>(index));
       const Vec3d share{random.v[0] * 0x1p-32, random.v[1] * 0x1p-32, random.v[2] * 0x1p-32};
       const Vec3d p = point_in_cell(g, cell, share);
-      for (int i = 0; i < 3; ++i) chunk.position(rows, i) = p[i];
-      *chunk.cell.row(rows) = index;
-      ++rows;
+      for (int i = 0; i < 3; ++i) asked.position(row, i) = p[i];
+      *asked.cell.row(row) = index;
+      ++row;
     }
-    chunk.rows = rows;
-    if (rows == 0) return;
-    query(chunk.position.row_range(0, rows), chunk.sigma.row_range(0, rows));
-    for (std::int64_t k = 0; k < rows; ++k) {
-      const Real sigma = *chunk.sigma.row(k);
-      if (!(sigma >= 0) || std::isinf(sigma)) bad_density(chunk.position.row(k), static_cast<double>(sigma));
-    }
+    rows[slot] = row - slot * kChunkCells;
   }
 
-  void absorb(std::int64_t slot) const {
-    const QueryChunk<Real>& chunk = chunks[slot];
-    for (std::int64_t k = 0; k < chunk.rows; ++k) {
-      Real& value = state.density[*chunk.cell.row(k)];
-      value = std::max(value * static_cast<Real>(args.decay), *chunk.sigma.row(k));  // an unseen cell holds -1
+  // Brings the chunks together and returns the number of cells.
+  std::int64_t close_up(std::int64_t chunks) {
+    std::int64_t count = 0;
+    for (std::int64_t slot = 0; slot < chunks; count += rows[slot++]) {
+      const std::int64_t from = slot * kChunkCells;
+      if (from == count || rows[slot] == 0) continue;
+      const auto n = static_cast<std::size_t>(rows[slot]);
+      std::memmove(asked.position.row(count), asked.position.row(from), n * 3 * sizeof(double));
+      std::memmove(asked.cell.row(count), asked.cell.row(from), n * sizeof(std::int64_t));
     }
+    return count;
+  }
+
+  void check(std::int64_t row) const {
+    const Real sigma = *asked.sigma.row(row);
+    if (!(sigma >= 0) || std::isinf(sigma)) bad_density(asked.position.row(row), static_cast<double>(sigma));
+  }
+
+  void absorb(std::int64_t row) const {
+    Real& value = state.density[*asked.cell.row(row)];
+    value = std::max(value * static_cast<Real>(args.decay), *asked.sigma.row(row));  // an unseen cell holds -1
   }
 };
 
+// Densities are asked for outside parallel bodies, so that the framework may spread a query over threads and processes.
 template <class Real>
 void update(const OccupancyUpdateArgs& args, const OccupancyState<Real>& state, const DensityQuery<Real>& query) {
   SEMFIELD_CHECK(args.workspace != nullptr, "the occupancy grid needs scratch memory");
   const std::int64_t cells = args.geometry.cells();
   const std::int64_t chosen = args.part < cells ? (cells - args.part + args.parts - 1) / args.parts : 0;
   const std::int64_t chunk_count = (chosen + kChunkCells - 1) / kChunkCells;
-  const std::int64_t held = std::min(chunk_count, kRoundChunks);
+  const std::int64_t held = std::min(chunk_count, kRoundChunks) * kChunkCells;
   Workspace::Scope scope(*args.workspace);
-  QueryChunk<Real> chunks[kRoundChunks];
-  for (std::int64_t i = 0; i < held; ++i) {
-    chunks[i] = {args.workspace->take<double>(kChunkCells, 3), args.workspace->take<Real>(kChunkCells, 1),
-                 args.workspace->take<std::int64_t>(kChunkCells, 1)};
-  }
-  for (std::int64_t first = 0; first < chunk_count; first += kRoundChunks) {
-    const UpdateJob<Real> job{args, state, query, chosen, first, chunks};
-    const std::int64_t round = std::min(kRoundChunks, chunk_count - first);
-    parallel_for(round, [&job](std::int64_t slot) { job.ask(slot); });  // a bad density leaves the round's cells alone
-    parallel_for(round, [&job](std::int64_t slot) { job.absorb(slot); });
+  UpdateJob<Real> job{args,
+                      state,
+                      {args.workspace->take<double>(held, 3), args.workspace->take<Real>(held, 1),
+                       args.workspace->take<std::int64_t>(held, 1)},
+                      chosen,
+                      0,
+                      {}};
+  const auto each = [](std::int64_t rows, const auto& body) {
+    parallel_for((rows + kChunkCells - 1) / kChunkCells, [&](std::int64_t chunk) {
+      for (std::int64_t r = chunk * kChunkCells; r < std::min(rows, (chunk + 1) * kChunkCells); ++r) body(r);
+    });
+  };
+  for (; job.first_chunk < chunk_count; job.first_chunk += kRoundChunks) {
+    const std::int64_t round = std::min(kRoundChunks, chunk_count - job.first_chunk);
+    parallel_for(round, [&job](std::int64_t slot) { job.draw(slot); });
+    const std::int64_t rows = job.close_up(round);
+    if (rows == 0) continue;
+    query(job.asked.position.row_range(0, rows), job.asked.sigma.row_range(0, rows));
+    each(rows, [&job](std::int64_t row) { job.check(row); });  // a bad density leaves the round's cells alone
+    each(rows, [&job](std::int64_t row) { job.absorb(row); });
   }
 }
 

@@ -1,0 +1,26 @@
+// Verbs as one of several processes that mpirun or srun started.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <string>
+
+#include "app/app_context.h"
+
+namespace semfield::app {
+
+/// What a verb does as one of several processes that a launcher started.
+enum class Launch : std::uint8_t {
+  alone,   ///< it is refused
+  ranks,   ///< rank 0 runs it with AppContext::ranks, and the others follow (session/ranks_session.h)
+  beside,  ///< every process runs it, and it sees to the others itself
+};
+
+/// Whether this process prints what went wrong before it has joined the others: rank 0 does, and who is alone.
+bool is_first_process();
+
+/// Runs a verb as `launch` says; without a launcher it just runs. Throws Error(usage) where a verb works alone.
+int run_launched(const std::string& verb, Launch launch, const std::function<int(AppContext&)>& run,
+                 AppContext& context);
+
+}  // namespace semfield::app

@@ -1,0 +1,333 @@
+#include "execution/ranks_executor.h"
+
+#include <algorithm>
+#include <cstring>
+#include <set>
+#include <type_traits>
+
+#include "core/check.h"
+#include "execution/array_message.h"
+#include "execution/lane_executor.h"
+#include "system/checksum.h"
+
+namespace semfield {
+
+namespace {
+
+template <class T>
+std::span<std::byte> bytes_of(T& value) {
+  static_assert(std::is_trivially_copyable_v<T>);
+  return std::as_writable_bytes(std::span(&value, 1));
+}
+
+// The arrays of a batch or of a job, those with the largest elements first; `visit` gets each and its columns.
+template <class Batch, class Visit>
+void each_of_batch(Batch& batch, std::int32_t soft_cols, const Visit& visit) {
+  visit(batch.origin, 3);
+  visit(batch.direction, 3);
+  visit(batch.near_far, 2);
+  visit(batch.target, 3);
+  visit(batch.soft, soft_cols);
+  visit(batch.depth, 1);
+  visit(batch.label, 1);
+}
+template <class Job, class Visit>
+void each_input(Job& job, const Visit& visit) {
+  visit(job.origin, 3);
+  visit(job.direction, 3);
+  visit(job.near_far, 2);
+  visit(job.truth, 1);
+}
+template <class Job, class Visit>
+void each_output(Job& job, std::int32_t logits, const Visit& visit) {
+  visit(job.color, 3);
+  visit(job.depth, 1);
+  visit(job.opacity, 1);
+  visit(job.entropy, 1);
+  visit(job.confidence, 1);
+  visit(job.truth_probability, 1);
+  visit(job.probability, logits);
+  visit(job.label, 1);
+  visit(job.resolution, 1);
+}
+
+// Bit i: the i-th array is there.
+template <class Each>
+std::uint32_t arrays_there(const Each& each) {
+  std::uint32_t wanted = 0, bit = 1;
+  each([&](const auto& view, std::int32_t) {
+    if (!view.empty()) wanted |= bit;
+    bit <<= 1;
+  });
+  return wanted;
+}
+
+}  // namespace
+
+RanksExecutor::RanksExecutor(Ranks& ranks, Pipeline<float>& pipeline, std::unique_ptr<Executor<float>> device)
+    : ranks_(ranks), pipeline_(pipeline), device_(std::move(device)), inner_(device_ ? *device_ : pipeline.lanes()) {
+  if (!device_) pipeline.lanes().share_with(ranks);
+}
+
+RanksExecutor::~RanksExecutor() {
+  if (!leads() || ranks_.lost()) return;
+  try {
+    tell({});
+  } catch (const RankLost&) {  // there is nobody left to tell
+  }
+}
+
+std::string RanksExecutor::description() const {
+  std::set<std::string> hosts;
+  for (int r = 0; r < ranks_.size(); ++r) {
+    const std::string& name = ranks_.name_of(r);
+    hosts.insert(name.substr(name.rfind(' ') + 1));
+  }
+  return inner_.description() + ", " + std::to_string(ranks_.size()) + " processes on " + std::to_string(hosts.size()) +
+         (hosts.size() == 1 ? " host" : " hosts");
+}
+
+void RanksExecutor::tell(const Order& order) {
+  Order told = order;
+  ranks_.broadcast(bytes_of(told));
+}
+
+void RanksExecutor::serve() {
+  for (;;) {
+    Order order;
+    ranks_.broadcast(bytes_of(order));
+    try {
+      switch (order.task) {
+        case Task::end:
+          return;
+        case Task::upload:
+          share_tensors();
+          inner_.upload(order.step);
+          break;
+        case Task::compare:
+          inner_.download(order.step);
+          compare_tensors();
+          break;
+        case Task::queue:
+          serve_step(order);
+          break;
+        case Task::finish:
+          (void)inner_.finish();
+          break;
+        case Task::render:
+          render_shared(order, {});
+          break;
+        case Task::density:
+          density_shared(order, {}, {});
+          break;
+      }
+    } catch (const RankLost&) {
+      throw;
+    } catch (const Error&) {  // rank 0 has met it too, and says so
+      pipeline_.store().clear_gradients();
+    }
+  }
+}
+
+void RanksExecutor::upload(std::int64_t step) {
+  Order order;
+  order.task = Task::upload;
+  order.step = step;
+  tell(order);
+  share_tensors();
+  inner_.upload(step);
+}
+
+void RanksExecutor::share_tensors() {
+  for (const Tensor<float>& t : pipeline_.store().all()) {
+    if (!is_stored(t.spec.role)) continue;
+    for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2})
+      ranks_.broadcast(std::as_writable_bytes(std::span(buffer->data(), buffer->size())));
+  }
+}
+
+void RanksExecutor::download(std::int64_t step) {
+  if (ranks_.lost()) return inner_.download(step);
+  Order order;
+  order.task = Task::compare;
+  order.step = step;
+  tell(order);
+  inner_.download(step);
+  compare_tensors();
+}
+
+// Every rank updates its own tensors, from the same sums: what differs is a fault of a machine or of a program.
+void RanksExecutor::compare_tensors() {
+  std::uint32_t crc = 0;
+  for (const Tensor<float>& t : pipeline_.store().all()) {
+    if (!is_stored(t.spec.role)) continue;
+    for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2})
+      crc = crc32c(std::as_bytes(std::span(buffer->data(), buffer->size())), crc);
+  }
+  const std::vector<std::uint32_t> all = all_of(ranks_, crc);
+  const auto other = std::find_if(all.begin(), all.end(), [&](std::uint32_t sum) { return sum != all.front(); });
+  if (other == all.end()) return;
+  const auto rank = static_cast<int>(other - all.begin());
+  throw Error(
+      ErrorKind::failure, "the tensors of " + ranks_.name_of(rank) + " are no longer those of " + ranks_.name_of(0),
+      "resume from the last checkpoint; if it happens again, a machine computes wrongly, or is of another kind");
+}
+
+void RanksExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
+  Order order;
+  order.task = Task::queue;
+  order.step = step;
+  order.rows = batch.origin.rows;
+  order.cols = batch.soft.cols;
+  order.number = batch.label_only_share;
+  const auto each = [&](const auto& visit) { each_of_batch(batch, order.cols, visit); };
+  order.wanted = arrays_there(each);
+  tell(order);
+  ArrayMessage message(message_);
+  message.add(update);
+  each([&](const auto& view, std::int32_t) { message.add(view); });
+  ranks_.broadcast(message_);
+  inner_.queue(step, batch, update);
+}
+
+void RanksExecutor::serve_step(const Order& order) {
+  AdamStep update;
+  RayBatch batch;
+  batch.label_only_share = order.number;
+  std::uint32_t bit = 1;
+  ArrayMessage message(message_);
+  message.expect(update);
+  const auto each = [&](const auto& visit) {
+    bit = 1;
+    each_of_batch(batch, order.cols, [&](auto& view, std::int32_t cols) {
+      if ((order.wanted & bit) != 0) visit(view, cols);
+      bit <<= 1;
+    });
+  };
+  each([&](auto& view, std::int32_t cols) { message.expect(view, order.rows, cols); });
+  ranks_.broadcast(message_);
+  message.take(update);
+  each([&](auto& view, std::int32_t cols) { view = message.take(view, order.rows, cols); });
+  inner_.queue(order.step, batch, update);
+}
+
+StepResults RanksExecutor::finish() {
+  Order order;
+  order.task = Task::finish;
+  try {
+    tell(order);
+  } catch (const RankLost&) {
+    if (device_) throw;  // the lanes have made all that was queued, so that the last step counts
+  }
+  return inner_.finish();
+}
+
+void RanksExecutor::set_gradient_hook(GradientHook<float> hook) {
+  if (hook) throw Error(ErrorKind::usage, "a gradient hook sees the gradients of one process", "train in one process");
+}
+
+void RanksExecutor::render(const RenderJob<float>& job) {
+  Order order;
+  order.task = Task::render;
+  order.rows = job.origin.rows;
+  order.cols = job.probability.cols;
+  order.number = job.footprint_per_m;
+  order.wanted = arrays_there([&](const auto& visit) {
+    each_input(job, visit);
+    each_output(job, order.cols, visit);
+  });
+  tell(order);
+  render_shared(order, job);
+}
+
+// Rank 0 sends the others their rays and gets their results; `whole` is rank 0's alone.
+void RanksExecutor::render_shared(const Order& order, const RenderJob<float>& whole) {
+  const auto part = [&](int rank) { return part_of(order.rows, rank, ranks_.size()); };
+  const auto [begin, end] = part(ranks_.rank());
+  std::vector<std::byte> results;
+  RenderJob<float> own;
+  own.footprint_per_m = order.number;
+  std::uint32_t bit = 1;
+  const auto wanted = [&](const auto& visit) {
+    return [&](auto& view, std::int32_t cols) {
+      if ((order.wanted & bit) != 0) visit(view, cols);
+      bit <<= 1;
+    };
+  };
+  if (leads()) {
+    own = whole.rows(begin, end - begin);
+    for (int r = 1; r < ranks_.size(); ++r) {
+      const RenderJob<float> theirs = whole.rows(part(r).first, part(r).second - part(r).first);
+      ArrayMessage message(message_);
+      each_input(theirs, [&](const auto& view, std::int32_t) { message.add(view); });
+      ranks_.send(r, message_);
+    }
+  } else {
+    ArrayMessage message(message_);
+    each_input(own, wanted([&](auto& view, std::int32_t cols) { message.expect(view, end - begin, cols); }));
+    const std::uint32_t outputs = bit;
+    ranks_.receive(0, message_);
+    bit = 1;
+    each_input(own, wanted([&](auto& view, std::int32_t cols) { view = message.take(view, end - begin, cols); }));
+    ArrayMessage room(results);
+    bit = outputs;
+    each_output(own, order.cols, wanted([&](auto& view, std::int32_t cols) { room.expect(view, end - begin, cols); }));
+    bit = outputs;
+    each_output(own, order.cols,
+                wanted([&](auto& view, std::int32_t cols) { view = room.take(view, end - begin, cols); }));
+  }
+  agree(ranks_, [&, any = end > begin] {
+    if (any) inner_.render(own);
+  });
+  if (!leads()) return ranks_.send(0, results);
+  for (int r = 1; r < ranks_.size(); ++r) {
+    const std::int64_t first = part(r).first, count = part(r).second - first;
+    RenderJob<float> theirs = whole.rows(first, count);
+    ArrayMessage message(message_);
+    const auto each = [&](const auto& visit) {
+      each_output(theirs, order.cols, [&](auto& view, std::int32_t cols) {
+        if (!view.empty()) visit(view, cols);
+      });
+    };
+    each([&](auto& view, std::int32_t cols) { message.expect(view, count, cols); });
+    ranks_.receive(r, message_);
+    each([&](auto& view, std::int32_t cols) { message.copy_into(view, count, cols); });
+  }
+}
+
+void RanksExecutor::density(View<const double> positions, View<float> sigma) {
+  Order order;
+  order.task = Task::density;
+  order.rows = positions.rows;
+  tell(order);
+  density_shared(order, positions, sigma);
+}
+
+void RanksExecutor::density_shared(const Order& order, View<const double> positions, View<float> sigma) {
+  std::vector<double> places;
+  std::vector<float> found;
+  const auto count = static_cast<std::size_t>(order.rows);
+  if (!leads()) {
+    places.resize(3 * count);
+    found.resize(count);
+    positions = {places.data(), order.rows, 3};
+    sigma = {found.data(), order.rows, 1};
+  } else {
+    for (std::int64_t r = 0; r < order.rows; ++r) places.insert(places.end(), positions.row(r), positions.row(r) + 3);
+  }
+  ranks_.broadcast(std::as_writable_bytes(std::span(places)));
+  const auto part = [&](int rank) { return part_of(order.rows, rank, ranks_.size()); };
+  const auto [begin, end] = part(ranks_.rank());
+  agree(ranks_, [&, first = begin, rows = end - begin] {
+    if (rows > 0) inner_.density(positions.row_range(first, rows), sigma.row_range(first, rows));
+  });
+  std::vector<float> own, all(leads() ? count : 0);
+  for (std::int64_t r = begin; r < end; ++r) own.push_back(*sigma.row(r));
+  std::vector<std::size_t> bytes;
+  for (int r = 0; r < ranks_.size(); ++r)
+    bytes.push_back(static_cast<std::size_t>(part(r).second - part(r).first) * sizeof(float));
+  ranks_.gather(std::as_bytes(std::span(own)), std::as_writable_bytes(std::span(all)), bytes);
+  for (std::int64_t r = 0; r < std::ssize(all); ++r) *sigma.row(r) = all[static_cast<std::size_t>(r)];
+}
+
+}  // namespace semfield

@@ -1,0 +1,70 @@
+// Steps and rendering by all processes of a run: rank 0 says what is done, and everyone does it.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "execution/pipeline.h"
+#include "ranks/ranks.h"
+
+namespace semfield {
+
+/// Rank 0's program uses it as any other executor; the other ranks call serve(), which does what rank 0 is asked for.
+/// A step is made by the inner executors of all ranks, each of which takes its share of the whole batch and ends with
+/// the same tensors; rays and positions to render are shared here, a row of them each. An Error of a step or a frame is
+/// that of one process: the ranks agree on it.
+class RanksExecutor final : public Executor<float> {
+ public:
+  /// Borrows ranks and pipeline. `device` knows of the other ranks; null: the processor's lanes, which are shared from
+  /// now on.
+  RanksExecutor(Ranks& ranks, Pipeline<float>& pipeline, std::unique_ptr<Executor<float>> device);
+  /// Rank 0: the others leave serve().
+  ~RanksExecutor() override;
+
+  /// What the others do, until rank 0's executor ends. Throws RankLost, and Error(internal) where the ranks differ.
+  void serve();
+
+  DeviceId device() const override { return inner_.device(); }
+  std::string description() const override;
+  std::string matrix_products() const override { return inner_.matrix_products(); }
+  std::int64_t tile_rays(std::int64_t rays) const override { return inner_.tile_rays(rays); }
+  int most_queued() const override { return inner_.most_queued(); }
+
+  void upload(std::int64_t step) override;
+  /// Throws Error(failure) where the tensors of a rank differ from rank 0's.
+  void download(std::int64_t step) override;
+  void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) override;
+  StepResults finish() override;
+  /// Throws Error(usage): a hook would see one process's gradients.
+  void set_gradient_hook(GradientHook<float> hook) override;
+  void render(const RenderJob<float>& job) override;
+  void density(View<const double> positions, View<float> sigma) override;
+
+ private:
+  enum class Task : std::int32_t { end, upload, compare, queue, finish, render, density };
+  // What is broadcast before the data of a task.
+  struct Order {
+    Task task = Task::end;
+    std::int32_t cols = 0;     // of soft labels; of probabilities
+    std::uint32_t wanted = 0;  // bit i: the i-th array of a batch or job is there
+    std::int64_t step = 0, rows = 0;
+    double number = 0;  // label_only_share; footprint_per_m
+  };
+
+  bool leads() const { return ranks_.rank() == 0; }
+  void tell(const Order& order);
+  void share_tensors();
+  void compare_tensors();
+  void serve_step(const Order& order);
+  void render_shared(const Order& order, const RenderJob<float>& whole);
+  void density_shared(const Order& order, View<const double> positions, View<float> sigma);
+
+  Ranks& ranks_;
+  Pipeline<float>& pipeline_;
+  std::unique_ptr<Executor<float>> device_;
+  Executor<float>& inner_;
+  std::vector<std::byte> message_;
+};
+
+}  // namespace semfield

@@ -1,0 +1,161 @@
+#include "session/ranks_session.h"
+
+#include <sched.h>
+
+#include <algorithm>
+#include <cstring>
+
+#include "compute/isa.h"
+#include "compute/parallel.h"
+#include "execution/ranks_executor.h"
+#include "session/manifest_text.h"
+
+namespace semfield {
+
+namespace {
+
+// What rank 0 tells before the texts and numbers that a network is made of; no config: there will be no session.
+struct Building {
+  std::uint64_t config = 0, manifest = 0, weights = 0;  // bytes, bytes, numbers
+  std::int32_t trainable = 0, cuda = 0, ordinal = 0;
+};
+
+template <class T>
+std::span<std::byte> bytes_of(T& values) {
+  return std::as_writable_bytes(std::span(values));
+}
+
+void broadcast(Ranks& ranks, Building& building) { ranks.broadcast(std::as_writable_bytes(std::span(&building, 1))); }
+
+int cuda_devices() {
+  int count = 0;
+  while (cuda_available(nullptr, count)) ++count;
+  return count;
+}
+
+// Ranks of a host take its devices in turn, from the one that was asked for on.
+DeviceId device_of(const Ranks& ranks, DeviceId asked) {
+  if (asked.kind == Device::cpu) return asked;
+  const int count = cuda_devices();
+  if (count == 0) {
+    std::string why_not;
+    (void)cuda_available(&why_not, asked.ordinal);
+    throw Error(ErrorKind::unavailable, ranks.name_of(ranks.rank()) + ": runtime.device: cuda: " + why_not,
+                "set runtime.device: cpu");
+  }
+  return {asked.kind, (asked.ordinal + ranks.local_rank()) % count};
+}
+
+// The network of rank 0's session, without its scene.
+struct Follower {
+  RunConfig config;
+  BuildPlan plan;
+  SceneExtent extent;
+  std::unique_ptr<Pipeline<float>> pipeline;
+  DeviceId device;
+};
+
+Follower assemble_follower(Ranks& ranks, Registry& registry, const Building& building, const std::string& config,
+                           const std::string& manifest, std::vector<float> class_weight) {
+  Follower made;
+  made.config = run_config_of(parse_config_text(config, "the configuration of rank 0"), registry);
+  const KnownScene known = *read_manifest_text({{"scene", manifest}});
+  made.device = device_of(ranks, {building.cuda != 0 ? Device::cuda : Device::cpu, building.ordinal});
+  if (made.device.kind != Device::cpu) add_cuda_kernels(registry);
+  BuildRequest request = build_request(made.config, registry);
+  request.no_cuda.clear();
+  made.plan = plan_build(known.manifest, request, made.config.runtime.keep);
+  made.extent = extent_of(made.config, known.pixel_footprint_m);
+  made.pipeline =
+      assemble<float>(made.config, registry, made.plan, made.extent, std::move(class_weight), building.trainable != 0);
+  return made;
+}
+
+void serve_session(Ranks& ranks, Registry& registry, const Building& building) {
+  std::string config(building.config, '\0'), manifest(building.manifest, '\0');
+  std::vector<float> class_weight(building.weights);
+  ranks.broadcast(bytes_of(config));
+  ranks.broadcast(bytes_of(manifest));
+  ranks.broadcast(bytes_of(class_weight));
+  Follower made;
+  try {
+    agree(ranks, [&] { made = assemble_follower(ranks, registry, building, config, manifest, class_weight); });
+    agree(ranks, [&] {
+      run_on(made.device, made.config, registry, made.plan, made.extent, *made.pipeline, building.trainable != 0,
+             &ranks);
+    });
+  } catch (const RankLost&) {
+    throw;
+  } catch (const Error&) {  // rank 0 throws it too
+    return;
+  }
+  WorkSettings work = made.pipeline->options().work;
+  work.limits = &made.config.limits;
+  const WorkScope scope(work);
+  static_cast<RanksExecutor&>(made.pipeline->executor()).serve();
+}
+
+}  // namespace
+
+void lead(Ranks& ranks, Session& session, Registry& registry, DeviceId device, bool trainable) {
+  std::string config = write_config(resolved_config(session.config));
+  std::string manifest = manifest_text({session.manifest, session.scene.pixel_footprint_m});
+  std::vector<float> class_weight = session.pipeline->options().class_weight;
+  Building building{
+      config.size(), manifest.size(), class_weight.size(), trainable ? 1 : 0, device.kind != Device::cpu ? 1 : 0,
+      device.ordinal};
+  broadcast(ranks, building);
+  ranks.broadcast(bytes_of(config));
+  ranks.broadcast(bytes_of(manifest));
+  ranks.broadcast(bytes_of(class_weight));
+  DeviceId own;
+  agree(ranks, [&] { own = device_of(ranks, device); });
+  agree(ranks, [&] {
+    run_on(own, session.config, registry, session.plan, session.extent, *session.pipeline, trainable, &ranks);
+  });
+}
+
+void follow(Ranks& ranks, Registry& registry) {
+  for (;;) {
+    Building building;
+    broadcast(ranks, building);
+    if (building.config == 0) return;
+    serve_session(ranks, registry, building);
+  }
+}
+
+void dismiss(Ranks& ranks) {
+  Building none;
+  broadcast(ranks, none);
+}
+
+void prepare_ranks(Ranks& ranks, const std::string& version) {
+  const std::vector<std::string> versions = texts_of(ranks, version);
+  const std::vector<std::string> sets = texts_of(ranks, std::string(isa_name(isa())));
+  for (int r = 1; r < ranks.size(); ++r) {
+    const auto i = static_cast<std::size_t>(r);
+    if (versions[i] != versions[0])
+      throw Error(ErrorKind::unavailable,
+                  ranks.name_of(r) + " runs " + versions[i] + ", and " + ranks.name_of(0) + " " + versions[0],
+                  "install the same version on all hosts");
+    if (sets[i] != sets[0])
+      throw Error(
+          ErrorKind::unavailable,
+          ranks.name_of(r) + " computes with " + sets[i] + " instructions, and " + ranks.name_of(0) + " with " +
+              sets[0] + ": their results would differ in the last bits",
+          "set the environment variable SEMFIELD_ISA to the weaker of both for all ranks (mpirun -x SEMFIELD_ISA=" +
+              std::min(sets[i], sets[0]) + ")");
+  }
+  cpu_set_t own;
+  CPU_ZERO(&own);
+  (void)sched_getaffinity(0, sizeof own, &own);
+  const std::vector<cpu_set_t> all = all_of(ranks, own);
+  const auto host = [&](int r) { return ranks.name_of(r).substr(ranks.name_of(r).rfind(' ')); };
+  int together = 0;
+  for (int r = 0; r < ranks.size(); ++r) {
+    if (host(r) == host(ranks.rank()) && CPU_EQUAL(&all[static_cast<std::size_t>(r)], &own)) ++together;
+  }
+  set_thread_count(std::max(1, hardware_threads() / std::max(1, together)));
+}
+
+}  // namespace semfield
