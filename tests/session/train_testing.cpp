@@ -112,12 +112,13 @@ std::string two_pass_config(const std::string& more) {
          more;
 }
 
-Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep) {
+Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep, Ranks* ranks) {
   Diagnostics diagnostics;
   RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::config, "");
   SessionOptions options;
   options.keep = keep;
+  options.ranks = ranks;
   return open_session(std::move(config), registry, options, diagnostics);
 }
 

@@ -21,7 +21,8 @@ std::string hash_config(const std::string& more = "");
 std::string two_pass_config(const std::string& more = "");
 
 /// Reads and opens; fails the test through exceptions.
-Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep = {});
+Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep = {},
+                  Ranks* ranks = nullptr);
 
 /// A small hash grid behind a stratified sampler, whose one pass ends in `pass_end` ("" or lines of YAML of the pass).
 /// `scene` is the body of the section, `train` that of its own.

@@ -1,0 +1,284 @@
+// Sessions whose work several processes share: the same bits, the same pictures and the same errors as in one. The
+// processes are threads here.
+#include "session/ranks_session.h"
+
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <limits>
+
+#include "execution/lane_executor.h"
+#include "session/trainer.h"
+#include "tests/ranks/thread_ranks.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+using testing::as_ranks;
+
+/// `body` gets the session of rank 0; the other ranks follow.
+void as_leader(int size, const std::string& yaml, const std::function<void(Session&)>& body) {
+  as_ranks(size, [&](Ranks& ranks) {
+    Registry registry = make_registry();
+    if (ranks.rank() != 0) return follow(ranks, registry);
+    {
+      Session session = open_text(yaml, registry, {}, &ranks);
+      body(session);
+    }
+    dismiss(ranks);
+  });
+}
+
+void train(Session& session, std::int64_t steps) {
+  const auto rays = session.make_ray_source();
+  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+  while (trainer.step() < steps) trainer.advance();
+  trainer.collect();
+}
+
+std::uint32_t fingerprint_of_ranks(int size, const std::string& yaml, std::int64_t steps) {
+  std::uint32_t found = 0;
+  as_leader(size, yaml, [&](Session& session) {
+    train(session, steps);
+    found = fingerprint(session.pipeline->store());
+  });
+  return found;
+}
+
+std::string two_tables_config() {
+  std::string yaml = two_pass_config();
+  for (std::size_t at = 0; (at = yaml.find("position: {type: frequency, frequencies: 3}", at)) != std::string::npos;)
+    yaml.replace(at, 43, "position: {type: hash_grid, levels: 3, log2_entries: 8, finest_resolution: 32}");
+  return yaml;
+}
+
+struct Shape {
+  const char* name;
+  std::string yaml;
+  std::int64_t steps;
+};
+
+// Past the warm-up of the occupancy grid; two passes; tables of two passes; bf16; fewer lanes than ranks.
+TEST(RanksSession, TrainingHasTheBitsOfOneProcess) {
+  const Shape shapes[] = {{"hash grid", hash_config(), 60},
+                          {"two passes", two_pass_config(), 6},
+                          {"two tables", two_tables_config(), 6},
+                          {"bf16", hash_config("runtime: {precision: bf16}\n"), 20},
+                          {"two lanes", hash_config("runtime: {lanes: 2}\n"), 20}};
+  for (const Shape& shape : shapes) {
+    SCOPED_TRACE(shape.name);
+    const std::uint32_t alone = train_fingerprint(shape.yaml, 1, shape.steps);
+    for (const int size : {1, 2, 3, 5}) EXPECT_EQ(fingerprint_of_ranks(size, shape.yaml, shape.steps), alone) << size;
+  }
+}
+
+TEST(RanksSession, LossesAreThoseOfOneProcess) {
+  const auto losses_of = [](Session& session) {
+    const auto rays = session.make_ray_source();
+    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+    return trainer.advance();
+  };
+  Registry registry = make_registry();
+  Session alone = open_text(two_pass_config(), registry);
+  const StepLosses expected = losses_of(alone);
+  as_leader(3, two_pass_config(), [&](Session& session) {
+    const StepLosses found = losses_of(session);
+    EXPECT_EQ(found.total, expected.total);
+    EXPECT_EQ(found.semantic, expected.semantic);
+    EXPECT_EQ(found.samples, expected.samples);
+    EXPECT_EQ(found.labelled, expected.labelled);
+    EXPECT_EQ(found.correct, expected.correct);
+  });
+}
+
+template <class T>
+void expect_same(const std::vector<T>& found, const std::vector<T>& expected, const char* what) {
+  ASSERT_EQ(found.size(), expected.size()) << what;
+  ASSERT_FALSE(found.empty()) << what;
+  EXPECT_EQ(std::memcmp(found.data(), expected.data(), found.size() * sizeof(T)), 0) << what;
+}
+
+TEST(RanksSession, FramesAndScoresAreThoseOfOneProcess) {
+  const auto frame_of = [](const Session& s) {
+    const FrameInfo& info = s.scene.info.frames.front();
+    FrameOptions options;
+    options.classes = s.classes();
+    options.probability = true;
+    return render_frame(*s.pipeline, {info.camera, info.world_from_camera, false}, s.limits, s.plan.class_of_logit, {},
+                        options);
+  };
+  const auto score_of = [](const Session& s) {
+    return evaluate(*s.pipeline, s.eval_job(s.scene.frames_of(Split::test)), s.limits, s.plan.class_of_logit).values();
+  };
+  Registry registry = make_registry();
+  Session alone = open_text(hash_config(), registry);
+  train(alone, 40);
+  const RenderedFrame expected = frame_of(alone);
+  const auto scores = score_of(alone);
+  for (const int size : {2, 3}) {
+    as_leader(size, hash_config(), [&](Session& session) {
+      train(session, 40);
+      const RenderedFrame found = frame_of(session);
+      expect_same(found.rgb, expected.rgb, "rgb");
+      expect_same(found.depth_m, expected.depth_m, "depth");
+      expect_same(found.label, expected.label, "label");
+      expect_same(found.entropy, expected.entropy, "entropy");
+      expect_same(found.probability, expected.probability, "probability");
+      EXPECT_EQ(score_of(session), scores);
+    });
+  }
+}
+
+TEST(RanksSession, DensitiesAreThoseOfOneProcess) {
+  std::vector<double> positions;
+  for (int i = 0; i < 1000; ++i) positions.insert(positions.end(), {0.001 * i, 0.4, 0.5 - 0.0007 * i});
+  const auto densities_of = [&](const Session& s) {
+    std::vector<float> sigma(positions.size() / 3);
+    s.pipeline->density({positions.data(), std::ssize(sigma), 3}, {sigma.data(), std::ssize(sigma), 1});
+    return sigma;
+  };
+  Registry registry = make_registry();
+  const std::vector<float> expected = densities_of(open_text(hash_config(), registry));
+  as_leader(3, hash_config(), [&](Session& session) { expect_same(densities_of(session), expected, "density"); });
+}
+
+// Message of a step with a weight that is no number, and the tensors after the weight was mended and steps went on.
+struct Mended {
+  std::string message;
+  std::uint32_t after = 0;
+};
+Mended break_and_mend(Session& session) {
+  Mended out;
+  const auto rays = session.make_ray_source();
+  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+  for (int i = 0; i < 3; ++i) trainer.advance();
+  trainer.collect();
+  float& weight = session.pipeline->store().find("fine/field/trunk_1/weight")->value.data()[5];
+  const float sound = weight;
+  weight = std::numeric_limits<float>::quiet_NaN();
+  session.pipeline->executor().upload(trainer.step());
+  try {
+    trainer.advance();
+  } catch (const Error& error) {
+    out.message = error.what();
+  }
+  weight = sound;
+  session.pipeline->executor().upload(trainer.step());
+  for (int i = 0; i < 3; ++i) trainer.advance();
+  trainer.collect();
+  out.after = fingerprint(session.pipeline->store());
+  return out;
+}
+
+TEST(RanksSession, AStepThatFailsSaysWhatItSaysInOneProcessAndChangesNothing) {
+  Registry registry = make_registry();
+  Session alone = open_text(two_pass_config(), registry);
+  const Mended expected = break_and_mend(alone);
+  ASSERT_NE(expected.message.find("fine/field/trunk_1/weight"), std::string::npos) << expected.message;
+  as_leader(3, two_pass_config(), [&](Session& session) {
+    const Mended found = break_and_mend(session);
+    EXPECT_EQ(found.message, expected.message);
+    EXPECT_EQ(found.after, expected.after);
+  });
+}
+
+TEST(RanksSession, RaysThatCannotBeRenderedAreAnErrorOfAllAndTheNextFrameIsSound) {
+  as_leader(3, hash_config(), [&](Session& session) {
+    std::vector<double> origin(90, 0.5), direction(90, 0.0), near_far(60, 0.1);
+    for (std::size_t r = 0; r < 30; ++r) {
+      direction[3 * r] = 1;
+      near_far[2 * r + 1] = 1;
+    }
+    std::vector<float> color(90);
+    RenderJob<float> job;
+    job.origin = {origin.data(), 30, 3};
+    job.direction = {direction.data(), 30, 3};
+    job.near_far = {near_far.data(), 30, 2};
+    job.color = {color.data(), 30, 3};
+    direction[3 * 25] = std::numeric_limits<double>::quiet_NaN();  // the last rank's
+    EXPECT_THROW(session.pipeline->render(job), Error);
+    direction[3 * 25] = 1;
+    session.pipeline->render(job);
+    EXPECT_EQ(color[0], color[3 * 29]);
+  });
+}
+
+// Rank 1 reads a wrong number out of one message: what its memory, or a machine of another kind, might do.
+class Tampered final : public Ranks {
+ public:
+  explicit Tampered(Ranks& inner) : inner_(inner) {}
+  int rank() const override { return inner_.rank(); }
+  int size() const override { return inner_.size(); }
+  const std::string& name_of(int rank) const override { return inner_.name_of(rank); }
+  int local_rank() const override { return inner_.local_rank(); }
+  int local_size() const override { return inner_.local_size(); }
+  void broadcast(std::span<std::byte> data, int root) override {
+    inner_.broadcast(data, root);
+    if (rank() != 1 || root != 2 || data.size() < 4096) return;  // gradients: rank 2 has the last lanes of three ranks
+    const float wrong = 1e-3F;
+    std::memcpy(data.data(), &wrong, sizeof wrong);
+  }
+  void all_gather(std::span<const std::byte> mine, std::span<std::byte> all,
+                  std::span<const std::size_t> bytes) override {
+    inner_.all_gather(mine, all, bytes);
+  }
+  void gather(std::span<const std::byte> mine, std::span<std::byte> all, std::span<const std::size_t> bytes) override {
+    inner_.gather(mine, all, bytes);
+  }
+  void send(int to, std::span<const std::byte> data) override { inner_.send(to, data); }
+  void receive(int from, std::span<std::byte> data) override { inner_.receive(from, data); }
+  void end_when(std::function<bool()> asked) override { inner_.end_when(std::move(asked)); }
+  void watch() override { inner_.watch(); }
+  bool lost() const override { return inner_.lost(); }
+  void abandon(int code) override { inner_.abandon(code); }
+
+ private:
+  Ranks& inner_;
+};
+
+TEST(RanksSession, TensorsThatDriftApartAreNoCheckpoint) {
+  std::string message;
+  as_ranks(3, [&](Ranks& inner) {
+    Tampered ranks(inner);
+    Registry registry = make_registry();
+    if (ranks.rank() != 0) return follow(ranks, registry);
+    {
+      Session session = open_text(two_pass_config(), registry, {}, &ranks);
+      try {
+        train(session, 2);
+      } catch (const Error& error) {
+        message = error.what();
+      }
+    }
+    dismiss(ranks);
+  });
+  EXPECT_EQ(message,
+            "the tensors of rank 1 of this test are no longer those of rank 0 of this test; resume from the last "
+            "checkpoint; if it happens again, a machine computes wrongly, or is of another kind");
+}
+
+TEST(RanksSession, TellsItsProcessesAndRefusesAHook) {
+  as_leader(2, two_pass_config(), [&](Session& session) {
+    Executor<float>& executor = session.pipeline->executor();
+    EXPECT_EQ(executor.description(), "cpu, 2 processes on 1 host");
+    executor.set_gradient_hook(nullptr);
+    EXPECT_THROW(executor.set_gradient_hook([](const StepGradients<float>&) {}), Error);
+  });
+}
+
+TEST(RanksSession, ARankThatEndsIsMetByRank0) {
+  EXPECT_THROW(as_ranks(3,
+                        [&](Ranks& ranks) {
+                          Registry registry = make_registry();
+                          if (ranks.rank() == 2) return;
+                          if (ranks.rank() == 1) return follow(ranks, registry);
+                          Session session = open_text(two_pass_config(), registry, {}, &ranks);
+                          train(session, 2);
+                        }),
+               RankLost);
+}
+
+}  // namespace
+}  // namespace semfield
