@@ -205,8 +205,8 @@ std::vector<ScaleCase> scale_cases(const ScaleResults& results) {
     ScaleCase c{step, device, *machine, fit_step(samples), system_of(device), scale_sizes(step, device, results.quick)};
     c.cost.gradient_bytes = dense + (cuda ? table : 0);
     if (cuda && paper) {
-      c.cost.overlapped_share = 0.5;  // the first of two passes
-      c.cost.hiding_share = 0.5;
+      c.cost.overlapped_share = 0.5;  // the first of two networks
+      c.cost.hiding_share = 0.75;     // the second has 192 of a ray's 256 samples
     }
     if (!cuda) c.cost.lanes = kLanes;
     if (!cuda && !paper) {
