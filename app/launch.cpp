@@ -27,7 +27,7 @@ int run_launched(const std::string& verb, Launch launch, const std::function<int
     throw Error(
         ErrorKind::usage,
         by->by + " started " + std::to_string(by->size) + " processes, but `semfield " + verb + "` works in one",
-        "start it without " + by->by + "; train, eval, render, sweep and bench scale work in several");
+        "start it without " + by->by + "; train, eval, render and sweep work in several");
   }
   context.ranks = join_ranks(*by);
   Ranks& ranks = *context.ranks;

@@ -3,7 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <chrono>
+#include <cstdlib>
 #include <ctime>
 #include <filesystem>
 #include <set>
@@ -28,6 +28,12 @@ std::string today() {
   return fmt::format("{:04}-{:02}-{:02}", utc.tm_year + 1900, utc.tm_mon + 1, utc.tm_mday);
 }
 
+// What else the machine did before the study began; figures of a busy machine are no figures of the program.
+std::string load_text() {
+  double minute = 0;
+  return getloadavg(&minute, 1) == 1 ? fmt::format(", load {:.1f} before", minute) : std::string();
+}
+
 // Powers of two, so that every measurement halves the one before.
 std::vector<int> counts_to(int most) {
   std::vector<int> counts;
@@ -42,8 +48,8 @@ class Bench {
   Bench(const ScaleBenchOptions& options, const ScaleTools& tools) : options_(options), tools_(tools) {
     results_.quick = options.quick;
     const Environment environment = this_environment();
-    const std::string build =
-        fmt::format("{}, {}, {}, {}", environment.version, environment.compiler, environment.build_type, today());
+    const std::string build = fmt::format("{}, {}, {}, {}{}", environment.version, environment.compiler,
+                                          environment.build_type, today(), load_text());
     cpu_ = {fmt::format("{}, {} cores", environment.cpu, tools.cores), "cpu", tools.cores, build};
     std::string why_not;
     int gpus = 0;
@@ -250,7 +256,8 @@ class Bench {
     };
     ScaleSweep row{machine.name, on_devices ? "GPUs" : "processes of one thread", cells, 0, 0};
     for (const bool two : {false, true}) {
-      tools_.study.note(fmt::format("a sweep of {} cells by {} {}", cells, two ? "two" : "one of", row.workers));
+      tools_.study.note(
+          fmt::format("a sweep of {} cells by {} ({})", cells, two ? "two workers" : "one worker", row.workers));
       const std::string out = next_run();
       if (!start({two && !on_devices ? 2 : 1, false, words(out, two ? "0,1" : "0")}, machine.device, "a sweep",
                  two ? &row.two_s : &row.one_s))

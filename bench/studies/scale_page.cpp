@@ -75,8 +75,8 @@ std::string measured_cells(const ScaleResults& results, const ScaleMachine& mach
   const ScaleSizes sizes = scale_sizes(step, machine.device, results.quick);
   const ScaleRow* row = results.find(machine.name, step, ranks, strong ? sizes.strong : sizes.weak * ranks);
   const auto times = measured_speedup(results, machine, step, ranks, strong);
-  return fmt::format(" {} | {} |", row != nullptr ? spread_text(*row) : "not measured",
-                     times ? times_text(*times) : "not measured");
+  if (row == nullptr || !times) return " not measured | - |";
+  return fmt::format(" {} | {} |", spread_text(*row), times_text(*times));
 }
 
 std::string measured_table(const ScaleResults& results, const ScaleMachine& machine, const std::string& step) {

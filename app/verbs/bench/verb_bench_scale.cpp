@@ -12,7 +12,6 @@
 #include "app/verbs/bench/bench_tools.h"
 #include "app/verbs/bench/scale_start.h"
 #include "compute/parallel.h"
-#include "ranks/launcher.h"
 #include "studies/scale_page.h"
 #include "system/files.h"
 
@@ -89,10 +88,6 @@ void write_docs(const std::string& folder, const ScaleResults& fresh) {
 }
 
 int run(const BenchScaleOptions& options, AppContext& context) {
-  if (const std::optional<Launched> by = launched())
-    throw Error(ErrorKind::usage,
-                "bench scale starts its ranks itself, and " + by->by + " started it as one of several",
-                "start it by itself");
   ScaleResults results;
   for (const std::string& file : options.combine)
     results = merged(std::move(results), parse_scale_json(read_text_file(file), file));
