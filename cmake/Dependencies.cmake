@@ -86,6 +86,20 @@ if(SEMFIELD_WITH_MPI STREQUAL "ON" OR (SEMFIELD_WITH_MPI STREQUAL "AUTO" AND NOT
   endif()
 endif()
 message(STATUS "MPI: ${SEMFIELD_MPI}")
+# NCCL: by header and library, which Python's packages have too.
+set(SEMFIELD_NCCL OFF)
+if(SEMFIELD_CUDA AND NOT SEMFIELD_WITH_NCCL STREQUAL "OFF")
+  find_path(NCCL_INCLUDE_DIR nccl.h HINTS ${CUDAToolkit_INCLUDE_DIRS})
+  find_library(NCCL_LIBRARY NAMES nccl libnccl.so.2 HINTS ${CUDAToolkit_LIBRARY_DIR})
+  if(NCCL_INCLUDE_DIR AND NCCL_LIBRARY)
+    set(SEMFIELD_NCCL ON)
+  endif()
+endif()
+if(SEMFIELD_WITH_NCCL STREQUAL "ON" AND NOT SEMFIELD_NCCL)
+  message(FATAL_ERROR "SEMFIELD_WITH_NCCL=ON, but nccl.h and libnccl were not found, or the build has no CUDA kernels; set NCCL_INCLUDE_DIR and "
+                      "NCCL_LIBRARY, or SEMFIELD_WITH_NCCL=OFF")
+endif()
+message(STATUS "NCCL: ${SEMFIELD_NCCL}")
 # Python: the system's own, whose packages NumPy and pytest are, unless another is named (Python_EXECUTABLE). A process with a sanitizer's
 # runtime cannot load the module.
 set(SEMFIELD_PYTHON OFF)

@@ -16,6 +16,7 @@ set(SEMFIELD_WITH_PYTHON AUTO CACHE STRING "The Python module: ON, OFF, or AUTO 
 set(SEMFIELD_PYTHON_DIR lib/python3/dist-packages CACHE STRING "Where the Python module is installed, below the prefix")
 set(SEMFIELD_WITH_CUDA AUTO CACHE STRING "Kernels for NVIDIA graphics processors: ON, OFF, or AUTO = where a CUDA compiler is found")
 set(SEMFIELD_WITH_MPI AUTO CACHE STRING "Runs over several processes by MPI: ON, OFF, or AUTO = where MPI is found")
+set(SEMFIELD_WITH_NCCL AUTO CACHE STRING "Gradients of several GPUs meet by NCCL: ON, OFF, or AUTO = where it is found (NCCL_INCLUDE_DIR and NCCL_LIBRARY name another)")
 set(SEMFIELD_CUDA_ARCHITECTURES "80-real;90a-real;90-virtual" CACHE STRING "What CUDA kernels are compiled for; -virtual: PTX, which newer chips compile when a program starts")
 set(SEMFIELD_EXTRA_PARTS "" CACHE STRING "Folders of parts that are built in as if they lay in this tree: plugins/KIND/NAME and losses/NAME")
 option(SEMFIELD_BUILD_BENCH "Build the measurement programs in bench/" OFF)

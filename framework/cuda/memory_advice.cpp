@@ -13,20 +13,6 @@ namespace {
 constexpr double kMargin = 0.9;      // of what is free: for graphs, products' workspaces and neighbours
 constexpr std::int64_t kRound = 32;  // rays
 
-RayBatch first_rays(const RayBatch& batch, std::int64_t rays) {
-  const auto first = [rays](const auto& view) { return view.row_range(0, rays); };
-  RayBatch out;
-  out.origin = first(batch.origin);
-  out.direction = first(batch.direction);
-  out.near_far = first(batch.near_far);
-  out.target = first(batch.target);
-  if (!batch.label.empty()) out.label = first(batch.label);
-  if (!batch.soft.empty()) out.soft = first(batch.soft);
-  if (!batch.depth.empty()) out.depth = first(batch.depth);
-  out.label_only_share = batch.label_only_share;
-  return out;
-}
-
 }  // namespace
 
 void StreamExecutor::forget_step() {
@@ -36,13 +22,13 @@ void StreamExecutor::forget_step() {
   beside_arena_.forget();
 }
 
-// Forward and backward of the first `rays` rays; the arena's high-water mark says what they took.
+// Forward and backward of the first `rays` rays of a shard; the arena's high-water mark says what they took.
 bool StreamExecutor::fits(std::int64_t rays, const Shape& shape, std::int64_t step) {
   forget_step();
   try {
     const Workspace::Scope scope(train_arena_), beside(beside_arena_);
-    const Shape smaller{std::min(shape.semantic_rays, rays), shape.terms};
-    train_passes(smaller, first_rays(staging_->batch(), rays), context(step, true, train_arena_));
+    sums_->begin(false);
+    walk(shape, {rows_of(staging_->batch(), 0, rays), 0, 0}, step);
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::unavailable) throw;
     return false;
@@ -50,9 +36,9 @@ bool StreamExecutor::fits(std::int64_t rays, const Shape& shape, std::int64_t st
   return true;
 }
 
-// Halves the batch until it fits; what that took says what a ray takes. Parameters stay as they are.
+// Halves a shard until it fits; what that took says what a ray takes. Parameters stay as they are.
 Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step) {
-  const std::int64_t rays = staging_->batch().origin.rows;
+  const std::int64_t rays = std::min(tile_rays(rays_), staging_->batch().origin.rows), shards = sums_->shards();
   std::int64_t fit = rays / 2;
   while (fit > 0 && !fits(fit, shape, step)) fit /= 2;
   if (fit == 0) return error;
@@ -65,8 +51,7 @@ Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& sh
   while (more > fit && !fits(more, shape, step)) more = more * 3 / 4 / kRound * kRound;
   fit = std::max(fit, more);
   forget_step();
-  store_->clear_gradients();
-  check(cudaMemsetAsync(&staging_->device_sums()->fault, 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
+  drop_gradients();
   if (fit == rays) {
     return {error.kind(), error.message(),
             "other processes held the memory and have freed it: start again; or runtime.device: cpu"};
@@ -74,7 +59,7 @@ Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& sh
   return {error.kind(), error.message(),
           fmt::format("any of these fits: train.rays: {} (now {}); {:.2f} times the samples in every pass; "
                       "runtime.device: cpu",
-                      fit, rays, static_cast<double>(fit) / static_cast<double>(rays))};
+                      fit * shards, rays_, static_cast<double>(fit) / static_cast<double>(rays))};
 }
 
 }  // namespace semfield::cuda

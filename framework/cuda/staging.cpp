@@ -29,6 +29,20 @@ std::int32_t soft_classes_of(const RayBatch& batch) { return batch.soft.empty() 
 
 }  // namespace
 
+RayBatch rows_of(const RayBatch& batch, std::int64_t begin, std::int64_t count) {
+  const auto rows = [&](const auto& view) { return view.empty() ? view : view.row_range(begin, count); };
+  RayBatch out;
+  out.origin = rows(batch.origin);
+  out.direction = rows(batch.direction);
+  out.near_far = rows(batch.near_far);
+  out.target = rows(batch.target);
+  out.label = rows(batch.label);
+  out.soft = rows(batch.soft);
+  out.depth = rows(batch.depth);
+  out.label_only_share = batch.label_only_share;
+  return out;
+}
+
 Staging::Staging(int slots, const RayBatch& like)
     : rays_(like.origin.rows),
       has_labels_(!like.label.empty()),

@@ -3,21 +3,26 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 
 #include "cuda/kernels/losses.h"
 #include "cuda/launch.h"
 #include "cuda/memory.h"
+#include "cuda/ranks/shards.h"
 #include "execution/ray_batch.h"
 
 namespace semfield::cuda {
 
 inline constexpr int kMostPasses = 4;
 
-/// What a step leaves: read back as one block.
+/// What a step of this process leaves, of each of its shards: read back as one block.
 struct StepSums {
   FaultKey fault = kNoFault;
-  LossSums pass[kMostPasses];
+  LossSums shard[kShards][kMostPasses];
 };
+
+/// Rays [begin, begin + count) of a batch, with the share of the whole.
+RayBatch rows_of(const RayBatch& batch, std::int64_t begin, std::int64_t count);
 
 /// A batch of a step in one block: StepCell, then the rays.
 class Staging {
@@ -33,7 +38,8 @@ class Staging {
   void send(int slot, const StepCell& cell, const RayBatch& batch);
   /// Queues the copy of the device's sums into the slot.
   void fetch(int slot);
-  const StepSums& sums(int slot) const { return host_sums_[slot]; }
+  /// Of the first `slots`.
+  std::span<const StepSums> sums(std::size_t slots) const { return {host_sums_, slots}; }
 
   /// Device memory.
   const StepCell* cell() const { return reinterpret_cast<const StepCell*>(device_.data()); }

@@ -78,6 +78,8 @@ int Store::add(const std::string&, const Parametric<float>& part, const Learning
                    "tensor '" + spec.name + "' differs on host and device");
     component.values.push_back(value_of(next_));
     component.grads[0].push_back(grad_of(next_));
+    if (trainable_ && host_.all()[next_].learned())
+      gradients_added_ = static_cast<std::size_t>(places_[next_].learned + padded(host_.all()[next_].size()));
     ++next_;
   }
   return keep(std::move(component));

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "cuda/memory.h"
@@ -17,6 +18,11 @@ class Store final : public TensorStore<float> {
   /// The next component's tensors, in the order in which parts were added to the host's store; throws Error(internal)
   /// where `part` declares others.
   int add(const std::string& prefix, const Parametric<float>& part, const LearningRule& rule = {}) override;
+
+  /// Gradients of all learned tensors, tensor behind tensor with gaps of zeros, and how many of these numbers the
+  /// components have that were added until now.
+  std::span<float> gradients() const { return {grads_.data(), grads_.size()}; }
+  std::size_t gradients_added() const { return gradients_added_; }
 
   void upload();
   void download() const;
@@ -45,6 +51,7 @@ class Store final : public TensorStore<float> {
   std::vector<Place> places_;
   Buffer<float> values_, grads_, derived_grads_, moment1_, moment2_;
   Buffer<std::byte> learned_table_;
+  std::size_t gradients_added_ = 0;
   std::size_t next_ = 0;  // tensor of the host's store that the next component begins with
 };
 

@@ -24,12 +24,10 @@ namespace semfield::cuda {
 
 namespace {
 
-constexpr int kRunsBeforeCapture = 2;  // a capture must find the arenas grown
-
 // Position of the last ray with a label, plus one.
-std::int64_t labelled_rays(const RayBatch& batch) {
-  std::int64_t n = batch.label.empty() ? 0 : batch.label.rows;
-  while (n > 0 && batch.label(n - 1, 0) == kVoid) --n;
+std::int64_t last_labelled(View<const std::int16_t> label) {
+  std::int64_t n = label.rows;
+  while (n > 0 && label(n - 1, 0) == kVoid) --n;
   return n;
 }
 
@@ -51,7 +49,12 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
   const LaunchScope on_stream(step_launch());
   store_ = std::make_unique<Store>(host.store(), options.trainable);
   passes_.reserve(parts.size());
-  for (PassParts<float>& part : parts) passes_.emplace_back(std::move(part), host.options().rules, *store_);
+  std::vector<std::size_t> ends;
+  for (PassParts<float>& part : parts) {
+    passes_.emplace_back(std::move(part), host.options().rules, *store_);
+    ends.push_back(store_->gradients_added());
+  }
+  sums_ = std::make_unique<GradientSums>(options, store_->gradients(), std::move(ends));
   render_fault_ = Buffer<FaultKey>(1, "fault of a call");
   const std::vector<float>& weight = host.options().class_weight;
   class_weight_ = Buffer<float>(weight.size(), "class weights");
@@ -63,8 +66,9 @@ StreamExecutor::~StreamExecutor() {
   Launch own;
   own.ordinal = options_.ordinal;
   const LaunchScope scope(own);
-  (void)cudaStreamSynchronize(stream_);
   forget_graphs();
+  sums_.reset();  // before the wait: it may be for a rank that has ended
+  (void)cudaStreamSynchronize(stream_);
   (void)cudaEventDestroy(joined_);
   (void)cudaEventDestroy(forked_);
   for (const cudaStream_t stream : {beside_, stream_}) {
@@ -128,9 +132,22 @@ void StreamExecutor::forget_graphs() {
   }
 }
 
-StreamExecutor::Shape& StreamExecutor::shape_of(const RayBatch& batch, std::uint32_t terms) {
-  const std::int64_t rays = batch.origin.rows, group = std::max<std::int64_t>(1, rays / kGroups);
-  std::int64_t semantic_rays = host_.has_semantics() ? labelled_rays(batch) : 0;
+std::int64_t StreamExecutor::tile_rays(std::int64_t rays) const {
+  return std::max<std::int64_t>(1, shard_of(rays, 0, sums_->shards()).count);
+}
+
+std::int64_t StreamExecutor::labelled_rays(const RayBatch& batch) const {
+  std::int64_t most = 0;
+  for (int s = 0; s < sums_->shards() && !batch.label.empty(); ++s) {
+    const RayRange rays = shard_of(batch.origin.rows, s, sums_->shards());
+    most = std::max(most, last_labelled(batch.label.row_range(rays.begin, rays.count)));
+  }
+  return most;
+}
+
+StreamExecutor::Shape& StreamExecutor::shape_of(const RayBatch& batch, std::int64_t labelled, std::uint32_t terms) {
+  const std::int64_t rays = tile_rays(batch.origin.rows), group = std::max<std::int64_t>(1, rays / kGroups);
+  std::int64_t semantic_rays = host_.has_semantics() ? labelled : 0;
   if (host_.options().head_on_all_rays && host_.has_semantics()) semantic_rays = rays;
   semantic_rays = std::min(rays, (semantic_rays + group - 1) / group * group);
   const auto known = std::find_if(shapes_.begin(), shapes_.end(),
@@ -141,55 +158,105 @@ StreamExecutor::Shape& StreamExecutor::shape_of(const RayBatch& batch, std::uint
 void StreamExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
   SEMFIELD_CHECK(std::ssize(queued_) < kSlots, "too many steps wait on the device");
   guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
-  const LaunchScope on_stream(render_launch());
-  if (!staging_ || !staging_->fits(batch)) {
-    SEMFIELD_CHECK(queued_.empty(), "batches of one size are queued together");
-    forget_graphs();
-    shapes_.clear();
-    staging_ = std::make_unique<Staging>(kSlots, batch);
-  }
-  const LaunchScope scope(step_launch());
   const BatchScales scales = host_.scales_of(step, batch);
-  StepCell cell;
-  cell.step = static_cast<std::uint64_t>(step);
-  cell.adam = update;
-  cell.adam.labelled = labelled_rays(batch) > 0;
-  cell.semantic_normaliser = scales.semantic;
-  std::copy(scales.terms.scale.begin(), scales.terms.scale.end(), cell.loss_scale);
-  const int slot = static_cast<int>(queued_.size());
-  staging_->send(slot, cell, batch);
-  run(shape_of(batch, scales.terms.active), step);
-  const Launch observing = [&] {  // these launches are no part of a graph: the step's number comes by value
-    Launch next = launch();
-    next.cell = nullptr;
-    return next;
-  }();
-  {
-    const LaunchScope by_value(observing);
-    StepContext ctx = context(step + 1, true, train_arena_);
-    for (const Pass<float>& pass : passes_) {
-      ctx.pass = pass.parts().number;
-      pass.observe(ctx);
+  const LaunchScope on_stream(render_launch());
+  sums_->join();
+  Shape* shape = nullptr;
+  try {
+    sums_->agree([&] {
+      shape = &stage(step, batch, update, scales);
+      const LaunchScope scope(step_launch());
+      begin_step(*shape, step);
+    });
+  } catch (const RankLost&) {
+    throw;
+  } catch (const Error&) {
+    try {
+      drop_gradients();
+    } catch (const Error&) {  // the device fails, as the first error says
     }
+    throw;
   }
-  staging_->fetch(slot);
+  sums_->afterwards([&] {
+    const LaunchScope scope(step_launch());
+    end_step(*shape, step);
+    observe(step);
+    staging_->fetch(static_cast<int>(queued_.size()));
+  });
   queued_.push_back({step, scales});
 }
 
-void StreamExecutor::run(Shape& shape, std::int64_t step) {
+// Of a step that is not made: the next one begins anew.
+void StreamExecutor::drop_gradients() {
+  store_->clear_gradients();
+  if (!staging_) return;
+  check(cudaMemsetAsync(&staging_->device_sums()->fault, 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
+}
+
+// Memory for the step, and its way to the device.
+StreamExecutor::Shape& StreamExecutor::stage(std::int64_t step, const RayBatch& batch, const AdamStep& update,
+                                             const BatchScales& scales) {
+  const auto [first, last] = sums_->own();
+  const std::int64_t begin = shard_of(batch.origin.rows, first, sums_->shards()).begin;
+  const RayRange end = shard_of(batch.origin.rows, last - 1, sums_->shards());
+  const RayBatch own = rows_of(batch, begin, end.begin + end.count - begin);
+  sums_->reserve();
+  if (!staging_ || rays_ != batch.origin.rows || !staging_->fits(own)) {
+    SEMFIELD_CHECK(queued_.empty(), "batches of one size are queued together");
+    forget_graphs();
+    shapes_.clear();
+    staging_ = std::make_unique<Staging>(kSlots, own);
+    rays_ = batch.origin.rows;
+    color_normaliser_ = color_normaliser(batch);
+  }
+  const std::int64_t labelled = labelled_rays(batch);
+  StepCell cell;
+  cell.step = static_cast<std::uint64_t>(step);
+  cell.adam = update;
+  cell.adam.labelled = labelled > 0;
+  cell.semantic_normaliser = scales.semantic;
+  std::copy(scales.terms.scale.begin(), scales.terms.scale.end(), cell.loss_scale);
+  staging_->send(static_cast<int>(queued_.size()), cell, own);
+  return shape_of(batch, labelled, scales.terms.active);
+}
+
+// These launches are no part of a graph: the step's number comes by value.
+void StreamExecutor::observe(std::int64_t step) {
+  Launch by_value = launch();
+  by_value.cell = nullptr;
+  const LaunchScope scope(by_value);
+  StepContext ctx = context(step + 1, true, train_arena_);
+  for (const Pass<float>& pass : passes_) {
+    ctx.pass = pass.parts().number;
+    pass.observe(ctx);
+  }
+}
+
+void StreamExecutor::begin_step(Shape& shape, std::int64_t step) {
   if (growths() != growths_) {  // graphs hold addresses of the arenas
     forget_graphs();
     growths_ = growths();
   }
   try {
-    run_part(shape, shape.graphs[0], [&] {
-      backward(shape, step);
-      if (!hook_) this->update(step);
-    });
+    if (!shape.captured()) return backward(shape, step, false);
+    if (shape.graphs[0] == nullptr) {
+      capture(shape.graphs[0], [&] {
+        backward(shape, step, true);
+        if (!sums_->waits()) sums_->meet(launch().fault);
+        if (!splits()) update(step);
+      });
+    }
+    if (splits() && shape.graphs[1] == nullptr) capture(shape.graphs[1], [&] { update(step); });
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::unavailable) throw;
     throw with_settings_that_fit(error, shape, step);
   }
+}
+
+void StreamExecutor::end_step(Shape& shape, std::int64_t step) {
+  const bool captured = shape.captured();
+  if (captured) start(shape.graphs[0]);
+  if (!captured || sums_->waits()) sums_->meet(launch().fault);
   if (hook_) {
     try {
       hook_({step, store_->learned_gradients(), stream_});
@@ -197,32 +264,46 @@ void StreamExecutor::run(Shape& shape, std::int64_t step) {
       store_->clear_gradients();
       throw;
     }
-    run_part(shape, shape.graphs[1], [&] { this->update(step); });
+  }
+  if (!captured) {
+    update(step);
+  } else if (splits()) {
+    start(shape.graphs[1]);
   }
   shape.runs = std::min(shape.runs + 1, kRunsBeforeCapture);
 }
 
-void StreamExecutor::run_part(const Shape& shape, cudaGraphExec_t& graph, const std::function<void()>& body) {
-  if (shape.runs < kRunsBeforeCapture) return body();
-  if (graph == nullptr) {
-    cudaGraph_t captured = nullptr;
-    check(cudaStreamBeginCapture(stream_, cudaStreamCaptureModeThreadLocal), "capturing a step");
+void StreamExecutor::capture(cudaGraphExec_t& graph, const std::function<void()>& body) {
+  cudaGraph_t captured = nullptr;
+  check(cudaStreamBeginCapture(stream_, cudaStreamCaptureModeThreadLocal), "capturing a step");
+  try {
     body();
-    check(cudaStreamEndCapture(stream_, &captured), "capturing a step");
-    check(cudaGraphInstantiate(&graph, captured, 0), "making a graph of a step");
-    check(cudaGraphDestroy(captured), "making a graph of a step");
+  } catch (...) {
+    (void)cudaStreamEndCapture(stream_, &captured);
+    if (captured != nullptr) (void)cudaGraphDestroy(captured);
+    throw;
   }
-  check(cudaGraphLaunch(graph, stream_), "starting a step");
+  check(cudaStreamEndCapture(stream_, &captured), "capturing a step");
+  check(cudaGraphInstantiate(&graph, captured, 0), "making a graph of a step");
+  check(cudaGraphDestroy(captured), "making a graph of a step");
 }
 
-void StreamExecutor::backward(const Shape& shape, std::int64_t step) {
-  const Workspace::Scope scope(train_arena_), beside(beside_arena_);
+void StreamExecutor::start(cudaGraphExec_t graph) { check(cudaGraphLaunch(graph, stream_), "starting a step"); }
+
+void StreamExecutor::backward(const Shape& shape, std::int64_t step, bool overlapped) {
   StepSums* const sums = staging_->device_sums();
-  check(cudaMemsetAsync(sums->pass, 0, sizeof sums->pass, stream_), "clearing sums");
-  store_->zero_derived_gradients();
-  const StepContext ctx = context(step, true, train_arena_);
-  train_passes(shape, staging_->batch(), ctx);
-  for (const Pass<float>& pass : passes_) pass.derive_backward(ctx);
+  check(cudaMemsetAsync(sums->shard, 0, sizeof sums->shard, stream_), "clearing sums");
+  sums_->begin(overlapped);
+  const auto [first, last] = sums_->own();
+  const std::int64_t begin = shard_of(rays_, first, sums_->shards()).begin;
+  for (int s = first; s < last; ++s) {
+    const Workspace::Scope scope(train_arena_), beside(beside_arena_);
+    const RayRange rays = shard_of(rays_, s, sums_->shards());
+    store_->zero_derived_gradients();
+    const Shard shard{rows_of(staging_->batch(), rays.begin - begin, rays.count), rays.begin, s - first};
+    if (rays.count > 0) walk(shape, shard, step);
+    sums_->shard_done(s);
+  }
 }
 
 void StreamExecutor::update(std::int64_t step) {
@@ -233,15 +314,15 @@ void StreamExecutor::update(std::int64_t step) {
   for (const Pass<float>& pass : passes_) pass.derive(ctx);
 }
 
-// A batch on the device: sums go into those of the step, and semantic branches run on a stream of their own.
-class StreamExecutor::BatchExecutor final : public StepExecutor<float> {
+// A shard on the device: sums go into those of the step, and semantic branches run on a stream of their own.
+class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
  public:
-  BatchExecutor(StreamExecutor& owner, const Shape& shape, double color_normaliser)
-      : owner_(owner), shape_(shape), color_normaliser_(color_normaliser) {}
+  ShardExecutor(StreamExecutor& owner, const Shape& shape, int shard, const StepContext& ctx)
+      : owner_(owner), shape_(shape), shard_(shard), ctx_(ctx) {}
 
   void color_loss(std::size_t pass, Workspace& arena, View<const float> color, View<const float> target,
                   View<float> d_color) override {
-    photometric_loss(arena, color, target, color_normaliser_, d_color, sums(pass));
+    photometric_loss(arena, color, target, owner_.color_normaliser_, d_color, sums(pass));
   }
   void semantic_loss(std::size_t pass, Workspace& arena, View<const float> logits, const SemanticTargets& targets,
                      View<float> d_logits) override {
@@ -272,7 +353,7 @@ class StreamExecutor::BatchExecutor final : public StepExecutor<float> {
     check(cudaEventRecord(owner_.forked_, owner_.stream_), "marking a step");
     check(cudaStreamWaitEvent(owner_.beside_, owner_.forked_, 0), "waiting for a step");
     Launch next = launch();
-      next.stream = owner_.beside_;
+    next.stream = owner_.beside_;
     branch_.emplace(next);
     StepContext beside = ctx;
     beside.workspace = &owner_.beside_arena_;
@@ -284,62 +365,31 @@ class StreamExecutor::BatchExecutor final : public StepExecutor<float> {
     check(cudaStreamWaitEvent(owner_.stream_, owner_.joined_, 0), "waiting for a semantic branch");
   }
 
+  void pass_done(std::size_t pass) override {
+    owner_.passes_[pass].derive_backward(ctx_);
+    owner_.sums_->pass_done(pass);
+  }
+
  private:
-  LossSums* sums(std::size_t pass) const { return &owner_.staging_->device_sums()->pass[pass]; }
+  LossSums* sums(std::size_t pass) const { return &owner_.staging_->device_sums()->shard[shard_][pass]; }
 
   StreamExecutor& owner_;
   const Shape& shape_;
-  double color_normaliser_;
+  int shard_;
+  StepContext ctx_;
   std::optional<LaunchScope> branch_;
 };
 
-void StreamExecutor::train_passes(const Shape& shape, const RayBatch& batch, const StepContext& ctx) {
+void StreamExecutor::walk(const Shape& shape, const Shard& shard, std::int64_t step) {
+  StepContext ctx = context(step, true, train_arena_);
+  ctx.first_ray = shard.first_ray;
+  const std::int64_t count = shard.batch.origin.rows;
   TrainedRays rays;
-  rays.batch = batch;
-  rays.semantic_rays = shape.semantic_rays;
-  rays.first_color = label_only_rays(batch.label_only_share, 0, batch.origin.rows);
-  BatchExecutor executor(*this, shape, color_normaliser(batch));
+  rays.batch = shard.batch;
+  rays.semantic_rays = std::min(shape.semantic_rays, count);
+  rays.first_color = label_only_rays(shard.batch.label_only_share, shard.first_ray, shard.first_ray + count);
+  ShardExecutor executor(*this, shape, shard.number, ctx);
   train_rays<float>(passes_, host_.per_ray(), rays, ctx, executor);
-}
-
-StepLosses StreamExecutor::losses_of(const StepSums& sums, const BatchScales& scales) const {
-  StepLosses out;
-  for (std::size_t p = 0; p < passes_.size(); ++p) {
-    const LossSums& pass = sums.pass[p];
-    out.color += pass.squares;
-    out.semantic += pass.semantic;
-    out.mse = pass.squares;
-    for (std::size_t i = 0; i < kMostLossTerms; ++i) out.terms[i] += pass.terms[i];
-    out.samples = pass.samples;
-    out.labelled = pass.labelled;
-    out.correct = pass.correct;
-    if (pass.dense != 0) out.dense_passes |= 1U << p;
-  }
-  return host_.means_of(out, scales);
-}
-
-StepResults StreamExecutor::finish() {
-  done_.clear();
-  std::optional<std::int64_t> failed;
-  if (queued_.empty()) return {};
-  const LaunchScope scope(step_launch());
-  synchronize();
-  for (std::size_t slot = 0; slot < queued_.size() && !failed; ++slot) {
-    const StepSums& sums = staging_->sums(static_cast<int>(slot));
-    const StepLosses losses = losses_of(sums, queued_[slot].scales);
-    if (sums.fault != kNoFault || !std::isfinite(losses.total)) {
-      failed = queued_[slot].step;
-    } else {
-      done_.push_back(losses);
-    }
-  }
-  queued_.clear();
-  if (failed) {
-    store_->clear_gradients();
-    check(cudaMemsetAsync(&staging_->device_sums()->fault, 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
-    synchronize();
-  }
-  return {done_, failed, std::nullopt};
 }
 
 }  // namespace semfield::cuda

@@ -3,10 +3,12 @@
 
 #include <functional>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "cuda/kernels/losses.h"
 #include "cuda/memory.h"
+#include "cuda/ranks/gradient_sums.h"
 #include "cuda/staging.h"
 #include "cuda/store.h"
 #include "execution/device_library.h"
@@ -16,8 +18,13 @@ namespace semfield::cuda {
 
 /// A step is: one copy of its batch to the device, one graph of every kernel from sampling to Adam, one copy of its
 /// sums back, all queued without waiting. The graph is captured in the third step of a shape: the first sizes arenas
-/// and chooses algorithms. Rays beyond the last labelled one carry no semantics; a step's number of such rays is
-/// rounded up to an eighth of the batch, so that few shapes occur.
+/// and chooses algorithms. A batch is walked shard by shard (cuda/ranks/gradient_sums.h): as a whole, or this rank's
+/// part of it, or with DeviceOptions::deterministic several parts. Rays of a shard beyond the last labelled one of any
+/// shard carry no semantics; their number is rounded to an eighth of a shard, so that few shapes occur, the same ones
+/// on every rank.
+///
+/// With several ranks each has the whole batch, and ends a step with the same tensors. Samplers' states are refreshed
+/// by every rank for itself, from the same tensors.
 class StreamExecutor final : public Executor<float> {
  public:
   StreamExecutor(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options);
@@ -28,7 +35,7 @@ class StreamExecutor final : public Executor<float> {
   std::string matrix_products() const override { return "cuBLASLt and our own"; }
   void upload(std::int64_t step) override;
   void download(std::int64_t step) override;
-  std::int64_t tile_rays(std::int64_t rays) const override { return rays; }
+  std::int64_t tile_rays(std::int64_t rays) const override;
   void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) override;
   int most_queued() const override { return kSlots; }
   StepResults finish() override;
@@ -40,24 +47,41 @@ class StreamExecutor final : public Executor<float> {
   static constexpr int kSlots = 32;
   static constexpr int kGroups = 8;  // shapes of a step: eighths of the batch with semantics
 
-  // One shape of a step: how many rays have semantics, and which terms of the loss there are.
+  // One shape of a step: how many rays of a shard have semantics, and which terms of the loss there are.
   struct Shape {
     std::int64_t semantic_rays = 0;
     std::uint32_t terms = 0;  // of the loss that work: LossScales::active
     int runs = 0;
-    cudaGraphExec_t graphs[2] = {};  // with a gradient hook two, one before and one after it
+    cudaGraphExec_t graphs[2] = {};  // two where the host works between backward and update
+    bool captured() const { return runs >= kRunsBeforeCapture; }
+  };
+  static constexpr int kRunsBeforeCapture = 2;  // a capture must find the arenas grown
+  // Rays that are walked together.
+  struct Shard {
+    RayBatch batch;
+    std::int64_t first_ray = 0;  // of the whole batch
+    int number = 0;              // among this rank's
   };
   Launch step_launch() const;
   StepContext context(std::int64_t step, bool training, Workspace& arena) const;
-  Shape& shape_of(const RayBatch& batch, std::uint32_t terms);
-  void run(Shape& shape, std::int64_t step);
-  void run_part(const Shape& shape, cudaGraphExec_t& graph, const std::function<void()>& body);
-  void backward(const Shape& shape, std::int64_t step);
+  /// Most labelled rays of a shard, those behind others included.
+  std::int64_t labelled_rays(const RayBatch& batch) const;
+  Shape& shape_of(const RayBatch& batch, std::int64_t labelled, std::uint32_t terms);
+  Shape& stage(std::int64_t step, const RayBatch& batch, const AdamStep& update, const BatchScales& scales);
+  /// The part of a step on which no other rank relies: backward, or the graphs that hold it.
+  void begin_step(Shape& shape, std::int64_t step);
+  void end_step(Shape& shape, std::int64_t step);
+  void observe(std::int64_t step);
+  void drop_gradients();
+  bool splits() const { return hook_ || sums_->waits(); }
+  void capture(cudaGraphExec_t& graph, const std::function<void()>& body);
+  void start(cudaGraphExec_t graph);
+  void backward(const Shape& shape, std::int64_t step, bool overlapped);
   void update(std::int64_t step);
-  void train_passes(const Shape& shape, const RayBatch& batch, const StepContext& ctx);
-  class BatchExecutor;
+  void walk(const Shape& shape, const Shard& shard, std::int64_t step);
+  class ShardExecutor;
   std::int64_t growths() const { return train_arena_.growth_count() + beside_arena_.growth_count(); }
-  /// Whether a step's forward and backward of its first `rays` rays do (memory_advice.cpp).
+  /// Whether forward and backward of the first `rays` rays of a shard do (memory_advice.cpp).
   bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
   /// The error of a step that did not fit, with settings that do.
   Error with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step);
@@ -68,7 +92,8 @@ class StreamExecutor final : public Executor<float> {
     std::int64_t step;
     BatchScales scales;
   };
-  StepLosses losses_of(const StepSums& sums, const BatchScales& scales) const;
+  /// Of the batch; `sums`: of each rank.
+  StepLosses losses_of(std::span<const StepSums* const> sums, const BatchScales& scales) const;
   Launch render_launch() const;
   void explain_fault(const std::function<void()>& on_the_host);
 
@@ -79,10 +104,13 @@ class StreamExecutor final : public Executor<float> {
   cudaEvent_t forked_ = nullptr, joined_ = nullptr;
   std::unique_ptr<Store> store_;
   std::vector<Pass<float>> passes_;
+  std::unique_ptr<GradientSums> sums_;
   Workspace train_arena_, beside_arena_, render_arena_;
-  std::int64_t chunk_rays_ = 16384;  // rendered at a time; halved where memory is short
-  std::int64_t growths_ = 0;         // of a step's arenas when graphs were last forgotten
-  std::unique_ptr<Staging> staging_;
+  std::int64_t chunk_rays_ = 16384;   // rendered at a time; halved where memory is short
+  std::int64_t growths_ = 0;          // of a step's arenas when graphs were last forgotten
+  std::unique_ptr<Staging> staging_;  // of this rank's rays
+  std::int64_t rays_ = 0;             // of a whole batch
+  double color_normaliser_ = 1;       // of a whole batch
   Buffer<float> class_weight_;
   Buffer<FaultKey> render_fault_;
   std::vector<Shape> shapes_;

@@ -74,6 +74,7 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
     pass.backward(ctx, call.lane, trace, d, d_logits, d_encoded);
     if (pass.scatters()) executor.use_encoded_gradient(p, trace, ctx, d_encoded);
     if (branched) executor.join_branch();
+    executor.pass_done(p);
     previous = trace;
     proposal.samples = &previous.samples;
     proposal.weight = previous.weight.row_range(0, previous.samples.count);

@@ -41,6 +41,8 @@ class StepExecutor {
   virtual StepContext begin_branch(const StepContext& ctx) { return ctx; }
   virtual void end_branch() {}
   virtual void join_branch() {}
+  /// All gradients of a pass's tensors are queued or made; the next pass adds nothing to them.
+  virtual void pass_done(std::size_t) {}
 };
 
 /// Rays of a step and how they are walked.

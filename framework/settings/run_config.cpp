@@ -50,8 +50,10 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
       visit, p, precision,
       "precision of the networks' matrix products: fp32; bf16 operands with fp32 sums, weights and gradients; or auto, "
       "which is bf16 where the machine computes it faster and all fields have it, and run.yaml has the choice");
-  SEMFIELD_PARAM(visit, p, deterministic,
-                 "a GPU sums in a fixed order, so that every run gives the same bits; the CPU always does");
+  SEMFIELD_PARAM(
+      visit, p, deterministic,
+      "GPUs sum in a fixed order, so that every run gives the same bits on any number of equal GPUs; the CPU "
+      "always does");
   SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
   SEMFIELD_PARAM(visit, p, seed, "seed of every random value");
   SEMFIELD_PARAM(visit, p, lanes,

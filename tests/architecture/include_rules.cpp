@@ -76,6 +76,7 @@ std::string forbidden_library(const std::string& path, const std::string& target
       {"yaml-cpp/", "framework/config/config_tree.cpp"},
       {"yaml.h", "framework/config/config_tree.cpp"},
       {"mpi.h", "framework/mpi/mpi_ranks.cpp"},
+      {"nccl.h", "framework/cuda/nccl/nccl_exchange.cpp"},
       {"OpenImageIO/", "framework/formats/image_formats.cpp"},
       {"tiny_obj_loader.h", "plugins/datasets/obj_room/mesh_io.cpp"},
       {"omp.h", "framework/compute/parallel.cpp"},

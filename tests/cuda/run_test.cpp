@@ -12,6 +12,7 @@
 #include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
+#include "tests/cuda/step_configs.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -71,27 +72,6 @@ struct StepCaseRow {
   std::string (*config)(const std::string&);
   const char* more;
 };
-std::string few_labels_config(const std::string& more) {
-  std::string yaml = two_pass_config(more);
-  const std::string scene = "{type: analytic_room}";
-  return yaml.replace(yaml.find(scene), scene.size(), "{type: analytic_room, labels: {frames: 50%}}");
-}
-std::string branch_config(const std::string& more) {
-  std::string yaml = hash_config();
-  const std::string branch =
-      "    semantic: {position: {type: frequency, frequencies: 4}, field: {type: tiny_mlp, "
-      "hidden_width: 24, hidden_layers: 2}" +
-      more + "}\n";
-  return yaml.insert(yaml.find("train: "), branch);
-}
-std::string label_rays_config(const std::string& more) {
-  std::string yaml = few_labels_config("");
-  return yaml.replace(yaml.find("train: {"), 8, "train: {" + more);
-}
-const char* const kTerms =
-    "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
-    "0.1, from_step: 0, distance_m: 0.8}]\n";
-std::string branch_and_terms_config(const std::string& more) { return branch_config("") + more; }
 const StepCaseRow kSteps[] = {
     {"two_pass", two_pass_config, ""},
     {"hash", hash_config, ""},

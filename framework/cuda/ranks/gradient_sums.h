@@ -1,0 +1,90 @@
+// How a step is shared: which rays of its batch a rank walks, and how the gradients meet again.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/error.h"
+#include "cuda/memory.h"
+#include "cuda/ranks/exchange.h"
+#include "cuda/ranks/shards.h"
+#include "cuda/staging.h"
+#include "execution/device_library.h"
+
+namespace semfield::cuda {
+
+/// By default a rank has one shard of the batch, and gradients are summed pass by pass, each while the next pass is
+/// walked. With DeviceOptions::deterministic there are kShards shards, however many ranks there are; a rank has some in
+/// a row, walked one after the other, and gradients are added in the order of a tree (shards.h). Without ranks nothing
+/// is exchanged; launches are those of launch().
+class GradientSums {
+ public:
+  /// Borrows `gradients`, in device memory, those of pass p behind those of the pass before, from ends[p - 1] to
+  /// ends[p].
+  GradientSums(const DeviceOptions& options, std::span<float> gradients, std::vector<std::size_t> ends);
+  ~GradientSums();
+  GradientSums(const GradientSums&) = delete;
+  GradientSums& operator=(const GradientSums&) = delete;
+
+  /// Of a batch.
+  int shards() const { return shards_; }
+  /// This rank's: [first, second).
+  std::pair<int, int> own() const { return own_of(rank()); }
+  std::pair<int, int> own_of(int rank) const;
+  int rank() const { return ranks_ == nullptr ? 0 : ranks_->rank(); }
+  int ranks() const { return ranks_ == nullptr ? 1 : ranks_->size(); }
+
+  /// To be called by all ranks, before a step; meets the others once. Throws Error where ranks cannot work like this.
+  void join();
+  /// Memory for the sums. Throws Error(unavailable).
+  void reserve();
+  /// Calls `work`, which may fail on one rank: then all throw.
+  void agree(const std::function<void()>& work);
+  /// Calls `work` when the other ranks rely on this one's step: with several ranks its error is thrown by the next
+  /// `agree`, and so on all of them.
+  void afterwards(const std::function<void()>& work);
+  /// Whether `meet` waits for the other ranks, so that no graph may hold it.
+  bool waits() const { return exchange_ && !exchange_->queues(); }
+
+  /// Before the walk of a step's shards. overlapped: passes are summed when they are done, else all by `meet`.
+  void begin(bool overlapped);
+  /// The gradients of pass p are complete, on launch().stream.
+  void pass_done(std::size_t pass);
+  /// So are those of this rank's shard; what the next one adds to is zero.
+  void shard_done(int shard);
+  /// The gradients become those of the batch, and *fault the least of all ranks, for what launch().stream does next.
+  void meet(FaultKey* fault);
+  /// Waits for launch().stream.
+  void wait();
+
+  /// [ranks, mine.size()]
+  std::vector<StepSums> of_all_ranks(std::span<const StepSums> mine) const;
+
+ private:
+  std::size_t most_nodes() const;
+  void sum_pass(std::size_t pass, FaultKey* fault);
+  float* gathered(int rank, std::size_t node) const;
+
+  Ranks* ranks_;
+  bool deterministic_;
+  std::function<void(const std::string&)> note_;
+  int shards_;
+  std::span<float> gradients_;
+  std::vector<std::size_t> ends_;
+  std::unique_ptr<RankExchange> exchange_;
+  std::optional<Error> pending_;
+  cudaStream_t between_ = nullptr;  // the sums of passes
+  cudaEvent_t walked_ = nullptr, summed_ = nullptr;
+  bool overlapped_ = false;
+  std::size_t next_pass_ = 0;  // that is to be summed
+  // With deterministic_: sums of subtrees that wait for their other half, of each level below the largest node's, and
+  // nodes [ranks, most_nodes()] of all ranks; each `gradients_.size()` numbers.
+  Buffer<float> carried_, nodes_;
+};
+
+}  // namespace semfield::cuda

@@ -1,0 +1,32 @@
+// Configurations of the steps that tests compare: labels of few frames, branches, terms of the loss.
+#pragma once
+
+#include <string>
+
+#include "tests/session/train_testing.h"
+
+namespace semfield::testing_train {
+
+inline std::string few_labels_config(const std::string& more) {
+  std::string yaml = two_pass_config(more);
+  const std::string scene = "{type: analytic_room}";
+  return yaml.replace(yaml.find(scene), scene.size(), "{type: analytic_room, labels: {frames: 50%}}");
+}
+inline std::string branch_config(const std::string& more) {
+  std::string yaml = hash_config();
+  const std::string branch =
+      "    semantic: {position: {type: frequency, frequencies: 4}, field: {type: tiny_mlp, "
+      "hidden_width: 24, hidden_layers: 2}" +
+      more + "}\n";
+  return yaml.insert(yaml.find("train: "), branch);
+}
+inline std::string label_rays_config(const std::string& more) {
+  std::string yaml = few_labels_config("");
+  return yaml.replace(yaml.find("train: {"), 8, "train: {" + more);
+}
+inline const char* const kTerms =
+    "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
+    "0.1, from_step: 0, distance_m: 0.8}]\n";
+inline std::string branch_and_terms_config(const std::string& more) { return branch_config("") + more; }
+
+}  // namespace semfield::testing_train
