@@ -32,6 +32,8 @@ class ScaleStarts : public testing::Test {
       if (start.ranks > 1) return {code_of_ranks, "this build has no MPI", 1};
       std::string words;
       for (const std::string& word : start.words) words += shell_word(word) + " ";
+      if (other_seed_on_two_threads_ && read_text_file(start.words[1]).find("\"threads\": 2") != std::string::npos)
+        words += "--set runtime.seed=7";
       const testing_program::Result r = testing_program::semfield_run(words, folder_);
       return {r.code, r.err, 2};
     };
@@ -50,6 +52,7 @@ class ScaleStarts : public testing::Test {
   std::string folder_;
   std::vector<ScaleStart> started_;
   int asked_ = 0;  // for a launcher
+  bool other_seed_on_two_threads_ = false;
 };
 
 TEST_F(ScaleStarts, RanksThatCannotBeHadAreToldOnceAndTheRestIsMeasured) {
@@ -74,6 +77,16 @@ TEST_F(ScaleStarts, ATrainingThatFailsEndsTheStudyWithWhatItSaid) {
     const std::string text = error.what();
     EXPECT_NE(text.find("paper step of 32 rays on 2 ranks failed: this build has no MPI"), std::string::npos) << text;
   }
+}
+
+TEST_F(ScaleStarts, ATrainingThatEndsInOtherBitsIsFound) {
+  other_seed_on_two_threads_ = true;
+  const ScaleResults results = measure({"bits"}, static_cast<int>(ErrorKind::unavailable));
+  ASSERT_GE(results.bits.size(), 2U);
+  EXPECT_EQ(results.bits[0].difference, "");
+  EXPECT_EQ(results.bits[1].threads, 2);
+  EXPECT_NE(results.bits[1].difference, "");
+  EXPECT_NE(scale_line(results).find("bits_equal=no"), std::string::npos);
 }
 
 TEST_F(ScaleStarts, OneThreadOnEachOfManyPinnedRanks) {
