@@ -240,6 +240,7 @@ std::string scale_measured(const ScaleResults& results) {
 
 std::string scale_model(const ScaleResults& results) {
   const std::vector<ScaleCase> cases = scale_cases(results);
+  if (cases.empty()) return "No step was timed on one rank, on which the model could stand.\n";
   std::string text =
       "| step | every device, ms | dealt out, µs a ray | every device for all rays, µs a ray | gradients, MB | "
       "gathered, "

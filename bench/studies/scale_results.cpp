@@ -187,8 +187,17 @@ ScaleResults merged(ScaleResults old, const ScaleResults& fresh) {
   if (old.quick != fresh.quick)
     throw Error(ErrorKind::usage, "figures of --quick and others do not go together",
                 "measure all of them with --quick, or none");
-  for (const ScaleMachine& machine : fresh.machines)
-    take(old.machines, machine, [](const ScaleMachine& a, const ScaleMachine& b) { return a.name == b.name; });
+  for (const ScaleMachine& machine : fresh.machines) {
+    const bool timed = std::any_of(fresh.rows.begin(), fresh.rows.end(),
+                                   [&](const ScaleRow& row) { return row.machine == machine.name; });
+    const auto known = std::find_if(old.machines.begin(), old.machines.end(),
+                                    [&](const ScaleMachine& m) { return m.name == machine.name; });
+    if (known == old.machines.end()) {
+      old.machines.push_back(machine);
+    } else if (timed) {  // what is said of the machine is said of its times
+      *known = machine;
+    }
+  }
   for (const ScaleRow& row : fresh.rows) {
     take(old.rows, row, [](const ScaleRow& a, const ScaleRow& b) {
       return a.machine == b.machine && a.step == b.step && a.device == b.device && a.ranks == b.ranks &&

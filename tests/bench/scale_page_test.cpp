@@ -112,6 +112,11 @@ TEST(ScaleResults, FreshFiguresReplaceTheirOwn) {
   EXPECT_EQ(all.machines.size(), 1U);
   EXPECT_EQ(all.machines[0].about, "another build");
   EXPECT_EQ(goal(all, "cpu2_strong"), "2.00");
+  ScaleResults without_times;
+  without_times.machines = {{"two cores", "cpu", 2, "a third build"}};
+  without_times.bits = {{"two cores", "quickstart", 2, 1, ""}};
+  EXPECT_EQ(merged(all, without_times).machines[0].about, "another build");
+  EXPECT_EQ(goal(merged(all, without_times), "bits_equal"), "yes");
   fresh.quick = true;
   EXPECT_THROW(merged(two_cores(), fresh), Error);
 }
