@@ -94,19 +94,22 @@ std::string measured_table(const ScaleResults& results, const ScaleMachine& mach
 
 std::string bits_table(const ScaleResults& results) {
   if (results.bits.empty()) return {};
+  std::vector<std::pair<std::string, std::string>> trainings;  // name and machine, each once
+  for (const ScaleBits& row : results.bits) {
+    const std::pair<std::string, std::string> training{row.name, row.machine};
+    if (std::find(trainings.begin(), trainings.end(), training) == trainings.end()) trainings.push_back(training);
+  }
   std::string text = "\n| training | machine | ranks x threads | bits |\n|---|---|---|---|\n";
-  for (auto first = results.bits.begin(); first != results.bits.end();) {
+  for (const auto& [name, machine] : trainings) {
     std::string arrangements, differs;
-    auto next = first;
-    for (; next != results.bits.end() && next->name == first->name && next->machine == first->machine; ++next) {
-      const std::string here = fmt::format("{} x {}", next->ranks, next->threads);
+    for (const ScaleBits& row : results.bits) {
+      if (row.name != name || row.machine != machine) continue;
+      const std::string here = fmt::format("{} x {}", row.ranks, row.threads);
       arrangements += (arrangements.empty() ? "" : ", ") + here;
-      if (!next->difference.empty())
-        differs += fmt::format("{}{}: {}", differs.empty() ? "" : "; ", here, next->difference);
+      if (row.difference.empty()) continue;
+      differs += fmt::format("{}{}: {}", differs.empty() ? "" : "; ", here, row.difference);
     }
-    text += fmt::format("| {} | {} | {} | {} |\n", first->name, first->machine, arrangements,
-                        differs.empty() ? "equal" : differs);
-    first = next;
+    text += fmt::format("| {} | {} | {} | {} |\n", name, machine, arrangements, differs.empty() ? "equal" : differs);
   }
   return text;
 }
