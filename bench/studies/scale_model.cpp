@@ -9,6 +9,8 @@ namespace semfield {
 
 namespace {
 
+constexpr double kNearlyMost = 0.99;  // of the most rays a second; what comes then is not worth a device
+
 int hosts_of(const ScaleSystem& system, int devices) { return (devices + system.per_host - 1) / system.per_host; }
 
 double message_seconds(const ScaleLink& link, double bytes) { return link.latency_s + bytes / link.bytes_per_s; }
@@ -86,15 +88,13 @@ double predict_speedup(const ScaleStep& step, const ScaleSystem& system, int dev
 
 ScaleLimits scale_limits(const ScaleStep& step, const ScaleSystem& system, double rays, bool strong, int most) {
   ScaleLimits limits;
-  double best = 1;
-  for (int devices = 2; devices <= most; ++devices) {
-    const double speedup = predict_speedup(step, system, devices, rays, strong);
-    if (speedup >= 0.5 * devices) limits.half_efficient = devices;
-    if (speedup > best) {
-      best = speedup;
-      limits.fastest = devices;
-    }
+  std::vector<double> speedups;
+  for (int devices = 1; devices <= most; ++devices) {
+    speedups.push_back(predict_speedup(step, system, devices, rays, strong));
+    if (speedups.back() >= 0.5 * devices) limits.half_efficient = devices;
   }
+  const double enough = kNearlyMost * *std::max_element(speedups.begin(), speedups.end());
+  while (speedups[static_cast<std::size_t>(limits.fastest) - 1] < enough) ++limits.fastest;
   return limits;
 }
 

@@ -64,7 +64,7 @@ double predict_speedup(const ScaleStep& step, const ScaleSystem& system, int dev
 
 struct ScaleLimits {
   int half_efficient = 1;  ///< the most devices, 1 to `most`, on which a half of each is still of use
-  int fastest = 1;         ///< the fewest devices with the most rays a second
+  int fastest = 1;         ///< the fewest devices with 99 % of the most rays a second
 };
 ScaleLimits scale_limits(const ScaleStep& step, const ScaleSystem& system, double rays, bool strong, int most);
 

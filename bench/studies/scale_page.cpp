@@ -132,9 +132,9 @@ std::string limits_text(const ScaleCase& c, bool strong) {
   const double rays = static_cast<double>(strong ? c.sizes.strong : c.sizes.weak);
   const ScaleLimits limits = scale_limits(c.cost, c.system, rays, strong, kMostDevices);
   const double least = predict_step(c.cost, c.system, limits.fastest, strong ? rays : rays * limits.fastest).step_s();
-  return fmt::format("{}: half of each device or more is of use up to {} devices; most rays a second on {} ({} ms)",
-                     strong ? "strong" : "weak", limit_text(limits.half_efficient), limit_text(limits.fastest),
-                     ms_text(least));
+  return fmt::format(
+      "{}: half of each device or more is of use up to {} devices; 99 % of the most rays a second on {} ({} ms)",
+      strong ? "Strong" : "Weak", limit_text(limits.half_efficient), limit_text(limits.fastest), ms_text(least));
 }
 
 std::string predicted_cells(const ScaleResults& results, const ScaleCase& c, int devices, bool strong) {
