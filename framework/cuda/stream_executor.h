@@ -39,6 +39,7 @@ class StreamExecutor final : public Executor<float> {
   void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) override;
   int most_queued() const override { return kSlots; }
   StepResults finish() override;
+  std::vector<std::string> take_notes() override { return sums_->take_notes(); }
   void set_gradient_hook(GradientHook<float> hook) override;
   void render(const RenderJob<float>& job) override;
   void density(View<const double> positions, View<float> sigma) override;

@@ -19,7 +19,6 @@ struct DeviceOptions {
   bool trainable = true;
   bool deterministic = false;  ///< sums in a fixed order: the same bits in every run and for any number of ranks
   Ranks* ranks = nullptr;      ///< processes that make every step together, each with a device; null: this one alone
-  std::function<void(const std::string&)> note = {};  ///< told what its users should know; may be null
 };
 
 /// Single calls of components on a device, and memory for them: what tests of plugins need (testkit/host_twin.h).

@@ -6,6 +6,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "core/device_id.h"
 #include "core/error.h"
@@ -65,6 +66,8 @@ class Executor {
   virtual int most_queued() const = 0;
   /// Waits for all queued steps.
   virtual StepResults finish() = 0;
+  /// What users should know of the steps made so far, a sentence each; told once.
+  virtual std::vector<std::string> take_notes() { return {}; }
   /// From the next step on; null: none. Not while steps are queued.
   virtual void set_gradient_hook(GradientHook<Real> hook) = 0;
 

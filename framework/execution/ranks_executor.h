@@ -30,6 +30,7 @@ class RanksExecutor final : public Executor<float> {
   std::string matrix_products() const override { return inner_.matrix_products(); }
   std::int64_t tile_rays(std::int64_t rays) const override { return inner_.tile_rays(rays); }
   int most_queued() const override { return inner_.most_queued(); }
+  std::vector<std::string> take_notes() override { return inner_.take_notes(); }
 
   void upload(std::int64_t step) override;
   /// Throws Error(failure) where the tensors of a rank differ from rank 0's.

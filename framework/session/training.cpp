@@ -66,7 +66,9 @@ std::span<const StepLosses> Training::advance(std::int64_t most) {
   const std::span<const StepLosses> made = trainer_.advance_many(most);
   train_s_ += std::chrono::duration<double>(Clock::now() - start).count();
   losses_ = made.back();
-  if (listener_ != nullptr) listener_->stepped(step(), losses_);
+  if (listener_ == nullptr) return made;
+  for (const std::string& note : session_.pipeline->executor().take_notes()) listener_->note(note);
+  listener_->stepped(step(), losses_);
   return made;
 }
 

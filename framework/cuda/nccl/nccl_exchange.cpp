@@ -46,7 +46,7 @@ class NcclExchange final : public RankExchange {
     together(fault, stream, [&] { return ncclAllGather(own, blocks, each, ncclFloat32, all_, stream); });
   }
 
-  // A device that waits for one whose process has ended waits for ever.
+  // A device that waits for one whose process has ended waits for ever. So when this one fails, its process must end.
   void wait(cudaStream_t stream) override {
     using Clock = std::chrono::steady_clock;
     constexpr std::chrono::milliseconds kSpin{1}, kWatch{50};
@@ -56,7 +56,7 @@ class NcclExchange final : public RankExchange {
     for (;;) {
       const cudaError_t state = cudaStreamQuery(stream);
       if (state == cudaSuccess) return;
-      if (state != cudaErrorNotReady) check(state, "waiting for the device");
+      if (state != cudaErrorNotReady) end_with(state);
       const Clock::time_point now = Clock::now();
       if (now >= next_watch) {
         ncclResult_t own = ncclSuccess;
@@ -70,6 +70,14 @@ class NcclExchange final : public RankExchange {
   }
 
  private:
+  [[noreturn]] static void end_with(cudaError_t state) {
+    try {
+      check(state, "waiting for the device");
+    } catch (const Error& error) {
+      throw RankLost(error.kind(), error.message(), error.remedy());
+    }
+    throw RankLost(ErrorKind::internal, "a device was said to fail without an error", "");
+  }
   // `call`, and the fault's least, as one launch.
   template <class Call>
   void together(FaultKey* fault, cudaStream_t stream, const Call& call) {

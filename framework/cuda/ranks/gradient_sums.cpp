@@ -11,7 +11,6 @@ namespace semfield::cuda {
 GradientSums::GradientSums(const DeviceOptions& options, std::span<float> gradients, std::vector<std::size_t> ends)
     : ranks_(options.trainable ? options.ranks : nullptr),
       deterministic_(options.deterministic),
-      note_(options.note),
       shards_(deterministic_ ? kShards : ranks()),
       gradients_(gradients),
       ends_(std::move(ends)) {
@@ -46,8 +45,8 @@ void GradientSums::join() {
   }
   std::string why_not;
   exchange_ = meet_ranks(*ranks_, why_not);
-  if (!why_not.empty() && rank() == 0 && note_)
-    note_("gradients meet in the host's memory, which takes longer than NCCL: " + why_not);
+  if (!why_not.empty())
+    notes_.push_back("gradients meet in the host's memory, which takes longer than NCCL: " + why_not);
 }
 
 std::size_t GradientSums::most_nodes() const {
@@ -90,6 +89,7 @@ void GradientSums::afterwards(const std::function<void()>& work) {
   } catch (const RankLost&) {
     throw;
   } catch (const Error& error) {
+    if (!waits()) throw RankLost(error.kind(), error.message(), error.remedy());
     pending_ = error;
   }
 }

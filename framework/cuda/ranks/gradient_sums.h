@@ -41,12 +41,15 @@ class GradientSums {
 
   /// To be called by all ranks, before a step; meets the others once. Throws Error where ranks cannot work like this.
   void join();
+  /// What `join` has to tell, once.
+  std::vector<std::string> take_notes() { return std::exchange(notes_, {}); }
   /// Memory for the sums. Throws Error(unavailable).
   void reserve();
   /// Calls `work`, which may fail on one rank: then all throw.
   void agree(const std::function<void()>& work);
-  /// Calls `work` when the other ranks rely on this one's step: with several ranks its error is thrown by the next
-  /// `agree`, and so on all of them.
+  /// Calls `work` when the other ranks rely on this one's step. With several ranks its error is thrown by the next
+  /// `agree`, and so on all of them; but where their devices may wait for this one's for ever, it is RankLost: when this
+  /// process ends, they notice.
   void afterwards(const std::function<void()>& work);
   /// Whether `meet` waits for the other ranks, so that no graph may hold it.
   bool waits() const { return exchange_ && !exchange_->queues(); }
@@ -72,7 +75,7 @@ class GradientSums {
 
   Ranks* ranks_;
   bool deterministic_;
-  std::function<void(const std::string&)> note_;
+  std::vector<std::string> notes_;
   int shards_;
   std::span<float> gradients_;
   std::vector<std::size_t> ends_;
