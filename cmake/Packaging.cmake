@@ -26,6 +26,9 @@ set(semfield_deb_version ${PROJECT_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE})
 set(CPACK_DEBIAN_PROGRAM_PACKAGE_NAME semfield)
 set(CPACK_DEBIAN_PROGRAM_PACKAGE_SECTION science)
 set(CPACK_DEBIAN_PROGRAM_PACKAGE_SUGGESTS "ffmpeg, libsemfield-dev, python3-semfield")
+if(SEMFIELD_MPI)
+  string(APPEND CPACK_DEBIAN_PROGRAM_PACKAGE_SUGGESTS ", openmpi-bin")
+endif()
 set(CPACK_DEBIAN_PROGRAM_DESCRIPTION "labelled 3D scenes from posed images and a few 2D labels
 Semfield trains a neural field of appearance, geometry and semantics from
 posed images of one scene. It renders colour, depth, class labels and their

@@ -154,6 +154,11 @@ std::vector<BuiltRow> built_rows(const BuiltParts& built) {
                    built.image_library ? "no image of this scene needed it" : "this build has none",
                    ProofClass::bitwise, "about 250 shared libraries, a quarter of a second",
                    "it is loaded by itself, in a build with -DSEMFIELD_WITH_IMAGES=ON", ""}});
+  rows.push_back({built.processes == 1,
+                  {"mpi", "loaded when mpirun or srun has started several processes",
+                   built.mpi ? "this process was started alone" : "this build has none", ProofClass::bitwise,
+                   "MPI's libraries, and waiting for other processes",
+                   "mpirun brings it in, in a build with -DSEMFIELD_WITH_MPI=ON", ""}});
   return rows;
 }
 

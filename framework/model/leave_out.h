@@ -74,6 +74,8 @@ struct BuiltParts {
   std::int64_t in_tables = 0;      ///< of them, values of tables
   bool image_library = false;      ///< this build has one
   bool images_loaded = false;      ///< the process has loaded it
+  bool mpi = false;                ///< this build can join other processes
+  int processes = 1;               ///< that share the work
 };
 
 /// A ray may stop at this transmittance: colours in [0, 1] are then off by at most a quarter of an 8-bit step.

@@ -4,6 +4,14 @@
 
 namespace semfield {
 
+bool has_mpi() noexcept {
+#ifdef SEMFIELD_MPI_LIBRARY
+  return true;
+#else
+  return false;
+#endif
+}
+
 std::unique_ptr<Ranks> join_ranks([[maybe_unused]] const Launched& by) {
 #ifdef SEMFIELD_MPI_LIBRARY
   using Join = Ranks* (*)(const Launched*);

@@ -82,6 +82,8 @@ void agree(Ranks& ranks, const std::function<void()>& work);
 /// Rank r's part of `count` things in a row: [first, second).
 std::pair<std::int64_t, std::int64_t> part_of(std::int64_t count, int rank, int size);
 
+/// Whether this build can join other processes.
+bool has_mpi() noexcept;
 /// Joins the other processes that `by` tells of, through MPI. Throws Error(unavailable) where this build has none, or
 /// where MPI sees other processes than the launcher tells of.
 std::unique_ptr<Ranks> join_ranks(const Launched& by);

@@ -78,12 +78,14 @@ std::int64_t training_depth_px(const LoadedScene& scene) {
   return pixels;
 }
 
-BuiltParts built_parts(const Session& s) {
+BuiltParts built_parts(const Session& s, const Ranks* ranks) {
   BuiltParts built;
   built.sizes = s.chosen;
   built.learned = s.pipeline->store().learned_count();
   for (const Tensor<float>& t : s.pipeline->store().all())
     built.in_tables += t.spec.role == TensorRole::sparse ? t.size() : 0;
+  built.mpi = has_mpi();
+  if (ranks != nullptr) built.processes = ranks->size();
   built.image_library = images_available();
   built.images_loaded = image_formats_loaded();
   return built;
@@ -189,7 +191,7 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
     class_weight = inverse_log_frequency_weights(pixels);
   }
   s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
-  add_built_rows(built_parts(s), s.plan);
+  add_built_rows(built_parts(s, options.ranks), s.plan);
   if (options.ranks != nullptr) {
     lead(*options.ranks, s, registry, device, options.trainable);
   } else {

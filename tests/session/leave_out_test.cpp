@@ -308,6 +308,11 @@ TEST(LeaveOut, WhatPartsLeaveOutHasTheReasonThatItIs) {
   EXPECT_EQ(evidence(built, "table_size"), "a size");
   EXPECT_NE(evidence(built, "untouched_rows").find("80 of 100"), std::string::npos);
   EXPECT_EQ(evidence(built, "image_library"), "not left out");
+  EXPECT_EQ(evidence(built, "mpi"), "this build has none");
+  built.mpi = true;
+  EXPECT_EQ(evidence(built, "mpi"), "this process was started alone");
+  built.processes = 2;
+  EXPECT_EQ(evidence(built, "mpi"), "not left out");
 }
 
 TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
