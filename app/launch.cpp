@@ -31,12 +31,13 @@ int run_launched(const std::string& verb, Launch launch, const std::function<int
   }
   context.ranks = join_ranks(*by);
   Ranks& ranks = *context.ranks;
-  prepare_ranks(ranks, this_environment().version);
+  const std::string made = prepare_ranks(ranks, this_environment().version);
   if (ranks.rank() != 0) {
     leave_stop_to_rank_0();
     follow(ranks, context.registry);
     return 0;
   }
+  print_note(context, made);
   ranks.end_when([] { return stop_signal() != 0; });
   int code = 0;
   try {

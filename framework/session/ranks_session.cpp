@@ -1,6 +1,7 @@
 #include "session/ranks_session.h"
 
 #include <sched.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cstring>
@@ -129,7 +130,7 @@ void dismiss(Ranks& ranks) {
   broadcast(ranks, none);
 }
 
-void prepare_ranks(Ranks& ranks, const std::string& version) {
+std::string prepare_ranks(Ranks& ranks, const std::string& version) {
   const std::vector<std::string> versions = texts_of(ranks, version);
   const std::vector<std::string> sets = texts_of(ranks, std::string(isa_name(isa())));
   for (int r = 1; r < ranks.size(); ++r) {
@@ -155,7 +156,17 @@ void prepare_ranks(Ranks& ranks, const std::string& version) {
   for (int r = 0; r < ranks.size(); ++r) {
     if (host(r) == host(ranks.rank()) && CPU_EQUAL(&all[static_cast<std::size_t>(r)], &own)) ++together;
   }
-  set_thread_count(std::max(1, hardware_threads() / std::max(1, together)));
+  const int threads = std::max(1, hardware_threads() / std::max(1, together));
+  set_thread_count(threads);
+  const auto cores = static_cast<int>(sysconf(_SC_NPROCESSORS_ONLN));
+  std::string text = std::to_string(ranks.size()) + " processes, " + std::to_string(ranks.local_size()) +
+                     " of them on this host, each with " + std::to_string(threads) +
+                     (threads == 1 ? " thread" : " threads") + " by default";
+  // Launchers bind processes to cores, Open MPI to a single one where there are two processes.
+  if (CPU_COUNT(&own) < cores && threads * ranks.local_size() < cores)
+    text += ": the launcher lets it use " + std::to_string(CPU_COUNT(&own)) + " of " + std::to_string(cores) +
+            " cores (mpirun --bind-to none: all)";
+  return text;
 }
 
 }  // namespace semfield

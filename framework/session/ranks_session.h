@@ -20,9 +20,9 @@ void follow(Ranks& ranks, Registry& registry);
 /// Rank 0, when it leads no session any more.
 void dismiss(Ranks& ranks);
 
-/// All ranks, once: those that may run on the same cores share them (set_thread_count). Throws Error(unavailable) where
-/// ranks are programs of different versions, or where processors would compute with different instructions, so that the
-/// ranks' tensors would drift apart.
-void prepare_ranks(Ranks& ranks, const std::string& version);
+/// All ranks, once: those that may run on the same cores share them (set_thread_count). Returns a sentence about
+/// processes and threads. Throws Error(unavailable) where ranks are programs of different versions, or where processors
+/// would compute with different instructions, so that the ranks' tensors would drift apart.
+std::string prepare_ranks(Ranks& ranks, const std::string& version);
 
 }  // namespace semfield
