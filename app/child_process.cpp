@@ -11,8 +11,10 @@
 #include <cerrno>
 #include <csignal>
 #include <filesystem>
+#include <string_view>
 
 #include "app/signals.h"
+#include "ranks/launcher.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -40,6 +42,13 @@ pid_t spawn(const std::vector<std::string>& words, int out, int log, const std::
   std::vector<char*> argv;
   for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
   argv.push_back(nullptr);
+  // A child is no rank of the launcher that started this process.
+  std::vector<char*> environment;
+  for (char** entry = environ; *entry != nullptr; ++entry) {
+    const std::string_view setting(*entry);
+    if (!is_of_launcher(setting.substr(0, setting.find('=')))) environment.push_back(*entry);
+  }
+  environment.push_back(nullptr);
   const pid_t parent = getpid();
   const pid_t pid = fork();
   if (pid == 0) {
@@ -53,7 +62,7 @@ pid_t spawn(const std::vector<std::string>& words, int out, int log, const std::
     dup2(open("/dev/null", O_RDONLY | O_CLOEXEC), STDIN_FILENO);
     dup2(out, STDOUT_FILENO);
     dup2(log, STDERR_FILENO);
-    execv(argv[0], argv.data());
+    execve(argv[0], argv.data(), environment.data());
     _exit(127);
   }
   if (pid < 0) throw Error(ErrorKind::unavailable, "no process can be started", "see what limits them: ulimit -u");

@@ -1,25 +1,27 @@
 // sweep: experiments as grids of differences, cell by cell, with tables and plots.
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <cstdio>
-#include <filesystem>
-#include <thread>
+#include <optional>
+#include <string>
+#include <vector>
 
-#include "app/cell_pool.h"
+#include "app/child_process.h"
 #include "app/json_output.h"
 #include "app/signals.h"
+#include "app/sweep/cell_pool.h"
+#include "app/sweep/pack_cells.h"
+#include "app/sweep/sweep_folder.h"
 #include "app/verb.h"
 #include "compute/parallel.h"
-#include "formats/text_rows.h"
-#include "sweep/sweep_tables.h"
-#include "system/files.h"
-#include "system/folder_lock.h"
+#include "core/device_id.h"
+#include "execution/device_library.h"
+#include "ranks/launcher.h"
+#include "sweep/host_share.h"
 
 namespace semfield::app {
-
-namespace fs = std::filesystem;
 
 namespace {
 
@@ -28,6 +30,7 @@ struct SweepOptions {
   std::string out;  ///< default: runs/<name>
   std::optional<int> jobs, threads;
   std::optional<double> memory_gb;
+  std::vector<std::string> devices;
   bool keep_checkpoints = false;
   bool dry_run = false;
 };
@@ -36,141 +39,210 @@ std::string minutes_text(double seconds) {
   return seconds < 90 ? fmt::format("{:.0f} s", seconds) : fmt::format("{:.0f} min", seconds / 60);
 }
 
-void write_tables(const std::string& out, const Sweep& sweep, const std::vector<Cell>& cells,
-                  const SweepResults& results) {
-  std::string page = "# " + sweep.name + "\n";
-  for (std::size_t e = 0; e < sweep.experiments.size(); ++e) {
-    const ExperimentTable table(sweep, e, cells, results);
-    const std::string name = sweep.experiments[e].name;
-    page += "\n" + table.markdown();
-    write_file_atomic((fs::path(out) / (name + ".csv")).string(), table.csv());
-    const std::string svg = table.svg();
-    if (svg.empty()) continue;
-    write_file_atomic((fs::path(out) / (name + ".svg")).string(), svg);
-    page += "\n![" + sweep.experiments[e].title + "](" + name + ".svg)\n";
+// Where this process stands among those that work on the sweep.
+struct Place {
+  std::optional<Launched> launched;  // none: started by hand
+  int of_host() const { return launched ? launched->local_size : 1; }
+  int of_all() const { return launched ? launched->size : 1; }
+  // Of several that a launcher started, one tells what is said once.
+  bool reports() const { return !launched || launched->rank == 0; }
+  std::string prefix() const { return launched ? fmt::format("rank {}: ", launched->rank) : ""; }
+};
+
+// Every device that --devices names, or that this machine has.
+std::vector<std::string> named_devices(const std::vector<std::string>& words) {
+  const std::string remedy = "leave --devices out: each cell then runs on the device that its configuration says";
+  std::string why_not;
+  if (words == std::vector<std::string>{"all"}) {
+    std::vector<std::string> devices;
+    for (int n = 0; cuda_available(&why_not, n); ++n) devices.push_back(fmt::format("cuda:{}", n));
+    if (devices.empty()) throw Error(ErrorKind::unavailable, "--devices all: " + why_not, remedy);
+    return devices;
   }
-  write_file_atomic((fs::path(out) / "tables.md").string(), page);
-  write_file_atomic((fs::path(out) / "results.csv").string(), results_csv(sweep, cells, results));
-}
-
-// Which folder holds which cell, for people.
-std::string index_csv(const Sweep& sweep, const std::vector<Cell>& cells) {
-  std::string text = "cell,experiment,scene,variant,seed\n";
-  for (const Cell& cell : cells) {
-    for (const CellUse& use : cell.uses) {
-      const Experiment& e = sweep.experiments[use.experiment];
-      text += fmt::format("{},{},{},{},{}\n", cell.id, csv_field(e.name), csv_field(e.scenes[use.scene].name),
-                          csv_field(e.variants[use.variant].name), e.seeds[use.seed]);
-    }
+  std::vector<std::string> devices = device_names(words);
+  for (const std::string& device : devices) {
+    if (!cuda_available(&why_not, device_of(device)->ordinal))
+      throw Error(ErrorKind::unavailable, fmt::format("--devices: no {}: {}", device, why_not), remedy);
   }
-  return text;
+  return devices;
 }
 
-// The folder, created where it is missing, for one sweep at a time.
-FolderLock lock_of(const std::string& folder) {
-  create_folders(folder);
-  remove_stale_temporaries(folder);
-  FolderLock lock;
-  const int cause = lock.take(folder);
-  if (cause == EWOULDBLOCK)
-    throw Error(
-        ErrorKind::cannot_create,
-        fmt::format("the sweep folder '{}' is in use by {}, another sweep", folder, lock.holder()),
-        "wait for it to end, stop it (the next sweep continues from there), or choose another folder with --out; "
-        "--dry-run tells which cells are done");
-  if (cause != 0) throw write_error("lock", folder, cause);
-  return lock;
+// Those of this process; none where --devices is not given.
+std::vector<std::string> own_devices(const SweepOptions& options, const Place& place) {
+  if (options.devices.empty()) return {};
+  const std::vector<std::string> devices = named_devices(options.devices);
+  if (!place.launched) return devices;
+  const Launched& by = *place.launched;
+  if (std::ssize(devices) < by.local_size)
+    throw Error(ErrorKind::usage,
+                fmt::format("{} started {} processes on this host, and --devices gives them {}: {}", by.by,
+                            by.local_size, devices.size(), join(devices)),
+                "start no more processes on a host than it has devices, each of which sees all of them (srun "
+                "--gpu-bind=none)");
+  return devices_of_process(devices, by.local_rank, by.local_size);
 }
 
-int run(const SweepOptions& options, AppContext& context) {
-  const Sweep sweep = read_sweep(options.file);
-  const std::vector<Cell> cells = plan_cells(sweep, context.registry);
+PoolOptions pool_options(const SweepOptions& options, const std::vector<Cell>& cells, const Sweep& sweep,
+                         const Place& place, const Registry& registry) {
   PoolOptions pool;
   pool.folder = options.out.empty() ? "runs/" + sweep.name : options.out;
+  pool.program = own_program();
   pool.threads = std::max(1, options.threads.value_or(1));
-  pool.jobs = options.jobs.value_or(std::max(1, thread_count() / pool.threads));
+  const auto cores = static_cast<int>(sysconf(_SC_NPROCESSORS_ONLN));
+  pool.jobs = options.jobs.value_or(cells_at_a_time(thread_count(), cores, place.of_host(), pool.threads));
   pool.memory_gb = options.memory_gb.value_or(0);
+  pool.processes_of_host = place.of_host();
   pool.keep_checkpoints = options.keep_checkpoints;
-  pool.modules = context.registry.module_files();
+  pool.modules = registry.module_files();
   if (std::any_of(cells.begin(), cells.end(), [](const Cell& cell) { return !cell.pack.empty(); }))
-    pool.pack_reader = context.registry.pack_reader();
+    pool.pack_reader = registry.pack_reader();
+  return pool;
+}
 
-  FolderLock lock;
-  if (!options.dry_run) lock = lock_of(pool.folder);
-  SweepResults results;
-  for (const Cell& cell : cells) {
-    if (std::optional<CellValues> values = result_of_cell(pool, cell.id)) results[cell.id] = std::move(*values);
-  }
-  const std::size_t total = cells.size();
-  print_note(
-      context,
-      fmt::format("{}: {} experiments, {} cells, {} of them done; {} at a time with {} threads each, in {}", sweep.name,
-                  sweep.experiments.size(), total, results.size(), pool.jobs, pool.threads, pool.folder));
-  if (options.dry_run && context.json) {
-    Json planned = Json::array();
-    for (const Cell& cell : cells)
+// Lists the cells and which of them are done.
+int list_cells(const std::vector<Cell>& cells, const std::string& folder, const Sweep& sweep,
+               const AppContext& context) {
+  std::vector<bool> done;
+  for (const Cell& cell : cells) done.push_back(result_of_cell(folder, cell.id).has_value());
+  print_note(context,
+             fmt::format("{}: {} experiments, {} cells, {} of them done, in {}", sweep.name, sweep.experiments.size(),
+                         cells.size(), std::count(done.begin(), done.end(), true), folder));
+  Json planned = Json::array();
+  for (std::size_t i = 0; i < cells.size(); ++i) {
+    const Cell& cell = cells[i];
+    if (context.json) {
       planned.push_back({{"cell", cell.id},
                          {"label", cell.label},
                          {"scene", cell.scene},
                          {"seed", cell.seed},
-                         {"done", results.contains(cell.id)}});
-    print_json(context, {{"folder", pool.folder}, {"planned", planned}});
-    return 0;
-  }
-  if (options.dry_run) {
-    for (const Cell& cell : cells)
+                         {"done", static_cast<bool>(done[i])}});
+    } else {
       std::printf("%s %s, %s, seed %lld%s\n", cell.id.c_str(), cell.label.c_str(), cell.scene.c_str(),
-                  static_cast<long long>(cell.seed), results.contains(cell.id) ? " (done)" : "");
-    return 0;
+                  static_cast<long long>(cell.seed), done[i] ? " (done)" : "");
+    }
   }
-  write_file_atomic((fs::path(pool.folder) / "cells.csv").string(), index_csv(sweep, cells));
-  int failures = 0;
-  std::size_t ran = 0;
-  const std::size_t to_run = total - results.size();
-  double seconds = 0;
-  PoolHooks hooks;
-  hooks.note = [&](const std::string& text) { print_note(context, text); };
-  hooks.finished = [&](const CellOutcome& outcome) {
-    ++ran;
-    seconds += outcome.seconds;
+  if (context.json) print_json(context, {{"folder", folder}, {"planned", planned}});
+  return 0;
+}
+
+// What the user is told while cells run, and in the end.
+class SweepProgress {
+ public:
+  SweepProgress(const Sweep& sweep, const std::vector<Cell>& cells, const Place& place, AppContext& context)
+      : sweep_(sweep), cells_(cells), place_(place), context_(context) {}
+
+  void begin(const PoolOptions& pool, const SweepFolder& folder, const EndedCells& ended) {
+    at_a_time_ = pool.jobs * place_.of_all();
+    if (!place_.reports()) return;
+    const std::string processes = place_.launched ? fmt::format(" in each of {} processes", place_.of_all()) : "";
+    const std::string devices = pool.devices.empty() ? "" : " on " + join(pool.devices);
+    print_note(
+        context_,
+        fmt::format("{}: {} experiments, {} cells, {} of them done; {} at a time{} with {} threads each{}, in {}",
+                    sweep_.name, sweep_.experiments.size(), cells_.size(), ended.results.size(), pool.jobs, processes,
+                    pool.threads, devices, pool.folder));
+    if (!folder.beside().empty() && !place_.launched)
+      print_note(context_, folder.beside() + " works on this sweep too; they share the cells");
+  }
+
+  void note(const std::string& text) const { print_note(context_, place_.prefix() + text); }
+
+  void finished(const CellOutcome& outcome, const EndedCells& ended) {
+    ++ran_;
+    seconds_ += outcome.seconds;
     const Cell& cell = *outcome.cell;
-    const double left = seconds / static_cast<double>(ran) * static_cast<double>(to_run - ran) / pool.jobs;
+    const std::size_t left = cells_.size() - ended.results.size() - ended.failures.size();
+    const double left_s = seconds_ / static_cast<double>(ran_) * static_cast<double>(left) / at_a_time_;
     std::string what = outcome.failure;
     if (outcome.done) {
-      const std::string& metric = sweep.experiments[cell.uses.front().experiment].metrics.front();
-      for (const auto& [name, value] : results.at(cell.id)) {
+      const std::string& metric = sweep_.experiments[cell.uses.front().experiment].metrics.front();
+      for (const auto& [name, value] : ended.results.at(cell.id)) {
         if (name == metric) what = fmt::format("{} {:.3f}", metric, value);
       }
-    } else {
-      ++failures;
     }
-    print_note(context, fmt::format("[{}/{}] {}, {}, seed {}: {} ({:.0f} s, {} left)", results.size(), total,
-                                    cell.label, cell.scene, cell.seed, what, outcome.seconds, minutes_text(left)));
-    write_tables(pool.folder, sweep, cells, results);
+    note(fmt::format("[{}/{}] {}, {}, seed {}: {} ({:.0f} s, {} left)", ended.results.size(), cells_.size(), cell.label,
+                     cell.scene, cell.seed, what, outcome.seconds, minutes_text(left_s)));
+  }
+
+  // The exit code. A rank that does not report ends with 0 although cells failed: a launcher takes another code for a
+  // broken process, and ends the others.
+  int end(bool whole, const std::string& folder, const EndedCells& ended) const {
+    const std::size_t done = ended.results.size(), failed = ended.failures.size();
+    if (place_.reports() && context_.json) {
+      print_json(context_, {{"folder", folder}, {"cells", cells_.size()}, {"done", done}, {"failed", failed}});
+    } else if (place_.reports()) {
+      std::printf("sweep: cells=%zu done=%zu failed=%zu folder=%s\n", cells_.size(), done, failed, folder.c_str());
+    }
+    if (!whole) {
+      if (place_.reports()) print_note(context_, "stopped; the same command resumes the sweep");
+      return 128 + stop_signal();
+    }
+    return failed > 0 && place_.reports() ? static_cast<int>(ErrorKind::failure) : 0;
+  }
+
+ private:
+  const Sweep& sweep_;
+  const std::vector<Cell>& cells_;
+  const Place& place_;
+  AppContext& context_;
+  int at_a_time_ = 1;
+  std::size_t ran_ = 0;
+  double seconds_ = 0;
+};
+
+// This process's part of the work. Throws what went wrong here, which need not go wrong in the other processes.
+int work(const SweepOptions& options, const Sweep& sweep, const std::vector<Cell>& cells, const Place& place,
+         AppContext& context) {
+  PoolOptions pool = pool_options(options, cells, sweep, place, context.registry);
+  if (options.dry_run) return place.reports() ? list_cells(cells, pool.folder, sweep, context) : 0;
+  pool.devices = own_devices(options, place);
+  if (!pool.devices.empty()) pool.jobs = static_cast<int>(pool.devices.size());
+
+  SweepProgress progress(sweep, cells, place, context);
+  const SweepNote note = [&](const std::string& text) { progress.note(text); };
+  const SweepFolder folder(pool.folder, sweep, cells, note);
+  EndedCells ended;
+  for (const Cell& cell : cells) notice_cell(ended, pool.folder, cell.id);
+  progress.begin(pool, folder, ended);
+  if (ended.results.size() < cells.size()) pack_scenes(cells, pool.folder, context.registry, note);
+  PoolHooks hooks;
+  hooks.finished = [&](const CellOutcome& outcome) {
+    folder.write_tables(ended);
+    progress.finished(outcome, ended);
   };
-  if (results.size() < total) pack_scenes(cells, pool, context.registry, hooks);
-  const bool whole = run_cells(cells, pool, results, hooks);
-  write_tables(pool.folder, sweep, cells, results);
-  if (context.json) {
-    print_json(context, {{"folder", pool.folder}, {"cells", total}, {"done", results.size()}, {"failed", failures}});
-  } else {
-    std::printf("sweep: cells=%zu done=%zu failed=%d folder=%s\n", total, results.size(), failures,
-                pool.folder.c_str());
+  hooks.waits_for = [&](const std::string& text) {
+    if (place.reports()) progress.note(text);
+  };
+  const bool whole = run_cells(cells, pool, ended, hooks);
+  folder.write_tables(ended);
+  return progress.end(whole, pool.folder, ended);
+}
+
+int run(const SweepOptions& options, AppContext& context) {
+  const Place place{launched()};
+  const Sweep sweep = read_sweep(options.file);
+  const std::vector<Cell> cells = plan_cells(sweep, context.registry);
+  try {
+    return work(options, sweep, cells, place, context);
+  } catch (const Error& error) {
+    // What is wrong with the file is told by one process for all; this is not.
+    if (!place.reports()) std::fprintf(stderr, "semfield: %s%s\n", place.prefix().c_str(), error.what());
+    throw;
   }
-  if (!whole) {
-    print_note(context, "stopped; the same command resumes the sweep");
-    return 128 + stop_signal();
-  }
-  return failures > 0 ? static_cast<int>(ErrorKind::failure) : 0;
 }
 
 void words(VerbWords& verb, SweepOptions& options) {
   verb.operand("file", options.file, "sweep file (YAML)");
   verb.value("--out FOLDER", options.out,
              "folder of cells and tables (default: runs/<name>); an existing one is resumed");
-  verb.value_in("--jobs N", options.jobs, 1, 4096, "cells at a time (default: every core)");
+  verb.value_in("--jobs N", options.jobs, 1, 4096,
+                "cells at a time of this process (default: its share of the host's cores)");
   verb.value_in("--threads N", options.threads, 1, 4096, "threads of each cell (default: 1)");
-  verb.positive("--memory GB", options.memory_gb, "GB that all cells together may use (default: 80 % of what is free)");
+  verb.positive("--memory GB", options.memory_gb,
+                "GB that the cells of this process together may use (default: its share of 80 % of what is free)");
+  verb.list("--devices LIST", options.devices,
+            "CUDA devices that cells run on, one cell at a time on each: all, or numbers (0,1)");
+  verb.excludes("--devices", "--jobs");
   verb.flag("--keep-checkpoints", options.keep_checkpoints, "keep the checkpoints of finished cells");
   verb.flag("--dry-run", options.dry_run, "list the cells, then stop");
 }
@@ -178,7 +250,9 @@ void words(VerbWords& verb, SweepOptions& options) {
 }  // namespace
 
 Verb verb_sweep() {
-  return with_json(make_verb("sweep", 50, "run experiments: a grid of differences, scenes and seeds", words, run));
+  return with_launch(
+      Launch::beside,
+      with_json(make_verb("sweep", 50, "run experiments: a grid of differences, scenes and seeds", words, run)));
 }
 
 }  // namespace semfield::app

@@ -1,4 +1,4 @@
-// An exclusive hold on a folder: flock of the file .lock in it.
+// A hold on a folder: flock of the file .lock in it.
 #include "system/folder_lock.h"
 
 #include <fcntl.h>
@@ -57,11 +57,17 @@ void FolderLock::release() {
 }
 
 int FolderLock::take(const std::string& folder, bool may_create) {
+  return lock(folder, LOCK_EX, may_create ? O_CREAT : 0);
+}
+
+int FolderLock::share(const std::string& folder) { return lock(folder, LOCK_SH, O_CREAT); }
+
+int FolderLock::lock(const std::string& folder, int how, int more_flags) {
   release();
   const std::string file = (std::filesystem::path(folder) / ".lock").string();
-  const int descriptor = ::open(file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | (may_create ? O_CREAT : 0), 0644);
+  const int descriptor = ::open(file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | more_flags, 0644);
   if (descriptor < 0) return errno;
-  int cause = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0 ? 0 : errno;
+  int cause = ::flock(descriptor, how | LOCK_NB) == 0 ? 0 : errno;
   if (cause == EWOULDBLOCK) holder_ = holder_of(descriptor);
   descriptor_ = descriptor;
   if (cause == 0) cause = sign(::getpid());

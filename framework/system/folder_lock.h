@@ -1,4 +1,4 @@
-// An exclusive hold on a folder that ends with the processes that have it, however they end.
+// A hold on a folder, alone or shared, that ends with the processes that have it, however they end.
 #pragma once
 
 #include <sys/types.h>
@@ -7,8 +7,8 @@
 
 namespace semfield {
 
-/// flock of `FOLDER/.lock`, which says who holds it. The lock file stays: removing it would let two processes lock two
-/// files of one name.
+/// flock of `FOLDER/.lock`, which says who took it last. The lock file stays: removing it would let two processes lock
+/// two files of one name.
 class FolderLock {
  public:
   FolderLock() = default;
@@ -19,8 +19,10 @@ class FolderLock {
   /// 0: held from now on. EWOULDBLOCK: another has it, whom holder() names. ENOENT: no lock file is there, and none may
   /// be created. Any other errno: the folder cannot be written.
   int take(const std::string& folder, bool may_create = true);
+  /// The same for a hold that others may share, while nobody has the folder alone; then EWOULDBLOCK.
+  int share(const std::string& folder);
   bool held() const { return descriptor_ >= 0; }
-  /// Of take() that found another: "process 4711 on HOST", as far as the lock file tells.
+  /// Of take() or share() that found another: "process 4711 on HOST", as far as the lock file tells.
   const std::string& holder() const { return holder_; }
   /// Writes the process for which it is held into the file. Errno or 0.
   int sign(pid_t process) const;
@@ -28,6 +30,7 @@ class FolderLock {
   void keep_over_exec() const;
 
  private:
+  int lock(const std::string& folder, int how, int more_flags);
   void release();
   int descriptor_ = -1;
   std::string holder_;

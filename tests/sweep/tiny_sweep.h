@@ -1,9 +1,13 @@
 // A sweep over a tiny room, and what its cells leave, for tests that run it through the program.
 #pragma once
 
+#include <chrono>
 #include <filesystem>
 #include <map>
+#include <sstream>
 #include <string>
+#include <thread>
+#include <vector>
 
 #include "system/files.h"
 #include "tests/scene/tiny_scene.h"
@@ -42,6 +46,33 @@ inline std::map<std::string, std::string> files_of_cells(const std::string& out,
     if (std::filesystem::exists(file)) found[cell.path().filename().string()] = read_text_file(file.string());
   }
   return found;
+}
+
+/// results.csv of a sweep without what is measured of processes, which differs from run to run.
+inline std::string results_without_times(const std::string& out) {
+  std::istringstream lines(read_text_file(out + "/results.csv"));
+  std::string kept;
+  for (std::string line; std::getline(lines, line);) {
+    const bool time = line.find(",train_s,") != std::string::npos || line.find(",processor_s,") != std::string::npos ||
+                      line.find(",peak_mb,") != std::string::npos;
+    if (!time) kept += line + "\n";
+  }
+  return kept;
+}
+
+/// Cells whose runs have taken a step.
+inline std::vector<std::string> begun_cells(const std::string& out) {
+  std::vector<std::string> ids;
+  for (const auto& [id, rows] : files_of_cells(out, "run/metrics.jsonl")) {
+    if (!rows.empty()) ids.push_back(id);
+  }
+  return ids;
+}
+
+template <class Condition>
+bool wait_until(const Condition& condition) {
+  for (int i = 0; i < 6000 && !condition(); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  return condition();
 }
 
 }  // namespace semfield::testing_sweep

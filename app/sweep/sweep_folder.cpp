@@ -1,0 +1,120 @@
+#include "app/sweep/sweep_folder.h"
+
+#include <fmt/format.h>
+
+#include <cerrno>
+#include <chrono>
+#include <filesystem>
+#include <string_view>
+#include <thread>
+#include <utility>
+
+#include "app/signals.h"
+#include "formats/text_rows.h"
+#include "sweep/sweep_tables.h"
+#include "system/files.h"
+
+namespace semfield::app {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr std::chrono::milliseconds kLook{10};       // between two attempts at a lock
+constexpr std::chrono::seconds kPatience{2};         // before the user hears of a wait
+constexpr std::chrono::milliseconds kLastWait{500};  // after a stop signal
+
+// A file that stays as it is costs no disk write, however many processes write the same tables.
+void write_if_changed(const fs::path& file, std::string_view text) {
+  if (fs::exists(file) && read_text_file(file.string()) == text) return;
+  write_file_atomic(file.string(), text);
+}
+
+// Which folder holds which cell, for people, and what the processes of a sweep have in common.
+std::string index_csv(const Sweep& sweep, const std::vector<Cell>& cells) {
+  std::string text = "cell,experiment,scene,variant,seed\n";
+  for (const Cell& cell : cells) {
+    for (const CellUse& use : cell.uses) {
+      const Experiment& e = sweep.experiments[use.experiment];
+      text += fmt::format("{},{},{},{},{}\n", cell.id, csv_field(e.name), csv_field(e.scenes[use.scene].name),
+                          csv_field(e.variants[use.variant].name), e.seeds[use.seed]);
+    }
+  }
+  return text;
+}
+
+}  // namespace
+
+FolderLock lock_when_free(const std::string& folder, const SweepNote& note) {
+  create_folders(folder);
+  FolderLock lock;
+  const Clock::time_point start = Clock::now();
+  bool told = false;
+  for (;;) {
+    const int cause = lock.take(folder);
+    if (cause == 0) return lock;
+    if (cause != EWOULDBLOCK) throw write_error("lock", folder, cause);
+    const Clock::duration waited = Clock::now() - start;
+    if (stop_signal() != 0 && waited > kLastWait) return lock;
+    if (waited > kPatience && !told) {
+      told = true;
+      note(fmt::format("{}: waiting for {}, which writes there", folder, lock.holder()));
+    }
+    std::this_thread::sleep_for(kLook);
+  }
+}
+
+SweepFolder::SweepFolder(std::string path, const Sweep& sweep, const std::vector<Cell>& cells, SweepNote note)
+    : path_(std::move(path)), sweep_(sweep), cells_(cells), note_(std::move(note)) {
+  const FolderLock alone = lock_when_free(path_, note_);
+  remove_stale_temporaries(path_);
+  const std::string folder = (fs::path(path_) / "cells").string();
+  create_folders(folder);
+  const fs::path index = fs::path(path_) / "cells.csv";
+  const std::string own_index = index_csv(sweep_, cells_);
+  int cause = at_work_.take(folder);
+  if (cause == 0) {
+    begin();
+  } else if (cause == EWOULDBLOCK) {
+    beside_ = at_work_.holder();
+    if (fs::exists(index) && read_text_file(index.string()) != own_index)
+      throw Error(
+          ErrorKind::cannot_create,
+          fmt::format("the sweep folder '{}' is in use by {}, another sweep with other cells", path_, beside_),
+          "wait for it to end, stop it (the next sweep continues from there), or choose another folder with --out; "
+          "--dry-run tells which cells are done");
+  } else {
+    throw write_error("lock", folder, cause);
+  }
+  write_if_changed(index, own_index);
+  // Nobody can have come between: whoever joins holds the lock of the sweep's folder.
+  cause = at_work_.share(folder);
+  if (cause != 0) throw write_error("lock", folder, cause);
+}
+
+void SweepFolder::begin() {
+  for (const Cell& cell : cells_) forget_cell_failure(path_, cell.id);
+}
+
+void SweepFolder::write_tables(EndedCells& ended) const {
+  const FolderLock alone = lock_when_free(path_, note_);
+  for (const Cell& cell : cells_) notice_cell(ended, path_, cell.id);
+  if (!alone.held()) return;
+  std::string page = "# " + sweep_.name + "\n";
+  for (std::size_t e = 0; e < sweep_.experiments.size(); ++e) {
+    const ExperimentTable table(sweep_, e, cells_, ended.results);
+    const std::string name = sweep_.experiments[e].name;
+    page += "\n" + table.markdown();
+    write_if_changed(fs::path(path_) / (name + ".csv"), table.csv());
+    const std::string svg = table.svg();
+    if (svg.empty()) continue;
+    write_if_changed(fs::path(path_) / (name + ".svg"), svg);
+    page += "\n![" + sweep_.experiments[e].title + "](" + name + ".svg)\n";
+  }
+  write_if_changed(fs::path(path_) / "tables.md", page);
+  write_if_changed(fs::path(path_) / "results.csv", results_csv(sweep_, cells_, ended.results));
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,47 @@
+// The folder of a sweep, in which several processes of one sweep may be at work, on one machine or on several.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "app/sweep/cell_files.h"
+#include "sweep/sweep_cells.h"
+#include "system/folder_lock.h"
+
+namespace semfield::app {
+
+/// A sentence for the user.
+using SweepNote = std::function<void(const std::string&)>;
+
+/// Takes the lock of `folder`, which is created where it is missing, as soon as nobody else has it; `note` is told once
+/// for whom it waits. A stop signal that was received while others have it ends the wait, and the lock is not held
+/// then. Throws write_error where the folder cannot be written.
+FolderLock lock_when_free(const std::string& folder, const SweepNote& note);
+
+/// A process's part in the work on a sweep's folder. FOLDER/.lock is held for moments, while files of the whole sweep
+/// are written; FOLDER/cells/.lock is shared by all processes that are at work, for as long as they are.
+class SweepFolder {
+ public:
+  /// Joins the work, or begins it where nobody else is there: cells that failed before may then be tried again. Throws
+  /// Error(cannot_create) where processes of another sweep, one with other cells, are at work.
+  SweepFolder(std::string path, const Sweep& sweep, const std::vector<Cell>& cells, SweepNote note);
+
+  const std::string& path() const { return path_; }
+  /// "process 4711 on HOST", which joined last, where others were at work already; else "".
+  const std::string& beside() const { return beside_; }
+
+  /// Notices what ended since and writes the tables of all results, those files that change. After a stop signal tables
+  /// that others are writing are left to them.
+  void write_tables(EndedCells& ended) const;
+
+ private:
+  void begin();
+  std::string path_, beside_;
+  const Sweep& sweep_;
+  const std::vector<Cell>& cells_;
+  SweepNote note_;
+  FolderLock at_work_;
+};
+
+}  // namespace semfield::app
