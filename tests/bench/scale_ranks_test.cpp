@@ -16,7 +16,7 @@ TEST(ScaleRanks, TwoRanksAreTimedAndEndInTheBitsOfOne) {
   const std::string folder = testing::TempDir() + "scale_ranks_" + std::to_string(::getpid());
   std::filesystem::create_directories(folder);
   const testing_program::Result r =
-      testing_program::semfield_run("bench scale --quick --repeats 1 --only cpu,bits --json", folder);
+      testing_program::semfield_run("bench scale --quick --repeats 1 --only cpu,bits,sweep --json", folder);
   std::filesystem::remove_all(folder);
   ASSERT_EQ(r.code, 0) << r.err;
   const json out = json::parse(r.out);
@@ -31,7 +31,7 @@ TEST(ScaleRanks, TwoRanksAreTimedAndEndInTheBitsOfOne) {
   EXPECT_GT(compared, 0) << out.dump(1);
   EXPECT_EQ(out["goals"]["bits_equal"], "yes");
   if (cores < 2) return;
-  for (const char* goal : {"cpu2_strong", "cpu2_weak"}) {
+  for (const char* goal : {"cpu2_strong", "cpu2_weak", "sweep2"}) {
     const double times = std::stod(out["goals"][goal].get<std::string>());
     EXPECT_GT(times, 0) << goal;
   }
