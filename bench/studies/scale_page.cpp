@@ -58,6 +58,12 @@ std::string title_of(const std::string& step, const std::string& device) {
   return fmt::format("{} step on {}", step == "paper" ? "Paper" : "Hash", device == "cuda" ? "GPUs" : "CPU ranks");
 }
 
+// Where a figure of the last line is measured.
+const char* machine_for(const std::string& goal) {
+  if (goal.starts_with("gpu2")) return "two GPUs";
+  return goal.starts_with("cpu16") ? "16 cores" : "two cores";
+}
+
 // Numbers of ranks that were measured on the machine with this step.
 std::vector<int> ranks_of(const ScaleResults& results, const ScaleMachine& machine, const std::string& step) {
   std::vector<int> ranks;
@@ -228,17 +234,14 @@ std::string scale_measured(const ScaleResults& results) {
   for (const ScaleMachine& machine : results.machines) {
     for (const char* step : {"paper", "hash"}) text += measured_table(results, machine, step);
   }
-  for (const auto& [step, device] : kKinds) {
-    const bool none = std::none_of(results.machines.begin(), results.machines.end(), [&](const ScaleMachine& m) {
-      return m.device == device && !ranks_of(results, m, step).empty();
-    });
-    if (none)
-      text +=
-          fmt::format("\n{}: not measured; `semfield bench scale --only {}` measures it on a machine with two {}.\n",
-                      title_of(step, device), std::string(device) == "cuda" ? "gpu" : "cpu",
-                      std::string(device) == "cuda" ? "GPUs" : "cores");
+  text += bits_table(results) + sweep_table(results);
+  std::string missing;
+  for (const auto& [name, value] : scale_goals(results)) {
+    if (value != "-") continue;
+    missing += fmt::format("{}`{}` on a machine with {}", missing.empty() ? "" : ", ", name, machine_for(name));
   }
-  return text + bits_table(results) + sweep_table(results) + "\n```text\n" + scale_line(results) + "\n```\n";
+  if (!missing.empty()) text += "\nNot measured: " + missing + ". `semfield bench scale` measures it there.\n";
+  return text + "\n```text\n" + scale_line(results) + "\n```\n";
 }
 
 std::string scale_model(const ScaleResults& results) {

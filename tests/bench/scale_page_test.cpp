@@ -138,8 +138,9 @@ TEST(ScalePage, MarksThatAreMissingAreNamed) {
       "--><!-- bench scale: model end -->\nc\n",
       two_cores(), "page.md");
   EXPECT_EQ(page.find("old"), std::string::npos);
+  EXPECT_EQ(page.find("`cpu2_strong` on a machine"), std::string::npos) << page;  // measured
   EXPECT_NE(page.find("| 2 | 5250 (4725 .. 5775) | 1.90 |"), std::string::npos) << page;
-  EXPECT_NE(page.find("Paper step on GPUs: not measured"), std::string::npos) << page;
+  EXPECT_NE(page.find("`gpu2_weak_paper` on a machine with two GPUs"), std::string::npos) << page;
   EXPECT_EQ(page, with_scale(page, two_cores(), "page.md"));
 }
 
