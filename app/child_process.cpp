@@ -11,7 +11,6 @@
 #include <cerrno>
 #include <csignal>
 #include <filesystem>
-#include <string_view>
 
 #include "app/signals.h"
 #include "ranks/launcher.h"
@@ -42,13 +41,7 @@ pid_t spawn(const std::vector<std::string>& words, int out, int log, const std::
   std::vector<char*> argv;
   for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
   argv.push_back(nullptr);
-  // A child is no rank of the launcher that started this process.
-  std::vector<char*> environment;
-  for (char** entry = environ; *entry != nullptr; ++entry) {
-    const std::string_view setting(*entry);
-    if (!is_of_launcher(setting.substr(0, setting.find('=')))) environment.push_back(*entry);
-  }
-  environment.push_back(nullptr);
+  std::vector<char*> environment = environment_of_child();
   const pid_t parent = getpid();
   const pid_t pid = fork();
   if (pid == 0) {

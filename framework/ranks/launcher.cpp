@@ -156,26 +156,29 @@ std::optional<Launched> launched() {
   return launched([](const char* name) { return std::getenv(name); });
 }
 
-bool is_of_launcher(std::string_view name) {
-  // Of root, who was asked whether mpirun may be used at all: a setting of the user.
-  if (name.starts_with("OMPI_ALLOW_RUN_AS_ROOT")) return false;
+std::vector<char*> environment_of_child() {
+  // What only a launcher sets; without it, variables of these families are settings that a user gives to launchers.
+  static constexpr std::array<const char*, 4> marks{"OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK", kStepSize};
   static constexpr std::array<std::string_view, 8> families{"OMPI_", "PMIX_", "PMI_",      "PMI2_",
                                                             "PRTE_", "ORTE_", "MPI_LOCAL", "SLURM_STEP"};
   static constexpr std::array<std::string_view, 5> names{kStepRank, kStepLocalRank, "SLURM_NODEID", "SLURM_GTIDS",
                                                          "SLURM_TASK_PID"};
-  return std::any_of(families.begin(), families.end(),
-                     [&](std::string_view start) { return name.starts_with(start); }) ||
-         std::find(names.begin(), names.end(), name) != names.end();
-}
-
-void forget_launcher() {
-  std::vector<std::string> names;
+  const bool launched =
+      std::any_of(marks.begin(), marks.end(), [](const char* mark) { return std::getenv(mark) != nullptr; });
+  const auto is_of_launcher = [&](std::string_view name) {
+    // Of root, who was asked whether mpirun may be used at all: a setting of the user.
+    if (!launched || name.starts_with("OMPI_ALLOW_RUN_AS_ROOT")) return false;
+    return std::any_of(families.begin(), families.end(),
+                       [&](std::string_view start) { return name.starts_with(start); }) ||
+           std::find(names.begin(), names.end(), name) != names.end();
+  };
+  std::vector<char*> kept;
   for (char** entry = environ; entry != nullptr && *entry != nullptr; ++entry) {
     const std::string_view setting(*entry);
-    const std::string_view name = setting.substr(0, setting.find('='));
-    if (is_of_launcher(name)) names.emplace_back(name);
+    if (!is_of_launcher(setting.substr(0, setting.find('=')))) kept.push_back(*entry);
   }
-  for (const std::string& name : names) ::unsetenv(name.c_str());
+  kept.push_back(nullptr);
+  return kept;
 }
 
 }  // namespace semfield

@@ -4,7 +4,7 @@
 #include <functional>
 #include <optional>
 #include <string>
-#include <string_view>
+#include <vector>
 
 namespace semfield {
 
@@ -27,10 +27,9 @@ std::optional<Launched> launched(const EnvironmentReader& value_of);
 /// Of this process's environment.
 std::optional<Launched> launched();
 
-/// Whether an environment variable of this name is what a launcher tells one of its processes, so that another process
-/// that got it would pass for the same one. Settings that users give to launchers are not.
-bool is_of_launcher(std::string_view name);
-/// Removes those variables from this process's environment. No other thread may read the environment meanwhile.
-void forget_launcher();
+/// The environment for a process that this one starts, as execve takes it: without what a launcher told this one, or
+/// the child would pass for the same rank. A process that no launcher started hands on all of its own. It points into
+/// this process's environment.
+std::vector<char*> environment_of_child();
 
 }  // namespace semfield
