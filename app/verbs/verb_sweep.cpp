@@ -20,6 +20,7 @@
 #include "execution/device_library.h"
 #include "ranks/launcher.h"
 #include "sweep/host_share.h"
+#include "system/cpu_quota.h"
 
 namespace semfield::app {
 
@@ -82,14 +83,20 @@ std::vector<std::string> own_devices(const SweepOptions& options, const Place& p
   return devices_of_process(devices, by.local_rank, by.local_size);
 }
 
+// As far as control groups grant them, wherever a launcher bound this process.
+int cores_of_host() {
+  const auto all = static_cast<int>(sysconf(_SC_NPROCESSORS_ONLN));
+  const int quota = cpu_quota();
+  return quota > 0 ? std::min(quota, all) : all;
+}
+
 PoolOptions pool_options(const SweepOptions& options, const std::vector<Cell>& cells, const Sweep& sweep,
                          const Place& place, const Registry& registry) {
   PoolOptions pool;
   pool.folder = options.out.empty() ? "runs/" + sweep.name : options.out;
   pool.program = own_program();
   pool.threads = std::max(1, options.threads.value_or(1));
-  const auto cores = static_cast<int>(sysconf(_SC_NPROCESSORS_ONLN));
-  pool.jobs = options.jobs.value_or(cells_at_a_time(thread_count(), cores, place.of_host(), pool.threads));
+  pool.jobs = options.jobs.value_or(cells_at_a_time(thread_count(), cores_of_host(), place.of_host(), pool.threads));
   pool.memory_gb = options.memory_gb.value_or(0);
   pool.processes_of_host = place.of_host();
   pool.keep_checkpoints = options.keep_checkpoints;
@@ -143,6 +150,10 @@ class SweepProgress {
                     pool.threads, devices, pool.folder));
     if (!folder.beside().empty() && !place_.launched)
       print_note(context_, folder.beside() + " works on this sweep too; they share the cells");
+    const int own = hardware_threads(), cores = cores_of_host();
+    if (place_.launched && pool.devices.empty() && own < cores / place_.of_host())
+      print_note(context_, fmt::format("{} lets this process use {} of {} cores (mpirun --bind-to none: all)",
+                                       place_.launched->by, own, cores));
   }
 
   void note(const std::string& text) const { print_note(context_, place_.prefix() + text); }
@@ -220,13 +231,20 @@ int work(const SweepOptions& options, const Sweep& sweep, const std::vector<Cell
 
 int run(const SweepOptions& options, AppContext& context) {
   const Place place{launched()};
-  const Sweep sweep = read_sweep(options.file);
-  const std::vector<Cell> cells = plan_cells(sweep, context.registry);
+  bool planned = false;
   try {
+    const Sweep sweep = read_sweep(options.file);
+    const std::vector<Cell> cells = plan_cells(sweep, context.registry);
+    planned = true;
     return work(options, sweep, cells, place, context);
   } catch (const Error& error) {
-    // What is wrong with the file is told by one process for all; this is not.
-    if (!place.reports()) std::fprintf(stderr, "semfield: %s%s\n", place.prefix().c_str(), error.what());
+    if (place.reports()) throw;
+    // What is wrong with the file rank 0 tells for all; it gets the time, because launchers end all when one fails.
+    if (planned) {
+      std::fprintf(stderr, "semfield: %s%s\n", place.prefix().c_str(), error.what());
+    } else {
+      sleep(1);
+    }
     throw;
   }
 }
