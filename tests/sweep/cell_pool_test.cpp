@@ -186,8 +186,10 @@ TEST_F(CellPool, AResultOfAnotherProcessIsNoticed) {
 
 TEST_F(CellPool, CellsAreNoRanksOfALauncher) {
   ASSERT_EQ(setenv("OMPI_COMM_WORLD_RANK", "1", 1), 0);
+  ASSERT_EQ(setenv("OMPI_COMM_WORLD_SIZE", "2", 1), 0);
   EXPECT_TRUE(run(cells(1)));
   unsetenv("OMPI_COMM_WORLD_RANK");
+  unsetenv("OMPI_COMM_WORLD_SIZE");
   ASSERT_FALSE(log().empty());
   EXPECT_EQ(log().front().rank, "rank=");
 }
