@@ -138,6 +138,7 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
   guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
   const BatchScales scales = pipeline_.scales_of(step, batch);
   if (ranks_) {
+    ranks_->share_out(tiles);
     agree(ranks_->all(), [&] { walk_tiles(step, batch, tiles, scales); });
     ranks_->gather_losses(tile_losses_);
   } else {

@@ -1,6 +1,7 @@
 #include "execution/lane_ranks.h"
 
 #include <algorithm>
+#include <cstdlib>
 #include <numeric>
 #include <type_traits>
 
@@ -21,6 +22,19 @@ std::span<std::byte> bytes_of(std::vector<T>& values, std::size_t count) {
 
 template <class Real>
 LaneRanks<Real>::LaneRanks(Ranks& ranks, int lanes) : ranks_(&ranks), lanes_(lanes) {}
+
+// The lane before which there are as near to rank / size of all tiles as can be.
+template <class Real>
+int LaneRanks<Real>::first_of(int rank) const {
+  if (rank == ranks_->size()) return lanes_;
+  const std::int64_t each = tiles_ / lanes_, more = tiles_ % lanes_;
+  const auto off = [&](std::int64_t lane) {  // tiles too many or too few, times the number of ranks
+    return std::abs((lane * each + std::min(lane, more)) * ranks_->size() - tiles_ * rank);
+  };
+  int lane = 0;
+  while (lane < lanes_ && off(lane + 1) < off(lane)) ++lane;
+  return lane;
+}
 
 template <class Real>
 void LaneRanks<Real>::gather_losses(std::vector<StepLosses>& tiles) {

@@ -19,7 +19,8 @@ struct EncodedRows {
   View<const Real> d_encoded;  ///< [M, D]
 };
 
-/// Rank r has a range of lanes, and those of rank r + 1 follow them. Every call is made by all ranks.
+/// Rank r has a range of lanes, and those of rank r + 1 follow them. Where some lanes have a tile more than others, the
+/// ranges are as long as it takes for ranks to have equally many tiles. Every call is made by all ranks.
 template <class Real>
 class LaneRanks {
  public:
@@ -30,6 +31,8 @@ class LaneRanks {
   int first() const { return first_of(ranks_->rank()); }
   int end() const { return first_of(ranks_->rank() + 1); }
 
+  /// Before a step of so many tiles.
+  void share_out(std::int64_t tiles) { tiles_ = tiles; }
   /// In: the losses of the tiles of own lanes. Out: of all.
   void gather_losses(std::vector<StepLosses>& tiles);
   /// Rows of all lanes in lane order, from those of own lanes; valid until the next call.
@@ -42,10 +45,11 @@ class LaneRanks {
   void sum_lanes(ParamStore<Real>& store);
 
  private:
-  int first_of(int rank) const { return static_cast<int>(part_of(lanes_, rank, ranks_->size()).first); }
+  int first_of(int rank) const;
 
   Ranks* ranks_;
   int lanes_;
+  std::int64_t tiles_ = 0;
   std::vector<double> x_;
   std::vector<Real> d_encoded_, sums_;
 };

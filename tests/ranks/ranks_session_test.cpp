@@ -259,6 +259,35 @@ TEST(RanksSession, TensorsThatDriftApartAreNoCheckpoint) {
             "checkpoint; if it happens again, a machine computes wrongly, or is of another kind");
 }
 
+// Tile t belongs to lane t mod lanes, so the first lanes may have a tile more than the others.
+TEST(LaneRanks, RangesOfLanesCoverAllAndHaveEquallyManyTilesAsFarAsLanesAllow) {
+  const struct {
+    int lanes, size;
+    std::int64_t tiles, most;  // of a rank
+  } rows[] = {{48, 2, 64, 32}, {48, 16, 64, 4}, {48, 3, 64, 22}, {8, 2, 8, 4},
+              {8, 3, 6, 2},    {2, 3, 9, 5},    {48, 2, 3, 2},   {48, 5, 1, 1}};
+  for (const auto& row : rows) {
+    std::vector<int> first(static_cast<std::size_t>(row.size) + 1);
+    as_ranks(row.size, [&](Ranks& ranks) {
+      LaneRanks<float> shares(ranks, row.lanes);
+      shares.share_out(row.tiles);
+      first[static_cast<std::size_t>(ranks.rank())] = shares.first();
+      if (ranks.rank() + 1 == ranks.size()) first.back() = shares.end();
+    });
+    EXPECT_EQ(first.front(), 0);
+    EXPECT_EQ(first.back(), row.lanes);
+    std::int64_t most = 0;
+    for (std::size_t r = 0; r + 1 < first.size(); ++r) {
+      ASSERT_LE(first[r], first[r + 1]);
+      std::int64_t tiles = 0;
+      for (std::int64_t tile = 0; tile < row.tiles; ++tile)
+        tiles += tile % row.lanes >= first[r] && tile % row.lanes < first[r + 1] ? 1 : 0;
+      most = std::max(most, tiles);
+    }
+    EXPECT_EQ(most, row.most) << row.tiles << " tiles in " << row.lanes << " lanes on " << row.size << " ranks";
+  }
+}
+
 TEST(RanksSession, TellsItsProcessesAndRefusesAHook) {
   as_leader(2, two_pass_config(), [&](Session& session) {
     Executor<float>& executor = session.pipeline->executor();
