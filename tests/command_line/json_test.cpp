@@ -58,8 +58,9 @@ const std::vector<std::pair<std::string, Case>>& cases() {
 }
 
 // These measure for long, or need a device, the shipped room or a module; serve is tried below.
-const std::set<std::string> kElsewhere{
-    "bench gpu", "bench quadrature", "bench step", "bench pairs", "bench label", "serve", "demo", "plugins check"};
+const std::set<std::string> kElsewhere{"bench gpu",    "bench quadrature", "bench scale", "bench step",
+                                       "bench pairs",  "bench label",      "serve",       "demo",
+                                       "plugins check"};
 
 class JsonOutput : public ::testing::Test {
  protected:
