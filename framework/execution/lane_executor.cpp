@@ -1,6 +1,7 @@
 #include "execution/lane_executor.h"
 
 #include <algorithm>
+#include <functional>
 #include <numeric>
 #include <utility>
 
@@ -102,7 +103,8 @@ void LaneExecutor<Real>::observe(std::int64_t step) {
   StepContext ctx = context(step, true);
   for (const Pass<Real>& pass : passes()) {
     ctx.pass = pass.parts().number;
-    pass.observe(ctx, [&](View<const double> positions, View<Real> sigma) { ask(pass, ctx, positions, sigma); });
+    const auto query = [&](View<const double> positions, View<Real> sigma) { ask(pass, ctx, positions, sigma); };
+    pass.observe(ctx, std::cref(query));  // by reference, which allocates nothing
   }
 }
 
