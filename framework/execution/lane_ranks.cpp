@@ -23,17 +23,19 @@ std::span<std::byte> bytes_of(std::vector<T>& values, std::size_t count) {
 template <class Real>
 LaneRanks<Real>::LaneRanks(Ranks& ranks, int lanes) : ranks_(&ranks), lanes_(lanes) {}
 
-// The lane before which there are as near to rank / size of all tiles as can be.
+// Rank r begins with the lane before which there are as near to r / size of all tiles as can be.
 template <class Real>
-int LaneRanks<Real>::first_of(int rank) const {
-  if (rank == ranks_->size()) return lanes_;
-  const std::int64_t each = tiles_ / lanes_, more = tiles_ % lanes_;
-  const auto off = [&](std::int64_t lane) {  // tiles too many or too few, times the number of ranks
-    return std::abs((lane * each + std::min(lane, more)) * ranks_->size() - tiles_ * rank);
-  };
+void LaneRanks<Real>::share_out(std::int64_t tiles) {
+  const std::int64_t each = tiles / lanes_, more = tiles % lanes_;
+  first_.assign(static_cast<std::size_t>(ranks_->size()) + 1, lanes_);
   int lane = 0;
-  while (lane < lanes_ && off(lane + 1) < off(lane)) ++lane;
-  return lane;
+  for (int rank = 0; rank < ranks_->size(); ++rank) {
+    const auto off = [&](std::int64_t l) {  // tiles too many or too few, times the number of ranks
+      return std::abs((l * each + std::min(l, more)) * ranks_->size() - tiles * rank);
+    };
+    while (lane < lanes_ && off(lane + 1) < off(lane)) ++lane;
+    first_[static_cast<std::size_t>(rank)] = lane;
+  }
 }
 
 template <class Real>

@@ -32,7 +32,7 @@ class LaneRanks {
   int end() const { return first_of(ranks_->rank() + 1); }
 
   /// Before a step of so many tiles.
-  void share_out(std::int64_t tiles) { tiles_ = tiles; }
+  void share_out(std::int64_t tiles);
   /// In: the losses of the tiles of own lanes. Out: of all.
   void gather_losses(std::vector<StepLosses>& tiles);
   /// Rows of all lanes in lane order, from those of own lanes; valid until the next call.
@@ -45,11 +45,11 @@ class LaneRanks {
   void sum_lanes(ParamStore<Real>& store);
 
  private:
-  int first_of(int rank) const;
+  int first_of(int rank) const { return first_.empty() ? 0 : first_[static_cast<std::size_t>(rank)]; }
 
   Ranks* ranks_;
   int lanes_;
-  std::int64_t tiles_ = 0;
+  std::vector<int> first_;  // [ranks + 1] lanes; none before a step
   std::vector<double> x_;
   std::vector<Real> d_encoded_, sums_;
 };
