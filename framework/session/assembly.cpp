@@ -3,12 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "compute/cpu_kernels.h"
 #include "compute/parallel.h"
-#include "core/check.h"
 #include "core/error.h"
 #include "execution/ranks_executor.h"
-#include "plugin/loader.h"
 
 namespace semfield {
 
@@ -269,90 +266,6 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
   options.work.threads = config.runtime.threads;
   options.class_weight = std::move(class_weight);
   return std::make_unique<Pipeline<Real>>(std::move(passes), std::move(options), trainable);
-}
-
-namespace {
-// "field 'ball'".
-std::string owner_of(const PluginSlot& slot) {
-  return std::string(kind_name(slot.entry->kind)) + " '" + slot.entry->name + "'";
-}
-
-// "field 'ball'", "loss term 'glow'": the first part of the run without kernels for `device`; empty: all have them.
-std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
-  for (const PassConfig& pass : config.passes) {
-    std::vector<const PluginSlot*> slots{&pass.sampler, &pass.position, &pass.direction, &pass.field};
-    for (const SemanticBranchConfig& branch : pass.semantic) {
-      slots.push_back(&branch.position);
-      slots.push_back(&branch.field);
-    }
-    for (const PluginSlot* slot : slots) {
-      if (slot->entry == nullptr) continue;
-      std::string owner = owner_of(*slot);
-      if (!registry.kernels().has(device, owner)) return owner;
-    }
-  }
-  for (const LossEntry& entry : config.losses) {
-    const auto is_it = [&](const LossKind& kind) { return kind.type == entry.type && kind.cuda; };
-    if (device == Device::cuda && std::none_of(loss_kinds().begin(), loss_kinds().end(), is_it))
-      return "loss term '" + entry.type + "'";
-  }
-  return {};
-}
-bool fields_have_bf16(const RunConfig& config, const Registry& registry, Device device) {
-  const auto has = [&](const PluginSlot& slot) {
-    return slot.entry == nullptr || registry.kernels().has(device, owner_of(slot), Precision::bf16);
-  };
-  return std::all_of(config.passes.begin(), config.passes.end(), [&](const PassConfig& pass) {
-    return has(pass.field) && std::all_of(pass.semantic.begin(), pass.semantic.end(),
-                                          [&](const SemanticBranchConfig& branch) { return has(branch.field); });
-  });
-}
-
-bool is_automatic(const RunConfig& config) { return config.runtime.device == "auto"; }
-
-/// That of `auto` is the first cuda device.
-DeviceId asked_device(const RunConfig& config) {
-  const std::optional<DeviceId> asked = device_of(is_automatic(config) ? "cuda" : config.runtime.device);
-  SEMFIELD_CHECK(asked.has_value(), "runtime.device was validated");
-  return *asked;
-}
-
-}  // namespace
-
-void add_cuda_kernels(Registry& registry) {
-  cuda_library().add_kernels(registry.kernels());
-  add_cuda_kernels_of_modules(registry);
-}
-
-ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics) {
-  const DeviceId asked = asked_device(config);
-  if (asked.kind == Device::cpu) return {asked, "runtime.device is cpu"};
-  std::string why_not;
-  if (cuda_available(&why_not, asked.ordinal)) {
-    add_cuda_kernels(registry);
-    return device_for_parts(config, registry, diagnostics);
-  }
-  if (is_automatic(config)) return {DeviceId{}, why_not};
-  throw Error(ErrorKind::unavailable, "runtime.device: " + config.runtime.device + ": " + why_not,
-              "set runtime.device: cpu, or auto");
-}
-
-ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry, Diagnostics& diagnostics) {
-  const std::string part = part_without_kernels(config, registry, Device::cuda);
-  if (part.empty()) return {asked_device(config), ""};
-  const std::string why_not = part + " has no cuda kernels";
-  if (!is_automatic(config)) {
-    throw Error(ErrorKind::unavailable, "runtime.device: " + config.runtime.device + ": " + why_not,
-                "set runtime.device: cpu, or auto, which stays on the processor then");
-  }
-  diagnostics.note("runtime.device", why_not + ", so the run stays on the processor");
-  return {DeviceId{}, why_not};
-}
-
-Precision precision_of(const RunConfig& config, const Registry& registry, DeviceId device) {
-  if (config.runtime.precision != Precision::automatic) return config.runtime.precision;
-  const bool faster = device.kind != Device::cpu || bf16_is_faster();
-  return faster && fields_have_bf16(config, registry, device.kind) ? Precision::bf16 : Precision::fp32;
 }
 
 void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,

@@ -8,6 +8,7 @@
 #include "execution/pipeline.h"
 #include "model/leave_out.h"
 #include "ranks/ranks.h"
+#include "settings/device_choice.h"
 #include "settings/run_config.h"
 
 namespace semfield {
@@ -43,24 +44,6 @@ int lanes_of(const RunConfig& config, const Registry& registry, const BuildPlan&
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
-
-struct ChosenDevice {
-  DeviceId device;
-  std::string no_cuda;  ///< why it is the processor
-};
-/// The device that the run's configuration asks for; its kernels are then in the registry's tables. `auto` is the first
-/// cuda device where build and machine have it and every part of the passes and term of the loss has kernels for it;
-/// one without them is noted and leaves the run on the processor. Throws Error(unavailable) with the reason when a cuda
-/// device is asked for
-/// and cannot be had.
-ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
-/// runtime.precision, or what `auto` is there: bf16 where the device computes it faster and every field has kernels.
-Precision precision_of(const RunConfig& config, const Registry& registry, DeviceId device);
-/// CUDA kernels of linked plugins and loaded modules into the registry's tables; a device is not needed. Throws
-/// Error(unavailable) when the build has none.
-void add_cuda_kernels(Registry& registry);
-/// As chosen_device where a device is there and its tables are in the registry.
-ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry, Diagnostics& diagnostics);
 
 /// From now on `pipeline` trains and renders on `device`, which chosen_device gave, and with it on those of all `ranks`
 /// where these are given: they call this together.

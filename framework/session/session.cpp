@@ -244,10 +244,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   s.memory_facts.program = program_bytes;
   if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, diagnostics);
   fix_extent(s, registry, device);
-  if (device.kind == Device::cpu && s.config.runtime.precision == Precision::bf16 && !bf16_is_native()) {
-    diagnostics.note("runtime.precision",
-                     "this processor has no bf16 instructions: they are emulated, and fp32 would be faster");
-  }
+  if (options.trainable) say_slow_paths(s.config, registry, device, bf16_is_native(), diagnostics);
   if (options.trainable && !s.plan.semantics && !s.config.self_training.at.empty()) {
     diagnostics.warning("train.self_training", "there are no labels to begin with, so no round gives any",
                         "give the scene labels, or set train.self_training.at to []");
