@@ -5,6 +5,7 @@ include(GoogleTest)
 function(semfield_add_test)
   cmake_parse_arguments(ARG "DEVICE" "NAME" "SOURCES;LIBRARIES;LABELS" ${ARGN})
   add_executable(${ARG_NAME} ${ARG_SOURCES} ${PROJECT_SOURCE_DIR}/tests/no_cache.cpp)
+  set_target_properties(${ARG_NAME} PROPERTIES UNITY_BUILD OFF)  # names of tests are their own
   target_link_libraries(${ARG_NAME} PRIVATE semfield semfield_plugins semfield_testkit semfield_warnings GTest::gtest_main ${ARG_LIBRARIES})
   target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_SOURCE_DIR="${PROJECT_SOURCE_DIR}" SEMFIELD_BINARY_DIR="${PROJECT_BINARY_DIR}")
   target_include_directories(${ARG_NAME} PRIVATE ${PROJECT_SOURCE_DIR})

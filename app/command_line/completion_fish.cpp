@@ -6,21 +6,21 @@ namespace semfield::app {
 
 namespace {
 
-std::string quoted(const std::string& text) {
+std::string fish_quoted(const std::string& text) {
   std::string out = "'";
   for (const char c : text) out += (c == '\'' || c == '\\' ? "\\" : "") + std::string(1, c);
   return out + "'";
 }
 
 std::string at(const std::string& verb) {
-  return "complete -c semfield -n " + quoted("__semfield_at" + (verb.empty() ? "" : " " + verb));
+  return "complete -c semfield -n " + fish_quoted("__semfield_at" + (verb.empty() ? "" : " " + verb));
 }
 
 // Which words a value completes to.
-std::string value_of(const Word& word) {
+std::string fish_value(const Word& word) {
   const std::string words = join(word.choices, " ");
   const std::string offered =
-      words.empty() ? "" : " -a " + quoted(word.commas ? "(__semfield_list " + words + ")" : words);
+      words.empty() ? "" : " -a " + fish_quoted(word.commas ? "(__semfield_list " + words + ")" : words);
   if (files_of(word) == ValueFiles::files) return " -r -F" + offered;
   if (!offered.empty()) return " -x" + offered;
   if (files_of(word) == ValueFiles::folders) return " -x -a '(__fish_complete_directories)'";
@@ -32,7 +32,7 @@ std::string option_lines(const Grammar& grammar, const VerbGrammar* verb) {
   for (const Word* word : grammar.options_of(verb)) {
     text += at(verb == nullptr ? "" : verb->name) + " -l " + word->name.substr(2) +
             (word->letter.empty() ? "" : " -s " + word->letter.substr(1)) +
-            (word->value.empty() ? "" : value_of(*word)) + " -d " + quoted(sentence_of(*word)) + "\n";
+            (word->value.empty() ? "" : fish_value(*word)) + " -d " + fish_quoted(sentence_of(*word)) + "\n";
   }
   return text;
 }
@@ -40,14 +40,14 @@ std::string option_lines(const Grammar& grammar, const VerbGrammar* verb) {
 std::string verb_lines(const Grammar& grammar, const std::string& group) {
   std::string text;
   for (const VerbGrammar* verb : grammar.below(group))
-    text += at(group) + " -a " + verb->last() + " -d " + quoted(verb->sentence) + "\n";
+    text += at(group) + " -a " + verb->last() + " -d " + fish_quoted(verb->sentence) + "\n";
   return text;
 }
 
 std::string operand_lines(const VerbGrammar& verb) {
   std::string text;
   for (const Word* word : verb.operands()) {
-    if (!word->choices.empty()) text += at(verb.name) + " -a " + quoted(join(word->choices, " ")) + "\n";
+    if (!word->choices.empty()) text += at(verb.name) + " -a " + fish_quoted(join(word->choices, " ")) + "\n";
     if (!word->choices.empty() || files_of(*word) == ValueFiles::none) continue;
     std::string line =
         at(verb.name) + (files_of(*word) == ValueFiles::files ? " -F" : " -a '(__fish_complete_directories)'");

@@ -6,7 +6,7 @@ namespace semfield::app {
 
 namespace {
 
-std::string quoted(const std::string& text) {
+std::string zsh_quoted(const std::string& text) {
   std::string out = "'";
   for (const char c : text) out += c == '\'' ? "'\\''" : std::string(1, c);
   return out + "'";
@@ -28,7 +28,7 @@ std::string function_of(const std::string& verb) {
 }
 
 // ":CONFIG:_files".
-std::string value_of(const Word& word) {
+std::string zsh_value(const Word& word) {
   std::string how;
   if (!word.choices.empty() && files_of(word) == ValueFiles::files) {
     how = " _semfield_or_files " + join(word.choices, " ");  // the blank: called with these words alone
@@ -47,15 +47,15 @@ std::string value_of(const Word& word) {
 
 std::string option_line(const Word& word) {
   const std::string help = "[" + plain(sentence_of(word), "[]\\:") + "]";
-  const std::string value = word.value.empty() ? "" : value_of(word);
+  const std::string value = word.value.empty() ? "" : zsh_value(word);
   const std::string equals = word.value.empty() ? "" : "=";
   std::string others = join(word.excludes, " ");
   if (!word.letter.empty()) {
-    return "    " + quoted("(" + word.letter + " " + word.name + ")" + word.letter + help + value) + " \\\n    " +
-           quoted("(" + word.letter + " " + word.name + ")" + word.name + equals + help + value) + " \\\n";
+    return "    " + zsh_quoted("(" + word.letter + " " + word.name + ")" + word.letter + help + value) + " \\\n    " +
+           zsh_quoted("(" + word.letter + " " + word.name + ")" + word.name + equals + help + value) + " \\\n";
   }
   const std::string before = word.many ? "*" : others.empty() ? "" : "(" + others + ")";
-  return "    " + quoted(before + word.name + equals + help + value) + " \\\n";
+  return "    " + zsh_quoted(before + word.name + equals + help + value) + " \\\n";
 }
 
 std::string options(const Grammar& grammar, const VerbGrammar* verb) {
@@ -81,7 +81,7 @@ std::string group_function(const Grammar& grammar, const VerbGrammar* group) {
                      "      verbs=(\n";
   std::string cases;
   for (const VerbGrammar* verb : grammar.below(name)) {
-    text += "        " + quoted(plain(verb->last(), ":\\") + ":" + verb->sentence) + "\n";
+    text += "        " + zsh_quoted(plain(verb->last(), ":\\") + ":" + verb->sentence) + "\n";
     cases += "        " + verb->last() + ") " + function_of(verb->name) + " ;;\n";
   }
   return text +
@@ -101,7 +101,7 @@ std::string verb_function(const Grammar& grammar, const VerbGrammar& verb) {
   for (std::size_t i = 0; i < operands.size(); ++i) {
     const Word& word = *operands[i];
     const std::string place = word.many ? "*" : std::to_string(i + 1);
-    text += "    " + quoted(place + (word.required || word.many ? "" : ":") + value_of(word)) + " \\\n";
+    text += "    " + zsh_quoted(place + (word.required || word.many ? "" : ":") + zsh_value(word)) + " \\\n";
   }
   return text.substr(0, text.size() - 3) + "\n}\n";
 }

@@ -23,7 +23,7 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr int kLowPriority = 10;  // of 19: training goes first
-constexpr auto kLook = std::chrono::milliseconds(100);
+constexpr auto kProgramLook = std::chrono::milliseconds(100);
 constexpr const char* kLabelEnd = "_label.png";
 
 std::vector<std::string> files_of(ExportKind kind) {
@@ -121,7 +121,7 @@ void PageExports::run_verb(ExportKind kind, const std::string& id) {
       asked = true;
     }
     if (kind == ExportKind::labels) tell(id, "running", fmt::format("{} of {} views", labels_in(folder), views));
-    std::this_thread::sleep_for(kLook);
+    std::this_thread::sleep_for(kProgramLook);
   }
   if (stopping_) throw Error(ErrorKind::failure, "the page was closed before it was done");
   if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) throw Error(ErrorKind::failure, child_failure(status, log));

@@ -16,7 +16,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr auto kLook = std::chrono::milliseconds(100);  // at exports, and whether the server ends
+constexpr auto kStateLook = std::chrono::milliseconds(100);  // at exports, and whether the server ends
 constexpr std::uint64_t kMostNumber = std::uint64_t{1} << 53;
 constexpr const char* kJpeg = "image/jpeg";
 constexpr const char* kForEver = "private, max-age=31536000, immutable";
@@ -114,9 +114,9 @@ HttpResponse PageServer::get_state(const HttpRequest& request) const {
     const std::uint64_t exported = exports_.changes();
     const std::uint64_t known = after > exported ? after - exported : 0;
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
-    if (stopping_) std::this_thread::sleep_for(kLook);  // a page that asks again and again stays calm
+    if (stopping_) std::this_thread::sleep_for(kStateLook);  // a page that asks again and again stays calm
     const bool last = left.count() <= 0 || stopping_ || after == 0;
-    const auto state = last ? source_.state() : source_.wait_state(known, std::min(kLook, left));
+    const auto state = last ? source_.state() : source_.wait_state(known, std::min(kStateLook, left));
     if (last || state->revision + exported > after)
       return json(state_json(*state, source_, exports_.list(), known, {first, first + state->revision + exported}));
   }

@@ -29,8 +29,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr double kFirstGuess_gb = 1;             // of a cell, until one has ended
-constexpr std::chrono::milliseconds kLook{100};  // between two looks at the cells of other processes
+constexpr double kFirstGuess_gb = 1;                 // of a cell, until one has ended
+constexpr std::chrono::milliseconds kCellLook{100};  // between two looks at the cells of other processes
 
 double available_memory_gb() {
   const std::size_t bytes = available_memory();
@@ -139,7 +139,7 @@ class Pool {
       }
     }
     // Looking takes a tenth of the time at most: a file system of a network has its price.
-    next_look_ = Clock::now() + std::max<Clock::duration>(kLook, 9 * (Clock::now() - look));
+    next_look_ = Clock::now() + std::max<Clock::duration>(kCellLook, 9 * (Clock::now() - look));
     return false;
   }
 

@@ -22,7 +22,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr std::chrono::milliseconds kLook{10};       // between two attempts at a lock
+constexpr std::chrono::milliseconds kLockLook{10};   // between two attempts at a lock
 constexpr std::chrono::seconds kPatience{2};         // before the user hears of a wait
 constexpr std::chrono::milliseconds kLastWait{500};  // after a stop signal
 
@@ -62,7 +62,7 @@ FolderLock lock_when_free(const std::string& folder, const SweepNote& note) {
       told = true;
       note(fmt::format("{}: waiting for {}, which writes there", folder, lock.holder()));
     }
-    std::this_thread::sleep_for(kLook);
+    std::this_thread::sleep_for(kLockLook);
   }
 }
 

@@ -175,8 +175,8 @@ void words(VerbWords& verb, CheckNumericsOptions& options) {
 }  // namespace
 
 Verb verb_check_numerics() {
-  return with_json(
-      make_verb("check-numerics", 190, "check stiff and extreme cases against their references", words, run));
+  return with_json(make_verb<CheckNumericsOptions>(
+      "check-numerics", 190, "check stiff and extreme cases against their references", words, run));
 }
 
 }  // namespace semfield::app

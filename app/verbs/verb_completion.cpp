@@ -24,7 +24,8 @@ void words(VerbWords& verb, CompletionOptions& options) {
 }  // namespace
 
 Verb verb_completion() {
-  return make_verb("completion", 220, "print a script that completes verbs and options in a shell", words, run);
+  return make_verb<CompletionOptions>("completion", 220, "print a script that completes verbs and options in a shell",
+                                      words, run);
 }
 
 }  // namespace semfield::app

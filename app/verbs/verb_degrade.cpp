@@ -53,8 +53,8 @@ void words(VerbWords& verb, DegradeOptions& options) {
 }  // namespace
 
 Verb verb_degrade() {
-  return with_json(
-      make_verb("degrade", 100, "write the training labels, degraded as the configuration says", words, run));
+  return with_json(make_verb<DegradeOptions>(
+      "degrade", 100, "write the training labels, degraded as the configuration says", words, run));
 }
 
 }  // namespace semfield::app

@@ -105,7 +105,8 @@ void words(VerbWords& verb, EvalOptions& options) {
 }  // namespace
 
 Verb verb_eval() {
-  return with_launch(Launch::ranks, with_json(make_verb("eval", 20, "evaluate a run's field on a split", words, run)));
+  return with_launch(Launch::ranks,
+                     with_json(make_verb<EvalOptions>("eval", 20, "evaluate a run's field on a split", words, run)));
 }
 
 }  // namespace semfield::app

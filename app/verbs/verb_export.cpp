@@ -19,7 +19,7 @@ namespace semfield::app {
 
 namespace {
 
-struct ExportOptions {
+struct ExportVerbOptions {
   std::string run;
   std::string split = "test";
   std::string format = "coco";  ///< coco, coco_rle or labelme
@@ -47,7 +47,7 @@ void note_other_size(const FrameInfo& info, const AppContext& context) {
                           ": to export at that size, give --set scene.load.downscale=1");
 }
 
-int run(const ExportOptions& options, AppContext& context) {
+int run(const ExportVerbOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
   context.adopt(run.session.config);
@@ -115,7 +115,7 @@ int run(const ExportOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, ExportOptions& options) {
+void words(VerbWords& verb, ExportVerbOptions& options) {
   verb.operand("run", options.run, "run folder");
   verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames to export");
   verb.choice("--format FORMAT", options.format, {"coco", "coco_rle", "labelme"},
@@ -128,7 +128,8 @@ void words(VerbWords& verb, ExportOptions& options) {
 }  // namespace
 
 Verb verb_export() {
-  return with_json(make_verb("export", 130, "write the labels of a run's field for labelling tools", words, run));
+  return with_json(
+      make_verb<ExportVerbOptions>("export", 130, "write the labels of a run's field for labelling tools", words, run));
 }
 
 }  // namespace semfield::app

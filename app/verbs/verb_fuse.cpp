@@ -46,7 +46,7 @@ void apply(const FuseOptions& options, FusionParams& params) {
                 "name its folder: --depth-from RUN");
 }
 
-std::string text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "none"; }
+std::string score_text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "none"; }
 
 std::string depth_name(const FusionParams& params) {
   return std::string(ChoiceNames<FusionDepth>::names[static_cast<std::size_t>(params.depth)]);
@@ -135,9 +135,9 @@ void print_scores(const SceneFusion& fusion, const FusionParams& params) {
     std::printf(
         "fuse: method=%s depth=%s miou_present=%s miou=%s total_accuracy=%s average_accuracy=%s filled=%lld "
         "views=%s\n",
-        score.method.c_str(), depth_name(params).c_str(), text(m.miou_present()).c_str(), text(m.miou()).c_str(),
-        text(m.total_accuracy()).c_str(), text(m.average_accuracy()).c_str(),
-        static_cast<long long>(fused ? counts.filled : 0), text(score.views_mean).c_str());
+        score.method.c_str(), depth_name(params).c_str(), score_text(m.miou_present()).c_str(),
+        score_text(m.miou()).c_str(), score_text(m.total_accuracy()).c_str(), score_text(m.average_accuracy()).c_str(),
+        static_cast<long long>(fused ? counts.filled : 0), score_text(score.views_mean).c_str());
   }
 }
 
@@ -204,7 +204,8 @@ void words(VerbWords& verb, FuseOptions& options) {
 }  // namespace
 
 Verb verb_fuse() {
-  return with_json(make_verb("fuse", 110, "combine predictions of several views by depth, and score them", words, run));
+  return with_json(
+      make_verb<FuseOptions>("fuse", 110, "combine predictions of several views by depth, and score them", words, run));
 }
 
 }  // namespace semfield::app

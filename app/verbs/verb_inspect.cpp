@@ -72,8 +72,8 @@ void words(VerbWords& verb, InspectOptions& options) {
 }  // namespace
 
 Verb verb_inspect() {
-  return with_json(
-      make_verb("inspect", 70, "print what a scene contains, and every problem with its remedy", words, run));
+  return with_json(make_verb<InspectOptions>(
+      "inspect", 70, "print what a scene contains, and every problem with its remedy", words, run));
 }
 
 }  // namespace semfield::app

@@ -43,6 +43,6 @@ void words(VerbWords& verb, ManOptions& options) {
 
 }  // namespace
 
-Verb verb_man() { return make_verb("man", 230, "print the manual page of a verb, for man(1)", words, run); }
+Verb verb_man() { return make_verb<ManOptions>("man", 230, "print the manual page of a verb, for man(1)", words, run); }
 
 }  // namespace semfield::app

@@ -251,8 +251,8 @@ void words(VerbWords& verb, MeshOptions& options) {
 }  // namespace
 
 Verb verb_mesh() {
-  return with_json(
-      make_verb("mesh", 60, "write the field's surface with colour and class, as PLY, OBJ or GLB", words, run));
+  return with_json(make_verb<MeshOptions>(
+      "mesh", 60, "write the field's surface with colour and class, as PLY, OBJ or GLB", words, run));
 }
 
 }  // namespace semfield::app

@@ -41,7 +41,7 @@ Worth worth_of_given(const Session& s) {
           score.miou_present()};
 }
 
-std::string text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "-"; }
+std::string worth_text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "-"; }
 
 void print_worth(const AppContext& context, const PropagateOptions& options, const PropagationParams& params,
                  const Worth& before, const Worth& after) {
@@ -56,9 +56,9 @@ void print_worth(const AppContext& context, const PropagateOptions& options, con
     return;
   }
   std::printf("propagate: method=%s labelled_share=%.4f->%.4f accuracy=%s->%s miou_present=%s->%s folder=%s\n",
-              method_name(params).c_str(), before.share, after.share, text(before.accuracy).c_str(),
-              text(after.accuracy).c_str(), text(before.miou_present).c_str(), text(after.miou_present).c_str(),
-              options.out.c_str());
+              method_name(params).c_str(), before.share, after.share, worth_text(before.accuracy).c_str(),
+              worth_text(after.accuracy).c_str(), worth_text(before.miou_present).c_str(),
+              worth_text(after.miou_present).c_str(), options.out.c_str());
 }
 
 int run(const PropagateOptions& options, AppContext& context) {
@@ -113,8 +113,8 @@ void words(VerbWords& verb, PropagateOptions& options) {
 }  // namespace
 
 Verb verb_propagate() {
-  return with_json(
-      make_verb("propagate", 120, "spread training labels over the surface that a run has learned", words, run));
+  return with_json(make_verb<PropagateOptions>(
+      "propagate", 120, "spread training labels over the surface that a run has learned", words, run));
 }
 
 }  // namespace semfield::app

@@ -204,8 +204,8 @@ void words(VerbWords& verb, RenderOptions& options) {
 Verb verb_render() {
   return with_launch(
       Launch::ranks,
-      with_json(
-          make_verb("render", 30, "render colour, label, depth and entropy images from a run's field", words, run)));
+      with_json(make_verb<RenderOptions>(
+          "render", 30, "render colour, label, depth and entropy images from a run's field", words, run)));
 }
 
 }  // namespace semfield::app

@@ -34,7 +34,7 @@ void words(VerbWords& verb, ReportOptions& options) {
 }  // namespace
 
 Verb verb_report() {
-  return with_json(make_verb("report", 40, "write one HTML page about one or several runs", words, run));
+  return with_json(make_verb<ReportOptions>("report", 40, "write one HTML page about one or several runs", words, run));
 }
 
 }  // namespace semfield::app

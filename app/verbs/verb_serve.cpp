@@ -205,7 +205,8 @@ void words(VerbWords& verb, ServeOptions& options) {
 }  // namespace
 
 Verb verb_serve() {
-  return with_json(make_verb("serve", 15, "label a scene in the browser while its field trains", words, run));
+  return with_json(
+      make_verb<ServeOptions>("serve", 15, "label a scene in the browser while its field trains", words, run));
 }
 
 }  // namespace semfield::app

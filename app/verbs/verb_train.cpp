@@ -210,8 +210,8 @@ void words(VerbWords& verb, TrainOptions& options) {
 }  // namespace
 
 Verb verb_train() {
-  return with_launch(Launch::ranks,
-                     with_json(make_verb("train", 10, "train a field on a scene; writes a run folder", words, run)));
+  return with_launch(Launch::ranks, with_json(make_verb<TrainOptions>(
+                                        "train", 10, "train a field on a scene; writes a run folder", words, run)));
 }
 
 }  // namespace semfield::app

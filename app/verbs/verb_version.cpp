@@ -11,7 +11,7 @@ namespace semfield::app {
 
 namespace {
 
-int run(AppContext& context) {
+int print_version(AppContext& context) {
   if (context.json) {
     print_json(context, Json::parse(environment_json(this_environment())));
   } else {
@@ -23,7 +23,8 @@ int run(AppContext& context) {
 }  // namespace
 
 Verb verb_version() {
-  return with_json(make_verb("version", 200, "print version, compiler, plugin interface and instruction sets", run));
+  return with_json(
+      make_verb("version", 200, "print version, compiler, plugin interface and instruction sets", print_version));
 }
 
 }  // namespace semfield::app

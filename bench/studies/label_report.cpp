@@ -68,7 +68,7 @@ int longest(const std::vector<LabelCourse>& courses) {
   return static_cast<int>(most);
 }
 
-std::string ms_text(double ms) { return std::isnan(ms) ? "n/a" : fmt::format("{:.0f}", ms); }
+std::string latency_text(double ms) { return std::isnan(ms) ? "n/a" : fmt::format("{:.0f}", ms); }
 
 double percentile(std::vector<double> values, double share) {
   if (values.empty()) return NAN;
@@ -125,8 +125,9 @@ std::string label_line(const std::vector<LabelCourse>& courses, const LabelLaten
       "overlay_p50_ms={} overlay_p95_ms={} lost_clicks={}/{} slowdown={}",
       clicks_text(ours60, most_clicks), clicks_text(random60, most_clicks),
       clicks_text(clicks(Acquisition::entropy, 0.6), most_clicks), ratio_text(ours60, random60, most_clicks),
-      ratio_text(clicks(Acquisition::surface, 0.7), clicks(Acquisition::random, 0.7), most_clicks), ms_text(proposal),
-      ms_text(percentile(latency.overlay_ms, 0.5)), ms_text(percentile(latency.overlay_ms, 0.95)), lost, kills,
+      ratio_text(clicks(Acquisition::surface, 0.7), clicks(Acquisition::random, 0.7), most_clicks),
+      latency_text(proposal), latency_text(percentile(latency.overlay_ms, 0.5)),
+      latency_text(percentile(latency.overlay_ms, 0.95)), lost, kills,
       latency.overlay_ms.empty() ? "n/a" : fmt::format("{:.2f}", latency.slowdown));
 }
 

@@ -37,7 +37,7 @@ std::string cell(std::string text) {
   return text;
 }
 
-constexpr const char* kStudy = "bench pairs";
+constexpr const char* kPairsStudy = "bench pairs";
 
 }  // namespace
 
@@ -129,9 +129,9 @@ std::string with_findings(std::string page, const LeaveOutFindings& findings, co
                           row.result.empty() ? "not measured" : cell(row.result), cell(row.but));
     }
   }
-  put_part(page, kStudy, "measured", findings.about + "\n", name);
-  put_part(page, kStudy, "left out", out, name);
-  put_part(page, kStudy, "kept", kept, name);
+  put_part(page, kPairsStudy, "measured", findings.about + "\n", name);
+  put_part(page, kPairsStudy, "left out", out, name);
+  put_part(page, kPairsStudy, "kept", kept, name);
   return page;
 }
 

@@ -43,9 +43,9 @@ std::vector<int> counts_to(int most) {
 
 std::string ranks_text(int ranks) { return ranks == 1 ? "one rank" : fmt::format("{} ranks", ranks); }
 
-class Bench {
+class ScaleBench {
  public:
-  Bench(const ScaleBenchOptions& options, const ScaleTools& tools) : options_(options), tools_(tools) {
+  ScaleBench(const ScaleBenchOptions& options, const ScaleTools& tools) : options_(options), tools_(tools) {
     results_.quick = options.quick;
     const Environment environment = this_environment();
     const std::string build = fmt::format("{}, {}, {}, {}{}", environment.version, environment.compiler,
@@ -286,7 +286,7 @@ class Bench {
 }  // namespace
 
 ScaleResults measure_scale(const ScaleBenchOptions& options, const ScaleTools& tools) {
-  return Bench(options, tools).run();
+  return ScaleBench(options, tools).run();
 }
 
 }  // namespace semfield

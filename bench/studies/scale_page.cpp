@@ -14,7 +14,7 @@ namespace semfield {
 namespace {
 
 constexpr int kMostDevices = 1024;
-constexpr const char* kStudy = "bench scale";
+constexpr const char* kScaleStudy = "bench scale";
 constexpr std::array<std::pair<const char*, const char*>, 4> kKinds{
     {{"paper", "cpu"}, {"hash", "cpu"}, {"paper", "cuda"}, {"hash", "cuda"}}};
 
@@ -294,8 +294,8 @@ std::string scale_line(const ScaleResults& results) {
 }
 
 std::string with_scale(std::string page, const ScaleResults& results, const std::string& name) {
-  put_part(page, kStudy, "measured", scale_measured(results), name);
-  put_part(page, kStudy, "model", scale_model(results), name);
+  put_part(page, kScaleStudy, "measured", scale_measured(results), name);
+  put_part(page, kScaleStudy, "model", scale_model(results), name);
   return page;
 }
 

@@ -84,9 +84,9 @@ class Case {
   std::vector<double> processor_;
 };
 
-class Bench {
+class StepBench {
  public:
-  Bench(const BenchStepOptions& options, const StudyTools& tools)
+  StepBench(const BenchStepOptions& options, const StudyTools& tools)
       : options_(options), tools_(tools), sizes_(sizes_of(options.size)) {
     results_.threads = options.threads > 0 ? options.threads : hardware_threads();
     if (has_precisions()) precisions_.push_back("bf16");
@@ -319,7 +319,7 @@ const PeerRow* find_peer(const BenchStepResults& r, const std::string& net, cons
 
 BenchStepResults measure_steps(const BenchStepOptions& options, const StudyTools& tools) {
   if (options.repeats < 1) throw Error(ErrorKind::usage, "--repeats: expected at least 1");
-  return Bench(options, tools).run();
+  return StepBench(options, tools).run();
 }
 
 namespace {

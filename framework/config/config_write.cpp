@@ -4,11 +4,11 @@
 #include <cstdio>
 
 #include "config/config_tree.h"
+#include "core/text.h"
 
 namespace semfield {
 namespace {
 
-bool is_digit(char c) { return c >= '0' && c <= '9'; }
 bool is_alnum(char c) { return is_digit(c) || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z'); }
 
 std::string lower(std::string_view text) {

@@ -8,6 +8,8 @@
 #include <system_error>
 #include <utility>
 
+#include "core/text.h"
+
 namespace semfield {
 namespace {
 
@@ -24,8 +26,6 @@ std::string found(const ConfigNode& node) {
   }
   return {};
 }
-
-bool is_digit(char c) { return c >= '0' && c <= '9'; }
 
 // The digits of `text` from `at` on, as many as there are.
 std::size_t skip_digits(std::string_view text, std::size_t at) {

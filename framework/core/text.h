@@ -8,6 +8,9 @@
 
 namespace semfield {
 
+/// '0' to '9', in every locale.
+constexpr bool is_digit(char c) { return c >= '0' && c <= '9'; }
+
 /// Words between blanks, tabs, line ends; views into `text`.
 std::vector<std::string_view> words_of(std::string_view text);
 

@@ -15,7 +15,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::size_t kMaxFileBytes = std::size_t{1} << 30;
+constexpr std::size_t kMaxImageFileBytes = std::size_t{1} << 30;
 
 std::span<const std::byte> bytes_of(const std::string& text) {
   return std::as_bytes(std::span<const char>(text.data(), text.size()));
@@ -113,7 +113,7 @@ ImageSize image_size(const std::string& path) {
 
 Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background) {
   return naming(path, [&]() -> Image<std::uint8_t> {
-    const std::string file = read_text_file(path, kMaxFileBytes);
+    const std::string file = read_text_file(path, kMaxImageFileBytes);
     if (looks_like_png(bytes_of(file))) return rgb_of_png(decode_png(bytes_of(file)), alpha_background);
     check_jpeg_end(file);
     Image<std::uint8_t> in = image_formats().read8(path);
@@ -136,7 +136,7 @@ Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background) {
 
 Image<std::uint16_t> read_ids(const std::string& path) {
   return naming(path, [&]() -> Image<std::uint16_t> {
-    const std::string file = read_text_file(path, kMaxFileBytes);
+    const std::string file = read_text_file(path, kMaxImageFileBytes);
     Image<std::uint16_t> out;
     if (looks_like_png(bytes_of(file))) {
       PngImage png = decode_png(bytes_of(file));

@@ -22,6 +22,11 @@ struct ImageSize {
   int bits = 8;
 };
 
+/// "640 x 480".
+inline std::string size_text(std::int32_t width_px, std::int32_t height_px) {
+  return std::to_string(width_px) + " x " + std::to_string(height_px);
+}
+
 bool images_available();
 /// Header only. Refuses what is over input_limits() before allocating. Errors name the path and the cause.
 ImageSize image_size(const std::string& path);

@@ -17,15 +17,13 @@ namespace semfield {
 
 namespace {
 
-constexpr std::size_t kMaxFileBytes = std::size_t{2} << 30;
+constexpr std::size_t kMaxArrayFileBytes = std::size_t{2} << 30;
 constexpr std::size_t kMaxAxes = 8;
 constexpr std::size_t kHeadBytes = std::size_t{1} << 17;  // more than a header of version 1 can be
 
-[[noreturn]] void refuse(const std::string& message, const std::string& remedy = {}) {
+[[noreturn]] void refuse_array(const std::string& message, const std::string& remedy = {}) {
   throw Error(ErrorKind::data, message, remedy);
 }
-
-const char* kAgain = "save the file again, or copy it again in full";
 
 // `size` bytes as one number.
 std::uint64_t element(const char* at, std::size_t size, bool big_endian) {
@@ -35,7 +33,7 @@ std::uint64_t element(const char* at, std::size_t size, bool big_endian) {
   return bits;
 }
 
-struct Header {
+struct ArrayHeader {
   std::string type;
   bool fortran = false;
   std::vector<std::int64_t> shape;
@@ -52,30 +50,33 @@ std::string_view value_of(std::string_view header, std::string_view key, std::st
     const std::size_t last = header.find_first_of(end, first);
     if (first != std::string_view::npos && last != std::string_view::npos) return header.substr(first, last - first);
   }
-  refuse("the header has no '" + std::string(key) + "'", kAgain);
+  refuse_array("the header has no '" + std::string(key) + "'", kSaveAgain);
 }
 
-Header header_of(std::string_view bytes) {
-  if (bytes.size() < 10 || bytes.substr(0, 6) != "\x93NUMPY") refuse("not a NumPy array: it begins with other bytes");
+ArrayHeader header_of(std::string_view bytes) {
+  if (bytes.size() < 10 || bytes.substr(0, 6) != "\x93NUMPY")
+    refuse_array("not a NumPy array: it begins with other bytes");
   const int version = bytes[6];
-  if (version < 1 || version > 3) refuse("NumPy format version " + std::to_string(version) + " is not read");
+  if (version < 1 || version > 3) refuse_array("NumPy format version " + std::to_string(version) + " is not read");
   const std::size_t start = version == 1 ? 10 : 12;
-  if (bytes.size() < start) refuse("the header runs past the end of the file", kAgain);
+  if (bytes.size() < start) refuse_array("the header runs past the end of the file", kSaveAgain);
   const std::size_t length = static_cast<std::size_t>(element(bytes.data() + 8, start - 8, false));
-  if (length > kHeadBytes - start) refuse("a header of " + std::to_string(length) + " bytes is not read", kAgain);
-  if (length > bytes.size() - start) refuse("the header runs past the end of the file", kAgain);
+  if (length > kHeadBytes - start)
+    refuse_array("a header of " + std::to_string(length) + " bytes is not read", kSaveAgain);
+  if (length > bytes.size() - start) refuse_array("the header runs past the end of the file", kSaveAgain);
   const std::string_view text = bytes.substr(start, length);
 
-  Header header;
+  ArrayHeader header;
   header.data_at = start + length;
   const std::string_view type = value_of(text, "descr", ",}");
-  if (type.size() < 3) refuse("the header's 'descr' cannot be read", kAgain);
+  if (type.size() < 3) refuse_array("the header's 'descr' cannot be read", kSaveAgain);
   header.type = type.substr(1, type.size() - 2);
   const std::string_view order = value_of(text, "fortran_order", ",}");
-  if (order != "True" && order != "False") refuse("the header's 'fortran_order' is neither True nor False", kAgain);
+  if (order != "True" && order != "False")
+    refuse_array("the header's 'fortran_order' is neither True nor False", kSaveAgain);
   header.fortran = order == "True";
   std::string_view axes = value_of(text, "shape", ")");
-  if (axes.empty() || axes[0] != '(') refuse("the header's 'shape' is not a tuple", kAgain);
+  if (axes.empty() || axes[0] != '(') refuse_array("the header's 'shape' is not a tuple", kSaveAgain);
   axes.remove_prefix(1);
   while (!axes.empty()) {
     const std::size_t end = std::min(axes.find(','), axes.size());
@@ -84,16 +85,17 @@ Header header_of(std::string_view bytes) {
     while (!number.empty() && number.front() == ' ') number.remove_prefix(1);
     if (number.empty() && axes.empty()) break;  // "(3,)"
     std::int64_t axis = 0;
-    if (!parse_whole(number, axis) || axis < 0) refuse("the header's shape has the axis '" + std::string(number) + "'");
+    if (!parse_whole(number, axis) || axis < 0)
+      refuse_array("the header's shape has the axis '" + std::string(number) + "'");
     header.shape.push_back(axis);
   }
   if (header.shape.size() > kMaxAxes)
-    refuse(std::to_string(header.shape.size()) + " axes; at most " + std::to_string(kMaxAxes) + " are read");
+    refuse_array(std::to_string(header.shape.size()) + " axes; at most " + std::to_string(kMaxAxes) + " are read");
   return header;
 }
 
 // Elements of the array; every factor is checked against what the file can hold.
-std::uint64_t element_count(const Header& header, std::uint64_t bytes, std::uint64_t element_bytes) {
+std::uint64_t element_count(const ArrayHeader& header, std::uint64_t bytes, std::uint64_t element_bytes) {
   const std::uint64_t most = bytes / element_bytes;
   std::uint64_t count = 1;
   bool fits = true;
@@ -106,9 +108,9 @@ std::uint64_t element_count(const Header& header, std::uint64_t bytes, std::uint
     }
   }
   if (!fits || count * element_bytes != bytes) {
-    refuse("the header states the shape " + shape_text(header.shape) + " of type " + header.type + ", " +
-               std::to_string(bytes) + " bytes follow it",
-           kAgain);
+    refuse_array("the header states the shape " + shape_text(header.shape) + " of type " + header.type + ", " +
+                     std::to_string(bytes) + " bytes follow it",
+                 kSaveAgain);
   }
   return count;
 }
@@ -134,13 +136,13 @@ std::size_t c_order(std::size_t i, const std::vector<std::int64_t>& shape) {
 }
 
 // The header of an array of `bytes` bytes in all, which begins as `start` does: checked, and taken by `accept`.
-Header checked_header(std::string_view start, std::uint64_t bytes, const AcceptShape& accept) {
-  const Header header = header_of(start);
+ArrayHeader checked_header(std::string_view start, std::uint64_t bytes, const AcceptShape& accept) {
+  const ArrayHeader header = header_of(start);
   static const std::vector<std::string> kinds{"f2", "f4", "f8", "u1"};
   const std::string kind = header.type.substr(1);
   if (std::find(kinds.begin(), kinds.end(), kind) == kinds.end() ||
       std::string_view("<>=|").find(header.type[0]) == std::string_view::npos) {
-    refuse("arrays of type '" + header.type + "' are not read", "save it as float16, float32, float64 or uint8");
+    refuse_array("arrays of type '" + header.type + "' are not read", "save it as float16, float32, float64 or uint8");
   }
   const auto size = static_cast<std::size_t>(kind[1] - '0');
   const std::uint64_t count = element_count(header, bytes - header.data_at, size);
@@ -150,7 +152,7 @@ Header checked_header(std::string_view start, std::uint64_t bytes, const AcceptS
   return header;
 }
 
-NumpyArray array_of(const Header& header, std::string_view bytes) {
+NumpyArray array_of(const ArrayHeader& header, std::string_view bytes) {
   const std::string_view data = bytes.substr(header.data_at);
   const char kind = header.type[1];
   const auto size = static_cast<std::size_t>(header.type[2] - '0');
@@ -205,8 +207,8 @@ std::string shape_text(std::span<const std::int64_t> shape) {
 NumpyArray read_npy(const std::string& path, const AcceptShape& accept) {
   try {
     const std::string start = read_file_start(path, kHeadBytes);
-    const Header header = checked_header(start, std::filesystem::file_size(path), accept);
-    return array_of(header, read_text_file(path, kMaxFileBytes));
+    const ArrayHeader header = checked_header(start, std::filesystem::file_size(path), accept);
+    return array_of(header, read_text_file(path, kMaxArrayFileBytes));
   } catch (const Error& e) {
     if (e.message().find(path) != std::string::npos) throw;
     throw Error(e.kind(), "'" + path + "': " + e.message(), e.remedy());
@@ -214,7 +216,7 @@ NumpyArray read_npy(const std::string& path, const AcceptShape& accept) {
 }
 
 NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept) {
-  const std::string file = read_text_file(path, kMaxFileBytes);
+  const std::string file = read_text_file(path, kMaxArrayFileBytes);
   std::string place = "'" + path + "'";
   try {
     std::vector<std::string> keys;
@@ -222,17 +224,17 @@ NumpyArray read_npz(const std::string& path, const std::string& key, const Accep
       keys.push_back(key_of(entry.name));
       if (keys.back() != key) continue;
       place += ", entry '" + key + "'";
-      const Header header = checked_header(zip_start(file, entry, kHeadBytes), entry.bytes, accept);
+      const ArrayHeader header = checked_header(zip_start(file, entry, kHeadBytes), entry.bytes, accept);
       return array_of(header, zip_contents(file, entry));
     }
-    refuse("no array '" + key + "' in it", "it has: " + join(keys));
+    refuse_array("no array '" + key + "' in it", "it has: " + join(keys));
   } catch (const Error& e) {
     throw Error(e.kind(), place + ": " + e.message(), e.remedy());
   }
 }
 
 std::vector<std::string> npz_keys(const std::string& path) {
-  const std::string file = read_text_file(path, kMaxFileBytes);
+  const std::string file = read_text_file(path, kMaxArrayFileBytes);
   try {
     std::vector<std::string> keys;
     for (const ZipEntry& entry : zip_entries(file)) keys.push_back(key_of(entry.name));

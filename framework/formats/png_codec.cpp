@@ -48,19 +48,19 @@ Chunk next_chunk(std::span<const std::uint8_t> file, std::size_t& at) {
   return {type, {body, length}};
 }
 
-struct Header {
+struct PngHeader {
   std::uint32_t width = 0, height = 0;
   int bits = 0, color_type = 0, interlace = 0;
   int channels() const { return color_type == 2 ? 3 : color_type == 4 ? 2 : color_type == 6 ? 4 : 1; }
 };
 
-Header read_header(std::span<const std::uint8_t> file, std::size_t& at) {
+PngHeader read_header(std::span<const std::uint8_t> file, std::size_t& at) {
   if (file.size() < 8 || std::memcmp(file.data(), kSignature.data(), 8) != 0) damaged("signature is missing");
   at = 8;
   const Chunk chunk = next_chunk(file, at);
   if (chunk.type != "IHDR" || chunk.data.size() != 13) damaged("is damaged: it does not start with a header chunk");
   const std::uint8_t* p = chunk.data.data();
-  const Header h{big32(p), big32(p + 4), p[8], p[9], p[12]};
+  const PngHeader h{big32(p), big32(p + 4), p[8], p[9], p[12]};
   check_image_limits(h.width, h.height, h.channels(), h.bits == 16 ? 2 : 1);
   const bool small = h.bits == 1 || h.bits == 2 || h.bits == 4;
   const bool valid = h.color_type == 0   ? small || h.bits == 8 || h.bits == 16
@@ -84,7 +84,7 @@ std::uint32_t steps(std::uint32_t size, std::uint32_t start, std::uint32_t step)
   return size <= start ? 0 : (size - start + step - 1) / step;
 }
 
-std::size_t row_bytes(const Header& h, std::uint32_t width) {
+std::size_t row_bytes(const PngHeader& h, std::uint32_t width) {
   return (std::size_t{width} * static_cast<std::size_t>(h.channels() * h.bits) + 7) / 8;
 }
 
@@ -188,7 +188,7 @@ std::vector<std::uint8_t> inflate_data(const std::vector<std::span<const std::ui
 // Decodes the filtered rows of one pass that start at raw[at], front to back, and hands each to `row_done(y, row)`.
 // Rows are decoded where they lie; `at` moves behind the pass.
 template <class RowDone>
-void unfilter_pass(const Header& h, std::uint32_t width, std::uint32_t height, std::vector<std::uint8_t>& raw,
+void unfilter_pass(const PngHeader& h, std::uint32_t width, std::uint32_t height, std::vector<std::uint8_t>& raw,
                    std::size_t& at, RowDone&& row_done) {
   const std::size_t bytes = row_bytes(h, width);
   const std::size_t pixel_bytes = std::max<std::size_t>(1, static_cast<std::size_t>(h.channels() * h.bits) / 8);
@@ -205,7 +205,7 @@ void unfilter_pass(const Header& h, std::uint32_t width, std::uint32_t height, s
 
 // Whole rows of 8-bit samples: the inflated buffer itself becomes the pixels, each row moved over the filter bytes
 // before it as soon as the row below no longer needs it.
-void unpack_bytes(const Header& h, std::vector<std::uint8_t>& raw, PngImage& image) {
+void unpack_bytes(const PngHeader& h, std::vector<std::uint8_t>& raw, PngImage& image) {
   const std::size_t bytes = row_bytes(h, h.width);
   std::size_t at = 0;
   unfilter_pass(h, h.width, h.height, raw, at, [&](std::uint32_t y, const std::uint8_t*) {
@@ -219,7 +219,7 @@ void unpack_bytes(const Header& h, std::vector<std::uint8_t>& raw, PngImage& ima
 
 // Every other format: sample by sample.
 template <class T>
-void unpack_samples(const Header& h, std::vector<std::uint8_t>& raw, std::vector<T>& samples) {
+void unpack_samples(const PngHeader& h, std::vector<std::uint8_t>& raw, std::vector<T>& samples) {
   const auto channels = static_cast<std::size_t>(h.channels());
   samples.resize(std::size_t{h.width} * h.height * channels);
   const std::span<const Pass> passes = h.interlace != 0 ? std::span<const Pass>(kAdam7) : std::span<const Pass>(kPlain);
@@ -262,14 +262,14 @@ bool looks_like_png(std::span<const std::byte> bytes) {
 
 ImageSize png_size(std::span<const std::byte> bytes) {
   std::size_t at = 0;
-  const Header h = read_header(as_uint8(bytes), at);
+  const PngHeader h = read_header(as_uint8(bytes), at);
   return {static_cast<std::int32_t>(h.width), static_cast<std::int32_t>(h.height), h.channels(), h.bits};
 }
 
 PngImage decode_png(std::span<const std::byte> bytes) {
   const std::span<const std::uint8_t> file = as_uint8(bytes);
   std::size_t at = 0;
-  const Header h = read_header(file, at);
+  const PngHeader h = read_header(file, at);
   PngImage image;
   image.width_px = static_cast<std::int32_t>(h.width);
   image.height_px = static_cast<std::int32_t>(h.height);
@@ -309,7 +309,7 @@ PngImage decode_png(std::span<const std::byte> bytes) {
 std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, int color_type, int bits,
                                      std::span<const std::uint8_t> rows, const PngPalette& palette, int level) {
   check_image_limits(width, height);
-  const Header h{static_cast<std::uint32_t>(width), static_cast<std::uint32_t>(height), bits, color_type, 0};
+  const PngHeader h{static_cast<std::uint32_t>(width), static_cast<std::uint32_t>(height), bits, color_type, 0};
   const std::size_t bytes = row_bytes(h, h.width);
   SEMFIELD_CHECK(rows.size() == bytes * h.height, "PNG rows do not match the size");
   SEMFIELD_CHECK(color_type != 3 || (!palette.rgb.empty() && palette.rgb.size() % 3 == 0 && palette.rgb.size() <= 768 &&

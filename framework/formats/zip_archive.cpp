@@ -20,16 +20,14 @@ constexpr std::uint32_t kLocal = 0x04034b50, kCentral = 0x02014b50, kEnd = 0x060
                         kLocator64 = 0x07064b50;
 constexpr std::uint32_t kSee64 = 0xFFFFFFFFu;  // "the ZIP64 field has it"
 
-const char* kAgain = "save the file again, or copy it again in full";
-
-[[noreturn]] void refuse(const std::string& message, const std::string& remedy = {}) {
+[[noreturn]] void refuse_zip(const std::string& message, const std::string& remedy = {}) {
   throw Error(ErrorKind::data, message, remedy);
 }
 
 template <class T>
 T little(std::string_view bytes, std::size_t at) {
   static_assert(std::endian::native == std::endian::little);
-  if (bytes.size() < sizeof(T) || at > bytes.size() - sizeof(T)) refuse("the file ends too early", kAgain);
+  if (bytes.size() < sizeof(T) || at > bytes.size() - sizeof(T)) refuse_zip("the file ends too early", kSaveAgain);
   T value;
   std::memcpy(&value, bytes.data() + at, sizeof value);
   return value;
@@ -56,9 +54,9 @@ void widen(ZipEntry& entry, std::string_view extra) {
 // The first `wanted` of `bytes`.
 std::string inflated(std::string_view packed, std::uint64_t bytes, std::uint64_t wanted) {
   if (bytes / kMaxRatio > packed.size() + 1)
-    refuse("it is said to hold " + std::to_string(bytes) + " bytes, more than its " + std::to_string(packed.size()) +
-               " packed ones can be",
-           kAgain);
+    refuse_zip("it is said to hold " + std::to_string(bytes) + " bytes, more than its " +
+                   std::to_string(packed.size()) + " packed ones can be",
+               kSaveAgain);
   std::string out(wanted, '\0');
   z_stream stream{};
   const int started = inflateInit2(&stream, -MAX_WBITS);
@@ -80,7 +78,7 @@ std::string inflated(std::string_view packed, std::uint64_t bytes, std::uint64_t
   inflateEnd(&stream);
   if (status == Z_MEM_ERROR) throw std::bad_alloc();
   if ((status != Z_STREAM_END && wanted == bytes) || left_out != 0)
-    refuse("its packed data are damaged or cut off", kAgain);
+    refuse_zip("its packed data are damaged or cut off", kSaveAgain);
   return out;
 }
 
@@ -135,28 +133,29 @@ std::vector<ZipEntry> zip_entries(std::string_view file) {
       break;
     }
   }
-  if (end == std::string_view::npos) refuse("not a zip archive: its end is missing", kAgain);
+  if (end == std::string_view::npos) refuse_zip("not a zip archive: its end is missing", kSaveAgain);
   std::uint64_t count = little<std::uint16_t>(file, end + 10), at = little<std::uint32_t>(file, end + 16);
   if (end >= 20 && little<std::uint32_t>(file, end - 20) == kLocator64) {
     const auto end64 = little<std::uint64_t>(file, end - 12);
     if (end64 > file.size() || little<std::uint32_t>(file, end64) != kEnd64)
-      refuse("the archive's directory cannot be found", kAgain);
+      refuse_zip("the archive's directory cannot be found", kSaveAgain);
     count = little<std::uint64_t>(file, end64 + 32);
     at = little<std::uint64_t>(file, end64 + 48);
   }
   std::vector<ZipEntry> entries;
   for (; count > 0; --count) {
     if (at > file.size() || little<std::uint32_t>(file, at) != kCentral)
-      refuse("entry " + std::to_string(entries.size() + 1) + " of the archive's directory is damaged", kAgain);
+      refuse_zip("entry " + std::to_string(entries.size() + 1) + " of the archive's directory is damaged", kSaveAgain);
     const auto flags = little<std::uint16_t>(file, at + 8);
     const auto name = little<std::uint16_t>(file, at + 28), extra = little<std::uint16_t>(file, at + 30),
                comment = little<std::uint16_t>(file, at + 32);
     const std::uint64_t rest = at + 46;
-    if (rest + name + extra + comment > file.size()) refuse("the archive's directory runs past the end", kAgain);
+    if (rest + name + extra + comment > file.size())
+      refuse_zip("the archive's directory runs past the end", kSaveAgain);
     ZipEntry entry{std::string(file.substr(rest, name)), little<std::uint16_t>(file, at + 10),
                    little<std::uint32_t>(file, at + 16), little<std::uint32_t>(file, at + 20),
                    little<std::uint32_t>(file, at + 24), little<std::uint32_t>(file, at + 42)};
-    if ((flags & 1) != 0) refuse("entry '" + entry.name + "' is encrypted");
+    if ((flags & 1) != 0) refuse_zip("entry '" + entry.name + "' is encrypted");
     widen(entry, file.substr(rest + name, extra));
     entries.push_back(std::move(entry));
     at = rest + name + extra + comment;
@@ -166,25 +165,25 @@ std::vector<ZipEntry> zip_entries(std::string_view file) {
 
 std::string zip_start(std::string_view file, const ZipEntry& entry, std::uint64_t bytes) {
   if (entry.local_at > file.size() || little<std::uint32_t>(file, entry.local_at) != kLocal)
-    refuse("its header is not where the directory says", kAgain);
+    refuse_zip("its header is not where the directory says", kSaveAgain);
   const std::uint64_t start = entry.local_at + 30 + little<std::uint16_t>(file, entry.local_at + 26) +
                               little<std::uint16_t>(file, entry.local_at + 28);
   if (start > file.size() || entry.packed_bytes > file.size() - start)
-    refuse("it runs past the end of the file", kAgain);
+    refuse_zip("it runs past the end of the file", kSaveAgain);
   const std::string_view packed = file.substr(start, entry.packed_bytes);
   const std::uint64_t wanted = std::min(bytes, entry.bytes);
   if (entry.method == 0) {
-    if (entry.bytes != entry.packed_bytes) refuse("its two sizes differ though it is not packed", kAgain);
+    if (entry.bytes != entry.packed_bytes) refuse_zip("its two sizes differ though it is not packed", kSaveAgain);
     return std::string(packed.substr(0, wanted));
   }
   if (entry.method == 8) return inflated(packed, entry.bytes, wanted);
-  refuse("compression method " + std::to_string(entry.method) + " is not read",
-         "save it with numpy.savez or numpy.savez_compressed");
+  refuse_zip("compression method " + std::to_string(entry.method) + " is not read",
+             "save it with numpy.savez or numpy.savez_compressed");
 }
 
 std::string zip_contents(std::string_view file, const ZipEntry& entry) {
   std::string out = zip_start(file, entry, entry.bytes);
-  if (crc_of(out) != entry.crc) refuse("its checksum is wrong", kAgain);
+  if (crc_of(out) != entry.crc) refuse_zip("its checksum is wrong", kSaveAgain);
   return out;
 }
 

@@ -8,6 +8,9 @@
 
 namespace semfield {
 
+/// The remedy for a file whose bytes are damaged.
+inline constexpr const char* kSaveAgain = "save the file again, or copy it again in full";
+
 struct ZipEntry {
   std::string name;
   unsigned method = 0;  ///< 0 stored, 8 deflated

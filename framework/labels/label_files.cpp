@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <filesystem>
 
+#include "core/text.h"
 #include "system/sorted_folder.h"
 
 namespace semfield {
@@ -12,8 +13,6 @@ namespace {
 constexpr int kMaxProblems = 20;
 
 constexpr std::size_t kMostDigits = 9;  // of a frame's number in the name of a file
-
-bool is_digit(char c) { return c >= '0' && c <= '9'; }
 
 std::string number_of(const std::string& name) {
   std::size_t first = name.size();

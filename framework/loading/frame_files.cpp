@@ -16,10 +16,6 @@ namespace semfield {
 
 namespace {
 
-std::string size_text(std::int32_t width, std::int32_t height) {
-  return std::to_string(width) + " x " + std::to_string(height);
-}
-
 bool is_there(const std::string& path) {
   std::error_code ignored;
   return std::filesystem::exists(path, ignored);

@@ -43,10 +43,6 @@ std::vector<T> pick(const std::vector<T>& in, std::int32_t width, const std::vec
   return out;
 }
 
-std::string size_text(std::int32_t width, std::int32_t height) {
-  return std::to_string(width) + " x " + std::to_string(height);
-}
-
 // Pixels of each class, the last entry void; empty without labels.
 std::vector<std::int64_t> class_pixels_of(const std::vector<std::int16_t>& label, int classes) {
   if (label.empty()) return {};

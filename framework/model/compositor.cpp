@@ -15,10 +15,10 @@
 namespace semfield {
 namespace {
 
-constexpr std::int32_t kBlock = 64;  // samples whose exponentials are taken together
+constexpr std::int32_t kAlphaBlock = 64;  // samples whose exponentials are taken together
 
-// alpha = 1 - e^-tau of samples [begin, end), at most kBlock of them; accurate for tiny tau, where 1 - exp(-tau) has no
-// digits left. `rest` is the sample that takes all that is left, or none.
+// alpha = 1 - e^-tau of samples [begin, end), at most kAlphaBlock of them; accurate for tiny tau, where 1 - exp(-tau)
+// has no digits left. `rest` is the sample that takes all that is left, or none.
 template <class Real>
 void block_alphas(const CompositeIn<Real>& in, std::int32_t begin, std::int32_t end, std::int32_t rest, Real* alpha) {
   for (std::int32_t k = begin; k < end; ++k) {
@@ -99,9 +99,9 @@ void composite_forward(const CompositeIn<Real>& in, const CompositeOut<Real>& ou
     RaySums sums;
     Real transmittance = 1;
     const std::int32_t rest = in.far == FarMode::background ? end - 1 : -1;
-    for (std::int32_t first = begin; first < end; first += kBlock) {
-      const std::int32_t stop = std::min(end, first + kBlock);
-      Real alpha[kBlock], after[kBlock];
+    for (std::int32_t first = begin; first < end; first += kAlphaBlock) {
+      const std::int32_t stop = std::min(end, first + kAlphaBlock);
+      Real alpha[kAlphaBlock], after[kAlphaBlock];
       block_alphas(in, first, stop, rest, alpha);
       block_transmittances(in, first, stop, rest, sums.tau, after);
       for (std::int32_t k = first; k < stop; ++k) {
@@ -163,16 +163,16 @@ template <class Real>
 void ray_density_gradient(const CompositeIn<Real>& in, const RayGrad<Real>& grad, bool hidden_counts,
                           std::int32_t begin, std::int32_t end, View<Real> d_sigma) {
   const Samples<Real>& samples = *in.samples;
-  Real block[kBlock];
+  Real block[kAlphaBlock];
   double tau_sum = 0;
-  for (std::int32_t first = begin; first < end; first += kBlock) {
-    const std::int32_t stop = std::min(end, first + kBlock);
+  for (std::int32_t first = begin; first < end; first += kAlphaBlock) {
+    const std::int32_t stop = std::min(end, first + kAlphaBlock);
     block_transmittances(in, first, stop, -1, tau_sum, block);
     for (std::int32_t k = first; k < stop; ++k) *d_sigma.row(k) = block[k - first];
   }
   double behind = grad.behind;  // R_{k+1}
   for (std::int32_t stop = end; stop > begin;) {
-    const std::int32_t first = std::max(begin, stop - kBlock);
+    const std::int32_t first = std::max(begin, stop - kAlphaBlock);
     block_alphas(in, first, stop, -1, block);
     for (std::int32_t k = stop; k-- > first;) {
       double value = grad.depth * static_cast<double>(*samples.t.row(k)) + grad.opacity;  // v_k = dL/dw_k

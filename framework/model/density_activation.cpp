@@ -10,14 +10,14 @@
 namespace semfield {
 namespace {
 
-constexpr std::int64_t kBlock = 256;
+constexpr std::int64_t kDensityBlock = 256;
 
 // f(values, count, first row) for blocks of raw densities, copied: a gradient may be written over its own input.
 template <class Real, class F>
 void for_blocks(View<const Real> raw, const F& f) {
-  Real values[kBlock];
-  for (std::int64_t begin = 0; begin < raw.rows; begin += kBlock) {
-    const std::int64_t count = std::min(kBlock, raw.rows - begin);
+  Real values[kDensityBlock];
+  for (std::int64_t begin = 0; begin < raw.rows; begin += kDensityBlock) {
+    const std::int64_t count = std::min(kDensityBlock, raw.rows - begin);
     for (std::int64_t i = 0; i < count; ++i) values[i] = *raw.row(begin + i);
     f(values, count, begin);
   }

@@ -17,8 +17,6 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// A map is made anew when training has made this many times its steps.
-constexpr double kStale = 1.6;
 constexpr double kAlikeColor = 24;        // of 255, a channel
 constexpr double kAlikeDistance = 0.03;   // of the distance
 constexpr float kMostLead = 6;            // of a way, beyond which it tells no more
@@ -52,9 +50,7 @@ LabelLoop::LabelLoop(Training& training, std::span<const int> frames, const Labe
   live_.assign(static_cast<std::size_t>(learner_.classes()), false);
 }
 
-bool LabelLoop::due(const PoolView& view) const {
-  return view.map.empty() || static_cast<double>(training_.step()) > kStale * static_cast<double>(view.map.step) + 50;
-}
+bool LabelLoop::due(const PoolView& view) const { return view.map.empty() || is_stale(view.map, training_.step()); }
 
 SurfaceMap LabelLoop::map_of(int view, std::int32_t stride) {
   return make_surface_map(pipeline_, views_[static_cast<std::size_t>(view)].camera, training_.session().limits, stride,

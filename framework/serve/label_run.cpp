@@ -26,7 +26,7 @@ constexpr std::size_t kGivenPixels = 48;  // of a class in a frame whose labels 
 constexpr std::size_t kMostGiven = 6000;
 constexpr double kGivenWeight = 0.1;  // where a click is 1: who clicks beside given labels corrects them
 
-double since(std::chrono::steady_clock::time_point start) {
+double seconds_since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
@@ -217,7 +217,7 @@ bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
   bool changed = false;
   if (!trains || tending_s_ < (was_ready ? kTendingShare : kFirstTendingShare) * training_s_ + 0.05) {
     changed = loop_.update_surfaces(0.03);
-    tending_s_ += since(start);
+    tending_s_ += seconds_since(start);
   }
   if (!was_ready && loop_.ready()) tending_s_ = kTendingShare * training_s_;  // the first surfaces are paid
   if (changed && !was_ready && !clicks_.empty()) loop_.learn(clicks_);
@@ -225,7 +225,7 @@ bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
   if (looked_at && (!trains || refining_s_ < kLookedAtShare * training_s_ + 0.05)) {
     const Clock::time_point refined = Clock::now();
     changed = pictures_.refine(0.05) || changed;
-    refining_s_ += since(refined);
+    refining_s_ += seconds_since(refined);
   }
   if (pause && learned_quickly_) {
     loop_.learn(clicks_);
@@ -306,7 +306,7 @@ void LabelRun::summarise() {
 
 bool LabelRun::save_is_due() const {
   const double every = session().config.report.checkpoint_every_s;
-  return every > 0 && training_.step() != saved_step_ && since(last_save_) >= every;
+  return every > 0 && training_.step() != saved_step_ && seconds_since(last_save_) >= every;
 }
 
 void LabelRun::save() {

@@ -23,6 +23,11 @@ struct SurfaceMap {
   float at(std::int32_t column, std::int32_t row) const;
 };
 
+/// Whether training has moved so far since the map was made that it is made anew. `step` is that of training.
+inline bool is_stale(const SurfaceMap& map, std::int64_t step) {
+  return static_cast<double>(step) > 1.6 * static_cast<double>(map.step) + 50;
+}
+
 /// A ray that keeps less opacity than this meets nothing.
 inline constexpr float kSurfaceOpacity = 0.5F;
 

@@ -19,7 +19,6 @@ constexpr std::size_t kFineViews = 12;
 constexpr double kFinePixels = 100'000;  // of a view's own surface: more would make its labels slow
 constexpr double kMovingFrame_s = 0.15;  // of a camera that moves
 constexpr std::int32_t kLeastSide = 48, kMostSide = 4096;
-constexpr double kStale = 1.6;
 
 double since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
@@ -146,7 +145,7 @@ Picture ViewPictures::labels_of_view(const PictureRequest& request) {
 bool ViewPictures::refine(double budget_s) {
   if (fine_.empty() || !loop_.ready()) return false;
   Fine& fine = fine_.front();
-  const bool stale = static_cast<double>(training_.step()) > kStale * static_cast<double>(fine.map.step) + 50;
+  const bool stale = is_stale(fine.map, training_.step());
   if (fine.complete()) {
     if (!stale) return false;
     fine.done = 0;  // the old distances stay until the new ones are there

@@ -15,7 +15,7 @@ namespace semfield {
 
 namespace {
 
-constexpr const char* kFormat = "semfield-checkpoint-1";
+constexpr const char* kCheckpointFormat = "semfield-checkpoint-1";
 constexpr const char* kOtherCheckpoint = "resume from another checkpoint of the run: move this file out of the folder";
 
 [[noreturn]] void refuse(const TensorFile& file, const std::string& what,
@@ -103,7 +103,7 @@ SceneInputs scene_inputs(const LoadedScene& scene) {
 
 TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::string& config_hash) {
   TensorMetadata metadata;
-  metadata["format"] = kFormat;
+  metadata["format"] = kCheckpointFormat;
   metadata["step"] = std::to_string(facts.step);
   metadata["train_s"] = fmt::format("{}", facts.train_s);
   metadata["seed"] = std::to_string(facts.seed);
@@ -117,8 +117,8 @@ TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::stri
 }
 
 CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
-  if (const std::string format = text_of(file, "format"); format != kFormat) {
-    refuse(file, fmt::format("its format is '{}', this program reads '{}'", format, kFormat),
+  if (const std::string format = text_of(file, "format"); format != kCheckpointFormat) {
+    refuse(file, fmt::format("its format is '{}', this program reads '{}'", format, kCheckpointFormat),
            "use the version of the program that wrote it, or train anew");
   }
   CheckpointFacts facts;

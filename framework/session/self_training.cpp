@@ -19,7 +19,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kFormat = "semfield-self-labels-1";
+constexpr const char* kSelfLabelsFormat = "semfield-self-labels-1";
 constexpr const char* kRemedy =
     "resume from a checkpoint of an earlier step: move the later ones out of the folder checkpoints; the round is then "
     "made again";
@@ -167,7 +167,7 @@ void SelfTraining::write(std::int64_t step) const {
   }
   create_folders(folder_);
   write_safetensors(path_of(step), tensors,
-                    {{"format", kFormat}, {"step", std::to_string(step)}, {"rounds", rounds_json(rounds_)}});
+                    {{"format", kSelfLabelsFormat}, {"step", std::to_string(step)}, {"rounds", rounds_json(rounds_)}});
 }
 
 std::string SelfTraining::name_of_labels() const {

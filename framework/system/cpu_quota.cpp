@@ -1,19 +1,13 @@
 #include "system/cpu_quota.h"
 
 #include <cmath>
-#include <fstream>
 #include <sstream>
+
+#include "system/files.h"
 
 namespace semfield {
 
 namespace {
-
-std::string text_of(const std::string& path) {
-  std::ifstream file(path);
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
 
 int cores_of(double quota_us, double period_us) {
   return quota_us > 0 && period_us > 0 ? static_cast<int>(std::ceil(quota_us / period_us)) : 0;
@@ -22,10 +16,10 @@ int cores_of(double quota_us, double period_us) {
 // One group's own limit. Version 2 writes "max 100000" or "150000 100000", version 1 two files and -1 for none.
 int limit_of(const std::string& folder) {
   double quota_us = 0, period_us = 0;
-  std::istringstream both(text_of(folder + "/cpu.max"));
+  std::istringstream both(read_system_file(folder + "/cpu.max"));
   if (both >> quota_us >> period_us) return cores_of(quota_us, period_us);
-  std::istringstream(text_of(folder + "/cpu.cfs_quota_us")) >> quota_us;
-  std::istringstream(text_of(folder + "/cpu.cfs_period_us")) >> period_us;
+  std::istringstream(read_system_file(folder + "/cpu.cfs_quota_us")) >> quota_us;
+  std::istringstream(read_system_file(folder + "/cpu.cfs_period_us")) >> period_us;
   return cores_of(quota_us, period_us);
 }
 
@@ -50,6 +44,6 @@ int cpu_quota(const std::string& groups, const std::string& root) {
   return least;
 }
 
-int cpu_quota() { return cpu_quota(text_of("/proc/self/cgroup"), "/sys/fs/cgroup"); }
+int cpu_quota() { return cpu_quota(read_system_file("/proc/self/cgroup"), "/sys/fs/cgroup"); }
 
 }  // namespace semfield

@@ -12,6 +12,8 @@
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
+#include <sstream>
 
 namespace semfield {
 
@@ -138,6 +140,13 @@ int open_for_reading(const std::string& path) {
   if (::fstat(file, &about) == 0 && S_ISREG(about.st_mode)) return file;
   ::close(file);
   refuse_special(path, about.st_mode);
+}
+
+std::string read_system_file(const std::string& path) {
+  std::ifstream file(path);
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
 }
 
 std::string read_file_start(const std::string& path, std::size_t bytes) {

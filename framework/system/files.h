@@ -21,6 +21,9 @@ int open_for_reading(const std::string& path);
 std::string read_text_file(const std::string& path, std::size_t limit_bytes = std::size_t{256} << 20);
 /// The first `bytes` of a file, or all of a shorter one. Throws Error(no_input) when it cannot be opened.
 std::string read_file_start(const std::string& path, std::size_t bytes);
+/// A file that the system makes up as it is read, such as those below /proc: its size is not known before. "" where it
+/// cannot be read.
+std::string read_system_file(const std::string& path);
 
 /// What a failed call while writing `path` means: the cause, for a full disk "need ..., have ...", and the remedy. The
 /// kind is cannot_create where the place refuses (permissions, a missing folder), io where the device does.

@@ -7,20 +7,14 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <fstream>
 #include <optional>
 #include <sstream>
+
+#include "system/files.h"
 
 namespace semfield {
 
 namespace {
-
-std::string text_of(const std::string& path) {
-  std::ifstream file(path);
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
 
 // The number behind a word of a text of "word number" lines, or the text's only number when the word is "".
 std::optional<std::size_t> number_in(const std::string& text, const std::string& word) {
@@ -36,10 +30,10 @@ std::optional<std::size_t> number_in(const std::string& text, const std::string&
 
 // What one group leaves; kNoMemoryLimit without a limit ("max", or a file that is not there).
 std::size_t room_in(const std::string& folder, const char* limit_file, const char* usage_file, const char* cache) {
-  const std::optional<std::size_t> limit = number_in(text_of(folder + limit_file), "");
-  const std::optional<std::size_t> usage = number_in(text_of(folder + usage_file), "");
+  const std::optional<std::size_t> limit = number_in(read_system_file(folder + limit_file), "");
+  const std::optional<std::size_t> usage = number_in(read_system_file(folder + usage_file), "");
   if (!limit || !usage) return kNoMemoryLimit;
-  const std::size_t dropped = std::min(*usage, number_in(text_of(folder + "/memory.stat"), cache).value_or(0));
+  const std::size_t dropped = std::min(*usage, number_in(read_system_file(folder + "/memory.stat"), cache).value_or(0));
   const std::size_t held = *usage - dropped;
   return *limit > held ? *limit - held : 0;
 }
@@ -68,11 +62,11 @@ std::size_t available_memory(const std::string& meminfo, const std::string& grou
 }
 
 std::size_t available_memory() {
-  return available_memory(text_of("/proc/meminfo"), text_of("/proc/self/cgroup"), "/sys/fs/cgroup");
+  return available_memory(read_system_file("/proc/meminfo"), read_system_file("/proc/self/cgroup"), "/sys/fs/cgroup");
 }
 
 std::size_t resident_bytes() {
-  std::istringstream pages(text_of("/proc/self/statm"));
+  std::istringstream pages(read_system_file("/proc/self/statm"));
   std::size_t all = 0, resident = 0;
   return pages >> all >> resident ? resident * static_cast<std::size_t>(sysconf(_SC_PAGESIZE)) : 0;
 }

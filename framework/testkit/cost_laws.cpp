@@ -10,7 +10,7 @@ namespace semfield::testkit {
 
 namespace {
 
-constexpr std::int64_t kSampleCounts[] = {1, 33};
+constexpr std::int64_t kCostSampleCounts[] = {1, 33};
 
 void check_layers(const Field<float>& field, Failures& failures) {
   for (const LayerShape& layer : field.layers()) {
@@ -29,12 +29,12 @@ void check_layers(const Field<float>& field, Failures& failures) {
 }
 
 void check_products(const Field<float>& field, const FieldBuild& build, const LawOptions& options, Failures& failures) {
-  FieldBench<float> bench(field, build, kSampleCounts[1], 0, options);
+  FieldBench<float> bench(field, build, kCostSampleCounts[1], 0, options);
   const std::int64_t before = multiply_adds_of_thread();
   bench.derive();
   bench.forward();
   const std::int64_t made = multiply_adds_of_thread() - before;
-  const std::int64_t said = field.multiply_adds(kSampleCounts[1], bench.in().direction.rows);
+  const std::int64_t said = field.multiply_adds(kCostSampleCounts[1], bench.in().direction.rows);
   if (made != 0 && made != said) {
     failures.push_back("layers: they say " + std::to_string(said) + " multiply-adds, derive and forward made " +
                        std::to_string(made));
@@ -70,7 +70,7 @@ void check_costs(const Field<float>& field, const FieldBuild& build, const LawOp
   check_layers(field, failures);
   check_products(field, build, options, failures);
   if (options.scratch.allocate != nullptr) return;  // a device's memory is not planned ahead
-  for (const std::int64_t samples : kSampleCounts) check_scratch(field, build, options, samples, failures);
+  for (const std::int64_t samples : kCostSampleCounts) check_scratch(field, build, options, samples, failures);
   check_scratch(field, build, options, options.many_rows, failures);
 }
 

@@ -47,8 +47,8 @@ void fill_weights(View<Real> dy, std::uint64_t seed) {
 
 // One encoder with tensors, inputs of `rows` rows and guarded outputs.
 template <class Real>
-struct Bench {
-  Bench(const Encoder<Real>& encoder_in, std::int64_t rows, std::int32_t padding, const LawOptions& options)
+struct EncoderBench {
+  EncoderBench(const Encoder<Real>& encoder_in, std::int64_t rows, std::int32_t padding, const LawOptions& options)
       : encoder(encoder_in),
         shape(encoder_in.traits()),
         workspace(scratch_of<Real>(options)),
@@ -93,7 +93,7 @@ template <class Real>
 void check_rows(const Encoder<Real>& encoder, std::int64_t rows, std::int32_t padding, const LawOptions& options,
                 Failures& failures) {
   const std::string law = std::to_string(rows) + " rows" + (padding > 0 ? ", stride above cols" : "");
-  Bench<Real> bench(encoder, rows, padding, options);
+  EncoderBench<Real> bench(encoder, rows, padding, options);
   bench.forward();
   note_failure(failures, law + ", every output written", bench.y.unwritten());
   note_failure(failures, law + ", outputs stay inside", bench.y.broken_guard());
@@ -105,10 +105,10 @@ void check_rows(const Encoder<Real>& encoder, std::int64_t rows, std::int32_t pa
 // Row r of a batch has the bits it has in a permuted batch and in a batch of its own half.
 template <class Real>
 void check_rows_independent(const Encoder<Real>& encoder, const LawOptions& options, Failures& failures) {
-  Bench<Real> whole(encoder, kFewRows, 0, options);
+  EncoderBench<Real> whole(encoder, kFewRows, 0, options);
   whole.forward();
   whole.backward();
-  Bench<Real> permuted(encoder, kFewRows, 0, options);
+  EncoderBench<Real> permuted(encoder, kFewRows, 0, options);
   for (std::int64_t r = 0; r < kFewRows; ++r) {
     const std::int64_t from = (r * 7 + 5) % kFewRows;
     for (std::int32_t c = 0; c < permuted.x.cols(); ++c) permuted.x(r, c) = whole.x(from, c);
@@ -123,7 +123,7 @@ void check_rows_independent(const Encoder<Real>& encoder, const LawOptions& opti
     note_failure(failures, "permuted rows, dx",
                  compare_bits<Real>(permuted.dx.view().row_range(r, 1), whole.dx.view().row_range(from, 1)));
   }
-  Bench<Real> split(encoder, kFewRows, 0, options);
+  EncoderBench<Real> split(encoder, kFewRows, 0, options);
   for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 13}, {13, kFewRows - 13}}) {
     const auto part = [begin = begin, count = count](auto view) { return view.row_range(begin, count); };
     encoder.forward(split.ctx, split.box.tensors(), part(split.x.view()), part(split.y.view()));
@@ -135,7 +135,7 @@ void check_rows_independent(const Encoder<Real>& encoder, const LawOptions& opti
 }
 
 void check_gradients(const Encoder<double>& encoder, const LawOptions& options, Failures& failures) {
-  Bench<double> bench(encoder, kFewRows, 0, options);
+  EncoderBench<double> bench(encoder, kFewRows, 0, options);
   bench.forward();
   bench.backward();
   const auto loss = [&bench] { return bench.loss(); };
@@ -153,9 +153,9 @@ void check_gradients(const Encoder<double>& encoder, const LawOptions& options, 
 
 // Parameters accumulate, activations assign; and dx is optional without changing the rest.
 void check_accumulation(const Encoder<double>& encoder, const LawOptions& options, Failures& failures) {
-  Bench<double> clean(encoder, kFewRows, 0, options);
+  EncoderBench<double> clean(encoder, kFewRows, 0, options);
   clean.backward();
-  Bench<double> prefilled(encoder, kFewRows, 0, options);
+  EncoderBench<double> prefilled(encoder, kFewRows, 0, options);
   for (std::size_t i = 0; i < prefilled.box.count(); ++i) {
     View<double> grad = prefilled.box.grad(i);
     if (!prefilled.box.learned(i)) continue;
@@ -164,7 +164,7 @@ void check_accumulation(const Encoder<double>& encoder, const LawOptions& option
   prefilled.dx.fill(7.0);
   prefilled.backward();
   note_failure(failures, "dx is overwritten", compare_bits<double>(prefilled.dx.view(), clean.dx.view()));
-  Bench<double> without_dx(encoder, kFewRows, 0, options);
+  EncoderBench<double> without_dx(encoder, kFewRows, 0, options);
   without_dx.backward(false);
   for (std::size_t i = 0; i < clean.box.count(); ++i) {
     if (!clean.box.learned(i)) continue;
@@ -182,10 +182,10 @@ template <class Real>
 void check_threads(const Encoder<Real>& encoder, const LawOptions& options, Failures& failures) {
   const int kept = thread_count();
   set_thread_count(1);
-  Bench<Real> serial(encoder, options.many_rows, 0, options);
+  EncoderBench<Real> serial(encoder, options.many_rows, 0, options);
   serial.backward();
   set_thread_count(3);
-  Bench<Real> threaded(encoder, options.many_rows, 0, options);
+  EncoderBench<Real> threaded(encoder, options.many_rows, 0, options);
   threaded.backward();
   set_thread_count(kept);
   note_failure(failures, "1 and 3 threads, dx", compare_bits<Real>(threaded.dx.view(), serial.dx.view()));
@@ -200,8 +200,8 @@ void check_threads(const Encoder<Real>& encoder, const LawOptions& options, Fail
 
 void check_precision(const Encoder<float>& encoder32, const Encoder<double>& encoder64, const LawOptions& options,
                      Failures& failures) {
-  Bench<float> single(encoder32, kFewRows, 0, options);
-  Bench<double> twin(encoder64, kFewRows, 0, options);
+  EncoderBench<float> single(encoder32, kFewRows, 0, options);
+  EncoderBench<double> twin(encoder64, kFewRows, 0, options);
   single.forward();
   twin.forward();
   single.backward();
@@ -218,7 +218,7 @@ void check_precision(const Encoder<float>& encoder32, const Encoder<double>& enc
 }
 
 void check_steady_state(const Encoder<float>& encoder, const LawOptions& options, Failures& failures) {
-  Bench<float> bench(encoder, options.many_rows, 0, options);
+  EncoderBench<float> bench(encoder, options.many_rows, 0, options);
   for (int warm_up = 0; warm_up < 2; ++warm_up) {
     bench.forward();
     bench.backward();
@@ -234,7 +234,7 @@ void check_steady_state(const Encoder<float>& encoder, const LawOptions& options
 void check_scratch(const Encoder<float>& encoder, const LawOptions& options, Failures& failures) {
   if (options.scratch.allocate != nullptr) return;  // a device's memory is not planned ahead
   for (const std::int64_t rows : {std::int64_t{1}, kFewRows, options.many_rows}) {
-    Bench<float> bench(encoder, rows, 0, options);
+    EncoderBench<float> bench(encoder, rows, 0, options);
     bench.forward();
     bench.backward();
     note_failure(

@@ -12,7 +12,7 @@ namespace semfield::testkit {
 
 namespace {
 
-constexpr std::int64_t kSampleCounts[] = {0, 1, 31, 33};
+constexpr std::int64_t kFieldSampleCounts[] = {0, 1, 31, 33};
 constexpr std::int64_t kFew = 33;
 
 struct Setup {
@@ -287,7 +287,7 @@ Failures field_laws(const Field<float>& field32, const Field<double>& field64, c
   if (shape.uses_direction && build.direction_dims == 0)
     return {"traits: uses a direction that the build does not give"};
   const Setup setup{build, options};
-  for (const std::int64_t samples : kSampleCounts) check_sizes(field32, setup, samples, 0, failures);
+  for (const std::int64_t samples : kFieldSampleCounts) check_sizes(field32, setup, samples, 0, failures);
   check_sizes(field32, setup, options.many_rows, 0, failures);
   check_sizes(field32, setup, kFew, 5, failures);
   check_sizes(field64, setup, kFew, 5, failures);

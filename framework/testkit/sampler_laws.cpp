@@ -87,8 +87,8 @@ struct EarlierPass {
 
 // One sampler with tensors; run() samples rays [begin, begin + rays) of a batch as they stand in the whole.
 template <class Real>
-struct Bench {
-  Bench(const Sampler<Real>& sampler_in, const LawOptions& options)
+struct SamplerBench {
+  SamplerBench(const Sampler<Real>& sampler_in, const LawOptions& options)
       : sampler(sampler_in),
         workspace(scratch_of<Real>(options)),
         box(sampler_in, options.seed, 0.0),
@@ -172,7 +172,7 @@ template <class Real>
 void check_addressing(const Sampler<Real>& sampler, const SamplerBuild& build, const LawOptions& options,
                       Failures& failures) {
   const RayBatch batch(kFewRays, build, options.seed);
-  Bench<Real> bench(sampler, options);
+  SamplerBench<Real> bench(sampler, options);
   const SampleBuffer<Real> whole = bench.run(batch, 0, kFewRays);
   check_same("same seed and step again", bench.run(batch, 0, kFewRays), whole, 0, kFewRays, failures);
   check_same("second part of a split", bench.run(batch, 13, kFewRays - 13), whole, 13, kFewRays - 13, failures);
@@ -190,8 +190,8 @@ void check_addressing(const Sampler<Real>& sampler, const SamplerBuild& build, c
 void check_precision(const Sampler<float>& sampler32, const Sampler<double>& sampler64, const SamplerBuild& build,
                      const LawOptions& options, Failures& failures) {
   const RayBatch batch(kFewRays, build, options.seed);
-  Bench<float> single(sampler32, options);
-  Bench<double> twin(sampler64, options);
+  SamplerBench<float> single(sampler32, options);
+  SamplerBench<double> twin(sampler64, options);
   const SampleBuffer<float> a = single.run(batch, 0, kFewRays);
   const SampleBuffer<double> b = twin.run(batch, 0, kFewRays);
   if (a.samples.count != b.samples.count)
@@ -210,11 +210,11 @@ Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sa
   std::int64_t total = 0;
   for (const std::int64_t rays : kRayCounts) {
     const RayBatch batch(rays, build, options.seed);
-    Bench<float> bench(sampler32, options);
+    SamplerBench<float> bench(sampler32, options);
     const SampleBuffer<float> out = bench.run(batch, 0, rays);
     check_samples(std::to_string(rays) + " rays", out, batch, rays, failures);
     total += out.samples.count;
-    Bench<double> twin(sampler64, options);
+    SamplerBench<double> twin(sampler64, options);
     check_samples(std::to_string(rays) + " rays in double", twin.run(batch, 0, rays), batch, rays, failures);
   }
   if (total == 0) failures.push_back("no ray of any batch has a sample");

@@ -42,8 +42,7 @@ auto opened(const Open& open) {
 }
 
 std::vector<Vec3d> vectors_of(const py::object& value, const char* what) {
-  using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
-  const Doubles rows = Doubles::ensure(value);
+  const auto rows = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(value);
   if (!rows || rows.ndim() != 2 || rows.shape(1) != 3) {
     PyErr_Clear();
     throw Error(ErrorKind::usage, std::string(what) + ": expected numbers of the shape [N, 3]");

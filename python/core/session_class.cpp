@@ -29,7 +29,7 @@ py::list frames_of(const PySession& self) {
   return out;
 }
 
-py::list classes_of(const PySession& self) {
+py::list session_classes(const PySession& self) {
   const Session& s = self.session();
   const std::vector<std::int16_t> logits = s.logit_of_class();
   py::list out;
@@ -118,7 +118,7 @@ void define_session(py::module_& module) {
       .def("evaluate", &PySession::evaluate)
       .def("query", &PySession::query)
       .def("frames", frames_of)
-      .def("classes", classes_of)
+      .def("classes", session_classes)
       .def("pixels", pixels_of)
       .def("facts", facts_of)
       .def("config", [](const PySession& self) { return object_of(resolved_config(self.session().config)); });

@@ -73,7 +73,7 @@ void words(VerbWords& verb, BenchGpuOptions& options) {
 }  // namespace
 
 Verb verb_bench_gpu() {
-  return with_json(make_verb("bench gpu", 20, "time training steps and frames on a GPU", words, run));
+  return with_json(make_verb<BenchGpuOptions>("bench gpu", 20, "time training steps and frames on a GPU", words, run));
 }
 
 }  // namespace semfield::app

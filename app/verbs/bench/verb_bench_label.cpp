@@ -93,8 +93,8 @@ void words(VerbWords& verb, BenchLabelOptions& options) {
 }  // namespace
 
 Verb verb_bench_label() {
-  return with_json(
-      make_verb("bench label", 50, "count the clicks that a simulated person needs, and time the answers", words, run));
+  return with_json(make_verb<BenchLabelOptions>(
+      "bench label", 50, "count the clicks that a simulated person needs, and time the answers", words, run));
 }
 
 }  // namespace semfield::app

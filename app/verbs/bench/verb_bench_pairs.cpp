@@ -111,7 +111,7 @@ void words(VerbWords& verb, LeaveOutOptions& options) {
 }  // namespace
 
 Verb verb_bench_pairs() {
-  return with_json(make_verb(
+  return with_json(make_verb<LeaveOutOptions>(
       "bench pairs", 40, "compare runs that leave a component out with runs that keep it: the proof, and what it saves",
       words, run));
 }

@@ -56,7 +56,7 @@ void words(VerbWords& verb, BenchQuadratureOptions& options) {
 }  // namespace
 
 Verb verb_bench_quadrature() {
-  return with_json(make_verb(
+  return with_json(make_verb<BenchQuadratureOptions>(
       "bench quadrature", 10,
       "measure the error of every sampler rule of the rendering integral, against evaluations and time", words, run));
 }

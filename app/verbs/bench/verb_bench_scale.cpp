@@ -137,7 +137,7 @@ void words(VerbWords& verb, BenchScaleOptions& options) {
 }  // namespace
 
 Verb verb_bench_scale() {
-  return with_json(make_verb(
+  return with_json(make_verb<BenchScaleOptions>(
       "bench scale", 35, "time steps on several ranks or GPUs, compare their bits, and model many more", words, run));
 }
 

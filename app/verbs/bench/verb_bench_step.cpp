@@ -157,7 +157,8 @@ void words(VerbWords& verb, BenchStepOptions& options) {
 }  // namespace
 
 Verb verb_bench_step() {
-  return with_json(make_verb("bench step", 30, "time whole training steps, beside the machine's limits", words, run));
+  return with_json(make_verb<BenchStepOptions>("bench step", 30,
+                                               "time whole training steps, beside the machine's limits", words, run));
 }
 
 }  // namespace semfield::app

@@ -8,7 +8,7 @@ namespace semfield::app {
 
 namespace {
 
-int run(const ConfigOptions& options, AppContext& context) {
+int check(const ConfigOptions& options, AppContext& context) {
   load_run_config(options.config, options.set, context.registry);
   if (context.json) {
     print_json(context, {{"config", options.config}, {"errors", 0}});
@@ -18,12 +18,13 @@ int run(const ConfigOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
+void check_words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
 
 }  // namespace
 
 Verb verb_config_check() {
-  return with_json(make_verb("config check", 10, "read a configuration and report every error", words, run));
+  return with_json(
+      make_verb<ConfigOptions>("config check", 10, "read a configuration and report every error", check_words, check));
 }
 
 }  // namespace semfield::app

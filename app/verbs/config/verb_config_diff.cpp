@@ -35,7 +35,8 @@ void words(VerbWords& verb, DiffOptions& options) {
 }  // namespace
 
 Verb verb_config_diff() {
-  return with_json(make_verb("config diff", 30, "print what differs between two configurations", words, run));
+  return with_json(
+      make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", words, run));
 }
 
 }  // namespace semfield::app

@@ -10,7 +10,7 @@ namespace semfield::app {
 
 namespace {
 
-int run(const ConfigOptions& options, AppContext& context) {
+int explain(const ConfigOptions& options, AppContext& context) {
   const ConfigNode written = compose_config(options.config, options.set);
   const RunConfig config = load_run_config(options.config, options.set, context.registry);
   const ConfigNode tree = with_origins(resolved_config(config), written);
@@ -25,12 +25,13 @@ int run(const ConfigOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
+void explain_words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
 
 }  // namespace
 
 Verb verb_config_explain() {
-  return with_json(make_verb("config explain", 20, "print the final tree, with the origin of every value", words, run));
+  return with_json(make_verb<ConfigOptions>(
+      "config explain", 20, "print the final tree, with the origin of every value", explain_words, explain));
 }
 
 }  // namespace semfield::app

@@ -85,7 +85,8 @@ void words(VerbWords& verb, SchemaOptions& options) {
 }  // namespace
 
 Verb verb_config_schema() {
-  return make_verb("config schema", 40, "print a JSON schema of configurations (and --plugin modules)", words, run);
+  return make_verb<SchemaOptions>("config schema", 40, "print a JSON schema of configurations (and --plugin modules)",
+                                  words, run);
 }
 
 }  // namespace semfield::app

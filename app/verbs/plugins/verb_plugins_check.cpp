@@ -114,8 +114,8 @@ void words(VerbWords& verb, CheckOptions& options) {
 }  // namespace
 
 Verb verb_plugins_check() {
-  return with_json(
-      make_verb("plugins check", 50, "check the plugins of a file against the laws of their kinds", words, run));
+  return with_json(make_verb<CheckOptions>("plugins check", 50,
+                                           "check the plugins of a file against the laws of their kinds", words, run));
 }
 
 }  // namespace semfield::app

@@ -56,6 +56,6 @@ void words(VerbWords& verb, DocsOptions& options) {
 
 }  // namespace
 
-Verb verb_plugins_docs() { return make_verb("plugins docs", 30, "write the reference page", words, run); }
+Verb verb_plugins_docs() { return make_verb<DocsOptions>("plugins docs", 30, "write the reference page", words, run); }
 
 }  // namespace semfield::app

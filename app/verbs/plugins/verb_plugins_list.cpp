@@ -7,7 +7,7 @@ namespace semfield::app {
 
 namespace {
 
-int run(AppContext& context) {
+int print_list(AppContext& context) {
   if (context.json) {
     print_plugins_json(context);
   } else {
@@ -19,7 +19,7 @@ int run(AppContext& context) {
 }  // namespace
 
 Verb verb_plugins_list() {
-  return with_json(make_verb("plugins list", 10, "list every plugin with one sentence", run));
+  return with_json(make_verb("plugins list", 10, "list every plugin with one sentence", print_list));
 }
 
 }  // namespace semfield::app

@@ -8,7 +8,7 @@ namespace semfield::app {
 
 namespace {
 
-int run(AppContext& context) {
+int print_matrix(AppContext& context) {
   add_cuda_kernels(context);
   if (context.json) {
     Json plugins = Json::array();
@@ -27,7 +27,7 @@ int run(AppContext& context) {
 }  // namespace
 
 Verb verb_plugins_matrix() {
-  return with_json(make_verb("plugins matrix", 40, "print which plugin runs on which device", run));
+  return with_json(make_verb("plugins matrix", 40, "print which plugin runs on which device", print_matrix));
 }
 
 }  // namespace semfield::app

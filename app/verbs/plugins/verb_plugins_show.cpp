@@ -28,7 +28,7 @@ void words(VerbWords& verb, ShowOptions& options) { verb.operand("name", options
 }  // namespace
 
 Verb verb_plugins_show() {
-  return with_json(make_verb("plugins show", 20, "print the parameters of one plugin", words, run));
+  return with_json(make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin", words, run));
 }
 
 }  // namespace semfield::app

@@ -43,7 +43,7 @@ void words(VerbWords& verb, EqualOptions& options) {
 }  // namespace
 
 Verb verb_runs_equal() {
-  return with_json(make_verb(
+  return with_json(make_verb<EqualOptions>(
       "runs equal", 10,
       "check whether two runs are the same training, bit by bit; times, threads and places do not count", words, run));
 }

@@ -10,7 +10,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::string_view kType = "pixel_noise";
+constexpr std::string_view kPixelNoise = "pixel_noise";
 
 struct PixelNoiseParams {
   double ratio = 0.5;
@@ -35,23 +35,25 @@ class PixelNoise final : public Degradation {
   }
 
   StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const override {
-    const std::vector<std::int16_t> classes = scene_classes(scene, kType);
+    const std::vector<std::int16_t> classes = scene_classes(scene, kPixelNoise);
     std::vector<std::int64_t> drawn(labels.size()), left_void(labels.size());
-    StepFacts facts = change_hard_labels(scene, kType, labels, [&](std::size_t f, std::vector<std::int16_t>& hard) {
-      const RandomAddress place{seed, f, stream_id("labels/pixel_noise/place")};
-      const RandomAddress value{seed, f, stream_id("labels/pixel_noise/class")};
-      // 0.29 * 100 is 29, though the product of doubles is just below it.
-      const auto count = static_cast<std::size_t>(std::floor(params_.ratio * static_cast<double>(hard.size()) + 1e-6));
-      for (const std::uint32_t pixel : drawn_pixels(place, hard.size(), count)) {
-        ++drawn[f];
-        if (hard[pixel] == kVoid && !params_.flip_void) {
-          ++left_void[f];
-          continue;
-        }
-        const std::uint64_t c = uniform_below(value, pixel, classes.size() + 1);
-        hard[pixel] = c == classes.size() ? kVoid : classes[c];
-      }
-    });
+    StepFacts facts =
+        change_hard_labels(scene, kPixelNoise, labels, [&](std::size_t f, std::vector<std::int16_t>& hard) {
+          const RandomAddress place{seed, f, stream_id("labels/pixel_noise/place")};
+          const RandomAddress value{seed, f, stream_id("labels/pixel_noise/class")};
+          // 0.29 * 100 is 29, though the product of doubles is just below it.
+          const auto count =
+              static_cast<std::size_t>(std::floor(params_.ratio * static_cast<double>(hard.size()) + 1e-6));
+          for (const std::uint32_t pixel : drawn_pixels(place, hard.size(), count)) {
+            ++drawn[f];
+            if (hard[pixel] == kVoid && !params_.flip_void) {
+              ++left_void[f];
+              continue;
+            }
+            const std::uint64_t c = uniform_below(value, pixel, classes.size() + 1);
+            hard[pixel] = c == classes.size() ? kVoid : classes[c];
+          }
+        });
     const auto total = [](const std::vector<std::int64_t>& n) {
       return std::to_string(std::accumulate(n.begin(), n.end(), std::int64_t{0}));
     };

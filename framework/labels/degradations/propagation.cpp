@@ -10,7 +10,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::string_view kType = "propagation";
+constexpr std::string_view kPropagation = "propagation";
 
 struct PropagationParams {
   double share = 0;
@@ -70,9 +70,10 @@ class Propagation final : public Degradation {
   StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const override {
     const auto classes = static_cast<std::size_t>(scene.info.classes.valid_count());
     std::vector<Kept> kept(labels.size());
-    StepFacts facts = change_hard_labels(scene, kType, labels, [&](std::size_t f, std::vector<std::int16_t>& hard) {
-      kept[f] = keep_regions({seed, f, stream_id("labels/propagation")}, classes, scene.frames[f].width_px, hard);
-    });
+    StepFacts facts =
+        change_hard_labels(scene, kPropagation, labels, [&](std::size_t f, std::vector<std::int16_t>& hard) {
+          kept[f] = keep_regions({seed, f, stream_id("labels/propagation")}, classes, scene.frames[f].width_px, hard);
+        });
     Kept sum;
     for (const Kept& k : kept) {
       sum.classes += k.classes;

@@ -14,7 +14,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::string_view kType = "region_noise";
+constexpr std::string_view kRegionNoise = "region_noise";
 
 enum class RegionMode { sort, even };
 
@@ -117,9 +117,10 @@ class RegionNoise final : public Degradation {
   bool needs_instances() const override { return true; }
 
   StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const override {
-    const std::vector<std::int16_t> classes = scene_classes(scene, kType);
+    const std::vector<std::int16_t> classes = scene_classes(scene, kRegionNoise);
     if (classes.size() < 2) {
-      throw Error(ErrorKind::data, std::string(kType) + ": the scene has one class, so no label can be a wrong one",
+      throw Error(ErrorKind::data,
+                  std::string(kRegionNoise) + ": the scene has one class, so no label can be a wrong one",
                   "remove this degradation");
     }
     const ViewsOfInstance views = chosen(scene, all_views(scene, labels));
@@ -135,16 +136,18 @@ class RegionNoise final : public Degradation {
       }
     }
     std::vector<std::int64_t> pixels(labels.size());
-    StepFacts facts = change_hard_labels(scene, kType, labels, [&](std::size_t f, std::vector<std::int16_t>& hard) {
-      for (std::size_t p = 0; p < hard.size(); ++p) {
-        const std::int32_t id = scene.frames[f].instance[p];
-        const auto at = std::lower_bound(flips[f].begin(), flips[f].end(), id,
-                                         [](const Flip& flip, std::int32_t wanted) { return flip.instance < wanted; });
-        if (at == flips[f].end() || at->instance != id || hard[p] == kVoid) continue;
-        hard[p] = at->label;
-        ++pixels[f];
-      }
-    });
+    StepFacts facts =
+        change_hard_labels(scene, kRegionNoise, labels, [&](std::size_t f, std::vector<std::int16_t>& hard) {
+          for (std::size_t p = 0; p < hard.size(); ++p) {
+            const std::int32_t id = scene.frames[f].instance[p];
+            const auto at =
+                std::lower_bound(flips[f].begin(), flips[f].end(), id,
+                                 [](const Flip& flip, std::int32_t wanted) { return flip.instance < wanted; });
+            if (at == flips[f].end() || at->instance != id || hard[p] == kVoid) continue;
+            hard[p] = at->label;
+            ++pixels[f];
+          }
+        });
     facts.emplace_back("pixels of flipped regions",
                        std::to_string(std::accumulate(pixels.begin(), pixels.end(), std::int64_t{0})));
     facts.emplace_back("instances chosen", ids_text(ids));
@@ -155,11 +158,11 @@ class RegionNoise final : public Degradation {
 
  private:
   ViewsOfInstance all_views(const LoadedScene& scene, const LabelSet& labels) const {
-    const std::vector<std::size_t> frames = hard_frames(scene, labels, kType);
+    const std::vector<std::size_t> frames = hard_frames(scene, labels, kRegionNoise);
     for (const std::size_t f : frames) {
       if (scene.frames[f].instance.empty()) {
         throw Error(ErrorKind::data,
-                    std::string(kType) + ": " + frame_place(scene.info.frames[f]) + " has no instance image",
+                    std::string(kRegionNoise) + ": " + frame_place(scene.info.frames[f]) + " has no instance image",
                     "use a scene whose dataset reads instances (docs/reference/plugins.md says which do), or another "
                     "degradation");
       }
@@ -189,7 +192,7 @@ class RegionNoise final : public Degradation {
     });
     if (views.empty()) {
       throw Error(ErrorKind::data,
-                  std::string(kType) + ": no instance of the classes asked for is seen in " +
+                  std::string(kRegionNoise) + ": no instance of the classes asked for is seen in " +
                       std::to_string(params_.min_frames) + " labelled training frames",
                   "lower its min_frames, name other classes, or label more frames");
     }
@@ -201,16 +204,17 @@ class RegionNoise final : public Degradation {
       if (views.count(static_cast<std::int32_t>(id)) > 0) continue;
       std::vector<std::int32_t> known;
       for (const auto& entry : views) known.push_back(entry.first);
-      throw Error(ErrorKind::data,
-                  std::string(kType) + ".instances: no labelled training frame sees instance " + std::to_string(id),
-                  known.empty() ? "label frames that show instances" : "there are " + ids_text(known));
+      throw Error(
+          ErrorKind::data,
+          std::string(kRegionNoise) + ".instances: no labelled training frame sees instance " + std::to_string(id),
+          known.empty() ? "label frames that show instances" : "there are " + ids_text(known));
     }
     std::vector<std::string> known;
     for (int c = 0; c < scene.info.classes.valid_count(); ++c) known.push_back(scene.info.classes.valid(c).name);
     for (const std::string& name : params_.classes) {
       if (std::find(known.begin(), known.end(), name) != known.end()) continue;
       const std::string near = did_you_mean(name, known);
-      throw Error(ErrorKind::data, std::string(kType) + ".classes: the class table has no class '" + name + "'",
+      throw Error(ErrorKind::data, std::string(kRegionNoise) + ".classes: the class table has no class '" + name + "'",
                   near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
     }
   }

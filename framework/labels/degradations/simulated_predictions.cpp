@@ -17,7 +17,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::string_view kType = "simulated_predictions";
+constexpr std::string_view kSimulatedPredictions = "simulated_predictions";
 constexpr int kMostSimilar = 16;
 constexpr double kLargeRegion = 0.1;  // share of a frame from which on a region is never wholly mistaken
 
@@ -176,14 +176,16 @@ class SimulatedPredictions final : public Degradation {
 
   StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const override {
     const int table = scene.info.classes.valid_count();
-    const Confusions confusions = draw_confusions(scene_classes(scene, kType), params_.similar, table, seed);
+    const Confusions confusions =
+        draw_confusions(scene_classes(scene, kSimulatedPredictions), params_.similar, table, seed);
     std::vector<FrameFacts> of_frame(labels.size());
     std::vector<SoftMap> soft(labels.size());
-    for (const std::size_t f : hard_frames(scene, labels, kType)) check_depth(scene, f);
-    StepFacts facts = change_hard_labels(scene, kType, labels, [&](std::size_t f, std::vector<std::int16_t>& hard) {
-      if (params_.output == Output::soft) soft[f] = SoftMap(hard.size(), table);
-      of_frame[f] = predict({scene.frames[f], f, seed}, confusions, hard, soft[f]);
-    });
+    for (const std::size_t f : hard_frames(scene, labels, kSimulatedPredictions)) check_depth(scene, f);
+    StepFacts facts =
+        change_hard_labels(scene, kSimulatedPredictions, labels, [&](std::size_t f, std::vector<std::int16_t>& hard) {
+          if (params_.output == Output::soft) soft[f] = SoftMap(hard.size(), table);
+          of_frame[f] = predict({scene.frames[f], f, seed}, confusions, hard, soft[f]);
+        });
     FrameFacts sum;
     for (std::size_t f = 0; f < labels.size(); ++f) {
       sum.labelled += of_frame[f].labelled;
@@ -215,8 +217,8 @@ class SimulatedPredictions final : public Degradation {
   // Without it the same configuration would give other labels wherever depth is not kept in memory.
   void check_depth(const LoadedScene& scene, std::size_t f) const {
     if (params_.depth_half_m > 0 && scene.info.frames[f].has_depth && scene.frames[f].depth_m.empty()) {
-      throw Error(ErrorKind::internal,
-                  std::string(kType) + ": the depth of " + frame_place(scene.info.frames[f]) + " was not kept");
+      throw Error(ErrorKind::internal, std::string(kSimulatedPredictions) + ": the depth of " +
+                                           frame_place(scene.info.frames[f]) + " was not kept");
     }
   }
 

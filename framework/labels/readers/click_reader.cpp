@@ -22,26 +22,22 @@ struct Click {
   double radius_px = 0;
 };
 
-[[noreturn]] void refuse(const std::string& place, const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, place + ": " + message, remedy);
-}
-
 const char* kRemedy = "write lines 'frame,x,y,class' or 'frame,x,y,class,radius'";
 
 Click click_of(const TextRow& row) {
   const std::vector<std::string>& f = row.fields;
   if (f.size() != 4 && f.size() != 5)
-    refuse(row.place, "expected 4 or 5 columns, got " + std::to_string(f.size()), kRemedy);
+    refuse_labels(row.place, "expected 4 or 5 columns, got " + std::to_string(f.size()), kRemedy);
   Click click{row.place, f[3], 0, 0, 0};
-  if (f[0].empty()) refuse(row.place, "no frame is named", kRemedy);
+  if (f[0].empty()) refuse_labels(row.place, "no frame is named", kRemedy);
   if (!parse_whole(f[1], click.x))
-    refuse(row.place, "x: expected a whole number of pixels, got '" + f[1] + "'", kRemedy);
+    refuse_labels(row.place, "x: expected a whole number of pixels, got '" + f[1] + "'", kRemedy);
   if (!parse_whole(f[2], click.y))
-    refuse(row.place, "y: expected a whole number of pixels, got '" + f[2] + "'", kRemedy);
-  if (f[3].empty()) refuse(row.place, "no class is named", kRemedy);
+    refuse_labels(row.place, "y: expected a whole number of pixels, got '" + f[2] + "'", kRemedy);
+  if (f[3].empty()) refuse_labels(row.place, "no class is named", kRemedy);
   if (f.size() == 5 && !f[4].empty() &&
       (!parse_real(f[4], click.radius_px) || click.radius_px < 0 || click.radius_px > kMaxCoordinate))
-    refuse(row.place, "radius: expected pixels from 0 to a million, got '" + f[4] + "'", kRemedy);
+    refuse_labels(row.place, "radius: expected pixels from 0 to a million, got '" + f[4] + "'", kRemedy);
   return click;
 }
 
@@ -92,7 +88,7 @@ class EventFrames {
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const {
     const int* index = entry_of(frame_of_, frame);
-    if (index == nullptr) refuse(file_, "no click in frame '" + frame.name + "'");
+    if (index == nullptr) refuse_labels(file_, "no click in frame '" + frame.name + "'");
     SceneInfo scene = scene_;
     Camera& camera = scene.frames[static_cast<std::size_t>(*index)].camera;
     camera.width_px = frame.camera.width_px;
@@ -154,7 +150,7 @@ class ClickReader : public LabelReader {
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
     if (events_) return events_->read(frame, classes);
     const std::vector<Click>* clicks = entry_of(clicks_, frame);
-    if (clicks == nullptr) refuse(file, "no click in frame '" + frame.name + "'");
+    if (clicks == nullptr) refuse_labels(file, "no click in frame '" + frame.name + "'");
     // At the frame's own size: scaled as an image by the nearest pixel, a single pixel could get lost.
     LabelRaster raster = void_raster(frame.camera.width_px, frame.camera.height_px);
     const ImageSize size = clicked_size(frame);
@@ -163,10 +159,11 @@ class ClickReader : public LabelReader {
     const ClassNames names(classes);
     for (const Click& click : *clicks) {
       if (click.x < 0 || click.y < 0 || click.x >= size.width_px || click.y >= size.height_px) {
-        refuse(click.place,
-               "pixel (" + std::to_string(click.x) + ", " + std::to_string(click.y) + ") lies outside the image of " +
-                   std::to_string(size.width_px) + " x " + std::to_string(size.height_px),
-               "columns and rows are counted from 0");
+        refuse_labels(click.place,
+                      "pixel (" + std::to_string(click.x) + ", " + std::to_string(click.y) +
+                          ") lies outside the image of " + std::to_string(size.width_px) + " x " +
+                          std::to_string(size.height_px),
+                      "columns and rows are counted from 0");
       }
       const std::int16_t index = names.index_of(click.label, click.place);
       const PixelPoint center{(static_cast<double>(click.x) + 0.5) * scale_x,

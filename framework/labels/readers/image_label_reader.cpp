@@ -25,10 +25,6 @@ namespace {
 
 using Rgb = std::array<std::uint8_t, 3>;
 
-[[noreturn]] void refuse(const std::string& place, const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, place + ": " + message, remedy);
-}
-
 std::string text_of(Rgb c) {
   std::string out = "(";
   out += std::to_string(c[0]) + ", " + std::to_string(c[1]) + ", " + std::to_string(c[2]);
@@ -51,19 +47,21 @@ std::vector<NamedColor> read_colors(const std::string& path) {
   std::map<Rgb, std::string> seen;
   for (const TextRow& row : read_text_rows(path, ',')) {
     if (row.fields[0] == "r" || row.fields[0] == "red") continue;  // the header
-    if (row.fields.size() != 4 || row.fields[3].empty()) refuse(row.place, "expected 'r,g,b,name'");
+    if (row.fields.size() != 4 || row.fields[3].empty()) refuse_labels(row.place, "expected 'r,g,b,name'");
     NamedColor entry{{}, row.fields[3], row.place};
     for (std::size_t i = 0; i < 3; ++i) {
       std::int64_t value = 0;
       if (!parse_whole(row.fields[i], value) || value < 0 || value > 255)
-        refuse(row.place, "expected a number from 0 to 255, got '" + row.fields[i] + "'", "write lines 'r,g,b,name'");
+        refuse_labels(row.place, "expected a number from 0 to 255, got '" + row.fields[i] + "'",
+                      "write lines 'r,g,b,name'");
       entry.color[i] = static_cast<std::uint8_t>(value);
     }
     const auto [other, fresh] = seen.emplace(entry.color, entry.name);
-    if (!fresh) refuse(row.place, "colour " + text_of(entry.color) + " is given to '" + other->second + "' before");
+    if (!fresh)
+      refuse_labels(row.place, "colour " + text_of(entry.color) + " is given to '" + other->second + "' before");
     out.push_back(std::move(entry));
   }
-  if (out.empty()) refuse(path, "no colours in it", "write lines 'r,g,b,name'");
+  if (out.empty()) refuse_labels(path, "no colours in it", "write lines 'r,g,b,name'");
   return out;
 }
 
@@ -108,13 +106,14 @@ class ImageLabelReader : public LabelReader {
   LabelRaster read(const FrameInfo& frame, const ClassTable& table) const override {
     const std::string path = path_of(folder, pattern, frame);
     if (kind == LabelImageKind::palette && !is_palette_png(path))
-      refuse("'" + path + "'", "no PNG with a palette", "set kind: ids or color");
+      refuse_labels("'" + path + "'", "no PNG with a palette", "set kind: ids or color");
     const ImageSize size = image_size(path);  // before anything is unpacked on the word of its header
     check_label_shape(size.width_px, size.height_px, frame.camera);
     if (kind != LabelImageKind::color && size.channels > 1) {
-      refuse("'" + path + "'",
-             "has " + std::to_string(size.channels) + " channels: it is a picture in colours, not one of class ids",
-             "read the classes from the colours with --set scene.labels.from.kind=color");
+      refuse_labels(
+          "'" + path + "'",
+          "has " + std::to_string(size.channels) + " channels: it is a picture in colours, not one of class ids",
+          "read the classes from the colours with --set scene.labels.from.kind=color");
     }
     return kind == LabelImageKind::color ? read_color(path, table) : read_index(path, table);
   }
@@ -153,9 +152,9 @@ class ImageLabelReader : public LabelReader {
     for (const ClassEntry& entry : table.entries()) {
       const auto [other, fresh] = owner.emplace(entry.color, entry.name);
       if (!fresh) {
-        refuse("class table",
-               "'" + other->second + "' and '" + entry.name + "' have the same colour " + text_of(entry.color),
-               "give each class its own colour, or name a table of colours in scene.labels.from.file");
+        refuse_labels("class table",
+                      "'" + other->second + "' and '" + entry.name + "' have the same colour " + text_of(entry.color),
+                      "give each class its own colour, or name a table of colours in scene.labels.from.file");
       }
       index.emplace(entry.color, static_cast<std::int16_t>(table.index_of(entry.id)));
     }

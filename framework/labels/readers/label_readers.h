@@ -2,7 +2,9 @@
 #pragma once
 
 #include <memory>
+#include <string>
 
+#include "core/error.h"
 #include "labels/label_steps.h"
 
 namespace semfield {
@@ -12,5 +14,11 @@ std::unique_ptr<LabelReader> make_coco_reader();
 std::unique_ptr<LabelReader> make_image_label_reader();
 std::unique_ptr<LabelReader> make_npz_reader();
 std::unique_ptr<LabelReader> make_click_reader();
+
+/// Throws Error(data): "<place>: <message>".
+[[noreturn]] inline void refuse_labels(const std::string& place, const std::string& message,
+                                       const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, place + ": " + message, remedy);
+}
 
 }  // namespace semfield

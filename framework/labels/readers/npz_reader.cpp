@@ -17,10 +17,6 @@ namespace {
 
 using Json = nlohmann::json;
 
-[[noreturn]] void refuse(const std::string& place, const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, place + ": " + message, remedy);
-}
-
 const char* kOrderRemedy = "write a list of the class names in the order of the array's last axis";
 
 // Names by column from {"chair": 0, ...} or {"0": "chair", ...}.
@@ -36,13 +32,14 @@ std::vector<std::string> names_of_map(const Json& root, const std::string& path)
       name = value.get<std::string>();
     }
     if (column < 0)
-      refuse(path, "'" + key + "' is neither a name with a column nor a column with a name", kOrderRemedy);
+      refuse_labels(path, "'" + key + "' is neither a name with a column nor a column with a name", kOrderRemedy);
     if (!names.emplace(column, name).second)
-      refuse(path, "column " + std::to_string(column) + " is given twice", kOrderRemedy);
+      refuse_labels(path, "column " + std::to_string(column) + " is given twice", kOrderRemedy);
   }
   std::vector<std::string> out;
   for (auto& [column, name] : names) {
-    if (column != std::ssize(out)) refuse(path, "no class for column " + std::to_string(out.size()), kOrderRemedy);
+    if (column != std::ssize(out))
+      refuse_labels(path, "no class for column " + std::to_string(out.size()), kOrderRemedy);
     out.push_back(std::move(name));
   }
   return out;
@@ -53,22 +50,23 @@ std::vector<std::string> read_class_order(const std::string& path) {
   try {
     root = Json::parse(read_text_file(path, std::size_t{16} << 20));
   } catch (const Json::exception& e) {
-    refuse(path, "not valid JSON: " + json_cause(e.what()), kOrderRemedy);
+    refuse_labels(path, "not valid JSON: " + json_cause(e.what()), kOrderRemedy);
   }
   std::vector<std::string> names;
   if (root.is_object()) {
     names = names_of_map(root, path);
   } else if (root.is_array()) {
     for (const Json& item : root) {
-      if (!item.is_string()) refuse(path, "entry " + std::to_string(names.size() + 1) + " is no text", kOrderRemedy);
+      if (!item.is_string())
+        refuse_labels(path, "entry " + std::to_string(names.size() + 1) + " is no text", kOrderRemedy);
       names.push_back(item.get<std::string>());
     }
   }
-  if (names.empty()) refuse(path, "no class names in it", kOrderRemedy);
+  if (names.empty()) refuse_labels(path, "no class names in it", kOrderRemedy);
   std::vector<std::string> sorted = names;
   std::sort(sorted.begin(), sorted.end());
   if (const auto twice = std::adjacent_find(sorted.begin(), sorted.end()); twice != sorted.end())
-    refuse(path, "class '" + *twice + "' is named twice", kOrderRemedy);
+    refuse_labels(path, "class '" + *twice + "' is named twice", kOrderRemedy);
   return names;
 }
 
@@ -174,8 +172,9 @@ class NpzReader : public LabelReader {
   [[noreturn]] static void refuse_pixel(const std::string& path, std::size_t pixel, std::int32_t width,
                                         const std::string& what) {
     const auto w = static_cast<std::size_t>(width);
-    refuse("'" + path + "'", "pixel x " + std::to_string(pixel % w) + ", y " + std::to_string(pixel / w) + ": " + what,
-           "save probabilities (after softmax): not negative, in all at most 1");
+    refuse_labels("'" + path + "'",
+                  "pixel x " + std::to_string(pixel % w) + ", y " + std::to_string(pixel / w) + ": " + what,
+                  "save probabilities (after softmax): not negative, in all at most 1");
   }
 
   std::vector<std::string> order_;  // class names by column

@@ -44,10 +44,6 @@ bool holds_model(const fs::path& folder) {
   return fs::exists(folder / "cameras.bin") || fs::exists(folder / "cameras.txt");
 }
 
-std::string size_text(std::int32_t width, std::int32_t height) {
-  return std::to_string(width) + " x " + std::to_string(height);
-}
-
 double quantile(std::vector<double>& values, double share) {
   const auto at = static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), values.begin() + at, values.end());

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <numbers>
 
 #include "datasets/obj_room/class_rules.h"
 #include "plugin/module.h"
@@ -15,7 +16,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kPi = 3.141592653589793;
+using std::numbers::pi;
 
 std::string resolved(const std::string& folder, const std::string& path) {
   const fs::path p(path);
@@ -253,7 +254,7 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
   Camera camera;
   camera.width_px = params_.width_px;
   camera.height_px = params_.height_px;
-  camera.fx = camera.fy = 0.5 * params_.width_px / std::tan(0.5 * params_.hfov_deg * kPi / 180);
+  camera.fx = camera.fy = 0.5 * params_.width_px / std::tan(0.5 * params_.hfov_deg * pi / 180);
   camera.cx = 0.5 * params_.width_px;
   camera.cy = 0.5 * params_.height_px;
 

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include "core/rng.h"
 #include "scene/camera_path.h"
@@ -10,7 +11,7 @@
 namespace semfield {
 namespace {
 
-constexpr double kPi = 3.141592653589793;
+using std::numbers::pi;
 constexpr double kGoldenAngle = 2.399963229728653;
 constexpr int kPosesPerKey = 4;
 constexpr int kCandidates = 160;
@@ -111,7 +112,7 @@ std::vector<Key> make_keys(const Raycaster& rays, const PathSettings& s, const s
   const int count = (s.poses + kPosesPerKey - 1) / kPosesPerKey + 1;
   std::vector<Key> keys;
   std::vector<std::size_t> visited{static_cast<std::size_t>(uniform_below(order, 0, points.size()))};
-  double yaw = 2 * kPi * static_cast<double>(uniform01(gaze, 0));
+  double yaw = 2 * pi * static_cast<double>(uniform01(gaze, 0));
   for (int k = 0; k < count; ++k) {
     if (k > 0) {
       // Of a few reachable candidates the one farthest from the last places visited.
@@ -139,7 +140,7 @@ std::vector<Key> make_keys(const Raycaster& rays, const PathSettings& s, const s
     for (std::uint64_t n = 0; n < 8; ++n) {
       const std::uint64_t index = 1 + static_cast<std::uint64_t>(k) * 16 + 2 * n;
       const double turn = yaw + 0.7 * (static_cast<double>(uniform01(gaze, index)) - 0.5);
-      const double tilt = kPi / 180 * (-34 + 40 * static_cast<double>(uniform01(gaze, index + 1)));
+      const double tilt = pi / 180 * (-34 + 40 * static_cast<double>(uniform01(gaze, index + 1)));
       const double view = view_distance(rays, key.position, axes.direction(turn, tilt));
       if (view <= best_view) continue;
       best_view = view;
@@ -148,8 +149,8 @@ std::vector<Key> make_keys(const Raycaster& rays, const PathSettings& s, const s
       if (view > 2 * kNearestView_m) break;
     }
     if (!keys.empty()) {
-      while (key.yaw - keys.back().yaw > kPi) key.yaw -= 2 * kPi;
-      while (key.yaw - keys.back().yaw < -kPi) key.yaw += 2 * kPi;
+      while (key.yaw - keys.back().yaw > pi) key.yaw -= 2 * pi;
+      while (key.yaw - keys.back().yaw < -pi) key.yaw += 2 * pi;
     }
     keys.push_back(key);
   }
@@ -193,7 +194,7 @@ std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& s)
     // The nearest turn that does not stare at something close by.
     double turn = 0;
     for (int n = 0; n < 18; ++n) {
-      const double tried = (n % 2 == 0 ? 1 : -1) * ((n + 1) / 2) * (kPi / 9);
+      const double tried = (n % 2 == 0 ? 1 : -1) * ((n + 1) / 2) * (pi / 9);
       if (view_distance(rays, p, axes.direction(yaw + tried, pitch)) < kNearestView_m) continue;
       turn = tried;
       break;
