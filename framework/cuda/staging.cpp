@@ -8,7 +8,7 @@ namespace semfield::cuda {
 
 namespace {
 
-constexpr std::size_t kAlign = 256;
+constexpr std::size_t kAlignBytes = 256;
 
 template <class T>
 T* pinned(std::size_t count, const char* what) {
@@ -52,7 +52,7 @@ Staging::Staging(int slots, const RayBatch& like)
   std::size_t end = 0;
   const auto place = [&end](std::size_t bytes) {
     const std::size_t begin = end;
-    end += (bytes + kAlign - 1) / kAlign * kAlign;
+    end += (bytes + kAlignBytes - 1) / kAlignBytes * kAlignBytes;
     return begin;
   };
   const auto n = static_cast<std::size_t>(rays_);

@@ -7,9 +7,9 @@ namespace semfield::cuda {
 
 namespace {
 
-constexpr std::int64_t kAlign = 64;  // elements: a tensor starts on a 256-byte boundary
+constexpr std::int64_t kAlignElements = 64;  // elements: a tensor starts on a 256-byte boundary
 
-std::int64_t padded(std::int64_t count) { return (count + kAlign - 1) / kAlign * kAlign; }
+std::int64_t padded(std::int64_t count) { return (count + kAlignElements - 1) / kAlignElements * kAlignElements; }
 
 }  // namespace
 
