@@ -23,7 +23,7 @@ if(TARGET semfield_cuda)  # kernels of plugins outside link with it
   install(EXPORT semfieldCudaTargets NAMESPACE semfield:: DESTINATION ${semfield_package_dir} COMPONENT sdk)
 endif()
 # Loaded late by the framework's library, which looks for them beside itself; the probe is a program that semfield_numerics starts.
-foreach(companion semfield_images semfield_mpi semfield_nccl semfield_numerics semfield_step_probe semfield_laws semfield_python)
+foreach(companion semfield_images semfield_mpi semfield_nccl semfield_numerics semfield_step_probe semfield_laws semfield_bench semfield_python)
   if(TARGET ${companion})
     set(component runtime)
     if(companion STREQUAL "semfield_python")  # with the Python that it embeds
@@ -33,7 +33,7 @@ foreach(companion semfield_images semfield_mpi semfield_nccl semfield_numerics s
             LIBRARY DESTINATION ${semfield_library_dir} COMPONENT ${component})
   endif()
 endforeach()
-foreach(beside semfield semfield_plugins semfield_cuda semfield_images semfield_mpi semfield_nccl semfield_numerics semfield_step_probe semfield_laws semfield_python)
+foreach(beside semfield semfield_plugins semfield_cuda semfield_images semfield_mpi semfield_nccl semfield_numerics semfield_step_probe semfield_laws semfield_bench semfield_python)
   if(TARGET ${beside})
     set_target_properties(${beside} PROPERTIES INSTALL_RPATH "$ORIGIN")
   endif()

@@ -2,10 +2,10 @@
 # framework, the linked plugins and the testkit. Without DEVICE its tests see no device of the machine: `runtime.device: auto` is the
 # processor, and golden values are the same everywhere.
 include(GoogleTest)
+add_library(semfield_no_cache OBJECT ${PROJECT_SOURCE_DIR}/tests/no_cache.cpp)
 function(semfield_add_test)
   cmake_parse_arguments(ARG "DEVICE" "NAME" "SOURCES;LIBRARIES;LABELS" ${ARGN})
-  add_executable(${ARG_NAME} ${ARG_SOURCES} ${PROJECT_SOURCE_DIR}/tests/no_cache.cpp)
-  set_target_properties(${ARG_NAME} PROPERTIES UNITY_BUILD OFF)  # names of tests are their own
+  add_executable(${ARG_NAME} ${ARG_SOURCES} $<TARGET_OBJECTS:semfield_no_cache>)
   target_link_libraries(${ARG_NAME} PRIVATE semfield semfield_plugins semfield_testkit semfield_warnings GTest::gtest_main ${ARG_LIBRARIES})
   target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_SOURCE_DIR="${PROJECT_SOURCE_DIR}" SEMFIELD_BINARY_DIR="${PROJECT_BINARY_DIR}")
   target_include_directories(${ARG_NAME} PRIVATE ${PROJECT_SOURCE_DIR})
@@ -22,7 +22,8 @@ function(semfield_add_test)
   if(ARG_LABELS)
     list(APPEND properties LABELS ${ARG_LABELS})
   endif()
-  gtest_discover_tests(${ARG_NAME} DISCOVERY_TIMEOUT 60 PROPERTIES ${properties})
+  # Names of parameterised tests are those that the suites give, not how a value prints.
+  gtest_discover_tests(${ARG_NAME} NO_PRETTY_VALUES DISCOVERY_TIMEOUT 60 PROPERTIES ${properties})
 endfunction()
 
 # semfield_test_every_isa(name): runs the whole program once more for each weaker instruction set of the build that the configuring machine has.

@@ -151,8 +151,7 @@ Json results(const std::vector<NumericsRow>& rows) {
 
 int run(const CheckNumericsOptions& options, AppContext& context) {
   const auto suite = reinterpret_cast<NumericsSuite>(
-      library_symbol("libsemfield_numerics.so", kNumericsSuiteSymbol, "the suite of numerical cases cannot be loaded",
-                     "build with -DBUILD_TESTING=ON, which also builds the suite"));
+      part_symbol("semfield_numerics", kNumericsSuiteSymbol, "the suite of numerical cases cannot be loaded"));
   std::vector<NumericsRow> rows;
   suite(context.registry, options.only, rows);
   if (context.json) {

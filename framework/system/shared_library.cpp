@@ -19,4 +19,9 @@ void* library_symbol(const std::string& file, const char* symbol, const std::str
   return found;
 }
 
+void* part_symbol(const std::string& target, const char* symbol, const std::string& what) {
+  return library_symbol("lib" + target + ".so", symbol, what,
+                        "build it (cmake --build FOLDER --target " + target + "), or install the whole of Semfield");
+}
+
 }  // namespace semfield

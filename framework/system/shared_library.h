@@ -10,4 +10,8 @@ namespace semfield {
 /// loader's words>"; `remedy` as in Error.
 void* library_symbol(const std::string& file, const char* symbol, const std::string& what, const std::string& remedy);
 
+/// The same of `target`, a library lib<target>.so that a build of the program alone leaves out; the remedy names the
+/// target that builds it.
+void* part_symbol(const std::string& target, const char* symbol, const std::string& what);
+
 }  // namespace semfield

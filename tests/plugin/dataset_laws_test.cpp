@@ -6,6 +6,7 @@
 
 #include "testkit/analytic_scene.h"
 #include "testkit/laws.h"
+#include "tests/plugin/broken_case.h"
 
 namespace semfield {
 namespace {
@@ -58,10 +59,7 @@ std::string laws_of(Break broken) {
 
 TEST(DatasetLaws, HoldForTheAnalyticRoom) { EXPECT_EQ(laws_of(Break::none), ""); }
 
-struct Case {
-  Break broken;
-  const char* law;
-};
+using Case = BrokenCase<Break>;
 class BrokenDataset : public testing::TestWithParam<Case> {};
 
 TEST_P(BrokenDataset, IsCaught) {
@@ -75,7 +73,8 @@ INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenDataset,
                                          Case{Break::label_range, "label 5 is outside"},
                                          Case{Break::short_depth, "depth has 1727 values"},
                                          Case{Break::unsafe_read, "parallel reading"},
-                                         Case{Break::reports_error, "open: view_03: is truncated"}));
+                                         Case{Break::reports_error, "open: view_03: is truncated"}),
+                         NameOfCase{});
 
 TEST(AnalyticScene, ShowsEveryClassInBothSplits) {
   const std::unique_ptr<Dataset> room = testkit::make_analytic_scene();

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include "testkit/laws.h"
+#include "tests/plugin/broken_case.h"
 #include "tests/plugin/toy_encoder.h"
 
 namespace semfield {
@@ -26,10 +27,7 @@ TEST(EncoderLaws, HoldForASoundEncoder) {
   EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
 }
 
-struct Case {
-  Break broken;
-  const char* law;
-};
+using Case = BrokenCase<Break>;
 class BrokenEncoder : public testing::TestWithParam<Case> {};
 
 TEST_P(BrokenEncoder, IsCaught) {
@@ -47,7 +45,8 @@ INSTANTIATE_TEST_SUITE_P(
                     Case{Break::depend_on_row, "permuted rows"}, Case{Break::float_off, "float against double, y"},
                     Case{Break::sums_as_they_come, "1 and 3 threads, gradient of table"},
                     Case{Break::hides_scratch, "scratch_bytes, 33 rows: 96 bytes, but 192"},
-                    Case{Break::claims_much_scratch, "scratch_bytes, 4097 rows: "}));
+                    Case{Break::claims_much_scratch, "scratch_bytes, 4097 rows: "}),
+    NameOfCase{});
 
 TEST(EncoderLaws, SumsWithoutSameBitsHaveATolerance) {
   testkit::LawOptions options;

@@ -5,6 +5,7 @@
 
 #include "compute/gemm.h"
 #include "testkit/laws.h"
+#include "tests/plugin/broken_case.h"
 
 namespace semfield {
 namespace {
@@ -154,10 +155,7 @@ TEST(FieldLaws, HoldForASoundField) {
   EXPECT_EQ(laws_of(Break::none, 0), "");
 }
 
-struct Case {
-  Break broken;
-  const char* law;
-};
+using Case = BrokenCase<Break>;
 class BrokenField : public testing::TestWithParam<Case> {};
 
 TEST_P(BrokenField, IsCaught) {
@@ -181,7 +179,8 @@ INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenField,
                                          Case{Break::claims_much_scratch, "less than 1/2 of it"},
                                          Case{Break::hides_a_layer, "say 0 multiply-adds, derive and forward made 165"},
                                          Case{Break::nameless_layer, "layers: ''"},
-                                         Case{Break::adds_up_wrongly, "but the layers add up to 5000"}));
+                                         Case{Break::adds_up_wrongly, "but the layers add up to 5000"}),
+                         NameOfCase{});
 
 // A device's library may choose other kernels for other shapes: then the law is one of size, and stays one.
 TEST(FieldLaws, WithoutSameBitsATolerance) {

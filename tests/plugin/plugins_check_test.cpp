@@ -209,5 +209,17 @@ TEST(FileVerdicts, GoWithBytesAndVersion) {
   ::setenv("SEMFIELD_CACHE", "off", 1);
 }
 
+TEST(LibrariesOfTheProgram, AMissingOneNamesTheTargetThatBuildsIt) {
+  try {
+    (void)part_symbol("semfield_absent", "symbol", "what it is for");
+    FAIL() << "there is no such library";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::unavailable);
+    EXPECT_NE(error.message().find("what it is for: "), std::string::npos) << error.message();
+    EXPECT_NE(error.message().find("libsemfield_absent.so"), std::string::npos) << error.message();
+    EXPECT_NE(error.remedy().find("--target semfield_absent"), std::string::npos) << error.remedy();
+  }
+}
+
 }  // namespace
 }  // namespace semfield

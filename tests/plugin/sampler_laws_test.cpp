@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include "testkit/laws.h"
+#include "tests/plugin/broken_case.h"
 
 namespace semfield {
 namespace {
@@ -66,10 +67,7 @@ std::string laws_of(Break broken) {
 
 TEST(SamplerLaws, HoldForASoundSampler) { EXPECT_EQ(laws_of(Break::none), ""); }
 
-struct Case {
-  Break broken;
-  const char* law;
-};
+using Case = BrokenCase<Break>;
 class BrokenSampler : public testing::TestWithParam<Case> {};
 
 TEST_P(BrokenSampler, IsCaught) {
@@ -84,7 +82,8 @@ INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenSampler,
                                          Case{Break::zero_delta, "delta is not positive"},
                                          Case{Break::wrong_first, "first[rays] is not the count"},
                                          Case{Break::jitter_without_training, "without training, another seed"},
-                                         Case{Break::fill_empty_rays, "near == far"}));
+                                         Case{Break::fill_empty_rays, "near == far"}),
+                         NameOfCase{});
 
 }  // namespace
 }  // namespace semfield

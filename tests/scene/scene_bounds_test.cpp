@@ -84,7 +84,8 @@ struct ObjectDataset {
 };
 
 class PlainColors : public ::testing::TestWithParam<int> {};
-INSTANTIATE_TEST_SUITE_P(SceneBounds, PlainColors, ::testing::Values(255, 0, 200));
+INSTANTIATE_TEST_SUITE_P(SceneBounds, PlainColors, ::testing::Values(255, 0, 200),
+                         [](const auto& level) { return "level_" + std::to_string(level.param); });
 
 TEST_P(PlainColors, BoundsAreTheBoxOfTheSilhouettes) {
   ObjectDataset object;

@@ -27,6 +27,7 @@ class SetupScript : public testing::Test {
     for (const char* name : {"setup", "help.sh"})
       fs::copy_file(fs::path(SEMFIELD_SOURCE_DIR) / "scripts" / name, root_ / "scripts" / name);
     stand_in("dpkg-query", "[ \"${!#}\" = \"$MISSING\" ] || echo 'install ok installed'");
+    stand_in("nproc", "echo 2");
     stand_in("apt-get", "[ $1 = update ]");
     stand_in("cmake", R"(
       case $1 in
@@ -74,12 +75,22 @@ class SetupScript : public testing::Test {
 TEST_F(SetupScript, SaysEveryTenthAndKeepsTheRestInALog) {
   const std::string out = printed("never");
   EXPECT_EQ(code_, 0);
-  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 12) << out;
-  EXPECT_EQ(out.rfind("setup: building, 1 of 200\nsetup: building, 20 of 200\n", 0), 0u) << out;
+  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 13) << out;
+  EXPECT_EQ(
+      out.rfind("setup: builds for about 5 min on 2 cores\nsetup: building, 1 of 200\nsetup: building, 20 of 200\n", 0),
+      0u)
+      << out;
   const std::string last = "setup: building, 200 of 200\nsetup: built; warnings: 1; log: build/setup.log\n";
   EXPECT_TRUE(out.ends_with(last)) << out;
   EXPECT_NE(log().find("[200/200] Building object_200.o"), std::string::npos);
   EXPECT_NE(log().find("a.cpp:1: warning: odd\nmore of it"), std::string::npos);
+}
+
+TEST_F(SetupScript, SaysWhatComesThen) {
+  setenv("SEMFIELD_THEN", "trains for about 2 min", 1);
+  const std::string out = printed("never");
+  unsetenv("SEMFIELD_THEN");
+  EXPECT_EQ(out.rfind("setup: builds for about 5 min on 2 cores, then trains for about 2 min\n", 0), 0u) << out;
 }
 
 TEST_F(SetupScript, RewritesOneLineOnATerminal) {
@@ -98,7 +109,7 @@ TEST_F(SetupScript, RewritesOneLineOnATerminal) {
   waitpid(child, &status, 0);
   close(terminal);
   EXPECT_EQ(status, 0);
-  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 1) << out;
+  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 2) << out;
   EXPECT_NE(out.find("\rsetup: building, 199 of 200 \rsetup: building, 200 of 200 \rsetup: built; "), std::string::npos)
       << out;
 }
@@ -128,7 +139,7 @@ TEST_F(SetupScript, DoesWithoutWhatIsOnlyWishedFor) {
   setenv("MISSING", "nowhere", 1);
   const std::string out = printed("never");
   EXPECT_EQ(code_, 0);
-  EXPECT_NE(out.find("setup: nowhere is not installed; what needs it is skipped\nsetup: building, 1 of 200\n"),
+  EXPECT_NE(out.find("setup: nowhere is not installed; what needs it is skipped\nsetup: builds for about 5 min"),
             std::string::npos)
       << out;
   EXPECT_EQ(out.find("setup: here"), std::string::npos) << out;

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <filesystem>
 #include <functional>
 #include <set>
@@ -193,10 +194,13 @@ class SetLabels : public testing::TestWithParam<std::string> {
   }
   Registry registry_ = make_registry();
 };
+std::string name_of_way(const testing::TestParamInfo<std::string>& info) {
+  return std::array{"as_configured", "label_balanced", "one_thread"}[info.index];
+}
 INSTANTIATE_TEST_SUITE_P(RaySources, SetLabels,
                          testing::Values(two_pass_config(), balanced(two_pass_config()),
                                          two_pass_config("runtime: {threads: 1}\n")),
-                         [](const auto& more) { return std::to_string(more.index); });
+                         name_of_way);
 
 TEST_P(SetLabels, TrainsOnThemAndResumesToTheSameBits) {
   const auto whole = open();

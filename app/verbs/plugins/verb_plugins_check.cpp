@@ -64,8 +64,8 @@ void print_row(const LawRow& row) {
 }
 
 int run(const CheckOptions& options, AppContext& context) {
-  const auto suite = reinterpret_cast<LawSuite>(library_symbol(
-      "libsemfield_laws.so", kLawSuiteSymbol, "the laws cannot be loaded", "install libsemfield_laws.so beside it"));
+  const auto suite =
+      reinterpret_cast<LawSuite>(part_symbol("semfield_laws", kLawSuiteSymbol, "the laws cannot be loaded"));
   Registry registry;
   LawRequest request;
   request.entries = load(options.file, registry);

@@ -1,4 +1,4 @@
-#include "app/verbs/bench/bench_tools.h"
+#include "app/bench/bench_tools.h"
 
 #include "app/allocation_count.h"
 #include "system/shared_files.h"

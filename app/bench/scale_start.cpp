@@ -1,4 +1,4 @@
-#include "app/verbs/bench/scale_start.h"
+#include "app/bench/scale_start.h"
 
 #include <fmt/format.h>
 #include <sched.h>

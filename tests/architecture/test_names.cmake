@@ -1,0 +1,13 @@
+# Looks at the name of every test that CTest lists: -DCTEST -DBUILD_DIR
+execute_process(COMMAND ${CTEST} -N WORKING_DIRECTORY ${BUILD_DIR} OUTPUT_VARIABLE list COMMAND_ERROR_IS_FATAL ANY)
+string(REGEX MATCHALL "Test +#[^\n]*" names "${list}")
+list(LENGTH names count)
+if(count LESS 20)
+  message(FATAL_ERROR "only ${count} tests were listed:\n${list}")
+endif()
+string(REGEX MATCHALL "Test +#[^\n]*(byte object|GetParam|/[0-9]+(\n|$))[^\n]*" unreadable "${list}")
+if(unreadable)
+  list(JOIN unreadable "\n" text)
+  message(FATAL_ERROR "INSTANTIATE_TEST_SUITE_P needs a name for each case:\n${text}")
+endif()
+message("${count} names")

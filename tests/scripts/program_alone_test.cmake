@@ -1,0 +1,12 @@
+# What building the program alone compiles, which is all that the demo needs: no studies, laws, cases or tests. -DNINJA -DBUILD_DIR
+execute_process(COMMAND ${NINJA} -C ${BUILD_DIR} -t commands semfield_app OUTPUT_VARIABLE commands COMMAND_ERROR_IS_FATAL ANY)
+string(REGEX MATCHALL " -o [^ ;]+\\.o " objects "${commands}")
+list(LENGTH objects count)
+if(count LESS 50)
+  message(FATAL_ERROR "only ${count} objects were found in the commands")
+endif()
+list(FILTER objects INCLUDE REGEX " -o (bench|tests|app/bench|framework/testkit|python)/")
+if(objects)
+  message(FATAL_ERROR "the program alone compiles what the demo does without:\n${objects}")
+endif()
+message("${count} objects")
