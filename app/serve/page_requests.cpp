@@ -162,20 +162,24 @@ ExportKind parse_export_request(std::string_view json) {
   refuse_value("what", "labels, coco or mesh", *what);
 }
 
-std::uint64_t query_number(std::string_view query, std::string_view key, std::uint64_t otherwise, std::uint64_t most) {
+std::optional<std::string_view> query_value(std::string_view query, std::string_view key) {
   while (!query.empty()) {
     const std::string_view part = query.substr(0, query.find('&'));
     query.remove_prefix(std::min(query.size(), part.size() + 1));
     const std::size_t equals = part.find('=');
-    if (part.substr(0, equals) != key) continue;
-    const std::string_view digits = equals == std::string_view::npos ? std::string_view() : part.substr(equals + 1);
-    std::uint64_t value = 0;
-    const auto [end, cause] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
-    if (cause != std::errc() || end != digits.data() + digits.size() || value > most)
-      refuse("'" + std::string(key) + "': expected a whole number from 0 to " + std::to_string(most));
-    return value;
+    if (part.substr(0, equals) == key) return equals == std::string_view::npos ? "" : part.substr(equals + 1);
   }
-  return otherwise;
+  return std::nullopt;
+}
+
+std::uint64_t query_number(std::string_view query, std::string_view key, std::uint64_t otherwise, std::uint64_t most) {
+  const std::optional<std::string_view> digits = query_value(query, key);
+  if (!digits) return otherwise;
+  std::uint64_t value = 0;
+  const auto [end, cause] = std::from_chars(digits->data(), digits->data() + digits->size(), value);
+  if (cause != std::errc() || end != digits->data() + digits->size() || value > most)
+    refuse("'" + std::string(key) + "': expected a whole number from 0 to " + std::to_string(most));
+  return value;
 }
 
 }  // namespace semfield::app

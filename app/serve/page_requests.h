@@ -1,6 +1,7 @@
 // What the page asks for, as it comes over the wire: JSON of pictures and exports, numbers of queries.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -19,8 +20,10 @@ const char* export_name(ExportKind kind);
 /// Throws as parse_picture_request does.
 ExportKind parse_export_request(std::string_view json);
 
-/// Value of `key` in a query "a=1&b=2", a whole number from 0 to `most`; `otherwise` where it is missing. Throws
-/// Error(data).
+/// Value of `key` in a query "a=1&b=2"; none where it is missing.
+std::optional<std::string_view> query_value(std::string_view query, std::string_view key);
+
+/// The same as a whole number from 0 to `most`; `otherwise` where it is missing. Throws Error(data).
 std::uint64_t query_number(std::string_view query, std::string_view key, std::uint64_t otherwise, std::uint64_t most);
 
 }  // namespace semfield::app

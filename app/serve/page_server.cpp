@@ -118,7 +118,8 @@ HttpResponse PageServer::get_state(const HttpRequest& request) const {
     const bool last = left.count() <= 0 || stopping_ || after == 0;
     const auto state = last ? source_.state() : source_.wait_state(known, std::min(kStateLook, left));
     if (last || state->revision + exported > after)
-      return json(state_json(*state, source_, exports_.list(), known, {first, first + state->revision + exported}));
+      return json(state_json(*state, source_, exports_.list(), options_.run_id, known,
+                             {first, first + state->revision + exported}));
   }
 }
 
@@ -138,9 +139,12 @@ int PageServer::view_of(const HttpRequest& request) const {
 
 HttpResponse PageServer::get_photo(const HttpRequest& request) const {
   const auto most = static_cast<std::int32_t>(query_number(request.query, "most_px", 0, kMostPictureSide));
-  const std::vector<std::uint8_t> jpeg = photo_jpeg(source_.photo(view_of(request)), most);
+  const int view = view_of(request);
+  const std::vector<std::uint8_t> jpeg = photo_jpeg(source_.photo(view), most);
   HttpResponse response{200, kJpeg, std::string(jpeg.begin(), jpeg.end())};
-  response.cache = kForEver;
+  // The run may be opened again with another image in the view's place, which then has another address.
+  if (query_value(request.query, "photo") == source_.state()->views[static_cast<std::size_t>(view)].photo)
+    response.cache = kForEver;
   return response;
 }
 

@@ -21,6 +21,7 @@ struct PageOptions {
   std::map<std::string, PageFile> files;
   std::uint64_t first_revision = 0;  ///< added to every revision; above all of an earlier server of the run
   std::string token;                 ///< new_token()
+  std::string run_id;                ///< kept_run_id()
   int longest_poll_ms = 20000;       ///< how long a request for news waits
 };
 

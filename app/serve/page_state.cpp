@@ -11,8 +11,9 @@ using Json = nlohmann::ordered_json;
 // Texts of files and folders may be no UTF-8; numbers that are none become null.
 std::string text_of(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
 
-Json run_json(const LabelState& s) {
-  return {{"name", s.name},
+Json run_json(const LabelState& s, const std::string& id) {
+  return {{"id", id},
+          {"name", s.name},
           {"folder", s.run_dir},
           {"device", s.device},
           {"step", s.step},
@@ -32,8 +33,8 @@ Json class_json(const ClassState& c) {
 }
 
 Json view_json(const ViewState& v) {
-  return {{"frame", v.frame},   {"width", v.width_px},  {"height", v.height_px},
-          {"clicks", v.clicks}, {"entropy", v.entropy}, {"ready", v.ready}};
+  return {{"frame", v.frame},     {"width", v.width_px}, {"height", v.height_px}, {"clicks", v.clicks},
+          {"entropy", v.entropy}, {"ready", v.ready},    {"photo", v.photo}};
 }
 
 Json mark_json(const Annotations::Mark& mark, const PageSource& source) {
@@ -62,12 +63,12 @@ Json list(const Items& items, ToJson&& to_json) {
 }  // namespace
 
 std::string state_json(const LabelState& s, const PageSource& source, const std::vector<ExportState>& exports,
-                       std::uint64_t known, const PageRevision& revision) {
+                       const std::string& run_id, std::uint64_t known, const PageRevision& revision) {
   Json out;
   out["revision"] = revision.now;
   out["overlay"] = {{"revision", revision.first + s.overlay_revision}, {"events", s.overlay_events}};
   out["events"] = s.events;
-  out["run"] = run_json(s);
+  out["run"] = run_json(s, run_id);
   out["room"] = {{"named", s.named}, {"most", s.room}};
   out["classes"] = list(s.classes, class_json);
   out["views"] = list(s.views, view_json);
@@ -84,6 +85,7 @@ std::string state_json(const LabelState& s, const PageSource& source, const std:
     return Json{{"id", e.id}, {"what", e.what}, {"state", e.state}, {"text", e.text}, {"files", e.files}};
   });
   out["notes"] = s.notes;
+  out["trouble"] = s.trouble;
   out["failure"] = s.failure;
   return text_of(out);
 }

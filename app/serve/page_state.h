@@ -22,9 +22,10 @@ struct PageRevision {
   std::uint64_t now = 0;    ///< what the client gives back as `after`
 };
 
-/// `known`: the session's revision that the client has seen, 0 for none: marks and history that are no newer are null.
+/// `run_id`: kept_run_id(). `known`: the session's revision that the client has seen, 0 for none: marks and history
+/// that are no newer are null.
 std::string state_json(const LabelState& state, const PageSource& source, const std::vector<ExportState>& exports,
-                       std::uint64_t known, const PageRevision& revision);
+                       const std::string& run_id, std::uint64_t known, const PageRevision& revision);
 
 /// {"position", "rotation", "fov_deg"}, as pictures of a free camera ask for it.
 std::string camera_json(const FreeCamera& camera);

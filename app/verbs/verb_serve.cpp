@@ -14,6 +14,7 @@
 #include "app/child_process.h"
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_server.h"
+#include "app/serve/run_id.h"
 #include "app/signals.h"
 #include "core/text.h"
 #include "run/run_folder.h"
@@ -162,6 +163,7 @@ int run(const ServeOptions& options, AppContext& context) {
                 "give it a table of fewer classes: scene.classes");
   SessionSource source(session);
   page.exports.run_dir = session.run_dir();
+  page.run_id = kept_run_id(session.run_dir());  // before the token, which a copy of a run does not keep
   page.token = kept_token(session.run_dir());
   PageServer server(source, std::move(page));
   if (context.json) {
@@ -170,14 +172,19 @@ int run(const ServeOptions& options, AppContext& context) {
     std::printf("serve: open %s in a browser\n", server.url().c_str());
     std::fflush(stdout);
   }
-  {
+  try {
     const SignalWatch watch(session, server, context);
     session.run();
+  } catch (Error& error) {
+    error.while_doing("stopped; every label is stored, and the run goes on from its last checkpoint with: " + go_on);
+    throw;
+  }
+  if (std::optional<Error> failure = session.failure()) {
+    failure->while_doing(
+        "training has ended; every label is stored, and the run goes on from its last checkpoint with: " + go_on);
+    throw *failure;
   }
   const std::shared_ptr<const LabelState> state = session.state();
-  if (!state->failure.empty())
-    throw Error(ErrorKind::failure, "training ended with an error: " + state->failure,
-                "every label is stored; go on from the last checkpoint with: " + go_on);
   print_note(context, fmt::format("stopped at step {} with {} labels, all saved; go on with: {}", state->step,
                                   state->marks.size(), go_on));
   return 128 + stop_signal();

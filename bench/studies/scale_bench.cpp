@@ -184,7 +184,7 @@ class ScaleBench {
         reference = run;
       } else {
         Diagnostics diagnostics;
-        bits.difference = compare_runs(reference, run, diagnostics).difference;
+        bits.difference = compare_runs(reference, run, tools_.study.registry, diagnostics).difference;
         remove(run);
       }
       results_.bits.push_back(std::move(bits));

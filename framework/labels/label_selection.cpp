@@ -83,9 +83,11 @@ void describe(ParamVisitor& visit, LabelParams& p) {
                  "how they are chosen: evenly spaced key-frames, at random, by name, or those that show most classes");
   SEMFIELD_PARAM(visit, p, seed, "seed of the random choice", {0, 9e15});
   SEMFIELD_PARAM(visit, p, names, "names of the frames, for mode named");
-  SEMFIELD_PARAM(visit, p, clicks,
-                 "clicks.jsonl of the labelling page: its clicks are painted over the labels that train, also with "
-                 "frames: none, and its classes are added; with class_room the file need not be there yet");
+  SEMFIELD_PARAM(
+      visit, p, clicks,
+      "clicks.jsonl of the labelling page: its clicks are painted over the labels that train, also with "
+      "frames: none, and its classes are added; with class_room the file need not be there yet. In a run.yaml "
+      "'clicks.jsonl' is the file in the run's own folder, wherever that is");
   SEMFIELD_PARAM(visit, p, class_room,
                  "classes that the network has logits for from the start; those without a name are called 'unnamed ID' "
                  "until clicks name them, and label_balanced waits for the first label; 0: the classes there are",

@@ -23,7 +23,7 @@ struct LabelParams {
   LabelMode mode = LabelMode::even;
   std::int64_t seed = 1;
   std::vector<std::string> names;
-  std::string clicks;  ///< label events (labels/clicks) painted over the labels; absolute
+  std::string clicks;  ///< label events (labels/clicks) painted over the labels; see LabelConfig::click_file
   int class_room = 0;
 };
 void describe(ParamVisitor& visit, LabelParams& params);

@@ -110,6 +110,10 @@ void take_table(LoadedScene& scene, const ClassTable& table) {
 
 }  // namespace
 
+std::string LabelConfig::click_file() const {
+  return selection.clicks.empty() ? "" : (std::filesystem::path(run_dir) / selection.clicks).string();
+}
+
 bool LabelConfig::needs_instances() const {
   return std::any_of(degrade.begin(), degrade.end(), [](const Step& s) { return s.degradation->needs_instances(); });
 }
@@ -148,15 +152,16 @@ void open_reader(LoadedScene& scene, const LabelConfig& config, Diagnostics& dia
   }
 }
 
-Annotations read_clicks(const SceneInfo& scene, const LabelParams& params, Diagnostics& diagnostics) {
+Annotations read_clicks(const SceneInfo& scene, const LabelConfig& config, Diagnostics& diagnostics) {
+  const std::string file = config.click_file();
+  const int room = config.selection.class_room;
   Diagnostics found;
   std::vector<LabelEvent> events;
   std::error_code unknown;
   try {
-    if (!params.clicks.empty() && (params.class_room == 0 || std::filesystem::exists(params.clicks, unknown)))
-      events = read_click_log(params.clicks, found);
+    if (!file.empty() && (room == 0 || std::filesystem::exists(file, unknown))) events = read_click_log(file, found);
     for (const Diagnostic& d : found.all()) diagnostics.warning("scene.labels.clicks: " + d.where, d.message, d.remedy);
-    return replay(scene, params.class_room, events, params.clicks);
+    return replay(scene, room, events, file);
   } catch (const Error& e) {
     throw Error(e.kind(), "scene.labels.clicks: " + e.message(), e.remedy());
   }
@@ -167,7 +172,7 @@ Annotations read_clicks(const SceneInfo& scene, const LabelParams& params, Diagn
 void open_label_files(LoadedScene& scene, LabelConfig& config, Diagnostics& diagnostics) {
   if (config.from.reader) open_reader(scene, config, diagnostics);
   if (diagnostics.has_errors() || (config.selection.clicks.empty() && config.selection.class_room == 0)) return;
-  config.clicks = read_clicks(scene.info, config.selection, diagnostics);
+  config.clicks = read_clicks(scene.info, config, diagnostics);
   take_table(scene, config.clicks->classes());
 }
 

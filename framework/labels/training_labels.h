@@ -24,6 +24,9 @@ struct LabelConfig {
     std::unique_ptr<Degradation> degradation;
   };
   std::vector<Step> degrade;  ///< applied in order
+  std::string run_dir;        ///< absolute; where a relative selection.clicks starts, which is the run's own file
+  /// The path of selection.clicks; "" where it names none.
+  std::string click_file() const;
   /// What selection.clicks tells, once open_label_files has read it; none without the keys clicks and class_room.
   std::optional<Annotations> clicks;
   bool needs_instances() const;

@@ -2,6 +2,7 @@
 #include "plugin/module_file.h"
 
 #include <elf.h>
+#include <fmt/format.h>
 #include <link.h>
 
 #include <algorithm>
@@ -12,6 +13,8 @@
 #include <string_view>
 
 #include "plugin/module.h"
+#include "system/checksum.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -115,6 +118,29 @@ void check_module_file(const std::string& path, const std::string& doing) {
     check_interface(stamp.api, tag);
   } catch (Error& error) {
     throw error.while_doing(doing);
+  }
+}
+
+std::map<std::string, std::string> module_checksums(const std::vector<std::string>& files) {
+  std::map<std::string, std::string> checksums;
+  for (const std::string& file : files) {
+    const std::string bytes = read_text_file(file, std::size_t{1} << 32);
+    checksums[std::filesystem::path(file).filename().string()] =
+        fmt::format("{:08x}, {} bytes", crc32c(std::as_bytes(std::span(bytes))), bytes.size());
+  }
+  return checksums;
+}
+
+void warn_of_other_modules(const std::map<std::string, std::string>& trained, const std::vector<std::string>& files,
+                           Diagnostics& diagnostics) {
+  for (const auto& [name, checksum] : module_checksums(files)) {
+    const auto before = trained.find(name);
+    if (before == trained.end() || before->second == checksum) continue;
+    diagnostics.warning(name,
+                        fmt::format("the file of this plugin is not the one that the run was trained with: its "
+                                    "CRC-32C is {} where it was {}; results may differ",
+                                    checksum, before->second),
+                        "load the file of then, or train anew");
   }
 }
 

@@ -158,7 +158,16 @@ MetricsLog::~MetricsLog() {
   if (descriptor_ >= 0) ::close(descriptor_);
 }
 
-void MetricsLog::append(const MetricsRow& row) { append_all(descriptor_, path_, metrics_line(row) + "\n"); }
+void MetricsLog::append(const MetricsRow& row) {
+  const off_t before = ::lseek(descriptor_, 0, SEEK_END);
+  try {
+    append_all(descriptor_, path_, metrics_line(row) + "\n");
+  } catch (const Error&) {
+    // A part of a row would spoil the next one.
+    if (before >= 0 && ::ftruncate(descriptor_, before) != 0) throw write_error("shorten", path_, errno);
+    throw;
+  }
+}
 
 void MetricsLog::sync() { sync_file(descriptor_, path_); }
 

@@ -48,6 +48,7 @@ class MetricsLog {
   MetricsLog(MetricsLog&& other) noexcept;
   MetricsLog& operator=(MetricsLog&&) = delete;
   ~MetricsLog();
+  /// Throws write_error; nothing of the row stays then, and a later call may succeed.
   void append(const MetricsRow& row);
   /// Makes the rows so far outlive a power cut; a checkpoint is written only after its rows.
   void sync();

@@ -3,6 +3,8 @@
 #include <optional>
 
 #include "core/text.h"
+#include "labels/clicks/click_file.h"
+#include "plugin/module_file.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 #include "run/run_resume.h"
@@ -26,6 +28,7 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   const CheckpointFacts facts = read_checkpoint_facts(found->file, found->step);
   RunConfig config = load_run_config(folder.config_path(), overrides, registry);
   require_scene_places(config, run_dir);
+  require_clicks({true, facts.clicks}, config.labels, run_dir, diagnostics);
   SessionOptions options;
   options.trained_classes = facts.classes;
   options.trainable = false;
@@ -36,9 +39,11 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   options.known = facts.scene;
   options.pixels = purpose != OpenFor::rendering;
   options.labels = purpose == OpenFor::evaluation_of_training_frames;
-  const bool same_scene = asks_for_the_scene_of_training(facts, config, registry);
+  const bool same_scene = compare_settings_with_training(facts, config, folder, overrides, registry, diagnostics);
   run.session = open_session(std::move(config), registry, options, diagnostics);
-  if (facts.inputs && same_scene) warn_of_other_inputs(*facts.inputs, scene_inputs(run.session.scene), diagnostics);
+  if (facts.inputs && same_scene)
+    warn_of_other_inputs(*facts.inputs, scene_inputs(run.session.scene, run.session.labels), diagnostics);
+  warn_of_other_modules(facts.modules, run.session.config.plugins, diagnostics);
   load_pipeline(*run.session.pipeline, found->file);
   run.step = facts.step;
   run.train_s = facts.train_s;

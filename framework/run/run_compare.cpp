@@ -8,6 +8,7 @@
 #include "core/text.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
+#include "run/run_resume.h"
 #include "session/checkpoint_facts.h"
 #include "settings/run_identity.h"
 
@@ -18,18 +19,49 @@ namespace {
 struct Side {
   TensorFile file;
   CheckpointFacts facts;
+  std::optional<ConfigNode> settings;  // of the checkpoint, with defaults of now; none: this program cannot read them
+  ConfigNode text() const { return parse_config_text(facts.config, file.name()); }
 };
 
-Side read_side(const std::string& folder, Diagnostics& diagnostics) {
+std::vector<ConfigDifference> changes_of_identity(const ConfigNode& a, const ConfigNode& b) {
+  std::vector<ConfigDifference> changes = changed_settings(a, b);
+  std::erase_if(changes, [](const ConfigDifference& change) { return !is_part_of_identity(change.key); });
+  return changes;
+}
+
+// Those of the checkpoint are what trained. `config diff` compares run.yaml, so one that says something else is told.
+std::optional<ConfigNode> settings_of(const RunFolder& folder, const Side& side, Registry& registry,
+                                      Diagnostics& diagnostics) {
+  std::optional<RunConfig> written, trained;
+  try {
+    written = load_run_config(folder.config_path(), {}, registry);
+    trained = settings_of_checkpoint(side.facts, registry);
+  } catch (const Error&) {  // a plugin that is not loaded, for one: then their texts are compared
+  }
+  if (!written || !trained) return std::nullopt;
+  ConfigNode settings = resolved_config(*trained);
+  std::string edited;
+  for (const ConfigDifference& change : changes_of_identity(settings, resolved_config(*written)))
+    edited += (edited.empty() ? "" : ", ") + change.text();
+  if (!edited.empty()) {
+    diagnostics.warning(folder.config_path(), "it is not as the run was trained: " + edited,
+                        "restore it; the settings in the checkpoints are compared");
+  }
+  return settings;
+}
+
+Side read_side(const std::string& run_dir, Registry& registry, Diagnostics& diagnostics) {
+  const RunFolder folder = RunFolder::read(run_dir);
   std::optional<CheckpointStore::Found> found =
-      CheckpointStore::read(RunFolder::read(folder).checkpoints_path()).find_latest(diagnostics);
+      CheckpointStore::read(folder.checkpoints_path()).find_latest(diagnostics);
   if (!found) {
-    throw Error(ErrorKind::no_input, folder + ": the run has no checkpoint yet",
-                "train it from step 0 with `semfield train --resume " + shell_word(folder) + "`");
+    throw Error(ErrorKind::no_input, run_dir + ": the run has no checkpoint yet",
+                "train it from step 0 with `semfield train --resume " + shell_word(run_dir) + "`");
   }
   Side side;
   side.facts = read_checkpoint_facts(found->file, found->step);
   side.file = std::move(found->file);
+  side.settings = settings_of(folder, side, registry, diagnostics);
   return side;
 }
 
@@ -55,14 +87,14 @@ std::string difference_of_tensors(const TensorFile& a, const TensorFile& b) {
 }
 
 std::string first_difference(const Side& a, const Side& b) {
-  const ConfigNode left = parse_config_text(a.facts.config, a.file.name()),
-                   right = parse_config_text(b.facts.config, b.file.name());
-  for (const ConfigDifference& change : changed_settings(left, right)) {
-    if (is_part_of_identity(change.key)) return change.text();
-  }
+  const bool read = a.settings && b.settings;
+  const std::vector<ConfigDifference> changes =
+      changes_of_identity(read ? *a.settings : a.text(), read ? *b.settings : b.text());
+  if (!changes.empty()) return changes.front().text();
   if (a.facts.classes != b.facts.classes) return "the class tables differ";
-  if (a.facts.inputs && b.facts.inputs && a.facts.inputs->hash() != b.facts.inputs->hash()) {
-    return "the scenes differ in frames, cameras or images";
+  if (a.facts.inputs && b.facts.inputs) {
+    const std::vector<std::string> others = other_inputs(*a.facts.inputs, *b.facts.inputs);
+    if (!others.empty()) return "the scenes differ: " + join(others);
   }
   if (a.facts.step != b.facts.step) return fmt::format("step: {} -> {}", a.facts.step, b.facts.step);
   return difference_of_tensors(a.file, b.file);
@@ -70,8 +102,9 @@ std::string first_difference(const Side& a, const Side& b) {
 
 }  // namespace
 
-RunComparison compare_runs(const std::string& folder_a, const std::string& folder_b, Diagnostics& diagnostics) {
-  const Side a = read_side(folder_a, diagnostics), b = read_side(folder_b, diagnostics);
+RunComparison compare_runs(const std::string& folder_a, const std::string& folder_b, Registry& registry,
+                           Diagnostics& diagnostics) {
+  const Side a = read_side(folder_a, registry, diagnostics), b = read_side(folder_b, registry, diagnostics);
   return {first_difference(a, b), a.facts.step, a.file.tensors().size()};
 }
 

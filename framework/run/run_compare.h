@@ -5,6 +5,7 @@
 #include <string>
 
 #include "core/error.h"
+#include "plugin/registry.h"
 
 namespace semfield {
 
@@ -15,8 +16,10 @@ struct RunComparison {
 };
 
 /// Compares, in this order: settings that are part of a run's identity, class tables, inputs, steps, tensors. Times,
-/// threads, places of files and what reports show do not count. Throws Error(no_input) for a folder without a
+/// threads, places of files and what reports show do not count. Settings are those of the checkpoints; a run.yaml that
+/// says other ones is a warning. Throws Error(no_input) for a folder without a
 /// checkpoint.
-RunComparison compare_runs(const std::string& folder_a, const std::string& folder_b, Diagnostics& diagnostics);
+RunComparison compare_runs(const std::string& folder_a, const std::string& folder_b, Registry& registry,
+                           Diagnostics& diagnostics);
 
 }  // namespace semfield

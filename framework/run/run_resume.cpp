@@ -4,8 +4,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <set>
 
+#include "config/compose.h"
 #include "core/text.h"
+#include "plugin/module_file.h"
 #include "run/checkpoint_store.h"
 #include "settings/run_identity.h"
 
@@ -33,7 +36,8 @@ void require_same_run(const std::vector<ConfigDifference>& identity, const RunFo
                           shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
 }
 
-// None when a program of another version wrote them and they cannot be read.
+}  // namespace
+
 std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry) {
   try {
     Diagnostics diagnostics;
@@ -45,8 +49,6 @@ std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Re
   }
   return std::nullopt;
 }
-
-}  // namespace
 
 ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, Registry& registry,
                               Diagnostics& diagnostics) {
@@ -74,19 +76,55 @@ ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, 
 void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
                            Diagnostics& diagnostics) {
   if (facts.inputs) warn_of_other_inputs(*facts.inputs, inputs, diagnostics);
+  warn_of_other_modules(facts.modules, session.config.plugins, diagnostics);
   if (!facts.scene) return;
-  Diagnostics ignored;  // clicks are meant to come
+  // Clicks are meant to come, and other labels are told already where both checksums are known.
+  const bool told = facts.inputs && !facts.inputs->training_labels.value_or("").empty() &&
+                    !inputs.training_labels.value_or("").empty();
+  Diagnostics ignored;
   compare_training_labels(*facts.scene, session.manifest, session.scene.info.classes, session.config.runtime.keep,
-                          session.config.labels.clicks ? ignored : diagnostics);
+                          told || session.config.labels.clicks ? ignored : diagnostics);
 }
 
-bool asks_for_the_scene_of_training(const CheckpointFacts& facts, const RunConfig& config, Registry& registry) {
+namespace {
+
+// Keys that --set gives.
+std::set<std::string> keys_set(const std::string& config_path, const std::vector<std::string>& overrides) {
+  std::set<std::string> keys;
+  for (const ConfigSetting& setting : config_settings(compose_config(config_path, overrides)))
+    if (setting.from.starts_with("--")) keys.insert(setting.key);
+  return keys;
+}
+
+}  // namespace
+
+bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
+                                    const std::vector<std::string>& overrides, Registry& registry,
+                                    Diagnostics& diagnostics) {
   const std::optional<RunConfig> trained = settings_of_checkpoint(facts, registry);
   if (!trained) return true;
-  const std::vector<ConfigDifference> changes = changed_settings(resolved_config(*trained), resolved_config(config));
-  return std::none_of(changes.begin(), changes.end(), [](const ConfigDifference& change) {
-    return change.key.starts_with("scene.") && is_part_of_identity(change.key);
-  });
+  const std::set<std::string> on_purpose = keys_set(folder.config_path(), overrides);
+  bool same_scene = true;
+  std::vector<std::string> edited, asked;
+  std::string back, keep;
+  for (const ConfigDifference& change : changed_settings(resolved_config(*trained), resolved_config(config))) {
+    if (may_change_on_resume(change.key)) continue;
+    same_scene = same_scene && !change.key.starts_with("scene.");
+    if (on_purpose.contains(change.key)) {
+      asked.push_back(change.text());
+      continue;
+    }
+    edited.push_back(change.text());
+    back += set_text(change.key, change.left);
+    keep += set_text(change.key, change.right);
+  }
+  if (!edited.empty()) {
+    throw Error(
+        ErrorKind::config, fmt::format("'{}' is not as the run was trained: {}", folder.config_path(), join(edited)),
+        fmt::format("for the settings of training add{}, or restore the file; for the file's add{}", back, keep));
+  }
+  if (!asked.empty()) diagnostics.note("settings", "other ones than the run was trained with: " + join(asked));
+  return same_scene;
 }
 
 }  // namespace semfield

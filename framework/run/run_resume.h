@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "config/explain.h"
-#include "session/checkpoint_facts.h"
 #include "run/run_folder.h"
+#include "session/checkpoint_facts.h"
 #include "session/session.h"
 #include "settings/run_config.h"
 
@@ -25,11 +25,18 @@ struct ResumePoint {
 ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, Registry& registry,
                               Diagnostics& diagnostics);
 
-/// Warns of other inputs and other labels than the checkpoint's; Error(data) where classes have changed places.
+/// None when a program of another version wrote them and they cannot be read.
+std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry);
+
+/// Warns of other inputs, labels and modules than the checkpoint's; Error(data) where classes have changed places.
 void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
                            Diagnostics& diagnostics);
 
-/// False where `config` asks for other frames, sizes or bounds than those of training: then other inputs are no news.
-bool asks_for_the_scene_of_training(const CheckpointFacts& facts, const RunConfig& config, Registry& registry);
+/// For a run that is looked at by `config`, its run.yaml with `overrides`: throws Error(config) naming each setting of
+/// the run's identity that run.yaml says otherwise than the checkpoint, and notes those that `overrides` say otherwise.
+/// False where they ask for other frames, sizes or bounds than those of training: then other inputs are no news.
+bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
+                                    const std::vector<std::string>& overrides, Registry& registry,
+                                    Diagnostics& diagnostics);
 
 }  // namespace semfield

@@ -5,7 +5,7 @@
 #include <filesystem>
 #include <utility>
 
-#include "core/findings.h"
+#include "labels/clicks/click_file.h"
 #include "settings/run_identity.h"
 #include "system/files.h"
 
@@ -24,7 +24,7 @@ OpenedForTraining open(RunConfig config, Registry& registry, const RunSessionOpt
   request.keep = options.keep;
   LabelParams& labels = config.labels.selection;
   if (labels.clicks.empty() && labels.class_room > 0 && !options.run_dir.empty())
-    labels.clicks = (fs::absolute(options.run_dir) / "clicks.jsonl").string();
+    labels.clicks = (fs::absolute(options.run_dir) / kClickFile).string();
   if (options.run_dir.empty() && !config.self_training.at.empty())
     throw Error(ErrorKind::usage,
                 "train.self_training: its rounds are written to the run's folder, and this run has none",
@@ -50,7 +50,6 @@ RunSession::RunSession(OpenedForTraining opened, Registry& registry, TrainingLis
       annotations_(session().config.labels.clicks) {
   const WorkSettings work = session().work();
   const WorkScope scope(work);
-  if (!session().config.labels.selection.clicks.empty()) open_clicks();
   if (!folder_) return;
   self_training_.resume(opened.point.step(), opened.point.facts ? opened.point.facts->self_labels : "");
   if (opened.point.facts) training_.load(opened.point.path);
@@ -59,15 +58,9 @@ RunSession::RunSession(OpenedForTraining opened, Registry& registry, TrainingLis
   log_.emplace(MetricsLog::resume(folder_->metrics_path(), training_.step()));
 }
 
-// The file may have grown since the scene was opened by it.
-void RunSession::open_clicks() {
-  Diagnostics findings;
-  clicks_.emplace(ClickLog::open(session().config.labels.selection.clicks, findings));
-  for (const Diagnostic& finding : folded(findings)) listener_.note(finding.text());
-}
-
 void RunSession::write_records(const RunFolder& folder, const ResumePoint& point) {
   write_run_records(folder, training_, registry_, point);
+  classes_written_ = session().scene.info.classes.to_yaml();
   write_label_counts(folder, session(), self_training_);
 }
 
@@ -143,9 +136,14 @@ std::string RunSession::save(const std::string& run_dir) {
 }
 
 bool RunSession::apply(const LabelEvent& event) {
-  if (!annotations_ || !clicks_)
+  const LabelConfig& labels = session().config.labels;
+  if (!annotations_ || labels.selection.clicks.empty())
     throw Error(ErrorKind::usage, "the run has no file of clicks",
                 "open it with a folder and scene.labels.class_room, or with scene.labels.clicks");
+  if (!clicks_) {  // not before somebody clicks: to learn from another run's clicks is no reason to hold their file
+    Diagnostics ignored;  // told when the scene was opened by the file
+    clicks_.emplace(open_click_log(labels, run_dir(), ignored));
+  }
   Annotations next = *annotations_;
   if (!next.apply(event)) return false;
   std::vector<int> frames = annotations_->frames_with_marks();
@@ -159,8 +157,20 @@ bool RunSession::apply(const LabelEvent& event) {
     throw;
   }
   annotations_ = std::move(next);
-  if (folder_) write_file_atomic(folder_->classes_path(), session().scene.info.classes.to_yaml());
+  write_classes();
   return true;
+}
+
+// The event is stored already: a file that cannot be written now is written with a later one.
+void RunSession::write_classes() {
+  const std::string classes = session().scene.info.classes.to_yaml();
+  if (!folder_ || classes == classes_written_) return;
+  try {
+    write_file_atomic(folder_->classes_path(), classes);
+    classes_written_ = classes;
+  } catch (const Error& error) {
+    listener_.warning(std::string("classes.yaml is behind the classes: ") + error.what());
+  }
 }
 
 }  // namespace semfield

@@ -56,7 +56,7 @@ class RunSession {
   RunSession(OpenedForTraining opened, Registry& registry, TrainingListener& listener);
   void write_records(const RunFolder& folder, const ResumePoint& point);
   std::string write_checkpoint(const RunFolder& folder);
-  void open_clicks();
+  void write_classes();
 
   Registry& registry_;
   TrainingListener& listener_;
@@ -68,7 +68,8 @@ class RunSession {
   std::optional<MetricsLog> log_;
   std::optional<Annotations> annotations_;
   std::optional<ClickLog> clicks_;
-  std::string saved_in_;  // of a run without a folder
+  std::string classes_written_;  // what classes.yaml holds
+  std::string saved_in_;         // of a run without a folder
   std::string last_saved_;
 };
 

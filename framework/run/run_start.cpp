@@ -9,6 +9,7 @@
 #include <optional>
 
 #include "compute/parallel.h"
+#include "labels/clicks/click_file.h"
 #include "run/leave_out_proofs.h"
 #include "settings/run_identity.h"
 #include "system/files.h"
@@ -64,6 +65,7 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
   options.probe = true;
   options.ranks = request.ranks;
   if (config.report.training_frames > 0) options.depth = DepthKept::all;
+  if (!request.out_dir.empty()) settle_click_file(config.labels, request.out_dir);
   // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
   std::optional<RunFolder> folder;
   ResumePoint point;
@@ -72,10 +74,12 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
     keep_components(config, request.keep);
     point = find_resume_point(*folder, config, registry, diagnostics);
     require_scene_places(config, folder->path());
+    require_clicks({point.facts.has_value(), point.facts ? point.facts->clicks : std::nullopt}, config.labels,
+                   folder->path(), diagnostics);
     if (point.facts) options.trained_classes = point.facts->classes;
   }
   Session session = open_session(std::move(config), registry, options, diagnostics);
-  SceneInputs inputs = scene_inputs(session.scene);
+  SceneInputs inputs = scene_inputs(session.scene, session.labels);
   if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
   tell_findings(listener, diagnostics, session);
   if (request.out_dir.empty()) return {std::nullopt, std::move(session), std::move(inputs), std::move(point)};

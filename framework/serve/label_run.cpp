@@ -22,7 +22,9 @@ constexpr double kFirstTendingShare = 0.5;   // until then
 constexpr double kLookedAtShare = 0.5;       // of the time of training, for the view that somebody looks at
 constexpr std::size_t kMostHistory = 600;
 constexpr double kHistoryEvery_s = 1;
-constexpr std::size_t kGivenPixels = 48;  // of a class in a frame whose labels the configuration gives
+constexpr double kKeepAgain_s = 5;              // after files could not be written
+constexpr std::size_t kMostUnwritten = 100000;  // rows of the log, while they cannot be written
+constexpr std::size_t kGivenPixels = 48;        // of a class in a frame whose labels the configuration gives
 constexpr std::size_t kMostGiven = 6000;
 constexpr double kGivenWeight = 0.1;  // where a click is 1: who clicks beside given labels corrects them
 
@@ -51,6 +53,7 @@ LabelRun::LabelRun(OpenedForTraining opened, const Registry& registry, TrainingL
       pictures_(training_, loop_),
       checkpoints_(folder_.checkpoints_path(), training_.session().config.report.keep_checkpoints) {
   write_run_records(folder_, training_, registry, opened.point);
+  classes_ = classes_written_ = session().scene.info.classes.to_yaml();
   if (opened.point.facts) {
     training_.load(opened.point.path);
     saved_step_ = training_.step();
@@ -116,7 +119,7 @@ void LabelRun::take(const Annotations& annotations) {
   if (!changed.empty() && taken_) changed_step_ = training_.step();
   taken_ = true;
   marked_ = sums;
-  write_file_atomic(folder_.classes_path(), session().scene.info.classes.to_yaml());
+  classes_ = session().scene.info.classes.to_yaml();
   clicks_ = given_;
   for (LabelledPixels& named : named_by(annotations)) clicks_.push_back(std::move(named));
   marks_ = annotations.marks().size();
@@ -201,7 +204,7 @@ void LabelRun::record(std::span<const StepLosses> steps) {
     row.set("psnr", -10 * std::log10(mse_));
     row.set("rays_per_s", rays_per_s_);
     row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(session().config.train.rays));
-    log_->append(row);
+    if (rows_.size() < kMostUnwritten) rows_.push_back(std::move(row));
   }
   if (!history_.empty() && training_.train_s() - history_.back().train_s < kHistoryEvery_s) return;
   history_.push_back({training_.train_s(), loss_, -10 * std::log10(mse_), static_cast<int>(marks_)});
@@ -304,18 +307,29 @@ void LabelRun::summarise() {
   }
 }
 
-bool LabelRun::save_is_due() const {
+bool LabelRun::checkpoint_is_due() const {
   const double every = session().config.report.checkpoint_every_s;
   return every > 0 && training_.step() != saved_step_ && seconds_since(last_save_) >= every;
 }
 
-void LabelRun::save() {
-  const std::vector<TensorRef> tensors = training_.state();
-  log_->sync();
-  const CheckpointFacts facts = training_.facts();
-  checkpoints_.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
-  saved_step_ = training_.step();
-  last_save_ = Clock::now();
+bool LabelRun::keep_is_due() const { return !failed_to_keep_ || since(*failed_to_keep_) >= kKeepAgain_s; }
+
+void LabelRun::keep(bool checkpoint) {
+  failed_to_keep_ = Clock::now();
+  for (; !rows_.empty(); rows_.pop_front()) log_->append(rows_.front());
+  if (classes_ != classes_written_) {
+    write_file_atomic(folder_.classes_path(), classes_);
+    classes_written_ = classes_;
+  }
+  if (checkpoint || checkpoint_is_due()) {
+    const std::vector<TensorRef> tensors = training_.state();
+    log_->sync();
+    const CheckpointFacts facts = training_.facts();
+    checkpoints_.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
+    saved_step_ = training_.step();
+    last_save_ = Clock::now();
+  }
+  failed_to_keep_.reset();
 }
 
 }  // namespace semfield

@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <deque>
 #include <optional>
 #include <string>
 #include <vector>
@@ -38,9 +39,10 @@ class LabelRun {
   bool tend(bool looked_at, bool pause, bool quiet);
   /// Everything of the state but events, marks and names.
   void describe(LabelState& state) const;
-  /// Checkpoint and log.
-  void save();
-  bool save_is_due() const;
+  /// Rows of the log and classes.yaml, where they have changed, and a checkpoint where one is due or `checkpoint` asks
+  /// for it. Throws write_error; what could not be written stays due, and keep_is_due() is false for a while.
+  void keep(bool checkpoint);
+  bool keep_is_due() const;
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -74,8 +76,12 @@ class LabelRun {
   std::int64_t changed_step_ = -1, saved_step_ = -1;
   double mse_ = 0, loss_ = 0, rays_per_s_ = 0, step_s_ = 0.01, tending_s_ = 0, refining_s_ = 0, training_s_ = 0;
   std::vector<HistoryRow> history_;
+  std::deque<MetricsRow> rows_;            // not yet in the log
+  std::string classes_, classes_written_;  // of now as YAML, and what classes.yaml holds
   Summary summary_;
+  bool checkpoint_is_due() const;
   Clock::time_point last_save_ = Clock::now();
+  std::optional<Clock::time_point> failed_to_keep_;
 };
 
 }  // namespace semfield

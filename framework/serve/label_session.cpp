@@ -12,9 +12,9 @@
 #include <utility>
 #include <vector>
 
-#include "core/findings.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks/click_file.h"
 #include "serve/label_run.h"
+#include "system/checksum.h"
 
 namespace semfield {
 
@@ -43,6 +43,27 @@ std::optional<Error> error_of(const Work& work) {
   return std::nullopt;
 }
 
+bool is_write_error(const Error& error) {
+  return error.kind() == ErrorKind::io || error.kind() == ErrorKind::cannot_create;
+}
+
+// Keeps warnings for the page.
+class Noting final : public TrainingListener {
+ public:
+  explicit Noting(TrainingListener* told) : told_(told) {}
+  void note(const std::string& text) override {
+    if (told_ != nullptr) told_->note(text);
+  }
+  void warning(const std::string& text) override {
+    warnings.push_back(text);
+    if (told_ != nullptr) told_->warning(text);
+  }
+  std::vector<std::string> warnings;
+
+ private:
+  TrainingListener* told_;
+};
+
 OpenedForTraining open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
                                  TrainingListener& listener) {
   TrainRequest request;
@@ -50,7 +71,7 @@ OpenedForTraining open_labelling(RunConfig config, Registry& registry, const Lab
   const std::filesystem::path folder = std::filesystem::absolute(options.run_dir);
   request.resume = std::filesystem::exists(folder / "run.yaml");
   LabelParams& labels = config.labels.selection;
-  if (labels.clicks.empty()) labels.clicks = (folder / "clicks.jsonl").string();
+  if (labels.clicks.empty()) labels.clicks = (folder / kClickFile).string();
   if (labels.class_room == 0) labels.class_room = options.class_room > 0 ? options.class_room : kClassRoom;
   config.train.ray_source = RaySourceKind::label_balanced;
   return open_for_training(std::move(config), registry, request, listener);
@@ -59,13 +80,12 @@ OpenedForTraining open_labelling(RunConfig config, Registry& registry, const Lab
 }  // namespace
 
 struct LabelSession::Parts {
-  Parts(OpenedForTraining opened, const Registry& registry, TrainingListener* listener)
-      : annotations(*opened.session.config.labels.clicks),
+  Parts(OpenedForTraining opened, const Registry& registry, Noting& noting, TrainingListener* listener)
+      : notes(std::move(noting.warnings)),
+        annotations(*opened.session.config.labels.clicks),
         log([&] {
-          Diagnostics findings;
-          ClickLog made = ClickLog::open(opened.session.config.labels.selection.clicks, findings);
-          for (const Diagnostic& finding : folded(findings)) notes.push_back(finding.text());
-          return made;
+          Diagnostics ignored;  // told when the scene was opened by the file
+          return open_click_log(opened.session.config.labels, opened.folder->path(), ignored);
         }()),
         run(std::move(opened), registry, listener) {}
 
@@ -93,7 +113,8 @@ struct LabelSession::Parts {
   std::uint64_t saves_wanted = 0, saves_made = 0;
   std::optional<Error> save_error;
   bool stopping = false, ended = false, poked = false;  // poked: look again before going to sleep
-  bool failed = false;  // of the thread that trains: it trains no longer, and answers all the same
+  std::string trouble_told;
+  std::optional<Error> failure;  // of the thread that trains: it trains no longer, and answers all the same
   Clock::time_point last_event = Clock::now() - kQuietAfter, last_look = Clock::now() - kLookedFor;
 
   LabelRun run;
@@ -168,14 +189,16 @@ void LabelSession::Parts::name_classes(LabelState& next) const {
 
 LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
                            TrainingListener* told) {
-  TrainingListener nobody;
-  TrainingListener& listener = told != nullptr ? *told : nobody;
-  parts_ = std::make_unique<Parts>(open_labelling(std::move(config), registry, options, listener), registry, told);
+  Noting noting(told);
+  parts_ =
+      std::make_unique<Parts>(open_labelling(std::move(config), registry, options, noting), registry, noting, told);
   auto first = std::make_shared<LabelState>();
   const Session& session = parts_->run.session();
   for (const PoolView& view : parts_->run.loop().views()) {
     const FrameInfo& info = session.scene.info.frames[static_cast<std::size_t>(view.frame)];
-    first->views.push_back({info.name, info.camera.width_px, info.camera.height_px, 0, 1, false});
+    const std::uint32_t checksum = crc32c(std::as_bytes(std::span(view.photo->rgb)));
+    first->views.push_back(
+        {info.name, info.camera.width_px, info.camera.height_px, 0, 1, false, fmt::format("{:08x}", checksum)});
   }
   first->events = parts_->log.events().size();
   first->notes = parts_->notes;
@@ -251,6 +274,8 @@ int LabelSession::view_of(int frame) const {
   return found == views.end() ? -1 : static_cast<int>(found - views.begin());
 }
 
+std::optional<Error> LabelSession::failure() const { return parts_->failure; }
+
 const std::string& LabelSession::run_dir() const { return parts_->run.folder().path(); }
 
 const Session& LabelSession::opened() const { return parts_->run.session(); }
@@ -313,7 +338,7 @@ void LabelSession::Parts::serve_orders() {
       if (order->done() || stopping) return;
     }
     attempt([&] { take_events(); });  // a click does not wait for a large picture
-    if (!failed) attempt([&] { (void)run.train(kTurn_s); });
+    if (!failure) attempt([&] { (void)run.train(kTurn_s); });
     error = error_of([&] { made = run.pictures().work(kTurn_s); });
   }
   if (made) made->overlay_revision = overlay;
@@ -329,10 +354,14 @@ void LabelSession::Parts::save_if_wanted() {
   {
     const std::lock_guard lock(mutex);
     wanted_now = saves_wanted;
-    if (wanted_now == saves_made && (failed || !run.save_is_due())) return;
+    if (wanted_now == saves_made && (failure || !run.keep_is_due())) return;
   }
-  std::optional<Error> error = error_of([&] { run.save(); });
-  if (error && wanted_now == saves_made) return fail(*error);
+  std::optional<Error> error = error_of([&] { run.keep(wanted_now != saves_made); });
+  const bool passes = error && is_write_error(*error);
+  if (error && !passes && wanted_now == saves_made) return fail(*error);
+  const std::string trouble = passes ? error->what() : "";
+  if (trouble != trouble_told) publish([&](LabelState& next) { next.trouble = trouble; });
+  trouble_told = trouble;
   const std::lock_guard lock(mutex);
   save_error = std::move(error);
   saves_made = wanted_now;
@@ -340,7 +369,7 @@ void LabelSession::Parts::save_if_wanted() {
 }
 
 void LabelSession::Parts::fail(const Error& error) {
-  failed = true;
+  failure = error;
   publish([&](LabelState& next) {
     next.failure = error.what();
     next.phase = "training has ended with an error; labels are stored";
@@ -368,7 +397,7 @@ void LabelSession::run() {
     p.attempt([&] { p.take_events(); });
     p.serve_orders();
     p.save_if_wanted();
-    if (!p.failed) {
+    if (!p.failure) {
       p.attempt([&] {
         busy = p.run.train(kTurn_s);
         const Parts::Watched watched = p.watched();
@@ -391,7 +420,7 @@ void LabelSession::run() {
     p.poked = false;
   }
   p.attempt([&] { p.take_events(); });
-  if (!p.failed) p.run.save();
+  if (!p.failure) p.run.keep(true);
 }
 
 }  // namespace semfield

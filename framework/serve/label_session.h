@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "plugin/registry.h"
@@ -50,8 +51,12 @@ class LabelSession {
   /// What was opened; its frames and cameras do not change, all else belongs to the thread that trains.
   const Session& opened() const;
 
-  /// Trains until stop(), or until an error, which is in the state then; pictures and events go on until stop().
+  /// Trains until stop(), or until an error, which is in the state then; pictures and events go on until stop(). Files
+  /// that cannot be written end nothing: the state says so, and they are tried again. Throws write_error where the last
+  /// checkpoint cannot be written either.
   void run();
+  /// What training has ended with, once run() has returned.
+  std::optional<Error> failure() const;
 
  private:
   struct Parts;

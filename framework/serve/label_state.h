@@ -28,6 +28,7 @@ struct ViewState {
   int clicks = 0;
   double entropy = 0;  ///< mean over its pixels, as a share of the largest there can be
   bool ready = false;  ///< its surface is known, so it has labels
+  std::string photo;   ///< a checksum of its photograph
 };
 
 struct ProposalState {
@@ -63,8 +64,9 @@ struct LabelState {
   std::vector<Annotations::Mark>
       marks;  ///< Mark::frame is the number of a frame of the scene; see LabelSession::view_of
   std::vector<HistoryRow> history;
-  std::vector<std::string> notes;
-  std::string failure;  ///< not empty: training has ended with this; what was labelled is safe
+  std::vector<std::string> notes;  ///< warnings of the scene and the run
+  std::string trouble;             ///< not empty: files of the run could not be written; it goes on, and tries again
+  std::string failure;             ///< not empty: training has ended with this; what was labelled is safe
 };
 
 struct FreeCamera {

@@ -8,9 +8,6 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "compute/parallel.h"
-#include "system/checksum.h"
-
 namespace semfield {
 
 namespace {
@@ -40,66 +37,39 @@ Number number_of(const TensorFile& file, const std::string& key) {
   return value;
 }
 
-template <class Inputs, class Field>
-void walk(Inputs& inputs, Field&& field) {
-  field("frames", inputs.frames);
-  field("names", inputs.names);
-  field("cameras", inputs.cameras);
-  field("colors", inputs.colors);
-}
-
-std::string inputs_text(const SceneInputs& inputs) {
-  nlohmann::ordered_json json;
-  walk(inputs, [&](const char* name, const auto& value) { json[name] = value; });
-  return json.dump();
+std::optional<EventsKnown> clicks_of(const TensorFile& file) {
+  const auto text = file.metadata().find("clicks");
+  if (text == file.metadata().end()) return std::nullopt;
+  EventsKnown known;
+  const char* const end = text->second.data() + text->second.size();
+  const auto events = std::from_chars(text->second.data(), end, known.events);
+  const auto checksum = events.ptr < end ? std::from_chars(events.ptr + 1, end, known.checksum, 16) : events;
+  if (checksum.ec != std::errc{} || checksum.ptr != end || checksum.ptr == events.ptr || known.events < 0)
+    refuse(file, fmt::format("metadata 'clicks' is '{}', no count and checksum", text->second));
+  return known;
 }
 
 std::optional<SceneInputs> inputs_of(const TensorFile& file) {
   const auto text = file.metadata().find("inputs");
   if (text == file.metadata().end()) return std::nullopt;
-  SceneInputs inputs;
   try {
-    const nlohmann::json json = nlohmann::json::parse(text->second);
-    walk(inputs, [&](const char* name, auto& value) { json.at(name).get_to(value); });
-  } catch (const nlohmann::json::exception& error) {
-    refuse(file, fmt::format("metadata 'inputs' cannot be read: {}", error.what()));
+    return read_inputs_text(text->second);
+  } catch (const Error& error) {
+    refuse(file, fmt::format("metadata 'inputs' cannot be read: {}", error.message()));
   }
-  return inputs;
+}
+
+std::map<std::string, std::string> modules_of(const TensorFile& file) {
+  const auto text = file.metadata().find("modules");
+  if (text == file.metadata().end()) return {};
+  try {
+    return nlohmann::json::parse(text->second).get<std::map<std::string, std::string>>();
+  } catch (const nlohmann::json::exception& error) {
+    refuse(file, fmt::format("metadata 'modules' cannot be read: {}", error.what()));
+  }
 }
 
 }  // namespace
-
-std::string SceneInputs::hash() const { return hex64(fnv1a64(inputs_text(*this))); }
-
-SceneInputs scene_inputs(const LoadedScene& scene) {
-  SceneInputs inputs;
-  std::string names, cameras, colors;
-  for (const FrameInfo& frame : scene.info.frames) {
-    names += fmt::format("{} {}\n", static_cast<int>(frame.split), frame.name);
-    const Camera& c = frame.camera;
-    cameras += fmt::format("{} {}", c.width_px, c.height_px);
-    for (const double v : {c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2})
-      cameras += fmt::format(" {:.6g}", v);
-    const Pose& pose = frame.world_from_camera;
-    for (const auto& row : pose.r) {
-      for (const double v : row) cameras += fmt::format(" {:.6f}", v);
-    }
-    cameras += fmt::format(" {:.6g} {:.6g} {:.6g}\n", pose.t.x, pose.t.y, pose.t.z);
-  }
-  std::vector<std::uint32_t> checksums(scene.frames.size());
-  bool any_pixel = false;
-  for (const StoredFrame& frame : scene.frames) any_pixel = any_pixel || !frame.rgb.empty();
-  parallel_for(std::ssize(scene.frames), [&](std::int64_t i) {
-    const auto f = static_cast<std::size_t>(i);
-    checksums[f] = crc32c(std::as_bytes(std::span(scene.frames[f].rgb)));
-  });
-  for (const std::uint32_t checksum : checksums) colors += hex64(checksum);
-  inputs.frames = std::ssize(scene.info.frames);
-  inputs.names = hex64(fnv1a64(names));
-  inputs.cameras = hex64(fnv1a64(cameras));
-  if (any_pixel) inputs.colors = hex64(fnv1a64(colors));
-  return inputs;
-}
 
 TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::string& config_hash) {
   TensorMetadata metadata;
@@ -112,6 +82,8 @@ TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::stri
   metadata["classes"] = facts.classes;
   if (facts.scene) metadata["scene"] = manifest_text(*facts.scene);
   if (facts.inputs) metadata["inputs"] = inputs_text(*facts.inputs);
+  if (!facts.modules.empty()) metadata["modules"] = nlohmann::json(facts.modules).dump();
+  if (facts.clicks) metadata["clicks"] = fmt::format("{} {:08x}", facts.clicks->events, facts.clicks->checksum);
   if (!facts.self_labels.empty()) metadata["self_labels"] = facts.self_labels;
   return metadata;
 }
@@ -129,6 +101,8 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
   facts.classes = text_of(file, "classes");
   facts.scene = read_manifest_text(file.metadata());
   facts.inputs = inputs_of(file);
+  facts.clicks = clicks_of(file);
+  facts.modules = modules_of(file);
   if (const auto round = file.metadata().find("self_labels"); round != file.metadata().end())
     facts.self_labels = round->second;
   return facts;
@@ -141,22 +115,6 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step)
            fmt::format("name it step_{:08d}.safetensors", facts.step));
   }
   return facts;
-}
-
-void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Diagnostics& diagnostics) {
-  std::vector<std::string> others;
-  if (trained.frames != now.frames) {
-    others.push_back(fmt::format("{} frames where there were {}", now.frames, trained.frames));
-  } else if (trained.names != now.names) {
-    others.push_back("other frames, or another split of them");
-  } else {
-    if (trained.cameras != now.cameras) others.push_back("other cameras (focal length, lens, size or pose)");
-    if (!trained.colors.empty() && !now.colors.empty() && trained.colors != now.colors)
-      others.push_back("other images");
-  }
-  if (others.empty()) return;
-  diagnostics.warning("scene", "it is not as it was when the run was trained: " + join(others, " and "),
-                      "restore the data, or train anew");
 }
 
 void compare_training_labels(const KnownScene& trained, const SceneManifest& now, const ClassTable& classes,

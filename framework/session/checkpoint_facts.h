@@ -2,24 +2,17 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "core/error.h"
-#include "loading/frame_source.h"
+#include "labels/clicks/label_event.h"
+#include "labels/scene_inputs.h"
 #include "session/manifest_text.h"
 
 namespace semfield {
-
-/// What a network saw, as checksums in hexadecimal digits.
-struct SceneInputs {
-  std::int64_t frames = 0;
-  std::string names;    ///< of frames, with their splits, in order
-  std::string cameras;  ///< poses, lenses and sizes as loaded, to six digits
-  std::string colors;   ///< pixels; "" where none was read
-  std::string hash() const;
-};
-SceneInputs scene_inputs(const LoadedScene& scene);
 
 struct CheckpointFacts {
   std::int64_t step = 0;
@@ -29,6 +22,9 @@ struct CheckpointFacts {
   std::string classes;              ///< the class table as YAML; "" = none
   std::optional<KnownScene> scene;  ///< these two: not in checkpoints of earlier versions
   std::optional<SceneInputs> inputs;
+  std::optional<EventsKnown>
+      clicks;  ///< events of clicks that training knew; none: it had no clicks, or an earlier version
+  std::map<std::string, std::string> modules;  ///< loaded plugin modules: name and checksum of each file
   std::string self_labels;  ///< the round of self-training whose labels train (session/self_training.h); "" = none
 };
 
@@ -40,10 +36,8 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step)
 /// The same for a file whose name says no step.
 CheckpointFacts read_checkpoint_facts(const TensorFile& file);
 
-/// One warning where frames, cameras or images are others. What one side does not know is not compared.
-void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Diagnostics& diagnostics);
-/// The same for the labels of a run that goes on: Error(data) where a class with a logit would be another one.
-/// `keep`: components that were forced back in, then and now.
+/// One warning where the counts of labels of a run that goes on are others: Error(data) where a class with a logit
+/// would be another one. `keep`: components that were forced back in, then and now.
 void compare_training_labels(const KnownScene& trained, const SceneManifest& now, const ClassTable& classes,
                              const std::vector<std::string>& keep, Diagnostics& diagnostics);
 

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "core/findings.h"
+#include "plugin/module_file.h"
 #include "session/trained_classes.h"
 #include "settings/run_identity.h"
 #include "system/checksum.h"
@@ -34,7 +35,13 @@ Error no_logit(const std::string& place, const std::string& name) {
 }  // namespace
 
 void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session) {
-  for (const Diagnostic& finding : folded(diagnostics)) listener.note(finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) {
+    if (finding.severity == Severity::note) {
+      listener.note(finding.text());
+    } else {
+      listener.warning(finding.text());
+    }
+  }
   for (const std::string& line : session.choices()) listener.note(line);
 }
 
@@ -51,11 +58,14 @@ Training::Training(Session session, TrainingListener* listener, std::optional<Sc
       }()),
       trainer_(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule),
       was_set_(session_.scene.frames.size(), false),
-      inputs_(std::move(inputs)) {}
+      modules_(module_checksums(session_.config.plugins)),
+      inputs_(std::move(inputs)) {
+  if (session_.config.labels.clicks) clicks_ = session_.config.labels.clicks->known();
+}
 
 const SceneInputs& Training::inputs() {
   const WorkScope scope(work_);
-  if (!inputs_) inputs_ = scene_inputs(session_.scene);
+  if (!inputs_) inputs_ = scene_inputs(session_.scene, session_.labels);
   return *inputs_;
 }
 
@@ -138,6 +148,7 @@ void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
     ++counts[static_cast<std::size_t>(label)];
   }
   const WorkScope scope(work_);
+  (void)inputs();  // of the labels that there were
   TrainingLabels::Frame& own = session_.labels.frames[f];
   TrainingLabels::Frame fresh;
   fresh.hard = LabelMap(std::move(labels));
@@ -196,6 +207,7 @@ void Training::set_clicks(const Annotations& clicks, std::span<const int> frames
   for (const int frame : frames)
     was_set_[static_cast<std::size_t>(frame)] = session_.config.labels.selection.clicks.empty();
   session_.scene.info.classes = clicks.classes();
+  clicks_ = clicks.known();
 }
 
 // "" where none were set.
@@ -221,6 +233,8 @@ CheckpointFacts Training::facts() {
   facts.classes = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
   facts.scene = {session_.manifest, session_.scene.pixel_footprint_m};
   facts.inputs = inputs();
+  facts.clicks = clicks_;
+  facts.modules = modules_;
   return facts;
 }
 

@@ -25,6 +25,8 @@ class TrainingListener {
   virtual ~TrainingListener() = default;
   /// A finding or a choice, as a sentence.
   virtual void note(const std::string&) {}
+  /// A finding that something may be wrong.
+  virtual void warning(const std::string& text) { note(text); }
   /// `step` steps are made; these are the losses of the last of them.
   virtual void stepped(std::int64_t /*step*/, const StepLosses&) {}
 };
@@ -107,7 +109,9 @@ class Training {
   StepLosses losses_;
   double train_s_ = 0;
   std::atomic<bool> cancelled_{false};
-  std::vector<bool> was_set_;  // by frame: its labels are those of set_labels
+  std::optional<EventsKnown> clicks_;  // whose labels train
+  std::vector<bool> was_set_;          // by frame: its labels are those of set_labels
+  std::map<std::string, std::string> modules_;
   std::optional<SceneInputs> inputs_;
 };
 

@@ -1,8 +1,10 @@
 #include "settings/label_config.h"
 
 #include <algorithm>
+#include <filesystem>
 
 #include "config/compose.h"
+#include "labels/clicks/click_log.h"
 
 namespace semfield {
 
@@ -59,9 +61,20 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelCo
   }
 }
 
-void anchor_click_file(const ConfigNode& labels, bool paths_are_absolute, LabelParams& params) {
+void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& config) {
+  namespace fs = std::filesystem;
   const ConfigNode* value = labels.find("clicks");
-  if (starts_elsewhere(value, paths_are_absolute)) params.clicks = resolve_path(*value);
+  if (value == nullptr || !value->is_scalar() || value->text().empty()) return;
+  if (starts_elsewhere(value, of_a_run)) {
+    config.selection.clicks = resolve_path(*value);
+    return;
+  }
+  std::error_code unknown;
+  if (!fs::is_regular_file(value->location().file, unknown)) return;  // a text that is no file of a run yet
+  const fs::path folder = fs::absolute(value->location().file).parent_path().lexically_normal(), file = value->text();
+  config.run_dir = folder.string();
+  if (file.is_absolute() && file.filename() == kClickFile && fs::exists(folder / kClickFile, unknown))
+    config.selection.clicks = kClickFile;
 }
 
 ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config) {

@@ -14,8 +14,10 @@ namespace semfield {
 /// unless `paths_are_absolute`.
 void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelConfig& config, Diagnostics& diagnostics);
 
-/// Makes the path of the key `clicks` absolute, as those of `from`.
-void anchor_click_file(const ConfigNode& labels, bool paths_are_absolute, LabelParams& params);
+/// Makes the path of the key `clicks` absolute, as those of `from`. `of_a_run`: `labels` is that of a run.yaml, in
+/// whose folder a relative path starts; an absolute one, which earlier versions wrote for the run's own file, gives way
+/// to that file where it lies beside the run.yaml.
+void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& config);
 
 /// `labels` with the keys `from` and `degrade` of `config`; without steps the keys are absent.
 ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config);

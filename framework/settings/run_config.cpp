@@ -255,7 +255,7 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
         *node, path, [&](ParamVisitor& visit) { describe(visit, params); }, diagnostics, nested_keys(path));
   });
   if (const ConfigNode* labels = find_path(tree, "scene.labels"); labels != nullptr && labels->is_map())
-    anchor_click_file(*labels, of_a_run, config.labels.selection);
+    anchor_click_file(*labels, of_a_run, config.labels);
   validate_section(tree, "scene.labels", config.labels.selection, diagnostics);
   validate_section(tree, "scene.load", config.load, diagnostics);
   validate_section(tree, "rendering", config.rendering, diagnostics);

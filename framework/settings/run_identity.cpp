@@ -96,7 +96,7 @@ std::string identity_hash(const RunConfig& config) {
 void require_scene_places(const RunConfig& config, const std::string& run_dir) {
   for (const ConfigDifference& setting : settings_of(config)) {
     if (!setting.key.starts_with("scene.") || is_part_of_identity(setting.key)) continue;
-    if (setting.key == "scene.labels.clicks" && config.labels.selection.class_room > 0) continue;  // it may come later
+    if (setting.key == "scene.labels.clicks") continue;  // see run/run_clicks.h
     const std::string place = parse_config_value(setting.left, setting.key).text();
     std::error_code unknown;
     if (place.empty() || std::filesystem::exists(std::filesystem::path(config.base_dir) / place, unknown)) continue;
@@ -111,7 +111,7 @@ std::string run_config_text(const RunConfig& config, Registry& registry) {
   require_utf8(text);
   try {
     // Modules are loaded already.
-    const ConfigNode tree = parse_config_text(text, "run.yaml").without("plugins");
+    const ConfigNode tree = parse_config_text(text, "the run's run.yaml").without("plugins");
     Diagnostics diagnostics;
     RunConfig again = read_run_config(tree, registry, diagnostics);
     diagnostics.throw_if_errors(ErrorKind::config, "");

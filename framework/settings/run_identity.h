@@ -23,8 +23,8 @@ std::vector<ConfigDifference> changed_settings(const ConfigNode& before, const C
 /// Equal for runs whose settings are the same but for those that are no part of the identity.
 std::string identity_hash(const RunConfig& config);
 
-/// Throws Error(no_input) naming the setting and `--set` when a place that run.yaml names for the scene or its labels
-/// is not there any more.
+/// Throws Error(no_input) naming the setting and `--set` when a place that run.yaml names for the scene or its label
+/// files, but for clicks, is not there any more.
 void require_scene_places(const RunConfig& config, const std::string& run_dir);
 
 /// The text of run.yaml, which has been read back: Error(config) names what could never be read again, such as a

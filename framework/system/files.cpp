@@ -211,7 +211,7 @@ void create_folders(const std::string& path) {
 }
 
 int open_for_appending(const std::string& path) {
-  return uninterrupted([&] { return ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0666); });
+  return uninterrupted([&] { return ::open(path.c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC, 0666); });
 }
 
 void append_all(int file, const std::string& path, std::string_view bytes) {

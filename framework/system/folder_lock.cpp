@@ -1,4 +1,4 @@
-// A hold on a folder: flock of the file .lock in it.
+// A hold on a folder or a file: flock of a lock file in it or beside it.
 #include "system/folder_lock.h"
 
 #include <fcntl.h>
@@ -21,6 +21,8 @@ std::string host_name() {
   std::array<char, 256> name{};
   return ::gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "";
 }
+
+std::string lock_of(const std::string& folder) { return (std::filesystem::path(folder) / ".lock").string(); }
 
 // "PID HOST" of the file as words; it may hold anything.
 std::string holder_of(int descriptor) {
@@ -57,15 +59,23 @@ void FolderLock::release() {
 }
 
 int FolderLock::take(const std::string& folder, bool may_create) {
-  return lock(folder, LOCK_EX, may_create ? O_CREAT : 0);
+  return lock(lock_of(folder), LOCK_EX, may_create ? O_CREAT : 0);
 }
 
-int FolderLock::share(const std::string& folder) { return lock(folder, LOCK_SH, O_CREAT); }
+int FolderLock::take_file(const std::string& file) {
+  std::error_code unknown;
+  std::filesystem::path path = std::filesystem::weakly_canonical(file, unknown);
+  if (unknown) path = file;
+  return lock(path.parent_path() / ("." + path.filename().string() + ".lock"), LOCK_EX, O_CREAT);
+}
 
-int FolderLock::lock(const std::string& folder, int how, int more_flags) {
+int FolderLock::share(const std::string& folder) { return lock(lock_of(folder), LOCK_SH, O_CREAT); }
+
+int FolderLock::lock(const std::string& lock_file, int how, int more_flags) {
   release();
-  const std::string file = (std::filesystem::path(folder) / ".lock").string();
-  const int descriptor = ::open(file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | more_flags, 0644);
+  int descriptor = -1;
+  do descriptor = ::open(lock_file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | more_flags, 0644);
+  while (descriptor < 0 && errno == EINTR);
   if (descriptor < 0) return errno;
   int cause = ::flock(descriptor, how | LOCK_NB) == 0 ? 0 : errno;
   if (cause == EWOULDBLOCK) holder_ = holder_of(descriptor);
@@ -78,8 +88,11 @@ int FolderLock::lock(const std::string& folder, int how, int more_flags) {
 int FolderLock::sign(pid_t process) const {
   const std::string text = std::to_string(process) + " " + host_name() + "\n";
   errno = 0;
-  const bool whole = ::ftruncate(descriptor_, 0) == 0 &&
-                     ::pwrite(descriptor_, text.data(), text.size(), 0) == static_cast<ssize_t>(text.size());
+  if (::ftruncate(descriptor_, 0) != 0) return errno;
+  ssize_t written = -1;
+  do written = ::pwrite(descriptor_, text.data(), text.size(), 0);
+  while (written < 0 && errno == EINTR);
+  const bool whole = written == static_cast<ssize_t>(text.size());
   return whole ? 0 : errno != 0 ? errno : ENOSPC;
 }
 

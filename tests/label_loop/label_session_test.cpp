@@ -259,36 +259,41 @@ TEST(LabelSession, LabelsOfTheConfigurationCountAsGiven) {
 
 // --- failures ---
 
+class Thrower final : public TrainingListener {
+ public:
+  void stepped(std::int64_t step, const StepLosses&) override {
+    if (step >= 20) throw Error(ErrorKind::unavailable, "out of everything");
+  }
+};
+
 TEST(LabelSession, AfterAFailurePicturesAndEventsGoOn) {
   const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+  Thrower thrower;
+  RunningSession run(session_config(), dir / "run", &thrower);
   run.start();
   run.session.apply(run.add("1", "wall"));
-  run.settled();
-  // A folder stands where the classes are to be written.
-  std::filesystem::remove(dir / "run/classes.yaml");
-  std::filesystem::create_directories(dir / "run/classes.yaml/in the way");
-  run.session.apply(run.click("2", 2, "wall", {24.5, 5.5}));
   const auto state = run.wait_until([](const LabelState& s) { return !s.failure.empty(); });
-  EXPECT_NE(state->failure.find("classes.yaml"), std::string::npos) << state->failure;
+  EXPECT_EQ(state->failure, "out of everything");
   auto picture = std::async(std::launch::async, [&] { return run.session.picture(labels_of(1)); });
   EXPECT_EQ(picture.wait_for(std::chrono::seconds(20)), std::future_status::ready) << "a picture waits for ever";
   EXPECT_TRUE(run.session.apply(run.click("3", 2, "wall", {30.5, 5.5})));
   run.stop();
   EXPECT_EQ(run.session.state()->phase, "training has ended with an error; labels are stored");
-  EXPECT_EQ(lines_of(dir / "run/clicks.jsonl"), 3u);
+  EXPECT_EQ(lines_of(dir / "run/clicks.jsonl"), 2u);
+  ASSERT_TRUE(run.session.failure().has_value());
+  EXPECT_EQ(run.session.failure()->kind(), ErrorKind::unavailable) << "the program ends with its exit code";
 }
 
 // Whatever a training throws: whoever waits is answered.
 TEST(LabelSession, AnyExceptionIsAFailure) {
-  class Thrower final : public TrainingListener {
+  class Stranger final : public TrainingListener {
    public:
     void stepped(std::int64_t step, const StepLosses&) override {
       if (step >= 20) throw std::runtime_error("out of everything");
     }
   };
   const TempDir dir;
-  Thrower thrower;
+  Stranger thrower;
   RunningSession run(session_config(), dir / "run", &thrower);
   run.start();
   auto picture = std::async(std::launch::async, [&] {

@@ -210,8 +210,49 @@ TEST(Annotations, AClassThatClicksUseStaysUntilTheyAreUndone) {
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=chair 2=lamp 3=table ");
   EXPECT_EQ(ids(annotations.marks()), "3 ");
   EXPECT_EQ(refusal(annotations, add("11", "door")),
-            "event '11': there is room for 3 classes, and all have been given names; rename a class that nobody needs, "
+            "event '11': there is room for 3 classes, and all have names; rename a class that nobody needs, "
             "or raise scene.labels.class_room in a new run");
+}
+
+TEST(Annotations, AnUndoneClassGivesItsPlaceUpOnceEveryPlaceHasHadAName) {
+  Annotations annotations(scene_of(), 2);
+  std::vector<LabelEvent> events{
+      add("1", "chair"), click("2", "chair", {1, 1}), undo("3", "2"), undo("4", "1"), rename("5", "lamp", "light"),
+      add("6", "table"), click("7", "table", {2, 2})};
+  events.insert(events.begin() + 4, add("4b", "lamp"));
+  for (const LabelEvent& event : events) EXPECT_TRUE(annotations.apply(event)) << event.id;
+  EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=table 2=light ");
+  EXPECT_EQ(annotations.marks().at(0).class_index, 0);
+  EXPECT_FALSE(annotations.has_room());
+  EXPECT_EQ(refusal(annotations, add("8", "door")).find("event '8': there is room for 2 classes"), 0u);
+  // What was undone cannot come back as something else.
+  EXPECT_EQ(refusal(annotations, undo("8", "4")),
+            "event '8': the place of the class 'chair' has been given to 'table'; add the class anew, or undo 'table' "
+            "first");
+  EXPECT_EQ(refusal(annotations, undo("8", "3")),
+            "event '8': the class 'chair' of this click is undone; bring the class back first");
+  // The file gives every class the same place again, and room of its own where there is more.
+  EXPECT_EQ(names_of_table(replay(scene_of(), 2, events, "log").classes()), "0-void 1=table 2=light ");
+  EXPECT_EQ(names_of_table(replay(scene_of(), 0, events, "log").named_table()), "0-void 2=light 3=table ");
+  for (const LabelEvent& event : {undo("8", "7"), undo("9", "6"), undo("10", "4")}) annotations.apply(event);
+  EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=chair 2=light ");
+  annotations.apply(undo("11", "3"));
+  EXPECT_EQ(ids(annotations.marks()), "2 ");
+}
+
+TEST(Annotations, ARenamingStaysWithItsClassWhenThePlaceIsGivenAway) {
+  Annotations annotations(scene_of(), 1);
+  for (const LabelEvent& event : {add("1", "chair"), undo("2", "1"), add("3", "table"), rename("4", "table", "desk"),
+                                  undo("5", "3"), undo("6", "2")})
+    EXPECT_TRUE(annotations.apply(event)) << event.id;
+  EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=chair ");
+}
+
+TEST(Annotations, AFileWithOneNameTwiceIsNamedWithItsLine) {
+  const std::vector<LabelEvent> events{add("1", "chair"), click("2", "chair", {1, 1}), add("3", "chair")};
+  EXPECT_EQ(error_of([&] { (void)replay(scene_of(), 0, events, "clicks.jsonl"); }),
+            "clicks.jsonl:3: event '3': there is a class 'chair' already; delete the line, or change its name: clicks "
+            "name their class by its name");
 }
 
 TEST(Annotations, ARenamedClassKeepsItsPlaceAndItsClicks) {

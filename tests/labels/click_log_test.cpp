@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
+#include <unistd.h>
 
 #include <csignal>
 #include <filesystem>
@@ -116,6 +117,47 @@ TEST(ClickLog, AFailedAppendLeavesTheFileAndALaterOneSucceeds) {
   log.append(undo("3", "x"));
   EXPECT_EQ(read_text_file(path), line("1") + line("3"));
   EXPECT_EQ(ids(log.events()), "1 3 ");
+}
+
+TEST(ClickLog, ASecondWriterIsRefusedAndTold) {
+  const std::string folder = fresh_folder("click_log_test"), path = folder + "/clicks.jsonl";
+  Diagnostics diagnostics;
+  ClickLog log = ClickLog::open(path, diagnostics);
+  log.append(undo("1", "x"));
+  std::filesystem::create_symlink(path, folder + "/link.jsonl");
+  for (const std::string& name : {path, folder + "/link.jsonl", folder + "/./clicks.jsonl"}) {
+    const std::string error = error_of([&] { (void)ClickLog::open(name, diagnostics); });
+    EXPECT_EQ(error.find("the file of clicks '" + name + "' is in use by process " + std::to_string(getpid()) + " on "),
+              0u)
+        << error;
+  }
+  EXPECT_EQ(ids(read_click_log(path, diagnostics)), "1 ");  // reading takes no hold
+  { const ClickLog ended = std::move(log); }
+  ClickLog again = ClickLog::open(path, diagnostics);
+  EXPECT_EQ(ids(again.events()), "1 ");
+}
+
+// A program that asks for no lock: its lines stay, and nothing is appended behind them or cut off with them.
+TEST(ClickLog, WhatAnotherProgramWroteIsNeitherCutOffNorBuiltUpon) {
+  const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl";
+  Diagnostics diagnostics;
+  ClickLog log = ClickLog::open(path, diagnostics);
+  log.append(undo("1", "x"));
+  for (const std::string& theirs : {line("1") + line("2"), line("1").substr(4), std::string()}) {
+    testing_room::plain_write(path, theirs);
+    const std::string error = error_of([&] { log.append(undo("3", "x")); });
+    EXPECT_EQ(error, "'" + path + "' has " + std::to_string(theirs.size()) + " bytes where this program left " +
+                         std::to_string(line("1").size()) +
+                         ": another program has changed it; end that program, and start this one again");
+    EXPECT_EQ(read_text_file(path), theirs);
+    EXPECT_EQ(ids(log.events()), "1 ");
+  }
+  std::filesystem::remove(path);
+  EXPECT_EQ(error_of([&] { log.append(undo("3", "x")); }),
+            "'" + path +
+                "' was removed while this program appends to it; put the file back, and start this program "
+                "again");
+  EXPECT_FALSE(std::filesystem::exists(path));
 }
 
 TEST(ClickLog, TellsWhereItCannotBe) {

@@ -31,6 +31,7 @@ class Room:
         self.given = [{"name": name, "color": COLORS[i % 4]} for i, name in enumerate(classes)]
         self.events, self.exports, self.faults, self.received = [], [], set(), []
         self.start, self.revision, self.overlay, self.failure = time.time(), 1, [1, 0], ""
+        self.run_id, self.trouble, self.photos = "run-1", "", 0  # photos: 1 stands on their heads
         self.changed = threading.Condition()
         self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
         self.polls = 0
@@ -126,14 +127,14 @@ class Room:
         share = 1 / max(1, len(known))
         return {
             "revision": self.revision, "overlay": {"revision": self.overlay[0], "events": self.overlay[1]}, "events": len(self.events),
-            "run": {"name": "mock_room", "folder": "runs/mock_room", "device": "CPU, 2 threads", "step": int(seconds * 9), "train_s": seconds, "loss": history[-1][1],
+            "run": {"id": self.run_id, "name": "mock_room", "folder": "runs/mock_room", "device": "CPU, 2 threads", "step": int(seconds * 9), "train_s": seconds, "loss": history[-1][1],
                     "psnr": history[-1][2], "rays_per_s": 21500, "phase": "learning colour and geometry", "geometry_ready": True, "temperature": 1.2},
             "room": {"named": len(classes), "most": self.most},
             "classes": [{"index": i, **row, "clicks": sum(m["class"] == i for m in marks), "area_share": share * list(known.values()).count(i),
                          "confidence": 0.9 if i in known.values() else 0} for i, row in enumerate(classes)],
             "views": [{"frame": f, "width": self.size[0], "height": self.size[1], "clicks": sum(m["view"] == k for m in marks),
-                       "entropy": max(0.05, 0.9 - 0.1 * len(known) - 0.02 * (k % 4)), "ready": bool(known)} for k, f in enumerate(self.frames)],
-            "proposal": self.proposal(known, skipped), "marks": marks, "history": history, "exports": self.exports, "notes": [], "failure": self.failure}
+                       "entropy": max(0.05, 0.9 - 0.1 * len(known) - 0.02 * (k % 4)), "ready": bool(known), "photo": f"{k}-{self.photos}"} for k, f in enumerate(self.frames)],
+            "proposal": self.proposal(known, skipped), "marks": marks, "history": history, "exports": self.exports, "notes": [], "trouble": self.trouble, "failure": self.failure}
 
     def picture(self, wish):
         marks = [m for m in self.marks(*(lambda a: (a, self.classes(a)[1]))(self.alive(self.events[:self.overlay[1]])))]
@@ -225,7 +226,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
             self.answer(state)
         elif path == "photo":
             (width, height), rows = room.size, room.view(int(query["view"]))[0]
-            self.answer(mock_room.png(width, height, rows, 2), "image/png", cache="max-age=600")
+            named = query.get("photo") == f"{query['view']}-{room.photos}"
+            self.answer(mock_room.png(width, height, rows[::-1] if room.photos else rows, 2), "image/png", cache="max-age=600, immutable" if named else "no-store")
         elif path == "camera":
             self.answer(room.cameras[int(query["view"])])
         elif path.startswith("export/"):

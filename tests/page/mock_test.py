@@ -240,6 +240,36 @@ class PageTest(page_case.PageCase):
         page.wait("document.getElementById('saving').textContent == ''")
         self.assertEqual(self.room.state(0)["marks"], [])
 
+    def test_an_unsent_click_stays_with_its_run(self):
+        self.serve(classes=("sofa",))
+        page = self.open()
+        self.room.faults.add("event")
+        self.click(page, 32.5, 40.5)
+        page.wait("document.getElementById('saving').textContent == '1 not saved yet'")
+        self.room.run_id = "run-2"  # another run in a folder of the same name, or a copy, at the same address
+        self.room.faults.clear()
+        page.reload()
+        self.wait_start(page)
+        page.wait("document.getElementById('saving').textContent == ''", "a click of another run waits here")
+        self.assertEqual(self.clicks(), 0)
+        self.room.run_id = "run-1"
+        page.reload()
+        self.wait_start(page)
+        self.wait_saved(page, 1)
+
+    def test_a_photograph_that_was_exchanged(self):
+        self.serve(views=2)
+        page = self.open()
+        rows = self.room.view(0)[0]
+        color = lambda row, x: list(row[3 * x:3 * x + 3])
+        x, y = next((x, y) for y in range(8, 40) for x in range(8, SIZE[0] - 8)
+                    if max(abs(a - b) for a, b in zip(color(rows[y], x), color(rows[-1 - y], x))) > 60)
+        self.wait_pixel(page, x + 0.5, y + 0.5, color(rows[y], x), "the photograph is not shown")
+        self.room.photos = 1  # the scene was changed and the program started again: same address, same token
+        self.room.touch()
+        self.wait_pixel(page, x + 0.5, y + 0.5, color(rows[-1 - y], x), "the photograph of before is shown")
+        page.wait("document.querySelector('#strip [data-view=\"0\"] img').getAttribute('src').includes('photo=0-1')")
+
     def test_an_answer_that_is_lost(self):
         self.serve(classes=("sofa",))
         page = self.open()
@@ -427,6 +457,12 @@ class PageTest(page_case.PageCase):
         self.serve(views=1, classes=("sofa",))
         page = self.open()
         page.wait("document.getElementById('welcome').textContent.startsWith('Click on something that is \"sofa\"')")
+        self.room.trouble = "cannot write 'runs/mock_room/checkpoints': disk full"
+        self.room.touch()
+        page.wait("document.querySelector('#messages .error')?.textContent.startsWith('Not written: cannot write')")
+        self.room.trouble = ""
+        self.room.touch()
+        page.wait("!document.querySelector('#messages .error')", "it is written again, and the message stays")
         self.room.failure = "the loss is not finite at step 120"
         self.room.most = 1
         self.room.touch()

@@ -261,7 +261,7 @@ TEST(TrainRun, LabelsOfAnotherClassAreRefusedWhereItHasNoLogit) {
     Diagnostics diagnostics;
     std::string said;
     try {
-      compare_with_training(facts, scene_inputs(now.scene), now, diagnostics);
+      compare_with_training(facts, scene_inputs(now.scene, now.labels), now, diagnostics);
     } catch (const Error& error) {
       said = error.what();
     }

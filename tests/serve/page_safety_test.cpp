@@ -8,6 +8,8 @@
 #include <random>
 #include <set>
 
+#include "app/serve/run_id.h"
+#include "system/files.h"
 #include "tests/serve/served_page.h"
 
 namespace semfield::app {
@@ -46,6 +48,33 @@ TEST_F(ServedPage, ARunKeepsItsTokenForItsUserAlone) {
             std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
   std::filesystem::permissions(path, std::filesystem::perms::others_read, std::filesystem::perm_options::add);
   EXPECT_NE(kept_token(folder_), token);
+}
+
+TEST_F(ServedPage, AMovedRunKeepsItsIdAndACopyGetsItsOwn) {
+  namespace fs = std::filesystem;
+  const std::string first = folder_ + "/first", moved = folder_ + "/moved", copied = folder_ + "/copied";
+  fs::create_directory(first);
+  const std::string id = kept_run_id(first), token = kept_token(first);
+  EXPECT_EQ(id.size(), 32u);
+  EXPECT_NE(id, token) << "a browser keeps the id, and the token is a secret";
+  EXPECT_EQ(kept_run_id(first), id);
+  fs::create_directory_symlink(first, folder_ + "/link");
+  EXPECT_EQ(kept_run_id(folder_ + "/link"), id);
+  fs::copy(first, copied, fs::copy_options::recursive);
+  const std::string other = kept_run_id(copied);
+  EXPECT_NE(other, id);
+  EXPECT_NE(kept_token(copied), token) << "a page of the original would go on with the copy";
+  EXPECT_EQ(kept_run_id(copied), other);
+  EXPECT_EQ(kept_run_id(first), id);
+  fs::rename(first, moved);
+  EXPECT_EQ(kept_run_id(moved), id);
+  EXPECT_EQ(kept_token(moved), token);
+  // A new run of the old name is no other's copy.
+  fs::create_directory(first);
+  EXPECT_NE(kept_run_id(first), id);
+  EXPECT_EQ(kept_run_id(moved), id);
+  write_file_atomic(moved + "/run_id", "something else");
+  EXPECT_NE(kept_run_id(moved), id);
 }
 
 TEST_F(ServedPage, AnotherHostIsRefused) {

@@ -10,8 +10,12 @@
 #include <set>
 #include <thread>
 
+#include "core/error.h"
+#include "core/text.h"
 #include "formats/zip_archive.h"
 #include "labels/clicks/label_event.h"
+#include "run/checkpoint_store.h"
+#include "run/metrics_log.h"
 #include "system/files.h"
 #include "tests/program.h"
 #include "tests/serve/http_client.h"
@@ -197,6 +201,89 @@ TEST(ServeVerb, TheNextPortIsTakenUnlessOneIsNamed) {
   Served second(config, other, {"--out", other / "room"});
   ASSERT_TRUE(second.up()) << second.process().err_so_far();
   EXPECT_NE(second.port(), first.port());
+}
+
+// As on a full disk: a file stands where checkpoints are written.
+TEST(ServeVerb, WhatCannotBeWrittenIsToldAndEndsWithItsOwnExitCode) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 100000, 0.05), room = dir / "room";
+  Served served(config, dir, {"--out", room});
+  ASSERT_TRUE(served.up()) << served.process().err_so_far();
+  EXPECT_EQ(served.ask("POST", "event", kChair).status, 200);
+  for (int turn = 0; turn < 600 && !std::filesystem::exists(room + "/checkpoints/latest"); ++turn)
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  std::filesystem::remove_all(room + "/checkpoints");
+  write_file_atomic(room + "/checkpoints", "");
+  Json s = served.state();
+  const auto end = std::chrono::steady_clock::now() + std::chrono::minutes(2);
+  while (s["trouble"] == "" && std::chrono::steady_clock::now() < end) s = served.state(s["revision"].dump());
+  EXPECT_NE(std::string(s["trouble"]).find("checkpoints"), std::string::npos) << s["trouble"];
+  EXPECT_EQ(s["failure"], "");
+  EXPECT_EQ(Json::parse(served.ask("POST", "event", served.click("k")).body)["applied"], true);
+  served.process().send(SIGTERM);
+  const Result ended = served.process().wait();
+  EXPECT_EQ(ended.code, static_cast<int>(ErrorKind::cannot_create)) << ended.err;
+  EXPECT_NE(ended.err.find("every label is stored"), std::string::npos) << ended.err;
+}
+
+// A disk of 6 MB that somebody else fills for a moment while checkpoints are written.
+TEST(ServeVerb, AFullDiskEndsNothingAndNoRowIsLost) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 1000000, 0.05), disk = dir / "disk", script = dir / "script";
+  std::filesystem::create_directory(disk);
+  const std::string probe = "unshare -rm mount -t tmpfs tmpfs " + shell_word(disk) + " 2>/dev/null";
+  if (std::system(probe.c_str()) != 0)
+    GTEST_SKIP() << "this system lets nobody mount a tmpfs in a namespace of its own";
+  const std::string run_dir = shell_word(disk + "/run"), latest = shell_word(disk + "/run/checkpoints/latest"),
+                    other = shell_word(disk + "/other"), out = shell_word(dir.path());
+  write_file_atomic(script, "mount -t tmpfs -o size=6m tmpfs " + shell_word(disk) + " || exit 99\n" +
+                                shell_word(program()) + " serve " + shell_word(config) + " --out " + run_dir + " >" +
+                                out + "/out 2>" + out + "/err &\npid=$!\n" +  //
+                                "turn=0; until [ -e " + latest +
+                                " ] || [ $turn = 600 ]; do sleep 0.1; turn=$((turn + 1)); done\n"
+                                "dd if=/dev/zero of=" +
+                                other +
+                                " bs=1k 2>/dev/null\n"
+                                "sleep 2; before=$(cat " +
+                                latest + "); rm " + other +
+                                "\n"
+                                "turn=0; until [ \"$(cat " +
+                                latest +
+                                ")\" != \"$before\" ] || [ $turn = 600 ]; do sleep 0.1; turn=$((turn + 1)); done\n"
+                                "kill -TERM $pid; wait $pid; echo $? >" +
+                                out + "/code; echo $turn >" + out + "/turn\ncp -r " + run_dir + " " + out + "/copy\n");
+  ASSERT_EQ(std::system(("unshare -rm sh " + shell_word(script)).c_str()), 0);
+  EXPECT_EQ(read_text_file(dir / "code"), "143\n") << read_text_file(dir / "err");
+  EXPECT_NE(read_text_file(dir / "turn"), "600\n") << "no checkpoint is written after the disk has room again";
+  std::int64_t last = 0;
+  for (const MetricsRow& row : read_metrics(dir / "copy/metrics.jsonl")) {
+    EXPECT_EQ(row.step, last + 5) << "a row is lost or torn";
+    last = row.step;
+  }
+  Diagnostics diagnostics;
+  const auto kept = CheckpointStore::read(dir / "copy/checkpoints").find_latest(diagnostics);
+  ASSERT_TRUE(kept.has_value());
+  EXPECT_TRUE(diagnostics.all().empty());
+  EXPECT_GE(kept->step, last);
+}
+
+// A run begun with another's run.yaml must not click into that run's file.
+TEST(ServeVerb, AnotherRunsClicksAreNotAddedTo) {
+  const TempDir dir, other;
+  const std::string config = write_packed_config(dir, 50, 1), room = dir / "room";
+  {
+    Served served(config, dir, {"--out", room});
+    ASSERT_TRUE(served.up()) << served.process().err_so_far();
+    EXPECT_EQ(served.ask("POST", "event", kChair).status, 200);
+    served.process().send(SIGTERM);
+    EXPECT_EQ(served.process().wait().code, 143);
+  }
+  const std::string before = read_text_file(room + "/clicks.jsonl");
+  const Result refused = run({"serve", room + "/run.yaml", "--out", other / "room"}, other);
+  EXPECT_EQ(refused.code, 73) << refused.err;
+  EXPECT_NE(refused.err.find("the clicks in '" + room + "/clicks.jsonl' are those of another run"), std::string::npos)
+      << refused.err;
+  EXPECT_EQ(read_text_file(room + "/clicks.jsonl"), before);
 }
 
 TEST(ServeVerb, ARunOfTrainIsNotTakenForOneOfItsOwn) {

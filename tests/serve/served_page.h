@@ -32,7 +32,7 @@ class FakeSource final : public PageSource {
     s.named = 2;
     s.room = 8;
     s.classes = {{0, 1, "wall", {10, 20, 30}, 0, 0.5, 0.9}, {1, 2, "chair", {200, 30, 30}, 3, 0.1, 0.4}};
-    s.views = {{"a", 4, 3, 0, 0.25, true}, {"b", 6, 4, 1, 0.5, true}};
+    s.views = {{"a", 4, 3, 0, 0.25, true, "a1"}, {"b", 6, 4, 1, 0.5, true, "b1"}};
     s.marks = {{"m1", 7, {{1.5, 2.5}}, 2, 1}};
     s.history = {{1.0, 0.5, 20.0, 1}};
     s.proposal = ProposalState{"p1", 1, {2.5, 3.5}, "unseen", -1};
@@ -146,6 +146,7 @@ class ServedPage : public ::testing::Test {
     o.http.head_ms = 2000;
     o.http.body_ms = 1000;
     o.token = std::string(32, 'a');
+    o.run_id = "run-1";
     o.files = {{"", {"text/html; charset=utf-8", "<html></html>"}},
                {"index.html", {"text/html; charset=utf-8", "<html></html>"}},
                {"app.js", {"text/javascript; charset=utf-8", "1;"}}};

@@ -38,6 +38,8 @@ async function body(answer, kind) {
   }
 }
 
+/// name: the state's word for the photograph of now; with it the browser may keep the picture for ever.
+export const photoAddress = (view, name, most_px = 0) => `./photo?view=${view}&photo=${name}${most_px ? `&most_px=${most_px}` : ''}`;
 export const getJson = async (path, timeout_ms = 30000) => body(await answered(path, {}, timeout_ms), 'json');
 export const getBlob = async (path) => body(await answered(path, {cache: 'default'}, 60000), 'blob');
 const postRaw = (path, value, signal) =>

@@ -69,6 +69,7 @@ class Page {
       this.messages.refuse(`Training has ended: ${this.state.failure}`, 'The labels are safe; start the program again to go on.');
     }
     this.failure = this.state.failure;
+    this.messages.hold('trouble', this.state.trouble ? `Not written: ${this.state.trouble}` : '', 'Labelling and training go on, and it is tried again.');
     this.changed();
   }
 
@@ -198,7 +199,7 @@ class Page {
     const {proposal} = this.labeller;
     this.stage.drawView({
       index: this.index,
-      picture: this.isRendered ? overlay?.color ?? this.pictures.photo(this.index) : this.pictures.photo(this.index),
+      picture: (this.isRendered ? overlay?.color : null) ?? this.pictures.photo(this.index, view.photo),
       overlay,
       marks: this.labeller.marks.filter((mark) => mark.view === this.index),
       isPainted: ({id, saved}) => saved && this.labeller.births.isPainted(id, events),

@@ -57,7 +57,7 @@ export class Labeller {
     this.state = merged(this.state, answer);
     if (first) {
       this.remembered();
-      this.queue.open(this.state.run.folder);
+      this.queue.open(this.state.run.id);
       for (const event of this.queue.unsent) {
         this.everyEvent.set(event.id, event);
         this.pending.push({event, revision: null});
@@ -178,13 +178,13 @@ export class Labeller {
 
   keep() {
     try {
-      this.storage.setItem(`semfield.done.${this.state.run.folder}`, JSON.stringify({undoable: this.undoable, redoable: this.redoable}));
+      this.storage.setItem(`semfield.done.${this.state.run.id}`, JSON.stringify({undoable: this.undoable, redoable: this.redoable}));
     } catch { /* full: undo forgets at a reload */ }
   }
 
   remembered() {
     try {
-      const kept = JSON.parse(this.storage.getItem(`semfield.done.${this.state.run.folder}`) ?? '{}');
+      const kept = JSON.parse(this.storage.getItem(`semfield.done.${this.state.run.id}`) ?? '{}');
       this.undoable = kept.undoable ?? [];
       this.redoable = kept.redoable ?? [];
     } catch { /* not ours to read */ }

@@ -125,6 +125,14 @@ export class Messages {
     for (const message of this.list.querySelectorAll('.passes')) message.remove();
   }
 
+  /// One message under a name, for as long as `what` says something.
+  hold(name, what, remedy) {
+    const shown = this.list.querySelector(`[data-name="${name}"]`);
+    if (shown?.dataset.text === what || (!shown && !what)) return;
+    shown?.remove();
+    if (what) this.list.append(make('div', {class: 'error', role: 'alert', 'data-name': name, 'data-text': what}, make('p', {}, make('b', {}, sentence(what)), ` ${sentence(remedy)}`)));
+  }
+
   refuse(what, remedy, passes = false) {
     const text = `${sentence(what)} ${sentence(remedy)}`;
     for (const other of this.list.querySelectorAll('.error')) if (other.dataset.text === text) return;

@@ -1,5 +1,5 @@
 // Photographs and overlays of views: fetched when a view is looked at, kept for the last few.
-import {getBlob} from './api.js';
+import {getBlob, photoAddress} from './api.js';
 import {kEntropyColors} from './colors.js';
 
 const kKept = 16;
@@ -47,16 +47,17 @@ export class Pictures {
     this.wished = null;
   }
 
-  photo(view) {
+  /// name: of the photograph, which is another when the scene was changed and the program started again.
+  photo(view, name) {
     const known = this.photos.get(view);
-    if (known) return known.bitmap;
-    const entry = {bitmap: null};
+    if (known?.name === name) return known.bitmap;
+    const entry = {name, bitmap: null};
     this.photos.set(view, entry);
-    getBlob(`./photo?view=${view}`).then(createImageBitmap).then((bitmap) => {
+    getBlob(photoAddress(view, name)).then(createImageBitmap).then((bitmap) => {
       entry.bitmap = bitmap;
       this.changed();
     }, (error) => {
-      this.photos.delete(view);
+      if (this.photos.get(view) === entry) this.photos.delete(view);
       this.trouble(error);
     });
     return null;

@@ -1,4 +1,5 @@
 // The strip of views: thumbnails that load when they come into sight, clicks and entropy.
+import {photoAddress} from './api.js';
 import {byId, make, setAttribute, setStyle, setText} from './dom.js';
 import {orderedViews} from './model.js';
 
@@ -14,7 +15,7 @@ export class Strip {
         if (!isIntersecting) continue;
         this.seen.unobserve(target);
         const image = target.querySelector('img');
-        image.src = `./photo?view=${target.dataset.view}&most_px=160`;
+        image.src = photoAddress(target.dataset.view, target.dataset.photo, 160);
         image.addEventListener('error', () => setTimeout(() => this.seen.observe(target), 3000), {once: true});
       }
     }, {root: this.list, rootMargin: '200px'});
@@ -34,7 +35,6 @@ export class Strip {
       const bar = make('span', {class: 'bar'}, make('i'));
       const button = make('button', {'data-view': i, tabindex: -1, title: view.frame}, image, name, clicks, bar);
       const item = make('li', {}, button);
-      this.seen.observe(button);
       return {item, button, clicks, fill: bar.firstChild};
     });
     this.arrangement = '';
@@ -47,6 +47,11 @@ export class Strip {
     setText(byId('views-title'), `${views.length} view${views.length === 1 ? '' : 's'}`);
     views.forEach((view, i) => {
       const {button, clicks: count, fill} = this.items[i];
+      if (button.dataset.photo !== view.photo) {
+        button.dataset.photo = view.photo;
+        this.seen.unobserve(button);
+        this.seen.observe(button);
+      }
       const percent = Math.round(100 * view.entropy);
       setText(count, clicks[i] ? String(clicks[i]) : '');
       setStyle(fill, 'width', `${percent}%`);

@@ -3,7 +3,7 @@
 
 #include "app/json_output.h"
 #include "app/verb.h"
-#include "config/explain.h"
+#include "settings/run_identity.h"
 
 namespace semfield::app {
 
@@ -16,14 +16,17 @@ struct DiffOptions {
 int run(const DiffOptions& options, AppContext& context) {
   const RunConfig first = load_run_config(options.a, {}, context.registry);
   const RunConfig second = load_run_config(options.b, {}, context.registry);
+  const std::vector<ConfigDifference> found = changed_settings(resolved_config(first), resolved_config(second));
   if (context.json) {
     Json differences = Json::array();
-    for (const ConfigDifference& d : config_differences(resolved_config(first), resolved_config(second)))
-      differences.push_back({{"key", d.key}, {"a", d.left}, {"b", d.right}});
+    for (const ConfigDifference& d : found)
+      differences.push_back(
+          {{"key", d.key}, {"a", d.left}, {"b", d.right}, {"other_training", is_part_of_identity(d.key)}});
     print_json(context, {{"differences", differences}});
     return 0;
   }
-  std::fputs(diff_config(resolved_config(first), resolved_config(second)).c_str(), stdout);
+  for (const ConfigDifference& d : found)
+    std::printf("%s%s\n", d.text().c_str(), is_part_of_identity(d.key) ? "" : "   # the same training");
   return 0;
 }
 

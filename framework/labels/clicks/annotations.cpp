@@ -114,7 +114,7 @@ void Annotations::check_undo(const LabelEvent& event) const {
   const Record& last = records_[static_cast<std::size_t>(turned.records.back())];
   const auto c = static_cast<std::size_t>(last.class_index);
   if (last.event.kind == LabelEventKind::click) {
-    if (turned.in_force && last.class_index >= 0 && !named_[c])
+    if (turned.in_force && !has_its_class(last))
       refuse(event, "the class '" + last.event.class_name + "' of this click is undone", "bring the class back first");
     return;
   }
@@ -124,6 +124,10 @@ void Annotations::check_undo(const LabelEvent& event) const {
   if (last.event.kind == LabelEventKind::add_class && !turned.in_force && clicks > 0) {
     refuse(event, "the class '" + named_[c]->name + "' has " + std::to_string(clicks) + " clicks",
            "undo its clicks first");
+  }
+  if (last.event.kind == LabelEventKind::add_class && turned.in_force && named_[c]) {
+    refuse(event, "the place of the class '" + last.event.class_name + "' has been given to '" + named_[c]->name + "'",
+           "add the class anew, or undo '" + named_[c]->name + "' first");
   }
   const std::optional<Naming> after = namings(turned.records.back())[c];
   if (after && (!named_[c] || named_[c]->name != after->name))
@@ -144,9 +148,11 @@ Annotations::Record Annotations::resolve(const LabelEvent& event) const {
     case LabelEventKind::click:
       resolve_place(event);
       record.class_index = resolve_class(event);
+      if (record.class_index >= 0) record.class_record = named_[static_cast<std::size_t>(record.class_index)]->record;
       break;
     case LabelEventKind::change_class:
       record.class_index = resolve_class(event);
+      if (record.class_index >= 0) record.class_record = named_[static_cast<std::size_t>(record.class_index)]->record;
       if (record.class_index == kVoid) refuse(event, "'" + event.class_name + "' stands for pixels without a class");
       if (event.new_name == event.class_name) break;
       if (record.class_index < own_classes_) {
@@ -157,14 +163,25 @@ Annotations::Record Annotations::resolve(const LabelEvent& event) const {
       break;
     case LabelEventKind::add_class:
       require_free_name(event, event.class_name, "choose another name");
-      if (named_.size() >= ids_.size()) {
-        refuse(event, "there is room for " + std::to_string(ids_.size()) + " classes, and all have been given names",
+      record.class_index = free_place();
+      if (record.class_index < 0) {
+        refuse(event, "there is room for " + std::to_string(ids_.size()) + " classes, and all have names",
                "rename a class that nobody needs, or raise scene.labels.class_room in a new run");
       }
-      record.class_index = named_classes();
       break;
   }
   return record;
+}
+
+// One that never had a name while there is one, so that an undone class can come back; -1: none.
+int Annotations::free_place() const {
+  if (named_.size() < ids_.size()) return named_classes();
+  const auto undone = std::find_if(named_.begin(), named_.end(), [](const auto& naming) { return !naming; });
+  return undone == named_.end() ? -1 : static_cast<int>(undone - named_.begin());
+}
+
+bool Annotations::has_its_class(const Record& record) const {
+  return record.class_record < 0 || records_[static_cast<std::size_t>(record.class_record)].in_force;
 }
 
 bool Annotations::check(const LabelEvent& event) const {
@@ -191,9 +208,10 @@ bool Annotations::apply(const LabelEvent& event) {
   if (record.event.kind == LabelEventKind::click || record.event.kind == LabelEventKind::skip) {
     put_mark(changed, record.in_force);
   } else {
-    if (event.kind == LabelEventKind::add_class) named_.emplace_back();
+    if (event.kind == LabelEventKind::add_class && record.class_index == named_classes()) named_.emplace_back();
     list_classes();
   }
+  known_.add(event);
   return true;
 }
 
@@ -224,8 +242,9 @@ std::vector<std::optional<Annotations::Naming>> Annotations::namings(int turned)
   for (int r = 0; r < static_cast<int>(records_.size()); ++r) {
     const Record& record = records_[static_cast<std::size_t>(r)];
     if (record.in_force == (r == turned) || record.class_index < 0) continue;
+    if (record.class_record >= 0 && record.class_record != turned && !has_its_class(record)) continue;
     std::optional<Naming>& naming = out[static_cast<std::size_t>(record.class_index)];
-    if (record.event.kind == LabelEventKind::add_class) naming = Naming{record.event.class_name, record.event.color};
+    if (record.event.kind == LabelEventKind::add_class) naming = Naming{record.event.class_name, record.event.color, r};
     if (record.event.kind != LabelEventKind::change_class || !naming) continue;
     naming->name = record.event.new_name;
     if (record.event.color) naming->color = record.event.color;
@@ -284,12 +303,18 @@ std::vector<std::int16_t> Annotations::paint(int frame, std::span<const std::int
 Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEvent>& events, const std::string& name) {
   const auto added = std::count_if(events.begin(), events.end(),
                                    [](const LabelEvent& e) { return e.kind == LabelEventKind::add_class; });
-  Annotations sum(scene, std::max(room, scene.classes.valid_count() + static_cast<int>(added)));
+  const int all = scene.classes.valid_count() + static_cast<int>(added);
+  Annotations sum(scene, room > 0 ? room : all);
   for (std::size_t i = 0; i < events.size(); ++i) {
     try {
+      if (!sum.has_room() && events[i].kind == LabelEventKind::add_class) return replay(scene, all, events, name);
       sum.apply(events[i]);
     } catch (const Error& e) {
-      throw Error(e.kind(), name + ":" + std::to_string(i + 1) + ": " + e.message(), e.remedy());
+      const bool adds = events[i].kind == LabelEventKind::add_class;
+      throw Error(e.kind(), name + ":" + std::to_string(i + 1) + ": " + e.message(),
+                  adds                 ? "delete the line, or change its name: clicks name their class by its name"
+                  : e.remedy().empty() ? "mend or delete the line"
+                                       : e.remedy());
     }
   }
   return sum;

@@ -40,12 +40,14 @@ class Annotations {
   const std::vector<Mark>& skips() const { return skips_.list; }
 
   /// As many valid classes as there is room for: the scene's, the added ones, then "unnamed ID". A class keeps index
-  /// and id for ever; one whose event is undone is called "unnamed ID" and keeps its place, too.
+  /// and id; one whose event is undone is called "unnamed ID" and keeps its place until every place has been given a
+  /// name: then the next added class takes it, and the undone one cannot come back while that is there.
   const ClassTable& classes() const { return classes_; }
-  /// Places taken: the classes [0, named_classes()) have been given names; of these is_named() is false for undone
-  /// ones.
+  /// Places that were ever given a name: the classes [0, named_classes()); is_named() is false for undone ones.
   int named_classes() const { return static_cast<int>(named_.size()); }
   bool is_named(int class_index) const;
+  /// Whether one more class can be added.
+  bool has_room() const { return free_place() >= 0; }
   /// The first of these are the scene's own, whose names no event changes.
   int own_classes() const { return own_classes_; }
   /// The table without the unnamed classes.
@@ -56,17 +58,21 @@ class Annotations {
   /// Labels [height * width] of a frame: `base` (empty: void) with the frame's clicks painted over it, in order.
   std::vector<std::int16_t> paint(int frame, std::span<const std::int16_t> base) const;
   bool seen(const std::string& id) const { return record_of_.contains(id); }
+  /// The events applied.
+  const EventsKnown& known() const { return known_; }
 
  private:
   struct Record {
     LabelEvent event;
     bool in_force = true;
     int class_index = kVoid;  // click, add_class, change_class
-    int of = -1;              // undo: the record undone
+    int class_record = -1;  // click, change_class: the record that added the class; -1: it is the scene's own, or void
+    int of = -1;            // undo: the record undone
   };
   struct Naming {
     std::string name;
     std::optional<std::array<std::uint8_t, 3>> color;
+    int record = -1;  // that added the class; -1: the scene's own
   };
   struct FrameShape {
     std::string name;
@@ -77,6 +83,8 @@ class Annotations {
   Record resolve(const LabelEvent& event) const;
   void resolve_place(const LabelEvent& event) const;
   int resolve_class(const LabelEvent& event) const;
+  int free_place() const;
+  bool has_its_class(const Record& record) const;
   void require_free_name(const LabelEvent& event, const std::string& name, const char* remedy) const;
   // An undo turns its target round, and an undo that is turned round turns its own target, until an event that is none.
   struct Turned {
@@ -102,10 +110,11 @@ class Annotations {
     std::vector<int> records;  // of each, ascending
   } marks_, skips_;
   ClassTable classes_;
+  EventsKnown known_;
 };
 
-/// What `events` add up to; event i stood in line i + 1 of `name`, which errors tell. There is room for all classes
-/// that they add, also where that is more than `room`.
+/// What `events` add up to; event i stood in line i + 1 of `name`, which errors name. Where `room` is 0 there is room
+/// for all classes that they add, one place each; else for `room`, and for more only where events need more.
 Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEvent>& events, const std::string& name);
 
 }  // namespace semfield

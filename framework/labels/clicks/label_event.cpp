@@ -7,6 +7,7 @@
 
 #include "core/error.h"
 #include "core/text.h"
+#include "system/checksum.h"
 
 namespace semfield {
 
@@ -241,6 +242,12 @@ std::string label_event_json(const LabelEvent& event) {
   }
   if (kind->color && event.color) root["color"] = *event.color;
   return root.dump(-1, ' ', false, Json::error_handler_t::strict);
+}
+
+void EventsKnown::add(const LabelEvent& event) {
+  const std::string line = label_event_json(event) + "\n";
+  checksum = crc32c(std::as_bytes(std::span(line)), checksum);
+  ++events;
 }
 
 }  // namespace semfield

@@ -48,4 +48,12 @@ LabelEvent parse_label_event(std::string_view json);
 /// One line without its end; parse_label_event gives the same event again.
 std::string label_event_json(const LabelEvent& event);
 
+/// How many events there are, and a CRC-32C of their lines: tells whether two lists begin with the same events.
+struct EventsKnown {
+  std::int64_t events = 0;
+  std::uint32_t checksum = 0;
+  void add(const LabelEvent& event);
+  bool operator==(const EventsKnown&) const = default;
+};
+
 }  // namespace semfield
