@@ -19,8 +19,16 @@ enum class Launch : std::uint8_t {
 /// Whether this process prints what went wrong before it has joined the others: rank 0 does, and who is alone.
 bool is_first_process();
 
-/// Runs a verb as `launch` says; without a launcher it just runs. Throws Error(usage) where a verb works alone.
-int run_launched(const std::string& verb, Launch launch, const std::function<int(AppContext&)>& run,
-                 AppContext& context);
+/// What a process of a launcher does.
+struct LaunchedVerb {
+  std::string name;
+  Launch launch = Launch::alone;
+  std::function<int(AppContext&)> run;
+  std::string words;  ///< its command line, without the program
+};
+
+/// Runs a verb as its `launch` says; without a launcher it just runs. Throws Error(usage) where a verb works alone, and
+/// where ranks were started with different words: rank 0's alone would count.
+int run_launched(const LaunchedVerb& verb, AppContext& context);
 
 }  // namespace semfield::app

@@ -19,6 +19,8 @@
 
 namespace {
 
+constexpr unsigned kSecondsOfRank0 = 3;  // until another rank says what is wrong with its own words
+
 // What nobody can catch: an exception out of a thread, or out of a static initialiser of a module. An orderly end, with
 // a name, and no core.
 [[noreturn]] void on_terminate() {
@@ -61,8 +63,10 @@ int main(int argc, char** argv) {
     if (leads) context.ranks->abandon(static_cast<int>(lost.kind()));
     std::_Exit(static_cast<int>(lost.kind()));  // a device may wait for ever for one that is gone
   } catch (const Error& error) {
-    if (context.ranks ? context.ranks->rank() == 0 : app::is_first_process())
-      std::fprintf(stderr, "semfield: %s\n", error.what());
+    const bool leads = context.ranks ? context.ranks->rank() == 0 : app::is_first_process();
+    // What is wrong with the words of all, rank 0 says, and its launcher then ends the others.
+    if (!leads && !context.ranks) sleep(kSecondsOfRank0);
+    if (leads || !context.ranks) std::fprintf(stderr, "semfield: %s\n", error.what());
     return static_cast<int>(error.kind());
   } catch (const std::bad_alloc&) {
     std::fprintf(

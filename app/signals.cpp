@@ -21,11 +21,17 @@ namespace {
 volatile std::sig_atomic_t g_signal = 0;
 volatile std::sig_atomic_t g_waits = 1;
 volatile std::sig_atomic_t g_save = 0;
+volatile std::sig_atomic_t g_heard = 0;  // the flag was raised for another process: the signal may still come
+bool g_handled = false;                  // by on_stop
 // Read by the handler; written only while g_waits is 1, when the handler does not look at it.
 std::array<char, 512> g_farewell{};
 std::size_t g_farewell_size = 0;
 
 extern "C" void on_stop(int number) {
+  if (g_heard != 0) {
+    g_heard = 0;
+    return;
+  }
   // The checkpoint on disk is whole at every moment, so a second request may end the process here.
   if (g_signal != 0) _exit(128 + number);
   g_signal = number;
@@ -33,6 +39,8 @@ extern "C" void on_stop(int number) {
   [[maybe_unused]] const ssize_t told = write(STDERR_FILENO, g_farewell.data(), g_farewell_size);
   _exit(128 + number);
 }
+
+extern "C" void on_stop_of_follower(int number) { g_signal = number; }
 
 extern "C" void on_hang_up(int) { g_save = 1; }
 
@@ -60,10 +68,23 @@ void prepare_process() {
 void install_stop_signals() {
   handle(SIGINT, on_stop);
   handle(SIGTERM, on_stop);
+  g_handled = true;
 }
 
 void leave_stop_to_rank_0() {
-  for (const int number : {SIGINT, SIGTERM, SIGHUP}) std::signal(number, SIG_IGN);
+  handle(SIGINT, on_stop_of_follower);
+  handle(SIGTERM, on_stop_of_follower);
+  std::signal(SIGHUP, SIG_IGN);
+}
+
+void stop_with_the_others() {
+  if (g_signal != 0) return;
+  if (!g_handled) {
+    std::raise(SIGTERM);  // this verb ends at once
+    return;
+  }
+  on_stop(SIGTERM);
+  g_heard = 1;
 }
 
 int stop_signal() { return g_signal; }

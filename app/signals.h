@@ -12,8 +12,12 @@ void prepare_process();
 
 /// SIGINT and SIGTERM raise a flag; a second one ends the process at once.
 void install_stop_signals();
-/// In a process that follows another one, which is told to stop too and sees to both: this one ignores these signals.
+/// In a process that follows rank 0, which saves and ends both: SIGINT and SIGTERM raise the flag alone, however often
+/// they come, and SIGHUP is ignored.
 void leave_stop_to_rank_0();
+/// Another process of the run received SIGTERM: this one does as if it had come here. A launcher that sent it to all of
+/// them has not asked twice.
+void stop_with_the_others();
 /// 0, or the number of the signal received.
 int stop_signal();
 

@@ -49,12 +49,12 @@ def thinned(places, cell_m):
 
 
 def write_ply(path, places, colors, labels):
-    rows = np.empty(len(places), [("place", "<f4", 3), ("color", "u1", 3), ("label", "<u2")])
+    rows = np.empty(len(places), [("place", "<f4", 3), ("color", "u1", 3), ("label", "<i4")])
     rows["place"], rows["color"], rows["label"] = places, colors, labels
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
     header += [f"property float {axis}" for axis in "xyz"]
     header += [f"property uchar {color}" for color in ("red", "green", "blue")]
-    header += ["property ushort label", "end_header", ""]
+    header += ["property int label", "end_header", ""]
     with open(path, "wb") as file:
         file.write("\n".join(header).encode() + rows.tobytes())
 

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Draws a labelled mesh from above, in its colours and by class: the picture of README.md. Needs the standard library alone.
+"""Draws a mesh from above, in its colours and, where it has classes, by class: the picture of README.md. Needs the standard library alone.
 
-usage: mesh_picture.py MESH.ply CLASSES.yaml OUT.png [AZIMUTH_DEG ELEVATION_DEG [WIDTH_PX HEIGHT_PX]]
+usage: mesh_picture.py MESH.ply [CLASSES.yaml] OUT.png [--up AXIS] [AZIMUTH_DEG ELEVATION_DEG [WIDTH_PX HEIGHT_PX]]
 e.g.   mesh_picture.py runs/demo/mesh.ply runs/demo/classes.yaml docs/images/room_mesh.png
 
-MESH.ply is what `semfield mesh RUN` writes. Faces that look away from the camera are left out, and so is what lies at the near walls and
-under the ceiling: the view into the room is open."""
+MESH.ply is what `semfield mesh RUN` writes. AXIS is the axis of the world that is upright, x, -x, y, -y, z or -z (default: z); scenes of COLMAP
+mostly have -y. Faces that look away from the camera are left out, and so is what lies at the near walls and under the ceiling: the view into the
+room is open."""
 import math
 import re
 import struct
@@ -34,6 +35,18 @@ def read_ply(path):
     vertices = dict(zip((name for _, name in columns), zip(*row.iter_unpack(data[end:end + body]))))
     faces = list(struct.iter_unpack("<Biii", data[end + body:end + body + 13 * counts["face"]]))
     return vertices, faces
+
+
+def upright(vertices, axis):
+    """The vertices turned so that `axis` is +z."""
+    turns = {"z": ("x", "y", "z"), "-z": ("x", "-y", "-z"), "y": ("x", "-z", "y"), "-y": ("x", "z", "-y"), "x": ("y", "z", "x"), "-x": ("z", "y", "-x")}
+    if axis not in turns: sys.exit(f"--up {axis}: expected one of {', '.join(turns)}")
+    turned = dict(vertices)
+    for prefix in ("", "n"):
+        for to, source in zip("xyz", turns[axis]):
+            column = vertices[prefix + source[-1]]
+            turned[prefix + to] = tuple(-v for v in column) if source[0] == "-" else column
+    return turned
 
 
 def class_colors(path):
@@ -131,25 +144,35 @@ def main():
     if sys.argv[1:2] in (["-h"], ["--help"]):
         print(__doc__)
         sys.exit(0)
-    if len(sys.argv) < 4:
+    words, up = sys.argv[1:], "z"
+    if "--up" in words:
+        at = words.index("--up")
+        up = words[at + 1] if at + 1 < len(words) else ""
+        del words[at:at + 2]
+    inputs = next((i for i, word in enumerate(words) if word.endswith(".png")), 0)
+    if inputs not in (1, 2):
         print(__doc__, file=sys.stderr)
         sys.exit(2)
-    mesh, classes, out = sys.argv[1:4]
-    azimuth, elevation, width, height = [float(v) for v in sys.argv[4:8]] + [312.0, 38.0, 560.0, 440.0][len(sys.argv) - 4:]
+    mesh, classes, out = words[0], words[1] if inputs == 2 else None, words[inputs]
+    numbers = [float(v) for v in words[inputs + 1:inputs + 5]]
+    azimuth, elevation, width, height = numbers + [312.0, 38.0, 560.0, 440.0][len(numbers):]
     width, height = int(width) * SAMPLES, int(height) * SAMPLES
     vertices, faces = read_ply(mesh)
+    vertices = upright(vertices, up)
     camera = camera_of(vertices, azimuth, elevation)
     owner = draw(project(vertices, camera), in_front(vertices, faces, camera[3]), width, height)
-    light = [0.15 * r + 0.6 * u + 0.6 * b for r, u, b in zip(*camera[1:])]
-    norm = math.hypot(*light)
-    by_class, table = [], class_colors(classes)
-    for nx, ny, nz, label in zip(*(vertices[k] for k in ("nx", "ny", "nz", "label"))):
-        shade = 0.7 + 0.35 * max(0.0, (nx * light[0] + ny * light[1] + nz * light[2]) / norm)
-        by_class.append([min(255, shade * v) for v in table.get(label, (0, 0, 0))])
-    photo = list(zip(*(vertices[k] for k in ("red", "green", "blue"))))
+    colorings = [list(zip(*(vertices[k] for k in ("red", "green", "blue"))))]
+    if classes is not None and "label" in vertices:
+        light = [0.15 * r + 0.6 * u + 0.6 * b for r, u, b in zip(*camera[1:])]
+        norm = math.hypot(*light)
+        by_class, table = [], class_colors(classes)
+        for nx, ny, nz, label in zip(*(vertices[k] for k in ("nx", "ny", "nz", "label"))):
+            shade = 0.7 + 0.35 * max(0.0, (nx * light[0] + ny * light[1] + nz * light[2]) / norm)
+            by_class.append([min(255, shade * v) for v in table.get(label, (0, 0, 0))])
+        colorings.append(by_class)
     white = [(255, 255, 255)]
-    panels = [rows_of(owner, [tuple(int(v) for v in c) for c in colors] + white, width, height) for colors in (photo, by_class)]
-    write_png(out, 2 * width // SAMPLES, height // SAMPLES, [left + right for left, right in zip(*panels)])
+    panels = [rows_of(owner, [tuple(int(v) for v in c) for c in colors] + white, width, height) for colors in colorings]
+    write_png(out, len(panels) * width // SAMPLES, height // SAMPLES, [b"".join(row) for row in zip(*panels)])
 
 
 main()

@@ -9,6 +9,7 @@
 #include "app/command_line/help.h"
 #include "app/version_text.h"
 #include "core/error.h"
+#include "core/text.h"
 #include "plugin/loader.h"
 
 namespace semfield::app {
@@ -152,7 +153,9 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   Diagnostics of_checks;
   for (const std::string& module : global.modules) load_module(context.registry, module, {true, &of_checks});
   for (const Diagnostic& note : of_checks.all()) print_note(context, note.text());
-  return run_launched(split.verb->name, split.verb->launch, split.verb->run, context);
+  std::vector<std::string> words;
+  for (int i = 1; i < argc; ++i) words.push_back(shell_word(argv[i]));
+  return run_launched({split.verb->name, split.verb->launch, split.verb->run, join(words, " ")}, context);
 }
 
 }  // namespace semfield::app

@@ -2,9 +2,8 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
-
 #include "scene/camera_path.h"
+#include "scene/output_names.h"
 
 namespace semfield::app {
 
@@ -49,11 +48,7 @@ std::vector<Pose> smooth_path(const Session& s, int frames) {
 
 }  // namespace
 
-std::string NamedView::file_name() const {
-  std::string file = name;
-  std::replace(file.begin(), file.end(), '/', '_');
-  return file;
-}
+std::string NamedView::file_name() const { return output_name(name); }
 
 std::string render_name(const RenderOptions& options) {
   if (options.trajectory.empty()) return options.split;

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <array>
 #include <filesystem>
-#include <map>
 #include <nlohmann/json.hpp>
 
 #include "classes/void_class.h"
@@ -14,7 +13,7 @@
 #include "eval/image_output.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
-#include "scene/scene_checks.h"
+#include "scene/output_names.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -85,18 +84,9 @@ struct FrameFiles {
 
 std::vector<FrameFiles> files_of(const LoadedScene& scene, const TrainingLabels& labels) {
   std::vector<FrameFiles> out;
-  std::map<std::string, std::size_t> taken;
   for (std::size_t f = 0; f < labels.frames.size(); ++f) {
     if (labels.frames[f].empty()) continue;
-    std::string name = scene.info.frames[f].name;
-    std::replace(name.begin(), name.end(), '/', '_');
-    const auto [other, fresh] = taken.emplace(name, f);
-    if (!fresh) {
-      throw Error(ErrorKind::data,
-                  frame_place(scene.info.frames[f]) + " and " + frame_place(scene.info.frames[other->second]) +
-                      " would have one file '" + label_file(name) + "'",
-                  "give them different names");
-    }
+    const std::string name = output_name(scene.info.frames[f].name);
     out.push_back({f, label_file(name), "preview/" + name + "_label_vis.png",
                    labels.frames[f].soft.empty() ? "" : "probability/" + name + ".npy"});
   }

@@ -16,6 +16,7 @@
 #include "core/findings.h"
 #include "eval/image_output.h"
 #include "fuse/scene_fusion.h"
+#include "scene/output_names.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -79,8 +80,7 @@ class MapWriter {
   }
   void write(const std::string& method, int frame, const std::vector<std::int16_t>& label) const {
     const FrameInfo& info = info_.frames[static_cast<std::size_t>(frame)];
-    std::string stem = info.name;
-    std::replace(stem.begin(), stem.end(), '/', '_');
+    const std::string stem = output_name(info.name);
     const fs::path folder = fs::path(folder_) / method;
     make_folder(folder.string());
     const MapSize size{info.camera.width_px, info.camera.height_px};

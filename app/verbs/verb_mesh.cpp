@@ -29,6 +29,7 @@ struct MeshOptions {
   std::optional<long long> resolution;  ///< cells along the longest side of the bounds
   std::optional<double> voxel;          ///< edge of a cell instead, world units
   std::optional<double> level;          ///< density of the surface, 1/m
+  bool keep_unseen = false;             ///< also faces that no training camera sees
   double keep_components = 0.002;       ///< least share of the faces: a chair is one, a floater is not
   bool points = false;                  ///< also a point cloud from the training views
   std::string color;                    ///< photo, class or both; "": both where there are classes
@@ -100,7 +101,16 @@ VoxelGrid grid_of(const MeshOptions& options, const Box& bounds) {
   return VoxelGrid::covering(bounds, std::max({size.x, size.y, size.z}) / static_cast<double>(cells));
 }
 
-SurfaceRequest request_of(const MeshOptions& options, const Session& s) {
+std::vector<RayCamera> training_cameras(const Session& s) {
+  std::vector<RayCamera> cameras;
+  for (const int f : s.scene.frames_of(Split::train)) {
+    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
+    cameras.push_back({info.camera, info.world_from_camera, s.plan.undistortion});
+  }
+  return cameras;
+}
+
+SurfaceRequest request_of(const MeshOptions& options, const Session& s, std::span<const RayCamera> cameras) {
   SurfaceRequest request;
   request.grid = grid_of(options, s.extent.bounds);
   request.opaque_border = s.limits.clip && s.config.rendering.far == FarMode::background;
@@ -108,13 +118,12 @@ SurfaceRequest request_of(const MeshOptions& options, const Session& s) {
     request.level_per_m = *options.level;
     return request;
   }
-  std::vector<RayCamera> cameras;
-  for (const int f : s.scene.frames_of(Split::train)) {
-    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
-    cameras.push_back({info.camera, info.world_from_camera, s.plan.undistortion});
-  }
   request.level_per_m = choose_level(*s.pipeline, request, look(*s.pipeline, cameras, s.limits, kSightLines));
   return request;
+}
+
+void drop_unseen(Surface& surface, std::span<const RayCamera> cameras, const RayLimits& limits, double cell) {
+  keep_triangles(surface, triangles_in_sight(surface, sights_of(surface, cameras, limits, cell)));
 }
 
 PointSet points_of(const Session& s, double voxel, const AppContext& context) {
@@ -165,7 +174,8 @@ int run(const MeshOptions& options, AppContext& context) {
   Session& s = run.session;
   const ClassTable& classes = s.scene.info.classes;
   const std::vector<Coloring> colorings = colorings_of(options, s.pipeline->has_semantics());
-  const SurfaceRequest request = request_of(options, s);
+  const std::vector<RayCamera> cameras = training_cameras(s);
+  const SurfaceRequest request = request_of(options, s, cameras);
   const VoxelGrid& grid = request.grid;
   const double level = request.level_per_m;
   std::error_code failed;
@@ -179,13 +189,22 @@ int run(const MeshOptions& options, AppContext& context) {
                                   grid.ny, grid.nz, grid.spacing, s.scene.info.metric ? "m" : "units", level,
                                   s.scene.info.metric ? "m" : "unit"));
   Surface surface = density_surface(*s.pipeline, request);
+  const std::size_t all = surface.triangles.size();
+  if (!options.keep_unseen) drop_unseen(surface, cameras, s.limits, grid.spacing);
+  const std::size_t unseen = all - surface.triangles.size();
   const std::int64_t components = drop_small_components(surface, options.keep_components);
   if (surface.triangles.empty()) {
     throw Error(ErrorKind::data, fmt::format("{}: no surface at a density of {:.4g}", options.run, level),
                 "lower --level, or --keep-components, or train longer");
   }
-  surface.attributes = render_attributes(*s.pipeline, surface.positions, surface.normals, kOffsetCells * grid.spacing,
-                                         s.limits, s.plan.class_of_logit);
+  if (unseen > 0)
+    print_note(
+        context,
+        fmt::format("{} of {} faces that no training camera sees are left out; --keep-unseen keeps them", unseen, all));
+  std::vector<Sights> sights = sights_of(surface, cameras, s.limits, grid.spacing);
+  lend_sights(surface, sights);
+  surface.attributes = render_attributes(*s.pipeline, surface, {cameras, sights}, kOffsetCells * grid.spacing, s.limits,
+                                         s.plan.class_of_logit);
   PointSet cloud;
   if (options.points) cloud = points_of(s, grid.spacing, context);
   const bool glb = std::find(targets.formats.begin(), targets.formats.end(), "glb") != targets.formats.end();
@@ -213,6 +232,7 @@ int run(const MeshOptions& options, AppContext& context) {
              {"level", level},
              {"vertices", surface.positions.size()},
              {"faces", surface.triangles.size()},
+             {"unseen_faces", unseen},
              {"components", components},
              {"files", files}};
     if (glb) out["up"] = {up.x, up.y, up.z};
@@ -243,6 +263,7 @@ void words(VerbWords& verb, MeshOptions& options) {
               "axis of the world that GLB files show upright (default: as the cameras stand)");
   verb.flag("--points", options.points, "also write a labelled point cloud from the depth of the training views");
   verb.value("--out FILE", options.out, "file to write (default: mesh.ply in the run folder)");
+  verb.flag("--keep-unseen", options.keep_unseen, "keep what no training camera sees (default: it is left out)");
   verb.value_in("--keep-components X", options.keep_components, 0, 1,
                 "keep connected parts with at least this share of all faces; 0 keeps all");
   verb.run_settings(options.set);

@@ -75,7 +75,9 @@ void Diagnostics::throw_if_errors(ErrorKind kind, std::string_view summary) cons
     if (!text.empty()) text += '\n';
     text += finding.text();
   }
-  throw FindingsError(kind, text, std::move(errors));
+  std::vector<Diagnostic> each = all_;
+  std::erase_if(each, [](const Diagnostic& finding) { return finding.severity != Severity::error; });
+  throw FindingsError(kind, text, std::move(each));
 }
 
 std::string join(const std::vector<std::string>& words, std::string_view separator) {

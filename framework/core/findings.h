@@ -13,7 +13,7 @@ namespace semfield {
 /// count and name the others. The same is what differs in nothing but paths and numbers.
 std::vector<Diagnostic> folded(const Diagnostics& diagnostics);
 
-/// What Diagnostics::throw_if_errors throws: its message lists the findings, which programs get here.
+/// What Diagnostics::throw_if_errors throws: its message lists the findings, folded; programs get each of them here.
 class FindingsError : public Error {
  public:
   FindingsError(ErrorKind kind, std::string message, std::vector<Diagnostic> findings)

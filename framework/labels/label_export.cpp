@@ -6,6 +6,7 @@
 
 #include "labels/mask_outlines.h"
 #include "labels/run_lengths.h"
+#include "scene/output_names.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -52,11 +53,19 @@ void append(std::string& list, const std::string& item) {
   list += item;
 }
 
-std::string image_name(const LabelledFrame& frame) {
-  return frame.image_path.empty() ? frame.name + ".png" : fs::path(frame.image_path).filename().string();
-}
-
 }  // namespace
+
+// No two images of a file have one stem, by which readers know a frame.
+std::string CocoExport::image_name(const LabelledFrame& frame) {
+  const fs::path file =
+      frame.image_path.empty() ? fs::path(output_name(frame.name) + ".png") : fs::path(frame.image_path);
+  if (stems_.insert(file.stem().string()).second) return file.filename().string();
+  const std::string own = output_name(frame.name);
+  if (!stems_.insert(own).second)
+    throw Error(ErrorKind::data, "frame '" + frame.name + "': another image of the file is called '" + own + "'",
+                "give the frame another name");
+  return own + file.extension().string();
+}
 
 void CocoExport::annotate(const std::string& text) {
   append(annotations_, text);
@@ -120,8 +129,7 @@ std::int64_t write_labelme(const std::string& folder, const LabelledFrame& frame
                       {"shape_type", "polygon"},
                       {"flags", Json::object()}});
   }
-  std::string stem = frame.name;
-  std::replace(stem.begin(), stem.end(), '/', '_');
+  const std::string stem = output_name(frame.name);
   // labelme opens the image beside the file, by a relative path.
   std::error_code failed;
   fs::path image = frame.image_path.empty() ? fs::path(stem + ".png") : fs::relative(frame.image_path, folder, failed);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -22,7 +23,8 @@ enum class CocoMasks { polygons, run_lengths };
 
 /// Frames of one COCO file [Lin14]; categories are the classes that are not ignored, under their own ids. Polygons run
 /// along pixel edges, a hole being joined by a cut without width, so they give the same pixels back. Run lengths are
-/// marked iscrowd, as COCO wants it.
+/// marked iscrowd, as COCO wants it. An image is called as its file, or as its frame where it has none; a later one of
+/// that name, from another folder, is called as its frame too.
 class CocoExport {
  public:
   CocoExport(ClassTable classes, CocoMasks masks) : classes_(std::move(classes)), masks_(masks) {}
@@ -32,10 +34,12 @@ class CocoExport {
   void write(const std::string& path) const;
 
  private:
+  std::string image_name(const LabelledFrame& frame);
   void annotate(const std::string& text);
   ClassTable classes_;
   CocoMasks masks_;
   std::string images_, annotations_;
+  std::set<std::string> stems_;  // of the images so far
   std::int64_t image_count_ = 0, annotation_count_ = 0;
 };
 

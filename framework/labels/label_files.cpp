@@ -4,6 +4,7 @@
 #include <filesystem>
 
 #include "core/text.h"
+#include "scene/output_names.h"
 #include "system/sorted_folder.h"
 
 namespace semfield {
@@ -29,9 +30,7 @@ std::string file_stem(std::string_view path) {
 }
 
 std::vector<std::string> names_of(const FrameInfo& frame) {
-  std::string flat = frame.name;
-  std::replace(flat.begin(), flat.end(), '/', '_');
-  return {frame.name, flat, file_stem(frame.source)};
+  return {frame.name, output_name(frame.name), file_stem(frame.source)};
 }
 
 void check_pattern(const std::string& pattern, Diagnostics& diagnostics) {

@@ -13,6 +13,7 @@
 #include "formats/image_io.h"
 #include "formats/input_limits.h"
 #include "loading/load_progress.h"
+#include "scene/output_names.h"
 #include "scene/scene_checks.h"
 #include "scene/unknown_labels.h"
 #include "survey/geometry_survey.h"
@@ -223,6 +224,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   scene.info = as_opened;
   convert_info(scene.info, options.convention);
   check_manifest_numbers(scene.info, diagnostics);
+  check_output_names(scene.info, diagnostics);
   std::vector<FrameInfo>& frames = scene.info.frames;
   check_input_limit(std::ssize(frames), input_limits().frames, "scene '" + scene.info.name + "': ", "frames", "frames");
   if (frames.empty() && !diagnostics.has_errors())

@@ -260,6 +260,16 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
   file.commit();
 }
 
+namespace {
+
+bool has_magic(const std::string& head) {
+  return head.size() >= sizeof kMagic && std::memcmp(head.data(), kMagic, sizeof kMagic) == 0;
+}
+
+}  // namespace
+
+bool is_packed_scene(const std::string& path) { return has_magic(read_file_start(path, sizeof kMagic)); }
+
 PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
   const auto refuse = [&](const std::string& what, const std::string& remedy) -> Error {
     return Error(ErrorKind::data, "'" + path_ + "': " + what, remedy);
@@ -267,9 +277,7 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
   const std::string again = "pack the scene again";
   const std::string head = read_file_start(path_, kHeaderBytes);
   Header header{};
-  if (head.size() < sizeof kMagic || std::memcmp(head.data(), kMagic, sizeof kMagic) != 0) {
-    throw refuse("not a packed scene", "give a file that 'semfield pack' wrote");
-  }
+  if (!has_magic(head)) throw refuse("not a packed scene", "give a file that 'semfield pack' wrote");
   if (head.size() < kHeaderBytes) throw refuse("truncated inside its header", "copy the file again");
   std::memcpy(&header, head.data(), kHeaderBytes);
   if (crc_of(header) != header.header_crc) throw refuse("header is damaged (wrong checksum)", "copy the file again");

@@ -154,64 +154,109 @@ double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& reque
   return candidate(spacing, static_cast<std::size_t>(best));
 }
 
-PointAttributes render_attributes(Pipeline<float>& pipeline, std::span<const Vec3d> points,
-                                  std::span<const Vec3d> normals, double offset, const RayLimits& limits,
-                                  const ClassOfLogit& class_of_logit) {
-  const bool semantics = pipeline.has_semantics();
-  PointAttributes out;
-  out.color.resize(points.size());
-  if (semantics) {
-    out.label.resize(points.size());
-    out.entropy.resize(points.size());
-  }
-  const auto rows = std::min<std::size_t>(points.size(), kBatch);
-  std::vector<double> origin(3 * rows), direction(3 * rows), near_far(2 * rows);
-  std::vector<float> color(3 * rows), opacity(rows), entropy(rows);
-  std::vector<std::int16_t> label(rows);
-  const std::array<double, 3> background = pipeline.options().rules.background();
-  for (std::size_t begin = 0; begin < points.size(); begin += rows) {
-    const std::size_t count = std::min(rows, points.size() - begin);
-    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
-      const auto r = static_cast<std::size_t>(at);
-      const Vec3d n = normals[begin + r], o = points[begin + r] + n * offset;
-      double enter = 0, leave = 2 * offset;
-      if (limits.clip) {
-        double in = 0, past = 0;
-        const bool meets = intersect(limits.bounds, o, n * -1.0, in, past);
-        enter = meets ? std::min(in, leave) : 0;
-        leave = meets ? std::max(enter, std::min(past, leave)) : 0;
-      }
-      near_far[2 * r] = enter;
-      near_far[2 * r + 1] = leave;
-      for (int axis = 0; axis < 3; ++axis) {
-        origin[3 * r + static_cast<std::size_t>(axis)] = o[axis];
-        direction[3 * r + static_cast<std::size_t>(axis)] = -n[axis];
-      }
-    });
-    const auto n = static_cast<std::int64_t>(count);
-    RenderJob<float> job;
-    job.origin = {origin.data(), n, 3};
-    job.direction = {direction.data(), n, 3};
-    job.near_far = {near_far.data(), n, 2};
-    job.color = {color.data(), n, 3};
-    job.opacity = {opacity.data(), n, 1};
-    if (semantics) {
-      job.label = {label.data(), n, 1};
-      job.entropy = {entropy.data(), n, 1};
+namespace {
+
+// Short rays at some vertices, `rays` of them for each.
+struct ShortRays {
+  explicit ShortRays(std::size_t rows)
+      : origin(3 * rows),
+        direction(3 * rows),
+        near_far(2 * rows),
+        color(3 * rows),
+        opacity(rows),
+        entropy(rows),
+        label(rows) {}
+
+  void set(std::size_t r, Vec3d point, Vec3d along, double offset, const RayLimits& limits) {
+    const Vec3d o = point - along * offset;
+    double enter = 0, leave = 2 * offset;
+    if (limits.clip) {
+      double in = 0, past = 0;
+      const bool meets = intersect(limits.bounds, o, along, in, past);
+      enter = meets ? std::min(in, leave) : 0;
+      leave = meets ? std::max(enter, std::min(past, leave)) : 0;
     }
-    pipeline.render(job);
-    for_points(n, [&](std::int64_t at) {
-      const auto r = static_cast<std::size_t>(at);
-      const bool met = opacity[r] > kLeastOpacity;
-      for (std::size_t c = 0; c < 3 && met; ++c) {
-        const double behind = (1 - static_cast<double>(opacity[r])) * background[c];
-        const double value = (static_cast<double>(color[3 * r + c]) - behind) / static_cast<double>(opacity[r]);
-        out.color[begin + r][c] = static_cast<std::uint8_t>(std::lround(255 * std::clamp(value, 0.0, 1.0)));
+    near_far[2 * r] = enter;
+    near_far[2 * r + 1] = leave;
+    for (int axis = 0; axis < 3; ++axis) {
+      origin[3 * r + static_cast<std::size_t>(axis)] = o[axis];
+      direction[3 * r + static_cast<std::size_t>(axis)] = along[axis];
+    }
+  }
+  RenderJob<float> job(std::int64_t count, bool semantics) {
+    RenderJob<float> job;
+    job.origin = {origin.data(), count, 3};
+    job.direction = {direction.data(), count, 3};
+    job.near_far = {near_far.data(), count, 2};
+    job.color = {color.data(), count, 3};
+    job.opacity = {opacity.data(), count, 1};
+    if (!semantics) return job;
+    job.label = {label.data(), count, 1};
+    job.entropy = {entropy.data(), count, 1};
+    return job;
+  }
+
+  std::vector<double> origin, direction, near_far;
+  std::vector<float> color, opacity, entropy;
+  std::vector<std::int16_t> label;
+};
+
+}  // namespace
+
+PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surface, const Watch& watch, double offset,
+                                  const RayLimits& limits, const ClassOfLogit& class_of_logit) {
+  const bool semantics = pipeline.has_semantics();
+  const std::size_t points = surface.positions.size();
+  PointAttributes out;
+  out.color.resize(points);
+  if (semantics) {
+    out.label.resize(points);
+    out.entropy.resize(points);
+  }
+  constexpr std::size_t kPoints = kBatch / Sights::kMost;
+  std::vector<Looks> looks(std::min(points, kPoints));
+  std::vector<std::size_t> first(looks.size() + 1);
+  ShortRays rays(looks.size() * Sights::kMost);
+  const std::array<double, 3> background = pipeline.options().rules.background();
+  for (std::size_t begin = 0; begin < points; begin += kPoints) {
+    const std::size_t count = std::min(kPoints, points - begin);
+    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
+      const std::size_t i = begin + static_cast<std::size_t>(at);
+      looks[static_cast<std::size_t>(at)] = looks_at(surface.positions[i], surface.normals[i],
+                                                     watch.sights.empty() ? Sights{} : watch.sights[i], watch.cameras);
+    });
+    for (std::size_t i = 0; i < count; ++i) first[i + 1] = first[i] + looks[i].count;
+    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
+      const auto i = static_cast<std::size_t>(at);
+      for (std::size_t k = 0; k < looks[i].count; ++k)
+        rays.set(first[i] + k, surface.positions[begin + i], looks[i].direction[k], offset, limits);
+    });
+    pipeline.render(rays.job(static_cast<std::int64_t>(first[count]), semantics));
+    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
+      const auto i = static_cast<std::size_t>(at);
+      std::array<double, 3> sum{};
+      double met = 0;
+      std::size_t surest = first[i];
+      bool any = false;
+      for (std::size_t k = 0; k < looks[i].count; ++k) {
+        const std::size_t r = first[i] + k;
+        if (!(rays.opacity[r] > kLeastOpacity)) continue;
+        if (!any || rays.entropy[r] < rays.entropy[surest]) surest = r;
+        any = true;
+        met += looks[i].weight[k];
+        for (std::size_t c = 0; c < 3; ++c) {
+          const double behind = (1 - static_cast<double>(rays.opacity[r])) * background[c];
+          const double value =
+              (static_cast<double>(rays.color[3 * r + c]) - behind) / static_cast<double>(rays.opacity[r]);
+          sum[c] += looks[i].weight[k] * std::clamp(value, 0.0, 1.0);
+        }
       }
+      for (std::size_t c = 0; c < 3 && any; ++c)
+        out.color[begin + i][c] = static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, sum[c] / met)));
       if (!semantics) return;
-      out.label[begin + r] =
-          met ? static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(label[r])]) : kVoid;
-      out.entropy[begin + r] = entropy[r];
+      out.label[begin + i] =
+          any ? static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(rays.label[surest])]) : kVoid;
+      out.entropy[begin + i] = rays.entropy[surest];
     });
   }
   return out;

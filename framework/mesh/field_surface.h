@@ -5,6 +5,7 @@
 
 #include "eval/evaluator.h"
 #include "mesh/marching_cubes.h"
+#include "mesh/sights.h"
 
 namespace semfield {
 
@@ -39,11 +40,17 @@ SightLines look(Pipeline<float>& pipeline, std::span<const RayCamera> cameras, c
 /// that was trained briefly is soft: one fixed level would lose its walls or inflate its objects.
 double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& request, const SightLines& lines);
 
-/// Colour, class and entropy of points on a surface: rays along the negative normal, from `offset` outside the surface
-/// to `offset` behind it [Zhi21, Sec. 4]. Colour is that of what the ray met: divided by its opacity. A ray that meets
-/// nothing gives black and kVoid.
-PointAttributes render_attributes(Pipeline<float>& pipeline, std::span<const Vec3d> points,
-                                  std::span<const Vec3d> normals, double offset, const RayLimits& limits,
-                                  const ClassOfLogit& class_of_logit);
+/// Who looks at the vertices of a surface; without sights everybody looks along the negative normal.
+struct Watch {
+  std::span<const RayCamera> cameras;
+  std::span<const Sights> sights;  ///< per vertex, numbers of `cameras`
+};
+
+/// Colour, class and entropy of the vertices: short rays in the directions of looks_at, from `offset` before the
+/// surface to `offset` behind it [Zhi21, Sec. 4]. In a direction that no camera had, a field's colour is a guess, and
+/// on real photographs a wild one. Colour is that of what a ray met, divided by its opacity, and the weighted mean of
+/// the rays; class and entropy are those of the surest. Where no ray meets anything: black and kVoid.
+PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surface, const Watch& watch, double offset,
+                                  const RayLimits& limits, const ClassOfLogit& class_of_logit);
 
 }  // namespace semfield

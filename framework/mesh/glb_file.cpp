@@ -26,13 +26,20 @@ class Layout {
  public:
   explicit Layout(Json& root) : root_(root) {}
 
-  /// Number of the accessor of `count` elements of `stride` bytes.
-  std::size_t attribute(std::size_t count, std::size_t stride, int component, const char* type, bool normalised) {
+  /// Number of the view of `count` elements of `stride` bytes.
+  std::size_t elements(std::size_t count, std::size_t stride) {
     const std::size_t view = add_view(count * stride, kArrayBuffer);
     root_["bufferViews"][view]["byteStride"] = stride;
-    Json accessor{{"bufferView", view}, {"componentType", component}, {"count", count}, {"type", type}};
-    if (normalised) accessor["normalized"] = true;
-    return add_accessor(std::move(accessor));
+    return view;
+  }
+  /// Number of the accessor of `count` elements of a view, from number `first` on.
+  std::size_t attribute(std::size_t view, std::size_t first, std::size_t count, int component, const char* type) {
+    const std::size_t stride = root_["bufferViews"][view]["byteStride"];
+    return add_accessor({{"bufferView", view},
+                         {"byteOffset", first * stride},
+                         {"componentType", component},
+                         {"count", count},
+                         {"type", type}});
   }
   std::size_t indices(std::size_t count) {
     const std::size_t view = add_view(count * sizeof(std::uint32_t), kElementArrayBuffer);
@@ -56,11 +63,38 @@ class Layout {
   std::size_t bytes_ = 0;
 };
 
-void set_range(Json& accessor, const std::vector<Vec3d>& positions) {
+// The vertices that a group uses, in the order in which its triangles first do, and its triangles by their numbers
+// there: a primitive over the vertices of the whole mesh would have them counted and loaded again for each class.
+struct GroupVertices {
+  std::vector<std::uint32_t> vertices;  ///< numbers of the surface's
+  std::vector<std::uint32_t> indices;   ///< of `vertices`
+};
+std::vector<GroupVertices> vertices_of(const Surface& surface, const std::vector<ClassGroup>& groups) {
+  constexpr std::uint32_t kNone = 0xFFFFFFFFU;
+  std::vector<std::uint32_t> number(surface.positions.size(), kNone);
+  std::vector<GroupVertices> all;
+  for (const ClassGroup& group : groups) {
+    GroupVertices& own = all.emplace_back();
+    for (const std::uint32_t i : group.triangles) {
+      for (const std::uint32_t v : surface.triangles[i]) {
+        if (number[v] == kNone) {
+          number[v] = static_cast<std::uint32_t>(own.vertices.size());
+          own.vertices.push_back(v);
+        }
+        own.indices.push_back(number[v]);
+      }
+    }
+    for (const std::uint32_t v : own.vertices) number[v] = kNone;
+  }
+  return all;
+}
+
+void set_range(Json& accessor, const Surface& surface, const std::vector<std::uint32_t>& vertices) {
   std::array<float, 3> least, most;
   least.fill(std::numeric_limits<float>::max());
   most.fill(std::numeric_limits<float>::lowest());
-  for (const Vec3d& p : positions) {
+  for (const std::uint32_t v : vertices) {
+    const Vec3d& p = surface.positions[v];
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const auto value = static_cast<float>(p[static_cast<int>(axis)]);
       least[axis] = std::min(least[axis], value);
@@ -82,24 +116,30 @@ Json material(const ClassGroup& group, bool unlit) {
 }
 
 void write_binary(BufferedFile& file, const Surface& surface, const ClassTable& classes,
-                  const std::vector<ClassGroup>& groups) {
+                  const std::vector<GroupVertices>& groups) {
+  const auto each = [&](const auto& write) {
+    for (const GroupVertices& group : groups) {
+      for (const std::uint32_t v : group.vertices) write(v);
+    }
+  };
   for (const std::vector<Vec3d>* vectors : {&surface.positions, &surface.normals}) {
-    for (const Vec3d& v : *vectors) {
-      for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>(v[axis]));
-    }
+    each([&](std::uint32_t v) {
+      for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>((*vectors)[v][axis]));
+    });
   }
-  for (const auto& color : surface.attributes.color) {
-    for (const std::uint8_t c : color) file.value(static_cast<std::uint16_t>(std::lround(65535 * linear_light(c))));
+  each([&](std::uint32_t v) {
+    for (const std::uint8_t c : surface.attributes.color[v])
+      file.value(static_cast<std::uint16_t>(std::lround(65535 * linear_light(c))));
     file.value(std::uint16_t{65535});
+  });
+  if (surface.attributes.has_labels()) {
+    each([&](std::uint32_t v) {  // 16 bits and two bytes of padding
+      file.value(static_cast<std::uint32_t>(classes.id_of(surface.attributes.label[v])));
+    });
+    each([&](std::uint32_t v) { file.value(surface.attributes.entropy[v]); });
   }
-  for (const std::int16_t label : surface.attributes.label) {
-    file.value(static_cast<std::uint32_t>(classes.id_of(label)));  // 16 bits and two bytes of padding
-  }
-  for (const float entropy : surface.attributes.entropy) file.value(entropy);
-  for (const ClassGroup& group : groups) {
-    for (const std::uint32_t i : group.triangles) {
-      for (const std::uint32_t v : surface.triangles[i]) file.value(v);
-    }
+  for (const GroupVertices& group : groups) {
+    for (const std::uint32_t index : group.indices) file.value(index);
   }
 }
 
@@ -120,21 +160,31 @@ void write_glb(const std::string& path, const Surface& surface, const ClassTable
   root["bufferViews"] = Json::array();
   root["accessors"] = Json::array();
   Layout layout(root);
-  const std::size_t count = surface.positions.size();
-  Json attributes;
-  attributes["POSITION"] = layout.attribute(count, 12, kFloat, "VEC3", false);
-  set_range(root["accessors"][0], surface.positions);
-  attributes["NORMAL"] = layout.attribute(count, 12, kFloat, "VEC3", false);
-  attributes["COLOR_0"] = layout.attribute(count, 8, kUnsignedShort, "VEC4", true);
-  if (surface.attributes.has_labels()) {
-    attributes["_LABEL"] = layout.attribute(count, 4, kUnsignedShort, "SCALAR", false);
-    attributes["_ENTROPY"] = layout.attribute(count, 4, kFloat, "SCALAR", false);
-  }
+  const std::vector<GroupVertices> vertices = vertices_of(surface, groups);
+  std::size_t count = 0;
+  for (const GroupVertices& group : vertices) count += group.vertices.size();
+  const bool labels = surface.attributes.has_labels();
+  const std::size_t positions = layout.elements(count, 12), normals = layout.elements(count, 12),
+                    colors = layout.elements(count, 8), ids = labels ? layout.elements(count, 4) : 0,
+                    entropies = labels ? layout.elements(count, 4) : 0;
   Json primitives = Json::array();
+  std::size_t first = 0;
   for (std::size_t g = 0; g < groups.size(); ++g) {
+    const std::size_t own = vertices[g].vertices.size();
+    Json attributes;
+    attributes["POSITION"] = layout.attribute(positions, first, own, kFloat, "VEC3");
+    set_range(root["accessors"].back(), surface, vertices[g].vertices);
+    attributes["NORMAL"] = layout.attribute(normals, first, own, kFloat, "VEC3");
+    attributes["COLOR_0"] = layout.attribute(colors, first, own, kUnsignedShort, "VEC4");
+    root["accessors"].back()["normalized"] = true;
+    if (labels) {
+      attributes["_LABEL"] = layout.attribute(ids, first, own, kUnsignedShort, "SCALAR");
+      attributes["_ENTROPY"] = layout.attribute(entropies, first, own, kFloat, "SCALAR");
+    }
+    first += own;
     root["materials"].push_back(material(groups[g], look.unlit));
-    primitives.push_back({{"attributes", attributes},
-                          {"indices", layout.indices(3 * groups[g].triangles.size())},
+    primitives.push_back({{"attributes", std::move(attributes)},
+                          {"indices", layout.indices(vertices[g].indices.size())},
                           {"material", g},
                           {"mode", 4}});
   }
@@ -155,7 +205,7 @@ void write_glb(const std::string& path, const Surface& surface, const ClassTable
   file.text(json);
   file.value(static_cast<std::uint32_t>(layout.bytes()));
   file.value(kBinaryChunk);
-  write_binary(file, surface, classes, groups);
+  write_binary(file, surface, classes, vertices);
   file.commit();
 }
 

@@ -18,7 +18,7 @@ std::string ply_header(std::size_t vertices, std::size_t faces, bool normals, bo
   header += "property double x\nproperty double y\nproperty double z\n";
   if (normals) header += "property float nx\nproperty float ny\nproperty float nz\n";
   header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
-  if (labels) header += "property ushort label\nproperty float entropy\n";
+  if (labels) header += "property int label\nproperty float scalar_label\nproperty float entropy\n";
   if (faces > 0) header += fmt::format("element face {}\nproperty list uchar uint vertex_indices\n", faces);
   return header + "end_header\n";
 }
@@ -30,7 +30,9 @@ void write_vertices(BufferedFile& file, std::span<const Vec3d> positions, std::s
     for (int axis = 0; axis < 3 && !normals.empty(); ++axis) file.value(static_cast<float>(normals[v][axis]));
     for (const std::uint8_t c : attributes.color[v]) file.value(c);
     if (!attributes.has_labels()) continue;
-    file.value(static_cast<std::uint16_t>(classes.id_of(attributes.label[v])));
+    const std::int32_t id = classes.id_of(attributes.label[v]);
+    file.value(id);
+    file.value(static_cast<float>(id));
     file.value(attributes.entropy[v]);
   }
 }

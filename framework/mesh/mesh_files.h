@@ -16,7 +16,8 @@ struct PointSet {
 };
 
 /// Binary little-endian PLY. Vertices: x y z (double), nx ny nz (float), red green blue (uchar) and, with semantics,
-/// label (ushort: the id of the class table) and entropy (float, nats); faces: vertex_indices.
+/// label (int: the id of the class table), scalar_label (float: the same, as CloudCompare has scalar fields) and entropy
+/// (float, nats); faces: vertex_indices. Open3D reads label from files with int, and none with ushort.
 void write_ply(const std::string& path, const Surface& surface, const ClassTable& classes);
 /// The same without normals and faces.
 void write_ply(const std::string& path, const PointSet& points, const ClassTable& classes);
@@ -32,8 +33,8 @@ struct GlbLook {
   bool unlit = false;  ///< colours hold the light already: they are shown as they are (KHR_materials_unlit)
 };
 
-/// glTF 2.0 binary: one primitive and one material per class over shared attributes POSITION, NORMAL, COLOR_0 (linear
-/// light, 16 bits) and, with semantics, _LABEL (the id, 16 bits) and _ENTROPY (nats). Materials are single-sided, so
+/// glTF 2.0 binary: one primitive and one material per class, each with vertices of its own: POSITION, NORMAL, COLOR_0
+/// (linear light, 16 bits) and, with semantics, _LABEL (the id, 16 bits) and _ENTROPY (nats). Materials are single-sided, so
 /// that a room seen from outside is open; their extras hold class_id and the class's colour. Positions are in the
 /// input's world, rounded to 32 bits; the one node turns `up` to +y, and asset.extras say so. Throws Error(data) for
 /// files over 4 GiB.

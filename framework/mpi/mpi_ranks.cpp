@@ -26,6 +26,7 @@ constexpr auto kNap = std::chrono::microseconds(100);
 constexpr auto kLongNap = std::chrono::milliseconds(2);   // of a process that has had nothing to do for a second
 constexpr double kLook_s = 0.1;                           // between looks at the other processes
 constexpr double kGrace_s = 0.5;                          // of Ranks::end_when
+constexpr int kAskedTag = 1;                              // of the message that a rank was asked to end
 constexpr double kSilence_s = 600;                        // rank 0 waits no longer for an answer
 constexpr std::size_t kMostBytes = std::size_t{1} << 30;  // of a message; MPI counts in int
 
@@ -147,7 +148,10 @@ class MpiRanks final : public Ranks {
     }
   }
 
-  void end_when(std::function<bool()> asked) override { asked_ = std::move(asked); }
+  void end_when(std::function<bool()> asked, std::function<void()> hear) override {
+    asked_ = std::move(asked);
+    hear_ = std::move(hear);
+  }
 
   void watch() override {
     if (Clock::now() - watched_ < std::chrono::duration<double>(kLook_s)) return;
@@ -203,6 +207,7 @@ class MpiRanks final : public Ranks {
 
   void wait(MPI_Request& request, const std::string& doing) {
     if (lost_) lose(why_);
+    pass_on();
     const Clock::time_point start = Clock::now();
     Clock::time_point looked = start;
     double asked_at = -1;
@@ -221,7 +226,8 @@ class MpiRanks final : public Ranks {
       if (duration<double>(now - looked).count() < kLook_s) continue;
       looked = now;
       look();
-      if (!all_seen_ && asked_ && asked_()) {
+      pass_on();
+      if (rank_ == 0 && !all_seen_ && asked_ && asked_()) {
         if (asked_at < 0) asked_at = waited;
         if (waited - asked_at > kGrace_s)
           lose("this process was asked to end while it waited for the others (" + doing + ")");
@@ -229,6 +235,27 @@ class MpiRanks final : public Ranks {
       if (rank_ == 0 && waited > kSilence_s)
         lose("the other processes have not answered for " + std::to_string(static_cast<int>(kSilence_s)) + " s (" +
              doing + ")");
+    }
+  }
+
+  // That a rank was asked to end, from it to rank 0.
+  void pass_on() {
+    if (rank_ != 0) {
+      if (told_ || !asked_ || !asked_()) return;
+      told_ = true;
+      MPI_Request request = MPI_REQUEST_NULL;
+      check(MPI_Isend(nullptr, 0, MPI_BYTE, 0, kAskedTag, MPI_COMM_WORLD, &request), "sending to " + name_of(0));
+      MPI_Request_free(&request);
+      return;
+    }
+    for (;;) {
+      int came = 0;
+      MPI_Status status;
+      check(MPI_Iprobe(MPI_ANY_SOURCE, kAskedTag, MPI_COMM_WORLD, &came, &status), "listening to the other processes");
+      if (came == 0) return;
+      check(MPI_Recv(nullptr, 0, MPI_BYTE, status.MPI_SOURCE, kAskedTag, MPI_COMM_WORLD, MPI_STATUS_IGNORE),
+            "receiving from " + name_of(status.MPI_SOURCE));
+      if (hear_) hear_();
     }
   }
 
@@ -245,6 +272,8 @@ class MpiRanks final : public Ranks {
   std::vector<Process> processes_;
   std::vector<std::string> names_;
   std::function<bool()> asked_;
+  std::function<void()> hear_;
+  bool told_ = false;  // rank 0, that this process was asked to end
   Clock::time_point watched_;
   bool all_seen_ = true;  // every process runs where it can be looked at
   bool lost_ = false;

@@ -83,10 +83,6 @@ PythonLoader embedded_python(const std::string& doing) {
   return load;
 }
 
-bool is_below(const std::string& folder, const std::string& above) {
-  return folder == above || folder.starts_with(above.ends_with('/') ? above : above + "/");
-}
-
 // A module that was checked and broke a law stays out until it is mended or its owner says otherwise.
 void refuse_broken(const std::string& file, const std::string& doing, Diagnostics* notes) {
   Diagnostics unread;
@@ -171,9 +167,8 @@ void load_listed_module(Registry& registry, const std::string& path) {
   for (const std::string& loaded : registry.module_files()) {
     if (file_name(loaded) == file_name(path)) return;
   }
-  const std::string folder = real_path(fs::path(path).parent_path());
   for (const std::string& trusted : trusted_folders()) {
-    const std::string file = is_below(folder, trusted) ? path : (fs::path(trusted) / file_name(path)).string();
+    const std::string file = (fs::path(trusted) / file_name(path)).string();
     std::error_code none;
     if (!fs::is_regular_file(file, none)) continue;
     load_module(registry, file);

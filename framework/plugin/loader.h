@@ -33,9 +33,10 @@ void load_module(Registry& registry, const std::string& path, const LoadOptions&
 /// they are checked again; "" = they hold. Kept in the user's cache (system/file_verdicts.h).
 void keep_check(const std::string& path, const std::string& broken_law, Diagnostics& notes);
 
-/// A module that a configuration names, which may come from anybody. It is loaded when it lies in a trusted folder -
-/// those of the environment variable SEMFIELD_PLUGIN_PATH, absolute and separated by colons - or when one of its file
-/// name does; one of its file name that load_module was given satisfies it too. Throws Error(unavailable) otherwise.
+/// A module that a configuration names, which may come from anybody. What is loaded is the module of its file name that
+/// lies in a trusted folder itself, not in a folder below: those of the environment variable SEMFIELD_PLUGIN_PATH,
+/// absolute and separated by colons. One of its file name that load_module was given satisfies it too. Throws
+/// Error(unavailable) otherwise.
 void load_listed_module(Registry& registry, const std::string& path);
 
 /// Adds the CUDA kernels of the registry's modules: for FILE.so those of FILE_cuda.so beside it, where there is one. It

@@ -12,6 +12,7 @@
 #include "config/config_tree.h"
 #include "core/error.h"
 #include "report/report.h"
+#include "scene/output_names.h"
 #include "system/files.h"
 #include "system/sorted_folder.h"
 
@@ -144,8 +145,7 @@ ReportInput read_report_input(const std::vector<std::string>& run_folders, int m
   const std::string worst = text_or_empty(first.worst_frames_path());
   if (!worst.empty()) {
     for (const WorstFrame& frame : parse_worst_frames(worst, first.worst_frames_path())) {
-      std::string file = frame.name;
-      std::replace(file.begin(), file.end(), '/', '_');
+      const std::string file = output_name(frame.name);
       ReportStrip strip = read_strip(render, file, frame.note);
       if (strip.images.empty()) continue;
       apart.insert(file);

@@ -3,12 +3,12 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
 
 #include "core/error.h"
+#include "scene/output_names.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -105,13 +105,11 @@ RunFolder RunFolder::read(const std::string& path) {
 
 std::string RunFolder::render_path(std::string_view split, std::string_view frame, std::string_view kind,
                                    std::string_view extension) const {
-  std::string name(frame);
-  std::replace(name.begin(), name.end(), '/', '_');
   const fs::path folder = fs::path(path_) / "render" / split;
   std::error_code error;
   fs::create_directories(folder, error);
   if (error) throw cannot_write(folder.string(), error.value());
-  return (folder / fmt::format("{}_{}.{}", name, kind, extension)).string();
+  return (folder / fmt::format("{}_{}.{}", output_name(frame), kind, extension)).string();
 }
 
 }  // namespace semfield

@@ -6,12 +6,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 
 #include "core/text.h"
 #include "formats/input_limits.h"
+#include "scene/output_names.h"
 #include "scene/scene_checks.h"
 #include "system/files.h"
 
@@ -110,10 +110,7 @@ class CameraReader {
       error("'name' is no text", "name its images, such as \"name\": \"00001\"");
       return {};
     }
-    auto text = node_["name"].get<std::string>();
-    if (text.empty() || text.size() > 200 || !is_line_of_text(text))
-      error("'name' cannot be the beginning of a file's name", "use 1 to 200 bytes without control characters");
-    return text;
+    return node_["name"].get<std::string>();
   }
 
   double number(const char* key, std::optional<double> otherwise = std::nullopt) {
@@ -205,17 +202,12 @@ CameraSet read_cameras(const std::string& path, Diagnostics& diagnostics) {
     if (!set.z_depth && root["near_far"] != kAlongRay)
       refuse(path, fmt::format("its 'near_far' is neither '{}' nor '{}'", kAlongRay, kZDepth));
   }
-  std::map<std::string, std::size_t> names;
+  OutputNames names;
   for (std::size_t i = 0; i < root["cameras"].size(); ++i) {
     const std::string place = fmt::format("{}: camera {}", path, i);
     std::optional<PlacedCamera> camera = CameraReader(root["cameras"][i], place, diagnostics).read();
     if (!camera) continue;
-    std::string file = camera->name;
-    std::replace(file.begin(), file.end(), '/', '_');
-    const auto [other, fresh] = names.emplace(file, i);
-    if (!fresh)
-      diagnostics.error(place, fmt::format("its images would have the names of those of camera {}", other->second),
-                        "give each camera a name of its own; '/' becomes '_'");
+    if (const auto wrong = names.add(camera->name)) diagnostics.error(place, *wrong, kFrameNameRemedy);
     set.cameras.push_back(std::move(*camera));
   }
   diagnostics.throw_if_errors(ErrorKind::data, "the cameras have problems:");

@@ -138,8 +138,13 @@ class Suite {
     return rows;
   }
 
+  void begin(const LawRow& row) const {
+    if (request_.on_begin) request_.on_begin(row);
+  }
+
   template <class Laws>
   void tell(LawRow row, const Laws& laws) const {
+    begin(row);
     try {
       row.found = laws();
     } catch (const std::exception& error) {
@@ -154,6 +159,7 @@ class Suite {
     std::size_t accepted = 0;
     for (const Build& build : builds) {
       LawRow row{entry.kind, entry.name, text_of(settings), text_of_build(build), LawStatus::passed, {}};
+      begin(row);
       decltype(make_twins(registry_, entry.name, settings, build)) twins;
       try {
         twins = make_twins(registry_, entry.name, settings, build);

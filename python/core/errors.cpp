@@ -53,6 +53,8 @@ void register_errors(py::module_&) {
       if (thrown) std::rethrow_exception(thrown);
     } catch (const Error& error) {
       raise(error);
+    } catch (const py::cast_error& error) {  // a value beyond its type
+      raise(Error(ErrorKind::usage, error.what()));
     }
   });
 }

@@ -1,5 +1,7 @@
 #include "python/core/interrupt.h"
 
+#include <pthread.h>
+
 #include <atomic>
 #include <thread>
 
@@ -21,6 +23,10 @@ std::atomic<bool> g_ending{false};
 }  // namespace
 
 void note_interrupt() { ++g_noted; }
+
+void follow_forks() {
+  pthread_atfork(nullptr, nullptr, [] { g_working = 0; });
+}
 
 void end_work() {
   g_ending = true;

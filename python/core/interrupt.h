@@ -13,6 +13,9 @@ namespace py = pybind11;
 /// Ctrl-C met the code of a plugin: whoever works for that plugin stops too. With or without the GIL.
 void note_interrupt();
 
+/// A forked process has none of the threads that worked, and waits for none of them.
+void follow_forks();
+
 /// Lets nobody in any more, and waits for those who are in Work (a few seconds at most). At the end of the process: a
 /// thread that asks for the GIL of a Python that is gone would be ended in the middle of C++.
 void end_work();

@@ -24,12 +24,11 @@ void write_pack(const std::string& path, const py::dict& scene, const py::functi
   const SceneInfo info = scene_info_of(scene, diagnostics);
   // All that is wrong is told at once, and nothing is written then.
   for (std::size_t i = 0; i < info.frames.size(); ++i) {
-    try {
+    if (info.frames[i].camera.width_px < 1) continue;  // no size to hold them against
+    collect(diagnostics, "frame '" + info.frames[i].name + "'", [&] {
       FrameBuffer frame;
       fill_frame(read(i), info, static_cast<int>(i), frame);
-    } catch (const Error& error) {
-      diagnostics.error("", error.message(), error.remedy());
-    }
+    });
   }
   diagnostics.throw_if_errors(ErrorKind::data, "");
   PackOptions options;
@@ -54,7 +53,9 @@ PYBIND11_MODULE(_core, module) {
   define_plugins(module);
   define_device_arrays(module);
   module.def("write_pack", write_pack);
+  module.def("is_pack", semfield::is_packed_scene);
   module.def("resolved", resolved);
+  follow_forks();
   py::module_::import("atexit").attr("register")(py::cpp_function(end_work));
   module.def("environment", [] { return semfield::environment_json(semfield::this_environment()); });
   module.attr("__version__") = semfield::this_environment().version;

@@ -4,9 +4,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
+#include <string_view>
+#include <utility>
 
+#include "formats/input_limits.h"
 #include "python/core/arrays.h"
+#include "scene/output_names.h"
 #include "scene/scene_checks.h"
 
 namespace semfield::python {
@@ -38,6 +41,8 @@ py::array_t<T, py::array::c_style | py::array::forcecast> shaped(const py::objec
                             text(given.shape(), static_cast<std::size_t>(given.ndim()))));
   }
   const char kind = given.dtype().kind();
+  if (std::string_view("fiub").find(kind) == std::string_view::npos)
+    throw Error(ErrorKind::data, place + ": expected real numbers, got " + py::str(given.dtype()).cast<std::string>());
   if (std::is_integral_v<T> && kind != 'u' && kind != 'i' && kind != 'b')
     throw Error(ErrorKind::data, place + ": expected whole numbers, got " + py::str(given.dtype()).cast<std::string>(),
                 sizeof(T) == 1 ? "give uint8 values of 0 to 255" : "give class ids as integers");
@@ -72,6 +77,26 @@ ClassTable classes_of(const py::list& classes) {
   return entries.empty() ? ClassTable() : ClassTable(std::move(entries));
 }
 
+// The id -1 is no label; any other must be a class's.
+template <class Ids>
+std::vector<std::int16_t> indices_in(const Ids& ids, const ClassTable& classes, std::int32_t width,
+                                     const std::string& place) {
+  std::vector<std::int16_t> out(static_cast<std::size_t>(ids.size()));
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    const auto id = ids.data()[i];
+    const bool fits = std::cmp_greater_equal(id, 0) && std::cmp_less_equal(id, 65535);
+    const int index = std::cmp_equal(id, -1) ? kVoid : fits ? classes.index_of(static_cast<std::int32_t>(id)) : -2;
+    if (index == -2) {
+      const auto w = static_cast<std::size_t>(width);
+      throw Error(ErrorKind::data,
+                  fmt::format("{}: pixel x {}, y {}: {} is the id of no class", place, i % w, i / w, id),
+                  "add the class, or give -1 for pixels without a label");
+    }
+    out[i] = static_cast<std::int16_t>(index);
+  }
+  return out;
+}
+
 }  // namespace
 
 py::array pose_array(const Pose& pose) {
@@ -101,9 +126,11 @@ Pose pose_of(const py::object& value, const std::string& place) {
 }
 
 Camera camera_of(const py::dict& camera) {
+  const auto width = camera["width"].cast<std::int64_t>(), height = camera["height"].cast<std::int64_t>();
+  if (width > 0 && height > 0) check_image_limits(width, height);  // check_camera says what is wrong with others
   Camera out;
-  out.width_px = camera["width"].cast<std::int32_t>();
-  out.height_px = camera["height"].cast<std::int32_t>();
+  out.width_px = static_cast<std::int32_t>(width);
+  out.height_px = static_cast<std::int32_t>(height);
   out.fx = camera["fx"].cast<double>();
   out.fy = camera["fy"].cast<double>();
   out.cx = camera["cx"].cast<double>();
@@ -126,31 +153,35 @@ py::dict camera_dict(const Camera& camera) {
   return out;
 }
 
+void collect(Diagnostics& diagnostics, const std::string& place, const std::function<void()>& work) {
+  try {
+    work();
+  } catch (const Error& error) {
+    const std::string before = place + ": ";
+    const bool named = error.message().starts_with(before);
+    diagnostics.error(place, error.message().substr(named ? before.size() : 0), error.remedy());
+  }
+}
+
 SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
   SceneInfo info;
   info.name = scene["name"].cast<std::string>();
-  std::map<std::string, std::size_t> frame_of;
+  OutputNames names;
   for (const py::handle item : scene["frames"]) {
     const auto given = py::reinterpret_borrow<py::dict>(item);
     FrameInfo frame;
     frame.name = given["name"].cast<std::string>();
     frame.source = given["source"].cast<std::string>();
     const std::string place = "frame '" + frame.name + "'";
-    const auto [first, fresh] = frame_of.emplace(frame.name, info.frames.size());
-    if (!fresh)
-      diagnostics.error("",
-                        fmt::format("{}: frames {} and {} have this name", place, first->second, info.frames.size()),
-                        "give each frame a name of its own");
-    frame.camera = camera_of(given["camera"].cast<py::dict>());
+    if (const auto wrong = names.add(frame.name)) diagnostics.error(place, *wrong, kFrameNameRemedy);
     frame.split = split_of(given["split"].cast<std::string>(), place);
     frame.has_depth = given["has_depth"].cast<bool>();
     frame.has_labels = given["has_labels"].cast<bool>();
-    try {
-      frame.world_from_camera = pose_of(given["pose"], place);
-    } catch (const Error& error) {
-      diagnostics.error("", error.message(), error.remedy());
-    }
-    check_camera(frame.camera, place, diagnostics);
+    collect(diagnostics, place, [&] { frame.world_from_camera = pose_of(given["pose"], place); });
+    collect(diagnostics, place, [&] {
+      frame.camera = camera_of(given["camera"].cast<py::dict>());
+      check_camera(frame.camera, place, diagnostics);
+    });
     info.frames.push_back(std::move(frame));
   }
   info.classes = classes_of(scene["classes"].cast<py::list>());
@@ -160,9 +191,9 @@ SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
       info.bounds.lo[i] = corners.at(0, i);
       info.bounds.hi[i] = corners.at(1, i);
       if (!(corners.at(0, i) < corners.at(1, i)))
-        diagnostics.error(
-            "", fmt::format("bounds: axis {} goes from {} to {}", "xyz"[i], corners.at(0, i), corners.at(1, i)),
-            "give the lowest corner first");
+        diagnostics.error("bounds",
+                          fmt::format("axis {} goes from {} to {}", "xyz"[i], corners.at(0, i), corners.at(1, i)),
+                          "give the lowest corner first");
     }
   }
   info.near_hint_m = scene["near"].cast<double>();
@@ -201,20 +232,12 @@ py::array ids_array(const std::vector<std::int16_t>& indices, const ClassTable& 
 
 std::vector<std::int16_t> indices_of(const py::object& ids, const ClassTable& classes, std::int32_t height,
                                      std::int32_t width, const std::string& place) {
-  const auto given = shaped<std::int64_t>(ids, {height, width}, place);
-  std::vector<std::int16_t> out(static_cast<std::size_t>(given.size()));
-  for (std::size_t i = 0; i < out.size(); ++i) {
-    const std::int64_t id = given.data()[i];
-    const int index = id == -1 ? kVoid : id >= 0 && id <= 65535 ? classes.index_of(static_cast<std::int32_t>(id)) : -2;
-    if (index == -2) {
-      const auto w = static_cast<std::size_t>(width);
-      throw Error(ErrorKind::data,
-                  fmt::format("{}: pixel x {}, y {}: {} is the id of no class", place, i % w, i / w, id),
-                  "add the class, or give -1 for pixels without a label");
-    }
-    out[i] = static_cast<std::int16_t>(index);
-  }
-  return out;
+  const py::array given = py::array::ensure(ids);
+  // Of 64 unsigned bits the largest would become -1, which is no label.
+  if (given && given.dtype().kind() == 'u' && given.itemsize() == 8)
+    return indices_in(shaped<std::uint64_t>(ids, {height, width}, place), classes, width, place);
+  PyErr_Clear();
+  return indices_in(shaped<std::int64_t>(ids, {height, width}, place), classes, width, place);
 }
 
 }  // namespace semfield::python

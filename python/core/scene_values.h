@@ -3,6 +3,8 @@
 
 #include <pybind11/numpy.h>
 
+#include <functional>
+
 #include "scene/scene.h"
 
 namespace semfield::python {
@@ -13,11 +15,15 @@ namespace py = pybind11;
 py::array pose_array(const Pose& pose);
 /// [4, 4] or [3, 4] numbers; a rotation that is none is an Error(data) naming `place`.
 Pose pose_of(const py::object& value, const std::string& place);
-/// width, height, fx, fy, cx, cy and distortion k1 k2 p1 p2 k3 k4 of a dict.
+/// width, height, fx, fy, cx, cy and distortion k1 k2 p1 p2 k3 k4 of a dict. Throws Error(data) for a picture above the
+/// limits of inputs.
 Camera camera_of(const py::dict& camera);
 py::dict camera_dict(const Camera& camera);
 
-/// Findings about poses and cameras go into `diagnostics`.
+/// An Error that `work` throws becomes a finding at `place`, which its message need not repeat.
+void collect(Diagnostics& diagnostics, const std::string& place, const std::function<void()>& work);
+
+/// Findings about names, poses and cameras go into `diagnostics`, each at its frame.
 SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics);
 
 /// rgb [H, W, 3] uint8; depth_m [H, W] or None; labels [H, W] class ids or None. Shapes are those of the frame's

@@ -1,6 +1,7 @@
 #include "python/core/session.h"
 
 #include <pybind11/stl.h>
+#include <unistd.h>
 
 #include <optional>
 
@@ -61,11 +62,26 @@ py::dict values_dict(const std::vector<std::pair<std::string, std::optional<doub
 
 }  // namespace
 
-PySession::PySession() : registry_(base_registry()) {}
+PySession::PySession() : owner_(getpid()), registry_(base_registry()) {}
+
+PySession::~PySession() {
+  if (getpid() == owner_) return;
+  (void)run_.release();  // its threads and files are those of the process that opened it
+  (void)loaded_.release();
+}
+
+void PySession::refuse_fork() const {
+  if (getpid() == owner_) return;
+  throw Error(ErrorKind::usage,
+              "this run was opened by process " + std::to_string(owner_) + ", and this is a fork of it, process " +
+                  std::to_string(getpid()),
+              "save the run before the fork and semfield.load its folder here, or open it here");
+}
 
 // Without the GIL, one caller at a time, under the settings of the session's work.
 template <class Call>
 auto PySession::computed(const Call& call) const {
+  refuse_fork();
   const Work working;
   const std::lock_guard lock(mutex_);
   const WorkSettings settings = session().work();
@@ -109,6 +125,7 @@ std::unique_ptr<PySession> PySession::load(const std::string& run_dir, const py:
 }
 
 RunSession& PySession::training() {
+  refuse_fork();
   if (run_) return *run_;
   throw Error(ErrorKind::usage, "this run was opened to be looked at", "open it with semfield.resume to go on with it");
 }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <pybind11/pybind11.h>
+#include <sys/types.h>
 
 #include <memory>
 #include <mutex>
@@ -22,8 +23,10 @@ class Notes final : public TrainingListener {
   std::vector<std::string> texts;
 };
 
-/// Every call that computes gives the GIL back; calls from several threads wait for each other. Plugins written in
-/// Python take it in turn, so nobody may hold it while waiting here.
+/// It belongs to the process that opened it: a fork has its memory, but not its threads, and shares its files. There,
+/// calls that compute throw Error(usage), and the end of the object gives nothing back. Every call that computes gives
+/// the GIL back; calls from several threads wait for each other. Plugins written in Python take it in turn, so nobody
+/// may hold it while waiting here.
 class PySession {
  public:
   struct Opening {
@@ -31,6 +34,9 @@ class PySession {
     std::vector<std::string> keep;
     py::object scene = py::none();  ///< in place of the configuration's section: a dict
   };
+  ~PySession();
+  PySession(const PySession&) = delete;
+  PySession& operator=(const PySession&) = delete;
   /// A configuration that trains.
   static std::unique_ptr<PySession> open(const py::object& config, const py::dict& set, const Opening& how);
   /// A run's folder, to go on with.
@@ -64,9 +70,11 @@ class PySession {
  private:
   PySession();
   RunSession& training();
+  void refuse_fork() const;
   template <class Call>
   auto computed(const Call& call) const;
 
+  const pid_t owner_;
   Registry registry_;  // of its own: plugins that are loaded later leave it alone
   Notes notes_;
   mutable std::mutex mutex_;

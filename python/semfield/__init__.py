@@ -16,6 +16,16 @@ class table, -1 for none. Calls that compute give the GIL back and answer Ctrl-C
 
 from __future__ import annotations
 
+import sys
+
+try:
+    import numpy  # noqa: F401 - every array is one of its
+except ModuleNotFoundError as missing:
+    if missing.name != "numpy":
+        raise
+    raise ModuleNotFoundError(f"semfield needs NumPy, and {sys.executable} has none: install it for this Python "
+                              "(on Debian the package python3-numpy)", name="numpy") from None
+
 from . import errors
 from ._core import DeviceArray, __version__
 from .devices import to_device

@@ -16,8 +16,9 @@ def ordinal_of(device: str) -> int:
         return -1
     if device == "cuda":
         return 0
-    if device.startswith("cuda:") and device[5:].isdigit():
-        return int(device[5:])
+    number = str(device)[5:]
+    if str(device).startswith("cuda:") and number.isdecimal() and len(number) < 10:
+        return int(number)
     raise UsageError(f"device {device!r}: expected cpu, cuda or cuda:N")
 
 

@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 import numpy as np
 
 from .errors import Error, UsageError
-from .scenes import _floats
+from .scenes import _floats, _number, _whole
 
 
 class Labels:
@@ -42,7 +42,7 @@ class Labels:
         """Adds a class; there is room for as many as the run was opened with. Returns the id for undo."""
         more: Dict[str, Any] = {"name": name}
         if color is not None:
-            more["color"] = [int(c) for c in color]
+            more["color"] = [_whole("color", c, 0, 255) for c in color]
         return self._apply("class", **more)
 
     def add_click(self, frame: Union[str, int], x: float, y: float, class_: str, radius_px: float = 0.0) -> str:
@@ -66,12 +66,12 @@ class Labels:
         if at.ndim != 2 or at.shape[1] != 2 or not np.isfinite(at).all():
             raise UsageError(f"a click is at finite x and y, and a stroke at [N, 2] of them; got {points!r}")
         size = [known["camera"]["width"], known["camera"]["height"]]
-        return self._apply("click", frame=known["name"], size=size, radius=float(radius_px),
+        return self._apply("click", frame=known["name"], size=size, radius=_number("radius_px", radius_px),
                            points=at.tolist(), **{"class": class_})
 
     def rename_class(self, name: str, new_name: str, color: Optional[Tuple[int, int, int]] = None) -> str:
         """Gives a class that was added another name, or with the same name another colour. Returns the id for undo."""
-        more: Dict[str, Any] = {} if color is None else {"color": [int(c) for c in color]}
+        more: Dict[str, Any] = {} if color is None else {"color": [_whole("color", c, 0, 255) for c in color]}
         return self._apply("rename", **{"class": name, "name": new_name, **more})
 
     def undo(self, event: str) -> str:

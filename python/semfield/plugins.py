@@ -16,7 +16,7 @@ import numpy as np
 
 from . import _core
 from .errors import UsageError
-from .scenes import Frame, PathLike, _class_rows
+from .scenes import Frame, PathLike, _class_rows, _floats, _number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,8 +189,8 @@ class Dataset(_Plugin):
             })
         return {
             "name": type(self).__name__, "frames": frames, "classes": _class_rows(self.classes()),
-            "bounds": None if self.bounds is None else np.asarray(self.bounds, dtype=np.float64), "near": float(self.near),
-            "far": float(self.far), "metric": bool(self.metric),
+            "bounds": None if self.bounds is None else _floats("bounds", self.bounds), "near": _number("near", self.near),
+            "far": _number("far", self.far), "metric": bool(self.metric),
         }
 
     def _read(self, index: int) -> Dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import operator
 import os
 import warnings
 from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
@@ -16,7 +15,7 @@ from .devices import ordinal_of
 from .errors import UsageError
 from .labels import Labels
 from .results import Outcome, Points, Score, Step, View
-from .scenes import Camera, ClassEntry, Frame, PathLike, Scene, _floats, _temporary
+from .scenes import Camera, ClassEntry, Frame, PathLike, Scene, _floats, _pixels, _temporary, _whole
 
 Config = Union[str, "os.PathLike[str]", Mapping[str, Any]]
 FrameId = Union[str, int]  #: name of a frame, or its number in `Run.frames`
@@ -226,10 +225,8 @@ class Run:
             KeyboardInterrupt: after the step under way; the run can go on from there.
         """
         made = self.step
-        left = max(0, self._steps - made) if steps is None else _whole("steps", steps)
-        if left < 0 or _whole("every", every) < 1:
-            raise UsageError(f"train({steps}, every={every}): expected steps of 0 or more, and every of 1 or more")
-        return Training(self, left, int(every))
+        left = max(0, self._steps - made) if steps is None else _whole("train: steps", steps, 0, 2**62)
+        return Training(self, left, _whole("train: every", every, 1, 2**62))
 
     def render(
         self,
@@ -261,10 +258,10 @@ class Run:
             camera = Camera(**known["camera"])
         if width is not None or height is not None:
             if width is None:
-                width = max(1, round(camera.width * int(height or 0) / camera.height))
+                width = max(1, round(camera.width * _pixels("render: height", height) / camera.height))
             if height is None:
-                height = max(1, round(camera.height * int(width) / camera.width))
-            camera = camera.resized(int(width), int(height))
+                height = max(1, round(camera.height * _pixels("render: width", width) / camera.width))
+            camera = camera.resized(width, height)
         maps = self._session.render(camera._dict(), at, _whole("stride", stride), bool(probability), ordinal_of(device))
         whole = np.eye(4)
         whole[:3] = at[:3]
@@ -314,13 +311,6 @@ class Run:
         return str(self._session.save(os.fspath(run_dir)))
 
 
-def _whole(what: str, value: Any) -> int:
-    try:
-        return operator.index(value)
-    except TypeError:
-        raise UsageError(f"{what}: {value!r} is no whole number") from None
-
-
 def _words(words: Sequence[str]) -> List[str]:
     return [words] if isinstance(words, str) else list(words)
 
@@ -355,7 +345,7 @@ def open(  # noqa: A001 - semfield.open, as the program's verbs are words of eve
     """
     settings = dict(set or {})
     if class_room:
-        settings.setdefault("scene.labels.class_room", int(class_room))
+        settings.setdefault("scene.labels.class_room", _whole("class_room", class_room))
     return Run(_core.open(_config(config), settings, os.fspath(out), _words(keep), None if scene is None else scene.config()))
 
 

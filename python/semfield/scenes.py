@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import operator
 import os
 import tempfile
 import weakref
@@ -32,9 +33,35 @@ class _Arrays:
 
 def _floats(what: str, value: Any) -> np.ndarray[Any, Any]:
     try:
+        if np.iscomplexobj(np.asarray(value)):
+            raise TypeError("complex ones are none")
         return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise UsageError(f"{what}: expected numbers: {error}") from None
+
+
+def _number(what: str, value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise UsageError(f"{what}: {value!r} is no number") from None
+
+
+def _whole(what: str, value: Any, low: int = 0, high: int = 2**31 - 1) -> int:
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise UsageError(f"{what}: {value!r} is no whole number") from None
+    if not low <= number <= high:
+        raise UsageError(f"{what}: {number} is out of range; expected {low} to {high}")
+    return number
+
+
+def _pixels(what: str, value: Any) -> int:
+    number = _number(what, value)
+    if not number.is_integer():
+        raise UsageError(f"{what} {value!r} is no whole number of pixels")
+    return _whole(what, int(number), -2**31)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,45 +70,47 @@ class Camera:
 
     Attributes:
         width, height: pixels.
-        fx, fy: focal lengths, pixels.
-        cx, cy: principal point, pixels; the centre of the first pixel is (0.5, 0.5). None: the middle.
+        fx, fy: focal lengths, pixels; fy that is not given is fx.
+        cx, cy: principal point, pixels; the centre of the first pixel is (0.5, 0.5). Not given: the middle.
         distortion: k1, k2, p1, p2, k3, k4 of the lens [Brown66]; missing ones are 0.
     """
 
     width: int
     height: int
     fx: float
-    fy: Optional[float] = None
-    cx: Optional[float] = None
-    cy: Optional[float] = None
+    fy: float = None  # type: ignore[assignment]  # a number once it is made
+    cx: float = None  # type: ignore[assignment]
+    cy: float = None  # type: ignore[assignment]
     distortion: Tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, side in (("width", self.width), ("height", self.height)):
-            if int(side) != side:
-                raise UsageError(f"camera: {name} {side!r} is no whole number of pixels")
-        if len(self.distortion) > 6:
-            raise UsageError(f"camera: distortion has {len(self.distortion)} numbers; k1, k2, p1, p2, k3, k4 are known")
+        width, height = _pixels("camera: width", self.width), _pixels("camera: height", self.height)
+        lens = tuple(_floats("camera: distortion", self.distortion).ravel().tolist())
+        if len(lens) > 6:
+            raise UsageError(f"camera: distortion has {len(lens)} numbers; k1, k2, p1, p2, k3, k4 are known")
+        made: Dict[str, Any] = {"width": width, "height": height, "distortion": lens}
+        for name, otherwise in (("fx", None), ("fy", self.fx), ("cx", width / 2), ("cy", height / 2)):
+            given = getattr(self, name)
+            made[name] = _number(f"camera: {name}", otherwise if given is None else given)
+        for name, value in made.items():
+            object.__setattr__(self, name, value)  # the class is frozen
 
     @staticmethod
     def from_fov(width: int, height: int, degrees: float) -> "Camera":
-        """A camera with this horizontal field of view."""
-        return Camera(width, height, 0.5 * width / float(np.tan(np.radians(degrees) / 2)))
+        """A camera with this horizontal field of view, above 0 and below 180 degrees."""
+        angle = _number("from_fov: degrees", degrees)
+        if not 0 < angle < 180:
+            raise UsageError(f"from_fov: degrees {degrees!r}: a lens sees more than 0 and less than 180 degrees")
+        return Camera(width, height, 0.5 * _pixels("camera: width", width) / float(np.tan(np.radians(angle) / 2)))
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same view at another size."""
-        full = self._dict()
-        x, y = width / self.width, height / self.height
-        return Camera(width, height, full["fx"] * x, full["fy"] * y, full["cx"] * x, full["cy"] * y, self.distortion)
+        x, y = (_pixels(what, side) / own for what, side, own in
+                (("camera: width", width, self.width), ("camera: height", height, self.height)))
+        return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.distortion)
 
     def _dict(self) -> Dict[str, Any]:
-        lens = tuple(float(v) for v in self.distortion) + (0.0,) * (6 - len(self.distortion))
-        return {
-            "width": int(self.width), "height": int(self.height), "fx": float(self.fx),
-            "fy": float(self.fx if self.fy is None else self.fy),
-            "cx": float(self.width / 2 if self.cx is None else self.cx),
-            "cy": float(self.height / 2 if self.cy is None else self.cy), "distortion": lens,
-        }
+        return {**vars(self), "distortion": self.distortion + (0.0,) * (6 - len(self.distortion))}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,17 +164,19 @@ def _class_rows(classes: Any) -> List[Tuple[int, str, Optional[Tuple[int, int, i
     if classes is None:
         return []
     if isinstance(classes, Mapping):
-        classes = [ClassEntry(int(k), str(v)) for k, v in classes.items()]
+        classes = [ClassEntry(k, str(v)) for k, v in classes.items()]
     rows = []
     for i, item in enumerate(classes):
         if isinstance(item, str):
             item = ClassEntry(i, item)
+        if not isinstance(item, ClassEntry):
+            raise UsageError(f"class {i}: {item!r} is neither a name nor a ClassEntry")
         color: Optional[Tuple[int, int, int]] = None
         if item.color is not None:
             if len(item.color) != 3 or not all(0 <= c <= 255 for c in item.color):
                 raise UsageError(f"class {item.name!r}: color {item.color!r}: expected red, green and blue of 0 to 255")
             color = (int(item.color[0]), int(item.color[1]), int(item.color[2]))
-        rows.append((int(item.id), str(item.name), color, bool(item.ignore)))
+        rows.append((_whole(f"class {item.name!r}: id", item.id, -2**31), str(item.name), color, bool(item.ignore)))
     return rows
 
 
@@ -166,9 +197,11 @@ class Scene:
         metric: False where the unit is unknown.
         file: where the packed scene is kept. None: a temporary file, which is gone with this object; a run of it can
             then not be saved.
+        overwrite: a packed scene that `file` names already may be replaced; any other file never is.
 
     Raises:
-        DataError: with every frame that is wrong in `findings`.
+        DataError: with everything that is wrong with every frame in `findings`.
+        UsageError: there is such a file.
     """
 
     def __init__(
@@ -187,8 +220,14 @@ class Scene:
         metric: bool = True,
         name: str = "arrays",
         file: Optional[PathLike] = None,
+        overwrite: bool = False,
     ) -> None:
-        count = len(images)
+        if file is not None:
+            _refuse_to_replace(os.fspath(file), overwrite)
+        try:
+            count = len(images)
+        except TypeError:
+            raise UsageError(f"images: {type(images).__name__} has no length; give a list of arrays") from None
         poses = _floats("poses", poses)
         all_cameras = [cameras] * count if isinstance(cameras, Camera) else list(cameras)
         all_labels: List[Optional[np.ndarray[Any, Any]]] = [None] * count if labels is None else list(labels)
@@ -202,7 +241,9 @@ class Scene:
             raise UsageError("images: a scene has at least one")
         if any(m is not None for m in all_labels) and classes is None:
             raise UsageError("labels: classes tell what their ids mean, and there are none")
-        held_out = {int(i) for i in test}
+        if not all(isinstance(c, Camera) for c in all_cameras):
+            raise UsageError("cameras: expected one Camera for all images, or one for each")
+        held_out = {_whole("test", i, -2**31) for i in test}
         if not held_out <= set(range(count)):
             raise UsageError(f"test: {sorted(held_out - set(range(count)))} are no indices of {count} images")
         frames = []
@@ -214,8 +255,8 @@ class Scene:
             })
         description = {
             "name": name, "frames": frames, "classes": _class_rows(classes),
-            "bounds": None if bounds is None else _floats("bounds", bounds), "near": float(near),
-            "far": float(far), "metric": bool(metric),
+            "bounds": None if bounds is None else _floats("bounds", bounds), "near": _number("near", near),
+            "far": _number("far", far), "metric": bool(metric),
         }
 
         def read(i: int) -> Dict[str, Any]:
@@ -225,7 +266,7 @@ class Scene:
         if file is None:
             handle, path = tempfile.mkstemp(prefix="semfield_", suffix=".sfpack")
             os.close(handle)
-            self._remove = weakref.finalize(self, _remove_file, path)
+            self._remove = weakref.finalize(self, _remove_file, path, os.getpid())
             _temporary[path] = self
         else:
             path = os.fspath(file)
@@ -249,7 +290,18 @@ class Scene:
 _temporary: "weakref.WeakValueDictionary[str, Scene]" = weakref.WeakValueDictionary()
 
 
-def _remove_file(path: str) -> None:
+def _refuse_to_replace(path: str, overwrite: bool) -> None:
+    if not os.path.lexists(path):
+        return
+    if not overwrite:
+        raise UsageError(f"{path!r} is there already; name another file, or give overwrite=True to replace that scene")
+    if not (os.path.isfile(path) and _core.is_pack(path)):
+        raise UsageError(f"{path!r} is no packed scene, so it is not replaced; name another file")
+
+
+def _remove_file(path: str, owner: int) -> None:
+    if os.getpid() != owner:  # a fork: the file is its parent's
+        return
     try:
         os.remove(path)
     except OSError:

@@ -105,7 +105,7 @@ TEST(LabelExport, OwnReadersGiveTheSameMapBack) {
     coco.write(folder + "/coco.json");
     auto reader = make_reader("coco", "file: " + folder + "/coco.json");
     for (const ClassTable& known : {room_table(), ClassTable{}}) {
-      EXPECT_EQ(read_labels(*reader, frame_of("hard"), known).hard, frames[0].label);
+      EXPECT_EQ(read_labels(*reader, frame_of("a/hard"), known).hard, frames[0].label);
       EXPECT_EQ(read_labels(*reader, frame_of("noise"), known).hard, frames[1].label);
     }
   }
@@ -161,6 +161,23 @@ TEST(LabelExport, AnotherReaderGivesTheSameMapBack) {
   write_labelme(folder, second, room_table());
   EXPECT_EQ(decoded("labelme", folder + "/hard.json", "hard.png"), wanted(first, false));
   EXPECT_EQ(decoded("labelme", folder + "/noise.json", "images/noise_17.jpg"), wanted(second, false));
+}
+
+// Readers know an image by its file's stem.
+TEST(LabelExport, ImagesOfOneNameInTwoFoldersStayTwo) {
+  const std::string path = fresh_folder("alike") + "/coco.json";
+  LabelledFrame first = drawn("0001", kHard), second = drawn("right_0001", kHard), third = drawn("left/0001", kHard);
+  first.image_path = "/room/front/0001.jpg";
+  second.image_path = "/room/right/0001.jpg";
+  third.image_path = "/room/left/0001.jpg";
+  CocoExport coco(room_table(), CocoMasks::polygons);
+  for (const LabelledFrame& frame : {first, second, third}) coco.add(frame);
+  coco.write(path);
+  const std::string text = read_text_file(path);
+  for (const char* name : {"0001.jpg", "right_0001.jpg", "left_0001.jpg"})
+    EXPECT_NE(text.find("\"file_name\":\"" + std::string(name) + "\""), std::string::npos) << name;
+  EXPECT_EQ(testing_room::error_of([&] { coco.add(second); }),
+            "frame 'right_0001': another image of the file is called 'right_0001'; give the frame another name");
 }
 
 }  // namespace

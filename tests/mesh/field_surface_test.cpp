@@ -207,8 +207,8 @@ TEST_F(TrainedRoom, VerticesGetWhatAShortRayRenders) {
   Surface surface = density_surface(*session_->pipeline, asked);
   drop_small_components(surface, 0.01);
   ASSERT_GT(surface.triangles.size(), 1000U);
-  surface.attributes = render_attributes(*session_->pipeline, surface.positions, surface.normals, offset,
-                                         session_->limits, session_->plan.class_of_logit);
+  surface.attributes =
+      render_attributes(*session_->pipeline, surface, {}, offset, session_->limits, session_->plan.class_of_logit);
   const PointAttributes& known = surface.attributes;
   ASSERT_EQ(known.color.size(), surface.positions.size());
   ASSERT_EQ(known.label.size(), surface.positions.size());
@@ -249,6 +249,53 @@ TEST_F(TrainedRoom, VerticesGetWhatAShortRayRenders) {
   EXPECT_GT(static_cast<double>(same) / static_cast<double>(count), 0.99);
   EXPECT_GT(share_below(color_off, 1), 0.99) << "of 255";
   EXPECT_GT(share_below(entropy_off, 0.01), 0.99) << "nats";
+}
+
+// A camera's direction counts, and not the normal's.
+TEST_F(TrainedRoom, VerticesGetTheColourThatTheirCamerasSee) {
+  const SurfaceRequest asked = request();
+  const double offset = 1.5 * asked.grid.spacing;
+  Surface surface = density_surface(*session_->pipeline, asked);
+  const std::vector<RayCamera> eyes = cameras();
+  const std::vector<Sights> sights = sights_of(surface, eyes, session_->limits, asked.grid.spacing);
+  const PointAttributes known = render_attributes(*session_->pipeline, surface, {eyes, sights}, offset,
+                                                  session_->limits, session_->plan.class_of_logit);
+  std::vector<std::size_t> vertex;
+  std::vector<double> origin, direction, near_far, weight;
+  for (std::size_t v = 0; v < surface.positions.size(); v += 5) {
+    if (cells_to_border(asked.grid, surface.positions[v]) < 2 || sights[v].camera[1] < 0) continue;
+    const Looks looks = looks_at(surface.positions[v], surface.normals[v], sights[v], eyes);
+    for (std::size_t k = 0; k < looks.count; ++k) {
+      vertex.push_back(v);
+      weight.push_back(looks.weight[k]);
+      for (int axis = 0; axis < 3; ++axis) {
+        origin.push_back(surface.positions[v][axis] - offset * looks.direction[k][axis]);
+        direction.push_back(looks.direction[k][axis]);
+      }
+      near_far.insert(near_far.end(), {0, 2 * offset});
+    }
+  }
+  ASSERT_GT(vertex.size(), 300U);
+  const auto count = static_cast<std::int64_t>(vertex.size());
+  std::vector<double> color(3 * vertex.size()), opacity(vertex.size());
+  RenderJob<double> job;
+  job.origin = {origin.data(), count, 3};
+  job.direction = {direction.data(), count, 3};
+  job.near_far = {near_far.data(), count, 2};
+  job.color = {color.data(), count, 3};
+  job.opacity = {opacity.data(), count, 1};
+  twin_of(*session_, *registry_)->render(job);
+  std::vector<double> off;
+  for (std::size_t i = 0; i < vertex.size();) {
+    double sum = 0, met = 0;
+    const std::size_t v = vertex[i];
+    for (; i < vertex.size() && vertex[i] == v; ++i) {
+      sum += weight[i] * color[3 * i] / opacity[i];
+      met += weight[i];
+    }
+    off.push_back(std::abs(static_cast<double>(known.color[v][0]) - 255 * std::min(1.0, sum / met)));
+  }
+  EXPECT_GT(share_below(off, 1.5), 0.99) << "of 255";
 }
 
 // A field of formulas: a ball whose density grows towards its middle, its colour a function of the place.
@@ -333,8 +380,8 @@ TEST_F(Ball, VerticesLieOnItInWorldMetres) {
 
 TEST_F(Ball, VerticesGetTheColourAndClassOfTheirPlace) {
   Surface surface = density_surface(*session->pipeline, request(0.05, 40));
-  surface.attributes = render_attributes(*session->pipeline, surface.positions, surface.normals, 0.075, session->limits,
-                                         session->plan.class_of_logit);
+  surface.attributes =
+      render_attributes(*session->pipeline, surface, {}, 0.075, session->limits, session->plan.class_of_logit);
   std::int16_t above = -2, below = -2;
   for (std::size_t v = 0; v < surface.positions.size(); ++v) {
     EXPECT_NEAR(surface.attributes.color[v][0], 255 * red_at(surface.positions[v].x), 5);

@@ -111,7 +111,7 @@ TEST_F(Verbs, MeshWritesEveryFormatAndSaysSo) {
   EXPECT_TRUE(fs::exists(stem + ".mtl"));
   const std::string head = read_file_start(stem + ".ply", 400);
   EXPECT_NE(head.find("element vertex " + std::to_string(said["vertices"].get<int>()) + "\n"), std::string::npos);
-  EXPECT_NE(head.find("property ushort label\n"), std::string::npos);
+  EXPECT_NE(head.find("property int label\n"), std::string::npos);
 }
 
 TEST_F(Verbs, MeshIsTheSameForAnyNumberOfThreadsAndItsDefaultsStandInTheRun) {
@@ -159,6 +159,26 @@ TEST_F(Verbs, MeshColorsAreThoseAskedFor) {
     EXPECT_EQ(r.code, 65) << r.err;
     EXPECT_NE(r.err.find("has no semantics; train with labels, or leave --color out"), std::string::npos) << r.err;
   }
+}
+
+TEST_F(Verbs, MeshLeavesOutWhatNoCameraSeesUnlessTold) {
+  const auto faces = [&](std::vector<std::string> more) {
+    std::vector<std::string> words{"mesh", run_dir(), "--resolution", "48", "--keep-components", "0", "--json"};
+    words.insert(words.end(), {"--out", *dir_ / "seen.ply"});
+    words.insert(words.end(), more.begin(), more.end());
+    const Result r = run(*dir_, words);
+    EXPECT_EQ(r.code, 0) << r.err;
+    nlohmann::json said = nlohmann::json::parse(r.out);
+    const bool told =
+        r.err.find(" faces that no training camera sees are left out; --keep-unseen keeps them") != std::string::npos;
+    EXPECT_EQ(told, said["unseen_faces"] > 0) << r.err;
+    return std::pair(said["faces"].get<int>(), said["unseen_faces"].get<int>());
+  };
+  const auto [all, none] = faces({"--keep-unseen"});
+  const auto [seen, unseen] = faces({});
+  EXPECT_EQ(none, 0);
+  EXPECT_GT(unseen, 0);
+  EXPECT_EQ(seen + unseen, all);
 }
 
 TEST_F(Verbs, MeshIsUprightAsTold) {

@@ -129,12 +129,14 @@ TEST_F(ModuleTrust, AConfigurationAloneRunsNoCode) {
     EXPECT_EQ(named.code, 0) << named.err;
     EXPECT_TRUE(ran_);
   }
-  for (const std::string& trusted : {folder_ + "/shared", folder_ + "/none:" + folder_, folder_ + "/mine"}) {
+  for (const std::string& trusted :
+       {folder_ + "/shared", folder_ + "/none:" + folder_ + "/shared/", folder_ + "/mine"}) {
     const Result r = run({"config", "diff", config, config}, trusted);
     EXPECT_EQ(r.code, 0) << r.err;
     EXPECT_TRUE(ran_) << trusted;
   }
-  for (const std::string& not_trusted : {folder_ + "/sha", folder_ + "/mine/..x"}) {
+  // A folder above the module's is not one that holds it.
+  for (const std::string& not_trusted : {folder_, std::string("/"), folder_ + "/sha", folder_ + "/mine/..x"}) {
     EXPECT_EQ(run({"config", "check", config}, not_trusted).code, 78);
     EXPECT_FALSE(ran_);
   }

@@ -102,6 +102,28 @@ TEST_F(PluginsCheck, TrainRefusesAFileThatBrokeALawUntilItIsMendedOrItsOwnerWant
   EXPECT_EQ(train_with(file).code, 0) << "the remedy works as it says";
 }
 
+// An exit code of 0 is no law that holds.
+TEST_F(PluginsCheck, APluginThatEndsTheProcessBreaksTheLawUnderWay) {
+  const Result r = run({"plugins", "check", probe("quitting")});
+  EXPECT_EQ(r.code, 1) << r.out << r.err;
+  const std::string fault = "it ended the process with exit code 0 before the law was asked to its end";
+  EXPECT_NE(r.out.find("quitting         defaults, positions                      FAILED\n    " + fault + "\n"),
+            std::string::npos)
+      << r.out;
+  EXPECT_NE(r.out.find("plugins check: passed=1 failed=1 refused=0 "), std::string::npos) << r.out;
+  const Result refused = train_with(probe("quitting"));
+  EXPECT_EQ(refused.code, 69) << refused.err;
+  EXPECT_NE(refused.err.find("broke a law: encoder 'quitting', defaults, positions: " + fault), std::string::npos)
+      << refused.err;
+  const Result early = Process(testing_program::program(), {"plugins", "check", probe("quitting")}, folder_,
+                               {"SEMFIELD_CACHE=" + folder_ + "/other", "SEMFIELD_PROBE_QUITS=1"})
+                           .wait();
+  EXPECT_EQ(early.code, 69) << early.out << early.err;
+  EXPECT_NE(early.err.find("cannot load plugin '" + probe("quitting") + "': it ended the process with exit code 0"),
+            std::string::npos)
+      << early.err;
+}
+
 TEST_F(PluginsCheck, ACacheThatIsDamagedOrCannotBeWrittenStopsNothing) {
   ASSERT_EQ(run({"plugins", "check", probe("bent")}).code, 1);
   const fs::path entry = verdicts().at(0);

@@ -36,6 +36,26 @@ void register_bent(Registry& registry) {
 }
 #endif
 
+#if defined(CASE_QUITTING)
+/// Ends the process as a success in the middle of its laws.
+template <class Real>
+class Quitting final : public ToyEncoder<Real> {
+ public:
+  using ToyEncoder<Real>::ToyEncoder;
+
+ protected:
+  void do_backward(const StepContext&, const Tensors<Real>&, View<const double>, View<const Real>,
+                   View<Real>) const override {
+    std::exit(0);
+  }
+};
+void register_quitting(Registry& registry);
+void register_quitting(Registry& registry) {
+  if (std::getenv("SEMFIELD_PROBE_QUITS") != nullptr) std::_Exit(0);
+  registry.add_encoder<Quitting, ToyParams>("quitting", "A toy that ends the program.");
+}
+#endif
+
 }  // namespace semfield::toy
 
 #if defined(CASE_OTHER_API)
@@ -68,6 +88,8 @@ void probe_kernels(KernelTables& tables) {
 SEMFIELD_PLUGIN_CUDA_KERNELS(probe_kernels)
 #elif defined(CASE_BENT)
 SEMFIELD_PLUGIN_MODULE(bent, "1.0", semfield::toy::register_bent)
+#elif defined(CASE_QUITTING)
+SEMFIELD_PLUGIN_MODULE(quitting, "1.0", semfield::toy::register_quitting)
 #elif !defined(CASE_NO_STAMP)
 SEMFIELD_PLUGIN_MODULE(probe, "1.0", semfield::toy::register_into)
 #endif

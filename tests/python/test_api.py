@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 import semfield as sf
-from conftest import box_arrays, config_of, trained
+from conftest import NETWORK, box_arrays, config_of, trained
 from semfield import _core
 
 PACKAGE = Path(sf.__file__).parent
@@ -197,25 +197,86 @@ class _Box:
         return {"type": "packed", "file": str(self.file)}
 
 
-def test_a_forked_process_is_told(run: sf.Run) -> None:
-    trained(run, 2)
+def in_a_fork(work: Any) -> str:
+    """What `work` returns, or the sf.Error that it raises, in a forked process that ends as Python ends."""
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
+        code = 1
         try:
-            run.render(frame=0, width=4)
-            words = "rendered"
-        except sf.Error as error:
-            words = str(error)
-        os.write(writer, words.encode())
-        os._exit(0)
-    alarm = threading.Timer(30, lambda: os.kill(child, signal.SIGKILL))
+            try:
+                words = str(work())
+            except sf.Error as error:
+                words = f"{type(error).__name__}: {error}"
+            os.write(writer, words.encode())
+            gc.collect()
+            import weakref
+
+            weakref.finalize._exitfunc()  # type: ignore[attr-defined]  # what an end without os._exit does
+            code = 0
+        finally:
+            os._exit(code)
+    os.close(writer)
+    alarm = threading.Timer(60, lambda: os.kill(child, signal.SIGKILL))
     alarm.start()
     _, status = os.waitpid(child, 0)
     alarm.cancel()
     words = os.read(reader, 1000).decode()
-    assert status == 0 and ("fork" in words or words == "rendered"), words
+    os.close(reader)
+    assert status == 0, (status, words)
+    return words
+
+
+def test_a_forked_process_is_told(run: sf.Run, tmp_path: Path) -> None:
+    trained(run, 2)
+    for use in (lambda: trained(run, 1), lambda: run.render(frame=0, width=4), lambda: run.save(tmp_path / "a"), lambda: run.evaluate(),
+                lambda: run.query([[0, 0, 0]]), lambda: run.parameters(), lambda: run.set_labels(0, np.zeros((24, 32), int))):
+        said = in_a_fork(use)
+        assert said.startswith(f"UsageError: this run was opened by process {os.getpid()}, and this is a fork of it"), said
+        assert "save the run before the fork and semfield.load" in said
+    assert not (tmp_path / "a").exists()
     trained(run, 1)
+
+
+def test_a_fork_leaves_the_files_of_its_parent(tmp_path: Path) -> None:
+    held: List[Any] = [sf.Scene(**box_arrays())]
+    held.append(sf.open(config_of(held[0]), out=tmp_path / "run"))
+    trained(held[1], 1)
+    file = held[0].file
+    assert in_a_fork(held.clear) == "None"
+    assert os.path.exists(file)
+    with pytest.raises(sf.WriteError, match="in use"):
+        sf.resume(tmp_path / "run")
+    trained(held[1], 1)
+
+
+def test_numbers_beyond_their_types_are_told(run: sf.Run) -> None:
+    big = 2**63
+    calls: List[Any] = [
+        lambda: sf.Camera(2**40, 24, 16), lambda: sf.Camera(float("inf"), 24, 16), lambda: sf.Camera("a", 24, 16),  # type: ignore[arg-type]
+        lambda: sf.Camera(32, 24, 10**400), lambda: sf.Camera(32, 24, 16, distortion=("a",)), lambda: sf.Camera.from_fov(32, 24, 0),  # type: ignore[arg-type]
+        lambda: sf.Camera.from_fov(32, 24, 180), lambda: sf.Camera(32, 24, 16).resized(2**40, 24), lambda: run.render(frame=0, stride=big),
+        lambda: run.render(frame=0, stride=2**31), lambda: run.render(frame=0, width=big), lambda: run.render(frame=0, height="a"),  # type: ignore[arg-type]
+        lambda: run.render(frame=0, width=2**31 - 1), lambda: run.render(frame=0, device="cuda:99999999999"), lambda: run.train(big * 2),
+        lambda: run.train(3, every=big * 2), lambda: run.render(frame=big), lambda: run.pixels(big), lambda: run.evaluate(frames=[big]),
+        lambda: run.query([[10**400, 0, 0]]), lambda: run.set_labels(0, np.full((24, 32), 2**64 - 1, np.uint64)),
+        lambda: run.render(pose=np.full((4, 4), 10**400, object)), lambda: sf.open(config_of(_Box(Path("."))), class_room=big),
+        lambda: sf.open(NETWORK, {"train.rays": 2**70}), lambda: sf.resolved(NETWORK, {"train.steps": big * 2}),
+        lambda: run.labels.add_click(0, 10**400, 1, "a"), lambda: run.labels.add_class("a", (big, 0, 0)),
+        lambda: sf.to_device(np.zeros(3), "cuda:99999999999"),
+    ]
+    for i, call in enumerate(calls):
+        with pytest.raises(sf.Error) as caught:
+            call()
+        assert str(caught.value), i
+    assert run.step == 0
+
+
+def test_a_python_without_numpy_is_told(tmp_path: Path) -> None:
+    (tmp_path / "numpy.py").write_text("raise ModuleNotFoundError(\"No module named 'numpy'\", name='numpy')")
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import semfield"
+    done = in_a_process(code)
+    assert done.returncode == 1 and "semfield needs NumPy, and " in done.stderr.splitlines()[-1], done.stderr
 
 
 def test_a_closed_run_says_so(scene: sf.Scene) -> None:

@@ -43,7 +43,7 @@ def test_labels_to_pointcloud(tmp_path: Path) -> None:
     said = play(tmp_path, EXAMPLES / "labels_to_pointcloud.py", steps=40)
     header, _, rows = (tmp_path / "points.ply").read_bytes().partition(b"end_header\n")
     count = int(header.split(b"element vertex ")[1].split()[0])
-    points = np.frombuffer(rows, [("place", "<f4", 3), ("color", "u1", 3), ("label", "<u2")])
+    points = np.frombuffer(rows, [("place", "<f4", 3), ("color", "u1", 3), ("label", "<i4")])
     assert len(points) == count > 1000
     assert f"{count} of" in said and "floor" in said
     low, high = points["place"].min(0), points["place"].max(0)

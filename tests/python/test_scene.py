@@ -22,7 +22,7 @@ def changed(**more: Any) -> Dict[str, Any]:
 def findings_of(**more: Any) -> str:
     with pytest.raises(sf.DataError) as caught:
         sf.Scene(**changed(**more))
-    return "\n".join(f"{f.message}; {f.remedy}" for f in caught.value.findings)
+    return "\n".join(f"{f.where}: {f.message}; {f.remedy}" for f in caught.value.findings)
 
 
 def test_some_labels_and_no_depth() -> None:
@@ -88,13 +88,65 @@ def test_every_mistake_is_told_at_once(tmp_path: Path) -> None:
     arrays["names"] = [*"abcdefgh", "a", "j"]
     with pytest.raises(sf.DataError) as caught:
         sf.Scene(**arrays, file=tmp_path / "room.sfpack", bounds=[[1, -1, -1], [-1, 1, 1]])
-    text = [f.message for f in caught.value.findings]
+    text = [f"{f.where}: {f.message}" for f in caught.value.findings]
     for frame, says in [("b", "[24, 32, 3], got [5, 32, 3]"), ("c", "got float64"), ("d", "got float64"), ("e", "77 is the id of no class"),
-                        ("f", "[24, 32], got [32, 24]"), ("g", "no rotation"), ("h", "not finite"), ("a", "frames 0 and 8")]:
+                        ("f", "[24, 32], got [32, 24]"), ("g", "no rotation"), ("h", "not finite"), ("a", "another one has its name")]:
         assert any(f"frame '{frame}'" in t and says in t for t in text), (frame, says, text)
     assert any("bounds: axis x" in t for t in text)
     assert len(text) == 9
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_wrong_with_many_frames_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(sf.DataError) as caught:
+        sf.Scene(**changed(images=[image / 255.0 for image in box_arrays()["images"]]))
+    assert [f.where for f in caught.value.findings] == [f"frame '{i:04d}'" for i in range(10)]
+    assert str(caught.value) == ("frame '0000': rgb: expected whole numbers, got float64; give uint8 values of 0 to 255 "
+                                 "(and 9 more like this: frame '0001', frame '0002', frame '0003', frame '0004', ...)")
+
+
+def test_names_whose_files_would_be_one(tmp_path: Path) -> None:
+    names = ["a/b", "a_b", "c\0", *"defghij"]
+    said = findings_of(names=names)
+    assert "frame 'a_b': its files would be called 'a_b', as those of 'a/b'" in said and "has a control character" in said
+
+
+def test_labels_of_64_bits() -> None:
+    arrays = box_arrays()
+    for kind in (np.uint64, np.int64, np.uint8, np.int32):
+        given = [wall.astype(kind) for wall in arrays["labels"]]
+        assert np.array_equal(sf.open(NETWORK, scene=sf.Scene(**changed(labels=given))).training_labels(0), arrays["labels"][0])
+    for kind, id_ in ((np.uint64, 2**64 - 1), (np.uint64, 2**63), (np.int64, -2**63), (np.int64, 2**32), (np.uint32, 2**32 - 1)):
+        given = [wall.astype(kind) for wall in arrays["labels"]]
+        given[3][5, 7] = id_
+        assert f"frame '0003': labels: pixel x 7, y 5: {id_} is the id of no class" in findings_of(labels=given)
+
+
+def test_a_file_that_is_there_is_not_replaced(tmp_path: Path) -> None:
+    file = tmp_path / "thesis.tex"
+    file.write_text("years of work")
+    for more in ({}, {"overwrite": True}):
+        with pytest.raises(sf.UsageError, match="thesis.tex' is (there already|no packed scene)"):
+            sf.Scene(**box_arrays(), file=file, **more)
+    assert file.read_text() == "years of work"
+    scene = tmp_path / "room.sfpack"
+    sf.Scene(**box_arrays(), file=scene)
+    before = scene.read_bytes()
+    with pytest.raises(sf.UsageError, match="overwrite=True"):
+        sf.Scene(**box_arrays(count=4), file=scene)
+    assert scene.read_bytes() == before
+    sf.Scene(**box_arrays(count=4), file=scene, overwrite=True)
+    assert len(sf.open({**NETWORK, "scene": {"type": "packed", "file": str(scene)}}).frames) == 4
+    with pytest.raises(sf.DataError):
+        sf.Scene(**changed(names=["a"] * 10), file=scene, overwrite=True)
+    assert len(sf.open({**NETWORK, "scene": {"type": "packed", "file": str(scene)}}).frames) == 4
+
+
+def test_a_camera_knows_all_its_numbers() -> None:
+    camera = sf.Camera.from_fov(128, 96, 90)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (pytest.approx(64), pytest.approx(64), 64, 48)
+    assert camera == sf.Camera(128, 96, camera.fx, camera.fx, 64, 48) and camera.resized(64, 48).cy == 24
+    assert sf.Camera(10, 8, 5, cx=3).fy == 5
 
 
 @pytest.mark.parametrize("wrong, says", [
@@ -110,6 +162,15 @@ def test_every_mistake_is_told_at_once(tmp_path: Path) -> None:
     (dict(classes=[sf.ClassEntry(1, "a", (300, 0, 0))]), "red, green and blue of 0 to 255"),
     (dict(classes=[sf.ClassEntry(1, "a"), sf.ClassEntry(1, "b")]), "given twice"),
     (dict(bounds=[1, 2, 3]), r"bounds: expected the shape \[2, 3\]"),
+    (dict(classes=[sf.ClassEntry(2**40, "a")]), "class 'a': id: 1099511627776 is out of range"),
+    (dict(classes=[3]), "class 0: 3 is neither a name"),
+    (dict(near="x"), "near: 'x' is no number"),
+    (dict(far=10**400), "far: 10+ is no number"),
+    (dict(test=[2**70]), "test: 1180591620717411303424 is out of range"),
+    (dict(cameras=[3] * 10), "cameras: expected one Camera"),
+    (dict(cameras=sf.Camera(40000, 24, 16)), "40000 x 24 pixels: 40000 pixels along an axis; at most 16384"),
+    (dict(poses=np.full((10, 4, 4), 1j)), "poses: expected numbers"),
+    (dict(labels=[np.full((24, 32), "a")] * 10), "labels: expected real numbers, got <U1"),
 ])
 def test_what_cannot_be_a_scene(wrong: Any, says: str) -> None:
     before = set(Path(os.environ.get("TMPDIR", "/tmp")).glob("semfield_*.sfpack"))

@@ -192,23 +192,71 @@ TEST(Mpirun, AKilledRankEndsTheRunWithAMessageAndOneProcessGoesOnWithTheBitsOfAn
   }
 }
 
+// Of any rank, or of all of them at once, as launchers pass it on.
 TEST(Mpirun, AStopSavesAndAnyNumberOfRanksGoesOn) {
   const TempDir dir;
   constexpr int kSteps = 400;
   const std::string config = write_packed_config(dir, kSteps, 0.05);
   ASSERT_EQ(alone({"train", config, "--out", dir / "whole"}, dir).code, 0);
-  const std::string out = dir / "stopped";
-  Process process(SEMFIELD_MPIRUN, words_of(2, {"train", config, "--out", out, "--threads", "1"}), dir.path(),
-                  kEnvironment);
-  while (newest_step(out) < 20) std::this_thread::sleep_for(std::chrono::milliseconds(5));
-  kill(process_of(0, out), SIGTERM);
-  const std::optional<Result> ended = process.wait_for(30);
-  ASSERT_TRUE(ended.has_value());
-  EXPECT_NE(ended->err.find("after its checkpoint; resume with: semfield train --resume"), std::string::npos)
-      << ended->err;
-  const Result resumed = run(3, {"train", "--resume", out}, dir);
-  ASSERT_EQ(resumed.code, 0) << resumed.err;
-  EXPECT_EQ(checkpoint_fingerprint(out, kSteps), checkpoint_fingerprint(dir / "whole", kSteps));
+  const std::uint32_t whole = checkpoint_fingerprint(dir / "whole", kSteps);
+  int number = 0;
+  for (const std::vector<int>& asked : {std::vector<int>{0}, {1}, {1, 0}, {0, 1}}) {
+    SCOPED_TRACE("case " + std::to_string(number));
+    const std::string out = dir / ("stopped" + std::to_string(number++));
+    Process process(SEMFIELD_MPIRUN, words_of(2, {"train", config, "--out", out, "--threads", "1"}), dir.path(),
+                    kEnvironment);
+    while (newest_step(out) < 20) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    std::vector<int> processes;
+    for (const int rank : asked) processes.push_back(process_of(rank, out));
+    for (const int pid : processes) {
+      kill(pid, SIGTERM);
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));  // the other rank may hear of it first
+    }
+    const std::optional<Result> ended = process.wait_for(30);
+    ASSERT_TRUE(ended.has_value()) << "still runs after 30 s";
+    ASSERT_LT(newest_step(out), kSteps) << "it was asked too late";
+    EXPECT_NE(ended->err.find("after its checkpoint; resume with: semfield train --resume"), std::string::npos)
+        << ended->err;
+    const Result resumed = run(3, {"train", "--resume", out}, dir);
+    ASSERT_EQ(resumed.code, 0) << resumed.err;
+    EXPECT_EQ(checkpoint_fingerprint(out, kSteps), whole);
+  }
+}
+
+// A verb that saves nothing ends at once, whichever rank was asked.
+TEST(Mpirun, AStopOfAnyRankEndsARendering) {
+  const TempDir dir;
+  ASSERT_EQ(alone({"train", write_packed_config(dir, 5, 0), "--out", dir / "run"}, dir).code, 0);
+  Process process(
+      SEMFIELD_MPIRUN,
+      words_of(2, {"render", dir / "run", "--trajectory", "smooth", "--frames", "100000", "--out", dir / "v"}),
+      dir.path(), kEnvironment);
+  while (!fs::exists(dir / "v/cameras.json")) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  kill(process_of(1, dir / "v"), SIGTERM);
+  EXPECT_TRUE(process.wait_for(30).has_value()) << "still runs after 30 s";
+}
+
+TEST(Mpirun, RanksThatWereStartedWithOtherWordsAreRefused) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 5, 0);
+  const auto both = [&](const std::vector<std::string>& first, const std::vector<std::string>& second) {
+    std::vector<std::string> words = words_of(1, first);
+    words.emplace_back(":");
+    for (const std::string& word : words_of(1, second)) words.push_back(word);
+    return Process(SEMFIELD_MPIRUN, words, dir.path(), kEnvironment).wait();
+  };
+  const Result other =
+      both({"train", config, "--out", dir / "a"}, {"train", config, "--out", dir / "a", "--steps", "9"});
+  EXPECT_EQ(other.code, 2) << other.err;
+  EXPECT_EQ(lines_with(other.err, "was started as `semfield train " + config + " --out " + dir / "a" +
+                                      " --steps 9`, and rank 0 as `semfield train " + config + " --out " + dir / "a" +
+                                      "`; start all processes of a run with the same words"),
+            1)
+      << other.err;
+  EXPECT_FALSE(fs::exists(dir / "a"));
+  const Result unknown = both({"train", config, "--out", dir / "b"}, {"train", config, "--stepz", "9"});
+  EXPECT_NE(unknown.code, 0);
+  EXPECT_EQ(lines_with(unknown.err, "semfield: train has no flag --stepz"), 1) << unknown.err;
 }
 
 }  // namespace

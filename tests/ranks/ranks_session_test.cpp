@@ -232,7 +232,9 @@ class Tampered final : public Ranks {
   }
   void send(int to, std::span<const std::byte> data) override { inner_.send(to, data); }
   void receive(int from, std::span<std::byte> data) override { inner_.receive(from, data); }
-  void end_when(std::function<bool()> asked) override { inner_.end_when(std::move(asked)); }
+  void end_when(std::function<bool()> asked, std::function<void()> hear) override {
+    inner_.end_when(std::move(asked), std::move(hear));
+  }
   void watch() override { inner_.watch(); }
   bool lost() const override { return inner_.lost(); }
   void abandon(int code) override { inner_.abandon(code); }

@@ -137,7 +137,7 @@ class ThreadRanks final : public Ranks {
       copy(letter, data);
     });
   }
-  void end_when(std::function<bool()>) override {}
+  void end_when(std::function<bool()>, std::function<void()>) override {}
   void watch() override {
     call([&] { meeting_.look(); });
   }

@@ -103,9 +103,9 @@ TEST(CameraSet, WhatIsNoCameraIsNamedByFileAndNumber) {
       {{"\"p2\":0.0", "\"p2\":0.0,\"near\":2,\"far\":2"},
        {"", "'near' and 'far' are no distances with 0 <= near < far"}},
       {{"\"p2\":0.0", "\"p2\":0.0,\"near\":2"}, {"", "'far' is missing"}},
-      {{"a \\\"b\\\" \xC3\xA4", ""}, {"", "'name' cannot be the beginning of a file's name"}},
-      {{"a \\\"b\\\" \xC3\xA4", "a\\nb"}, {"", "'name' cannot be the beginning of a file's name"}},
-      {{"a \\\"b\\\" \xC3\xA4", "rgb_0001"}, {"", "its images would have the names of those of camera 0"}},
+      {{"a \\\"b\\\" \xC3\xA4", ""}, {"", "its name is empty"}},
+      {{"a \\\"b\\\" \xC3\xA4", "a\\nb"}, {"", "its name has a control character"}},
+      {{"a \\\"b\\\" \xC3\xA4", "rgb_0001"}, {"", "its files would be called 'rgb_0001', as those of 'rgb/0001'"}},
   };
   for (const auto& [change, said] : cases) {
     const std::string error = error_with(change.first, change.second);

@@ -23,6 +23,7 @@ struct RoomDataset {
   double offset = 0;
   int sparse_depth = 1;  // every n-th pixel has depth
   double far_hint = 0;
+  std::vector<std::string> names{"0", "1", "2", "3", "4", "5"};
 
   SceneInfo open(Diagnostics&) const {
     SceneInfo info;
@@ -36,7 +37,7 @@ struct RoomDataset {
                                {6, "f", {}, false}});
     for (int i = 0; i < 6; ++i) {
       FrameInfo f;
-      f.name = std::to_string(i);
+      f.name = names[static_cast<std::size_t>(i)];
       f.camera = room_camera();
       f.world_from_camera = room_pose(i);
       f.world_from_camera.t.x += offset;
@@ -58,6 +59,32 @@ struct RoomDataset {
     }
   }
 };
+
+// What writes files by frames asks nothing: two frames of a scene never share a file.
+TEST(LoadScene, FramesThatWouldShareFilesAreRefused) {
+  const auto said_of = [](const std::vector<std::string>& names) {
+    RoomDataset room;
+    room.names = names;
+    Diagnostics d;
+    (void)load_scene(room, {}, d);
+    std::vector<std::string> said;
+    for (const Diagnostic& finding : d.all()) {
+      EXPECT_EQ(finding.severity, Severity::error);
+      EXPECT_EQ(finding.remedy, "give each frame a printable name of its own; '/' becomes '_' in names of files");
+      said.push_back(finding.where + ": " + finding.message);
+    }
+    return said;
+  };
+  const std::string nul = std::string("c\0d", 3);
+  EXPECT_EQ(said_of({"a/b", "a_b", nul, "", "e", "e"}),
+            (std::vector<std::string>{"frame 'a_b': its files would be called 'a_b', as those of 'a/b'",
+                                      "frame 'c\\x00d': its name has a control character, or is not UTF-8",
+                                      "frame '': its name is empty", "frame 'e': another one has its name"}));
+  EXPECT_EQ(said_of({"a/b", "a_c", "c", "d", "e", std::string(200, 'f')}), std::vector<std::string>());
+  const std::string longer(201, 'f');
+  EXPECT_EQ(said_of({"0", "1", "2", "3", "4", longer}),
+            std::vector<std::string>{"frame '" + longer + "': its name has 201 bytes; at most 200 are allowed"});
+}
 
 TEST(LoadScene, BoundsComeFromDepthOfTrainingFrames) {
   RoomDataset room;

@@ -18,7 +18,7 @@ property float nz
 property uchar red
 property uchar green
 property uchar blue
-property ushort label
+property int label
 property float entropy
 element face {faces}
 property list uchar uint vertex_indices
@@ -27,7 +27,7 @@ end_header
 
 
 def square(corners, normal, color, label):
-    return [struct.pack("<dddfffBBBHf", *corner, *normal, *color, label, 0.0) for corner in corners]
+    return [struct.pack("<dddfffBBBif", *corner, *normal, *color, label, 0.0) for corner in corners]
 
 
 def pixels(path):
@@ -67,8 +67,24 @@ def main(script):
             file.write("- {id: 1, name: floor, color: [250, 250, 0]}\n- {id: 2, name: ceiling, color: [0, 250, 250]}\n")
         subprocess.run([sys.executable, script, mesh, classes, out, "270", "40", "60", "40"], check=True)
         rows = pixels(out)
+        alone = os.path.join(folder, "alone.png")
+        subprocess.run([sys.executable, script, mesh, alone, "270", "40", "60", "40"], check=True)
+        left = pixels(alone)
+        # The same room in a world whose y points down, without classes.
+        down = struct.Struct("<dddfffBBBif")
+        turned = [down.pack(x, -z, y, nx, -nz, ny, *rest) for x, y, z, nx, ny, nz, *rest in map(down.unpack, vertices)]
+        header = HEADER.replace("property int label\nproperty float entropy\n", "")
+        with open(mesh, "wb") as file:
+            file.write(header.format(vertices=len(turned), faces=len(faces)).encode() + b"".join(v[:-8] for v in turned) +
+                       b"".join(struct.pack("<BIII", 3, *face) for face in faces))
+        subprocess.run([sys.executable, script, mesh, classes, alone, "--up", "-y", "270", "40", "60", "40"], check=True)
+        y_down = pixels(alone)
+        axis = subprocess.run([sys.executable, script, mesh, alone, "--up", "w"], capture_output=True, text=True)
         refused = subprocess.run([sys.executable, script, classes, classes, out], capture_output=True, text=True)
     assert (len(rows[0]), len(rows)) == (120, 40), "two panels side by side"
+    assert left == [row[:60] for row in rows], "without classes there is the left panel alone"
+    assert y_down == left, "the world's -y is upright"
+    assert axis.returncode == 1 and "--up w: expected one of z, -z" in axis.stderr, axis.stderr
     photo = {pixel for row in rows for pixel in row[:60]}
     by_class = {pixel for row in rows for pixel in row[60:]}
     near = lambda color, colors: any(all(abs(a - b) <= 4 for a, b in zip(color, other)) for other in colors)

@@ -7,6 +7,7 @@
 
 #include "app/json_output.h"
 #include "app/verb.h"
+#include "app/verbs/plugins/laws_apart.h"
 #include "core/findings.h"
 #include "plugin/check/law_suite.h"
 #include "plugin/linked_plugins.h"
@@ -63,21 +64,25 @@ void print_row(const LawRow& row) {
   std::fflush(stdout);
 }
 
-int run(const CheckOptions& options, AppContext& context) {
+void ask_laws(const CheckOptions& options, LawRequest& request) {
   const auto suite =
       reinterpret_cast<LawSuite>(part_symbol("semfield_laws", kLawSuiteSymbol, "the laws cannot be loaded"));
   Registry registry;
-  LawRequest request;
   request.entries = load(options.file, registry);
   request.settings_file = options.settings;
   request.scene = options.scene;
   request.folder = std::filesystem::current_path().string();
-  std::vector<LawRow> rows;
-  request.on_row = [&](const LawRow& row) {
-    rows.push_back(row);
-    if (!context.json) print_row(row);
-  };
   suite(registry, request);
+}
+
+int run(const CheckOptions& options, AppContext& context) {
+  std::vector<LawRow> rows;
+  ask_laws_apart(
+      options.file, [&](LawRequest& request) { ask_laws(options, request); },
+      [&](const LawRow& row) {
+        rows.push_back(row);
+        if (!context.json) print_row(row);
+      });
   const auto count = [&](LawStatus status) {
     return std::count_if(rows.begin(), rows.end(), [&](const LawRow& row) { return row.status == status; });
   };

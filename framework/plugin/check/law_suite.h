@@ -29,9 +29,10 @@ struct LawRow {
 
 struct LawRequest {
   std::vector<const PluginEntry*> entries;
-  std::string settings_file;       ///< lines as in conformance.txt; "": the defaults
-  std::vector<std::string> scene;  ///< "root=room": parameters of the datasets among the entries
-  std::string folder;              ///< that relative paths of `scene` start at
+  std::string settings_file;                    ///< lines as in conformance.txt; "": the defaults
+  std::vector<std::string> scene;               ///< "root=room": parameters of the datasets among the entries
+  std::string folder;                           ///< that relative paths of `scene` start at
+  std::function<void(const LawRow&)> on_begin;  ///< of a row whose laws are asked now; may be empty
   std::function<void(const LawRow&)> on_row;
 };
 
