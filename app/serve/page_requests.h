@@ -1,6 +1,7 @@
 // What the page asks for, as it comes over the wire: JSON of pictures and exports, numbers of queries.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -16,8 +17,13 @@ PictureRequest parse_picture_request(std::string_view json);
 
 enum class ExportKind { labels, coco, mesh };
 const char* export_name(ExportKind kind);
+/// What is to be made, or else the id of the export that is to end.
+struct ExportRequest {
+  std::optional<ExportKind> what;
+  std::string cancel;
+};
 /// Throws as parse_picture_request does.
-ExportKind parse_export_request(std::string_view json);
+ExportRequest parse_export_request(std::string_view json);
 
 /// Value of `key` in a query "a=1&b=2", a whole number from 0 to `most`; `otherwise` where it is missing. Throws
 /// Error(data).

@@ -20,9 +20,9 @@ struct LabelledFrame {
 /// How COCO annotations say their pixels: one polygon a connected region, or one run-length text a class.
 enum class CocoMasks { polygons, run_lengths };
 
-/// Frames of one COCO file [Lin14]; categories are the classes that are not ignored, under their own ids. Polygons run
-/// along pixel edges, a hole being joined by a cut without width, so they give the same pixels back. Run lengths are
-/// marked iscrowd, as COCO wants it.
+/// Frames of one COCO file [Lin14]; categories are the classes with a name that are not ignored, under their own ids.
+/// Labels name no others (class_names.h: is_unnamed_class). Polygons run along pixel edges, a hole being joined by a
+/// cut without width, so they give the same pixels back. Run lengths are marked iscrowd, as COCO wants it.
 class CocoExport {
  public:
   CocoExport(ClassTable classes, CocoMasks masks) : classes_(std::move(classes)), masks_(masks) {}

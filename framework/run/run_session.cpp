@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <utility>
 
+#include "classes/class_names.h"
 #include "core/findings.h"
 #include "settings/run_identity.h"
 #include "system/files.h"
@@ -159,7 +160,7 @@ bool RunSession::apply(const LabelEvent& event) {
     throw;
   }
   annotations_ = std::move(next);
-  if (folder_) write_file_atomic(folder_->classes_path(), session().scene.info.classes.to_yaml());
+  if (folder_) write_file_atomic(folder_->classes_path(), named_classes(session().scene.info.classes).to_yaml());
   return true;
 }
 
