@@ -45,7 +45,7 @@ std::string image_of(const FrameInfo& info) {
 // What a frame's labels are rendered at, and what becomes of them.
 class Exporter {
  public:
-  Exporter(const ExportOptions& options, const Session& session) : options_(options), session_(session) {
+  Exporter(const ExportVerbOptions& options, const Session& session) : options_(options), session_(session) {
     if (options.format == "coco" || options.format == "coco_rle") {
       coco_.emplace(classes(), options.format == "coco" ? CocoMasks::polygons : CocoMasks::run_lengths);
       return;
@@ -115,7 +115,7 @@ class Exporter {
     }
   }
 
-  const ExportOptions& options_;
+  const ExportVerbOptions& options_;
   const Session& session_;
   std::optional<CocoExport> coco_;
   SmallRegions filled_;
