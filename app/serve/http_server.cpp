@@ -19,7 +19,10 @@
 #include <deque>
 #include <map>
 #include <mutex>
+#include <system_error>
 #include <thread>
+#include <utility>
+#include <vector>
 
 #include "app/serve/http_reply.h"
 #include "core/error.h"
@@ -36,79 +39,61 @@ constexpr milliseconds kFarewell{1000};
 constexpr milliseconds kLinger{2000};  // for what a client still sends behind the request that ends its connection
 constexpr milliseconds kTurn{500};     // at most between looks at the times
 
-class Descriptor {
- public:
-  explicit Descriptor(int number) : number_(number) {}
-  Descriptor(Descriptor&& other) noexcept : number_(std::exchange(other.number_, -1)) {}
-  Descriptor& operator=(Descriptor&& other) noexcept {
-    std::swap(number_, other.number_);
-    return *this;
-  }
-  ~Descriptor() { close(); }
-  void close() {
-    if (number_ >= 0) ::close(number_);
-    number_ = -1;
-  }
-  int get() const { return number_; }
-
- private:
-  int number_;
-};
-
-// A connection, and what it is at: a request is read, answered and sent, then the next one; or the connection closes.
-struct Peer {
-  enum class At { reading, answering, sending, closing };
-
-  Peer(Descriptor d, std::size_t most_body_bytes, Clock::time_point until)
-      : socket(std::move(d)), reader(most_body_bytes), deadline(until) {}
-
-  Descriptor socket;
-  HttpReader reader;
-  At at = At::reading;
-  bool begun = false, admitted = false;  // the head's first byte is here; all of it, and it was not refused
-  Clock::time_point deadline;
-  std::shared_ptr<std::atomic<bool>> gone;  // told to whoever makes the answer
-  std::optional<HttpReply> reply;
-
-  bool idle() const { return at == At::reading && !begun; }
-};
-
-Descriptor listening_on(const HttpOptions& options) {
-  Descriptor listener(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
-  sockaddr_in place{};
-  place.sin_family = AF_INET;
-  place.sin_port = htons(static_cast<std::uint16_t>(options.port));
-  inet_pton(AF_INET, options.address.c_str(), &place.sin_addr);
-  const int yes = 1;
-  setsockopt(listener.get(), SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
-  if (listener.get() < 0 || bind(listener.get(), reinterpret_cast<const sockaddr*>(&place), sizeof place) != 0 ||
-      listen(listener.get(), SOMAXCONN) != 0)
-    throw Error(
-        ErrorKind::unavailable,
-        fmt::format("the HTTP server cannot start on {}:{}: {}", options.address, options.port, std::strerror(errno)),
-        "name another --port, or see what limits this process: ulimit -n -u");
-  return listener;
-}
-
 }  // namespace
 
 struct HttpServer::Impl {
+  class Descriptor {
+   public:
+    explicit Descriptor(int number) : number_(number) {}
+    Descriptor(Descriptor&& other) noexcept : number_(std::exchange(other.number_, -1)) {}
+    Descriptor& operator=(Descriptor&& other) noexcept {
+      std::swap(number_, other.number_);
+      return *this;
+    }
+    ~Descriptor() { close(); }
+    void close() {
+      if (number_ >= 0) ::close(number_);
+      number_ = -1;
+    }
+    int get() const { return number_; }
+
+   private:
+    int number_;
+  };
+
+  // A connection, and what it is at: a request is read, answered and sent, then the next one; or the connection closes.
+  struct Peer {
+    enum class At { reading, answering, sending, closing };
+
+    Peer(Descriptor d, std::size_t most_body_bytes, Clock::time_point until)
+        : socket(std::move(d)), reader(most_body_bytes), deadline(until) {}
+
+    Descriptor socket;
+    HttpReader reader;
+    At at = At::reading;
+    bool begun = false, admitted = false;  // the head's first byte is here; all of it, and it was not refused
+    Clock::time_point deadline;
+    std::shared_ptr<std::atomic<bool>> gone;  // told to whoever makes the answer
+    std::optional<HttpReply> reply;
+
+    bool idle() const { return at == At::reading && !begun; }
+  };
+
   Impl(const HttpOptions& o, HttpHandler& h)
       : options(o), handler(h), listener(listening_on(o)), waker(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
-    for (int i = 0; i < options.threads; ++i) workers.emplace_back([this] { make_answers(); });
-    loop = std::thread([this] { watch(); });
+    try {
+      for (int i = 0; i < options.threads; ++i) workers.emplace_back([this] { make_answers(); });
+      loop = std::thread([this] { watch(); });
+    } catch (const std::system_error& e) {
+      end_workers();
+      throw cannot_start(options, e.what());
+    }
   }
   ~Impl() {
     stopping = true;
     wake();
     loop.join();
-    {
-      const std::scoped_lock lock(mutex);
-      waiting.clear();
-      ended = true;
-    }
-    wanted.notify_all();
-    for (std::thread& worker : workers) worker.join();
+    end_workers();
   }
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
@@ -122,6 +107,9 @@ struct HttpServer::Impl {
     HttpResponse response;
   };
 
+  static Descriptor listening_on(const HttpOptions& options);
+  static Error cannot_start(const HttpOptions& options, const std::string& cause);
+  void end_workers();
   void wake() const {
     const std::uint64_t one = 1;
     (void)!write(waker.get(), &one, sizeof one);
@@ -154,6 +142,36 @@ struct HttpServer::Impl {
   std::vector<std::thread> workers;
   std::thread loop;
 };
+
+Error HttpServer::Impl::cannot_start(const HttpOptions& options, const std::string& cause) {
+  return {ErrorKind::unavailable,
+          fmt::format("the HTTP server cannot start on {}:{}: {}", options.address, options.port, cause),
+          "name another --port, or see what limits this process: ulimit -n -u"};
+}
+
+HttpServer::Impl::Descriptor HttpServer::Impl::listening_on(const HttpOptions& options) {
+  Descriptor listener(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  sockaddr_in place{};
+  place.sin_family = AF_INET;
+  place.sin_port = htons(static_cast<std::uint16_t>(options.port));
+  inet_pton(AF_INET, options.address.c_str(), &place.sin_addr);
+  const int yes = 1;
+  setsockopt(listener.get(), SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
+  if (listener.get() < 0 || bind(listener.get(), reinterpret_cast<const sockaddr*>(&place), sizeof place) != 0 ||
+      listen(listener.get(), SOMAXCONN) != 0)
+    throw cannot_start(options, std::strerror(errno));
+  return listener;
+}
+
+void HttpServer::Impl::end_workers() {
+  {
+    const std::scoped_lock lock(mutex);
+    waiting.clear();
+    ended = true;
+  }
+  wanted.notify_all();
+  for (std::thread& worker : workers) worker.join();
+}
 
 void HttpServer::Impl::make_answers() {
   std::unique_lock lock(mutex);
