@@ -11,7 +11,7 @@ endif()
 
 option(SEMFIELD_WITH_IMAGES "Read images through OpenImageIO; off: packed scenes only" ON)
 option(SEMFIELD_WITH_RAYCAST "Ray-cast OBJ rooms with Embree and tinyobjloader" ON)
-option(SEMFIELD_WITH_SERVE "The labelling page, `semfield serve`: HTTP by civetweb, JPEG by TurboJPEG" ON)
+option(SEMFIELD_WITH_SERVE "The labelling page, `semfield serve`: JPEG by TurboJPEG" ON)
 set(SEMFIELD_WITH_PYTHON AUTO CACHE STRING "The Python module: ON, OFF, or AUTO = where pybind11 and Python's headers are found")
 set(SEMFIELD_PYTHON_DIR lib/python3/dist-packages CACHE STRING "Where the Python module is installed, below the prefix")
 set(SEMFIELD_WITH_CUDA AUTO CACHE STRING "Kernels for NVIDIA graphics processors: ON, OFF, or AUTO = where this machine has an NVIDIA device and a CUDA compiler, for that device alone")

@@ -1,17 +1,30 @@
 #include "app/serve/http_server.h"
 
-#include <civetweb.h>
+#include <arpa/inet.h>
 #include <fmt/format.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <atomic>
-#include <cctype>
+#include <cerrno>
 #include <chrono>
-#include <cstdio>
+#include <condition_variable>
+#include <cstring>
+#include <deque>
+#include <map>
 #include <mutex>
+#include <system_error>
 #include <thread>
+#include <utility>
+#include <vector>
 
+#include "app/serve/http_reply.h"
 #include "core/error.h"
 
 namespace semfield::app {
@@ -19,250 +32,334 @@ namespace semfield::app {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+using std::chrono::milliseconds;
 
-constexpr std::size_t kSentAtOnce = std::size_t{64} << 10;
-constexpr auto kFarewell = std::chrono::seconds(1);
-constexpr double kLeastBytesPerSecond = 20e3;  // a client that takes less is cut off
-
-const char* reason(int status) {
-  switch (status) {
-    case 200:
-      return "OK";
-    case 308:
-      return "Permanent Redirect";
-    case 400:
-      return "Bad Request";
-    case 403:
-      return "Forbidden";
-    case 404:
-      return "Not Found";
-    case 405:
-      return "Method Not Allowed";
-    case 408:
-      return "Request Timeout";
-    case 413:
-      return "Content Too Large";
-    case 503:
-      return "Service Unavailable";
-    default:
-      return "Internal Server Error";
-  }
-}
-
-std::string small_letters(const char* text) {
-  std::string out(text);
-  std::transform(out.begin(), out.end(), out.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return out;
-}
-
-HttpRequest head_of(const mg_request_info& info) {
-  HttpRequest request;
-  request.method = info.request_method != nullptr ? info.request_method : "";
-  const std::string uri = info.request_uri != nullptr ? info.request_uri : "";
-  request.path = uri.substr(0, uri.find('?'));
-  request.query = info.query_string != nullptr ? info.query_string : "";
-  for (int i = 0; i < info.num_headers; ++i)
-    request.headers.emplace_back(small_letters(info.http_headers[i].name), info.http_headers[i].value);
-  return request;
-}
-
-// Whether all of it was taken, at no less than the least rate.
-class Sender {
- public:
-  Sender(mg_connection* connection, double bytes)
-      : connection_(connection),
-        end_(Clock::now() + std::chrono::seconds(20) +
-             std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(bytes / kLeastBytesPerSecond))) {
-  }
-
-  bool send(const char* bytes, std::size_t size) {
-    for (std::size_t at = 0; at < size; at += kSentAtOnce) {
-      const std::size_t now = std::min(kSentAtOnce, size - at);
-      if (Clock::now() > end_ || mg_write(connection_, bytes + at, now) != static_cast<int>(now)) return false;
-    }
-    return true;
-  }
-
- private:
-  mg_connection* connection_;
-  Clock::time_point end_;
-};
-
-using File = std::unique_ptr<std::FILE, int (*)(std::FILE*)>;
-
-std::string head_text(const HttpResponse& response, std::size_t bytes, bool keep) {
-  std::string head = fmt::format(
-      "HTTP/1.1 {} {}\r\nContent-Type: {}\r\nContent-Length: {}\r\nCache-Control: {}\r\nConnection: {}\r\n"
-      "Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\n"
-      "Cross-Origin-Resource-Policy: same-origin\r\n"
-      "Content-Security-Policy: default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri "
-      "'none'; form-action 'none'\r\n",
-      response.status, reason(response.status), response.type, bytes, response.cache, keep ? "keep-alive" : "close");
-  if (!response.location.empty()) head += "Location: " + response.location + "\r\n";
-  if (!response.allow.empty()) head += "Allow: " + response.allow + "\r\n";
-  if (!response.download_name.empty())
-    head += "Content-Disposition: attachment; filename=\"" + response.download_name + "\"\r\n";
-  return head + "\r\n";
-}
-
-void send(mg_connection* connection, HttpResponse response, bool keep) {
-  File file(nullptr, std::fclose);
-  std::size_t bytes = response.body.size();
-  if (!response.file.empty()) {
-    file.reset(std::fopen(response.file.c_str(), "rbe"));
-    if (file == nullptr || std::fseek(file.get(), 0, SEEK_END) != 0) {
-      response = {404, "text/plain", "the file is gone\n"};
-      file.reset();
-      bytes = response.body.size();
-    } else {
-      bytes = static_cast<std::size_t>(std::ftell(file.get()));
-      std::rewind(file.get());
-    }
-  }
-  if (!keep) mg_disable_connection_keep_alive(connection);
-  Sender sender(connection, static_cast<double>(bytes));
-  const std::string head = head_text(response, bytes, keep);
-  bool whole = sender.send(head.data(), head.size());
-  if (file == nullptr) {
-    whole = whole && sender.send(response.body.data(), response.body.size());
-  } else {
-    std::vector<char> piece(kSentAtOnce);
-    while (whole && bytes > 0) {
-      const std::size_t got = std::fread(piece.data(), 1, std::min(bytes, piece.size()), file.get());
-      whole = got > 0 && sender.send(piece.data(), got);
-      bytes -= got;
-    }
-  }
-  if (!whole) mg_disable_connection_keep_alive(connection);
-}
+constexpr std::size_t kReceivedAtOnce = std::size_t{64} << 10;
+constexpr milliseconds kFarewell{1000};
+constexpr milliseconds kLinger{2000};  // for what a client still sends behind the request that ends its connection
+constexpr milliseconds kTurn{500};     // at most between looks at the times
 
 }  // namespace
 
-std::optional<std::string> HttpRequest::header(const std::string& name) const {
-  for (const auto& [key, value] : headers) {
-    if (key == name) return value;
-  }
-  return std::nullopt;
-}
-
-int HttpRequest::header_count(const std::string& name) const {
-  return static_cast<int>(
-      std::count_if(headers.begin(), headers.end(), [&](const auto& h) { return h.first == name; }));
-}
-
 struct HttpServer::Impl {
+  class Descriptor {
+   public:
+    explicit Descriptor(int number) : number_(number) {}
+    Descriptor(Descriptor&& other) noexcept : number_(std::exchange(other.number_, -1)) {}
+    Descriptor& operator=(Descriptor&& other) noexcept {
+      std::swap(number_, other.number_);
+      return *this;
+    }
+    ~Descriptor() { close(); }
+    void close() {
+      if (number_ >= 0) ::close(number_);
+      number_ = -1;
+    }
+    int get() const { return number_; }
+
+   private:
+    int number_;
+  };
+
+  // A connection, and what it is at: a request is read, answered and sent, then the next one; or the connection closes.
+  struct Peer {
+    enum class At { reading, answering, sending, closing };
+
+    Peer(Descriptor d, std::size_t most_body_bytes, Clock::time_point until)
+        : socket(std::move(d)), reader(most_body_bytes), deadline(until) {}
+
+    Descriptor socket;
+    HttpReader reader;
+    At at = At::reading;
+    bool begun = false, admitted = false;  // the head's first byte is here; all of it, and it was not refused
+    Clock::time_point deadline;
+    std::shared_ptr<std::atomic<bool>> gone;  // told to whoever makes the answer
+    std::optional<HttpReply> reply;
+
+    bool idle() const { return at == At::reading && !begun; }
+  };
+
+  Impl(const HttpOptions& o, HttpHandler& h)
+      : options(o), handler(h), listener(listening_on(o)), waker(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+    try {
+      for (int i = 0; i < options.threads; ++i) workers.emplace_back([this] { make_answers(); });
+      loop = std::thread([this] { watch(); });
+    } catch (const std::system_error& e) {
+      end_workers();
+      throw cannot_start(options, e.what());
+    }
+  }
+  ~Impl() {
+    stopping = true;
+    wake();
+    loop.join();
+    end_workers();
+  }
+  Impl(const Impl&) = delete;
+  Impl& operator=(const Impl&) = delete;
+
+  struct Job {
+    std::uint64_t peer;
+    HttpRequest request;
+  };
+  struct Made {
+    std::uint64_t peer;
+    HttpResponse response;
+  };
+
+  static Descriptor listening_on(const HttpOptions& options);
+  static Error cannot_start(const HttpOptions& options, const std::string& cause);
+  void end_workers();
+  void wake() const {
+    const std::uint64_t one = 1;
+    (void)!write(waker.get(), &one, sizeof one);
+  }
+  void make_answers();
+  void watch();
+  void take_made();
+  void accept_all();
+  void serve(std::uint64_t number, Peer& peer, short events);
+  void receive(Peer& peer);
+  void advance(std::uint64_t number, Peer& peer);
+  void reply(Peer& peer, HttpResponse response, bool keep);
+  void send(Peer& peer);
+  void time_out(Peer& peer);
+  Clock::time_point in(int ms) const { return Clock::now() + milliseconds(ms); }
+
   HttpOptions options;
   HttpHandler& handler;
-  std::mutex log_mutex;
-  std::string log;  // the last complaint of civetweb
-  std::atomic<int> answering{0};
-  mg_context* context = nullptr;
+  Descriptor listener, waker;
+  std::map<std::uint64_t, Peer> peers;  // of the loop
+  std::uint64_t next_peer = 0;
+  std::atomic<bool> stopping{false};
 
-  Impl(const HttpOptions& o, HttpHandler& h) : options(o), handler(h) {}
+  std::mutex mutex;  // of these four
+  std::condition_variable wanted;
+  std::deque<Job> waiting;
+  std::vector<Made> made;
+  bool ended = false;
 
-  static int on_request(mg_connection* connection) {
-    auto* impl = static_cast<Impl*>(mg_get_request_info(connection)->user_data);
-    ++impl->answering;
-    impl->serve(connection);
-    --impl->answering;
-    return 200;  // answered: civetweb does nothing more
-  }
-  // What civetweb itself refuses, such as a head that is none: its own pages have none of our headers.
-  static int on_error(mg_connection* connection, int status, const char*) {
-    send(connection, {status == 500 ? 500 : 400, "text/plain", "the request cannot be read\n"}, false);
-    return 0;
-  }
-  static int on_log(const mg_connection* connection, const char* message) {
-    auto* impl = static_cast<Impl*>(mg_get_user_data(mg_get_context(connection)));
-    if (impl == nullptr) return 1;
-    const std::scoped_lock lock(impl->log_mutex);
-    impl->log = message;
-    return 1;  // nothing is printed
-  }
-
-  void serve(mg_connection* connection) {
-    const mg_request_info& info = *mg_get_request_info(connection);
-    HttpRequest request = head_of(info);
-    // What frames a body in two ways could be read in two ways.
-    const bool lengths = request.header_count("content-length") + request.header_count("transfer-encoding") > 1;
-    const bool body = info.content_length > 0 || request.header_count("transfer-encoding") > 0;
-    if (std::optional<HttpResponse> refusal = handler.refuse(request)) return send(connection, *refusal, !body);
-    if (lengths) return send(connection, {400, "text/plain", "the request has two lengths\n"}, false);
-    if (body) {
-      const int status = read_body(connection, info.content_length, request.body);
-      if (status != 200) return send(connection, {status, "text/plain", std::string(reason(status)) + "\n"}, false);
-    }
-    send(connection, handler.answer(request), true);
-  }
-
-  // 200, or the status that says why not. civetweb waits for every byte that it is asked for, with a limit of its own
-  // between two bytes, so few are asked for at a time and the deadline is looked at between.
-  int read_body(mg_connection* connection, long long length, std::string& body) const {
-    if (length > static_cast<long long>(options.most_body_bytes)) return 413;
-    const auto end = Clock::now() + std::chrono::milliseconds(options.body_ms);
-    std::array<char, 16> piece{};
-    for (;;) {
-      const std::size_t wanted =
-          length < 0 ? piece.size() : std::min(piece.size(), static_cast<std::size_t>(length) - body.size());
-      const int got = wanted > 0 ? mg_read(connection, piece.data(), wanted) : 0;
-      if (got > 0) body.append(piece.data(), static_cast<std::size_t>(got));
-      if (body.size() > options.most_body_bytes) return 413;
-      if (Clock::now() > end) return 408;
-      if (got > 0) continue;
-      if (got < 0 || (length >= 0 && body.size() != static_cast<std::size_t>(length))) return 400;
-      return 200;
-    }
-  }
+  std::vector<std::thread> workers;
+  std::thread loop;
 };
 
-HttpServer::HttpServer(const HttpOptions& options, HttpHandler& handler)
-    : impl_(std::make_unique<Impl>(options, handler)) {
-  static const unsigned started = mg_init_library(0);  // counted, and of no weight: nothing of it is ever given back
-  (void)started;
-  const std::string listening = options.address + ":" + std::to_string(options.port);
-  const std::string threads = std::to_string(options.threads), waiting = std::to_string(options.connections_waiting),
-                    head_ms = std::to_string(options.head_ms);
-  // No document root: there is no file that civetweb could find by itself.
-  const std::array<const char*, 23> settings{"listening_ports",
-                                             listening.c_str(),
-                                             "num_threads",
-                                             threads.c_str(),
-                                             "connection_queue",
-                                             waiting.c_str(),
-                                             "listen_backlog",
-                                             waiting.c_str(),
-                                             "request_timeout_ms",
-                                             head_ms.c_str(),
-                                             "keep_alive_timeout_ms",
-                                             head_ms.c_str(),
-                                             "enable_keep_alive",
-                                             "yes",
-                                             "tcp_nodelay",
-                                             "1",
-                                             "max_request_size",
-                                             "16384",
-                                             "decode_url",
-                                             "no",
-                                             "access_control_allow_origin",
-                                             "",
-                                             nullptr};
-  mg_callbacks callbacks{};
-  callbacks.begin_request = Impl::on_request;
-  callbacks.http_error = Impl::on_error;
-  callbacks.log_message = Impl::on_log;
-  mg_context* context = mg_start(&callbacks, impl_.get(), const_cast<const char**>(settings.data()));
-  if (context == nullptr)
-    throw Error(ErrorKind::unavailable, "the HTTP server cannot start on " + listening + ": " + impl_->log,
-                "name another --port, or see what limits this process: ulimit -n -u");
-  impl_->context = context;
+Error HttpServer::Impl::cannot_start(const HttpOptions& options, const std::string& cause) {
+  return {ErrorKind::unavailable,
+          fmt::format("the HTTP server cannot start on {}:{}: {}", options.address, options.port, cause),
+          "name another --port, or see what limits this process: ulimit -n -u"};
 }
 
-HttpServer::~HttpServer() {
-  // civetweb sends nothing any more once it stops.
-  for (const auto end = Clock::now() + kFarewell; impl_->answering > 0 && Clock::now() < end;)
-    std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  mg_stop(impl_->context);
+HttpServer::Impl::Descriptor HttpServer::Impl::listening_on(const HttpOptions& options) {
+  Descriptor listener(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  sockaddr_in place{};
+  place.sin_family = AF_INET;
+  place.sin_port = htons(static_cast<std::uint16_t>(options.port));
+  inet_pton(AF_INET, options.address.c_str(), &place.sin_addr);
+  const int yes = 1;
+  setsockopt(listener.get(), SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
+  if (listener.get() < 0 || bind(listener.get(), reinterpret_cast<const sockaddr*>(&place), sizeof place) != 0 ||
+      listen(listener.get(), SOMAXCONN) != 0)
+    throw cannot_start(options, std::strerror(errno));
+  return listener;
 }
+
+void HttpServer::Impl::end_workers() {
+  {
+    const std::scoped_lock lock(mutex);
+    waiting.clear();
+    ended = true;
+  }
+  wanted.notify_all();
+  for (std::thread& worker : workers) worker.join();
+}
+
+void HttpServer::Impl::make_answers() {
+  std::unique_lock lock(mutex);
+  for (;;) {
+    wanted.wait(lock, [&] { return ended || !waiting.empty(); });
+    if (waiting.empty()) return;
+    const Job job = std::move(waiting.front());
+    waiting.pop_front();
+    lock.unlock();
+    HttpResponse response = job.request.abandoned() ? HttpResponse{} : handler.answer(job.request);
+    lock.lock();
+    made.push_back({job.peer, std::move(response)});
+    wake();
+  }
+}
+
+void HttpServer::Impl::watch() {
+  std::vector<pollfd> polled;
+  std::vector<std::uint64_t> numbers;
+  for (Clock::time_point farewell = Clock::time_point::max();;) {
+    if (stopping) {
+      farewell = std::min(farewell, Clock::now() + kFarewell);
+      listener.close();
+      std::erase_if(peers,
+                    [](const auto& p) { return p.second.at == Peer::At::reading || p.second.at == Peer::At::closing; });
+      if (peers.empty() || Clock::now() > farewell) return peers.clear();
+    }
+    polled = {{waker.get(), POLLIN, 0}, {listener.get(), POLLIN, 0}};
+    numbers.clear();
+    Clock::time_point soonest = std::min(Clock::now() + kTurn, farewell);
+    for (auto& [number, peer] : peers) {
+      short events = POLLIN;
+      if (peer.at == Peer::At::answering) events = POLLRDHUP;
+      if (peer.at == Peer::At::sending) events = POLLOUT;
+      const bool deaf = peer.at == Peer::At::answering && *peer.gone;  // it would be reported again and again
+      polled.push_back({deaf ? -1 : peer.socket.get(), events, 0});
+      numbers.push_back(number);
+      if (peer.at != Peer::At::answering) soonest = std::min(soonest, peer.deadline);
+      if (peer.at == Peer::At::reading && peer.reader.state() != HttpReader::State::head && !peer.admitted)
+        soonest = Clock::now();  // it was sent together with the one before
+    }
+    const auto left = std::chrono::ceil<milliseconds>(soonest - Clock::now());
+    if (poll(polled.data(), polled.size(), static_cast<int>(std::max<std::int64_t>(0, left.count()))) < 0) continue;
+    std::uint64_t count = 0;
+    if (polled[0].revents != 0) (void)!read(waker.get(), &count, sizeof count);
+    take_made();
+    for (std::size_t i = 0; i < numbers.size(); ++i) {
+      const auto found = peers.find(numbers[i]);
+      serve(found->first, found->second, polled[i + 2].revents);
+      if (found->second.socket.get() < 0) peers.erase(found);
+    }
+    if (polled[1].revents != 0) accept_all();
+  }
+}
+
+void HttpServer::Impl::take_made() {
+  std::vector<Made> now;
+  {
+    const std::scoped_lock lock(mutex);
+    now.swap(made);
+  }
+  for (Made& one : now) {
+    const auto peer = peers.find(one.peer);
+    if (peer == peers.end()) continue;
+    reply(peer->second, std::move(one.response), peer->second.reader.keeps() && !stopping);
+  }
+}
+
+void HttpServer::Impl::accept_all() {
+  for (;;) {
+    Descriptor fresh(accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
+    const bool none_left = fresh.get() < 0 && (errno == EMFILE || errno == ENFILE);
+    if (fresh.get() < 0 && !none_left) return;
+    if (none_left || peers.size() >= options.connections) {
+      // The one that says nothing for the longest, or else that has not said all.
+      auto given_up = peers.end();
+      for (auto peer = peers.begin(); peer != peers.end(); ++peer) {
+        if (peer->second.at != Peer::At::reading) continue;
+        if (given_up == peers.end() || (peer->second.idle() && !given_up->second.idle()) ||
+            (peer->second.idle() == given_up->second.idle() && peer->second.deadline < given_up->second.deadline))
+          given_up = peer;
+      }
+      if (given_up == peers.end()) {
+        if (none_left) return;
+        continue;  // refused
+      }
+      peers.erase(given_up);
+      if (none_left) continue;
+    }
+    const int yes = 1;
+    setsockopt(fresh.get(), IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+    peers.try_emplace(++next_peer, std::move(fresh), options.most_body_bytes, in(options.head_ms));
+  }
+}
+
+void HttpServer::Impl::serve(std::uint64_t number, Peer& peer, short events) {
+  switch (peer.at) {
+    case Peer::At::reading:
+      if (events != 0) receive(peer);
+      if (peer.socket.get() >= 0) advance(number, peer);
+      break;
+    case Peer::At::answering:
+      if (events != 0) *peer.gone = true;
+      return;
+    case Peer::At::sending:
+      if (events != 0) send(peer);
+      break;
+    case Peer::At::closing:
+      if (events != 0) receive(peer);
+  }
+  if (peer.socket.get() >= 0 && peer.at != Peer::At::answering && Clock::now() > peer.deadline) time_out(peer);
+}
+
+void HttpServer::Impl::receive(Peer& peer) {
+  std::array<char, kReceivedAtOnce> piece;
+  const ssize_t got = recv(peer.socket.get(), piece.data(), piece.size(), 0);
+  if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) return peer.socket.close();
+  if (got > 0 && peer.at == Peer::At::reading) peer.reader.take({piece.data(), static_cast<std::size_t>(got)});
+}
+
+void HttpServer::Impl::advance(std::uint64_t number, Peer& peer) {
+  HttpReader& reader = peer.reader;
+  if (reader.begun() && !peer.begun) {
+    peer.begun = true;
+    peer.deadline = in(options.head_ms);
+  }
+  if (reader.state() == HttpReader::State::head) return;
+  if (!peer.admitted && reader.state() != HttpReader::State::refused) {
+    if (std::optional<HttpResponse> refusal = handler.refuse(reader.request()))
+      return reply(peer, std::move(*refusal), reader.keeps());
+    peer.admitted = true;
+    peer.deadline = in(options.body_ms);
+    constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
+    if (reader.expects_continue()) (void)!::send(peer.socket.get(), kContinue.data(), kContinue.size(), MSG_NOSIGNAL);
+  }
+  if (reader.state() == HttpReader::State::refused)
+    return reply(peer, {reader.status(), "text/plain", reader.complaint() + "\n"}, false);
+  if (reader.state() != HttpReader::State::whole) return;
+  peer.at = Peer::At::answering;
+  peer.gone = std::make_shared<std::atomic<bool>>(false);
+  reader.request().gone = peer.gone;
+  {
+    const std::scoped_lock lock(mutex);
+    waiting.push_back({number, reader.request()});
+  }
+  wanted.notify_one();
+}
+
+void HttpServer::Impl::reply(Peer& peer, HttpResponse response, bool keep) {
+  peer.reply.emplace(std::move(response), keep, peer.reader.request().method != "HEAD");
+  peer.at = Peer::At::sending;
+  peer.deadline = in(options.head_ms);
+  send(peer);
+}
+
+void HttpServer::Impl::send(Peer& peer) {
+  for (;;) {
+    const std::string_view piece = peer.reply->piece();
+    if (piece.empty()) break;
+    const ssize_t sent = ::send(peer.socket.get(), piece.data(), piece.size(), MSG_NOSIGNAL);
+    if (sent < 0 && (errno == EAGAIN || errno == EINTR)) return;
+    if (sent < 0 || peer.reply->too_slow()) return peer.socket.close();
+    peer.reply->sent(static_cast<std::size_t>(sent));
+    peer.deadline = in(options.head_ms);
+  }
+  if (!peer.reply->whole()) return peer.socket.close();
+  const bool keep = peer.reply->keeps();
+  peer.reply.reset();
+  if (keep) {
+    peer.at = Peer::At::reading;
+    peer.begun = peer.admitted = false;
+    peer.deadline = in(options.head_ms);
+    return peer.reader.next();
+  }
+  // Closed at once, what the client still sends would make the system take the answer back.
+  shutdown(peer.socket.get(), SHUT_WR);
+  peer.at = Peer::At::closing;
+  peer.deadline = Clock::now() + kLinger;
+}
+
+void HttpServer::Impl::time_out(Peer& peer) {
+  if (peer.at != Peer::At::reading || peer.idle()) return peer.socket.close();
+  reply(peer, {408, "text/plain", "the request took too long\n"}, false);
+}
+
+HttpServer::HttpServer(const HttpOptions& options, HttpHandler& handler)
+    : impl_(std::make_unique<Impl>(options, handler)) {}
+
+HttpServer::~HttpServer() = default;
 
 }  // namespace semfield::app

@@ -1,25 +1,14 @@
-// HTTP on one address, by civetweb: bounded threads, heads, bodies and times. Knows nothing of the page.
+// HTTP on one address: bounded connections, threads, heads, bodies and times. Knows nothing of the page.
 #pragma once
 
 #include <cstddef>
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
-#include <vector>
+
+#include "app/serve/http_reader.h"
 
 namespace semfield::app {
-
-struct HttpRequest {
-  std::string method, path;  ///< path: as sent, without the query
-  std::string query;         ///< without '?'
-  std::vector<std::pair<std::string, std::string>> headers;
-  std::string body;
-
-  /// Value of a header by its name in small letters; none where it is missing.
-  std::optional<std::string> header(const std::string& name) const;
-  int header_count(const std::string& name) const;
-};
 
 struct HttpResponse {
   int status = 200;
@@ -31,25 +20,29 @@ struct HttpResponse {
   std::string location{}, allow{};  ///< headers of 308 and 405
 };
 
-/// What a server asks for every request, from several threads at once. Neither function throws.
+/// What a server asks for every request. Neither function throws.
 class HttpHandler {
  public:
   virtual ~HttpHandler() = default;
-  /// Called with an empty body, before one is read: an answer refuses the request.
+  /// Called with an empty body, before one is read: an answer refuses the request. Quick, for every connection waits.
   virtual std::optional<HttpResponse> refuse(const HttpRequest& head) noexcept = 0;
+  /// Called from several threads at once.
   virtual HttpResponse answer(const HttpRequest& request) noexcept = 0;
 };
 
 struct HttpOptions {
   std::string address = "127.0.0.1";  ///< IPv4, numbers
   int port = 8787;                    ///< a free_port()
-  int threads = 64;                   ///< connections served at a time
-  int connections_waiting = 128;      ///< more are refused
+  int threads = 64;                   ///< requests answered at a time; the others wait
+  std::size_t connections = 512;      ///< with more, the one that has been idle the longest is closed
   std::size_t most_body_bytes = std::size_t{256} << 10;
-  int head_ms = 5000;   ///< from a connection's first byte to the end of a request's head
+  int head_ms =
+      5000;  ///< for a request's head, for a connection without a request, and for a client that reads nothing
   int body_ms = 10000;  ///< for a body
 };
 
+/// One thread watches all connections, so that one that is idle, slow or gone costs no more than its place; the others
+/// make answers.
 class HttpServer {
  public:
   /// Listens when it returns. The handler must outlive the server. Throws Error(unavailable).

@@ -10,7 +10,6 @@
 #include <filesystem>
 
 #include "app/child_process.h"
-#include "classes/class_table.h"
 #include "core/error.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"
@@ -25,6 +24,8 @@ namespace {
 constexpr int kLowPriority = 10;  // of 19: training goes first
 constexpr auto kProgramLook = std::chrono::milliseconds(100);
 constexpr const char* kLabelEnd = "_label.png";
+constexpr int kSideBySide = 2;        // more would only take the processor from each other
+constexpr std::size_t kMostOpen = 8;  // that wait or are being made
 
 std::vector<std::string> files_of(ExportKind kind) {
   if (kind == ExportKind::labels) return {"labels.zip"};
@@ -32,74 +33,112 @@ std::vector<std::string> files_of(ExportKind kind) {
   return {"mesh.ply", "mesh.glb", "mesh_classes.ply", "mesh_classes.glb"};
 }
 
-std::size_t labels_in(const std::string& folder) {
+bool is_open(const ExportState& state) { return state.state == "waiting" || state.state == "running"; }
+
+// What a program said last of how far it is.
+std::string last_line(const std::string& log) {
   std::error_code failed;
-  std::size_t count = 0;
-  for (const auto& entry : fs::directory_iterator(folder, failed))
-    count += entry.path().filename().string().ends_with(kLabelEnd) ? 1 : 0;
-  return count;
+  if (fs::file_size(log, failed) == 0 || failed) return {};
+  std::string text = read_text_file(log);
+  while (!text.empty() && text.back() == '\n') text.pop_back();
+  return text.substr(text.rfind('\n') + 1);
 }
 
 }  // namespace
 
 PageExports::~PageExports() {
-  stopping_ = true;
-  if (maker_.joinable()) maker_.join();
+  {
+    const std::scoped_lock lock(mutex_);
+    stopping_ = true;
+  }
+  turn_.notify_all();
+  for (Export& one : exports_) one.thread.join();
 }
 
 std::string PageExports::start(ExportKind kind) {
   const std::scoped_lock lock(mutex_);
-  if (!list_.empty() && list_.back().state == "running")
-    throw Error(ErrorKind::unavailable, "export " + list_.back().id + " is being made",
-                "wait until it is done, then ask again");
-  if (maker_.joinable()) maker_.join();
+  if (std::count_if(exports_.begin(), exports_.end(), [](const Export& e) { return is_open(e.state); }) >=
+      static_cast<std::ptrdiff_t>(kMostOpen))
+    throw Error(ErrorKind::unavailable, fmt::format("{} exports are being made or wait", kMostOpen),
+                "wait until one is done, or cancel one");
   std::string id;
   for (int n = 1; id.empty() || fs::exists(folder_of(id)); ++n) id = fmt::format("{}-{}", export_name(kind), n);
   create_folders(folder_of(id));
-  list_.push_back({id, export_name(kind), "running", "saving the field", {}});
+  Export& one = exports_.emplace_back(Export{kind, {id, export_name(kind), "waiting", "for its turn", {}}});
   ++changes_;
-  maker_ = std::thread([this, kind, id] { make(kind, id); });
+  one.thread = std::thread([this, &one] { make(one); });
   return id;
+}
+
+bool PageExports::cancel(const std::string& id) {
+  const std::scoped_lock lock(mutex_);
+  const auto one = std::find_if(exports_.begin(), exports_.end(), [&](const Export& e) { return e.state.id == id; });
+  if (one == exports_.end()) return false;
+  one->canceled = true;
+  turn_.notify_all();
+  return true;
 }
 
 std::vector<ExportState> PageExports::list() const {
   const std::scoped_lock lock(mutex_);
-  return list_;
+  std::vector<ExportState> out;
+  for (const Export& one : exports_) out.push_back(one.state);
+  return out;
 }
 
 std::string PageExports::file(const std::string& id, std::uint64_t number) const {
   const std::scoped_lock lock(mutex_);
-  for (const ExportState& e : list_) {
-    if (e.id == id && number < e.files.size()) return folder_of(id) + "/" + e.files[number];
+  for (const Export& one : exports_) {
+    if (one.state.id == id && number < one.state.files.size()) return folder_of(id) + "/" + one.state.files[number];
   }
   return {};
 }
 
-void PageExports::tell(const std::string& id, const std::string& state, const std::string& text,
+void PageExports::tell(Export& one, const std::string& state, const std::string& text,
                        const std::vector<std::string>& files) {
   const std::scoped_lock lock(mutex_);
-  const auto e = std::find_if(list_.begin(), list_.end(), [&](const ExportState& one) { return one.id == id; });
-  if (e->state == state && e->text == text) return;
-  *e = {id, e->what, state, text, files};
+  if (one.state.state == state && one.state.text == text) return;
+  one.state = {one.state.id, one.state.what, state, text, files};
   ++changes_;
 }
 
-void PageExports::make(ExportKind kind, std::string id) {
-  try {
-    source_.save();
-    run_verb(kind, id);
-    if (kind == ExportKind::labels) pack_labels(folder_of(id));
-    tell(id, "done", "in " + folder_of(id), files_of(kind));
-  } catch (const std::exception& e) {
-    tell(id, "failed", e.what());
+bool PageExports::ends(const Export& one) const {
+  const std::scoped_lock lock(mutex_);
+  return stopping_ || one.canceled;
+}
+
+void PageExports::make(Export& one) {
+  const std::string folder = folder_of(one.state.id);  // the id never changes
+  {
+    std::unique_lock lock(mutex_);
+    turn_.wait(lock, [&] { return stopping_ || one.canceled || making_ < kSideBySide; });
+    ++making_;
   }
+  try {
+    if (!ends(one)) {
+      tell(one, "running", "saving the field");
+      source_.save();
+      run_verb(one);
+      if (one.kind == ExportKind::labels) pack_labels(folder);
+    }
+    if (ends(one)) {
+      tell(one, "canceled", "");
+    } else {
+      tell(one, "done", "in " + folder, files_of(one.kind));
+    }
+  } catch (const std::exception& e) {
+    tell(one, ends(one) ? "canceled" : "failed", ends(one) ? "" : e.what());
+  }
+  const std::scoped_lock lock(mutex_);
+  --making_;
+  turn_.notify_all();
 }
 
 std::vector<std::string> PageExports::words(ExportKind kind, const std::string& folder) const {
   const std::string& run = options_.run_dir;
   std::vector<std::string> words{options_.program};
   const auto add = [&](std::vector<std::string> more) { words.insert(words.end(), more.begin(), more.end()); };
-  if (kind == ExportKind::labels) add({"render", run, "--split", "train", "--out", folder});
+  if (kind == ExportKind::labels) add({"export", run, "--split", "train", "--format", "png", "--out", folder});
   if (kind == ExportKind::coco)
     add({"export", run, "--split", "train", "--format", "coco", "--out", folder + "/coco.json"});
   if (kind == ExportKind::mesh) add({"mesh", run, "--format", "ply,glb", "--out", folder + "/mesh.ply"});
@@ -107,23 +146,24 @@ std::vector<std::string> PageExports::words(ExportKind kind, const std::string& 
   return words;
 }
 
-void PageExports::run_verb(ExportKind kind, const std::string& id) {
-  const std::string folder = folder_of(id), log = folder + "/log.txt";
-  const std::size_t views = source_.state()->views.size();
-  tell(id, "running", kind == ExportKind::mesh ? "finding the surface" : "rendering the labels");
-  const pid_t child = start_child(words(kind, folder), {folder + "/output.txt", log},
+void PageExports::run_verb(Export& one) {
+  const std::string folder = folder_of(one.state.id), log = folder + "/log.txt";
+  const std::string begun = one.kind == ExportKind::mesh ? "finding the surface" : "rendering the labels";
+  tell(one, "running", begun);
+  const pid_t child = start_child(words(one.kind, folder), {folder + "/output.txt", log},
                                   [] { setpriority(PRIO_PROCESS, 0, kLowPriority); });
   int status = 0;
   bool asked = false;
   while (waitpid(child, &status, WNOHANG) == 0) {
-    if (stopping_ && !asked) {
+    if (!asked && ends(one)) {
       kill(child, SIGTERM);
       asked = true;
     }
-    if (kind == ExportKind::labels) tell(id, "running", fmt::format("{} of {} views", labels_in(folder), views));
+    const std::string line = last_line(log);
+    tell(one, "running", line.empty() ? begun : line);
     std::this_thread::sleep_for(kProgramLook);
   }
-  if (stopping_) throw Error(ErrorKind::failure, "the page was closed before it was done");
+  if (asked) return;
   if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) throw Error(ErrorKind::failure, child_failure(status, log));
 }
 
@@ -132,11 +172,8 @@ void PageExports::pack_labels(const std::string& folder) const {
   ZipWriter zip(folder + "/labels.zip");
   for (const fs::directory_entry& entry : sorted_folder(folder)) {
     const std::string name = entry.path().filename().string();
-    if (name.ends_with(kLabelEnd)) zip.add(name, read_text_file(entry.path().string()));
+    if (name.ends_with(kLabelEnd) || name == "classes.yaml") zip.add(name, read_text_file(entry.path().string()));
   }
-  std::vector<ClassEntry> entries;
-  for (const ClassState& c : source_.state()->classes) entries.push_back({c.id, c.name, c.color, false});
-  zip.add("classes.yaml", ClassTable(std::move(entries)).to_yaml());
   zip.write();
 }
 

@@ -2,7 +2,9 @@
 #pragma once
 
 #include <atomic>
+#include <condition_variable>
 #include <cstdint>
+#include <list>
 #include <mutex>
 #include <string>
 #include <thread>
@@ -20,17 +22,20 @@ struct ExportOptions {
   std::vector<std::string> modules;  ///< files of plugins that the run needs
 };
 
-/// Exports lie in RUN/export/ID/ and stay there. One is made at a time.
+/// Exports lie in RUN/export/ID/ and stay there. Two are made side by side, the others wait for their turn.
 class PageExports {
  public:
   PageExports(PageSource& source, ExportOptions options) : source_(source), options_(std::move(options)) {}
-  /// Ends the process of an export that is being made.
+  /// Ends the processes of exports that are being made.
   ~PageExports();
   PageExports(const PageExports&) = delete;
   PageExports& operator=(const PageExports&) = delete;
 
-  /// The id of the export that was begun. Throws Error: unavailable while another is made, write_error for its folder.
+  /// The id of the export that was begun or waits. Throws Error: unavailable where too many wait, write_error for its
+  /// folder.
   std::string start(ExportKind kind);
+  /// Ends an export; what is done stays. False: there is none of this id.
+  bool cancel(const std::string& id);
   std::vector<ExportState> list() const;
   /// Grows with every change of the list.
   std::uint64_t changes() const { return changes_; }
@@ -38,21 +43,29 @@ class PageExports {
   std::string file(const std::string& id, std::uint64_t number) const;
 
  private:
-  void make(ExportKind kind, std::string id);
-  void run_verb(ExportKind kind, const std::string& id);
+  // One export and the thread that waits for its turn and its program.
+  struct Export {
+    ExportKind kind;
+    ExportState state;
+    bool canceled = false;
+    std::thread thread{};
+  };
+  void make(Export& one);
+  void run_verb(Export& one);
+  bool ends(const Export& one) const;
   std::vector<std::string> words(ExportKind kind, const std::string& folder) const;
   void pack_labels(const std::string& folder) const;
-  void tell(const std::string& id, const std::string& state, const std::string& text,
-            const std::vector<std::string>& files = {});
+  void tell(Export& one, const std::string& state, const std::string& text, const std::vector<std::string>& files = {});
   std::string folder_of(const std::string& id) const { return options_.run_dir + "/export/" + id; }
 
   PageSource& source_;
   ExportOptions options_;
-  mutable std::mutex mutex_;
-  std::vector<ExportState> list_;
+  mutable std::mutex mutex_;  // of these four, but for the threads
+  std::condition_variable turn_;
+  std::list<Export> exports_;  // the earliest first
+  int making_ = 0;
+  bool stopping_ = false;
   std::atomic<std::uint64_t> changes_{0};
-  std::atomic<bool> stopping_{false};
-  std::thread maker_;
 };
 
 }  // namespace semfield::app

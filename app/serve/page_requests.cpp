@@ -152,12 +152,17 @@ const char* export_name(ExportKind kind) {
   return kind == ExportKind::labels ? "labels" : kind == ExportKind::coco ? "coco" : "mesh";
 }
 
-ExportKind parse_export_request(std::string_view json) {
-  const Json root = parse_map(json, {"what"});
-  const auto what = root.find("what");
-  if (what == root.end()) refuse("key 'what' is missing");
+ExportRequest parse_export_request(std::string_view json) {
+  const Json root = parse_map(json, {"what", "cancel"});
+  const auto what = root.find("what"), cancel = root.find("cancel");
+  if ((what == root.end()) == (cancel == root.end())) refuse("expected either 'what' or 'cancel'");
+  if (cancel != root.end()) {
+    const std::string* id = cancel->get_ptr<const std::string*>();
+    if (id == nullptr || !is_event_id(*id)) refuse_value("cancel", "the id of an export", *cancel);
+    return {std::nullopt, *id};
+  }
   for (const ExportKind kind : {ExportKind::labels, ExportKind::coco, ExportKind::mesh}) {
-    if (*what == export_name(kind)) return kind;
+    if (*what == export_name(kind)) return {kind, ""};
   }
   refuse_value("what", "labels, coco or mesh", *what);
 }

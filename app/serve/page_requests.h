@@ -17,8 +17,13 @@ PictureRequest parse_picture_request(std::string_view json);
 
 enum class ExportKind { labels, coco, mesh };
 const char* export_name(ExportKind kind);
+/// What is to be made, or else the id of the export that is to end.
+struct ExportRequest {
+  std::optional<ExportKind> what;
+  std::string cancel;
+};
 /// Throws as parse_picture_request does.
-ExportKind parse_export_request(std::string_view json);
+ExportRequest parse_export_request(std::string_view json);
 
 /// Value of `key` in a query "a=1&b=2"; none where it is missing.
 std::optional<std::string_view> query_value(std::string_view query, std::string_view key);

@@ -32,6 +32,17 @@ int status_of(ErrorKind kind) {
   return kind == ErrorKind::internal ? 500 : 503;
 }
 
+class Counted {
+ public:
+  explicit Counted(std::atomic<int>& count) : count_(count) { ++count_; }
+  ~Counted() { --count_; }
+  Counted(const Counted&) = delete;
+  Counted& operator=(const Counted&) = delete;
+
+ private:
+  std::atomic<int>& count_;
+};
+
 HttpResponse json(std::string text) { return {200, "application/json", std::move(text)}; }
 
 std::string type_of_export(const std::string& file) {
@@ -110,12 +121,15 @@ HttpResponse PageServer::get_state(const HttpRequest& request) const {
   const std::uint64_t first = options_.first_revision;
   const bool ours = after >= first && after - first <= source_.state()->revision + exports_.changes();
   after = ours ? after - first : 0;  // else: of an earlier life of the server
+  const Counted waits(waiting_for_news_);
   for (;;) {
     const std::uint64_t exported = exports_.changes();
     const std::uint64_t known = after > exported ? after - exported : 0;
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
-    if (stopping_) std::this_thread::sleep_for(kStateLook);  // a page that asks again and again stays calm
-    const bool last = left.count() <= 0 || stopping_ || after == 0;
+    // Those that wait leave half of the threads to the others.
+    const bool at_once = stopping_ || 2 * waiting_for_news_ > options_.http.threads;
+    if (at_once) std::this_thread::sleep_for(kStateLook);  // a page that asks again and again stays calm
+    const bool last = left.count() <= 0 || at_once || after == 0 || request.abandoned();
     const auto state = last ? source_.state() : source_.wait_state(known, std::min(kStateLook, left));
     if (last || state->revision + exported > after)
       return json(state_json(*state, source_, exports_.list(), options_.run_id, known,
@@ -163,14 +177,19 @@ HttpResponse PageServer::post_event(const HttpRequest& request) {
 HttpResponse PageServer::post_picture(const HttpRequest& request) {
   const PictureRequest wanted = parse_picture_request(request.body);
   if (!wanted.camera) check_view(static_cast<std::uint64_t>(wanted.view));
-  Picture picture = source_.picture(wanted);
+  Picture picture = source_.picture(wanted, [&] { return request.abandoned(); });
   picture.overlay_revision += options_.first_revision;
   return {200, "application/octet-stream", picture_bytes(picture, source_.state()->classes)};
 }
 
 HttpResponse PageServer::post_export(const HttpRequest& request) {
-  const std::string id = exports_.start(parse_export_request(request.body));
-  return json(nlohmann::ordered_json{{"id", id}}.dump());
+  const ExportRequest wanted = parse_export_request(request.body);
+  if (!wanted.what) {
+    if (!exports_.cancel(wanted.cancel))
+      throw Error(ErrorKind::data, "no export '" + wanted.cancel + "'", "the state lists those that there are");
+    return json(nlohmann::ordered_json{{"id", wanted.cancel}}.dump());
+  }
+  return json(nlohmann::ordered_json{{"id", exports_.start(*wanted.what)}}.dump());
 }
 
 HttpResponse PageServer::get_export(const std::string& rest) const {

@@ -59,6 +59,7 @@ class PageServer final : private HttpHandler {
   PageOptions options_;
   PageExports exports_;
   std::atomic<bool> stopping_{false};
+  mutable std::atomic<int> waiting_for_news_{0};
   std::unique_ptr<PageAccess> access_;
   std::unique_ptr<HttpServer> http_;
 };

@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 
@@ -23,7 +24,7 @@ class PageSource {
   virtual bool apply(const LabelEvent& event) = 0;
   virtual std::shared_ptr<const LabelState> state() const = 0;
   virtual std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const = 0;
-  virtual Picture picture(const PictureRequest& request) = 0;
+  virtual Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned) = 0;
   virtual PagePhoto photo(int view) const = 0;
   virtual FreeCamera camera_of(int view) const = 0;
   /// Number of the view that shows a frame of the scene; -1: none.

@@ -12,7 +12,7 @@ namespace semfield::app {
 struct ExportState {
   std::string id;
   std::string what;                ///< "labels", "coco" or "mesh"
-  std::string state = "running";   ///< or "done", "failed"
+  std::string state = "waiting";   ///< then "running", then "done", "failed" or "canceled"
   std::string text;                ///< a short sentence
   std::vector<std::string> files;  ///< names, when it is done
 };

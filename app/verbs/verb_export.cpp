@@ -1,19 +1,24 @@
 // export: label maps of a run's field for labelling tools.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
+#include <functional>
 #include <optional>
 
 #include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/verb.h"
+#include "classes/class_names.h"
 #include "core/findings.h"
-#include "formats/image_io.h"
+#include "eval/image_output.h"
 #include "labels/label_export.h"
 #include "labels/small_regions.h"
 #include "run/open_run.h"
 #include "run/run_folder.h"
+#include "serve/label_upsampling.h"
+#include "system/files.h"
 
 namespace semfield::app {
 
@@ -22,11 +27,14 @@ namespace {
 struct ExportVerbOptions {
   std::string run;
   std::string split = "test";
-  std::string format = "coco";  ///< coco, coco_rle or labelme
-  std::string out;              ///< file for COCO, folder for labelme
-  long long min_area = 0;       ///< pixels; smaller regions take the class around them
+  std::string format = "coco";        ///< coco, coco_rle, labelme or png
+  std::string size = "stored";        ///< or "trained"
+  std::string out;                    ///< file for COCO, folder for the others
+  std::optional<long long> min_area;  ///< pixels; smaller regions take the class around them
   std::vector<std::string> set;
 };
+
+constexpr std::int64_t kPixelsOfARegion = 4096;  // of an image, for one of the least region that stands by itself
 
 // The stored image of a frame, "" when its dataset has none.
 std::string image_of(const FrameInfo& info) {
@@ -34,18 +42,86 @@ std::string image_of(const FrameInfo& info) {
   return std::filesystem::is_regular_file(info.source, ignored) ? info.source : std::string();
 }
 
-// Labelling tools lay the labels over the stored image; a run may have been trained at another size.
-void note_other_size(const FrameInfo& info, const AppContext& context) {
-  const std::string image = image_of(info);
-  if (image.empty()) return;
-  const ImageSize size = image_size(image);
-  const Camera& camera = info.camera;
-  if (size.width_px == camera.width_px && size.height_px == camera.height_px) return;
-  print_note(context, "labels are " + std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) +
-                          ", the stored images " + std::to_string(size.width_px) + " x " +
-                          std::to_string(size.height_px) +
-                          ": to export at that size, give --set scene.load.downscale=1");
-}
+// What a frame's labels are rendered at, and what becomes of them.
+class Exporter {
+ public:
+  Exporter(const ExportVerbOptions& options, const Session& session) : options_(options), session_(session) {
+    if (options.format == "coco" || options.format == "coco_rle") {
+      coco_.emplace(classes(), options.format == "coco" ? CocoMasks::polygons : CocoMasks::run_lengths);
+      return;
+    }
+    std::error_code failed;
+    std::filesystem::create_directories(options.out, failed);
+    if (failed)
+      throw Error(ErrorKind::cannot_create, options.out + ": cannot create the folder: " + failed.message(),
+                  "choose another --out");
+  }
+
+  void add(const FrameInfo& info, const std::function<void(double)>& progress) {
+    const std::optional<StoredSize> stored = options_.size == "stored" ? stored_size_of(info) : std::nullopt;
+    const Camera& camera = stored ? stored->camera : info.camera;
+    FrameOptions rendering{stored ? stored->stride : 1, progress};
+    rendering.color = false;
+    RenderedFrame rendered =
+        render_named_frame(*session_.pipeline, info.name, {camera, info.world_from_camera, session_.plan.undistortion},
+                           session_.limits, session_.plan.class_of_logit, {}, rendering);
+    LabelledFrame frame{info.name, image_of(info), camera.width_px, camera.height_px, {}};
+    frame.label = stored ? labels_at(*stored, std::move(rendered)) : std::move(rendered.label);
+    for (std::int16_t& label : frame.label)
+      if (label >= 0 && is_unnamed_class(classes().valid(label).name)) label = kVoid;
+    const std::int64_t all = std::ssize(frame.label);
+    const SmallRegions small = fill_small_regions(frame.label, frame.width_px, frame.height_px,
+                                                  options_.min_area.value_or(all / kPixelsOfARegion));
+    filled_.regions += small.regions;
+    filled_.pixels += small.pixels;
+    pixels_ += all;
+    ++frames_;
+    write(frame);
+  }
+
+  void finish() {
+    if (coco_) {
+      coco_->write(options_.out);
+      shapes_ = coco_->annotations();
+    } else if (options_.format == "png") {
+      write_file_atomic((std::filesystem::path(options_.out) / "classes.yaml").string(),
+                        named_classes(classes()).to_yaml());
+    }
+  }
+  int frames() const { return frames_; }
+  std::int64_t shapes() const { return shapes_; }
+  /// A sentence about regions that took the class around them; "" without any.
+  std::string told() const {
+    if (filled_.regions == 0) return {};
+    return fmt::format(
+        "{} regions of fewer than {} pixels took the class around them: {} of {} pixels", filled_.regions,
+        options_.min_area ? std::to_string(*options_.min_area) : fmt::format("1/{} of an image's", kPixelsOfARegion),
+        filled_.pixels, pixels_);
+  }
+
+ private:
+  const ClassTable& classes() const { return session_.scene.info.classes; }
+  void write(const LabelledFrame& frame) {
+    if (coco_) {
+      coco_->add(frame);
+    } else if (options_.format == "png") {
+      std::string name = frame.name + "_label.png";
+      std::replace(name.begin(), name.end(), '/', '_');
+      write_label_ids((std::filesystem::path(options_.out) / name).string(), {frame.width_px, frame.height_px},
+                      frame.label, classes());
+      ++shapes_;
+    } else {
+      shapes_ += write_labelme(options_.out, frame, classes());
+    }
+  }
+
+  const ExportVerbOptions& options_;
+  const Session& session_;
+  std::optional<CocoExport> coco_;
+  SmallRegions filled_;
+  std::int64_t shapes_ = 0, pixels_ = 0;
+  int frames_ = 0;
+};
 
 int run(const ExportVerbOptions& options, AppContext& context) {
   Diagnostics diagnostics;
@@ -59,69 +135,47 @@ int run(const ExportVerbOptions& options, AppContext& context) {
   if (frames.empty())
     throw Error(ErrorKind::data, options.run + ": no frames in split '" + options.split + "'",
                 "see `semfield inspect`");
-  std::optional<CocoExport> coco;
-  if (options.format == "labelme") {
-    std::error_code failed;
-    std::filesystem::create_directories(options.out, failed);
-    if (failed)
-      throw Error(ErrorKind::cannot_create, options.out + ": cannot create the folder: " + failed.message(),
-                  "choose another --out");
-  } else {
-    coco.emplace(s.scene.info.classes, options.format == "coco" ? CocoMasks::polygons : CocoMasks::run_lengths);
-  }
-  std::int64_t shapes = 0;
-  SmallRegions filled;
-  std::int64_t pixels = 0;
-  int done = 0;
-  note_other_size(s.scene.info.frames[static_cast<std::size_t>(frames.front())], context);
-  ProgressLine progress(context, "exported");
-  const auto part_done = [&](double share) { progress.show(done + share, static_cast<double>(frames.size())); };
-  for (const int f : frames) {
-    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
-    const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
-    RenderedFrame rendered =
-        render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
-    LabelledFrame frame{info.name, image_of(info), rendered.width_px, rendered.height_px, std::move(rendered.label)};
-    const SmallRegions small = fill_small_regions(frame.label, frame.width_px, frame.height_px, options.min_area);
-    filled.regions += small.regions;
-    filled.pixels += small.pixels;
-    pixels += std::ssize(frame.label);
-    if (coco) {
-      coco->add(frame);
-    } else {
-      shapes += write_labelme(options.out, frame, s.scene.info.classes);
+  Exporter exporter(options, s);
+  {
+    ProgressLine progress(context, "exported");
+    for (const int f : frames) {
+      const auto part_done = [&](double share) {
+        progress.show(exporter.frames() + share, static_cast<double>(frames.size()));
+      };
+      exporter.add(s.scene.info.frames[static_cast<std::size_t>(f)], part_done);
     }
-    ++done;
   }
-  if (coco) {
-    coco->write(options.out);
-    shapes = coco->annotations();
-  }
-  if (options.min_area > 0)
-    print_note(context, fmt::format("{} regions of fewer than {} pixels took the class around them: {} of {} pixels",
-                                    filled.regions, options.min_area, filled.pixels, pixels));
+  exporter.finish();
+  if (const std::string told = exporter.told(); !told.empty()) print_note(context, told);
   if (context.json) {
     print_json(context, {{"run", options.run},
                          {"step", run.step},
                          {"split", options.split},
-                         {"frames", done},
-                         {"shapes", shapes},
+                         {"frames", exporter.frames()},
+                         {"shapes", exporter.shapes()},
                          {"format", options.format},
                          {"out", options.out}});
     return 0;
   }
-  std::printf("export: frames=%d shapes=%lld format=%s out=%s\n", done, static_cast<long long>(shapes),
-              options.format.c_str(), options.out.c_str());
+  std::printf("export: frames=%d shapes=%lld format=%s out=%s\n", exporter.frames(),
+              static_cast<long long>(exporter.shapes()), options.format.c_str(), options.out.c_str());
   return 0;
 }
 
 void words(VerbWords& verb, ExportVerbOptions& options) {
   verb.operand("run", options.run, "run folder");
   verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames to export");
-  verb.choice("--format FORMAT", options.format, {"coco", "coco_rle", "labelme"},
-              "coco (polygons), coco_rle (run lengths) or labelme");
-  verb.value_in("--min-area N", options.min_area, 0, 1e9, "merge regions of fewer pixels into the class around them");
-  verb.required("--out PATH", options.out, "file to write for COCO, folder for labelme");
+  verb.choice(
+      "--format FORMAT", options.format, {"coco", "coco_rle", "labelme", "png"},
+      "coco (polygons), coco_rle (run lengths), labelme, or png (label images with class ids, and classes.yaml)");
+  verb.choice(
+      "--size SIZE", options.size, {"stored", "trained"},
+      "size of the labels: stored, that of the images in their files, along whose edges the labels are brought; or "
+      "trained, the size at which the run loads them");
+  verb.value_in(
+      "--min-area N", options.min_area, 0, 1e9,
+      "merge regions of fewer pixels into the class around them; 0: none (default: 1/4096 of an image's pixels)");
+  verb.required("--out PATH", options.out, "file to write for COCO, folder for labelme and png");
   verb.run_settings(options.set);
 }
 

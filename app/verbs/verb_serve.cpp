@@ -50,7 +50,9 @@ class SessionSource final : public PageSource {
   std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const override {
     return session_.wait_state(after, most);
   }
-  Picture picture(const PictureRequest& request) override { return session_.picture(request); }
+  Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned) override {
+    return session_.picture(request, abandoned);
+  }
   PagePhoto photo(int view) const override {
     const StoredFrame& frame = session_.photo(view);
     return {frame.width_px, frame.height_px, frame.rgb};
@@ -194,7 +196,7 @@ int run(const ServeOptions& options, AppContext& context) {
 
 int run(const ServeOptions&, AppContext&) {
   throw Error(ErrorKind::unavailable, "this build has no labelling page",
-              "build with -DSEMFIELD_WITH_SERVE=ON, which needs the packages libcivetweb-dev and libturbojpeg0-dev");
+              "build with -DSEMFIELD_WITH_SERVE=ON, which needs the package libturbojpeg0-dev");
 }
 
 #endif

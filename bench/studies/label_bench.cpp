@@ -154,7 +154,10 @@ class Labelled {
       train_with(clicks.back());
     }
     course.ece_before = held_out_.ece(held_out_.probabilities(*loop_, 1));
-    course.temperature = loop_->fit_temperature(clicks);
+    std::vector<HeldBack> held_back;
+    for (int fold = 0; fold < kCalibrationFolds; ++fold)
+      for (HeldBack& click : loop_->hold_back(clicks, fold)) held_back.push_back(std::move(click));
+    course.temperature = fit_temperature(held_back).value_or(1);
     course.ece_after = held_out_.ece(held_out_.probabilities(*loop_, course.temperature));
     return course;
   }

@@ -24,6 +24,12 @@ bool is_unnamed_class(std::string_view name) {
   return name.find_first_not_of("0123456789") == std::string_view::npos;
 }
 
+ClassTable named_classes(const ClassTable& classes) {
+  std::vector<ClassEntry> entries = classes.entries();
+  std::erase_if(entries, [](const ClassEntry& entry) { return is_unnamed_class(entry.name); });
+  return ClassTable(std::move(entries));
+}
+
 ClassNames::ClassNames(const ClassTable& classes) {
   for (const ClassEntry& entry : classes.entries()) {
     if (index_.emplace(entry.name, classes.index_of(entry.id)).second) known_.push_back(entry.name);

@@ -17,6 +17,8 @@ bool is_void_name(std::string name);
 /// Name of a class that has a logit and waits for its name: "unnamed 7" for id 7; and whether a name is one of these.
 std::string unnamed_class(std::int32_t id);
 bool is_unnamed_class(std::string_view name);
+/// The table without the classes that wait for their names.
+ClassTable named_classes(const ClassTable& classes);
 
 /// Names of a table, exact to the letter; of a name given twice the entry with the lower id. A name for void that the
 /// table does not have means void.

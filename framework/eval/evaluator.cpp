@@ -75,7 +75,7 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
   const std::int64_t pixels = std::int64_t{frame.width_px} * frame.height_px;
   const auto size = static_cast<std::size_t>(pixels);
   const bool semantics = pipeline.has_semantics();
-  frame.rgb.resize(3 * size);
+  if (options.color) frame.rgb.resize(3 * size);
   frame.depth_m.resize(size);
   frame.opacity.resize(size);
   std::vector<std::int16_t> truth_logit;
@@ -110,7 +110,7 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
     job.origin = {rays.origin.data(), count, 3};
     job.direction = {rays.direction.data(), count, 3};
     job.near_far = {rays.near_far.data(), count, 2};
-    job.color = {frame.rgb.data() + 3 * begin, count, 3};
+    if (options.color) job.color = {frame.rgb.data() + 3 * begin, count, 3};
     job.depth = {frame.depth_m.data() + begin, count, 1};
     job.opacity = {frame.opacity.data() + begin, count, 1};
     job.resolution = {rays.resolution.data(), count, 1};

@@ -52,6 +52,7 @@ struct FrameOptions {
   std::function<void(double)> progress;  ///< share of the pixels that are done, 0 to 1; may be null
   bool probability = false;              ///< fill RenderedFrame::probability, 4 C bytes a pixel
   int classes = 0;                       ///< C of the scene; read for `probability` alone
+  bool color = true;                     ///< fill RenderedFrame::rgb; without it colour is not computed
 };
 
 /// `truth` [H * W] class indices of the pixels rendered, or empty. A value that is not finite is an Error that names

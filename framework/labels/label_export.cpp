@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "classes/class_names.h"
 #include "labels/mask_outlines.h"
 #include "labels/run_lengths.h"
 #include "scene/output_names.h"
@@ -112,6 +113,7 @@ void CocoExport::write(const std::string& path) const {
   std::string categories;
   for (int c = 0; c < classes_.valid_count(); ++c) {
     const ClassEntry& e = classes_.valid(c);
+    if (is_unnamed_class(e.name)) continue;
     append(categories, Json{{"id", e.id}, {"name", e.name}, {"supercategory", ""}, {"color", e.color}}.dump());
   }
   write_file_atomic(path, "{\"images\": [\n" + images_ + "\n],\n\"annotations\": [\n" + annotations_ +

@@ -31,8 +31,9 @@ std::string make_report(const ReportInput& input) {
     const char *id, *name;
     std::string html;
   };
-  const std::array<Part, 10> parts{{
+  const std::array<Part, 11> parts{{
       {"frames", "Frames", frames_section(input.strips, of_first)},
+      {"clicks", "Clicks", clicks_section(input, of_first)},
       {"figures", "Figures", figures_section(input, split)},
       {"curves", "Error against run time", curves_section(input, split)},
       {"labels", "Labels", labels_section(input, split)},

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "eval/final_eval.h"
+#include "labels/clicks/labelling_record.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
 
@@ -42,8 +43,9 @@ struct ReportRun {
   std::string scene;             ///< its type and place, of the configuration; may be empty
   ReportFacts environment;
   std::vector<LeftOutRow> left_out;
-  std::optional<LabelCounts> labels;  ///< of labels.json
-  std::optional<FinalEval> eval;      ///< of final_eval.json
+  std::optional<LabelCounts> labels;       ///< of labels.json
+  std::optional<FinalEval> eval;           ///< of final_eval.json
+  std::optional<LabellingRecord> clicked;  ///< of labelling.json
 };
 
 struct ReportInput {
@@ -53,7 +55,8 @@ struct ReportInput {
   std::vector<ReportRun> runs;       ///< at least one
   std::vector<ReportClass> classes;  ///< order and colours of the per-class list; empty: order of the rows, no colours
   std::vector<ReportStrip> strips;
-  std::vector<ReportStrip> worst;  ///< worst frames, worst first
+  std::vector<ReportStrip> worst;    ///< worst frames, worst first
+  std::vector<ReportStrip> clicked;  ///< frames with the most clicks, the most first
 };
 
 /// Split of the last evaluation, of a sample of it too; one of training frames only where there is no other.
@@ -70,7 +73,7 @@ std::string worst_frames_json(const std::vector<WorstFrame>& frames);
 std::vector<WorstFrame> parse_worst_frames(std::string_view json, const std::string& name);
 
 /// What a report needs, read from run folders: metrics.jsonl, run.yaml, environment.json, left_out.json, labels.json,
-/// final_eval.json, classes.yaml and the images
+/// final_eval.json, labelling.json with the pictures that it names, classes.yaml and the images
 /// render/<split>/<frame>_{rgb_truth,rgb,label_truth_vis,label_vis,entropy_vis,depth_vis}.png of the first run: those
 /// that its worst_frames.json names, and at most `most_frames` others, evenly chosen. Only metrics.jsonl must be there.
 /// Names are the folders', made unique.

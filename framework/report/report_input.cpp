@@ -25,7 +25,8 @@ namespace {
 struct ImageKind {
   const char *suffix, *caption;
 };
-constexpr std::array<ImageKind, 6> kKinds{{{"_rgb_truth.png", "colour, truth"},
+constexpr std::array<ImageKind, 7> kKinds{{{"_clicks.png", "photograph, clicks"},
+                                           {"_rgb_truth.png", "colour, truth"},
                                            {"_rgb.png", "colour, rendered"},
                                            {"_label_truth_vis.png", "label, truth"},
                                            {"_label_vis.png", "label, rendered"},
@@ -61,6 +62,12 @@ std::string scene_of(const std::string& config, const std::string& path) {
     text += (text.empty() ? "" : ", ") + (place.has_filename() ? place : place.parent_path()).filename().string();
   }
   return text;
+}
+
+// As RunFolder::render_path names files.
+std::string file_stem(std::string frame) {
+  std::replace(frame.begin(), frame.end(), '/', '_');
+  return frame;
 }
 
 ReportStrip read_strip(const fs::path& folder, const std::string& name, const std::string& note) {
@@ -131,6 +138,8 @@ ReportInput read_report_input(const std::vector<std::string>& run_folders, int m
     if (!labels.empty()) run.labels = parse_label_counts(labels, folder.labels_path());
     const std::string eval = text_or_empty(folder.final_eval_path());
     if (!eval.empty()) run.eval = parse_final_eval(eval, folder.final_eval_path());
+    const std::string clicked = text_or_empty(folder.labelling_path());
+    if (!clicked.empty()) run.clicked = parse_labelling_record(clicked, folder.labelling_path());
     names.push_back(run.name);
     input.runs.push_back(std::move(run));
   }
@@ -154,6 +163,14 @@ ReportInput read_report_input(const std::vector<std::string>& run_folders, int m
   }
   input.strips = read_strips(render, most_frames, apart);
   if (input.strips.empty()) input.strips = read_strips(render, most_frames, {});  // a sample as small as the worst
+  if (const std::optional<LabellingRecord>& clicked = input.runs.front().clicked) {
+    for (const LabellingRecord::Frame& frame : clicked->shown) {
+      ReportStrip strip = read_strip(fs::path(first.path()) / "render" / "labelled", file_stem(frame.name),
+                                     fmt::format("{} click{}", frame.clicks, frame.clicks == 1 ? "" : "s"));
+      strip.name = frame.name;
+      if (!strip.images.empty()) input.clicked.push_back(std::move(strip));
+    }
+  }
   input.title = join(names, " · ");
   return input;
 }

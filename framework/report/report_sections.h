@@ -13,6 +13,9 @@ namespace semfield {
 std::string facts_section(const ReportInput& input, const std::string& split);
 /// Why runs are not ranked, and which figures are of a sample.
 std::string notice_section(const ReportInput& input, const std::string& split);
+/// Classes and clicks of runs of the labelling page, and pictures of the first. `of_first`: HTML after the sentence
+/// about the pictures.
+std::string clicks_section(const ReportInput& input, const std::string& of_first);
 std::string cards_section(const ReportInput& input, const std::string& split);
 std::string figures_section(const ReportInput& input, const std::string& split);
 std::string curves_section(const ReportInput& input, const std::string& split);

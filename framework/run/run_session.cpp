@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <utility>
 
+#include "classes/class_names.h"
 #include "labels/clicks/click_file.h"
 #include "settings/run_identity.h"
 #include "system/files.h"
@@ -163,7 +164,7 @@ bool RunSession::apply(const LabelEvent& event) {
 
 // The event is stored already: a file that cannot be written now is written with a later one.
 void RunSession::write_classes() {
-  const std::string classes = session().scene.info.classes.to_yaml();
+  const std::string classes = named_classes(session().scene.info.classes).to_yaml();
   if (!folder_ || classes == classes_written_) return;
   try {
     write_file_atomic(folder_->classes_path(), classes);

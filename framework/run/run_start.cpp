@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <optional>
 
+#include "classes/class_names.h"
 #include "compute/parallel.h"
 #include "labels/clicks/click_file.h"
 #include "run/leave_out_proofs.h"
@@ -101,7 +102,7 @@ void write_run_records(const RunFolder& folder, Training& training, const Regist
   const WorkSettings work = session.work();
   const WorkScope scope(work);
   if (!session.scene.info.classes.empty())
-    write_file_atomic(folder.classes_path(), session.scene.info.classes.to_yaml());
+    write_file_atomic(folder.classes_path(), named_classes(session.scene.info.classes).to_yaml());
   write_left_out(folder, session);
   write_environment(folder, training, registry, point);
 }

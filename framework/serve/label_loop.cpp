@@ -6,6 +6,7 @@
 #include <iterator>
 #include <numeric>
 #include <set>
+#include <unordered_map>
 #include <utility>
 
 #include "compute/parallel.h"
@@ -17,10 +18,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr double kAlikeColor = 24;        // of 255, a channel
-constexpr double kAlikeDistance = 0.03;   // of the distance
-constexpr float kMostLead = 6;            // of a way, beyond which it tells no more
-constexpr std::size_t kMostPixels = 256;  // of a stroke
+constexpr float kMostLead = 6;           // of a way, beyond which it tells no more
 constexpr std::int64_t kCellPixels = 8;  // of maps, for a cell of the pool: with fewer, cells of a surface do not touch
 
 }  // namespace
@@ -30,6 +28,7 @@ LabelLoop::LabelLoop(Training& training, std::span<const int> frames, const Labe
       pipeline_(*training.session().pipeline),
       options_(options),
       learner_(pipeline_),
+      places_(options.reach_px),
       logit_of_class_(training.session().logit_of_class()) {
   const Session& session = training.session();
   std::int64_t pixels = 0;
@@ -83,6 +82,7 @@ void LabelLoop::make_pool() {
   for (const PoolPoint& point : pool_.points) positions.push_back(point.position);
   pool_rows_ = learner_.rows_at(positions);
   graph_ = SurfaceGraph(pool_, options_.graph);
+  places_.renew();
   settle_seeds();
   predict_pool();
 }
@@ -132,69 +132,48 @@ std::vector<float> LabelLoop::probabilities(const PointRows& rows, std::span<con
   return out;
 }
 
-std::vector<PixelPlace> LabelLoop::alike_around(const LabelledPixels& click) const {
-  const PoolView& view = views_[static_cast<std::size_t>(click.view)];
-  const StoredFrame& photo = *view.photo;
-  std::vector<PixelPlace> all = click.pixels;
-  if (click.pixels.size() > 9 || options_.reach_px == 0) {  // a stroke says itself what it covers
-    if (all.size() > kMostPixels) {
-      std::vector<PixelPlace> some;
-      for (std::size_t i = 0; i < kMostPixels; ++i) some.push_back(all[i * all.size() / kMostPixels]);
-      return some;
-    }
-    return all;
-  }
-  const PixelPlace center = click.pixels.front();
-  const std::int32_t reach = std::max(1, options_.reach_px * photo.width_px / 320);
-  const auto at = [&](std::int32_t x, std::int32_t y) {
-    return 3 * static_cast<std::size_t>(std::int64_t{y} * photo.width_px + x);
-  };
-  const std::size_t own = at(center.column, center.row);
-  for (std::int32_t y = center.row - reach; y <= center.row + reach; ++y) {
-    for (std::int32_t x = center.column - reach; x <= center.column + reach; ++x) {
-      const std::int32_t dx = x - center.column, dy = y - center.row;
-      if (x < 0 || y < 0 || x >= photo.width_px || y >= photo.height_px || dx * dx + dy * dy > reach * reach) continue;
-      if (dx == 0 && dy == 0) continue;
-      bool alike = true;
-      for (std::size_t c = 0; c < 3; ++c)
-        alike = alike && std::abs(int{photo.rgb[at(x, y) + c]} - int{photo.rgb[own + c]}) <= kAlikeColor;
-      if (alike) all.push_back({x, y});
-    }
-  }
-  return all;
+bool LabelLoop::find_places(std::span<const LabelledPixels> clicks, double budget_s) {
+  pipeline_.executor().download(training_.step());
+  return places_.find(clicks, surface(), budget_s);
 }
 
-LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks) {
+void LabelLoop::refresh_places(std::span<const LabelledPixels> clicks, double budget_s) {
+  pipeline_.executor().download(training_.step());
+  places_.refresh(clicks, surface(), budget_s);
+}
+
+LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks, const std::vector<bool>& left_out) {
   Named named;
-  std::vector<Vec3d> positions;
+  // By class: points of strokes in cells of the pool. What several strokes name counts once, with the weights of all.
+  std::vector<std::unordered_map<std::uint64_t, std::size_t>> stroked(static_cast<std::size_t>(classes()));
   answered_.clear();
-  const RayLimits& limits = training_.session().limits;
   for (std::size_t k = 0; k < clicks.size(); ++k) {
+    if (!left_out.empty() && left_out[k]) continue;
     const LabelledPixels& click = clicks[k];
-    const PoolView& view = views_[static_cast<std::size_t>(click.view)];
-    const std::vector<PixelPlace> pixels = alike_around(click);
-    const std::vector<float> distance = surface_distances(pipeline_, view.camera, limits, pixels);
+    const std::span<const Vec3d> places = places_.of(k);
+    if (places.empty()) continue;
+    answered_.push_back(places.front());
     const std::int16_t logit = logit_of_class_[static_cast<std::size_t>(click.class_index)];
-    std::size_t taken = 0;
-    for (std::size_t i = 0; i < pixels.size(); ++i) {
-      const bool own = i < click.pixels.size();
-      if (!(distance[i] > 0)) continue;
-      if (!own && !(std::abs(distance[i] - distance[0]) < kAlikeDistance * distance[0])) continue;
-      positions.push_back(point_at(view.camera, limits, pixels[i], static_cast<double>(distance[i])));
+    // A click weighs as one, and a stroke by the root of what it covers.
+    const double own =
+        click.weight * std::sqrt(static_cast<double>(std::max<std::size_t>(1, click.pixels.size() / kMostClickPixels)));
+    const auto weight = static_cast<float>(own / static_cast<double>(places.size()));
+    for (const Vec3d& place : places) {
+      if (is_stroke(click) && pool_.cell_m > 0) {
+        const std::uint64_t cell = surface_cell_key(surface_cell(place, pool_.cell_m));
+        const auto [entry, fresh] = stroked[static_cast<std::size_t>(logit)].try_emplace(cell, named.logit.size());
+        if (!fresh) {
+          named.weight[entry->second] += weight;
+          continue;
+        }
+      }
+      named.position.push_back(place);
       named.logit.push_back(logit);
       named.click.push_back(static_cast<std::int32_t>(k));
-      if (taken++ > 0) continue;
-      answered_.push_back(positions.back());
-    }
-    // A click weighs as one, and a stroke by the root of what it covers.
-    for (std::size_t i = 0; i < taken; ++i) {
-      const double own =
-          click.weight * std::sqrt(static_cast<double>(std::max<std::size_t>(1, click.pixels.size() / 9)));
-      named.weight.push_back(static_cast<float>(own / static_cast<double>(taken)));
+      named.weight.push_back(weight);
     }
   }
-  named.rows = learner_.rows_at(positions);
-  named.position = std::move(positions);
+  named.rows = learner_.rows_at(named.position);
   return named;
 }
 
@@ -225,8 +204,7 @@ void LabelLoop::add_spread(Named& named) {
   }
 }
 
-void LabelLoop::learn_from(std::span<const LabelledPixels> clicks, std::int64_t steps) {
-  Named named = named_points(clicks);
+void LabelLoop::learn_from(Named named, std::int64_t steps) {
   std::fill(live_.begin(), live_.end(), false);
   for (const std::int16_t logit : named.logit) live_[static_cast<std::size_t>(logit)] = true;
   seeds_.clear();
@@ -241,12 +219,76 @@ void LabelLoop::learn_from(std::span<const LabelledPixels> clicks, std::int64_t 
 
 void LabelLoop::learn(std::span<const LabelledPixels> clicks, bool quickly) {
   pipeline_.executor().download(training_.step());
-  learn_from(clicks, quickly ? options_.quick_steps : options_.learning.steps);
+  (void)places_.find(clicks, surface(), INFINITY);
+  learn_from(named_points(clicks), quickly ? options_.quick_steps : options_.learning.steps);
   clicks_.clear();
   std::copy_if(clicks.begin(), clicks.end(), std::back_inserter(clicks_),
                [](const LabelledPixels& click) { return click.weight >= 1; });
   pipeline_.executor().upload(training_.step());
   predict_pool();
+}
+
+std::vector<double> LabelLoop::areas_of(std::size_t clicks, const Named& named) const {
+  std::vector<double> area(clicks, 1);
+  for (const PoolPoint& point : pool_.points) {
+    double least = INFINITY;
+    std::size_t nearest = 0;
+    for (std::size_t i = 0; i < named.position.size(); ++i) {
+      if (i > 0 && named.click[i] == named.click[i - 1]) continue;  // a click's first point stands for it
+      const Vec3d way = point.position - named.position[i];
+      const double square = dot(way, way);
+      if (square >= least) continue;
+      least = square;
+      nearest = static_cast<std::size_t>(named.click[i]);
+    }
+    if (std::isfinite(least)) area[nearest] += 1;
+  }
+  return area;
+}
+
+std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> clicks, int fold) {
+  pipeline_.executor().download(training_.step());
+  (void)places_.find(clicks, surface(), INFINITY);
+  std::vector<std::int16_t> of_clicks;  // classes; given labels are never held back
+  for (const LabelledPixels& click : clicks)
+    if (click.weight >= 1) of_clicks.push_back(click.class_index);
+  const std::vector<int> folds = calibration_folds(of_clicks);
+  std::vector<bool> left_out(clicks.size(), false);
+  auto next = folds.begin();
+  for (std::size_t k = 0; k < clicks.size(); ++k)
+    if (clicks[k].weight >= 1) left_out[k] = *next++ == fold;
+  std::vector<HeldBack> held;
+  if (std::count(left_out.begin(), left_out.end(), true) == 0) return held;
+  const Named named = named_points(clicks);
+  // Clicks lie where there was doubt: each counts for the surface that it stands for.
+  const std::vector<double> area = areas_of(clicks.size(), named);
+  const PointLearner::Kept kept = learner_.keep();
+  const std::vector<bool> live = live_;
+  const std::vector<Seed> seeds = seeds_;
+  const std::vector<Vec3d> answered = answered_;
+  const bool learned = learned_;
+  learn_from(named_points(clicks, left_out), options_.learning.steps);
+  std::vector<Vec3d> places;
+  for (std::size_t i = 0; i < named.logit.size(); ++i) {
+    const auto click = static_cast<std::size_t>(named.click[i]);
+    const bool first = i == 0 || named.click[i] != named.click[i - 1];  // a click's first point stands for it
+    if (!first || !left_out[click]) continue;
+    if (!live_[static_cast<std::size_t>(named.logit[i])]) continue;  // nobody else has named its class
+    places.push_back(named.position[i]);
+    held.push_back({{}, static_cast<std::size_t>(named.logit[i]), area[click]});
+  }
+  const std::vector<float> found = probabilities(learner_.rows_at(places), places, 1);
+  for (std::size_t i = 0; i < held.size(); ++i) {
+    const auto row = found.begin() + static_cast<std::ptrdiff_t>(i) * classes();
+    held[i].probability.assign(row, row + classes());
+  }
+  learner_.put_back(kept);
+  live_ = live;
+  seeds_ = seeds;
+  learned_ = learned;
+  answered_ = answered;
+  settle_seeds();
+  return held;
 }
 
 ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {

@@ -8,6 +8,8 @@
 #include <span>
 #include <vector>
 
+#include "serve/calibration_fit.h"
+#include "serve/named_places.h"
 #include "serve/point_learner.h"
 #include "serve/proposals.h"
 #include "serve/surface_graph.h"
@@ -15,14 +17,6 @@
 #include "session/training.h"
 
 namespace semfield {
-
-/// Pixels of a view that somebody has named: a click or a stroke.
-struct LabelledPixels {
-  int view = 0;
-  std::int16_t class_index = 0;
-  std::vector<PixelPlace> pixels;
-  double weight = 1;  ///< below 1: given by the configuration, and a click may say otherwise
-};
 
 struct LabelLoopOptions {
   std::int64_t map_rays = 400'000;  ///< of the coarse maps of all views together
@@ -62,12 +56,22 @@ class LabelLoop {
   /// when none is due any more. True when the pool has changed.
   bool update_surfaces(double budget_s);
 
+  /// Finds where on the surface `clicks` lie, those of which that is not known yet, for about this long; true when it
+  /// is known of all. learn() finds what is missing.
+  bool find_places(std::span<const LabelledPixels> clicks, double budget_s);
+  /// Places of the same clicks that were found on an earlier surface are found anew, for about this long.
+  void refresh_places(std::span<const LabelledPixels> clicks, double budget_s);
+
   /// Learns the semantic part anew from these; with none there is nothing to tell any more. A click names the pixels
   /// around it too that lie on the same surface and have its colour.
   /// `quickly`: in fewer steps, for labels that are to be seen at once.
   void learn(std::span<const LabelledPixels> clicks, bool quickly = false);
   /// Something has been learned since the labels were last empty.
   bool learned() const { return learned_; }
+  /// Points of clicks and strokes that were learned last; what they spread to is not counted.
+  std::size_t learned_points() const { return seeds_.size(); }
+  /// NamedPlaces::found.
+  std::int64_t places_found() const { return places_.found(); }
   /// Class indices that have labels, as logits.
   const std::vector<bool>& live() const { return live_; }
 
@@ -84,9 +88,9 @@ class LabelLoop {
   /// Clicks that were passed over count as answered, for where to ask next.
   void set_skipped(std::vector<LabelledPixels> skipped);
 
-  /// The temperature that explains the clicks best [Guo17, Sec. 4.2]: each fifth of them by what is learned from the
-  /// others. Needs some ten clicks; 1 before. What was learned stays as it was.
-  double fit_temperature(std::span<const LabelledPixels> clicks);
+  /// The clicks of a fold (calibration_fit.h) by what is learned from the others, for a temperature. What was learned
+  /// stays as it was.
+  std::vector<HeldBack> hold_back(std::span<const LabelledPixels> clicks, int fold);
   /// Class probabilities [N, classes()] of places on the surface, with what the network reads there: the network's, and
   /// how much farther a class is by way of the surface.
   std::vector<float> probabilities(const PointRows& rows, std::span<const Vec3d> places, double temperature);
@@ -107,12 +111,13 @@ class LabelLoop {
   void add_spread(Named& named);
   // Lets ways begin at the named places; their points are found anew, for the pool may have been made anew.
   void settle_seeds();
-  void learn_from(std::span<const LabelledPixels> clicks, std::int64_t steps);
+  void learn_from(Named named, std::int64_t steps);
   void weigh_by_way(std::span<const std::int32_t> points, double temperature, std::span<float> probability) const;
   // Of the surface that lies nearer to a click than to any other.
   std::vector<double> areas_of(std::size_t clicks, const Named& named) const;
-  Named named_points(std::span<const LabelledPixels> clicks);
-  std::vector<PixelPlace> alike_around(const LabelledPixels& click) const;
+  // `left_out`: those clicks are not there; empty: all are.
+  Named named_points(std::span<const LabelledPixels> clicks, const std::vector<bool>& left_out = {});
+  NamedPlaces::Surface surface() const { return {pipeline_, training_.session().limits, views_, pool_}; }
   void predict_pool();
   void make_pool();
   bool due(const PoolView& view) const;
@@ -127,6 +132,7 @@ class LabelLoop {
   PointRows pool_rows_;
   std::int64_t pool_step_ = 0;
   PointLearner learner_;
+  NamedPlaces places_;
   std::vector<std::int16_t> logit_of_class_;
   struct Seed {
     Vec3d position;

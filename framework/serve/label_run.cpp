@@ -6,8 +6,10 @@
 #include <cmath>
 #include <functional>
 
+#include "classes/class_names.h"
 #include "eval/metrics.h"
 #include "serve/mark_pixels.h"
+#include "serve/session_record.h"
 #include "settings/run_identity.h"
 #include "system/files.h"
 
@@ -20,6 +22,8 @@ constexpr std::int64_t kAfterChange = 300;   // steps that labels get which came
 constexpr double kTendingShare = 0.05;       // of the time of training, once every view has a surface
 constexpr double kFirstTendingShare = 0.5;   // until then
 constexpr double kLookedAtShare = 0.5;       // of the time of training, for the view that somebody looks at
+constexpr double kSlice_s = 0.03;            // of work on clicks, between steps of training
+constexpr std::size_t kLeastToFit = 10;      // clicks; and half as many again as at the last fit
 constexpr std::size_t kMostHistory = 600;
 constexpr double kHistoryEvery_s = 1;
 constexpr double kKeepAgain_s = 5;              // after files could not be written
@@ -63,6 +67,7 @@ LabelRun::LabelRun(OpenedForTraining opened, const Registry& registry, TrainingL
   for (std::size_t v = 0; v < loop_.views().size(); ++v)
     view_of_frame_[static_cast<std::size_t>(loop_.views()[v].frame)] = static_cast<int>(v);
   marked_.assign(session().scene.frames.size(), 0);
+  named_.resize(session().scene.frames.size());
   given_ = given_labels();
 }
 
@@ -94,19 +99,23 @@ std::vector<LabelledPixels> LabelRun::given_labels() const {
   return out;
 }
 
-std::vector<LabelledPixels> LabelRun::named_by(const Annotations& annotations) const {
-  std::vector<LabelledPixels> out;
+void LabelRun::name_pixels(const Annotations& annotations, std::span<const int> changed) {
   std::vector<std::vector<std::int16_t>> painted(view_of_frame_.size());
+  for (const int f : changed) named_[static_cast<std::size_t>(f)].clear();
   for (const Annotations::Mark& mark : annotations.marks()) {
     const auto frame = static_cast<std::size_t>(mark.frame);
-    if (mark.class_index == kVoid || view_of_frame_[frame] < 0) continue;
+    if (mark.class_index == kVoid || view_of_frame_[frame] < 0 ||
+        std::find(changed.begin(), changed.end(), mark.frame) == changed.end())
+      continue;
     if (painted[frame].empty()) painted[frame] = annotations.paint(mark.frame, {});
     const Camera& camera = session().scene.info.frames[frame].camera;
     LabelledPixels named{view_of_frame_[frame], static_cast<std::int16_t>(mark.class_index),
                          pixels_of(mark, camera.width_px, camera.height_px, painted[frame])};
-    if (!named.pixels.empty()) out.push_back(std::move(named));
+    if (!named.pixels.empty()) named_[frame].push_back(std::move(named));
   }
-  return out;
+  clicks_ = given_;
+  for (const std::vector<LabelledPixels>& of_frame : named_)
+    clicks_.insert(clicks_.end(), of_frame.begin(), of_frame.end());
 }
 
 void LabelRun::take(const Annotations& annotations) {
@@ -119,13 +128,14 @@ void LabelRun::take(const Annotations& annotations) {
   if (!changed.empty() && taken_) changed_step_ = training_.step();
   taken_ = true;
   marked_ = sums;
-  classes_ = session().scene.info.classes.to_yaml();
-  clicks_ = given_;
-  for (LabelledPixels& named : named_by(annotations)) clicks_.push_back(std::move(named));
+  classes_ = named_classes(session().scene.info.classes).to_yaml();
+  name_pixels(annotations, changed);
   marks_ = annotations.marks().size();
-  if (loop_.ready() && (!changed.empty() || !loop_.learned())) {
-    loop_.learn(clicks_, true);
-    learned_quickly_ = true;
+  if (!changed.empty() || !loop_.learned()) {
+    unlearned_ = true;
+    fold_ = 0;
+    held_back_.clear();
+    (void)learn_new(0.1);
   }
   std::uint64_t skips = 0;
   for (const Annotations::Mark& mark : annotations.skips()) skips = mix(skips, std::hash<std::string>{}(mark.id));
@@ -142,6 +152,28 @@ void LabelRun::take(const Annotations& annotations) {
   }
   summarise();
   ask();
+}
+
+bool LabelRun::learn_new(double budget_s) {
+  if (!unlearned_ || !loop_.ready() || !loop_.find_places(clicks_, budget_s)) return false;
+  loop_.learn(clicks_, true);
+  unlearned_ = false;
+  learned_quickly_ = true;
+  return true;
+}
+
+// True when the temperature has changed.
+bool LabelRun::fit_a_fold() {
+  const std::size_t own = clicks_.size() - given_.size();
+  if (own < kLeastToFit || own * 2 < fitted_at_ * 3) return false;
+  for (HeldBack& held : loop_.hold_back(clicks_, fold_)) held_back_.push_back(std::move(held));
+  if (++fold_ < kCalibrationFolds) return false;
+  const std::optional<double> temperature = fit_temperature(held_back_);
+  fold_ = 0;
+  held_back_.clear();
+  fitted_at_ = own;
+  if (temperature) loop_.set_temperature(*temperature);
+  return temperature.has_value();
 }
 
 void LabelRun::ask() {
@@ -223,24 +255,25 @@ bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
     tending_s_ += seconds_since(start);
   }
   if (!was_ready && loop_.ready()) tending_s_ = kTendingShare * training_s_;  // the first surfaces are paid
-  if (changed && !was_ready && !clicks_.empty()) loop_.learn(clicks_);
-  if (changed && !proposal_) ask();
+  const bool learned = learn_new(kSlice_s);
+  changed = changed || learned;
+  if (learned || (changed && !proposal_)) ask();
   if (looked_at && (!trains || refining_s_ < kLookedAtShare * training_s_ + 0.05)) {
     const Clock::time_point refined = Clock::now();
     changed = pictures_.refine(0.05) || changed;
     refining_s_ += seconds_since(refined);
   }
+  if (unlearned_) {
+    if (changed) summarise();
+    return changed;
+  }
   if (pause && learned_quickly_) {
     loop_.learn(clicks_);
     learned_quickly_ = false;
     changed = true;
-  }
-  const std::size_t own = clicks_.size() - given_.size();
-  if (quiet && loop_.learned() && own >= 10 && own * 2 >= fitted_at_ * 3) {
-    fitted_at_ = own;
-    loop_.set_temperature(loop_.fit_temperature(std::span(clicks_).subspan(given_.size())));
-    if (!given_.empty()) loop_.learn(clicks_);
-    changed = true;
+  } else if (quiet && loop_.learned()) {
+    changed = fit_a_fold() || changed;
+    loop_.refresh_places(clicks_, kSlice_s);
   }
   if (changed) summarise();
   return changed;
@@ -255,7 +288,7 @@ void LabelRun::describe(LabelState& state) const {
   state.loss = loss_;
   state.psnr_db = mse_ > 0 ? -10 * std::log10(mse_) : 0;
   state.rays_per_s = rays_per_s_;
-  state.geometry_ready = loop_.ready();
+  state.geometry_ready = loop_.ready() && (loop_.learned() || !unlearned_);
   state.temperature = loop_.temperature();
   state.proposal = proposal_;
   state.history = history_;
@@ -305,6 +338,11 @@ void LabelRun::summarise() {
     }
     summary_.entropy.push_back(pixels > 0 ? sum / pixels : 1);
   }
+}
+
+void LabelRun::write_record(LabelState state) {
+  describe(state);
+  write_session_record(folder_, session(), loop_, state);
 }
 
 bool LabelRun::checkpoint_is_due() const {

@@ -29,13 +29,16 @@ class LabelRun {
   ViewPictures& pictures() { return pictures_; }
   std::int64_t step() const { return training_.step(); }
 
-  /// Labels, semantics and the next question are those of `annotations` from now on.
+  /// Labels, semantics and the next question are those of `annotations` from now on; where many clicks are new, the
+  /// semantics follow in the course of tend().
   void take(const Annotations& annotations);
+  /// The semantics know all that was taken, as far as there is a surface.
+  bool knows_all() const { return !unlearned_ || !loop_.ready(); }
   /// Trains for about this long, while there is something to train; false: there is not.
   bool train(double budget_s);
-  /// Surfaces that are due, within the share of time that training grants them; in a pause between clicks what was
-  /// learned quickly is learned well; when nobody has clicked for long the temperature. True when labels or questions
-  /// have changed.
+  /// Surfaces that are due, within the share of time that training grants them; clicks whose places are found; in a
+  /// pause between clicks what was learned quickly is learned well; when nobody has clicked for long a fold of the
+  /// clicks for the temperature. True when labels or questions have changed.
   bool tend(bool looked_at, bool pause, bool quiet);
   /// Everything of the state but events, marks and names.
   void describe(LabelState& state) const;
@@ -43,6 +46,8 @@ class LabelRun {
   /// for it. Throws write_error; what could not be written stays due, and keep_is_due() is false for a while.
   void keep(bool checkpoint);
   bool keep_is_due() const;
+  /// What the run's report tells of the labelling; `state` has the classes and marks.
+  void write_record(LabelState state);
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -55,7 +60,10 @@ class LabelRun {
   bool still_learns() const;
   void record(std::span<const StepLosses> steps);
   void ask();
-  std::vector<LabelledPixels> named_by(const Annotations& annotations) const;
+  // Once the places of the clicks are known, which are looked for for about this long; true when it has learned.
+  bool learn_new(double budget_s);
+  bool fit_a_fold();
+  void name_pixels(const Annotations& annotations, std::span<const int> changed);
   std::vector<LabelledPixels> given_labels() const;
 
   RunFolder folder_;
@@ -67,10 +75,13 @@ class LabelRun {
   std::vector<int> view_of_frame_;
   std::vector<LabelledPixels> clicks_;  // and given labels
   std::vector<LabelledPixels> given_;
-  std::vector<std::uint64_t> marked_;  // frames, by a checksum of their marks, to tell which have changed
-  bool taken_ = false, learned_quickly_ = false;
+  std::vector<std::vector<LabelledPixels>> named_;  // of each frame, by its marks
+  std::vector<std::uint64_t> marked_;               // frames, by a checksum of their marks, to tell which have changed
+  bool taken_ = false, unlearned_ = false, learned_quickly_ = false;
   std::uint64_t skips_ = 0;  // a checksum of their ids
   std::size_t marks_ = 0, fitted_at_ = 0;
+  int fold_ = 0;  // of the fit that is under way
+  std::vector<HeldBack> held_back_;
   std::optional<ProposalState> proposal_;
   std::uint64_t asked_ = 0;
   std::int64_t changed_step_ = -1, saved_step_ = -1;

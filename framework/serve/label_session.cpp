@@ -29,6 +29,8 @@ constexpr auto kPublishEvery = std::chrono::milliseconds(400);
 constexpr auto kPauseAfter = std::chrono::milliseconds(700);
 constexpr auto kQuietAfter = std::chrono::seconds(3);
 constexpr auto kLookedFor = std::chrono::seconds(10);
+constexpr auto kAbandonedLook = std::chrono::milliseconds(100);
+constexpr std::size_t kMostOrders = 16;  // each holds a thread of whoever asks
 
 // What a piece of work threw.
 template <class Work>
@@ -146,6 +148,7 @@ struct LabelSession::Parts {
   void take_events();
   void serve_orders();
   void save_if_wanted();
+  void write_record();
   template <class Work>
   void attempt(const Work& work) {
     if (const std::optional<Error> error = error_of(work)) fail(*error);
@@ -238,21 +241,30 @@ std::shared_ptr<const LabelState> LabelSession::wait_state(std::uint64_t after, 
   return parts_->state;
 }
 
-Picture LabelSession::picture(const PictureRequest& request) {
+Picture LabelSession::picture(const PictureRequest& request, const std::function<bool()>& abandoned) {
   Parts& p = *parts_;
   const auto order = std::make_shared<Parts::Order>();
   order->request = request;
   std::unique_lock lock(p.mutex);
   Picture none;
   none.stale = true;
-  for (const std::shared_ptr<Parts::Order>& other : p.orders)
-    if (!other->done() && other->request.client == request.client) other->made = none;
+  std::vector<std::shared_ptr<Parts::Order>> others;
+  for (const std::shared_ptr<Parts::Order>& other : p.orders) {
+    if (other->done()) continue;
+    if (other->request.client == request.client) {
+      other->made = none;
+    } else {
+      others.push_back(other);
+    }
+  }
+  if (others.size() >= kMostOrders) others.front()->made = none;
   if (p.stopping || p.ended) return none;
   p.orders.push_back(order);
   p.last_look = Clock::now();
   p.changed.notify_all();
   p.poke();
-  p.changed.wait(lock, [&] { return order->done() || p.ended; });
+  while (!p.changed.wait_for(lock, kAbandonedLook, [&] { return order->done() || p.ended; }))
+    if (abandoned && abandoned()) order->made = none;
   std::erase(p.orders, order);
   if (order->error) throw *order->error;
   return order->made ? std::move(*order->made) : none;
@@ -312,7 +324,7 @@ void LabelSession::Parts::take_events() {
   run.take(*now);
   publish([&](LabelState& next) {
     run.describe(next);
-    next.overlay_events = events;
+    if (run.knows_all()) next.overlay_events = events;
     next.overlay_revision = next.revision + 1;
   });
 }
@@ -322,9 +334,12 @@ void LabelSession::Parts::serve_orders() {
   std::uint64_t overlay = 0;
   {
     const std::lock_guard lock(mutex);
-    const auto first = std::find_if(orders.begin(), orders.end(), [](const auto& o) { return !o->done(); });
-    if (first == orders.end()) return;
-    order = *first;
+    for (const bool full : {false, true}) {  // what comes quickly does not wait for what takes long
+      const auto first = std::find_if(orders.begin(), orders.end(),
+                                      [&](const auto& o) { return !o->done() && o->request.full == full; });
+      if (order == nullptr && first != orders.end()) order = *first;
+    }
+    if (order == nullptr) return;
     overlay = state->overlay_revision;
   }
   std::optional<Picture> made;
@@ -355,8 +370,12 @@ void LabelSession::Parts::save_if_wanted() {
     const std::lock_guard lock(mutex);
     wanted_now = saves_wanted;
     if (wanted_now == saves_made && (failure || !run.keep_is_due())) return;
+    if (wanted_now != saves_made && !failure && !stopping && !run.knows_all()) return;  // soon it does
   }
-  std::optional<Error> error = error_of([&] { run.keep(wanted_now != saves_made); });
+  std::optional<Error> error = error_of([&] {
+    run.keep(wanted_now != saves_made);
+    if (wanted_now != saves_made) write_record();
+  });
   const bool passes = error && is_write_error(*error);
   if (error && !passes && wanted_now == saves_made) return fail(*error);
   const std::string trouble = passes ? error->what() : "";
@@ -366,6 +385,15 @@ void LabelSession::Parts::save_if_wanted() {
   save_error = std::move(error);
   saves_made = wanted_now;
   changed.notify_all();
+}
+
+void LabelSession::Parts::write_record() {
+  std::shared_ptr<const LabelState> now;
+  {
+    const std::lock_guard lock(mutex);
+    now = state;
+  }
+  run.write_record(*now);
 }
 
 void LabelSession::Parts::fail(const Error& error) {
@@ -409,6 +437,7 @@ void LabelSession::run() {
       p.publish([&](LabelState& next) {
         p.run.describe(next);
         next.history_revision = next.revision + 1;
+        if (p.run.knows_all() && p.taken_events) next.overlay_events = *p.taken_events;
         if (overlay) next.overlay_revision = next.revision + 1;
       });
       published = Clock::now();
@@ -420,7 +449,9 @@ void LabelSession::run() {
     p.poked = false;
   }
   p.attempt([&] { p.take_events(); });
-  if (!p.failure) p.run.keep(true);
+  if (p.failure) return;
+  p.run.keep(true);
+  p.write_record();
 }
 
 }  // namespace semfield

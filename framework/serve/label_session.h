@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -36,8 +37,10 @@ class LabelSession {
   std::shared_ptr<const LabelState> state() const;
   /// The state once its revision is above `after`, or after `most` as it is then.
   std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const;
-  /// Waits for the thread that trains. Throws Error for a request that is wrong or a training that has failed.
-  Picture picture(const PictureRequest& request);
+  /// Waits for the thread that trains, until `abandoned` (looked at several times a second) says that nobody wants the
+  /// picture any more. Quick pictures come before those of PictureRequest::full; of more than 16 that wait the oldest
+  /// is stale. Throws Error for a request that is wrong or a training that has failed.
+  Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {});
   /// The photograph of a view at its loaded size.
   const StoredFrame& photo(int view) const;
   FreeCamera camera_of(int view) const;

@@ -3,15 +3,19 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <filesystem>
+#include <utility>
 
 #include "compute/parallel.h"
+#include "formats/image_io.h"
 #include "serve/label_loop.h"
 
 namespace semfield {
 
 namespace {
 
-constexpr float kColorSigma = 16;  // of 255
+constexpr float kColorSigma = 16;    // of 255
+constexpr double kSameShape = 0.02;  // of the ratio of the sides: sizes are rounded to pixels
 
 // exp(-d^2 / 2 s^2) of a squared difference of colours, by its root.
 std::array<float, 512> color_weights() {
@@ -88,6 +92,31 @@ ViewLabels upsampled(const CoarseLabels& coarse, const StoredFrame& photo) {
     }
   });
   return out;
+}
+
+std::optional<StoredSize> stored_size_of(const FrameInfo& frame) {
+  std::error_code failed;
+  if (!std::filesystem::is_regular_file(frame.source, failed)) return std::nullopt;
+  const ImageSize stored = image_size(frame.source);
+  const Camera& camera = frame.camera;
+  const double x = static_cast<double>(stored.width_px) / camera.width_px,
+               y = static_cast<double>(stored.height_px) / camera.height_px;
+  if (std::abs(x / y - 1) > kSameShape || (stored.width_px <= camera.width_px && stored.height_px <= camera.height_px))
+    return std::nullopt;
+  return StoredSize{camera.resized(stored.width_px, stored.height_px),
+                    std::max(1, static_cast<std::int32_t>(std::lround(std::sqrt(x * y)))), frame.source};
+}
+
+std::vector<std::int16_t> labels_at(const StoredSize& size, RenderedFrame rendered) {
+  if (size.stride == 1) return std::move(rendered.label);
+  StoredFrame photo;
+  Image<std::uint8_t> image = read_rgb(size.image);
+  photo.width_px = image.width_px;
+  photo.height_px = image.height_px;
+  photo.rgb = std::move(image.pixels);
+  CoarseLabels coarse{size.stride, rendered.width_px, rendered.height_px, std::move(rendered.label), {}};
+  coarse.entropy.assign(coarse.label.size(), 0);
+  return upsampled(coarse, photo).label;
 }
 
 }  // namespace semfield

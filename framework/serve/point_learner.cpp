@@ -186,6 +186,24 @@ void PointLearner::learn(const PointRows& rows, std::span<const std::int16_t> lo
   pass().derive(context(options.steps, true, arenas_.own()));
 }
 
+PointLearner::Kept PointLearner::keep() const {
+  Kept kept;
+  for (const Tensor<float>* tensor : tensors_)
+    for (const auto* part : {&tensor->value, &tensor->moment1, &tensor->moment2})
+      kept.emplace_back(part->data(), part->data() + part->size());
+  return kept;
+}
+
+void PointLearner::put_back(const Kept& kept) {
+  std::size_t next = 0;
+  for (Tensor<float>* tensor : tensors_)
+    for (auto* part : {&tensor->value, &tensor->moment1, &tensor->moment2}) {
+      std::copy(kept[next].begin(), kept[next].end(), part->data());
+      ++next;
+    }
+  pass().derive(context(0, true, arenas_.own()));
+}
+
 std::vector<float> PointLearner::logits(const PointRows& rows) {
   const WorkScope scope(pipeline_.options().work);
   const ComputeFloatMode mode;

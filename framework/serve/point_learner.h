@@ -48,6 +48,11 @@ class PointLearner {
   void learn(const PointRows& rows, std::span<const std::int16_t> logit, std::span<const float> weight,
              const PointLearning& options);
 
+  /// The semantic tensors with their moments, to be put back as they were.
+  using Kept = std::vector<std::vector<float>>;
+  Kept keep() const;
+  void put_back(const Kept& kept);
+
   /// Class probabilities [N, classes] of points; logits whose entry of `live` is false get none.
   std::vector<float> probabilities(const PointRows& rows, const std::vector<bool>& live);
   /// logits [N, classes].

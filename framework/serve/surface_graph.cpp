@@ -4,6 +4,7 @@
 #include <cmath>
 #include <functional>
 #include <queue>
+#include <tuple>
 #include <unordered_map>
 
 #include "compute/parallel.h"
@@ -55,12 +56,21 @@ SurfaceGraph::SurfaceGraph(const SurfacePool& pool, const SurfaceGraphRules& rul
 
 void SurfaceGraph::settle(std::span<const GraphSeed> seeds) {
   settled_.assign(first_.empty() ? 0 : first_.size() - 1, {{kUnreached, kUnreached}, {kVoid, kVoid}});
-  for (const GraphSeed& seed : seeds) add(seed);
+  spread(seeds);
 }
 
-void SurfaceGraph::add(const GraphSeed& seed) {
-  // The queue's entries: cost, and point with class. An entry that is dearer than what the point has is passed over.
-  using Entry = std::pair<float, std::int64_t>;
+void SurfaceGraph::add(const GraphSeed& seed) { spread({&seed, 1}); }
+
+void SurfaceGraph::spread(std::span<const GraphSeed> seeds) {
+  // An entry that is dearer than what the point has is passed over.
+  struct Entry {
+    float cost;
+    std::int32_t point;
+    std::int16_t class_index;
+    bool operator>(const Entry& other) const {
+      return std::tie(cost, point, class_index) > std::tie(other.cost, other.point, other.class_index);
+    }
+  };
   std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue;
   // True when a way to the point is the cheapest of its class and among the two cheapest classes.
   const auto take = [&](std::int32_t point, std::int16_t cls, float cost) {
@@ -84,19 +94,18 @@ void SurfaceGraph::add(const GraphSeed& seed) {
     }
     return true;
   };
-  if (seed.point < 0 || !take(seed.point, seed.class_index, 0)) return;
-  queue.emplace(0.0F, seed.point);
+  for (const GraphSeed& seed : seeds)
+    if (seed.point >= 0 && take(seed.point, seed.class_index, 0)) queue.push({0, seed.point, seed.class_index});
   while (!queue.empty()) {
-    const auto [cost, packed] = queue.top();
+    const auto [cost, point, cls] = queue.top();
     queue.pop();
-    const auto point = static_cast<std::int32_t>(packed);
     const Settled& s = settled_[static_cast<std::size_t>(point)];
-    const int slot = s.class_index[0] == seed.class_index ? 0 : 1;
-    if (s.class_index[slot] != seed.class_index || cost > s.cost[slot]) continue;
+    const int slot = s.class_index[0] == cls ? 0 : 1;
+    if (s.class_index[slot] != cls || cost > s.cost[slot]) continue;
     for (auto e = static_cast<std::size_t>(first_[static_cast<std::size_t>(point)]);
          e < static_cast<std::size_t>(first_[static_cast<std::size_t>(point) + 1]); ++e) {
       const float next = cost + edges_[e].cost;
-      if (take(edges_[e].to, seed.class_index, next)) queue.emplace(next, edges_[e].to);
+      if (take(edges_[e].to, cls, next)) queue.push({next, edges_[e].to, cls});
     }
   }
 }

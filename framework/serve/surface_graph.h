@@ -62,6 +62,9 @@ class SurfaceGraph {
     std::int32_t to;
     float cost;
   };
+  // Ways from all seeds at once, so that a point is visited about as often as it has classes, however many seeds there
+  // are.
+  void spread(std::span<const GraphSeed> seeds);
   double cell_m_ = 1;
   std::unordered_map<std::uint64_t, std::int32_t> point_of_cell_;
   std::vector<std::int32_t> first_;  // [points + 1]

@@ -30,6 +30,7 @@ std::span<const Target> targets() {
       {"npz", fuzz_npz},
       {"checkpoint", fuzz_checkpoint},
       {"metrics", fuzz_metrics},
+      {"http", fuzz_http},
       {"page", fuzz_page},
   };
   return kTargets;

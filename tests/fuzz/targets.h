@@ -50,5 +50,6 @@ void fuzz_checkpoint(std::string_view bytes);
 void fuzz_metrics(std::string_view bytes);
 // page_targets.cpp
 void fuzz_page(std::string_view bytes);
+void fuzz_http(std::string_view bytes);
 
 }  // namespace semfield::fuzz

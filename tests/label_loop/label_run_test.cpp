@@ -135,5 +135,36 @@ TEST(LabelRun, ClicksGiveTheStateItsNumbers) {
   EXPECT_EQ(room.run.loop().live(), (std::vector<bool>{false, true, false, false})) << "wall's click is painted over";
 }
 
+// A further stroke costs its own places alone, however many there are, and the others are found in pieces between steps
+// of training.
+TEST(LabelRun, AFurtherStrokeDoesNotPayForThoseBeforeIt) {
+  PreparedRun room;
+  LabelEvent add = room.undo("wall", "");
+  add.kind = LabelEventKind::add_class;
+  add.class_name = "wall";
+  room.annotations.apply(add);
+  const auto stroke = [&](int k) {
+    LabelEvent made = room.event("s" + std::to_string(k), LabelEventKind::click, k % 9, {2.0 + k % 40, 3.0});
+    for (int p = 0; p < 60; ++p) made.points.push_back({2.0 + (k + p) % 44, 3.0 + (7 * k + p) % 30});
+    made.radius_px = 1;
+    made.class_name = "wall";
+    room.annotations.apply(made);
+  };
+  for (int k = 0; k < 300; ++k) stroke(k);
+  room.run.take(room.annotations);
+  for (int turn = 0; !room.run.knows_all() && turn < 10'000; ++turn) {
+    room.run.train(0.001);
+    room.run.tend(false, false, false);
+  }
+  ASSERT_TRUE(room.run.knows_all());
+  EXPECT_TRUE(room.run.loop().learned());
+  const std::int64_t found = room.run.loop().places_found();
+  stroke(300);
+  room.run.take(room.annotations);
+  EXPECT_TRUE(room.run.knows_all()) << "at once";
+  EXPECT_LE(room.run.loop().places_found() - found, 60) << "its own, and those of strokes that it has painted over";
+  EXPECT_LE(room.run.loop().learned_points(), room.run.loop().pool().points.size() + 301);
+}
+
 }  // namespace
 }  // namespace semfield

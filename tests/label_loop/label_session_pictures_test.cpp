@@ -1,11 +1,13 @@
 // Pictures that a labelling session makes between its steps: of views, of free cameras, for several who look.
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <cstdlib>
 #include <future>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "tests/label_loop/running_session.h"
@@ -81,6 +83,34 @@ TEST(LabelSessionPictures, ALaterRequestOfTheSameClientTakesThePlace) {
   EXPECT_FALSE(made.stale);
   EXPECT_FALSE(made.rgb.empty());
   EXPECT_FALSE(other.get().stale) << "another client's has nothing to do with it";
+}
+
+// Nobody trains in these two, so whoever is answered did not wait for a picture.
+TEST(LabelSessionPictures, OneThatNobodyWantsAnyMoreIsGivenUp) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  std::atomic<int> looks{0};
+  const Picture none = run.session.picture(of_camera(run.session.camera_of(0), "a"), [&] { return ++looks == 3; });
+  EXPECT_TRUE(none.stale);
+  EXPECT_EQ(looks, 3);
+}
+
+TEST(LabelSessionPictures, OfTooManyThatWaitTheOldestIsStale) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  std::vector<std::future<Picture>> waiting;
+  std::atomic<int> answered{0};
+  for (int k = 0; k < 40; ++k)
+    waiting.push_back(std::async(std::launch::async, [&, k] {
+      const Picture picture = run.session.picture(of_camera(run.session.camera_of(0), "c" + std::to_string(k)));
+      ++answered;
+      return picture;
+    }));
+  for (int turn = 0; answered < 24 && turn < 2000; ++turn) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  EXPECT_EQ(answered, 24) << "16 wait";
+  run.session.stop();
+  run.start();
+  for (std::future<Picture>& picture : waiting) EXPECT_TRUE(picture.get().stale);
 }
 
 TEST(LabelSessionPictures, WrongRequestsAreRefusedAndTheSessionGoesOn) {

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "labels/clicks/click_log.h"
+#include "report/report.h"
 #include "run/open_run.h"
 #include "run/run_folder.h"
 #include "system/files.h"
@@ -227,6 +228,39 @@ TEST(LabelSession, ARunIsSavedOpenedByVerbsAndGoesOn) {
   const std::vector<std::int16_t> label = again.session.picture(labels_of(2)).label;
   EXPECT_GT(std::count(label.begin(), label.end(), 0), 100);
   EXPECT_GT(std::count(label.begin(), label.end(), 1), 100);
+}
+
+// The report of a run that was clicked tells of the clicks, without a scene or a checkpoint being opened.
+TEST(LabelSession, WhatWasClickedIsInTheRunsReport) {
+  const TempDir dir;
+  const std::string folder = dir / "run";
+  {
+    RunningSession run(session_config(), folder);
+    run.session.apply(run.add("1", "wall"));
+    run.session.apply(run.add("2", "floor"));
+    for (int k = 0; k < 3; ++k) run.session.apply(run.click("w" + std::to_string(k), 2, "wall", {10.5 + 8 * k, 5.5}));
+    run.session.apply(run.click("f", 4, "floor", {24.5, 33.5}));
+    run.start();
+    run.settled();
+    run.stop();
+    EXPECT_EQ(run.ended_with, "");
+  }
+  const ReportInput input = read_report_input({folder});
+  ASSERT_TRUE(input.runs[0].clicked.has_value());
+  const LabellingRecord& record = *input.runs[0].clicked;
+  EXPECT_EQ(record.clicks, 4);
+  EXPECT_EQ(record.clicked_frames, 2);
+  ASSERT_EQ(record.classes.size(), 2u);
+  EXPECT_EQ(record.classes[0].name, "wall");
+  EXPECT_EQ(record.classes[0].clicks, 3);
+  EXPECT_GT(record.classes[0].area_share, 0.05);
+  ASSERT_EQ(input.clicked.size(), 2u);
+  EXPECT_EQ(input.clicked[0].note, "3 clicks");
+  EXPECT_EQ(input.clicked[1].note, "1 click");
+  for (const ReportStrip& strip : input.clicked) EXPECT_EQ(strip.images.size(), 3u) << "photograph, labels, entropy";
+  EXPECT_NE(make_report(input).find("4 clicks in 2 of 9 frames"), std::string::npos);
+  const ClassTable table = ClassTable::load(folder + "/classes.yaml");
+  EXPECT_EQ(table.valid_count(), 2) << "those that nobody has named wait outside";
 }
 
 // Labels that the configuration gives are there before the first click, and a click beside them counts.

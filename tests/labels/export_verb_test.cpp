@@ -46,12 +46,27 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
       EXPECT_EQ(read_labels(*reader, frame_of(name), table).hard, rendered) << format << " " << name;
     }
   }
-  const Result small = semfield_run("export run --set scene.load.downscale=2 --out half.json", folder);
-  EXPECT_EQ(small.code, 0);
-  EXPECT_EQ(small.err.find("labels are 20 x 15, the stored images 40 x 30: to export at that size, give --set "
-                           "scene.load.downscale=1\n"),
-            0u)
-      << small.err;
+  // A run that loads its images smaller: labels have the size of the images all the same, unless it is told otherwise.
+  const std::string half = "export run --split test --set scene.load.downscale=2 ";
+  for (const std::string size : {"stored", "trained"}) {
+    const Result r = semfield_run(half + "--size " + size + " --out half.json", folder);
+    ASSERT_EQ(r.code, 0) << r.err;
+    const std::string json = read_text_file(folder + "/half.json");
+    EXPECT_NE(json.find(size == "stored" ? R"("height":30,"id":1,"width":40)" : R"("height":15,"id":1,"width":20)"),
+              std::string::npos)
+        << json.substr(0, 200);
+  }
+  ASSERT_EQ(semfield_run(half + "--format png --out images", folder).code, 0);
+  EXPECT_EQ(read_text_file(folder + "/images/classes.yaml"), table.to_yaml());
+  for (const std::string name : {"rgb_1", "rgb_3"}) {
+    const Image<std::uint16_t> ids = read_ids(folder + "/images/" + name + "_label.png"),
+                               whole = read_ids(folder + "/rendered/" + name + "_label.png");
+    ASSERT_EQ(ids.width_px, 40);
+    ASSERT_EQ(ids.height_px, 30);
+    int alike = 0;
+    for (std::size_t i = 0; i < ids.pixels.size(); ++i) alike += ids.pixels[i] == whole.pixels[i];
+    EXPECT_GT(alike, 40 * 30 * 8 / 10) << name << ": rendered at every second pixel, and brought to the others";
+  }
   // No region of the exported labels is smaller than asked; large ones are tested in small_regions_test.cpp.
   const Result calm = semfield_run("export run --split test --min-area 30 --format coco --out calm.json", folder);
   ASSERT_EQ(calm.code, 0) << calm.err;
@@ -68,7 +83,7 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
             "semfield: --min-area -1: expected 0 to 1000000000\n");
   const Result wrong = semfield_run("export run --format coc --out x.json", folder);
   EXPECT_EQ(wrong.code, 2);
-  EXPECT_EQ(wrong.err, "semfield: --format coc: expected coco, coco_rle or labelme; did you mean coco?\n");
+  EXPECT_EQ(wrong.err, "semfield: --format coc: expected coco, coco_rle, labelme or png; did you mean coco?\n");
   EXPECT_EQ(semfield_run("export none --out x.json", folder).code, 66);
 }
 

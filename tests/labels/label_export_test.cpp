@@ -8,10 +8,12 @@
 #include <cstdlib>
 #include <sstream>
 
+#include "classes/class_names.h"
 #include "core/rng.h"
 #include "core/text.h"
 #include "labels/mask_outlines.h"
 #include "labels/run_lengths.h"
+#include "system/files.h"
 #include "tests/labels/reader_case.h"
 
 namespace semfield {
@@ -94,6 +96,19 @@ TEST(MaskOutlines, OneRegionAConnectedAreaWithCornersOnly) {
   EXPECT_EQ(regions[1].outline.size(), 4u);
   const LabelledFrame diagonal = drawn("a", {"0.", ".0"});
   EXPECT_EQ(mask_regions(diagonal.label, 2, 2).size(), 2u);
+}
+
+TEST(LabelExport, ClassesThatWaitForTheirNamesAreNoCategories) {
+  const std::string folder = fresh_folder("t");
+  CocoExport coco(ClassTable({{1, "wall", {}, false}, {2, unnamed_class(2), {}, false}, {3, "cup", {}, false}}),
+                  CocoMasks::polygons);
+  LabelledFrame frame{"a", "", 2, 2, {0, 0, 2, 2}};
+  coco.add(frame);
+  coco.write(folder + "/coco.json");
+  const std::string json = read_text_file(folder + "/coco.json");
+  EXPECT_EQ(json.find("unnamed"), std::string::npos) << json;
+  EXPECT_NE(json.find("\"cup\""), std::string::npos);
+  EXPECT_EQ(named_classes(ClassTable({{1, "wall", {}, false}, {2, unnamed_class(2), {}, false}})).entries().size(), 1u);
 }
 
 TEST(LabelExport, OwnReadersGiveTheSameMapBack) {

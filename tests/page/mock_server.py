@@ -22,7 +22,7 @@ COLORS = [[200, 60, 60], [60, 140, 220], [80, 180, 90], [230, 180, 60]]
 class Room:
     """Events, and what a program that learns would say about them. `faults` is for tests:
     "overlay": label maps stay as they are; "event": 503 and a sentence; "refuse": 400; "lost": a click never arrives; "drop": it is
-    applied, but the answer is lost; "silent": the state is told to nobody; "picture": slow."""
+    applied, but the answer is lost; "silent": the state is told to nobody; "picture": slow; "slow export": for ever."""
 
     def __init__(self, views=12, size=(160, 120), classes=(), room=32):
         self.size, self.most = size, room
@@ -158,7 +158,7 @@ class Room:
         return b"".join(struct.pack("<I", len(part)) + part for part in parts)
 
     def export(self, what):
-        job = {"id": f"x{len(self.exports) + 1}", "what": what, "state": "running", "text": "12 views", "files": []}
+        job = {"id": f"x{len(self.exports) + 1}", "what": what, "state": "running", "text": "exported 3/12 frames, 0:09 left", "files": []}
         self.exports.append(job)
         self.touch()
 
@@ -168,8 +168,16 @@ class Room:
             else:
                 job.update(state="done", text="", files=[f"{f}_label.png" for f in self.frames] if what == "labels" else ["annotations.json"])
             self.touch()
-        threading.Timer(0.4, finish).start()
+        if "slow export" not in self.faults:
+            threading.Timer(0.4, finish).start()
         return {"id": job["id"]}
+
+    def cancel_export(self, number):
+        for job in self.exports:
+            if job["id"] == number:
+                job.update(state="canceled", text="")
+        self.touch()
+        return {"id": number}
 
 
 class Handler(http.server.BaseHTTPRequestHandler):
@@ -267,7 +275,7 @@ class Handler(http.server.BaseHTTPRequestHandler):
                 room.pictures -= 1
             self.answer(data, "application/octet-stream")
         elif path == "export":
-            self.answer(room.export(body["what"]))
+            self.answer(room.cancel_export(body["cancel"]) if "cancel" in body else room.export(body["what"]))
         elif path:
             self.answer({"error": "Nothing is here.", "remedy": ""}, status=404)
 

@@ -112,6 +112,14 @@ class PageTest(page_case.PageCase):
         self.assertEqual(page.run("return fetch(document.querySelector('#export-list a').href).then((a) => a.text())"), "exported")
         page.click("[data-what=mesh]")
         page.wait("document.getElementById('export-list').textContent.includes('Train for a minute')")
+        self.room.faults.add("slow export")
+        page.click("[data-what=labels]")
+        page.wait("document.querySelector('#export-list progress')?.value === 3", "no progress of what is said of it")
+        page.click("[data-what=coco]")
+        page.wait("document.querySelectorAll('#export-list progress').length == 2", "the second does not run beside the first")
+        page.click("#export-list .running button")
+        page.wait("document.querySelectorAll('#export-list .canceled').length == 1", "no cancelled export")
+        self.assertEqual(page.run("return document.querySelectorAll('#export-list progress').length"), 1)
         self.assertEqual(page.complaints(), [])
 
     def test_free_camera(self):

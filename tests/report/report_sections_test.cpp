@@ -279,6 +279,27 @@ TEST(CalibrationSection, SaysWhatEntropyTellsOfWrongPixelsAndOfTheLabelsGiven) {
   EXPECT_FALSE(holds(html, "<th scope=\"row\">b</th>")) << "it scored no training frames";
 }
 
+TEST(ClicksSection, ShowsClassesClicksAndPictures) {
+  ReportInput input;
+  input.runs.push_back({"room", {}, "", "", {}, {}, {}, {}, {}});
+  EXPECT_EQ(clicks_section(input, ""), "") << "nothing was clicked";
+  input.runs[0].clicked = LabellingRecord{
+      900,         17, 3, 20, {{1, "wa<ll", {10, 20, 30}, 12, 0.4, 0.93}, {7, "cup", {200, 0, 0}, 5, 0.0004, 0.5}},
+      {{"f/2", 9}}};
+  input.clicked.push_back({"f/2", "9 clicks", {{"photograph, clicks", {1, 2, 3}}, {"label, rendered", {4, 5, 6}}}});
+  const std::string html = clicks_section(input, "");
+  EXPECT_TRUE(holds(html, "17 clicks in 3 of 20 frames, at step 900"));
+  EXPECT_TRUE(holds(html, "wa&lt;ll")) << html;
+  EXPECT_TRUE(holds(html, "rgb(10 20 30)"));
+  EXPECT_TRUE(holds(html, "<td class=\"num\">12</td><td class=\"num\">40 %</td><td class=\"num\">93 %</td>"));
+  EXPECT_TRUE(holds(html, "under 0.1 %"));
+  EXPECT_EQ(count_of(html, "<img "), 2u);
+  EXPECT_TRUE(holds(make_report(input), "<a href=\"#clicks\">Clicks</a>"));
+  const std::string json = labelling_record_json(*input.runs[0].clicked);
+  EXPECT_EQ(parse_labelling_record(json, "x"), *input.runs[0].clicked);
+  EXPECT_THROW((void)parse_labelling_record("{}", "x"), Error);
+}
+
 TEST(WorstSection, ListsEveryFrameByItsScore) {
   ReportInput input;
   input.runs = {run_named("a")};

@@ -61,19 +61,26 @@ class Connection {
   /// The next answer; status 0 when none has come whole within so many seconds.
   Answer receive(double seconds = 30) {
     const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(static_cast<long>(1000 * seconds));
+    Answer answer = receive_head(seconds);
+    const std::size_t size = std::strtoul(answer.header("content-length").c_str(), nullptr, 10);
+    while (got_.size() < size) {
+      if (!more(end)) return {};
+    }
+    answer.body = got_.substr(0, size);
+    got_.erase(0, size);
+    return answer;
+  }
+
+  /// The next answer's head, where it has no body whatever its length says.
+  Answer receive_head(double seconds) {
+    const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(static_cast<long>(1000 * seconds));
     std::size_t head = std::string::npos;
     while ((head = got_.find("\r\n\r\n")) == std::string::npos) {
       if (!more(end)) return {};
     }
-    Answer answer;
-    answer.head = got_.substr(0, head + 2);
+    Answer answer{0, got_.substr(0, head + 2), ""};
     answer.status = std::atoi(answer.head.c_str() + std::min<std::size_t>(9, answer.head.size()));
-    const std::size_t size = std::strtoul(answer.header("content-length").c_str(), nullptr, 10);
-    while (got_.size() < head + 4 + size) {
-      if (!more(end)) return {};
-    }
-    answer.body = got_.substr(head + 4, size);
-    got_.erase(0, head + 4 + size);
+    got_.erase(0, head + 4);
     return answer;
   }
 

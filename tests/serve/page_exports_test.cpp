@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 #include <sys/stat.h>
 
+#include <algorithm>
 #include <chrono>
 #include <filesystem>
 #include <fstream>
@@ -30,17 +31,26 @@ class Exports : public ServedPage {
     o.exports = {program, folder_, {"waves.so"}};
     start(o);
   }
-  // The first export in the list once it is no longer running.
+  // The list of exports once it is as wanted.
+  Json list_when(const std::function<bool(const Json&)>& wanted) const {
+    Json s = Json::parse(get("state?after=0").body);
+    for (int i = 0; i < 200 && !wanted(s["exports"]); ++i)
+      s = Json::parse(get("state?after=" + s["revision"].dump()).body);
+    EXPECT_TRUE(wanted(s["exports"])) << s["exports"];
+    return s["exports"];
+  }
+  // The first export in the list once it is made or has failed.
   Json ended() const {
     Json s = Json::parse(get("state?after=0").body);
-    for (int i = 0; i < 200 && s["exports"][0]["state"] == "running"; ++i)
-      s = Json::parse(get("state?after=" + s["revision"].dump()).body);
+    const auto is_open = [&] { return s["exports"][0]["state"] == "running" || s["exports"][0]["state"] == "waiting"; };
+    for (int i = 0; i < 200 && is_open(); ++i) s = Json::parse(get("state?after=" + s["revision"].dump()).body);
     return s["exports"][0];
   }
 };
 
 TEST_F(Exports, LabelsAreRenderedWithLowPriorityAndZipped) {
-  serve_with("echo one >$out/a_label.png; echo two >$out/b_label.png; echo no >$out/a_rgb.png");
+  serve_with(
+      "echo one >$out/a_label.png; echo two >$out/b_label.png; echo no >$out/a_rgb.png; echo chair >$out/classes.yaml");
   const Answer begun = post("export", R"({"what":"labels"})");
   ASSERT_EQ(begun.status, 200) << begun.body;
   EXPECT_EQ(Json::parse(begun.body)["id"], "labels-1");
@@ -48,8 +58,8 @@ TEST_F(Exports, LabelsAreRenderedWithLowPriorityAndZipped) {
   EXPECT_EQ(done["state"], "done") << done;
   EXPECT_EQ(done["files"], Json{"labels.zip"});
   EXPECT_EQ(source_.saves, 1);
-  EXPECT_EQ(read_text_file(folder_ + "/words"),
-            "render " + folder_ + " --split train --out " + folder_ + "/export/labels-1 --plugin waves.so\n");
+  EXPECT_EQ(read_text_file(folder_ + "/words"), "export " + folder_ + " --split train --format png --out " + folder_ +
+                                                    "/export/labels-1 --plugin waves.so\n");
   EXPECT_EQ(read_text_file(folder_ + "/nice"), "10\n");
   const Answer file = get("export/labels-1/0");
   EXPECT_EQ(file.status, 200);
@@ -72,18 +82,52 @@ TEST_F(Exports, CocoAndMeshesAreDownloaded) {
   EXPECT_EQ(get("export/mesh-1/1").body, "glb\n");
   EXPECT_EQ(get("export/mesh-1/3").body, "cls\n");
   ASSERT_EQ(post("export", R"({"what":"coco"})").status, 200);
-  Json s = Json::parse(get("state?after=0").body);
-  while (s["exports"][1]["state"] == "running") s = Json::parse(get("state?after=" + s["revision"].dump()).body);
+  list_when([](const Json& all) { return all[1]["state"] == "done"; });
   EXPECT_EQ(get("export/coco-1/0").body, "{}\n");
 }
 
-TEST_F(Exports, OneIsMadeAtATimeAndANewOneNeverReplacesAnOldOne) {
+TEST_F(Exports, TwoAreMadeSideBySideAndTheOthersWaitForTheirTurn) {
   std::filesystem::create_directories(folder_ + "/export/coco-1");  // of an earlier session
   serve_with("until [ -e " + folder_ + "/go ]; do sleep 0.05; done; echo '{}' >$out");
-  EXPECT_EQ(Json::parse(post("export", R"({"what":"coco"})").body)["id"], "coco-2");
-  const Answer second = post("export", R"({"what":"mesh"})");
-  EXPECT_EQ(second.status, 503);
-  EXPECT_NE(Json::parse(second.body)["remedy"], "");
+  EXPECT_EQ(Json::parse(post("export", R"({"what":"coco"})").body)["id"], "coco-2")
+      << "none takes the place of another";
+  ASSERT_EQ(post("export", R"({"what":"mesh"})").status, 200);
+  ASSERT_EQ(post("export", R"({"what":"coco"})").status, 200);
+  const auto with_state = [](const Json& all, const char* state) {
+    return std::count_if(all.begin(), all.end(), [&](const Json& e) { return e["state"] == state; });
+  };
+  list_when([&](const Json& all) { return with_state(all, "running") == 2 && with_state(all, "waiting") == 1; });
+  for (int i = 0; i < 5; ++i) EXPECT_EQ(post("export", R"({"what":"coco"})").status, 200);
+  const Answer ninth = post("export", R"({"what":"coco"})");
+  EXPECT_EQ(ninth.status, 503);
+  EXPECT_NE(Json::parse(ninth.body)["remedy"], "");
+  std::ofstream(folder_ + "/go") << "";
+  list_when([&](const Json& all) { return with_state(all, "done") == 8; });
+}
+
+TEST_F(Exports, OneThatIsMadeOrWaitsCanBeCanceled) {
+  serve_with("echo $$ >>" + folder_ + "/pids; exec sleep 600");
+  for (int i = 0; i < 3; ++i) ASSERT_EQ(post("export", R"({"what":"coco"})").status, 200);
+  for (int i = 0;
+       i < 500 && (!std::filesystem::exists(folder_ + "/pids") ||
+                   read_text_file(folder_ + "/pids").find('\n') + 1 == read_text_file(folder_ + "/pids").size());
+       ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  EXPECT_EQ(post("export", R"({"cancel":"coco-3"})").status, 200) << "waits";
+  list_when([](const Json& all) { return all[2]["state"] == "canceled"; });
+  EXPECT_EQ(post("export", R"({"cancel":"coco-1"})").status, 200);
+  const Json all = list_when([](const Json& list) { return list[0]["state"] == "canceled"; });
+  EXPECT_EQ(all[1]["state"], "running");
+  EXPECT_TRUE(all[0]["files"].empty());
+  EXPECT_EQ(post("export", R"({"cancel":"coco-9"})").status, 400);
+  EXPECT_EQ(post("export", R"({"cancel":"coco-1"})").status, 200) << "and again";
+}
+
+TEST_F(Exports, ProgressIsWhatTheProgramSaidLast) {
+  serve_with("echo 'exported 1/9 frames, 0:08 left' >&2; echo 'exported 2/9 frames, 0:07 left' >&2; until [ -e " +
+             folder_ + "/go ]; do sleep 0.05; done; echo '{}' >$out");
+  ASSERT_EQ(post("export", R"({"what":"coco"})").status, 200);
+  list_when([](const Json& all) { return all[0]["text"] == "exported 2/9 frames, 0:07 left"; });
   std::ofstream(folder_ + "/go") << "";
   EXPECT_EQ(ended()["state"], "done");
 }

@@ -58,8 +58,12 @@ TEST(PictureRequestText, LabelsAreTheDefault) {
 
 TEST(ExportRequestText, KindsHaveNames) {
   for (const ExportKind kind : {ExportKind::labels, ExportKind::coco, ExportKind::mesh})
-    EXPECT_EQ(parse_export_request(std::string(R"({"what":")") + export_name(kind) + "\"}"), kind);
-  for (const char* bad : {"{}", R"({"what":"all"})", R"({"what":1})", R"({"what":"coco","to":"/etc"})", "null"})
+    EXPECT_EQ(parse_export_request(std::string(R"({"what":")") + export_name(kind) + "\"}").what, kind);
+  const ExportRequest end = parse_export_request(R"({"cancel":"coco-1"})");
+  EXPECT_FALSE(end.what.has_value());
+  EXPECT_EQ(end.cancel, "coco-1");
+  for (const char* bad : {"{}", R"({"what":"all"})", R"({"what":1})", R"({"what":"coco","to":"/etc"})", "null",
+                          R"({"what":"coco","cancel":"coco-1"})", R"({"cancel":1})", R"({"cancel":"../x"})"})
     EXPECT_THROW((void)parse_export_request(bad), Error) << bad;
 }
 

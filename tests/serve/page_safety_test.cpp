@@ -149,16 +149,58 @@ TEST_F(ServedPage, ABodyInChunksIsRead) {
   EXPECT_EQ(source_.events().size(), 1u);
 }
 
-TEST_F(ServedPage, ARequestWithTwoLengthsIsRefused) {
-  for (const char* lengths :
-       {"Content-Length: 5\r\nContent-Length: 6\r\n", "Content-Length: 5\r\nTransfer-Encoding: chunked\r\n"}) {
+// Whoever stands before the server might read another length, and what is behind the body then as a request.
+TEST_F(ServedPage, ARequestWithTwoLengthsOrNoneThatIsANumberIsRefused) {
+  const std::string body = click("a-1");
+  const std::string size = std::to_string(body.size());
+  for (const std::string& lengths : std::vector<std::string>{
+           "Content-Length: " + size + "\r\nContent-Length: 6\r\n",
+           "Content-Length: " + size + "\r\nContent-Length: " + size + "\r\n",
+           "Content-Length: " + size + "\r\nTransfer-Encoding: chunked\r\n", "Content-Length: " + size + ", 37\r\n",
+           "Content-Length: " + size + "," + size + "\r\n", "Content-Length: " + size + " 7\r\n",
+           "Content-Length: +" + size + "\r\n", "Content-Length: -" + size + "\r\n", "Content-Length: 0x9\r\n",
+           "Content-Length: " + size + ".0\r\n", "Content-Length: " + size + "a\r\n",
+           std::string("Content-Length: \r\n"), "Content-Length : " + size + "\r\n",
+           "X: y\r\n Content-Length: " + size + "\r\n",
+           "Transfer-Encoding: gzip, chunked\r\nX-Length: " + size + "\r\n", "Content-Length: " + size + "\x0b\r\n"}) {
     Connection c(port());
-    c.send("POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\n" + lengths + "\r\n0\r\n\r\n");
-    const int status = c.receive(5).status;
-    EXPECT_TRUE(status == 400 || status == 0) << lengths << status;  // 0: civetweb itself hangs up
+    c.send("POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() + "\r\n" + lengths + "\r\n" + body);
+    EXPECT_EQ(c.receive(5).status, 400) << lengths;
     EXPECT_TRUE(c.closes(5)) << lengths;
   }
   EXPECT_EQ(source_.events().size(), 0u);
+}
+
+TEST_F(ServedPage, RequestsMayComeInPiecesAndSeveralAtOnce) {
+  Connection slow(port());
+  for (const char byte : text("POST", "event", click("p-0"))) ASSERT_TRUE(slow.send(std::string(1, byte)));
+  EXPECT_EQ(slow.receive().status, 200);
+  Connection eager(port());
+  std::string many;
+  for (int i = 1; i <= 50; ++i) many += text("POST", "event", click("p-" + std::to_string(i)));
+  ASSERT_TRUE(eager.send(many + text("GET", "none") + text("GET", "", "", "Connection: close\r\n")));
+  for (int i = 1; i <= 50; ++i) ASSERT_EQ(eager.receive().status, 200) << i;
+  EXPECT_EQ(eager.receive().status, 404);
+  EXPECT_EQ(eager.receive().body, "<html></html>");
+  EXPECT_TRUE(eager.closes(5));
+  EXPECT_EQ(source_.events().size(), 51u);
+}
+
+TEST_F(ServedPage, AClientThatAsksWhetherItMaySendIsTold) {
+  Connection c(port());
+  const std::string body = click("a-1");
+  c.send("POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() +
+         "\r\nExpect: 100-continue\r\nContent-Length: " + std::to_string(body.size()) + "\r\n\r\n");
+  EXPECT_EQ(c.receive(5).status, 100);
+  c.send(body);
+  EXPECT_EQ(c.receive(5).status, 200);
+}
+
+TEST_F(ServedPage, AHeadAloneHasNoBody) {
+  Connection c(port());
+  c.send(text("HEAD", "") + text("GET", ""));
+  EXPECT_EQ(c.receive_head(5).status, 405);
+  EXPECT_EQ(c.receive(5).body, "<html></html>");
 }
 
 TEST_F(ServedPage, LongHeadsAreCutOff) {
@@ -198,11 +240,71 @@ TEST_F(ServedPage, ClientsThatReadNothingAreCutOffWhileOthersAreServed) {
   EXPECT_EQ(get("").status, 200);
 }
 
-TEST_F(ServedPage, IdleConnectionsDoNotHoldTheServer) {
+// Far more than there are threads, and they are let be for a minute: an answer that comes did not wait for them.
+TEST_F(ServedPage, IdleAndHalfSentConnectionsHoldNobodyUp) {
+  PageOptions o = options();
+  o.http.threads = 4;
+  o.http.head_ms = o.http.body_ms = 60'000;
+  start(o);
   std::list<Connection> idle;
-  for (int i = 0; i < 100; ++i) idle.emplace_back(port());
-  const Answer answer = get("");  // behind those that wait, each of which is cut off in time
-  EXPECT_EQ(answer.status, 200);
+  for (int i = 0; i < 200; ++i) {
+    idle.emplace_back(port());
+    if (i % 4 == 1) idle.back().send("GET /");
+    if (i % 4 == 2) idle.back().send(text("POST", "event", click("a-1")).substr(0, 200));
+    if (i % 4 == 3) {  // kept after an answer
+      idle.back().send(text("GET", ""));
+      ASSERT_EQ(idle.back().receive(20).status, 200);
+    }
+  }
+  for (int i = 0; i < 5; ++i) {
+    Connection c(port());
+    c.send(text("GET", ""));
+    EXPECT_EQ(c.receive(20).status, 200);
+  }
+}
+
+TEST_F(ServedPage, WithTooManyConnectionsTheOneThatIsIdleTheLongestGoes) {
+  PageOptions o = options();
+  o.http.connections = 20;
+  o.http.head_ms = 60'000;
+  start(o);
+  std::list<Connection> idle;
+  for (int i = 0; i < 20; ++i) idle.emplace_back(port());
+  EXPECT_EQ(get("").status, 200);
+  EXPECT_TRUE(idle.front().closes(20));
+  idle.back().send(text("GET", ""));
+  EXPECT_EQ(idle.back().receive(20).status, 200);
+}
+
+TEST_F(ServedPage, PicturesThatNobodyWaitsForAnyMoreAreGivenUp) {
+  source_.hold(true);
+  {
+    std::list<Connection> leaves;
+    for (int i = 0; i < 40; ++i) {  // more than there are threads
+      leaves.emplace_back(port());
+      leaves.back().send(text("POST", "picture", R"({"client":"c)" + std::to_string(i) + R"(","view":0})"));
+    }
+    source_.wait_for_requests(16);
+  }
+  EXPECT_EQ(get("").status, 200);
+  for (int i = 0; i < 1000 && source_.abandoned_pictures < 16; ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  EXPECT_GE(source_.abandoned_pictures, 16);
+}
+
+TEST_F(ServedPage, WhoWaitsForNewsLeavesThreadsToTheOthers) {
+  PageOptions o = options();
+  o.http.threads = 4;
+  o.longest_poll_ms = 60'000;
+  start(o);
+  std::list<Connection> waiting;
+  for (int i = 0; i < 40; ++i) {
+    waiting.emplace_back(port());
+    waiting.back().send(text("GET", "state?after=5"));
+  }
+  Connection c(port());
+  c.send(text("GET", ""));
+  EXPECT_EQ(c.receive(20).status, 200);
 }
 
 TEST_F(ServedPage, TenThousandMalformedMessagesLeaveTheSourceUntouched) {

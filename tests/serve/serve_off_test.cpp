@@ -12,8 +12,8 @@ TEST(ServeOff, TheVerbNamesThePackagesThatItNeeds) {
       testing_program::Process(testing_program::program(), {"serve", "room.yaml"}, folder).wait();
   EXPECT_EQ(r.code, 69);
   EXPECT_EQ(r.err,
-            "semfield: this build has no labelling page; build with -DSEMFIELD_WITH_SERVE=ON, which needs the packages "
-            "libcivetweb-dev and libturbojpeg0-dev\n");
+            "semfield: this build has no labelling page; build with -DSEMFIELD_WITH_SERVE=ON, which needs the package "
+            "libturbojpeg0-dev\n");
 }
 
 }  // namespace

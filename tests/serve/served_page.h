@@ -60,14 +60,16 @@ class FakeSource final : public PageSource {
     changed_.wait_for(lock, most, [&] { return state_->revision > after; });
     return state_;
   }
-  Picture picture(const PictureRequest& request) override {
+  Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned) override {
     std::unique_lock lock(mutex_);
     requests.push_back(request);
     const std::size_t mine = ++asked_[request.client];
     changed_.notify_all();
-    changed_.wait(lock, [&] { return !held || asked_[request.client] != mine; });
+    while (held && asked_[request.client] == mine && !abandoned())
+      changed_.wait_for(lock, std::chrono::milliseconds(20));
+    if (abandoned()) ++abandoned_pictures;
     Picture p;
-    p.stale = asked_[request.client] != mine;
+    p.stale = asked_[request.client] != mine || abandoned();
     if (p.stale) return p;
     p.width_px = 4;
     p.height_px = 3;
@@ -109,7 +111,7 @@ class FakeSource final : public PageSource {
   }
 
   std::vector<PictureRequest> requests;
-  std::atomic<int> saves{0};
+  std::atomic<int> saves{0}, abandoned_pictures{0};
   bool held = false;
 
  private:

@@ -42,6 +42,7 @@ class Page {
       rename: (row) => this.change(row),
       point: (name) => { this.stage.pointed = name; this.redraw(); },
       export: (what) => postJson('./export', {what}).catch((error) => refuse(error.message, error.remedy)),
+      cancelExport: (id) => postJson('./export', {cancel: id}).catch((error) => refuse(error.message, error.remedy)),
     });
     this.stage = new Stage(this.labeller, this.settings, {
       changed: this.redraw,

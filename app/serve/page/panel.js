@@ -88,9 +88,6 @@ export class Panel {
   }
 
   updateExports(exports) {
-    for (const button of document.querySelectorAll('#exports button')) {
-      button.disabled = exports.some(({state}) => state === 'running');  // one is made at a time
-    }
     const told = JSON.stringify(exports);
     if (this.exports === told) return;
     this.exports = told;
@@ -99,11 +96,19 @@ export class Panel {
       const many = links.length > 3;
       const list = make('div', {class: 'files'}, ...links);
       const body = many ? make('details', {}, make('summary', {}, `${links.length} files`), list) : list;
-      const word = {running: 'running', done: 'done', failed: 'failed'}[state] ?? state;
-      return make('div', {class: `export ${state}`}, make('p', {}, make('b', {}, `${kWords[what] ?? what}: ${word}`), text ? ` ${text}` : ''),
-                  ...(state === 'running' ? [make('progress', {'aria-label': `${kWords[what] ?? what} is being written`})] : []), ...(links.length ? [body] : []));
+      const open = state === 'waiting' || state === 'running';
+      const cancel = open ? make('button', {title: `Cancel the export ${id}`}, 'Cancel') : null;
+      cancel?.addEventListener('click', () => { cancel.disabled = true; this.calls.cancelExport(id); });
+      return make('div', {class: `export ${state}`}, make('p', {}, make('b', {}, `${kWords[what] ?? what}: ${state}`), text ? ` ${text}` : ''),
+                  ...(state === 'running' ? [progressOf(text, `${kWords[what] ?? what} is being written`)] : []), ...(open ? [cancel] : []), ...(links.length ? [body] : []));
     }));
   }
+}
+
+/// A bar as long as the "3/35" in what the program says of its progress.
+function progressOf(text, label) {
+  const [, done, all] = /(\d+)\/(\d+)/.exec(text) ?? [];
+  return make('progress', {'aria-label': label, ...(all ? {value: done, max: all} : {})});
 }
 
 /// What the program says begins small and ends open.
