@@ -8,6 +8,7 @@
 #include "core/text.h"
 #include "run/checkpoint_store.h"
 #include "settings/run_identity.h"
+#include "settings/run_length.h"
 
 namespace semfield {
 
@@ -31,6 +32,13 @@ void require_same_run(const std::vector<ConfigDifference>& identity, const RunFo
               fmt::format("to resume that one: semfield train --resume {}{}; to train anew: semfield train {}{} "
                           "--out NEW_FOLDER",
                           shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
+}
+
+// What the run settled after the checkpoint, and the legs that it was asked for, are no changes of a setting.
+bool is_of_the_length(const std::string& key, bool was_open) {
+  return key.starts_with("train.schedule.legs") ||
+         (was_open && (key == "train.steps" || key == "train.time_s" || key == "train.schedule.hold_steps" ||
+                       key == "train.schedule.decay_steps"));
 }
 
 // None when a program of another version wrote them and they cannot be read.
@@ -65,8 +73,10 @@ ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, 
         "resume from another checkpoint of the run: move this file out of the folder");
   }
   std::vector<ConfigDifference> refused;
-  for (ConfigDifference& change : changed_settings(resolved_config(*before), resolved_config(config)))
+  for (ConfigDifference& change : changed_settings(resolved_config(*before), resolved_config(config))) {
+    if (is_of_the_length(change.key, last_step(*before) == 0)) continue;
     (may_change_on_resume(change.key) ? point.changed : refused).push_back(std::move(change));
+  }
   require_same_run(refused, folder);
   return point;
 }

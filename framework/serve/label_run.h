@@ -20,7 +20,7 @@ namespace semfield {
 class LabelRun {
  public:
   /// `opened` has room for classes (scene.labels.class_room), so its network has semantics.
-  LabelRun(OpenedForTraining opened, const Registry& registry, TrainingListener* listener);
+  LabelRun(OpenedForTraining opened, Registry& registry, TrainingListener* listener);
 
   const Session& session() const { return training_.session(); }
   const RunFolder& folder() const { return folder_; }
@@ -56,6 +56,7 @@ class LabelRun {
   std::vector<LabelledPixels> named_by(const Annotations& annotations) const;
   std::vector<LabelledPixels> given_labels() const;
 
+  Registry& registry_;
   RunFolder folder_;
   Training training_;
   LabelLoop loop_;

@@ -59,7 +59,7 @@ OpenedForTraining open_labelling(RunConfig config, Registry& registry, const Lab
 }  // namespace
 
 struct LabelSession::Parts {
-  Parts(OpenedForTraining opened, const Registry& registry, TrainingListener* listener)
+  Parts(OpenedForTraining opened, Registry& registry, TrainingListener* listener)
       : annotations(*opened.session.config.labels.clicks),
         log([&] {
           Diagnostics findings;

@@ -35,19 +35,21 @@ class _Closed:
 class Training(Iterator[Step]):
     """Steps that are made while somebody asks for them: ``for step in run.train(3000)``, or ``run.train(3000).last()``."""
 
-    def __init__(self, run: "Run", steps: int, every: int) -> None:
+    def __init__(self, run: "Run", steps: Optional[int], every: int) -> None:
         self._run = run
-        self._left = steps
+        self._left = steps  # None: to the end of the run's length
         self._every = every
         self._asked = steps == 0
 
     def __next__(self) -> Step:
         self._asked = True
         session = self._run._session
-        if self._left <= 0:
+        left = session.steps_left if self._left is None else self._left
+        if left == 0:
             raise StopIteration
-        made = session.train(min(self._every, self._left))
-        self._left -= made["steps"]
+        made = session.train(self._every if left < 0 else min(self._every, left), self._left is None)
+        if self._left is not None:
+            self._left -= made["steps"]
         mse = max(made["mse"], 1e-300)
         return Step(session.step, session.train_s, made["loss"], made["color"], made["semantic"], -10 * float(np.log10(mse)),
                     made["terms"], made["steps"] / max(made["seconds"], 1e-9))
@@ -60,7 +62,7 @@ class Training(Iterator[Step]):
         return step
 
     def __repr__(self) -> str:
-        return f"Training(steps left: {self._left})"
+        return f"Training(steps left: {'to the end of the run' if self._left is None else self._left})"
 
     def __del__(self) -> None:
         if not getattr(self, "_asked", True):
@@ -96,7 +98,6 @@ class Run:
         self.device: str = facts["device"]
         self.left_out: List[Tuple[str, str, str, str]] = facts["left_out"]
         self.has_semantics: bool = facts["has_semantics"]
-        self._steps: int = facts["steps"]
         # A temporary file lives as long as a run of it.
         self._scene: Optional[Scene] = _temporary.get(str(self.config["scene"].get("file", "")))
 
@@ -216,7 +217,7 @@ class Run:
         ``run.train(3000).last()`` makes all of them.
 
         Args:
-            steps: to make; None: as many as train.steps of the configuration leaves.
+            steps: to make, also beyond the end of the run's length; None: to that end, which `extend` moves.
             every: steps between reports.
 
         Yields:
@@ -225,11 +226,28 @@ class Run:
         Raises:
             KeyboardInterrupt: after the step under way; the run can go on from there.
         """
-        made = self.step
-        left = max(0, self._steps - made) if steps is None else _whole("steps", steps)
-        if left < 0 or _whole("every", every) < 1:
+        left = None if steps is None else _whole("steps", steps)
+        if (left is not None and left < 0) or _whole("every", every) < 1:
             raise UsageError(f"train({steps}, every={every}): expected steps of 0 or more, and every of 1 or more")
+        if left is None and self._session.steps_left == 0:
+            left = 0
         return Training(self, left, int(every))
+
+    def extend(self, steps: Optional[int] = None, seconds: Optional[float] = None) -> None:
+        """Lets the run train that much more from its present step on, with a learning rate that falls to its end.
+
+        ``run.extend(seconds=60)`` and then ``run.train().last()``. Before the first step it sets the run's length. The number of
+        steps that fit into a time is settled by the rate of the first of them.
+
+        Args:
+            steps: steps more, 1 or more.
+            seconds: or seconds of training more, above 0.
+        """
+        more = 0 if steps is None else _whole("steps", steps)
+        if (steps is None) == (seconds is None) or (seconds is None and more < 1) or not 0 <= float(seconds or 0) <= 1e8 or (
+                seconds is not None and not seconds > 0):
+            raise UsageError(f"extend(steps={steps}, seconds={seconds}): expected steps of 1 or more, or seconds above 0")
+        self._session.train_more(more, float(seconds or 0))
 
     def render(
         self,
