@@ -244,10 +244,10 @@ class Run:
             seconds: or seconds of training more, above 0.
         """
         more = 0 if steps is None else _whole("steps", steps)
-        if (steps is None) == (seconds is None) or (seconds is None and more < 1) or not 0 <= float(seconds or 0) <= 1e8 or (
-                seconds is not None and not seconds > 0):
+        time_s = 0.0 if seconds is None else float(seconds)
+        if (steps is None) == (seconds is None) or not (1 <= more <= 10**9 or 0 < time_s <= 1e8):
             raise UsageError(f"extend(steps={steps}, seconds={seconds}): expected steps of 1 or more, or seconds above 0")
-        self._session.train_more(more, float(seconds or 0))
+        self._session.train_more(more, time_s)
 
     def render(
         self,
