@@ -11,10 +11,10 @@
 #include <vector>
 
 #include "session/checkpoint_facts.h"
-#include "session/pace.h"
 #include "session/ray_source.h"
 #include "session/session.h"
 #include "session/trainer.h"
+#include "settings/pace.h"
 #include "settings/run_length.h"
 
 namespace semfield {

@@ -144,7 +144,7 @@ TEST_F(RunLengthTest, ARunKilledOrStoppedBeforeItIsSettledTrainsWhatWasAskedFor)
     const TrainOutcome ended = resume(run, {}, later);
     EXPECT_EQ(ended.step, 80) << run;
     EXPECT_NEAR(ended.train_s, 20, 0.01) << run;
-    EXPECT_EQ(later.notes.find("from step"), std::string::npos) << later.notes;
+    EXPECT_EQ(later.notes.find(" on: "), std::string::npos) << later.notes;
   }
 }
 
@@ -161,7 +161,7 @@ TEST_F(RunLengthTest, ARunKilledAfterItWasSettledEndsWithTheBitsOfOneLeftAlone) 
   later.step_s = [](std::int64_t) { return 7.0; };
   EXPECT_EQ(resume("killed", {}, later).step, 80);
   EXPECT_NE(later.notes.find("resuming at step 5 "), std::string::npos) << later.notes;
-  EXPECT_EQ(later.notes.find("from step"), std::string::npos) << "what was settled is no change: " << later.notes;
+  EXPECT_EQ(later.notes.find(" on: "), std::string::npos) << "what was settled is no change: " << later.notes;
   EXPECT_EQ(bits("killed", 80), bits("timed", 80));
 }
 

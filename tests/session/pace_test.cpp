@@ -1,5 +1,5 @@
 // The number of steps that fits into a time, settled from the rate of the steps; seconds are counted, never read.
-#include "session/pace.h"
+#include "settings/pace.h"
 
 #include <gtest/gtest.h>
 

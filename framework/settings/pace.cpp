@@ -1,4 +1,4 @@
-#include "session/pace.h"
+#include "settings/pace.h"
 
 #include <algorithm>
 #include <cmath>
