@@ -7,6 +7,7 @@
 #include "run/run_folder.h"
 #include "run/run_resume.h"
 #include "system/files.h"
+#include "system/memory_limit.h"
 
 namespace semfield {
 
@@ -54,6 +55,7 @@ std::optional<TrainOutcome> ended_run(const RunConfig& config, Registry& registr
   outcome.train_s = point.facts->train_s;
   outcome.run_dir = folder.path();
   outcome.report_path = folder.report_path();
+  outcome.peak_bytes = peak_resident_bytes();
   read_scores(folder, outcome);
   return outcome;
 }

@@ -86,11 +86,11 @@ void Training::settle_length() {
   if (listener_ == nullptr) return;
   const double rate = pace_->steps_per_s();
   listener_->note(
-      fmt::format("the length is settled{}: {} steps for {:.6g} s of training{}; the learning rate falls from step {} "
+      fmt::format("the length is settled{}: {} steps for {:.4g} s of training{}; the learning rate falls from step {} "
                   "on, to {:.4g} of "
                   "the first; run.yaml has the numbers",
                   anew ? " anew" : "", *end, end_s(config),
-                  rate > 0 ? fmt::format(", at {:.4g} steps per second", rate) : "", step(), config.schedule.factor));
+                  rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : "", step(), config.schedule.factor));
   Diagnostics never;
   check_length(config, never);
   for (const Diagnostic& finding : never.all()) listener_->note("warning: " + finding.message);

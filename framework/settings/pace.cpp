@@ -17,7 +17,7 @@ constexpr double kLast = 0.1;                      // of the time at the end, in
 }  // namespace
 
 Pace::Pace(double begin_s, double until_s)
-    : begin_s_(begin_s), until_s_(until_s), share_s_((until_s - begin_s) * kShare), settled_s_(begin_s) {}
+    : begin_s_(begin_s), until_s_(until_s), share_s_((until_s - begin_s) * kShare), settled_{begin_s, 0} {}
 
 double Pace::steps_per_s() const {
   if (marks_.size() < 2) return 0;
@@ -39,6 +39,11 @@ std::int64_t Pace::end_at_this_rate() const {
   return marks_.back().step + std::llround(left);
 }
 
+// Seconds; above 0: the end comes too late.
+double Pace::misses_by(double rate, std::int64_t end) const {
+  return marks_.back().s + static_cast<double>(end - marks_.back().step) / std::max(rate, 1e-9) - until_s_;
+}
+
 std::optional<std::int64_t> Pace::made(std::int64_t step, double train_s, std::int64_t end) {
   const double time_s = until_s_ - begin_s_;
   if (end == 0 && train_s >= until_s_) return step;
@@ -49,14 +54,17 @@ std::optional<std::int64_t> Pace::made(std::int64_t step, double train_s, std::i
   if (end == 0) {
     const bool due = used_s >= kEarliest * time_s && (still() || used_s >= kLatest * time_s);
     if (!due || marks_.size() < 2) return std::nullopt;
-    settled_s_ = train_s;
+    settled_ = marks_.back();
     return end_at_this_rate();
   }
-  const bool measured = marks_.size() == kMarks && marks_.front().s >= settled_s_;
+  const bool measured = marks_.size() == kMarks && marks_.front().s >= settled_.s;
   if (!measured || step >= end || until_s_ - train_s < kLast * time_s) return std::nullopt;
-  const double ends_s = train_s + static_cast<double>(end - step) / std::max(steps_per_s(), 1e-9);
-  if (std::abs(ends_s - until_s_) <= kMissed * time_s) return std::nullopt;
-  settled_s_ = train_s;
+  // Of the last tenth, and of all since it was settled: what passes within a moment moves the first alone.
+  const double now = misses_by(steps_per_s(), end);
+  const double since = misses_by(static_cast<double>(step - settled_.step) / (train_s - settled_.s), end);
+  if (std::abs(now) <= kMissed * time_s || now * since <= 0 || std::abs(since) <= 0.5 * kMissed * time_s)
+    return std::nullopt;
+  settled_ = marks_.back();
   return end_at_this_rate();
 }
 

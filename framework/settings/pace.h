@@ -9,7 +9,8 @@ namespace semfield {
 
 /// Reads no clock: it is told of seconds of training. The number of steps is settled after a tenth of the time, once
 /// the rate holds still, and after a quarter of it at the latest: steps become faster as space empties. Where the rate
-/// has changed since, so that the end would miss the time by more than a twelfth of it, the number is settled anew.
+/// has changed since for longer than a moment, so that the end would miss the time by more than a twelfth of it, the
+/// number is settled anew.
 class Pace {
  public:
   /// For what is trained between two times of training, in seconds.
@@ -28,11 +29,12 @@ class Pace {
     std::int64_t step = 0;
   };
   bool still() const;
+  double misses_by(double steps_per_s, std::int64_t end) const;
   std::int64_t end_at_this_rate() const;
 
   double begin_s_, until_s_, share_s_;
   std::deque<Mark> marks_;  // one a share of the time, newest last
-  double settled_s_;
+  Mark settled_;            // when the number was settled last
 };
 
 }  // namespace semfield
