@@ -9,8 +9,8 @@
 
 #include "app/child_process.h"
 #include "app/json_output.h"
+#include "app/length_words.h"
 #include "app/signals.h"
-#include "app/time_setting.h"
 #include "app/verb.h"
 #include "config/config_tree.h"
 #include "config/shipped_config.h"
@@ -28,7 +28,8 @@ namespace {
 constexpr const char* kOwnFolder = "runs/demo";
 
 struct DemoOptions {
-  std::string out, time;
+  std::string out;
+  LengthWords length;
   std::vector<std::string> set;
 };
 
@@ -78,7 +79,8 @@ std::string figures_of(const std::string& out) {
   std::istringstream words(out.substr(out.rfind("train: ") == std::string::npos ? 0 : out.rfind("train: ") + 7));
   std::vector<std::string> kept;
   for (std::string word; words >> word;) {
-    if (!word.starts_with("steps=") && !word.starts_with("peak_mb=")) kept.push_back(word);
+    if (!word.starts_with("steps=") && !word.starts_with("trained_s=") && !word.starts_with("peak_mb="))
+      kept.push_back(word);
   }
   return join(kept, " ");
 }
@@ -86,9 +88,8 @@ std::string figures_of(const std::string& out) {
 int run(const DemoOptions& options, AppContext& context) {
   const std::string config = shared_file("configs/quickstart.yaml");  // a file `quickstart.yaml` here is not meant
   const std::string out = options.out.empty() ? kOwnFolder : options.out;
-  std::vector<std::string> settings = options.set;
-  if (!options.time.empty()) settings.push_back(time_setting(options.time));
-  load_run_config(config, settings, context.registry);  // refuses what is wrong before anything is replaced
+  (void)asked_length(options.length);
+  load_run_config(config, options.set, context.registry);  // refuses what is wrong before anything is replaced
   const std::string cache = cache_folder("rooms");
   print_note(context, fmt::format("a demo on the shipped room, in {}{}", fs::absolute(out).lexically_normal().string(),
                                   cache.empty() ? "" : "; cast frames are kept in " + cache));
@@ -97,11 +98,13 @@ int run(const DemoOptions& options, AppContext& context) {
   // The figures are of every test frame, on a slow machine too.
   const std::string named = find_config("quickstart") == config ? "quickstart" : config;
   std::vector<std::string> train{"train", named, "--set", "report.eval_share=0", "--set", "name=demo", "--out", out};
-  for (const std::string& setting : settings) {
-    // "--steps train.steps=60" was typed as "--steps 60".
+  for (const std::string& setting : options.set) {
+    // "--threads runtime.threads=2" was typed as "--threads 2".
     train.push_back("--set");
     train.push_back(setting.starts_with("--") ? setting.substr(setting.find(' ') + 1) : setting);
   }
+  if (options.length.steps) train.insert(train.end(), {"--steps", std::to_string(*options.length.steps)});
+  if (!options.length.time.empty()) train.insert(train.end(), {"--time", options.length.time});
   const std::string program = typed_program();
   install_stop_signals();
   std::string figures;
@@ -127,7 +130,7 @@ int run(const DemoOptions& options, AppContext& context) {
           "  labels, depth, …  {0}/render/test/\n"
           "  labelled mesh     {0}/mesh.ply, {0}/mesh.glb; by class: {0}/mesh_classes.ply, {0}/mesh_classes.glb\n"
           "  all figures       {1} eval {0}\n"
-          "  longer training   {1} train --resume {0} --steps 6000 --time 5m\n"
+          "  longer training   {1} train --resume {0} --time 5m\n"
           "Your own scene: write my_scene.yaml, with `include: parts/hash_room.yaml` and where the "
           "scene is, then\n  {1} inspect my_scene.yaml\n"
           "The guide docs/guide/own_data.md says how.",
@@ -146,8 +149,7 @@ int run(const DemoOptions& options, AppContext& context) {
 void words(VerbWords& verb, DemoOptions& options) {
   verb.value("--out FOLDER", options.out, "run folder to create (default: runs/demo, whose earlier demo is replaced)");
   verb.repeated("--set KEY=VALUE", options.set, "override a value: --set train.rays=2048");
-  verb.value("--time TIME", options.time, "end after this much training: 90s, 5m, 1h");
-  verb.setting(options.set, "--steps N", "train.steps", "end after this many steps (default: train.steps)");
+  declare_length(verb, options.length);
   verb.threads(options.set);
 }
 

@@ -7,9 +7,9 @@
 #include <filesystem>
 
 #include "app/json_output.h"
+#include "app/length_words.h"
 #include "app/progress_line.h"
 #include "app/signals.h"
-#include "app/time_setting.h"
 #include "app/verb.h"
 #include "config/compose.h"
 #include "core/findings.h"
@@ -26,7 +26,7 @@ struct TrainOptions {
   ConfigOptions config;
   std::string out;
   std::string resume;
-  std::string time;  ///< "90s", "5m", "1h"
+  LengthWords length;
   std::vector<std::string> keep;
   bool weak = false;
   bool dry_run = false;
@@ -58,6 +58,7 @@ Json outcome_json(const TrainOutcome& outcome) {
   Json out{{"run", outcome.run_dir},
            {"step", outcome.step},
            {"train_s", outcome.train_s},
+           {"trained_s", outcome.trained_s},
            {"peak_mb", outcome.peak_bytes >> 20},
            {"report", outcome.report_path},
            {"scored",
@@ -82,9 +83,9 @@ std::string progress_text(const TrainProgress& p) {
       p.miou_present ? fmt::format("  miou_present {:.3f} ({})", *p.miou_present, p.scored.text()) : std::string();
   std::string terms;
   for (const auto& [type, value] : p.terms) terms += fmt::format("  {} {:.4f}", type, value);
-  return fmt::format("step {}/{}  loss {:.4f}{}  train psnr {:.2f}{}  {:.0f} rays/s  {} elapsed  {} left", p.step,
-                     p.steps, p.loss, terms, p.psnr, scored, p.rays_per_s, clock_text(p.train_s),
-                     clock_text(p.remaining_s));
+  const std::string steps = p.steps > 0 ? fmt::format("/{}", p.steps) : std::string();
+  return fmt::format("step {}{}  loss {:.4f}{}  train psnr {:.2f}{}  {:.0f} rays/s  {} elapsed  {} left", p.step, steps,
+                     p.loss, terms, p.psnr, scored, p.rays_per_s, clock_text(p.train_s), clock_text(p.remaining_s));
 }
 
 // A run as the terminal shows it, and what signals ask of it.
@@ -120,11 +121,11 @@ class ShownRun final : public RunListener {
   void print_progress(const TrainProgress& p) {
     const std::string line = progress_text(p);
     if (context_.terminal) {
-      std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), p.step >= p.steps ? "\n" : "");
+      std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), p.step == p.steps ? "\n" : "");
       std::fflush(stderr);
       return;
     }
-    if (p.train_s < next_line_s_ && p.step < p.steps) return;
+    if (p.train_s < next_line_s_ && p.step != p.steps) return;
     next_line_s_ = p.train_s + 2;
     std::fprintf(stderr, "%s\n", line.c_str());
   }
@@ -141,13 +142,13 @@ int run(const TrainOptions& options, AppContext& context) {
     throw Error(ErrorKind::usage, "train: expected either a configuration file or --resume RUN",
                 "see `semfield train --help`");
   }
-  std::vector<std::string> settings = options.config.set;
-  if (!options.time.empty()) settings.push_back(time_setting(options.time));
+  const AskedLength asked = asked_length(options.length);
   if (options.weak && resume)
     throw Error(ErrorKind::usage, "train: --weak multiplies the rays of a new run, and a resumed one keeps its own",
                 "leave out --weak");
   RunConfig config = load_run_config(resume ? RunFolder::read(options.resume).config_path() : options.config.config,
-                                     settings, context.registry);
+                                     options.config.set, context.registry);
+  if (!resume && asked.any()) ask(config, asked);
   if (options.weak && context.ranks) config.train.rays *= context.ranks->size();
   if (options.dry_run) {
     Diagnostics diagnostics;
@@ -164,6 +165,7 @@ int run(const TrainOptions& options, AppContext& context) {
   }
   TrainRequest request;
   request.resume = resume;
+  if (resume) request.more = asked;
   request.keep = options.keep;
   request.ranks = context.ranks.get();
   request.out_dir = resume ? options.resume : !options.out.empty() ? options.out : "runs/" + config.name;
@@ -184,8 +186,8 @@ int run(const TrainOptions& options, AppContext& context) {
     print_json(context, outcome_json(outcome));
     return 0;
   }
-  std::printf("train: %s train_s=%.1f steps=%lld peak_mb=%zu report=%s\n", scores_text(outcome).c_str(),
-              outcome.train_s, static_cast<long long>(outcome.step), outcome.peak_bytes >> 20,
+  std::printf("train: %s train_s=%.1f trained_s=%.1f steps=%lld peak_mb=%zu report=%s\n", scores_text(outcome).c_str(),
+              outcome.train_s, outcome.trained_s, static_cast<long long>(outcome.step), outcome.peak_bytes >> 20,
               outcome.report_path.c_str());
   return 0;
 }
@@ -195,9 +197,8 @@ void words(VerbWords& verb, TrainOptions& options) {
   std::vector<std::string>& set = options.config.set;
   verb.repeated("--set KEY=VALUE", set, "override a value: --set train.rays=2048");
   verb.value("--out FOLDER", options.out, "run folder to create (default: runs/<name>)");
-  verb.value("--resume RUN", options.resume, "run folder to resume");
-  verb.value("--time TIME", options.time, "end after this much training: 90s, 5m, 1h");
-  verb.setting(set, "--steps N", "train.steps", "end after this many steps (default: train.steps)");
+  verb.value("--resume RUN", options.resume, "run folder to resume; with --time or --steps it trains that much more");
+  declare_length(verb, options.length);
   verb.threads(set);
   verb.setting(set, "--memory GB", "runtime.memory_gb",
                "GB that the run may use; a run that needs more is refused (default: what is free)");

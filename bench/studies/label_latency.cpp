@@ -13,6 +13,7 @@
 #include "core/rng.h"
 #include "labels/clicks/click_log.h"
 #include "serve/label_session.h"
+#include "settings/run_length.h"
 #include "studies/label_bench.h"
 
 namespace semfield {
@@ -47,11 +48,11 @@ class TemporaryFolder {
 };
 
 // What training does in a window: its own seconds a step, and all seconds a step.
-struct Pace {
+struct MeasuredPace {
   double training_s = 0, wall_s = 0;
 };
 
-Pace pace_of(const LabelSession& session, double seconds) {
+MeasuredPace pace_of(const LabelSession& session, double seconds) {
   const auto before = session.state();
   const Clock::time_point start = Clock::now();
   std::this_thread::sleep_for(std::chrono::duration<double>(seconds));
@@ -135,6 +136,7 @@ std::vector<double> click_through(LabelSession& session, const std::vector<Store
 LabelLatency measure_label_latency(RunConfig config, int clicks, double geometry_s, const StudyTools& tools) {
   const TemporaryFolder folder("semfield_bench_label");
   config.labels.selection.frames = "none";
+  config.schedule.decay_steps = kStepsOnCpu;
   config.train.steps = 1'000'000'000;  // it trains to the end of the measurement
   LabelSession session(std::move(config), tools.registry, {(folder.path() / "run").string(), 0}, nullptr);
   std::thread trains([&] { session.run(); });
@@ -144,14 +146,14 @@ LabelLatency measure_label_latency(RunConfig config, int clicks, double geometry
     while ((!state->geometry_ready || state->train_s < geometry_s) && state->failure.empty())
       state = session.wait_state(state->revision, milliseconds(1000));
     // Before and after, so that neither a neighbour of this machine nor training itself counts.
-    const Pace before = pace_of(session, kWindow_s);
-    Pace open;
+    const MeasuredPace before = pace_of(session, kWindow_s);
+    MeasuredPace open;
     {
       const OpenPage page(session);
       std::this_thread::sleep_for(milliseconds(3000));  // its view has been drawn
       open = pace_of(session, kWindow_s);
     }
-    const Pace after = pace_of(session, kWindow_s);
+    const MeasuredPace after = pace_of(session, kWindow_s);
     out.slowdown = open.wall_s / ((before.training_s + after.training_s) / 2);
     const Session& opened = session.opened();
     std::vector<int> frame_of_view;

@@ -38,7 +38,8 @@ LeaveOutSide::LeaveOutSide(const LeaveOutPair& pair, const std::vector<std::stri
   session_options.depth = DepthKept::test;
   session = open_session(load_run_config(config_path, set, registry), registry, session_options, diagnostics);
   rays = session.make_ray_source();
-  trainer = std::make_unique<Trainer>(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+  trainer = std::make_unique<Trainer>(*session.pipeline, *rays, session.config.adam, session.config.schedule,
+                                      session.config.train.steps);
 }
 
 void LeaveOutSide::train(int steps) {

@@ -85,7 +85,7 @@ ScaleTraining bits_training(const std::string& config, const std::string& device
 std::vector<std::string> training_words(const ScaleTraining& t, const std::string& folder, const std::string& run) {
   Json config{{"include", {t.config, t.room}},
               {"name", fmt::format("scale_{}", t.step)},
-              {"train", {{"steps", t.batch_steps * (t.batches + 1)}, {"time_limit_s", 0}, {"rays", t.rays}}},
+              {"train", {{"steps", t.batch_steps * (t.batches + 1)}, {"rays", t.rays}}},
               {"runtime", {{"device", t.device}, {"threads", t.threads}, {"deterministic", t.deterministic}}},
               {"report", {{"log_every_steps", t.batch_steps}}}};
   if (!t.precision.empty()) config["runtime"]["precision"] = t.precision;
@@ -112,7 +112,6 @@ std::string sweep_file(int cells, const std::string& device, bool quick, const S
                    {"set",
                     {{"scene.test_frames", 2},
                      {"train.steps", steps},
-                     {"train.time_limit_s", 0},
                      {"train.rays", quick ? 64 : 512},
                      {"runtime.device", device}}}};
   const std::string file = (fs::path(folder) / "sweep.yaml").string();

@@ -126,7 +126,8 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   source.train.rays = options.rays;
   source.tile_rays = impl_->pipeline->executor().tile_rays(options.rays);
   impl_->rays = std::make_unique<RaySource>(std::move(frames), std::move(logit_of_class), limits, source);
-  impl_->trainer = std::make_unique<Trainer>(*impl_->pipeline, *impl_->rays, config.adam, config.schedule);
+  impl_->trainer =
+      std::make_unique<Trainer>(*impl_->pipeline, *impl_->rays, config.adam, config.schedule, config.train.steps);
 }
 
 StepCase::~StepCase() = default;

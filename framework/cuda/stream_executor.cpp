@@ -158,7 +158,7 @@ StreamExecutor::Shape& StreamExecutor::shape_of(const RayBatch& batch, std::int6
 void StreamExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
   SEMFIELD_CHECK(std::ssize(queued_) < kSlots, "too many steps wait on the device");
   guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
-  const BatchScales scales = host_.scales_of(step, batch);
+  const BatchScales scales = host_.scales_of(batch);
   const LaunchScope on_stream(render_launch());
   sums_->join();
   Shape* shape = nullptr;

@@ -27,8 +27,8 @@ std::int32_t EvalBudget::sample_stride(double pixels, double every_s, std::int32
 
 EvalCut EvalBudget::last(double pixels, std::int64_t frames, double train_s, std::int32_t most_stride) const {
   if (!bounds_last()) return {};
-  // A step that runs over the limit, or samples that did, still leave it half of the share.
-  const double budget_s = std::max((1 + share_) * time_limit_s_ - train_s - spent_s_, share_ / 2 * time_limit_s_);
+  // A step that runs over the time, or samples that did, still leave it half of the share.
+  const double budget_s = std::max((1 + share_) * time_s_ - train_s - spent_s_, share_ / 2 * time_s_);
   const double cost_s = pixels * s_per_px_;
   if (cost_s <= budget_s) return {};
   const double frame_s = cost_s / static_cast<double>(frames);

@@ -12,16 +12,17 @@ struct EvalCut {
 };
 
 /// Evaluations while training get half of `share` of the seconds trained, the last one what is then left of
-/// (1 + share) times the time limit. A share of 0 bounds nothing; without a time limit the last one is not bounded.
+/// (1 + share) times the time that the run was asked for. A share of 0 bounds nothing; without a time the last one is
+/// not bounded.
 class EvalBudget {
  public:
-  EvalBudget(double share, double time_limit_s) : share_(share), time_limit_s_(time_limit_s) {}
+  EvalBudget(double share, double time_s) : share_(share), time_s_(time_s) {}
 
   /// An evaluation of so many pixels took so long.
   void spend(double seconds, double pixels);
   bool knows_cost() const { return s_per_px_ >= 0; }
   bool bounds_samples() const { return share_ > 0; }
-  bool bounds_last() const { return share_ > 0 && time_limit_s_ > 0; }
+  bool bounds_last() const { return share_ > 0 && time_s_ > 0; }
 
   /// Pixels of a sample that is scored every `every_s` seconds, so that it keeps to its share.
   std::int32_t sample_stride(double pixels, double every_s, std::int32_t most) const;
@@ -32,7 +33,7 @@ class EvalBudget {
   EvalCut last(double pixels, std::int64_t frames, double train_s, std::int32_t most_stride) const;
 
  private:
-  double share_, time_limit_s_;
+  double share_, time_s_;
   double spent_s_ = 0, s_per_px_ = -1;
 };
 

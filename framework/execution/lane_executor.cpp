@@ -138,7 +138,7 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
   const std::int64_t rays = batch.origin.rows, tile_rays = pipeline_.tile_rays();
   const std::int64_t tiles = (rays + tile_rays - 1) / tile_rays;
   guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
-  const BatchScales scales = pipeline_.scales_of(step, batch);
+  const BatchScales scales = pipeline_.scales_of(batch);
   if (ranks_) {
     ranks_->share_out(tiles);
     agree(ranks_->all(), [&] { walk_tiles(step, batch, tiles, scales); });

@@ -69,7 +69,7 @@ std::size_t Pipeline<Real>::predicted_workspace_bytes(std::int64_t rays) const {
 }
 
 template <class Real>
-BatchScales Pipeline<Real>::scales_of(std::int64_t step, const RayBatch& batch) const {
+BatchScales Pipeline<Real>::scales_of(const RayBatch& batch) const {
   const std::int64_t rays = batch.origin.rows;
   BatchScales scales;
   scales.color = color_normaliser(batch);
@@ -87,7 +87,7 @@ BatchScales Pipeline<Real>::scales_of(std::int64_t step, const RayBatch& batch) 
     scales.semantic =
         semantic_normaliser(options_.rules.semantics.normalisation, labelled_weight(targets, weights), rays);
   }
-  scales.terms = options_.losses.scales(step, targets_of(batch), rays);
+  scales.terms = options_.losses.scales(batch.terms, targets_of(batch), rays);
   return scales;
 }
 

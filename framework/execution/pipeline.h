@@ -63,7 +63,7 @@ class Pipeline {
 
   /// Derived tensors of the store from learned ones.
   void derive(std::int64_t step);
-  BatchScales scales_of(std::int64_t step, const RayBatch& batch) const;
+  BatchScales scales_of(const RayBatch& batch) const;
   /// Means and total of a batch's sums.
   StepLosses means_of(const StepLosses& sums, const BatchScales& scales) const;
   /// Renders without jitter or noise; the same bits for any grouping of rays into calls.

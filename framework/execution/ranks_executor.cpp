@@ -180,6 +180,7 @@ void RanksExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamSt
   order.rows = batch.origin.rows;
   order.cols = batch.soft.cols;
   order.number = batch.label_only_share;
+  order.terms = batch.terms;
   const auto each = [&](const auto& visit) { each_of_batch(batch, order.cols, visit); };
   order.wanted = arrays_there(each);
   tell(order);
@@ -194,6 +195,7 @@ void RanksExecutor::serve_step(const Order& order) {
   AdamStep update;
   RayBatch batch;
   batch.label_only_share = order.number;
+  batch.terms = order.terms;
   std::uint32_t bit = 1;
   ArrayMessage message(message_);
   message.expect(update);

@@ -49,6 +49,7 @@ class RanksExecutor final : public Executor<float> {
     Task task = Task::end;
     std::int32_t cols = 0;     // of soft labels; of probabilities
     std::uint32_t wanted = 0;  // bit i: the i-th array of a batch or job is there
+    std::uint32_t terms = 0;   // RayBatch::terms
     std::int64_t step = 0, rows = 0;
     double number = 0;  // label_only_share; footprint_per_m
   };

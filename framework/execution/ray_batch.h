@@ -18,6 +18,7 @@ struct RayBatch {
   View<const float> depth;  ///< [R, 1] metres along the ray, 0: unknown; empty: no term asks for it
   /// Share of the rays, the first ones of every tile, that have no part in the colour loss.
   double label_only_share = 0;
+  std::uint32_t terms = ~0U;  ///< bit i: term i of the list of losses works in this step
 };
 
 /// How many of the rays [begin, end) of a batch, a tile, are among those: every ray whose running share crosses an

@@ -139,7 +139,7 @@ std::optional<RayFault> LaneExecutor<Real>::find_fault(std::int64_t step, const 
   scales.color = color_normaliser(batch);
   scales.semantic = 1;
   try {
-    scales = pipeline_.scales_of(step, batch);
+    scales = pipeline_.scales_of(batch);
   } catch (const Error&) {
     // A label of some ray: that ray throws again below.
   }

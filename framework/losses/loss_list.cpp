@@ -7,7 +7,9 @@ namespace semfield {
 void LossTerm::describe(ParamVisitor& visit) {
   LossRule& p = rule;
   SEMFIELD_PARAM(visit, p, weight, "factor of the term beside the colour loss", {0, 1e6});
-  SEMFIELD_PARAM(visit, p, from_step, "share of train.steps after which the term begins", {0, 1});
+  SEMFIELD_PARAM(visit, p, from_step,
+                 "share of train.steps after which the term begins, and never before train.schedule.hold_steps",
+                 {0, 1});
   describe_own(visit);
 }
 
@@ -25,12 +27,12 @@ LossTraits LossList::traits(std::uint32_t active) const {
   return all;
 }
 
-LossScales LossList::scales(std::int64_t step, const RayTargets& batch, std::int64_t rays) const {
+LossScales LossList::scales(std::uint32_t active, const RayTargets& batch, std::int64_t rays) const {
   SEMFIELD_CHECK(entries_.size() <= kMostLossTerms, "too many terms of the loss");
   LossScales out;
   for (std::size_t i = 0; i < entries_.size(); ++i) {
+    if ((active >> i & 1U) == 0) continue;
     const LossTerm& term = *entries_[i].term;
-    if (static_cast<double>(step) < term.rule.from_step * static_cast<double>(steps_)) continue;
     out.active |= 1U << i;
     out.count[i] = static_cast<double>(term.counted_rays(batch, rays));
     out.scale[i] = out.count[i] > 0 ? term.rule.weight / out.count[i] : 0;

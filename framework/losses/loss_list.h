@@ -33,14 +33,13 @@ struct LossScales {
 class LossList {
  public:
   LossList() = default;
-  /// `steps`: of the whole run, which from_step is a share of.
-  LossList(std::vector<LossEntry> entries, std::int64_t steps) : entries_(std::move(entries)), steps_(steps) {}
+  explicit LossList(std::vector<LossEntry> entries) : entries_(std::move(entries)) {}
 
   const std::vector<LossEntry>& entries() const { return entries_; }
   bool empty() const { return entries_.empty(); }
   /// Of all terms together, or of the active ones.
   LossTraits traits(std::uint32_t active = ~0U) const;
-  LossScales scales(std::int64_t step, const RayTargets& batch, std::int64_t rays) const;
+  LossScales scales(std::uint32_t active, const RayTargets& batch, std::int64_t rays) const;
   /// Adds the active terms' gradients; `sums` gets each one's sum, before weight and division, added.
   template <class Real>
   void add(const LossScales& scales, const RayTargets& targets, const RayValues<Real>& values,
@@ -50,7 +49,6 @@ class LossList {
 
  private:
   std::vector<LossEntry> entries_;
-  std::int64_t steps_ = 0;
 };
 
 }  // namespace semfield

@@ -51,7 +51,7 @@ struct LossValue {
 /// What every term of the list has.
 struct LossRule {
   double weight = 0;     ///< factor beside the colour loss
-  double from_step = 0;  ///< share of train.steps
+  double from_step = 0;  ///< share of train.steps (step_of_share)
 };
 
 struct LossTraits {

@@ -11,6 +11,7 @@
 #include "plugin/module_file.h"
 #include "run/checkpoint_store.h"
 #include "settings/run_identity.h"
+#include "settings/run_length.h"
 
 namespace semfield {
 
@@ -34,6 +35,13 @@ void require_same_run(const std::vector<ConfigDifference>& identity, const RunFo
               fmt::format("to resume that one: semfield train --resume {}{}; to train anew: semfield train {}{} "
                           "--out NEW_FOLDER",
                           shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
+}
+
+// What the run settled after the checkpoint, and the legs that it was asked for, are no changes of a setting.
+bool is_of_the_length(const std::string& key, bool was_open) {
+  return key.starts_with("train.schedule.legs") ||
+         (was_open && (key == "train.steps" || key == "train.time_s" || key == "train.schedule.hold_steps" ||
+                       key == "train.schedule.decay_steps"));
 }
 
 }  // namespace
@@ -67,8 +75,10 @@ ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, 
         "resume from another checkpoint of the run: move this file out of the folder");
   }
   std::vector<ConfigDifference> refused;
-  for (ConfigDifference& change : changed_settings(resolved_config(*before), resolved_config(config)))
+  for (ConfigDifference& change : changed_settings(resolved_config(*before), resolved_config(config))) {
+    if (is_of_the_length(change.key, last_step(*before) == 0)) continue;
     (may_change_on_resume(change.key) ? point.changed : refused).push_back(std::move(change));
+  }
   require_same_run(refused, folder);
   return point;
 }
@@ -108,7 +118,7 @@ bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfi
   std::vector<std::string> edited, asked;
   std::string back, keep;
   for (const ConfigDifference& change : changed_settings(resolved_config(*trained), resolved_config(config))) {
-    if (may_change_on_resume(change.key)) continue;
+    if (may_change_on_resume(change.key) || is_of_the_length(change.key, last_step(*trained) == 0)) continue;
     same_scene = same_scene && !change.key.starts_with("scene.");
     if (on_purpose.contains(change.key)) {
       asked.push_back(change.text());

@@ -8,6 +8,7 @@
 #include "core/text.h"
 #include "eval/final_eval.h"
 #include "eval/pixel_stride.h"
+#include "settings/run_length.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -30,7 +31,7 @@ RunScores::RunScores(const Session& session, const ScoreFiles& files, RunListene
       files_(files),
       listener_(listener),
       start_(start),
-      budget_(session.config.report.eval_share, session.config.train.time_limit_s),
+      budget_(session.config.report.eval_share, end_s(session.config)),
       test_(session.scene.frames_of(Split::test)) {}
 
 EvalJob RunScores::test_sample() const {
@@ -157,7 +158,7 @@ ScoreValues RunScores::score_test_frames(const Moment& at, EvalJob job) {
   const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
   if (!part.whole())
     listener_.note(
-        fmt::format("the last evaluation scores {} to end near the time limit (report.eval_share {}); "
+        fmt::format("the last evaluation scores {} to end near the time asked for (report.eval_share {}); "
                     "`semfield eval {}` scores all",
                     part.text(), session_.config.report.eval_share, shell_word(files_.folder.path())));
   report_frames_ =

@@ -23,6 +23,7 @@ OpenedForTraining open(RunConfig config, Registry& registry, const RunSessionOpt
   request.out_dir = options.run_dir;
   request.resume = options.resume;
   request.keep = options.keep;
+  request.more = options.more;
   LabelParams& labels = config.labels.selection;
   if (labels.clicks.empty() && labels.class_room > 0 && !options.run_dir.empty())
     labels.clicks = (fs::absolute(options.run_dir) / kClickFile).string();
@@ -82,6 +83,7 @@ std::span<const StepLosses> RunSession::advance(std::int64_t most, const std::fu
   const std::int64_t ahead =
       self_training_.steps_until_due(before, std::min(most, step_rows_->steps_until_row(before)));
   const std::span<const StepLosses> made = training_.advance(ahead);
+  if (training_.take_settled() && folder_) write_run_config(*folder_, session().config, registry_);
   for (std::size_t i = 0; i < made.size(); ++i) {
     const std::optional<MetricsRow> row =
         step_rows_->add(made[i], before + 1 + static_cast<std::int64_t>(i), training_.train_s());
@@ -90,6 +92,11 @@ std::span<const StepLosses> RunSession::advance(std::int64_t most, const std::fu
     if (log_) log_->append(*row);
   }
   return made;
+}
+
+void RunSession::train_more(const AskedLength& asked) {
+  training_.train_more(asked);
+  if (folder_) write_run_config(*folder_, session().config, registry_);
 }
 
 std::string RunSession::write_checkpoint(const RunFolder& folder) {
@@ -115,8 +122,8 @@ std::string RunSession::save(const std::string& run_dir) {
     return write_checkpoint(*folder_);
   }
   const bool again = place == saved_in_;
-  const std::string text = run_config_text(session().config, registry_);
-  training_.state();  // what cannot be stored leaves no folder
+  (void)run_config_text(session().config, registry_);  // what cannot be stored leaves no folder
+  training_.state();
   const RunFolder folder = again ? RunFolder::resume(place) : RunFolder::create(place);
   if (again) {
     const std::vector<CheckpointStore::Entry> there = CheckpointStore::read(folder.checkpoints_path()).list();
@@ -124,10 +131,9 @@ std::string RunSession::save(const std::string& run_dir) {
       throw Error(ErrorKind::data,
                   "somebody went on with the run in '" + place + "': its newest checkpoint is " + there.front().path,
                   "save this one in another folder");
-  } else {
-    write_file_atomic(folder.config_path(), text);
-    write_records(folder, {});
   }
+  write_run_config(folder, session().config, registry_);
+  if (!again) write_records(folder, {});
   MetricsLog log = MetricsLog::resume(folder.metrics_path(), 0);
   for (const MetricsRow& row : rows_) log.append(row);
   log.sync();

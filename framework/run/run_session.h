@@ -20,6 +20,7 @@ struct RunSessionOptions {
   std::string run_dir;            ///< made, or gone on with where `resume`; "": the run has no folder until save()
   bool resume = false;            ///< the configuration is run.yaml of run_dir, with overrides
   std::vector<std::string> keep;  ///< components forced back in
+  AskedLength more = {};          ///< TrainRequest::more
 };
 
 /// Steps have the bits of `semfield train`, and every verb works on the folder. One thread at a time.
@@ -36,6 +37,8 @@ class RunSession {
   /// At least one step and at most `most`: as many as run without waiting in between. A round of self-training that is
   /// due is made first; where `stop` ended it no step is made. Their losses, valid until the next call.
   std::span<const StepLosses> advance(std::int64_t most, const std::function<bool()>& stop);
+  /// Training::train_more; run.yaml of the run's folder says so.
+  void train_more(const AskedLength& asked);
   /// Training rows so far, as metrics.jsonl has them; of a run that goes on those since.
   const std::vector<MetricsRow>& rows() const { return rows_; }
 

@@ -74,6 +74,11 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
     folder.emplace(RunFolder::resume(request.out_dir));
     keep_components(config, request.keep);
     point = find_resume_point(*folder, config, registry, diagnostics);
+    if (request.more.any()) {
+      const std::string before = length_text(config);
+      ask_more(config, request.more, point.step(), point.facts ? point.facts->train_s : 0);
+      point.changed.push_back({"length", before, length_text(config)});
+    }
     require_scene_places(config, folder->path());
     require_clicks({point.facts.has_value(), point.facts ? point.facts->clicks : std::nullopt}, config.labels,
                    folder->path(), diagnostics);
@@ -84,10 +89,19 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
   if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
   tell_findings(listener, diagnostics, session);
   if (request.out_dir.empty()) return {std::nullopt, std::move(session), std::move(inputs), std::move(point)};
-  const std::string text = run_config_text(session.config, registry);
-  if (!folder) folder.emplace(RunFolder::create(request.out_dir));
-  if (!request.resume || read_text_file(folder->config_path()) != text) write_file_atomic(folder->config_path(), text);
+  if (!folder) {
+    (void)run_config_text(session.config, registry);  // what cannot be stored leaves no folder
+    folder.emplace(RunFolder::create(request.out_dir));
+  }
+  write_run_config(*folder, session.config, registry);
   return {std::move(*folder), std::move(session), std::move(inputs), std::move(point)};
+}
+
+void write_run_config(const RunFolder& folder, const RunConfig& config, Registry& registry) {
+  const std::string text = run_config_text(config, registry);
+  std::error_code unknown;
+  if (std::filesystem::exists(folder.config_path(), unknown) && read_text_file(folder.config_path()) == text) return;
+  write_file_atomic(folder.config_path(), text);
 }
 
 void write_label_counts(const RunFolder& folder, const Session& session, const SelfTraining& self_training) {

@@ -24,6 +24,9 @@ struct OpenedForTraining {
 OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
                                     TrainingListener& listener);
 
+/// run.yaml, as the session's configuration is now; nothing is written where the file says so already.
+void write_run_config(const RunFolder& folder, const RunConfig& config, Registry& registry);
+
 /// labels.json, with the rounds so far.
 void write_label_counts(const RunFolder& folder, const Session& session, const SelfTraining& self_training);
 

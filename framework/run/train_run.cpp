@@ -13,6 +13,7 @@
 #include "core/text.h"
 #include "eval/final_eval.h"
 #include "run/checkpoint_store.h"
+#include "run/ended_run.h"
 #include "run/rows/step_rows.h"
 #include "run/run_folder.h"
 #include "run/run_start.h"
@@ -34,12 +35,18 @@ constexpr double kProgressEvery_s = 0.2;
 // A process that is asked to end gets at least this before it is killed; the loop looks at the signal after each step.
 constexpr double kStopDeadline_s = 10;
 
+// As long again as it trained.
+std::string train_on_words(const std::string& run_dir, double train_s) {
+  return fmt::format("semfield train --resume {} --time {:.0f}s", shell_word(run_dir), std::ceil(train_s));
+}
+
 // The run's moving parts while it trains.
 class Run {
  public:
-  Run(RunFolder folder, Session opened, const Registry& registry, RunListener& listener, ResumePoint point,
+  Run(RunFolder folder, Session opened, Registry& registry, RunListener& listener, ResumePoint point,
       SceneInputs inputs)
-      : listener_(listener),
+      : registry_(registry),
+        listener_(listener),
         folder_(std::move(folder)),
         training_(std::move(opened), &listener, std::move(inputs)),
         checkpoints_(folder_.checkpoints_path(), session().config.report.keep_checkpoints),
@@ -65,7 +72,10 @@ class Run {
     rows_.leave_out(training_.train_s());
     note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", point_.step(), training_.train_s(),
                      point_.path));
-    say_if_done();
+    // Its last evaluation may have been cut off, and settings of the page may be others now.
+    if (training_.at_its_end())
+      note(fmt::format("the run has come to its end, {} steps: it is scored again, not trained; to train on: {}",
+                       training_.step(), train_on_words(folder_.path(), training_.train_s())));
   }
 
   /// A write that fails ends the run; the message then tells what is left of it.
@@ -100,6 +110,7 @@ class Run {
     scores_.emplace(session(), ScoreFiles{folder_, log, events}, listener_, moment());
     const RunConfig& config = session().config;
     last_checkpoint_ = last_progress_ = Clock::now();
+    const double start_s = training_.train_s();
     next_eval_s_ = config.report.eval_every_s > 0
                        ? (std::floor(training_.train_s() / config.report.eval_every_s) + 1) * config.report.eval_every_s
                        : INFINITY;
@@ -123,20 +134,21 @@ class Run {
     outcome.signal = signal;
     outcome.step = training_.step();
     outcome.train_s = training_.train_s();
+    outcome.trained_s = training_.train_s() - start_s;
     outcome.run_dir = folder_.path();
     outcome.peak_bytes = peak_resident_bytes();
     if (signal == 0) outcome.report_path = listener_.write_report(folder_, session(), scores_->report_frames());
     return outcome;
   }
 
-  // Until the last step, the time limit or a stop.
+  // Until the last step or a stop.
   void make_steps() {
     const RunConfig& config = session().config;
-    while (training_.step() < config.train.steps &&
-           (config.train.time_limit_s <= 0 || training_.train_s() < config.train.time_limit_s)) {
+    while (!training_.at_its_end()) {
       if (self_training_.due(training_.step()) && !make_round()) break;
       const double before_s = training_.train_s();
       const std::span<const StepLosses> steps = training_.advance(steps_until_row());
+      if (training_.take_settled()) write_run_config(folder_, config, registry_);
       const double step_s = (training_.train_s() - before_s) / static_cast<double>(steps.size());
       if (step_s > kStopDeadline_s && !warned_of_slow_steps_) {
         warned_of_slow_steps_ = true;
@@ -164,34 +176,15 @@ class Run {
 
   RunScores::Moment moment() const { return {training_.step(), training_.train_s()}; }
 
-  // A resume that has nothing to train is no mistake (its evaluation may have been cut off), but it is said.
-  void say_if_done() const {
-    const TrainParams& train = session().config.train;
-    const std::int64_t step = training_.step();
-    std::string done, more;
-    if (step >= train.steps) {
-      done = fmt::format("{} steps where train.steps is {}", step, train.steps);
-      more = fmt::format(" --steps {}", 2 * std::max<std::int64_t>(step, 1));
-    }
-    if (train.time_limit_s > 0 && training_.train_s() >= train.time_limit_s) {
-      done += fmt::format("{}{:.1f} s of training where train.time_limit_s is {}", done.empty() ? "" : " and ",
-                          training_.train_s(), train.time_limit_s);
-      more += fmt::format(" --time {:.0f}s", std::ceil(2 * training_.train_s()));
-    }
-    if (done.empty()) return;
-    note(fmt::format(
-        "the run already has {}: it is evaluated again, not trained; to train on: semfield train --resume {}{}", done,
-        shell_word(folder_.path()), more));
-  }
-
   const Session& session() const { return training_.session(); }
   void note(const std::string& text) const { listener_.note(text); }
 
   // Steps to the next row of the log, the next round of self-training, or the end.
   std::int64_t steps_until_row() const {
     const std::int64_t step = training_.step();
-    return self_training_.steps_until_due(step,
-                                          std::min(rows_.steps_until_row(step), session().config.train.steps - step));
+    std::int64_t most = rows_.steps_until_row(step);
+    if (const std::int64_t end = training_.last_step(); end > 0) most = std::min(most, end - step);
+    return self_training_.steps_until_due(step, most);
   }
 
   // What it takes is training. False: a stop was asked for, and the round waits for the resume.
@@ -230,12 +223,12 @@ class Run {
   }
 
   void report_progress(const StepLosses& losses, double psnr, double rays_per_s) {
-    if (seconds_since(last_progress_) < kProgressEvery_s && training_.step() < session().config.train.steps) return;
+    if (seconds_since(last_progress_) < kProgressEvery_s && !training_.at_its_end()) return;
     last_progress_ = Clock::now();
     const RunConfig& config = session().config;
     TrainProgress p;
     p.step = training_.step();
-    p.steps = config.train.steps;
+    p.steps = training_.last_step();
     p.loss = losses.total;
     for (std::size_t i = 0; i < config.losses.size(); ++i)
       if ((losses.active >> i & 1U) != 0) p.terms.emplace_back(config.losses[i].type, losses.terms[i]);
@@ -245,12 +238,12 @@ class Run {
     p.rays_per_s = rays_per_s;
     p.train_s = training_.train_s();
     const double per_step = training_.train_s() / static_cast<double>(std::max<std::int64_t>(p.step, 1));
-    p.remaining_s = per_step * static_cast<double>(p.steps - p.step);
-    if (config.train.time_limit_s > 0)
-      p.remaining_s = std::min(p.remaining_s, config.train.time_limit_s - training_.train_s());
+    p.remaining_s =
+        p.steps > 0 ? per_step * static_cast<double>(p.steps - p.step) : end_s(config) - training_.train_s();
     listener_.progress(p);
   }
 
+  Registry& registry_;
   RunListener& listener_;
   RunFolder folder_;
   Training training_;
@@ -273,6 +266,13 @@ class Run {
 TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* told) {
   RunListener nobody;
   RunListener& listener = told != nullptr ? *told : nobody;
+  if (request.resume && !request.more.any() && request.keep.empty()) {
+    if (std::optional<TrainOutcome> ended = ended_run(config, registry, request.out_dir)) {
+      listener.note(fmt::format("the run has come to its end, {} steps, and nothing of it was changed; to train on: {}",
+                                ended->step, train_on_words(ended->run_dir, ended->train_s)));
+      return *ended;
+    }
+  }
   OpenedForTraining opened = open_for_training(std::move(config), registry, request, listener);
   Run run(std::move(*opened.folder), std::move(opened.session), registry, listener, std::move(opened.point),
           std::move(opened.inputs));

@@ -10,7 +10,7 @@
 #include "run/run_listener.h"
 #include "run/run_scores.h"
 #include "session/training.h"
-#include "settings/run_config.h"
+#include "settings/run_length.h"
 
 namespace semfield {
 
@@ -19,12 +19,14 @@ struct TrainRequest {
   bool resume = false;            ///< go on in out_dir from its newest checkpoint that verifies
   std::vector<std::string> keep;  ///< components forced back in
   Ranks* ranks = nullptr;         ///< SessionOptions::ranks
+  AskedLength more = {};          ///< with `resume`: what it trains from its checkpoint on; neither: to its end
 };
 
 struct TrainOutcome {
   int signal = 0;  ///< the signal that ended the run early, after its checkpoint
   std::int64_t step = 0;
-  double train_s = 0;
+  double train_s = 0;    ///< seconds of training of the whole run
+  double trained_s = 0;  ///< of them, those of this call
   std::string run_dir;
   std::string report_path;     ///< "" where the run was stopped or no report was asked for
   ScoreValues values;          ///< test split, final evaluation

@@ -50,8 +50,9 @@ std::vector<std::uint64_t> checksums(const Annotations& annotations, std::size_t
 
 }  // namespace
 
-LabelRun::LabelRun(OpenedForTraining opened, const Registry& registry, TrainingListener* listener)
-    : folder_(std::move(*opened.folder)),
+LabelRun::LabelRun(OpenedForTraining opened, Registry& registry, TrainingListener* listener)
+    : registry_(registry),
+      folder_(std::move(*opened.folder)),
       training_(std::move(opened.session), listener, std::move(opened.inputs)),
       loop_(training_, training_.session().drawn_frames(), {}),
       pictures_(training_, loop_),
@@ -196,9 +197,7 @@ void LabelRun::ask() {
 }
 
 bool LabelRun::still_learns() const {
-  const std::int64_t until =
-      std::max(session().config.train.steps, changed_step_ >= 0 ? changed_step_ + kAfterChange : 0);
-  return training_.step() < until;
+  return !training_.at_its_end() || (changed_step_ >= 0 && training_.step() < changed_step_ + kAfterChange);
 }
 
 bool LabelRun::train(double budget_s) {
@@ -208,6 +207,7 @@ bool LabelRun::train(double budget_s) {
   std::int64_t made = 0;
   while (made < most) {
     const std::span<const StepLosses> steps = training_.advance(most - made);
+    if (training_.take_settled()) write_run_config(folder_, session().config, registry_);
     made += std::ssize(steps);
     record(steps);
   }
@@ -246,7 +246,7 @@ void LabelRun::record(std::span<const StepLosses> steps) {
 }
 
 bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
-  if (training_.step() < std::min(kFirstSurface, session().config.train.steps)) return false;
+  if (training_.step() < kFirstSurface && !training_.at_its_end()) return false;
   const Clock::time_point start = Clock::now();
   const bool trains = still_learns(), was_ready = loop_.ready();
   bool changed = false;

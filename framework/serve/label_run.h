@@ -21,7 +21,7 @@ namespace semfield {
 class LabelRun {
  public:
   /// `opened` has room for classes (scene.labels.class_room), so its network has semantics.
-  LabelRun(OpenedForTraining opened, const Registry& registry, TrainingListener* listener);
+  LabelRun(OpenedForTraining opened, Registry& registry, TrainingListener* listener);
 
   const Session& session() const { return training_.session(); }
   const RunFolder& folder() const { return folder_; }
@@ -66,6 +66,7 @@ class LabelRun {
   void name_pixels(const Annotations& annotations, std::span<const int> changed);
   std::vector<LabelledPixels> given_labels() const;
 
+  Registry& registry_;
   RunFolder folder_;
   Training training_;
   LabelLoop loop_;

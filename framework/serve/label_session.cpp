@@ -82,7 +82,7 @@ OpenedForTraining open_labelling(RunConfig config, Registry& registry, const Lab
 }  // namespace
 
 struct LabelSession::Parts {
-  Parts(OpenedForTraining opened, const Registry& registry, Noting& noting, TrainingListener* listener)
+  Parts(OpenedForTraining opened, Registry& registry, Noting& noting, TrainingListener* listener)
       : notes(std::move(noting.warnings)),
         annotations(*opened.session.config.labels.clicks),
         log([&] {

@@ -172,7 +172,7 @@ PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
   options.tile_rays = config.runtime.tile_rays;
   options.lanes = config.runtime.lanes;
   options.lanes = lanes_of<Real>(pointers_to(passes), options, config.train.rays);
-  options.losses = LossList(config.losses, config.train.steps);
+  options.losses = LossList(config.losses);
   options.head_on_all_rays = plan.head_on_unlabelled_rays;
   return options;
 }

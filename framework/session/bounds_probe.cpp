@@ -7,6 +7,7 @@
 
 #include "loading/load_progress.h"
 #include "session/trainer.h"
+#include "settings/run_length.h"
 
 namespace semfield {
 
@@ -34,12 +35,13 @@ SurveyPoints look(const Session& s, const FrameInfo& info, double downscale) {
 
 bool probe_is_due(const Session& s) {
   const std::int64_t steps = s.config.load.probe_steps;
-  return s.scene.extent_is_guessed && steps > 0 && s.config.train.steps >= kShortestRun * steps;
+  const std::int64_t end = last_step(s.config);  // 0: a time is given, and the probe is no part of it
+  return s.scene.extent_is_guessed && steps > 0 && (end == 0 || end >= kShortestRun * steps);
 }
 
 std::optional<SurveyedExtent> probe_extent(Session& s) {
   const std::unique_ptr<RaySource> rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
   const std::int64_t steps = s.config.load.probe_steps;
   while (trainer.step() < steps) {
     trainer.advance_many(steps - trainer.step());

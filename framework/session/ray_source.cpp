@@ -35,6 +35,7 @@ RayBatch BatchBuffers::view(bool with_labels) const {
   if (with_labels && soft_classes > 0) batch.soft = {soft.data(), rays, soft_classes};
   if (!depth.empty()) batch.depth = {depth.data(), rays, 1};
   batch.label_only_share = label_only_share;
+  batch.terms = terms;
   return batch;
 }
 

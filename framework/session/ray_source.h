@@ -41,6 +41,7 @@ struct BatchBuffers {
   std::int32_t soft_classes = 0;    ///< 0: labels are hard
   std::vector<float> depth;         ///< RayBatch::depth
   double label_only_share = 0;      ///< RayBatch::label_only_share
+  std::uint32_t terms = ~0U;        ///< RayBatch::terms
   struct Choice {
     TrainPixel pixel;
     std::int16_t label = 0;

@@ -73,10 +73,12 @@ std::optional<std::int64_t> step_of_file(const std::string& name) {
 
 }  // namespace
 
-std::vector<std::int64_t> round_steps(const SelfTrainingParams& params, std::int64_t steps) {
+std::vector<std::int64_t> round_steps(const RunConfig& config) {
   std::vector<std::int64_t> out;
-  for (const double share : params.at) {
-    const std::int64_t step = std::max<std::int64_t>(1, std::llround(share * static_cast<double>(steps)));
+  if (config.train.steps <= 0) return out;
+  for (const double share : config.self_training.at) {
+    const std::int64_t nearest = std::llround(share * static_cast<double>(config.train.steps));
+    const std::int64_t step = std::max({std::int64_t{1}, config.schedule.hold_steps, nearest});
     if (out.empty() || step > out.back()) out.push_back(step);
   }
   return out;
@@ -95,12 +97,12 @@ std::string SelfTraining::path_of(std::int64_t step) const {
 
 bool SelfTraining::due(std::int64_t step) const {
   if (!session_.plan.semantics || (!rounds_.empty() && rounds_.back().step >= step)) return false;
-  const std::vector<std::int64_t> all = round_steps(session_.config.self_training, session_.config.train.steps);
+  const std::vector<std::int64_t> all = round_steps(session_.config);
   return std::find(all.begin(), all.end(), step) != all.end();
 }
 
 std::int64_t SelfTraining::steps_until_due(std::int64_t step, std::int64_t most) const {
-  for (const std::int64_t next : round_steps(session_.config.self_training, session_.config.train.steps)) {
+  for (const std::int64_t next : round_steps(session_.config)) {
     if (next > step) return std::min(most, next - step);
   }
   return most;

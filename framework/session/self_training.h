@@ -13,8 +13,9 @@
 
 namespace semfield {
 
-/// The step of each round, ascending, each once: `at` times `steps`, to the nearest whole step from 1 on.
-std::vector<std::int64_t> round_steps(const SelfTrainingParams& params, std::int64_t steps);
+/// The step of each round, ascending, each once: `at` times train.steps, to the nearest whole step from 1 on, and never
+/// before the rate's first fall; none while train.steps is not settled.
+std::vector<std::int64_t> round_steps(const RunConfig& config);
 
 /// Bytes that the labels of a round take in memory and, about, on disk.
 std::size_t self_label_bytes(std::int64_t train_pixels, int classes);

@@ -15,6 +15,7 @@
 #include "session/ranks_session.h"
 #include "session/trained_classes.h"
 #include "settings/loss_config.h"
+#include "settings/run_length.h"
 #include "system/memory_limit.h"
 
 namespace semfield {
@@ -240,6 +241,13 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
                                               ? "auto is bf16 here, which this machine computes faster"
                                               : "auto is fp32 here: no faster kernels of bf16");
   }
+  if (options.trainable) {
+    if (const std::string length = resolve_length(config, device.kind); !length.empty() && options.build)
+      diagnostics.note("train.steps", length);
+    Diagnostics never;
+    check_length(config, never);
+    never.throw_if_errors(ErrorKind::config, "");
+  }
   Session s = load_session(std::move(config), registry, options, chosen, diagnostics);
   s.memory_facts.program = program_bytes;
   if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, diagnostics);
@@ -362,9 +370,11 @@ std::string describe_session(const Session& s) {
           "pass      {}: {}{}", pass.parts().name, slots,
           pass.parts().head ? fmt::format(", {} classes", pass.parts().head->classes()) : ", no semantics"));
     }
-    add(fmt::format("learned   {} parameters; {} steps of {} rays, tiles of {}, {} lanes, {} threads",
-                    s.pipeline->store().learned_count(), s.config.train.steps, s.config.train.rays,
-                    s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
+    add(fmt::format(
+        "learned   {} parameters; {} of {} rays, tiles of {}, {} lanes, {} threads",
+        s.pipeline->store().learned_count(),
+        (last_step(s.config) > 0 ? "" : "as many steps as fit into ") + length_text(s.config),
+        s.config.train.rays, s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
     out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
   }
   for (const std::string& line : s.choices()) add("chosen    " + line);

@@ -56,8 +56,21 @@ void copy_into(const TensorRef& from, const AlignedBuffer<float>& to) {
 }  // namespace
 
 Trainer::Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam,
-                 const ScheduleParams& schedule)
-    : pipeline_(pipeline), rays_(rays), adam_(adam), schedule_(schedule) {}
+                 const ScheduleParams& schedule, std::int64_t steps)
+    : pipeline_(pipeline), rays_(rays), adam_(adam), schedule_(schedule), steps_(steps) {}
+
+void Trainer::set_length(const ScheduleParams& schedule, std::int64_t steps) {
+  schedule_ = schedule;
+  steps_ = steps;
+}
+
+std::uint32_t Trainer::terms_of(std::int64_t step) const {
+  std::uint32_t terms = 0;
+  const std::vector<LossEntry>& entries = pipeline_.options().losses.entries();
+  for (std::size_t i = 0; i < entries.size(); ++i)
+    if (step >= step_of_share(entries[i].term->rule.from_step, steps_, schedule_)) terms |= 1U << i;
+  return terms;
+}
 
 StepLosses Trainer::advance() { return advance_many(1).back(); }
 
@@ -75,6 +88,7 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
     try {
       has_batch = false;
       rays_.fill(step, batch_);
+      batch_.terms = terms_of(step);
       has_batch = true;
       executor.queue(step, batch_.view(pipeline_.has_semantics()), adam_step(adam_, rate, step));
     } catch (const RankLost&) {
@@ -104,6 +118,7 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
 void Trainer::explain_failed_step() {
   collect();
   rays_.fill(step_, batch_);
+  batch_.terms = terms_of(step_);
   try {
     (void)pipeline_.lanes().checked_gradients(step_, batch_.view(pipeline_.has_semantics()));
   } catch (const Error& error) {

@@ -19,11 +19,15 @@ inline constexpr std::int64_t kDeadSteps = 100;
 
 class Trainer {
  public:
-  /// Borrows all; the pipeline must be trainable. Steps run on its executor.
-  Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam, const ScheduleParams& schedule);
+  /// Borrows all; the pipeline must be trainable. Steps run on its executor. `steps`: of the run, which shares are of;
+  /// 0: not known yet, so that terms of the loss that wait for a share of them wait.
+  Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam, const ScheduleParams& schedule,
+          std::int64_t steps = 0);
 
   /// Steps done so far.
   std::int64_t step() const { return step_; }
+  /// From the next step on.
+  void set_length(const ScheduleParams& schedule, std::int64_t steps);
 
   /// One step: batch, losses, gradients, checks, Adam, derived tensors, samplers' observe. A value of a ray, a
   /// gradient, a parameter, a moment or a state that is not finite (or too large for an update) throws Error: it names
@@ -55,11 +59,13 @@ class Trainer {
   [[noreturn]] void explain_failed_step();
   void note_density(const StepLosses& losses);
   void check_alive() const;
+  std::uint32_t terms_of(std::int64_t step) const;
 
   Pipeline<float>& pipeline_;
   const RaySource& rays_;
   AdamParams adam_;
   ScheduleParams schedule_;
+  std::int64_t steps_ = 0;  // of the run
   std::int64_t step_ = 0;
   BatchBuffers batch_;
   std::int64_t dead_steps_ = 0;  // in a row

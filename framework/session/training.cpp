@@ -32,7 +32,11 @@ Error no_logit(const std::string& place, const std::string& name) {
                "open it with runtime.keep: [semantics, absent_classes]");
 }
 
+double steady_s() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+
 }  // namespace
+
+double TrainingListener::step_clock_s() { return steady_s(); }
 
 void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session) {
   for (const Diagnostic& finding : folded(diagnostics)) {
@@ -56,11 +60,49 @@ Training::Training(Session session, TrainingListener* listener, std::optional<Sc
         const WorkScope scope(work_);
         return session_.make_ray_source();
       }()),
-      trainer_(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule),
+      trainer_(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule, session_.config.train.steps),
       was_set_(session_.scene.frames.size(), false),
       modules_(module_checksums(session_.config.plugins)),
       inputs_(std::move(inputs)) {
   if (session_.config.labels.clicks) clicks_ = session_.config.labels.clicks->known();
+  start_pace();
+}
+
+std::int64_t Training::last_step() const { return semfield::last_step(session_.config); }
+
+double Training::clock_s() const { return listener_ != nullptr ? listener_->step_clock_s() : steady_s(); }
+
+void Training::start_pace() {
+  pace_.reset();
+  if (last_step() == 0 && end_s(session_.config) > 0) pace_.emplace(train_s_, end_s(session_.config));
+}
+
+void Training::train_more(const AskedLength& asked) {
+  ask_more(session_.config, asked, step(), train_s_);
+  trainer_.set_length(session_.config.schedule, session_.config.train.steps);
+  start_pace();
+}
+
+void Training::settle_length() {
+  if (!pace_) return;
+  const std::optional<std::int64_t> end = pace_->made(step(), train_s_, last_step());
+  if (!end) return;
+  const bool anew = last_step() > 0;
+  RunConfig& config = session_.config;
+  settle(config, step(), *end);
+  trainer_.set_length(config.schedule, config.train.steps);
+  settled_ = true;
+  if (listener_ == nullptr) return;
+  const double rate = pace_->steps_per_s();
+  listener_->note(
+      fmt::format("the length is settled{}: {} steps for {:.4g} s of training{}; the learning rate falls from step {} "
+                  "on, to {:.4g} of "
+                  "the first; run.yaml has the numbers",
+                  anew ? " anew" : "", *end, end_s(config),
+                  rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : "", step(), config.schedule.factor));
+  Diagnostics never;
+  check_length(config, never);
+  for (const Diagnostic& finding : never.all()) listener_->note("warning: " + finding.message);
 }
 
 const SceneInputs& Training::inputs() {
@@ -70,12 +112,12 @@ const SceneInputs& Training::inputs() {
 }
 
 std::span<const StepLosses> Training::advance(std::int64_t most) {
-  using Clock = std::chrono::steady_clock;
   const WorkScope scope(work_);
-  const Clock::time_point start = Clock::now();
+  const double start_s = clock_s();
   const std::span<const StepLosses> made = trainer_.advance_many(most);
-  train_s_ += std::chrono::duration<double>(Clock::now() - start).count();
+  train_s_ += clock_s() - start_s;
   losses_ = made.back();
+  settle_length();
   if (listener_ == nullptr) return made;
   for (const std::string& note : session_.pipeline->executor().take_notes()) listener_->note(note);
   listener_->stepped(step(), losses_);
@@ -266,6 +308,7 @@ void Training::load(const std::string& path) {
   }
   trainer_.load(file, facts.step);
   train_s_ = facts.train_s;
+  start_pace();
 }
 
 }  // namespace semfield

@@ -7,12 +7,15 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "session/checkpoint_facts.h"
 #include "session/ray_source.h"
 #include "session/session.h"
 #include "session/trainer.h"
+#include "settings/pace.h"
+#include "settings/run_length.h"
 
 namespace semfield {
 
@@ -27,6 +30,8 @@ class TrainingListener {
   virtual void note(const std::string&) {}
   /// A finding that something may be wrong.
   virtual void warning(const std::string& text) { note(text); }
+  /// A clock for what steps take; it never runs back.
+  virtual double step_clock_s();
   /// `step` steps are made; these are the losses of the last of them.
   virtual void stepped(std::int64_t /*step*/, const StepLosses&) {}
 };
@@ -58,6 +63,14 @@ class Training {
   double train_s() const { return train_s_; }
   /// Seconds of work between steps that is training too.
   void add_train_s(double seconds) { train_s_ += seconds; }
+  /// Steps of the run at its end; 0 while they are not settled. A configuration that asks for seconds settles them,
+  /// with the schedule, by the rate of its own steps: session().config then has them.
+  std::int64_t last_step() const;
+  bool at_its_end() const { return last_step() > 0 && step() >= last_step(); }
+  /// ask_more of this training: what it trains from its present step on.
+  void train_more(const AskedLength& asked);
+  /// Whether the length was settled since the last call: run.yaml has to say so before another step is made.
+  bool take_settled() { return std::exchange(settled_, false); }
 
   /// At least one step and at most `most`: as many as run without waiting in between. Their losses, in order, valid
   /// until the next call. Errors are Trainer::advance's.
@@ -100,6 +113,9 @@ class Training {
  private:
   std::string set_labels_name() const;
   void require_drawn(int frame) const;
+  void start_pace();
+  void settle_length();
+  double clock_s() const;
 
   Session session_;
   WorkSettings work_;
@@ -108,6 +124,8 @@ class Training {
   Trainer trainer_;
   StepLosses losses_;
   double train_s_ = 0;
+  std::optional<Pace> pace_;
+  bool settled_ = false;
   std::atomic<bool> cancelled_{false};
   std::optional<EventsKnown> clicks_;  // whose labels train
   std::vector<bool> was_set_;          // by frame: its labels are those of set_labels

@@ -12,12 +12,18 @@
 #include "settings/label_config.h"
 #include "settings/loss_config.h"
 #include "settings/pass_config.h"
+#include "settings/run_length.h"
 
 namespace semfield {
 
 void describe(ParamVisitor& visit, TrainParams& p) {
-  SEMFIELD_PARAM(visit, p, steps, "optimiser steps of the run", {0, 1e9});
-  SEMFIELD_PARAM(visit, p, time_limit_s, "seconds of training after which the run ends early; 0: no limit", {0, 1e8});
+  SEMFIELD_PARAM(
+      visit, p, steps,
+      "optimiser steps of the run; 0: as many as fit into time_s, or without it 3000 on a CPU and 20000 on a "
+      "GPU, and run.yaml has the number",
+      {0, 1e9});
+  SEMFIELD_PARAM(visit, p, time_s,
+                 "seconds of training that steps and schedule are settled for where steps is 0; 0: none", {0, 1e8});
   SEMFIELD_PARAM(visit, p, rays, "rays per step", {1, 1 << 20});
   SEMFIELD_PARAM(visit, p, ray_source, "where a step's rays come from");
   SEMFIELD_PARAM(visit, p, labelled_share, "share of rays from labelled pixels, for label_balanced", {0, 1});
@@ -90,7 +96,7 @@ void describe(ParamVisitor& visit, ReportParams& p) {
   SEMFIELD_PARAM(
       visit, p, eval_share,
       "share of the training time that evaluation may take; to stay within it, evaluations become rarer and read "
-      "fewer pixels, and the last one before a time limit scores fewer frames and says so; 0: no bound",
+      "fewer pixels, and the last one of a run with train.time_s scores fewer frames and says so; 0: no bound",
       {0, 1e6});
   SEMFIELD_PARAM(visit, p, checkpoint_every_s, "seconds between checkpoints; 0: only at the end", {0, 1e8});
   SEMFIELD_PARAM(visit, p, keep_checkpoints, "checkpoints that stay on disk", {2, 1e6});
@@ -139,6 +145,7 @@ std::vector<std::string> top_keys() {
 // Sub-sections of a section, which are keys of its map but no parameters.
 std::vector<std::string> nested_keys(std::string_view path) {
   if (path == "train") return {"adam", "schedule", "self_training"};
+  if (path == "train.schedule") return {"legs"};
   if (path == "scene.labels") return {"from", "degrade"};
   return {};
 }
@@ -193,8 +200,23 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
   if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
 }
 
+// Runs of earlier versions have a limit beside a number of steps: what it says of their last evaluation still holds.
+ConfigNode with_former_limit(const ConfigNode& tree, Diagnostics& diagnostics) {
+  const ConfigNode* train = tree.find("train");
+  const ConfigNode* limit = train != nullptr && train->is_map() ? train->find("time_limit_s") : nullptr;
+  if (limit == nullptr) return tree;
+  if (tree.find("base_dir") == nullptr || train->find("time_s") != nullptr) {
+    diagnostics.error(limit->key_location().text(), "train: time_limit_s is gone: a run ends at its steps",
+                      "write train: {steps: 0, time_s: SECONDS} to have steps and schedule settled for a time");
+  }
+  ConfigNode now = train->without("time_limit_s");
+  if (now.find("time_s") == nullptr) now = now.with("time_s", *limit);
+  return tree.with("train", now);
+}
+
 // Runs of earlier versions say who multiplies matrices. What they say of our own kernels still holds.
-ConfigNode without_former_keys(const ConfigNode& tree, Diagnostics& diagnostics) {
+ConfigNode without_former_keys(const ConfigNode& written, Diagnostics& diagnostics) {
+  const ConfigNode tree = with_former_limit(written, diagnostics);
   const ConfigNode* runtime = tree.find("runtime");
   const ConfigNode* gemm = runtime != nullptr && runtime->is_map() ? runtime->find("gemm") : nullptr;
   if (gemm == nullptr) return tree;
@@ -254,6 +276,8 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
     read_params(
         *node, path, [&](ParamVisitor& visit) { describe(visit, params); }, diagnostics, nested_keys(path));
   });
+  if (const ConfigNode* legs = find_path(tree, "train.schedule.legs"))
+    config.schedule.legs = read_legs(*legs, diagnostics);
   if (const ConfigNode* labels = find_path(tree, "scene.labels"); labels != nullptr && labels->is_map())
     anchor_click_file(*labels, of_a_run, config.labels);
   validate_section(tree, "scene.labels", config.labels.selection, diagnostics);
@@ -295,6 +319,7 @@ ConfigNode resolved_config(const RunConfig& config) {
     if (std::string_view(path) == "scene.labels") section = with_label_steps(section, config.labels);
     tree = with_path(tree, path, section);
   });
+  if (!config.schedule.legs.empty()) tree = with_path(tree, "train.schedule.legs", legs_config(config.schedule.legs));
   if (!config.losses.empty()) tree = tree.with("losses", losses_config(config.losses));
   std::vector<ConfigNode> passes;
   for (const PassConfig& pass : config.passes) passes.push_back(pass_config(pass));
@@ -313,6 +338,11 @@ std::vector<SectionDoc> describe_sections() {
   each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
     docs.push_back({path, sentence, describe_params([&](ParamVisitor& visit) { describe(visit, params); })});
   });
+  ScheduleLeg leg;
+  docs.push_back(
+      {"train.schedule.legs[]",
+       "written by runs that go on for longer than they were asked to at first: a list of what they train then",
+       describe_params([&](ParamVisitor& visit) { describe(visit, leg); })});
   SemanticBranchConfig branch;
   docs.push_back({"passes[].semantic",
                   "a network of its own for semantics, beside its plugins `position` and `field`, or a list of them "

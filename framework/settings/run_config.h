@@ -33,7 +33,7 @@ struct ChoiceNames<RaySourceKind> {
 
 struct TrainParams {
   std::int64_t steps = 20000;
-  double time_limit_s = 0;
+  double time_s = 0;
   std::int64_t rays = 1024;
   RaySourceKind ray_source = RaySourceKind::all_images;
   double labelled_share = 0.5;

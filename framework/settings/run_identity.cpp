@@ -15,7 +15,7 @@ namespace {
 
 // Sections ("report.") and single keys; see is_part_of_identity. Where data lie is no part of it, what they are is: a
 // checkpoint keeps that (checkpoint_facts.h).
-constexpr std::array<std::string_view, 19> kFree{"name",
+constexpr std::array<std::string_view, 22> kFree{"name",
                                                  "base_dir",
                                                  "plugins",
                                                  "report.",
@@ -23,7 +23,10 @@ constexpr std::array<std::string_view, 19> kFree{"name",
                                                  "propagate.",
                                                  "limits.",
                                                  "train.steps",
-                                                 "train.time_limit_s",
+                                                 "train.time_s",
+                                                 "train.schedule.decay_steps",
+                                                 "train.schedule.hold_steps",
+                                                 "train.schedule.legs.",
                                                  "runtime.threads",
                                                  "runtime.memory_gb",
                                                  "runtime.device",

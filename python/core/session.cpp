@@ -147,7 +147,17 @@ py::list PySession::rows() const {
   return out;
 }
 
-py::dict PySession::train(std::int64_t steps) {
+std::int64_t PySession::steps_left() const {
+  const std::int64_t end = last_step(session().config);
+  return end == 0 ? -1 : std::max<std::int64_t>(0, end - step());
+}
+
+void PySession::train_more(std::int64_t steps, double seconds) {
+  RunSession& run = training();
+  computed([&] { run.train_more({steps, seconds}); });
+}
+
+py::dict PySession::train(std::int64_t steps, bool to_end) {
   RunSession& run = training();
   StepLosses sum;
   std::int64_t made = 0;
@@ -155,7 +165,7 @@ py::dict PySession::train(std::int64_t steps) {
   Interrupt interrupt;
   const double before_s = train_s();
   computed([&] {
-    while (made < steps && !interrupt.came()) {
+    while (made < steps && !interrupt.came() && !(to_end && run.training().at_its_end())) {
       for (const StepLosses& losses : run.advance(steps - made, [&] { return interrupt.came(); })) {
         ++made;
         sum.total += losses.total;

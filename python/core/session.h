@@ -54,7 +54,11 @@ class PySession {
 
   /// {steps, loss, color, semantic, mse, samples, labelled, correct, terms, seconds}: means over the steps made, which
   /// are fewer than asked for after Ctrl-C; then the interrupt is raised, with the session as after the last step.
-  py::dict train(std::int64_t steps);
+  /// `to_end`: not beyond the end of the run's length.
+  py::dict train(std::int64_t steps, bool to_end);
+  /// Steps to the end of the run's length; -1 while it is not settled.
+  std::int64_t steps_left() const;
+  void train_more(std::int64_t steps, double seconds);
   std::string save(const std::string& run_dir);
   py::dict parameters();
   void set_labels(int frame, const py::object& ids);

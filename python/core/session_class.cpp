@@ -78,7 +78,6 @@ py::dict facts_of(const PySession& self) {
   const DeviceId device = s.pipeline->executor().device();
   out["cuda"] = device.kind == Device::cuda ? device.ordinal : -1;
   out["has_semantics"] = s.pipeline->has_semantics();
-  out["steps"] = s.config.train.steps;
   py::list left_out;
   for (const LeftOut& part : s.plan.left_out)
     left_out.append(py::make_tuple(part.component, part.rule, part.evidence, part.saving));
@@ -109,6 +108,8 @@ void define_session(py::module_& module) {
       .def("notes", &PySession::notes)
       .def("rows", &PySession::rows)
       .def("train", &PySession::train)
+      .def("train_more", &PySession::train_more)
+      .def_property_readonly("steps_left", &PySession::steps_left)
       .def("save", &PySession::save)
       .def("parameters", &PySession::parameters)
       .def("set_labels", &PySession::set_labels)

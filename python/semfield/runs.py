@@ -34,19 +34,21 @@ class _Closed:
 class Training(Iterator[Step]):
     """Steps that are made while somebody asks for them: ``for step in run.train(3000)``, or ``run.train(3000).last()``."""
 
-    def __init__(self, run: "Run", steps: int, every: int) -> None:
+    def __init__(self, run: "Run", steps: Optional[int], every: int) -> None:
         self._run = run
-        self._left = steps
+        self._left = steps  # None: to the end of the run's length
         self._every = every
         self._asked = steps == 0
 
     def __next__(self) -> Step:
         self._asked = True
         session = self._run._session
-        if self._left <= 0:
+        left = session.steps_left if self._left is None else self._left
+        if left == 0:
             raise StopIteration
-        made = session.train(min(self._every, self._left))
-        self._left -= made["steps"]
+        made = session.train(self._every if left < 0 else min(self._every, left), self._left is None)
+        if self._left is not None:
+            self._left -= made["steps"]
         mse = max(made["mse"], 1e-300)
         return Step(session.step, session.train_s, made["loss"], made["color"], made["semantic"], -10 * float(np.log10(mse)),
                     made["terms"], made["steps"] / max(made["seconds"], 1e-9))
@@ -59,7 +61,7 @@ class Training(Iterator[Step]):
         return step
 
     def __repr__(self) -> str:
-        return f"Training(steps left: {self._left})"
+        return f"Training(steps left: {'to the end of the run' if self._left is None else self._left})"
 
     def __del__(self) -> None:
         if not getattr(self, "_asked", True):
@@ -95,7 +97,6 @@ class Run:
         self.device: str = facts["device"]
         self.left_out: List[Tuple[str, str, str, str]] = facts["left_out"]
         self.has_semantics: bool = facts["has_semantics"]
-        self._steps: int = facts["steps"]
         # A temporary file lives as long as a run of it.
         self._scene: Optional[Scene] = _temporary.get(str(self.config["scene"].get("file", "")))
 
@@ -215,7 +216,7 @@ class Run:
         ``run.train(3000).last()`` makes all of them.
 
         Args:
-            steps: to make; None: as many as train.steps of the configuration leaves.
+            steps: to make, also beyond the end of the run's length; None: to that end, which `extend` moves.
             every: steps between reports.
 
         Yields:
@@ -224,9 +225,26 @@ class Run:
         Raises:
             KeyboardInterrupt: after the step under way; the run can go on from there.
         """
-        made = self.step
-        left = max(0, self._steps - made) if steps is None else _whole("train: steps", steps, 0, 2**62)
+        left = None if steps is None else _whole("train: steps", steps, 0, 2**62)
+        if left is None and self._session.steps_left == 0:
+            left = 0
         return Training(self, left, _whole("train: every", every, 1, 2**62))
+
+    def extend(self, steps: Optional[int] = None, seconds: Optional[float] = None) -> None:
+        """Lets the run train that much more from its present step on, with a learning rate that falls to its end.
+
+        ``run.extend(seconds=60)`` and then ``run.train().last()``. Before the first step it sets the run's length. The number of
+        steps that fit into a time is settled by the rate of the first of them.
+
+        Args:
+            steps: steps more, 1 or more.
+            seconds: or seconds of training more, above 0.
+        """
+        more = 0 if steps is None else _whole("extend: steps", steps, 1, 10**9)
+        time_s = 0.0 if seconds is None else float(seconds)
+        if (steps is None) == (seconds is None) or not (more or 0 < time_s <= 1e8):
+            raise UsageError(f"extend(steps={steps}, seconds={seconds}): expected steps of 1 or more, or seconds above 0")
+        self._session.train_more(more, time_s)
 
     def render(
         self,

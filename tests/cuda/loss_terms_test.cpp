@@ -84,7 +84,7 @@ void expect_same(const testing::LossSetting& setting, const std::vector<int>& co
   }
   ASSERT_EQ(entries.size(), 1u);
   // Second in a list of two, of which the first does not work.
-  const LossList losses({entries[0], entries[0]}, 1);
+  const LossList losses({entries[0], entries[0]});
   cuda::StepCell cell;
   cell.loss_scale[1] = kScale;
   launch.set_cell(cell);
@@ -150,7 +150,7 @@ TEST(CudaLossTerms, NoTargetsAreNoLoss) {
   const DeviceMatrix<LossSums> sums(std::vector<LossSums>(1), 1);
   for (const LossKind& kind : loss_kinds()) {
     if (!kind.cuda || !kind.make()->traits().reads_depth) continue;
-    cuda::add_losses(launch.arena(), LossList({{std::string(kind.type), kind.make(), ""}}, 1), 1, {}, there.values(),
+    cuda::add_losses(launch.arena(), LossList({{std::string(kind.type), kind.make(), ""}}), 1, {}, there.values(),
                      there.gradients(), sums.data());
     EXPECT_EQ(sums.read()[0].terms[0], 0) << kind.type;
   }
@@ -160,7 +160,7 @@ TEST(CudaLossTerms, NoTargetsAreNoLoss) {
 // Those that the build says have them; a term of processors alone is named, and refused where it is asked for.
 TEST(CudaLossTerms, EveryKindHasKernels) {
   for (const LossKind& kind : loss_kinds()) {
-    const LossList list({{std::string(kind.type), kind.make(), ""}}, 1);
+    const LossList list({{std::string(kind.type), kind.make(), ""}});
     if (kind.cuda) {
       EXPECT_NO_THROW(cuda::require_loss_kernels(list)) << kind.type;
       continue;
@@ -169,7 +169,7 @@ TEST(CudaLossTerms, EveryKindHasKernels) {
     EXPECT_THROW(cuda::require_loss_kernels(list), Error) << kind.type;
   }
   try {
-    cuda::require_loss_kernels(LossList({{"elsewhere", nullptr, ""}}, 1));
+    cuda::require_loss_kernels(LossList({{"elsewhere", nullptr, ""}}));
     FAIL() << "a term without kernels was taken";
   } catch (const Error& error) {
     EXPECT_NE(error.message().find("'elsewhere' has no CUDA kernels"), std::string::npos) << error.message();

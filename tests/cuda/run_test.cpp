@@ -25,7 +25,7 @@ struct Training {
   Training(Registry& registry, std::string yaml, const std::string& runtime)
       : session(open_text(yaml + "runtime: {" + runtime + "}\n", registry)),
         rays(session.make_ray_source()),
-        trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule) {}
+        trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps) {}
   StepLosses train(std::int64_t steps) {
     StepLosses last;
     while (trainer.step() < steps) last = trainer.advance_many(steps - trainer.step()).back();

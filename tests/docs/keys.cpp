@@ -22,8 +22,8 @@ Keys::Keys() {
     add("scene.labels." + step.key + (step.key == "degrade" ? ".N" : ""), step.params);
   for (const LossDoc& term : describe_losses()) add("losses.N", term.params);
   // By convention every dataset of files has these.
-  for (const char* key :
-       {"scene.root", "scene.file", "scene.classes", "scene.type", "scene.unknown_labels", "passes.N"})
+  for (const char* key : {"train.schedule.legs", "scene.root", "scene.file", "scene.classes", "scene.type",
+                          "scene.unknown_labels", "passes.N"})
     keys_.insert(key);
   register_linked_plugins(registry_);
   for (const PluginEntry* entry : registry_.entries()) {

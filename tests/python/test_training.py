@@ -62,6 +62,29 @@ def test_saving_twice_and_going_on(run: sf.Run, scene: sf.Scene, tmp_path: Path)
     assert [r["step"] for r in rows] == [20] and run.history[0]["step"] == 20
 
 
+def test_a_run_is_extended(scene: sf.Scene, tmp_path: Path) -> None:
+    run = sf.open(config_of(scene, steps=6), out=tmp_path / "a")
+    assert run.train(every=4).last().step == 6
+    assert run.train().last() is None, "it is at its end"
+    run.extend(steps=4)
+    assert [s.step for s in run.train(every=3)] == [9, 10]
+    leg = run.config["train"]["schedule"]["legs"][0]
+    assert (leg["start"], leg["end"]) == (6, 10) and leg["rate"] >= 0.5
+    run.save()
+    run.close()
+    again = sf.open(tmp_path / "a" / "run.yaml")
+    assert again.train().last().step == 10
+    again.save(tmp_path / "b")
+    one, two = (tensors_of(glob.glob(str(tmp_path / f / "checkpoints" / "*10.safetensors"))[0]) for f in ("a", "b"))
+    assert one == two, "by the numbers alone"
+    again.extend(seconds=1e-4)
+    last = again.train().last()
+    assert last is not None and again.config["train"]["schedule"]["legs"][-1]["end"] == last.step > 10
+    for wrong in ({}, {"steps": 0}, {"seconds": 0}, {"seconds": float("nan")}, {"steps": 3, "seconds": 1}):
+        with pytest.raises(sf.UsageError, match="expected steps of 1 or more, or seconds above 0"):
+            again.extend(**wrong)
+
+
 def test_somebody_else_went_on(run: sf.Run, tmp_path: Path) -> None:
     trained(run, 5)
     run.save(tmp_path / "a")

@@ -34,7 +34,7 @@ void as_leader(int size, const std::string& yaml, const std::function<void(Sessi
 
 void train(Session& session, std::int64_t steps) {
   const auto rays = session.make_ray_source();
-  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
   while (trainer.step() < steps) trainer.advance();
   trainer.collect();
 }
@@ -63,11 +63,13 @@ struct Shape {
 
 // Past the warm-up of the occupancy grid; two passes; tables of two passes; bf16; fewer lanes than ranks.
 TEST(RanksSession, TrainingHasTheBitsOfOneProcess) {
-  const Shape shapes[] = {{"hash grid", hash_config(), 60},
-                          {"two passes", two_pass_config(), 6},
-                          {"two tables", two_tables_config(), 6},
-                          {"bf16", hash_config("runtime: {precision: bf16}\n"), 20},
-                          {"two lanes", hash_config("runtime: {lanes: 2}\n"), 20}};
+  const Shape shapes[] = {
+      {"hash grid", hash_config(), 60},
+      {"two passes", two_pass_config(), 6},
+      {"two tables", two_tables_config(), 6},
+      {"bf16", hash_config("runtime: {precision: bf16}\n"), 20},
+      {"two lanes", hash_config("runtime: {lanes: 2}\n"), 20},
+      {"a term from step 8 on", hash_config("losses: [{type: distortion, from_step: 0.04}]\n"), 12}};
   for (const Shape& shape : shapes) {
     SCOPED_TRACE(shape.name);
     const std::uint32_t alone = train_fingerprint(shape.yaml, 1, shape.steps);

@@ -31,11 +31,11 @@ struct Scored {
 };
 
 // A run whose every evaluation takes `each_s` by its clock, however many frames it has.
-Scored run_scored(const std::string& more, double time_limit_s, double each_s, const TempDir& dir) {
+Scored run_scored(const std::string& more, double time_s, double each_s, const TempDir& dir) {
   Registry registry = make_registry();
   RunConfig config = config_of(hash_config(more), registry);
   config.train.steps = 60;
-  config.train.time_limit_s = time_limit_s;
+  config.train.time_s = time_s;
   Scored scored;
   HookListener hooks;
   hooks.on_note = [&](const std::string& text) { scored.notes.push_back(text); };

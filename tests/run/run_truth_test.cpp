@@ -103,14 +103,14 @@ TEST(RunTruth, SettingsOfAResumeAreStoredAndTold) {
   const TempDir dir;
   write_packed_config(dir, 5, 0);
   ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
-  const Result more = semfield_run("train --resume run --steps 9 --set report.strips=1", dir.path());
+  const Result more = semfield_run("train --resume run --set train.steps=9 --set report.strips=1", dir.path());
   ASSERT_EQ(more.code, 0) << more.err;
   EXPECT_NE(more.err.find("from step 5 on: train.steps: 5 -> 9"), std::string::npos) << more.err;
   const std::string yaml = read_text_file((dir / "run") + "/run.yaml");
   EXPECT_NE(yaml.find("\n  steps: 9\n"), std::string::npos) << yaml;
   EXPECT_NE(yaml.find("\n  strips: 1\n"), std::string::npos) << yaml;
   // The next resume reads what the last one was told, and the report shows both.
-  const Result again = semfield_run("train --resume run --steps 12", dir.path());
+  const Result again = semfield_run("train --resume run --set train.steps=12", dir.path());
   ASSERT_EQ(again.code, 0) << again.err;
   EXPECT_NE(again.err.find("from step 9 on: train.steps: 9 -> 12"), std::string::npos) << again.err;
   EXPECT_EQ(again.err.find("strips"), std::string::npos) << again.err;

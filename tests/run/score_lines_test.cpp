@@ -14,13 +14,13 @@ using testing_program::semfield_run;
 TEST(ScoreLines, ASampleHasNamesOfItsOwn) {
   const TempDir dir;
   write_packed_config(dir, 200, 60);
-  // A limit that the first step exceeds leaves time for the least evaluation: a frame.
+  // A time that the first step exceeds leaves time for the least evaluation: a frame.
   const Result cut = semfield_run("train config.yaml --time 0.001s --threads 1 --out cut", dir.path());
   ASSERT_EQ(cut.code, 0) << cut.err;
   EXPECT_EQ(cut.out.find("train: sample=1/3 sample_miou_present=0."), 0u) << cut.out;
   for (const char* name : {" miou_present=", " total_accuracy=", " psnr=", " absrel="})
     EXPECT_EQ(cut.out.find(name), std::string::npos) << name;
-  EXPECT_NE(cut.err.find("the last evaluation scores 1 of 3 frames to end near the time limit (report.eval_share 0.1); "
+  EXPECT_NE(cut.err.find("the last evaluation scores 1 of 3 frames to end near the time asked for (report.eval_share 0.1); "
                          "`semfield eval cut` scores all\n"),
             std::string::npos)
       << cut.err;

@@ -57,11 +57,18 @@ std::vector<SelfTrainingRound> rounds_of(const std::string& run) {
 }
 
 TEST(SelfTraining, RoundsComeAtSharesOfTheSteps) {
-  SelfTrainingParams params;
-  EXPECT_TRUE(round_steps(params, 1000).empty());
-  params.at = {0.001, 0.5, 0.5004, 0.75};
-  EXPECT_EQ(round_steps(params, 1000), (std::vector<std::int64_t>{1, 500, 750}));
-  EXPECT_EQ(round_steps(params, 4), (std::vector<std::int64_t>{1, 2, 3}));
+  RunConfig config;
+  const auto rounds = [&](std::int64_t steps) {
+    config.train.steps = steps;
+    return round_steps(config);
+  };
+  EXPECT_TRUE(rounds(1000).empty());
+  config.self_training.at = {0.001, 0.5, 0.5004, 0.75};
+  EXPECT_EQ(rounds(1000), (std::vector<std::int64_t>{1, 500, 750}));
+  EXPECT_EQ(rounds(4), (std::vector<std::int64_t>{1, 2, 3}));
+  EXPECT_TRUE(rounds(0).empty()) << "the number of steps is not settled";
+  config.schedule.hold_steps = 100;
+  EXPECT_EQ(rounds(1000), (std::vector<std::int64_t>{100, 500, 750})) << "before step 100 nobody knew it";
   Registry registry = make_registry();
   const TempDir dir;
   write_packed_config(dir, kSteps, 0);

@@ -165,7 +165,7 @@ double abs_rel(const std::string& losses) {
   Registry registry = make_registry();
   Session s = open_text(hash_config(losses), registry);
   const auto rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
   while (trainer.step() < 200) trainer.advance();
   return evaluate(*s.pipeline, s.eval_job(s.scene.frames_of(Split::test)), s.limits, s.plan.class_of_logit)
       .depth.abs_rel()

@@ -134,6 +134,7 @@ void HookListener::note(const std::string& text) {
 int HookListener::stop_signal() { return on_stop_signal ? on_stop_signal() : 0; }
 bool HookListener::save_request() { return on_save_request && on_save_request(); }
 double HookListener::now_s() { return on_now_s ? on_now_s() : RunListener::now_s(); }
+double HookListener::step_clock_s() { return on_step_clock_s ? on_step_clock_s() : RunListener::step_clock_s(); }
 std::string HookListener::write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) {
   return reports ? write_run_report(folder, session, frames) : "";
 }
@@ -156,7 +157,7 @@ std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64
   Session s = open_text(yaml, registry);
   set_thread_count(threads);
   const auto rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
   while (trainer.step() < steps) trainer.advance();
   set_thread_count(0);
   return fingerprint(s.pipeline->store());

@@ -43,6 +43,7 @@ class HookListener final : public RunListener {
   std::function<int()> on_stop_signal;
   std::function<bool()> on_save_request;
   std::function<double()> on_now_s;
+  std::function<double()> on_step_clock_s;
   bool reports = false;  ///< write_run_report
 
   void progress(const TrainProgress& p) override;
@@ -51,6 +52,7 @@ class HookListener final : public RunListener {
   int stop_signal() override;
   bool save_request() override;
   double now_s() override;
+  double step_clock_s() override;
   std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override;
 };
 

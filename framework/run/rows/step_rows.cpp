@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "settings/run_length.h"
+
 namespace semfield {
 
 std::int64_t StepRows::steps_until_row(std::int64_t step) const {
@@ -14,7 +16,7 @@ std::optional<MetricsRow> StepRows::add(const StepLosses& losses, std::int64_t s
   const RunConfig& config = session_.config;
   mse_sum_ += losses.mse;
   ++steps_;
-  if (step % config.report.log_every_steps != 0 && step != config.train.steps) return std::nullopt;
+  if (step % config.report.log_every_steps != 0 && step != last_step(config)) return std::nullopt;
   const double span = std::max(train_s - window_start_s_, 1e-9);
   MetricsRow row;
   row.step = step;
