@@ -260,6 +260,15 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
   file.commit();
 }
 
+bool looks_packed(const std::string& path) {
+  try {
+    const std::string head = read_file_start(path, sizeof kMagic);
+    return head.size() == sizeof kMagic && std::memcmp(head.data(), kMagic, sizeof kMagic) == 0;
+  } catch (const Error&) {
+    return false;
+  }
+}
+
 PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
   const auto refuse = [&](const std::string& what, const std::string& remedy) -> Error {
     return Error(ErrorKind::data, "'" + path_ + "': " + what, remedy);

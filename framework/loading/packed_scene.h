@@ -31,6 +31,9 @@ struct PackOptions {
 void write_packed_scene(const std::string& path, const SceneInfo& info,
                         const std::function<void(int, FrameBuffer&)>& read, const PackOptions& options = {});
 
+/// Whether the file begins as packed scenes do; false too where it cannot be read.
+bool looks_packed(const std::string& path);
+
 class PackedScene {
  public:
   /// Checks header and manifest, all sizes against the file before any allocation. Throws Error(no_input) or

@@ -112,6 +112,14 @@ SurveyPoints survey_frame(const Camera& camera, const Pose& world_from_camera, c
 
 namespace {
 
+constexpr std::size_t kFewestCorners = 100;
+constexpr const char* kCornersFrom = "corners found again in training frames";
+
+double middle_of(const SurveyPoints& points) {
+  std::vector<float> distances = points.distance;
+  return quantile(distances, 0.5);
+}
+
 // What the derivation of one scene knows.
 struct Evidence {
   std::vector<int> usable;  ///< training frames that could be read
@@ -119,6 +127,7 @@ struct Evidence {
   DepthSurvey survey;
   bool has_depth = false;
   double covered = 0;  ///< share of the pixels looked at that have depth
+  std::optional<SurveyedExtent> corners;  ///< of scenes that neither depth nor a plain background tells of
 };
 
 Box box_of_cameras(const Cameras& cameras) {
@@ -175,19 +184,22 @@ void derive_distances(LoadedScene& scene, Evidence& seen, const SceneLoadOptions
     const bool object = scene.plain_background.has_value();
     scene.far_m = seen.has_depth ? 1.05 * quantile(seen.survey.distances, 0.999)
                   : object       ? 1.05 * behind_object
+                  : seen.corners ? seen.corners->far_m
                   : walk > 0     ? kWalks * walk
                                  : 10.0;
     scene.near_far_from = seen.has_depth ? "depth of the training frames"
                           : object       ? "the object's silhouettes"
+                          : seen.corners ? kCornersFrom
                           : walk > 0     ? "four times the extent of the cameras"
                                          : "a guess (one camera place, no depth)";
   }
   if (scene.near_m <= 0) {
     scene.near_m = seen.has_depth  ? std::min(0.5 * quantile(seen.survey.distances, 0.001), 0.5 * scene.far_m)
                    : to_object > 0 ? std::min(0.8 * to_object, 0.5 * scene.far_m)
+                   : seen.corners  ? std::min(seen.corners->near_m, 0.5 * scene.far_m)
                                    : 0.01 * scene.far_m;
     if (scene.near_far_from.empty())
-      scene.near_far_from = seen.has_depth ? "depth of the training frames" : "1 % of far";
+      scene.near_far_from = seen.has_depth ? "depth of the training frames" : seen.corners ? kCornersFrom : "1 % of far";
   }
 }
 
@@ -224,6 +236,13 @@ Box box_of_data(const LoadedScene& scene, Evidence& seen, std::string& from) {
       from += " (valid on " + std::to_string(std::lround(seen.covered * 100)) + " % of pixels) and the view cones";
     }
     grow(box, 0.02);
+    return box;
+  }
+  if (seen.corners) {
+    from = std::to_string(seen.corners->points) + " corners found again in " + frames;
+    Box box = box_of_cameras(seen.cameras);
+    box.include(seen.corners->bounds.lo);
+    box.include(seen.corners->bounds.hi);
     return box;
   }
   if (!scene.plain_background) return box_of_cones(scene, seen.cameras, from);
@@ -331,6 +350,8 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   if (!seen.has_depth && !options.contracted) {
     scene.plain_background = find_plain_background(seen.cameras, pixels, scene.rig);
   }
+  if (!seen.has_depth && !scene.plain_background && scene.corners.x.size() >= kFewestCorners)
+    seen.corners = extent_of_points({scene.corners});
   derive_distances(scene, seen, options);
   // Where both are asked for, validate() compares them. Where one is, it may lie beyond what the other was derived to
   // be.
@@ -346,6 +367,7 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   for (const FrameInfo* camera : seen.cameras) focal.push_back(static_cast<float>(camera->camera.fx));
   const Vec3d size = scene.bounds.empty() ? Vec3d{} : scene.bounds.size();
   const double middle = seen.has_depth     ? quantile(seen.survey.distances, 0.5)
+                        : seen.corners     ? middle_of(scene.corners)
                         : scene.rig.inward ? scene.rig.distance_m
                         // Of contracted space far is as good as infinity, and tells nothing of where things are.
                         : options.contracted ? 0.5 * std::max({size.x, size.y, size.z})

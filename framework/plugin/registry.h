@@ -31,6 +31,10 @@ class PluginParams {
   /// Replaces values that stand for "chosen from the scene" by numbers and adds a sentence for each; called once,
   /// before anything is built, so that the resolved configuration holds what was chosen.
   virtual void choose(const EncoderBuild&, std::vector<std::string>&) {}
+  /// Of a dataset: what `path`, a folder or a file, holds that it reads, in a few words ("a transforms.json"), and its
+  /// parameters become those that read it there. "" where it holds nothing of the kind. Looks at names and first bytes
+  /// alone, and throws nothing.
+  virtual std::string recognise(const std::string&) { return {}; }
 };
 
 namespace plugin_detail {
@@ -47,10 +51,18 @@ template <class Params>
 void call_choose(Params& params, const EncoderBuild& build, std::vector<std::string>& chosen) {
   if constexpr (requires { choose(params, build, chosen); }) choose(params, build, chosen);
 }
+template <class Params>
+std::string call_recognise(const std::string& path, Params& params) {
+  if constexpr (requires { recognise(path, params); })
+    return recognise(path, params);
+  else
+    return {};
+}
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its
-/// namespace; an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`.
+/// namespace; an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a dataset's
+/// `std::string recognise(const std::string& path, Params&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
@@ -59,6 +71,7 @@ class ParamsOf final : public PluginParams {
   void choose(const EncoderBuild& build, std::vector<std::string>& chosen) override {
     plugin_detail::call_choose(value, build, chosen);
   }
+  std::string recognise(const std::string& path) override { return plugin_detail::call_recognise(path, value); }
   Params value;
 };
 

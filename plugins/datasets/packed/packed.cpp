@@ -17,6 +17,21 @@ void validate(const PackedParams& p, Diagnostics& diagnostics) {
   if (p.file.empty()) diagnostics.error("file", "the packed scene is not given", "set scene.file");
 }
 
+std::string recognise(const std::string& path, PackedParams& p) {
+  std::error_code unknown;
+  std::vector<std::string> found;
+  if (std::filesystem::is_regular_file(path, unknown)) {
+    if (looks_packed(path)) found.push_back(path);
+  } else {
+    for (std::filesystem::directory_iterator it(path, unknown), end; !unknown && it != end; it.increment(unknown)) {
+      if (it->is_regular_file(unknown) && looks_packed(it->path().string())) found.push_back(it->path().string());
+    }
+  }
+  if (found.size() != 1) return "";  // of several, the user names one
+  p.file = found[0];
+  return "a packed scene";
+}
+
 Packed::Packed(const PackedParams& params, const DatasetBuild& build)
     : path_((std::filesystem::path(build.config_dir) / params.file).string()) {}
 
