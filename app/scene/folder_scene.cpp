@@ -52,7 +52,8 @@ void open_scene(Recognised& found) {
 
 auto worth(const Recognised& found) {
   const auto any = [&](bool FrameInfo::*channel) {
-    return std::any_of(found.info.frames.begin(), found.info.frames.end(), [&](const FrameInfo& f) { return f.*channel; });
+    return std::any_of(found.info.frames.begin(), found.info.frames.end(),
+                       [&](const FrameInfo& f) { return f.*channel; });
   };
   return std::tuple{found.opens, any(&FrameInfo::has_labels), any(&FrameInfo::has_depth), !found.info.bounds.empty()};
 }
@@ -69,8 +70,9 @@ ConfigNode section_of(const Recognised& found) {
   for (const auto& [key, value] : set.entries()) {
     const ConfigNode* other = usual.find(key);
     double every = 0;
-    const bool holds_out = key == "test_every" && parse_number(value.text(), every) && every > 0 && tests > 0 &&
-                           std::abs(static_cast<double>(tests) * every - static_cast<double>(found.info.frames.size())) < every;
+    const bool holds_out =
+        key == "test_every" && parse_number(value.text(), every) && every > 0 && tests > 0 &&
+        std::abs(static_cast<double>(tests) * every - static_cast<double>(found.info.frames.size())) < every;
     if (holds_out || other == nullptr || !equal_config(value, *other)) out = out.with(key, value);
   }
   return out;
@@ -94,11 +96,11 @@ std::string plain_name(const fs::path& path) {
 [[noreturn]] void refuse(const std::string& path, const AppContext& context) {
   std::error_code unknown;
   if (!fs::exists(path, unknown)) throw Error(ErrorKind::no_input, "no folder '" + path + "'", "check the path");
-  if (const std::string commands = pose_commands(path); !commands.empty())
-    throw Error(ErrorKind::no_input, commands);
-  throw Error(ErrorKind::no_input,
-              "'" + path + "' holds no scene that a dataset knows: " + join(context.registry.names(PluginKind::dataset)),
-              "docs/guide/own_data.md says what each reads; for another place of the files write the configuration by hand");
+  if (const std::string commands = pose_commands(path); !commands.empty()) throw Error(ErrorKind::no_input, commands);
+  throw Error(
+      ErrorKind::no_input,
+      "'" + path + "' holds no scene that a dataset knows: " + join(context.registry.names(PluginKind::dataset)),
+      "docs/guide/own_data.md says what each reads; for another place of the files write the configuration by hand");
 }
 
 }  // namespace
@@ -114,7 +116,8 @@ bool names_a_scene(const std::string& word, const AppContext& context) {
 
 FolderScene find_scene(const std::string& path, const std::string& type, AppContext& context) {
   const std::string absolute = fs::absolute(path).lexically_normal().string();
-  const std::string asked = absolute.size() > 1 && absolute.back() == '/' ? absolute.substr(0, absolute.size() - 1) : absolute;
+  const std::string asked =
+      absolute.size() > 1 && absolute.back() == '/' ? absolute.substr(0, absolute.size() - 1) : absolute;
   std::vector<Recognised> found = recognised(asked, context.registry);
   if (!type.empty()) {
     (void)context.registry.get(PluginKind::dataset, type);

@@ -30,7 +30,8 @@ std::vector<std::string> photographs_in(const fs::path& folder) {
   for (const fs::directory_entry& entry : sorted_folder(folder.string())) {
     std::string extension = entry.path().extension().string();
     for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-    if (extension == ".jpg" || extension == ".jpeg" || extension == ".png" || extension == ".tif" || extension == ".tiff")
+    if (extension == ".jpg" || extension == ".jpeg" || extension == ".png" || extension == ".tif" ||
+        extension == ".tiff")
       out.push_back(entry.path().string());
   }
   return out;

@@ -15,8 +15,7 @@ double reach_of_surroundings(const LoadedScene& scene) {
   const SurveyPoints& c = scene.corners;
   if (c.x.size() < kFewestCorners || !(scene.rig.distance_m > 0)) return 0;
   std::vector<double> away;
-  for (std::size_t i = 0; i < c.x.size(); ++i)
-    away.push_back(length(Vec3d{c.x[i], c.y[i], c.z[i]} - scene.rig.focus));
+  for (std::size_t i = 0; i < c.x.size(); ++i) away.push_back(length(Vec3d{c.x[i], c.y[i], c.z[i]} - scene.rig.focus));
   const auto far = away.begin() + static_cast<std::ptrdiff_t>(0.95 * static_cast<double>(away.size()));
   std::nth_element(away.begin(), far, away.end());
   return *far / scene.rig.distance_m;
@@ -42,8 +41,8 @@ std::optional<PresetAdvice> advised_preset(const LoadedScene& scene) {
     if (c[0] != 255 || c[1] != 255 || c[2] != 255) out.background = {c[0] / 255.0, c[1] / 255.0, c[2] / 255.0};
     return out;
   }
-  const bool depth = std::any_of(scene.info.frames.begin(), scene.info.frames.end(),
-                                 [](const FrameInfo& f) { return f.has_depth; });
+  const bool depth =
+      std::any_of(scene.info.frames.begin(), scene.info.frames.end(), [](const FrameInfo& f) { return f.has_depth; });
   if (depth || !scene.rig.inward) {
     out.why = depth ? "depth images show where the scene ends" : "the cameras do not stand around one place";
     return out;
@@ -51,7 +50,8 @@ std::optional<PresetAdvice> advised_preset(const LoadedScene& scene) {
   const double reach = reach_of_surroundings(scene);
   const std::string around = "the cameras stand around one place";
   if (reach > 0 && reach < kOpen) {
-    out.why = fmt::format("{}, and what lies behind it ends within {:.2g} times their distance, as in a room", around, reach);
+    out.why =
+        fmt::format("{}, and what lies behind it ends within {:.2g} times their distance, as in a room", around, reach);
     return out;
   }
   out.preset = "parts/unbounded.yaml";

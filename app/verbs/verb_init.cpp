@@ -53,8 +53,8 @@ std::string config_text(const FolderScene& found, const PresetAdvice& advice, co
     std::vector<ConfigNode> color;
     for (const double c : *advice.background)
       color.push_back(ConfigNode::make_scalar(fmt::format("{:.4g}", c), false, {}));
-    tree = tree.with("rendering",
-                     ConfigNode::make_map({{"background", ConfigNode::make_list(std::move(color), {})}}, {}));
+    tree =
+        tree.with("rendering", ConfigNode::make_map({{"background", ConfigNode::make_list(std::move(color), {})}}, {}));
   }
   return fmt::format("# {}: {}.\n# The preset: {}.\n{}", found.what, frames_text(found), advice.why,
                      write_config(tree));
@@ -74,7 +74,8 @@ LoadedScene look_at(const FolderScene& found, AppContext& context, Diagnostics& 
 std::string next_steps(const std::string& file, const std::string& run, bool labels) {
   const std::string config = shell_word(file);
   std::string out = fmt::format("next        semfield inspect {}   # bounds, classes, and every problem\n", config);
-  const std::string serve = fmt::format("            semfield serve {}     # label by clicks while it trains\n", config);
+  const std::string serve =
+      fmt::format("            semfield serve {}     # label by clicks while it trains\n", config);
   const std::string train = fmt::format("            semfield train {}     # writes {}\n", config, shell_word(run));
   return out + (labels ? train + serve : serve + train);
 }
@@ -93,8 +94,8 @@ int run(const InitOptions& options, AppContext& context) {
       advised_preset(scene).value_or(PresetAdvice{kUsualPreset, "nothing could be read that speaks for another", {}});
   if (fs::path(file).has_parent_path()) fs::create_directories(fs::path(file).parent_path());
   write_file_atomic(file, config_text(found, advice, file));
-  const bool labels = std::any_of(scene.info.frames.begin(), scene.info.frames.end(),
-                                  [](const FrameInfo& f) { return f.has_labels; });
+  const bool labels =
+      std::any_of(scene.info.frames.begin(), scene.info.frames.end(), [](const FrameInfo& f) { return f.has_labels; });
   if (context.json) {
     Json out = inspect_json(scene, diagnostics);
     out["file"] = file;
@@ -107,8 +108,7 @@ int run(const InitOptions& options, AppContext& context) {
     std::printf("frames      %s%s\n", frames_text(found).c_str(),
                 downscale_of(found) > 1 ? fmt::format(", divided by {}", downscale_of(found)).c_str() : "");
     std::printf("preset      %s\n", advice.text().c_str());
-    for (const std::string& other : found.others)
-      std::printf("also here   %s; --type takes it\n", other.c_str());
+    for (const std::string& other : found.others) std::printf("also here   %s; --type takes it\n", other.c_str());
     for (const Diagnostic& finding : folded(diagnostics)) {
       if (finding.severity != Severity::note)
         std::printf("%-11s %s\n", finding.severity == Severity::error ? "error" : "warning", finding.text().c_str());
@@ -129,7 +129,7 @@ void words(VerbWords& verb, InitOptions& options) {
 
 Verb verb_init() {
   return with_json(
-      make_verb("init", 8, "look at the folder of a scene and write a configuration for it", words, run));
+      make_verb<InitOptions>("init", 8, "look at the folder of a scene and write a configuration for it", words, run));
 }
 
 }  // namespace semfield::app

@@ -62,7 +62,8 @@ int run(const InspectOptions& options, AppContext& context) {
   } else {
     std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
   }
-  if (folder) print_note(context, "next: `semfield init " + shell_word(what) + "` writes a configuration for this scene");
+  if (folder)
+    print_note(context, "next: `semfield init " + shell_word(what) + "` writes a configuration for this scene");
   if (!options.frusta.empty()) {
     write_frusta_ply(options.frusta, scene);
     print_note(context, "cameras written to " + options.frusta);

@@ -9,10 +9,6 @@ namespace semfield {
 
 namespace {
 
-std::string pixels_text(std::int32_t width, std::int32_t height) {
-  return std::to_string(width) + " x " + std::to_string(height);
-}
-
 std::string factor_number(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%.4g", value);
@@ -35,8 +31,8 @@ std::string factor_text(const ImageSize& size, const Camera& camera) {
 }  // namespace
 
 OtherSize other_size(std::string_view what, const std::string& path, const ImageSize& size, const Camera& camera) {
-  OtherSize out{std::string(what) + " '" + path + "' is " + pixels_text(size.width_px, size.height_px) +
-                    " pixels, the camera " + pixels_text(camera.width_px, camera.height_px),
+  OtherSize out{std::string(what) + " '" + path + "' is " + size_text(size.width_px, size.height_px) +
+                    " pixels, the camera " + size_text(camera.width_px, camera.height_px),
                 "colour, depth and labels of a frame need the size that its camera states"};
   if (what != kColorImage) return out;
   if (size.width_px != size.height_px && size.width_px == camera.height_px && size.height_px == camera.width_px) {
@@ -73,8 +69,8 @@ bool CameraFit::fit(const std::string& image, const std::string& place, Camera& 
   }
   Scaled& one = scaled_[factor_text(size, camera)];
   if (one.frames++ == 0) {
-    one.text = pixels_text(size.width_px, size.height_px) + " pixels, the cameras' " +
-               pixels_text(camera.width_px, camera.height_px) + ", " + factor_text(size, camera);
+    one.text = size_text(size.width_px, size.height_px) + " pixels, the cameras' " +
+               size_text(camera.width_px, camera.height_px) + ", " + factor_text(size, camera);
   }
   camera = camera.resized(size.width_px, size.height_px);
   return true;
@@ -82,8 +78,8 @@ bool CameraFit::fit(const std::string& image, const std::string& place, Camera& 
 
 void CameraFit::report(const std::string& source, Diagnostics& diagnostics) const {
   for (const auto& [factor, one] : scaled_) {
-    diagnostics.note(source, "images are " + one.text + ": the intrinsics of " + std::to_string(one.frames) +
-                                 " frames were scaled");
+    diagnostics.note(
+        source, "images are " + one.text + ": the intrinsics of " + std::to_string(one.frames) + " frames were scaled");
   }
 }
 

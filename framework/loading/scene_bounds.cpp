@@ -126,7 +126,7 @@ struct Evidence {
   Cameras cameras;          ///< theirs
   DepthSurvey survey;
   bool has_depth = false;
-  double covered = 0;  ///< share of the pixels looked at that have depth
+  double covered = 0;                     ///< share of the pixels looked at that have depth
   std::optional<SurveyedExtent> corners;  ///< of scenes that neither depth nor a plain background tells of
 };
 
@@ -199,7 +199,9 @@ void derive_distances(LoadedScene& scene, Evidence& seen, const SceneLoadOptions
                    : seen.corners  ? std::min(seen.corners->near_m, 0.5 * scene.far_m)
                                    : 0.01 * scene.far_m;
     if (scene.near_far_from.empty())
-      scene.near_far_from = seen.has_depth ? "depth of the training frames" : seen.corners ? kCornersFrom : "1 % of far";
+      scene.near_far_from = seen.has_depth ? "depth of the training frames"
+                            : seen.corners ? kCornersFrom
+                                           : "1 % of far";
   }
 }
 

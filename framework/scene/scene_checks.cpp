@@ -197,9 +197,10 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
   const auto outside = [](double c, int size) { return c < -size || c > 2.0 * size; };
   if (const std::string other = other_image(camera); !other.empty()) {
     diagnostics.error(place,
-                      "principal point (" + number(camera.cx) + ", " + number(camera.cy) + ") is the middle of an image " +
-                          other + " as this one of " + std::to_string(camera.width_px) + " x " +
-                          std::to_string(camera.height_px) + " pixels: the intrinsics are that image's",
+                      "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
+                          ") is the middle of an image " + other + " as this one of " +
+                          std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) +
+                          " pixels: the intrinsics are that image's",
                       "state the size that they belong to, or give those of the images as they are stored");
   } else if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
     diagnostics.error(place,

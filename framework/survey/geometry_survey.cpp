@@ -155,14 +155,14 @@ std::string judge_photos(const PhotoTallies& found, const SceneInfo& as_opened, 
   if (share(focal) >= kFewFit && clearly_better(focal) && focal.fits > best.fits) {
     const bool large = focal.factor > 1;
     const std::string factor = plain_number(large ? focal.factor : 1 / focal.factor);
-    diagnostics.error(as_opened.name,
-                      "intrinsics are of images " + factor + (large ? " times as large: of " : " times as small: of ") + seen +
-                          ", " + percent(share(given)) + " lie where the poses put them as given, " +
-                          percent(share(focal)) + " with focal lengths " + (large ? "divided" : "multiplied") + " by " +
-                          factor,
-                      (large ? "divide focal lengths and centre by " : "multiply focal lengths and centre by ") + factor +
-                          ", or state the size of the images that they belong to (scene.load.check_geometry: false "
-                          "takes the scene as it is)");
+    diagnostics.error(
+        as_opened.name,
+        "intrinsics are of images " + factor + (large ? " times as large: of " : " times as small: of ") + seen + ", " +
+            percent(share(given)) + " lie where the poses put them as given, " + percent(share(focal)) +
+            " with focal lengths " + (large ? "divided" : "multiplied") + " by " + factor,
+        (large ? "divide focal lengths and centre by " : "multiply focal lengths and centre by ") + factor +
+            ", or state the size of the images that they belong to (scene.load.check_geometry: false "
+            "takes the scene as it is)");
     return "the intrinsics contradict the photographs";
   }
   if (share(best) < kFewFit) {

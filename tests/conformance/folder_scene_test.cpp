@@ -73,10 +73,10 @@ TEST_F(FolderScenes, PhotographsWithoutPosesGetTheCommandsThatFindThem) {
     write_png_rgb(folder + "/images/" + name + ".png", 4, 2, std::vector<std::uint8_t>(24, 9));
   const std::string said = error_of([&] { find(folder); });
   EXPECT_NE(said.find("holds 3 photographs and no camera poses"), std::string::npos) << said;
-  EXPECT_NE(said.find("colmap feature_extractor --database_path " + shell_word(folder + "/database.db") +
-                      " --image_path " + shell_word(folder + "/images") +
-                      " --ImageReader.camera_model OPENCV --ImageReader.single_camera 1\n"),
-            std::string::npos)
+  EXPECT_NE(
+      said.find("colmap feature_extractor --database_path " + shell_word(folder + "/database.db") + " --image_path " +
+                shell_word(folder + "/images") + " --ImageReader.camera_model OPENCV --ImageReader.single_camera 1\n"),
+      std::string::npos)
       << said;
   for (const char* part : {"colmap exhaustive_matcher ", "colmap mapper ", "then: semfield init "})
     EXPECT_NE(said.find(part), std::string::npos) << said;
@@ -86,8 +86,9 @@ TEST_F(FolderScenes, PhotographsWithoutPosesGetTheCommandsThatFindThem) {
 
 TEST_F(FolderScenes, WhatIsNoSceneIsRefused) {
   const std::string folder = fresh_folder("empty");
-  EXPECT_EQ(error_of([&] { find(folder); })
-                .find("'" + folder + "' holds no scene that a dataset knows: colmap, obj_room, packed, replica, "),
+  EXPECT_EQ(error_of([&] {
+              find(folder);
+            }).find("'" + folder + "' holds no scene that a dataset knows: colmap, obj_room, packed, replica, "),
             0u);
   EXPECT_EQ(error_of([&] { find(folder + "/none"); }), "no folder '" + folder + "/none'; check the path");
   write_file_atomic(folder + "/run.yaml", "name: x\n");

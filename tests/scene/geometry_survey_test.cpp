@@ -322,8 +322,9 @@ TEST(GeometrySurvey, IntrinsicsOfAnotherImageSizeAreNamedWithTheFactor) {
                                       : "room: intrinsics are of images 2 times as small: of "),
               0u)
         << a.error << a.geometry;
-    EXPECT_NE(a.error.find(factor > 1 ? "divide focal lengths and centre by 2," : "multiply focal lengths and centre by 2,"),
-              std::string::npos)
+    EXPECT_NE(
+        a.error.find(factor > 1 ? "divide focal lengths and centre by 2," : "multiply focal lengths and centre by 2,"),
+        std::string::npos)
         << a.error;
   }
 }

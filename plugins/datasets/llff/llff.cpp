@@ -27,9 +27,10 @@ constexpr std::size_t kRow = 17;  // a frame: 3 x 5 numbers row by row, near, fa
 
 void describe(ParamVisitor& visit, LlffParams& p) {
   SEMFIELD_PARAM(visit, p, root, "folder of the scene: it holds poses_bounds.npy and the images");
-  SEMFIELD_PARAM(visit, p, images,
-                 "folder inside root of the images, which the rows of poses_bounds.npy take in the order of their names; "
-                 "they may have any size");
+  SEMFIELD_PARAM(
+      visit, p, images,
+      "folder inside root of the images, which the rows of poses_bounds.npy take in the order of their names; "
+      "they may have any size");
   SEMFIELD_PARAM(visit, p, test_every, "every N-th frame, by name, is held out for tests; 0 = none", {0, 1e6});
   SEMFIELD_PARAM(visit, p, label_dir,
                  "folder inside root of label images: the name of the image with .png; empty = no labels");
@@ -62,7 +63,8 @@ std::vector<std::string> Llff::image_files() const {
   for (const fs::directory_entry& entry : sorted_folder(folder.string())) {
     std::string extension = entry.path().extension().string();
     for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-    if (extension == ".jpg" || extension == ".jpeg" || extension == ".png" || extension == ".tif" || extension == ".tiff")
+    if (extension == ".jpg" || extension == ".jpeg" || extension == ".png" || extension == ".tif" ||
+        extension == ".tiff")
       out.push_back(entry.path().string());
   }
   return out;

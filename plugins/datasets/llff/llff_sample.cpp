@@ -16,7 +16,8 @@ DatasetSample semfield_sample_llff(const std::string& folder) {
   std::vector<const FrameInfo*> by_name;  // "view_10" comes before "view_2"
   for (const FrameInfo& frame : scene.frames) by_name.push_back(&frame);
   const auto name_of = [&](const FrameInfo* f) { return std::to_string(f - scene.frames.data()); };
-  std::sort(by_name.begin(), by_name.end(), [&](const FrameInfo* a, const FrameInfo* b) { return name_of(a) < name_of(b); });
+  std::sort(by_name.begin(), by_name.end(),
+            [&](const FrameInfo* a, const FrameInfo* b) { return name_of(a) < name_of(b); });
   for (const FrameInfo* frame : by_name) {
     const Camera camera = frame->camera.resized(2 * frame->camera.width_px, 2 * frame->camera.height_px);
     const double fifth[3] = {static_cast<double>(camera.height_px), static_cast<double>(camera.width_px), camera.fx};

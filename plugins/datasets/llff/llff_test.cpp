@@ -48,7 +48,8 @@ TEST(Llff, AxesAndSizes) {
   EXPECT_EQ(info.frames[0].camera.fx, 3.0) << "the poses are of images twice as large";
   EXPECT_EQ(info.frames[0].camera.cx, 2.0);
   EXPECT_EQ(info.far_hint_m, 0.0) << "what the file says of distances is often made up";
-  EXPECT_NE(d.all().at(0).text().find("images are 4 x 2 pixels, the cameras' 8 x 4, 2 times as large"), std::string::npos);
+  EXPECT_NE(d.all().at(0).text().find("images are 4 x 2 pixels, the cameras' 8 x 4, 2 times as large"),
+            std::string::npos);
 }
 
 TEST(Llff, FilesThatDoNotFitAreRefused) {
@@ -56,7 +57,9 @@ TEST(Llff, FilesThatDoNotFitAreRefused) {
   EXPECT_NE(error_of([&] { open(scene({row(1), row(2), row(3)}), d); }).find("has 3 frames, "), std::string::npos);
   std::vector<float> short_row = row(1);
   short_row.pop_back();
-  EXPECT_NE(error_of([&] { open(scene({short_row, short_row}), d); }).find("shape (2, 16) is not that of poses"),
+  EXPECT_NE(error_of([&] {
+              open(scene({short_row, short_row}), d);
+            }).find("shape (2, 16) is not that of poses"),
             std::string::npos);
   EXPECT_NE(error_of([&] { open(fresh_folder("none"), d); }).find("poses_bounds.npy"), std::string::npos);
   EXPECT_FALSE(d.has_errors());

@@ -114,8 +114,8 @@ class FileReader {
     if (!node.contains(key) || node[key].is_null()) return false;
     const json& value = node[key];
     if (value.is_boolean()) return value.get<bool>();
-    for (const auto& [means, as_written] : {std::pair{true, json{1, "true", "True", "1"}},
-                                            std::pair{false, json{0, "false", "False", "0", ""}}}) {
+    for (const auto& [means, as_written] :
+         {std::pair{true, json{1, "true", "True", "1"}}, std::pair{false, json{0, "false", "False", "0", ""}}}) {
       if (std::find(as_written.begin(), as_written.end(), value) != as_written.end()) return means;
     }
     diagnostics_.error(place, std::string("'") + key + "' is " + value.dump() + ", neither true nor false",
