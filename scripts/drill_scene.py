@@ -8,8 +8,18 @@ import struct
 import zlib
 
 
+def unfiltered(kind, row, above, channels):
+    """The row of a PNG before its filter: none, by the left, by the row above, by their mean, by Paeth's choice."""
+    out = bytearray(row)
+    for i, value in enumerate(row):
+        left, up, corner = (out[i - channels], above[i], above[i - channels]) if i >= channels else (0, above[i], 0)
+        nearest = min((left, up, corner), key=lambda v: abs(left + up - corner - v))
+        out[i] = (value + (0, left, up, (left + up) // 2, nearest)[kind]) % 256
+    return bytes(out)
+
+
 def read_png(path, channels):
-    """Width, height and bytes of an 8-bit PNG without row filters, as Semfield writes images."""
+    """Width, height and bytes of an 8-bit PNG that is not interlaced, as Semfield writes images."""
     with open(path, "rb") as file:
         data = file.read()
     width, height = struct.unpack(">II", data[16:24])
@@ -21,9 +31,11 @@ def read_png(path, channels):
         at += length + 12
     raw = zlib.decompress(packed)
     stride = width * channels + 1
-    rows = [raw[y * stride:(y + 1) * stride] for y in range(height)]
-    assert all(row[0] == 0 for row in rows), path
-    return width, height, b"".join(row[1:] for row in rows)
+    above, rows = bytes(stride - 1), []
+    for y in range(height):
+        above = unfiltered(raw[y * stride], raw[y * stride + 1:(y + 1) * stride], above, channels)
+        rows.append(above)
+    return width, height, b"".join(rows)
 
 
 def read_gray(path):

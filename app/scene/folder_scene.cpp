@@ -7,7 +7,6 @@
 #include <memory>
 #include <tuple>
 
-#include "app/scene/pose_commands.h"
 #include "config/params_read.h"
 #include "core/text.h"
 
@@ -96,7 +95,11 @@ std::string plain_name(const fs::path& path) {
 [[noreturn]] void refuse(const std::string& path, const AppContext& context) {
   std::error_code unknown;
   if (!fs::exists(path, unknown)) throw Error(ErrorKind::no_input, "no folder '" + path + "'", "check the path");
-  if (const std::string commands = pose_commands(path); !commands.empty()) throw Error(ErrorKind::no_input, commands);
+  for (const PluginEntry* entry : context.registry.entries()) {
+    const std::string commands =
+        entry->kind == PluginKind::dataset ? entry->new_params()->preparation(path) : std::string();
+    if (!commands.empty()) throw Error(ErrorKind::no_input, commands);
+  }
   throw Error(
       ErrorKind::no_input,
       "'" + path + "' holds no scene that a dataset knows: " + join(context.registry.names(PluginKind::dataset)),

@@ -29,7 +29,7 @@ bool names_a_scene(const std::string& word, const AppContext& context);
 
 /// Asks every dataset for what it knows in `path`; of several, that takes the scene which brings most: labels, then
 /// depth, then bounds. `type` names one that is to read it, "" = any. Throws Error(no_input) where none knows anything:
-/// for photographs without poses with the commands of COLMAP that find them.
+/// with what a dataset says of how it could be one.
 FolderScene find_scene(const std::string& path, const std::string& type, AppContext& context);
 
 /// The tree of a configuration: `preset` by include, the scene, and images of a size that trains well.

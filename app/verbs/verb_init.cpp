@@ -37,6 +37,7 @@ std::string path_from(const fs::path& file, const std::string& absolute) {
 }
 
 std::string frames_text(const FolderScene& scene) {
+  if (scene.train_frames + scene.test_frames == 0) return "none that could be read";
   return fmt::format("{} training and {} test frames of {} x {} pixels", scene.train_frames, scene.test_frames,
                      scene.width_px, scene.height_px);
 }

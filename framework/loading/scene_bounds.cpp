@@ -113,6 +113,7 @@ SurveyPoints survey_frame(const Camera& camera, const Pose& world_from_camera, c
 namespace {
 
 constexpr std::size_t kFewestCorners = 100;
+constexpr double kCornerMargin = 0.15;  // they are sparse: too small costs more than too large
 constexpr const char* kCornersFrom = "corners found again in training frames";
 
 double middle_of(const SurveyPoints& points) {
@@ -273,7 +274,7 @@ void derive_bounds(LoadedScene& scene, Evidence& seen, const SceneLoadOptions& o
     scene.bounds_from = seen_in;
     from_data = true;
   }
-  scene.extent_is_guessed = from_data && !seen.has_depth && !scene.plain_background;
+  scene.extent_is_guessed = from_data && !seen.has_depth && !scene.plain_background && !seen.corners;
   // Where space goes on beyond the bounds, rays may miss them.
   if (options.check_geometry && !options.contracted && scene.near_m < scene.far_m)
     check_rays(scene, seen.usable, {data, seen.survey.distances, from_data}, diagnostics);
@@ -318,11 +319,11 @@ void tell_of_guess(const LoadedScene& scene, const SceneLoadOptions& options, Di
 
 }  // namespace
 
-std::optional<SurveyedExtent> extent_of_points(std::vector<SurveyPoints> parts) {
-  constexpr double kLost = 0.005, kMargin = 0.05;
+std::optional<SurveyedExtent> extent_of_points(std::vector<SurveyPoints> parts, double margin) {
+  constexpr double kLost = 0.005;
   DepthSurvey survey = survey_depth(parts, kLost);
   if (survey.valid == 0) return std::nullopt;
-  grow(survey.box, kMargin);
+  grow(survey.box, margin);
   return SurveyedExtent{survey.box, 0.5 * quantile(survey.distances, kLost),
                         1.1 * quantile(survey.distances, 1 - kLost), survey.valid};
 }
@@ -353,7 +354,7 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
     scene.plain_background = find_plain_background(seen.cameras, pixels, scene.rig);
   }
   if (!seen.has_depth && !scene.plain_background && scene.corners.x.size() >= kFewestCorners)
-    seen.corners = extent_of_points({scene.corners});
+    seen.corners = extent_of_points({scene.corners}, kCornerMargin);
   derive_distances(scene, seen, options);
   // Where both are asked for, validate() compares them. Where one is, it may lie beyond what the other was derived to
   // be.

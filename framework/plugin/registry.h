@@ -35,6 +35,9 @@ class PluginParams {
   /// parameters become those that read it there. "" where it holds nothing of the kind. Looks at names and first bytes
   /// alone, and throws nothing.
   virtual std::string recognise(const std::string&) { return {}; }
+  /// Of a dataset: how what lies in a folder that no dataset recognises becomes a scene that this one reads, in lines
+  /// for the user: commands of another program. "" where nothing is to be made of it. Throws nothing.
+  virtual std::string preparation(const std::string&) const { return {}; }
 };
 
 namespace plugin_detail {
@@ -58,11 +61,19 @@ std::string call_recognise(const std::string& path, Params& params) {
   else
     return {};
 }
+template <class Params>
+std::string call_preparation(const std::string& folder, const Params& params) {
+  if constexpr (requires { preparation(folder, params); })
+    return preparation(folder, params);
+  else
+    return {};
+}
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its
 /// namespace; an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a dataset's
-/// `std::string recognise(const std::string& path, Params&)`.
+/// `std::string recognise(const std::string& path, Params&)` and
+/// `std::string preparation(const std::string& folder, const Params&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
@@ -72,6 +83,9 @@ class ParamsOf final : public PluginParams {
     plugin_detail::call_choose(value, build, chosen);
   }
   std::string recognise(const std::string& path) override { return plugin_detail::call_recognise(path, value); }
+  std::string preparation(const std::string& folder) const override {
+    return plugin_detail::call_preparation(folder, value);
+  }
   Params value;
 };
 

@@ -28,7 +28,7 @@ void write_pack(const std::string& path, const py::dict& scene, const py::functi
       FrameBuffer frame;
       fill_frame(read(i), info, static_cast<int>(i), frame);
     } catch (const Error& error) {
-      diagnostics.error("", error.message(), error.remedy());
+      report_of_frame(info.frames[i].name, error, diagnostics);
     }
   }
   diagnostics.throw_if_errors(ErrorKind::data, "");

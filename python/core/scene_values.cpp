@@ -126,6 +126,12 @@ py::dict camera_dict(const Camera& camera) {
   return out;
 }
 
+void report_of_frame(const std::string& frame, const Error& error, Diagnostics& diagnostics) {
+  const std::string place = "frame '" + frame + "'", &message = error.message();
+  const bool told = message.starts_with(place + ": ");
+  diagnostics.error(place, told ? message.substr(place.size() + 2) : message, error.remedy());
+}
+
 SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
   SceneInfo info;
   info.name = scene["name"].cast<std::string>();
@@ -138,8 +144,7 @@ SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
     const std::string place = "frame '" + frame.name + "'";
     const auto [first, fresh] = frame_of.emplace(frame.name, info.frames.size());
     if (!fresh)
-      diagnostics.error("",
-                        fmt::format("{}: frames {} and {} have this name", place, first->second, info.frames.size()),
+      diagnostics.error(place, fmt::format("frames {} and {} have this name", first->second, info.frames.size()),
                         "give each frame a name of its own");
     frame.camera = camera_of(given["camera"].cast<py::dict>());
     frame.split = split_of(given["split"].cast<std::string>(), place);
@@ -148,7 +153,7 @@ SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
     try {
       frame.world_from_camera = pose_of(given["pose"], place);
     } catch (const Error& error) {
-      diagnostics.error("", error.message(), error.remedy());
+      report_of_frame(frame.name, error, diagnostics);
     }
     check_camera(frame.camera, place, diagnostics);
     info.frames.push_back(std::move(frame));

@@ -17,6 +17,10 @@ Pose pose_of(const py::object& value, const std::string& place);
 Camera camera_of(const py::dict& camera);
 py::dict camera_dict(const Camera& camera);
 
+/// Files an error whose message begins with the place "frame 'a'" under that place, so that the same mistake in many
+/// frames is one finding.
+void report_of_frame(const std::string& frame, const Error& error, Diagnostics& diagnostics);
+
 /// Findings about poses and cameras go into `diagnostics`.
 SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics);
 

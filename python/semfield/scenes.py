@@ -168,7 +168,7 @@ class Scene:
             then not be saved.
 
     Raises:
-        DataError: with every frame that is wrong in `findings`.
+        DataError: with all that is wrong in `findings`; what several frames have in common is one of them.
     """
 
     def __init__(

@@ -40,11 +40,10 @@ TEST_F(FolderScenes, EveryDatasetKnowsItsOwnFiles) {
   }
 }
 
-TEST_F(FolderScenes, OfTwoReadersThatWithLabelsIsTaken) {
+TEST_F(FolderScenes, OfTwoReadersThatWhichBringsMostIsTaken) {
   const std::string folder = fresh_folder("both");
   testkit::dataset_samples().at("transforms_json")(folder);
   testkit::dataset_samples().at("colmap")(folder);
-  std::filesystem::remove_all(folder + "/labels");
   const FolderScene both = find(folder);
   EXPECT_EQ(both.type, "transforms_json");
   EXPECT_EQ(both.others, std::vector<std::string>{"colmap (a COLMAP model in sparse/0)"});
@@ -88,7 +87,7 @@ TEST_F(FolderScenes, WhatIsNoSceneIsRefused) {
   const std::string folder = fresh_folder("empty");
   EXPECT_EQ(error_of([&] {
               find(folder);
-            }).find("'" + folder + "' holds no scene that a dataset knows: colmap, obj_room, packed, replica, "),
+            }).find("'" + folder + "' holds no scene that a dataset knows: colmap, llff, obj_room, packed, replica, "),
             0u);
   EXPECT_EQ(error_of([&] { find(folder + "/none"); }), "no folder '" + folder + "/none'; check the path");
   write_file_atomic(folder + "/run.yaml", "name: x\n");

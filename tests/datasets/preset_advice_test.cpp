@@ -63,7 +63,7 @@ INSTANTIATE_TEST_SUITE_P(
                     Measured{"shelf", "shelf_bin", "hash_room.yaml", kTransforms, 160},
                     Measured{"lego", "lego", "object.yaml", kTransforms, 200},
                     Measured{"replica", "replica_apartment0", "hash_room.yaml", reads<Replica, ReplicaParams>(), 160}),
-    [](const auto& info) { return info.param.name; });
+    [](const auto& row) { return row.param.name; });
 
 // Forward-facing photographs: the box of what is seen and not that of the view cones.
 TEST(SceneBounds, CornersTellWhereAForwardFacingRoomIs) {

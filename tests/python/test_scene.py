@@ -88,13 +88,24 @@ def test_every_mistake_is_told_at_once(tmp_path: Path) -> None:
     arrays["names"] = [*"abcdefgh", "a", "j"]
     with pytest.raises(sf.DataError) as caught:
         sf.Scene(**arrays, file=tmp_path / "room.sfpack", bounds=[[1, -1, -1], [-1, 1, 1]])
-    text = [f.message for f in caught.value.findings]
+    text = [f"{f.where}: {f.message}" for f in caught.value.findings]
     for frame, says in [("b", "[24, 32, 3], got [5, 32, 3]"), ("c", "got float64"), ("d", "got float64"), ("e", "77 is the id of no class"),
                         ("f", "[24, 32], got [32, 24]"), ("g", "no rotation"), ("h", "not finite"), ("a", "frames 0 and 8")]:
         assert any(f"frame '{frame}'" in t and says in t for t in text), (frame, says, text)
     assert any("bounds: axis x" in t for t in text)
     assert len(text) == 9
     assert not list(tmp_path.iterdir())
+
+
+def test_one_mistake_of_every_frame_is_one_finding() -> None:
+    arrays = box_arrays()
+    arrays["images"] = [image[:5] for image in arrays["images"]]
+    with pytest.raises(sf.DataError) as caught:
+        sf.Scene(**arrays)
+    (finding,) = caught.value.findings
+    assert finding.where == "frame '0000'" and "rgb: expected the shape [24, 32, 3], got [5, 32, 3]" in finding.message
+    assert "9 more like this: frame '0001', " in finding.message + finding.remedy
+    assert str(caught.value).count("\n") == 0
 
 
 @pytest.mark.parametrize("wrong, says", [

@@ -25,6 +25,7 @@ struct ColmapParams {
 void describe(ParamVisitor& visit, ColmapParams& params);
 void validate(const ColmapParams& params, Diagnostics& diagnostics);
 std::string recognise(const std::string& path, ColmapParams& params);
+std::string preparation(const std::string& folder, const ColmapParams& params);
 
 class Colmap final : public Dataset {
  public:

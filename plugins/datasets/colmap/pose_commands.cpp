@@ -1,6 +1,4 @@
-#include "app/scene/pose_commands.h"
-
-#include <fmt/format.h>
+// Photographs without camera poses: the commands that find poses for them.
 
 #include <algorithm>
 #include <cctype>
@@ -11,10 +9,11 @@
 
 #include "core/error.h"
 #include "core/text.h"
+#include "datasets/colmap/colmap.h"
 #include "formats/image_io.h"
 #include "system/sorted_folder.h"
 
-namespace semfield::app {
+namespace semfield {
 
 namespace fs = std::filesystem;
 
@@ -54,7 +53,7 @@ bool have_one_size(const std::vector<std::string>& photographs) {
 
 }  // namespace
 
-std::string pose_commands(const std::string& folder) {
+std::string preparation(const std::string& folder, const ColmapParams&) {
   std::vector<std::string> photographs;
   fs::path where;
   std::vector<fs::path> places{folder};
@@ -74,19 +73,18 @@ std::string pose_commands(const std::string& folder) {
   const bool film = photographs.size() > kMostPairs;
   const std::string database = shell_word((fs::path(folder) / "database.db").string());
   const std::string images = shell_word(where.string()), sparse = shell_word((fs::path(folder) / "sparse").string());
-  const auto matcher = [](bool sequence) { return sequence ? "sequential_matcher" : "exhaustive_matcher"; };
-  return fmt::format(
-      "'{0}' holds {1} photographs and no camera poses that a dataset knows. COLMAP finds poses:\n"
-      "  colmap feature_extractor --database_path {2} --image_path {3} --ImageReader.camera_model OPENCV{4}\n"
-      "  colmap {5} --database_path {2}\n"
-      "  mkdir -p {6}\n"
-      "  colmap mapper --database_path {2} --image_path {3} --output_path {6}\n"
-      "then: semfield init {7}\n"
-      "{8} takes the place of {5} {9}. After a fisheye lens, `colmap image_undistorter` writes a folder of images and "
-      "model that is read.",
-      where.string(), photographs.size(), database, images,
-      have_one_size(photographs) ? " --ImageReader.single_camera 1" : "", matcher(film), sparse, shell_word(folder),
-      matcher(!film), film ? "for photographs in no order" : "for frames of a film, in the order of their names");
+  const std::string one_camera = have_one_size(photographs) ? " --ImageReader.single_camera 1" : "";
+  const std::string matchers[] = {"exhaustive_matcher", "sequential_matcher"};
+  return "'" + where.string() + "' holds " + std::to_string(photographs.size()) +
+         " photographs and no camera poses that a dataset knows. COLMAP finds poses:\n" +
+         "  colmap feature_extractor --database_path " + database + " --image_path " + images +
+         " --ImageReader.camera_model OPENCV" + one_camera + "\n" + "  colmap " + matchers[film ? 1 : 0] +
+         " --database_path " + database + "\n" + "  mkdir -p " + sparse + "\n" + "  colmap mapper --database_path " +
+         database + " --image_path " + images + " --output_path " + sparse + "\n" + "then: semfield init " +
+         shell_word(folder) + "\n" +
+         (film ? "For photographs in no order " : "For frames of a film, in the order of their names, ") +
+         matchers[film ? 0 : 1] + " takes the place of " + matchers[film ? 1 : 0] +
+         ". After a fisheye lens, `colmap image_undistorter` writes a folder of images and model that is read.";
 }
 
-}  // namespace semfield::app
+}  // namespace semfield
