@@ -142,6 +142,7 @@ FolderScene find_scene(const std::string& path, const std::string& type, AppCont
   }
   out.section = section_of(*best);
   for (const FrameInfo& f : best->info.frames) {
+    out.labels = out.labels || f.has_labels;
     out.train_frames += f.split == Split::train ? 1 : 0;
     out.test_frames += f.split == Split::test ? 1 : 0;
     out.width_px = std::max(out.width_px, f.camera.width_px);
@@ -159,7 +160,11 @@ ConfigNode config_of(const FolderScene& scene, const std::string& preset) {
   ConfigNode section = scene.section;
   if (const int by = downscale_of(scene); by > 1)
     section = section.with("load", ConfigNode::make_map({{"downscale", text_node(std::to_string(by))}}, {}));
-  return ConfigNode::make_map({{"include", text_node(preset)}, {"scene", section}}, {});
+  ConfigNode tree = ConfigNode::make_map({{"include", text_node(preset)}, {"scene", section}}, {});
+  if (!scene.labels) {  // the presets draw part of the rays from labelled pixels
+    tree = tree.with("train", ConfigNode::make_map({{"ray_source", text_node("all_images")}}, {}));
+  }
+  return tree;
 }
 
 }  // namespace semfield::app

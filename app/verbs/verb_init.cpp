@@ -1,7 +1,6 @@
 // init: looks at the folder of a scene and writes the configuration that trains on it.
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 
@@ -95,8 +94,6 @@ int run(const InitOptions& options, AppContext& context) {
       advised_preset(scene).value_or(PresetAdvice{kUsualPreset, "nothing could be read that speaks for another", {}});
   if (fs::path(file).has_parent_path()) fs::create_directories(fs::path(file).parent_path());
   write_file_atomic(file, config_text(found, advice, file));
-  const bool labels =
-      std::any_of(scene.info.frames.begin(), scene.info.frames.end(), [](const FrameInfo& f) { return f.has_labels; });
   if (context.json) {
     Json out = inspect_json(scene, diagnostics);
     out["file"] = file;
@@ -114,7 +111,7 @@ int run(const InitOptions& options, AppContext& context) {
       if (finding.severity != Severity::note)
         std::printf("%-11s %s\n", finding.severity == Severity::error ? "error" : "warning", finding.text().c_str());
     }
-    std::fputs(next_steps(file, "runs/" + fs::path(file).stem().string(), labels).c_str(), stdout);
+    std::fputs(next_steps(file, "runs/" + fs::path(file).stem().string(), found.labels).c_str(), stdout);
   }
   return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }
