@@ -111,6 +111,7 @@ std::string plain_name(const fs::path& path) {
 bool names_a_scene(const std::string& word, const AppContext& context) {
   std::error_code unknown;
   const fs::path path(word);
+  if (fs::exists(word + ".yaml", unknown)) return false;  // the ending of a configuration may be left out
   if (fs::is_directory(path, unknown)) return !fs::exists(path / "run.yaml", unknown);
   const std::string extension = path.extension().string();
   return fs::is_regular_file(path, unknown) && extension != ".yaml" && extension != ".yml" &&

@@ -25,7 +25,7 @@ struct FolderScene {
   std::int32_t width_px = 0, height_px = 0;  ///< of its largest frame, as stored
 };
 
-/// Whether a word names a folder that is no run, or a file that a dataset knows, in place of a configuration.
+/// Whether a word names a folder that is no run, or a file that a dataset knows, and no configuration.
 bool names_a_scene(const std::string& word, const AppContext& context);
 
 /// Asks every dataset for what it knows in `path`; of several, that takes the scene which brings most: labels, then
