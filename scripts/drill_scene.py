@@ -8,8 +8,18 @@ import struct
 import zlib
 
 
-def read_gray(path):
-    """Width, height and bytes of an 8-bit PNG of one channel without row filters, as Semfield writes label images."""
+def unfiltered(kind, row, above, channels):
+    """The row of a PNG before its filter: none, by the left, by the row above, by their mean, by Paeth's choice."""
+    out = bytearray(row)
+    for i, value in enumerate(row):
+        left, up, corner = (out[i - channels], above[i], above[i - channels]) if i >= channels else (0, above[i], 0)
+        nearest = min((left, up, corner), key=lambda v: abs(left + up - corner - v))
+        out[i] = (value + (0, left, up, (left + up) // 2, nearest)[kind]) % 256
+    return bytes(out)
+
+
+def read_png(path, channels):
+    """Width, height and bytes of an 8-bit PNG that is not interlaced, as Semfield writes images."""
     with open(path, "rb") as file:
         data = file.read()
     width, height = struct.unpack(">II", data[16:24])
@@ -20,9 +30,38 @@ def read_gray(path):
             packed += data[at + 8:at + 8 + length]
         at += length + 12
     raw = zlib.decompress(packed)
-    rows = [raw[y * (width + 1):(y + 1) * (width + 1)] for y in range(height)]
-    assert all(row[0] == 0 for row in rows), path
-    return width, height, b"".join(row[1:] for row in rows)
+    stride = width * channels + 1
+    above, rows = bytes(stride - 1), []
+    for y in range(height):
+        above = unfiltered(raw[y * stride], raw[y * stride + 1:(y + 1) * stride], above, channels)
+        rows.append(above)
+    return width, height, b"".join(rows)
+
+
+def read_gray(path):
+    return read_png(path, 1)
+
+
+def read_rgb(path):
+    return read_png(path, 3)[2]
+
+
+def turned(width, height, rgb):
+    """The picture turned by a quarter clockwise: its width, height and bytes."""
+    return height, width, b"".join(rgb[3 * (y * width + x):3 * (y * width + x) + 3]
+                                   for x in range(width) for y in range(height - 1, -1, -1))
+
+
+def write_tiff(path, width, height, rgb, orientation):
+    """8-bit RGB in one strip, with an orientation as EXIF has it."""
+    entries = [(256, 3, 1, width), (257, 3, 1, height), (258, 3, 3, 0), (259, 3, 1, 1), (262, 3, 1, 2), (273, 4, 1, 0),
+               (274, 3, 1, orientation), (277, 3, 1, 3), (278, 3, 1, height), (279, 4, 1, len(rgb))]
+    bits_at = 8 + 2 + 12 * len(entries) + 4
+    places = {258: bits_at, 273: bits_at + 6}
+    directory = b"".join(struct.pack("<HHII", tag, kind, count, places.get(tag, value)) for tag, kind, count, value in entries)
+    with open(path, "wb") as file:
+        file.write(struct.pack("<2sHIH", b"II", 42, 8, len(entries)) + directory + struct.pack("<I", 0) +
+                   struct.pack("<3H", 8, 8, 8) + rgb)
 
 
 def write_png(path, width, height, channels, pixels):
@@ -132,6 +171,11 @@ class Replica(Scene):
 class TransformsJson(Scene):
     kind = "transforms_json"
     label_key = "label_path"
+    image_ending = ".png"
+    intrinsics = {"camera_angle_x": math.pi / 2}
+
+    def file_of(self, i):
+        return os.path.splitext(self.image(i))[0] + self.image_ending
 
     in_own_axes = staticmethod(other_axes)
 
@@ -140,7 +184,7 @@ class TransformsJson(Scene):
         poses = [other_axes(pose) for pose in self.poses] if poses is None else poses
         frames = []
         for i, pose in enumerate(poses[:kept]):
-            frame = {"file_path": f"rgb/rgb_{i}.png", "depth_path": f"depth/depth_{i}.png",
+            frame = {"file_path": f"rgb/rgb_{i}{self.image_ending}", "depth_path": f"depth/depth_{i}.png",
                      self.label_key: f"semantic_class/semantic_class_{i}.png"}
             if without_matrix:
                 x, y, z, w = quaternion(pose)
@@ -149,7 +193,7 @@ class TransformsJson(Scene):
                 frame["transform_matrix"] = pose
             frames.append(frame)
         with open(os.path.join(self.folder, "transforms.json"), "w") as file:
-            json.dump({"camera_angle_x": math.pi / 2, "depth_unit_m": 0.001, "frames": frames}, file, indent=1)
+            json.dump({**self.intrinsics, "depth_unit_m": 0.001, "frames": frames}, file, indent=1)
         self.write_config(self.kind)
 
     def write_quaternions(self):

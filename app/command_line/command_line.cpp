@@ -3,6 +3,8 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cstdio>
+#include <filesystem>
+#include <system_error>
 #include <utility>
 
 #include "app/command_line/grammar.h"
@@ -22,8 +24,8 @@ struct Split {
   std::vector<std::string> rest;
 };
 
-// The verb is the first word that is no flag and no flag's value, and of a group the first two. Words that stand before
-// it are of every verb.
+// The verb is the first word that is no flag and no flag's value, and of a group the first two; `inspect` where that
+// word is a path. Words that stand before it are of every verb.
 Split split_words(const Grammar& grammar, const std::vector<std::string>& words) {
   Split split;
   for (std::size_t i = 0; i < words.size(); ++i) {
@@ -35,6 +37,11 @@ Split split_words(const Grammar& grammar, const std::vector<std::string>& words)
     const std::string group = split.verb == nullptr ? "" : split.verb->name;
     if (word.empty() || word.front() != '-') {
       split.verb = grammar.find(group.empty() ? word : group + " " + word);
+      std::error_code unknown;
+      if (split.verb == nullptr && group.empty() && std::filesystem::exists(word, unknown)) {
+        split.verb = grammar.find("inspect");  // a scene or a configuration alone asks what it is
+        split.rest.push_back(word);
+      }
       if (split.verb == nullptr) throw unknown_verb(grammar, group, word);
       continue;
     }

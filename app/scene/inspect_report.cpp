@@ -7,6 +7,7 @@
 #include <map>
 #include <span>
 
+#include "app/scene/preset_advice.h"
 #include "core/findings.h"
 #include "system/files.h"
 
@@ -84,24 +85,6 @@ std::string class_table(const LoadedScene& scene) {
   return out;
 }
 
-// Which preset suits the way the cameras stand; scenes with depth say enough by themselves.
-std::string preset_text(const LoadedScene& scene, int frames_with_depth) {
-  if (frames_with_depth > 0 || scene.bounds.empty()) return "";
-  if (scene.plain_background) {
-    const auto& c = scene.plain_background->color;
-    const std::string set = c[0] == 255 && c[1] == 255 && c[2] == 255
-                                ? ""
-                                : fmt::format(" with rendering.background: [{:.3g}, {:.3g}, {:.3g}]", c[0] / 255.0,
-                                              c[1] / 255.0, c[2] / 255.0);
-    return fmt::format(
-        "preset      parts/object.yaml{}: the cameras stand around an object before one colour, ({}, {}, {})\n", set,
-        c[0], c[1], c[2]);
-  }
-  return scene.rig.inward
-             ? "preset      parts/unbounded.yaml: the cameras stand around one place and see what lies behind it\n"
-             : "preset      parts/hash_room.yaml: the cameras do not stand around one place\n";
-}
-
 struct Counted {
   int depth = 0, read = 0;
   Box cameras;
@@ -154,7 +137,7 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
                      scene.near_far_from.empty() ? "" : " from " + scene.near_far_from);
   out += fmt::format("pixel       {:.4g} at the middle depth\n", scene.pixel_footprint_m);
   if (!scene.geometry.empty()) out += "geometry    " + scene.geometry + "\n";
-  out += preset_text(scene, depth);
+  if (const auto advice = advised_preset(scene)) out += "preset      " + advice->text() + "\n";
   return out + class_table(scene) + problems(diagnostics);
 }
 
@@ -178,7 +161,14 @@ nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics&
            {"near", scene.near_m},
            {"far", scene.far_m},
            {"pixel", scene.pixel_footprint_m},
-           {"geometry", scene.geometry}};
+           {"geometry", scene.geometry},
+           {"preset", nullptr},
+           {"preset_why", nullptr}};
+  if (const auto advice = advised_preset(scene)) {
+    out["preset"] = advice->preset;
+    out["preset_why"] = advice->why;
+    if (advice->background) out["background"] = *advice->background;
+  }
   const ClassTable& classes = scene.info.classes;
   const SplitCounts train = counts_of(scene, Split::train), test = counts_of(scene, Split::test);
   out["labelled_train_frames"] = train.labelled;

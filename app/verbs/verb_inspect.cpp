@@ -4,8 +4,10 @@
 
 #include "app/json_output.h"
 #include "app/scene/configured_scene.h"
+#include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/verb.h"
+#include "core/text.h"
 #include "session/ray_source.h"
 
 namespace semfield::app {
@@ -46,7 +48,11 @@ void check_ray_source(const LoadedScene& scene, const RunConfig& config, Diagnos
 }
 
 int run(const InspectOptions& options, AppContext& context) {
-  OpenedDataset opened = dataset_of(options.config, context);
+  const std::string& what = options.config.config;
+  const bool folder = names_a_scene(what, context);
+  OpenedDataset opened =
+      folder ? dataset_of(config_of(find_scene(what, "", context), kUsualPreset), options.config.set, context)
+             : dataset_of(options.config, context);
   Diagnostics diagnostics;
   LoadedScene scene = load_for_labels(opened, diagnostics);
   if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
@@ -56,6 +62,8 @@ int run(const InspectOptions& options, AppContext& context) {
   } else {
     std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
   }
+  if (folder)
+    print_note(context, "next: `semfield init " + shell_word(what) + "` writes a configuration for this scene");
   if (!options.frusta.empty()) {
     write_frusta_ply(options.frusta, scene);
     print_note(context, "cameras written to " + options.frusta);
@@ -64,7 +72,8 @@ int run(const InspectOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, InspectOptions& options) {
-  verb.config(options.config);
+  verb.operand("config", options.config.config, "configuration file (YAML), or the folder of a scene");
+  verb.repeated("--set KEY=VALUE", options.config.set, "override a value: --set train.rays=2048");
   verb.threads(options.config.set);
   verb.value("--frusta FILE", options.frusta, "write the cameras as a PLY file");
 }

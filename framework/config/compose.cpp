@@ -246,6 +246,11 @@ ConfigNode with_overrides(ConfigNode root, const std::vector<ConfigOverride>& ov
   return resolve_like(with_named_passes(root));
 }
 
+ConfigNode with_overrides(ConfigNode root, const std::vector<std::string>& overrides) {
+  for (const std::string& text : overrides) root = apply_override(with_named_passes(root), text);
+  return resolve_like(with_named_passes(root));
+}
+
 // The scalar of an item that tells it from the others; null: none does.
 const ConfigNode* telling(const ConfigNode& item) {
   for (const char* key : {"name", "labels"}) {
@@ -290,9 +295,7 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
 }
 
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides) {
-  ConfigNode root = Loader().load(find_config(path));
-  for (const std::string& override_text : overrides) root = apply_override(with_named_passes(root), override_text);
-  return resolve_like(with_named_passes(root));
+  return with_overrides(Loader().load(find_config(path)), overrides);
 }
 
 ConfigNode compose_config_with(const std::string& path, const std::vector<ConfigOverride>& overrides) {
@@ -300,6 +303,10 @@ ConfigNode compose_config_with(const std::string& path, const std::vector<Config
 }
 
 ConfigNode compose_config_tree(const ConfigNode& tree, const std::vector<ConfigOverride>& overrides) {
+  return with_overrides(Loader().with_includes(tree), overrides);
+}
+
+ConfigNode compose_config_tree(const ConfigNode& tree, const std::vector<std::string>& overrides) {
   return with_overrides(Loader().with_includes(tree), overrides);
 }
 

@@ -35,6 +35,8 @@ struct ConfigOverride {
 ConfigNode compose_config_with(const std::string& path, const std::vector<ConfigOverride>& overrides);
 /// The same of a tree that no file holds: what it includes is looked for from the working folder.
 ConfigNode compose_config_tree(const ConfigNode& tree, const std::vector<ConfigOverride>& overrides);
+/// The same with overrides as the command line has them.
+ConfigNode compose_config_tree(const ConfigNode& tree, const std::vector<std::string>& overrides);
 
 /// Paths in a config are relative to the file that wrote them: the absolute path of a scalar node's text.
 std::string resolve_path(const ConfigNode& scalar);

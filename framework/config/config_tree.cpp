@@ -321,7 +321,10 @@ ConfigNode parse_config_value(std::string_view yaml, const std::string& origin) 
 ConfigNode parse_config_file(const std::string& path) {
   std::error_code unknown;
   if (std::filesystem::is_directory(path, unknown)) {
-    throw Error(ErrorKind::no_input, "'" + path + "' is a folder, not a config file");
+    throw Error(ErrorKind::no_input, "'" + path + "' is a folder, not a config file",
+                std::filesystem::exists(std::filesystem::path(path) / "run.yaml")
+                    ? "it is a run, whose configuration is its run.yaml"
+                    : "`semfield init " + shell_word(path) + "` writes one for the scene in it");
   }
   // One byte more than allowed is enough to see that a file is too large; devices and pipes have no size to ask for.
   const auto size = std::filesystem::file_size(path, unknown);

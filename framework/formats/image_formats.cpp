@@ -31,7 +31,8 @@ std::unique_ptr<OIIO::ImageInput> open_input(const std::string& path) {
 ImageSize size(const std::string& path) {
   const auto input = open_input(path);
   const OIIO::ImageSpec& spec = input->spec();
-  return {spec.width, spec.height, spec.nchannels, static_cast<int>(spec.format.basesize() * 8)};
+  return {spec.width, spec.height, spec.nchannels, static_cast<int>(spec.format.basesize() * 8),
+          spec.get_int_attribute("Orientation", 1)};
 }
 
 template <class T>

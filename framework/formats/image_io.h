@@ -20,6 +20,9 @@ struct Image {
 struct ImageSize {
   std::int32_t width_px = 0, height_px = 0, channels = 0;
   int bits = 8;
+  int orientation = 1;  ///< EXIF: 1 = as stored; pixels are always read as they are stored
+  /// Viewers turn the picture by a quarter.
+  bool turned_by_exif() const { return orientation >= 5 && orientation <= 8; }
 };
 
 /// "640 x 480".

@@ -8,6 +8,7 @@
 
 #include "core/text.h"
 #include "formats/image_io.h"
+#include "loading/camera_fit.h"
 #include "loading/load_progress.h"
 #include "scene/scene_checks.h"
 #include "scene/unknown_labels.h"
@@ -112,7 +113,7 @@ std::string label_settings(const FrameInfo& frame, const std::filesystem::path& 
 
 bool FrameFileCheck::present(const FrameInfo& frame, FrameFiles& files, Diagnostics& diagnostics) {
   tell_load_progress("checking", ++checked_, frames_);
-  if (!present(frame, "colour image", files.color, diagnostics)) return false;
+  if (!present(frame, kColorImage, files.color, diagnostics)) return false;
   for (const auto& [what, path] : kOptional) {
     if (!(files.*path).empty() && !present(frame, what, files.*path, diagnostics)) (files.*path).clear();
   }
@@ -134,25 +135,24 @@ bool FrameFileCheck::present(const FrameInfo& frame, const char* what, const std
   return false;
 }
 
-void FrameFileCheck::check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) const {
-  check_header(frame, "colour image", files.color, diagnostics);
+void FrameFileCheck::check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) {
+  check_header(frame, kColorImage, files.color, diagnostics);
   for (const auto& [what, path] : kOptional) check_header(frame, what, files.*path, diagnostics);
 }
 
 void FrameFileCheck::check_header(const FrameInfo& frame, const char* what, const std::string& path,
-                                  Diagnostics& diagnostics) const {
+                                  Diagnostics& diagnostics) {
   if (path.empty()) return;
   const bool is_label = what == kOptional[1].first;
   try {
     const ImageSize size = image_size(path);
+    if (what == kColorImage && size.orientation != 1) turned_.push_back(frame.name);
     if (size.width_px != frame.camera.width_px || size.height_px != frame.camera.height_px) {
-      const std::string same_size = "colour, depth and labels of a frame need the size that its camera states";
-      diagnostics.error(frame_place(frame),
-                        std::string(what) + " '" + path + "' is " + size_text(size.width_px, size.height_px) +
-                            " pixels, the camera " + size_text(frame.camera.width_px, frame.camera.height_px),
-                        is_label ? same_size + "; labels of another one are scaled with " +
+      const OtherSize wrong = other_size(what, path, size, frame.camera);
+      diagnostics.error(frame_place(frame), wrong.message,
+                        is_label ? wrong.remedy + "; labels of another one are scaled with " +
                                        label_settings(frame, path, labels_key_, "")
-                                 : same_size);
+                                 : wrong.remedy);
     } else if (is_label) {
       report_color_labels(frame, path, size.channels, labels_key_, diagnostics);
     }
@@ -162,6 +162,12 @@ void FrameFileCheck::check_header(const FrameInfo& frame, const char* what, cons
 }
 
 void FrameFileCheck::report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const {
+  if (!turned_.empty()) {
+    diagnostics.note(source, std::to_string(turned_.size()) + " of " + std::to_string(frames_left) +
+                                 " images have an EXIF orientation by which viewers turn them; here pixels count as "
+                                 "they are stored, as cameras of COLMAP do: " +
+                                 first_names(turned_));
+  }
   if (missing_ == MissingFiles::error) return;
   std::size_t lost = 0;
   for (const auto& [what, names] : left_out_) {

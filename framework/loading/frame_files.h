@@ -63,17 +63,19 @@ class FrameFileCheck {
   /// The same for any file that a frame cannot do without; `what` is as in "pose".
   bool present(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics);
   /// Headers only: every size equal to the camera's, labels of one channel. Each problem goes under the frame's place.
-  void check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) const;
-  /// After the last frame: says under `source` what was left out, and refuses a scene of which nothing is left.
+  void check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics);
+  /// After the last frame: says under `source` what was left out and how many images viewers turn by their EXIF
+  /// orientation, and refuses a scene of which nothing is left.
   void report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const;
 
  private:
-  void check_header(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics) const;
+  void check_header(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics);
 
   MissingFiles missing_;
   std::string labels_key_;
   std::size_t checked_ = 0, frames_ = 0;
   std::map<std::string, std::vector<std::string>> left_out_;  // what -> names of frames
+  std::vector<std::string> turned_;                           // names of frames
 };
 
 /// Reports label images whose pixels are colours (`channels` above 1), with the setting that reads them. `labels_key`

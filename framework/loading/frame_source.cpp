@@ -329,7 +329,11 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   }
   report_unknown_labels(frames, unknown, diagnostics);
   const int before = diagnostics.error_count();
-  if (geometry) scene.geometry = geometry->conclude(diagnostics);
+  if (geometry) {
+    GeometryVerdict verdict = geometry->conclude(diagnostics);
+    scene.geometry = std::move(verdict.text);
+    scene.corners = std::move(verdict.corners);
+  }
   // What poses of another convention do to bounds and distances would hide the cause.
   Diagnostics consequences;
   Diagnostics& heard = diagnostics.error_count() > before ? consequences : diagnostics;

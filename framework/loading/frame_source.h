@@ -44,11 +44,13 @@ void validate(const SceneLoadOptions& options, Diagnostics& diagnostics);
 
 /// What training and rendering start from.
 struct LoadedScene {
-  SceneInfo info;                          ///< cameras at the loaded size; has_depth as in the data, kept or not
-  std::vector<StoredFrame> frames;         ///< as info.frames; empty where a frame could not be read
-  Box bounds;                              ///< never empty after a load without errors
-  double near_m = 0, far_m = 0;            ///< along the ray
-  double pixel_footprint_m = 0;            ///< world size of one pixel at the scene's middle depth (training frames)
+  SceneInfo info;                   ///< cameras at the loaded size; has_depth as in the data, kept or not
+  std::vector<StoredFrame> frames;  ///< as info.frames; empty where a frame could not be read
+  Box bounds;                       ///< never empty after a load without errors
+  double near_m = 0, far_m = 0;     ///< along the ray
+  double pixel_footprint_m = 0;     ///< world size of one pixel at the scene's middle depth (training frames)
+  /// Corners of photographs without depth, where the poses put them: world points that tell where the scene is.
+  SurveyPoints corners;
   std::string geometry;                    ///< what the check of poses against pixels found; empty = not asked
   std::string bounds_from, near_far_from;  ///< one phrase each: "depth of 35 training frames", "the configuration", ...
   CameraRig rig;                           ///< of the training cameras

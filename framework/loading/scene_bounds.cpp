@@ -112,13 +112,23 @@ SurveyPoints survey_frame(const Camera& camera, const Pose& world_from_camera, c
 
 namespace {
 
+constexpr std::size_t kFewestCorners = 100;
+constexpr double kCornerMargin = 0.15;  // they are sparse: too small costs more than too large
+constexpr const char* kCornersFrom = "corners found again in training frames";
+
+double middle_of(const SurveyPoints& points) {
+  std::vector<float> distances = points.distance;
+  return quantile(distances, 0.5);
+}
+
 // What the derivation of one scene knows.
 struct Evidence {
   std::vector<int> usable;  ///< training frames that could be read
   Cameras cameras;          ///< theirs
   DepthSurvey survey;
   bool has_depth = false;
-  double covered = 0;  ///< share of the pixels looked at that have depth
+  double covered = 0;                     ///< share of the pixels looked at that have depth
+  std::optional<SurveyedExtent> corners;  ///< of scenes that neither depth nor a plain background tells of
 };
 
 Box box_of_cameras(const Cameras& cameras) {
@@ -175,19 +185,24 @@ void derive_distances(LoadedScene& scene, Evidence& seen, const SceneLoadOptions
     const bool object = scene.plain_background.has_value();
     scene.far_m = seen.has_depth ? 1.05 * quantile(seen.survey.distances, 0.999)
                   : object       ? 1.05 * behind_object
+                  : seen.corners ? seen.corners->far_m
                   : walk > 0     ? kWalks * walk
                                  : 10.0;
     scene.near_far_from = seen.has_depth ? "depth of the training frames"
                           : object       ? "the object's silhouettes"
+                          : seen.corners ? kCornersFrom
                           : walk > 0     ? "four times the extent of the cameras"
                                          : "a guess (one camera place, no depth)";
   }
   if (scene.near_m <= 0) {
     scene.near_m = seen.has_depth  ? std::min(0.5 * quantile(seen.survey.distances, 0.001), 0.5 * scene.far_m)
                    : to_object > 0 ? std::min(0.8 * to_object, 0.5 * scene.far_m)
+                   : seen.corners  ? std::min(seen.corners->near_m, 0.5 * scene.far_m)
                                    : 0.01 * scene.far_m;
     if (scene.near_far_from.empty())
-      scene.near_far_from = seen.has_depth ? "depth of the training frames" : "1 % of far";
+      scene.near_far_from = seen.has_depth ? "depth of the training frames"
+                            : seen.corners ? kCornersFrom
+                                           : "1 % of far";
   }
 }
 
@@ -226,6 +241,13 @@ Box box_of_data(const LoadedScene& scene, Evidence& seen, std::string& from) {
     grow(box, 0.02);
     return box;
   }
+  if (seen.corners) {
+    from = std::to_string(seen.corners->points) + " corners found again in " + frames;
+    Box box = box_of_cameras(seen.cameras);
+    box.include(seen.corners->bounds.lo);
+    box.include(seen.corners->bounds.hi);
+    return box;
+  }
   if (!scene.plain_background) return box_of_cones(scene, seen.cameras, from);
   from = "the object's silhouettes in " + frames;
   Box box = scene.plain_background->object;
@@ -252,7 +274,7 @@ void derive_bounds(LoadedScene& scene, Evidence& seen, const SceneLoadOptions& o
     scene.bounds_from = seen_in;
     from_data = true;
   }
-  scene.extent_is_guessed = from_data && !seen.has_depth && !scene.plain_background;
+  scene.extent_is_guessed = from_data && !seen.has_depth && !scene.plain_background && !seen.corners;
   // Where space goes on beyond the bounds, rays may miss them.
   if (options.check_geometry && !options.contracted && scene.near_m < scene.far_m)
     check_rays(scene, seen.usable, {data, seen.survey.distances, from_data}, diagnostics);
@@ -297,11 +319,11 @@ void tell_of_guess(const LoadedScene& scene, const SceneLoadOptions& options, Di
 
 }  // namespace
 
-std::optional<SurveyedExtent> extent_of_points(std::vector<SurveyPoints> parts) {
-  constexpr double kLost = 0.005, kMargin = 0.05;
+std::optional<SurveyedExtent> extent_of_points(std::vector<SurveyPoints> parts, double margin) {
+  constexpr double kLost = 0.005;
   DepthSurvey survey = survey_depth(parts, kLost);
   if (survey.valid == 0) return std::nullopt;
-  grow(survey.box, kMargin);
+  grow(survey.box, margin);
   return SurveyedExtent{survey.box, 0.5 * quantile(survey.distances, kLost),
                         1.1 * quantile(survey.distances, 1 - kLost), survey.valid};
 }
@@ -331,6 +353,8 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   if (!seen.has_depth && !options.contracted) {
     scene.plain_background = find_plain_background(seen.cameras, pixels, scene.rig);
   }
+  if (!seen.has_depth && !scene.plain_background && scene.corners.x.size() >= kFewestCorners)
+    seen.corners = extent_of_points({scene.corners}, kCornerMargin);
   derive_distances(scene, seen, options);
   // Where both are asked for, validate() compares them. Where one is, it may lie beyond what the other was derived to
   // be.
@@ -346,6 +370,7 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   for (const FrameInfo* camera : seen.cameras) focal.push_back(static_cast<float>(camera->camera.fx));
   const Vec3d size = scene.bounds.empty() ? Vec3d{} : scene.bounds.size();
   const double middle = seen.has_depth     ? quantile(seen.survey.distances, 0.5)
+                        : seen.corners     ? middle_of(scene.corners)
                         : scene.rig.inward ? scene.rig.distance_m
                         // Of contracted space far is as good as infinity, and tells nothing of where things are.
                         : options.contracted ? 0.5 * std::max({size.x, size.y, size.z})

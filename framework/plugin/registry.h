@@ -31,6 +31,13 @@ class PluginParams {
   /// Replaces values that stand for "chosen from the scene" by numbers and adds a sentence for each; called once,
   /// before anything is built, so that the resolved configuration holds what was chosen.
   virtual void choose(const EncoderBuild&, std::vector<std::string>&) {}
+  /// Of a dataset: what `path`, a folder or a file, holds that it reads, in a few words ("a transforms.json"), and its
+  /// parameters become those that read it there. "" where it holds nothing of the kind. Looks at names and first bytes
+  /// alone, and throws nothing.
+  virtual std::string recognise(const std::string&) { return {}; }
+  /// Of a dataset: how what lies in a folder that no dataset recognises becomes a scene that this one reads, in lines
+  /// for the user: commands of another program. "" where nothing is to be made of it. Throws nothing.
+  virtual std::string preparation(const std::string&) const { return {}; }
 };
 
 namespace plugin_detail {
@@ -47,10 +54,26 @@ template <class Params>
 void call_choose(Params& params, const EncoderBuild& build, std::vector<std::string>& chosen) {
   if constexpr (requires { choose(params, build, chosen); }) choose(params, build, chosen);
 }
+template <class Params>
+std::string call_recognise(const std::string& path, Params& params) {
+  if constexpr (requires { recognise(path, params); })
+    return recognise(path, params);
+  else
+    return {};
+}
+template <class Params>
+std::string call_preparation(const std::string& folder, const Params& params) {
+  if constexpr (requires { preparation(folder, params); })
+    return preparation(folder, params);
+  else
+    return {};
+}
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its
-/// namespace; an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`.
+/// namespace; an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a dataset's
+/// `std::string recognise(const std::string& path, Params&)` and
+/// `std::string preparation(const std::string& folder, const Params&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
@@ -58,6 +81,10 @@ class ParamsOf final : public PluginParams {
   void validate(Diagnostics& diagnostics) const override { plugin_detail::call_validate(value, diagnostics); }
   void choose(const EncoderBuild& build, std::vector<std::string>& chosen) override {
     plugin_detail::call_choose(value, build, chosen);
+  }
+  std::string recognise(const std::string& path) override { return plugin_detail::call_recognise(path, value); }
+  std::string preparation(const std::string& folder) const override {
+    return plugin_detail::call_preparation(folder, value);
   }
   Params value;
 };

@@ -97,8 +97,9 @@ RunFolder RunFolder::read(const std::string& path) {
                 "give the folder that `train` printed");
   }
   if (!fs::exists(folder.config_path())) {
-    throw Error(ErrorKind::no_input, fmt::format("'{}' holds no run.yaml: it is not a run folder", path),
-                "give the folder that `train` printed");
+    throw Error(
+        ErrorKind::no_input, fmt::format("'{}' holds no run.yaml: it is not a run folder", path),
+        "give the folder that `train` printed; for the folder of a scene `semfield init` writes a configuration");
   }
   return folder;
 }

@@ -66,6 +66,18 @@ double orthonormal_error(const Pose& pose) {
   return worst;
 }
 
+// What the principal point says of the image that the intrinsics belong to: it lies near the middle of all but cropped
+// ones. "" where that may be this image.
+std::string other_image(const Camera& c) {
+  const double x = 2 * c.cx / c.width_px, y = 2 * c.cy / c.height_px;
+  const auto near_one = [](double ratio) { return std::abs(ratio - 1) < 0.1; };
+  const double shape = static_cast<double>(c.width_px) / c.height_px;
+  if (near_one(x * shape) && near_one(y / shape) && (shape > 1.2 || shape < 1 / 1.2)) return "turned by a quarter";
+  const double factor = 0.5 * (x + y);
+  if (!(x > 0 && y > 0) || !near_one(x / y) || (factor < 1.8 && factor > 0.55)) return "";
+  return factor > 1 ? number(factor) + " times as large" : number(1 / factor) + " times as small";
+}
+
 }  // namespace
 
 std::string frame_place(const FrameInfo& frame) {
@@ -183,7 +195,14 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
   }
   check_focal(camera, place, diagnostics);
   const auto outside = [](double c, int size) { return c < -size || c > 2.0 * size; };
-  if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
+  if (const std::string other = other_image(camera); !other.empty()) {
+    diagnostics.error(place,
+                      "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
+                          ") is the middle of an image " + other + " as this one of " +
+                          std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) +
+                          " pixels: the intrinsics are that image's",
+                      "state the size that they belong to, or give those of the images as they are stored");
+  } else if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
     diagnostics.error(place,
                       "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
                           ") lies far outside the image of " + std::to_string(camera.width_px) + " x " +

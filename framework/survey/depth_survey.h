@@ -23,8 +23,9 @@ struct SurveyedExtent {
   std::int64_t points = 0;
 };
 
-/// Of points whose depth is estimated: the outermost half per cent each way is dropped. Nothing without points.
-std::optional<SurveyedExtent> extent_of_points(std::vector<SurveyPoints> parts);
+/// Of points whose depth is estimated: the outermost half per cent each way is dropped, and the box then grown by
+/// `margin` of its size each way. Nothing without points.
+std::optional<SurveyedExtent> extent_of_points(std::vector<SurveyPoints> parts, double margin = 0.05);
 
 /// Pixels between two that are looked at, each way: 4, or the power of two beyond that keeps `pixels` in all (of the
 /// frames surveyed) below 2^20 points.

@@ -16,6 +16,8 @@ constexpr int kRounded = 32;        // different values of depth that is rounded
 constexpr double kClearly = 4;      // times better than the convention given
 constexpr int kFewestCorners = 60;  // matches of photographs that can speak
 constexpr double kFewFit = 0.25;    // of them; matches by chance fit 2 to 10 %
+constexpr double kByChance = 0.1;
+constexpr int kManyCorners = 300;  // so many cannot all be found wrongly
 constexpr double kPhotosClearly = 1.5;
 
 std::string percent(double share) {
@@ -141,16 +143,41 @@ std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened,
 
 std::string judge_photos(const PhotoTallies& found, const SceneInfo& as_opened, Diagnostics& diagnostics) {
   const PhotoTally& given = found.tallies.front();
-  const PhotoTally& best = *std::max_element(found.tallies.begin(), found.tallies.end(),
-                                             [](const PhotoTally& a, const PhotoTally& b) { return a.fits < b.fits; });
-  const auto share = [&](const PhotoTally& t) { return static_cast<double>(t.fits) / std::max(1, found.matches); };
+  const auto fewer = [](const auto& a, const auto& b) { return a.fits < b.fits; };
+  const PhotoTally& best = *std::max_element(found.tallies.begin(), found.tallies.end(), fewer);
+  const FocalTally& focal = *std::max_element(found.focal.begin(), found.focal.end(), fewer);
+  const auto share = [&](const auto& t) { return static_cast<double>(t.fits) / std::max(1, found.matches); };
+  const auto clearly_better = [&](const auto& t) {
+    return share(t) > kPhotosClearly * share(given) && 2 * (t.better_pairs - t.worse_pairs) > found.pairs;
+  };
   const std::string seen = std::to_string(found.matches) + " corners found again over " + pairs_text(found.pairs);
   if (found.matches < kFewestCorners || found.pairs < 3) return "could not be checked: no depth, and only " + seen;
-  if (share(best) < kFewFit) {
-    return "could not be checked: no depth, and of " + seen + " only " + percent(share(best)) +
-           " lie where any convention puts them";
+  if (share(focal) >= kFewFit && clearly_better(focal) && focal.fits > best.fits) {
+    const bool large = focal.factor > 1;
+    const std::string factor = plain_number(large ? focal.factor : 1 / focal.factor);
+    diagnostics.error(
+        as_opened.name,
+        "intrinsics are of images " + factor + (large ? " times as large: of " : " times as small: of ") + seen + ", " +
+            percent(share(given)) + " lie where the poses put them as given, " + percent(share(focal)) +
+            " with focal lengths " + (large ? "divided" : "multiplied") + " by " + factor,
+        (large ? "divide focal lengths and centre by " : "multiply focal lengths and centre by ") + factor +
+            ", or state the size of the images that they belong to (scene.load.check_geometry: false "
+            "takes the scene as it is)");
+    return "the intrinsics contradict the photographs";
   }
-  if (share(best) > kPhotosClearly * share(given) && 2 * (best.better_pairs - best.worse_pairs) > found.pairs) {
+  if (share(best) < kFewFit) {
+    const std::string only = "of " + seen + " only " + percent(share(best)) + " lie where any convention puts them";
+    const std::string remedy =
+        "check that the poses are in the order of the images, were made from them, and that the intrinsics are theirs";
+    if (share(given) < kByChance && found.matches >= kManyCorners) {
+      diagnostics.error(as_opened.name, "the poses are not those of the photographs: " + only,
+                        remedy + " (scene.load.check_geometry: false takes the scene as it is)");
+      return "poses contradict the photographs";
+    }
+    diagnostics.warning(as_opened.name, "poses and photographs do not agree: " + only, remedy);
+    return "poses do not agree with the photographs: " + only;
+  }
+  if (clearly_better(best)) {
     report(best.convention, given.convention, as_opened,
            "of " + seen + ", " + percent(share(given)) + " lie where the poses put them as given, " +
                percent(share(best)) + " so read",
@@ -185,16 +212,20 @@ void GeometrySurvey::look_at(std::size_t frame, const Camera& camera, const Fram
   }
 }
 
-std::string GeometrySurvey::conclude(Diagnostics& diagnostics) const {
-  if (pairs_.empty()) return "could not be checked: no two frames look in a similar direction";
+GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
+  if (pairs_.empty()) return {"could not be checked: no two frames look in a similar direction", {}};
   std::vector<float> depths;
   for (const SmallFrame& frame : frames_)
     depths.insert(depths.end(), frame.point_depths.begin(), frame.point_depths.end());
-  if (depths.empty()) return judge_photos(vote_by_photos(as_opened_, photos_, pairs_, given_), as_opened_, diagnostics);
+  if (depths.empty()) {
+    PhotoTallies found = vote_by_photos(as_opened_, photos_, pairs_, given_);
+    const bool fits = found.tallies.front().fits >= kFewFit * found.matches;
+    return {judge_photos(found, as_opened_, diagnostics), fits ? std::move(found.corners) : SurveyPoints()};
+  }
   std::sort(depths.begin(), depths.end());
   DepthRange range{depths[depths.size() / 2], 0};
   range.values = static_cast<int>(std::unique(depths.begin(), depths.end()) - depths.begin());
-  return judge_depth(vote_by_depth(as_opened_, frames_, pairs_, given_), as_opened_, range, diagnostics);
+  return {judge_depth(vote_by_depth(as_opened_, frames_, pairs_, given_), as_opened_, range, diagnostics), {}};
 }
 
 }  // namespace semfield

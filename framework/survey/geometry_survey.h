@@ -9,6 +9,14 @@
 
 namespace semfield {
 
+/// What the pixels say of the poses.
+struct GeometryVerdict {
+  std::string text;  ///< one sentence
+  /// Corners of photographs that were found again in others, where the poses put them; empty with depth, and where the
+  /// photographs do not agree with the poses.
+  SurveyPoints corners;
+};
+
 class GeometrySurvey {
  public:
   /// `as_opened` is the manifest before `given` was applied and outlives this; `cameras` are at the loaded size, with
@@ -19,9 +27,9 @@ class GeometrySurvey {
   /// For different frames from any thread.
   void look_at(std::size_t frame, const Camera& camera, const FrameBuffer& pixels);
 
-  /// One sentence of what was found, the same for any number of threads. Adds an error where another convention fits
-  /// and the given one does not, a warning where none does.
-  std::string conclude(Diagnostics& diagnostics) const;
+  /// The same for any number of threads. Adds an error where another convention fits and the given one does not, or
+  /// where many corners contradict the poses, a warning where nothing fits.
+  GeometryVerdict conclude(Diagnostics& diagnostics) const;
 
  private:
   const SceneInfo& as_opened_;

@@ -20,6 +20,8 @@ constexpr float kAlike = 0.75f;     // correlation of a match
 constexpr float kAmbiguous = 0.9f;  // of (1 - best) / (1 - second)
 constexpr double kOff = 1.5;        // pixels of the small picture
 constexpr int kFewestMatches = 12;
+constexpr double kLeastParallax = 0.02;  // radians between two rays that meet; a pixel of the small picture is 0.004
+constexpr double kFocalFactors[] = {0.125, 0.25, 1.0 / 3, 0.5, 2, 3, 4, 6, 8};
 
 struct Grey {
   std::int32_t width = 0, height = 0;
@@ -197,39 +199,98 @@ PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
   return out;
 }
 
+namespace {
+
+// What one pair of frames says.
+struct Votes {
+  int matches = 0;
+  std::vector<int> fits, focal_fits;  // of each convention, of each factor
+  SurveyPoints corners;
+};
+
+using Matches = std::vector<std::pair<std::size_t, std::size_t>>;
+
+// `factor` divides the focal lengths of both frames.
+int count_fits(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b, const Pose& b_from_a, double factor) {
+  Camera camera = b.camera;
+  camera.fx /= factor;
+  camera.fy /= factor;
+  const auto seen = [factor](const PhotoCorner& corner) {
+    return Vec3d{corner.ray.x * factor, corner.ray.y * factor, 1};
+  };
+  return static_cast<int>(std::count_if(matches.begin(), matches.end(), [&](const auto& match) {
+    return off_epipolar_line(seen(a.corners[match.first]), b_from_a, seen(b.corners[match.second]), camera) < kOff;
+  }));
+}
+
+// Where two rays are nearest to each other, for each match that fits.
+SurveyPoints meeting_points(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b, const Pose& b_from_a,
+                            const Pose& world_from_a) {
+  SurveyPoints out;
+  for (const auto& [i, j] : matches) {
+    const Vec3d ray = a.corners[i].ray, seen = b.corners[j].ray;
+    if (off_epipolar_line(ray, b_from_a, seen, b.camera) >= kOff) continue;
+    const Vec3d d = normalized(ray), e = normalized(b_from_a.unrotate(seen));  // in the axes of a
+    const Vec3d to_b = b_from_a.unrotate(b_from_a.t) * -1.0;
+    const double cosine = dot(d, e), apart = 1 - cosine * cosine;
+    if (apart < kLeastParallax * kLeastParallax) continue;
+    const double t = (dot(d, to_b) - cosine * dot(e, to_b)) / apart;
+    if (!(t > 0) || !(cosine * t > dot(e, to_b))) continue;  // behind one of the two
+    const Vec3d p = world_from_a.apply(d * t);
+    out.x.push_back(static_cast<float>(p.x));
+    out.y.push_back(static_cast<float>(p.y));
+    out.z.push_back(static_cast<float>(p.z));
+    out.distance.push_back(static_cast<float>(t));
+    ++out.looked_at;
+  }
+  return out;
+}
+
+void append(std::vector<float>& to, const std::vector<float>& from) { to.insert(to.end(), from.begin(), from.end()); }
+
+}  // namespace
+
 PhotoTallies vote_by_photos(const SceneInfo& as_opened, const std::vector<PhotoFrame>& frames, const FramePairs& pairs,
                             const PoseConvention& given) {
   const std::vector<PoseConvention> all = conventions(given);
-  struct Votes {
-    int matches = 0;
-    std::vector<int> fits;
-  };
   std::vector<Votes> votes(pairs.size());
   parallel_for(std::ssize(pairs), [&](std::int64_t p) {
     Votes& out = votes[static_cast<std::size_t>(p)];
     const auto i = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].first);
     const auto j = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].second);
-    const auto matches = matches_of(frames[i].corners, frames[j].corners);
+    const Matches matches = matches_of(frames[i].corners, frames[j].corners);
     out.matches = static_cast<int>(matches.size());
-    for (const PoseConvention& convention : all) {
-      const Pose pose = relative_pose(as_opened, convention, j, i);
-      out.fits.push_back(static_cast<int>(std::count_if(matches.begin(), matches.end(), [&](const auto& match) {
-        return off_epipolar_line(frames[i].corners[match.first].ray, pose, frames[j].corners[match.second].ray,
-                                 frames[j].camera) < kOff;
-      })));
+    if (out.matches < kFewestMatches) return;
+    for (const PoseConvention& convention : all)
+      out.fits.push_back(count_fits(matches, frames[i], frames[j], relative_pose(as_opened, convention, j, i), 1));
+    const Pose j_from_i = relative_pose(as_opened, given, j, i);
+    for (const double factor : kFocalFactors)
+      out.focal_fits.push_back(count_fits(matches, frames[i], frames[j], j_from_i, factor));
+    const FrameInfo& frame = as_opened.frames[i];
+    if (frame.split == Split::train && as_opened.frames[j].split == Split::train) {
+      out.corners = meeting_points(matches, frames[i], frames[j], j_from_i,
+                                   converted_pose(frame.world_from_camera, given, as_opened.opengl_files));
     }
   });
   PhotoTallies out;
   for (const PoseConvention& convention : all) out.tallies.push_back({convention, 0, 0, 0});
+  for (const double factor : kFocalFactors) out.focal.push_back({factor, 0, 0, 0});
   for (const Votes& pair : votes) {
     if (pair.matches < kFewestMatches) continue;
     ++out.pairs;
     out.matches += pair.matches;
-    for (std::size_t m = 0; m < all.size(); ++m) {
-      out.tallies[m].fits += pair.fits[m];
-      out.tallies[m].better_pairs += pair.fits[m] > pair.fits[0] ? 1 : 0;
-      out.tallies[m].worse_pairs += pair.fits[m] < pair.fits[0] ? 1 : 0;
-    }
+    const auto add = [&pair](auto& tally, int fits) {
+      tally.fits += fits;
+      tally.better_pairs += fits > pair.fits[0] ? 1 : 0;
+      tally.worse_pairs += fits < pair.fits[0] ? 1 : 0;
+    };
+    for (std::size_t m = 0; m < all.size(); ++m) add(out.tallies[m], pair.fits[m]);
+    for (std::size_t m = 0; m < out.focal.size(); ++m) add(out.focal[m], pair.focal_fits[m]);
+    append(out.corners.x, pair.corners.x);
+    append(out.corners.y, pair.corners.y);
+    append(out.corners.z, pair.corners.z);
+    append(out.corners.distance, pair.corners.distance);
+    out.corners.looked_at += pair.corners.looked_at;
   }
   return out;
 }

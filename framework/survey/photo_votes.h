@@ -5,6 +5,7 @@
 #include <array>
 #include <vector>
 
+#include "survey/depth_survey.h"
 #include "survey/geometry_votes.h"
 
 namespace semfield {
@@ -30,9 +31,20 @@ struct PhotoTally {
   int better_pairs = 0, worse_pairs = 0;  ///< pairs of frames where more or fewer fit than as given
 };
 
+/// As PhotoTally, under the convention given with all focal lengths divided by `factor`.
+struct FocalTally {
+  double factor = 1;
+  int fits = 0;
+  int better_pairs = 0, worse_pairs = 0;
+};
+
 struct PhotoTallies {
   int matches = 0, pairs = 0;       ///< of pairs with enough matches to show that they overlap
   std::vector<PhotoTally> tallies;  ///< the convention given, the other axes, the inverse, both
+  std::vector<FocalTally> focal;
+  /// Where the matches that fit the convention given lie, of pairs of training frames: world points, and distances from
+  /// the first camera of each pair. Only of matches whose rays meet at an angle that shows how far.
+  SurveyPoints corners;
 };
 
 /// Matches between the frames of each pair, held against each convention. `frames` as `as_opened.frames`.

@@ -33,6 +33,25 @@ TEST_P(DatasetConformance, Laws) {
   std::filesystem::remove_all(folder);
 }
 
+// `semfield init` finds a reader by this: what a dataset recognises in a folder, it opens with those parameters.
+TEST_P(DatasetConformance, WhatIsRecognisedOpens) {
+  const std::filesystem::path folder = std::filesystem::path(testing::TempDir()) /
+                                       ("semfield_recognised_" + GetParam().text() + "_" + std::to_string(::getpid()));
+  std::filesystem::remove_all(folder);
+  std::filesystem::create_directories(folder);
+  const PluginEntry& entry = linked_registry().get(PluginKind::dataset, GetParam().name);
+  EXPECT_EQ(entry.new_params()->recognise(folder.string()), "") << "an empty folder";
+  EXPECT_EQ(entry.new_params()->recognise((folder / "none").string()), "");
+  const DatasetSample sample = dataset_samples().at(GetParam().name)(folder.string());
+  if (!sample.absent.empty()) GTEST_SKIP() << sample.absent;
+  const std::unique_ptr<PluginParams> params = entry.new_params();
+  if (!params->recognise(folder.string()).empty()) {
+    Diagnostics diagnostics;
+    EXPECT_FALSE(entry.dataset(*params, {})->open(diagnostics).frames.empty());
+  }
+  std::filesystem::remove_all(folder);
+}
+
 INSTANTIATE_TEST_SUITE_P(Linked, DatasetConformance, testing::ValuesIn(rows_of(PluginKind::dataset)), name_of);
 
 }  // namespace

@@ -91,7 +91,11 @@ TEST(Inspect, NamesThePresetThatSuitsTheCameras) {
   scene.frames.resize(1);
   scene.class_pixels.resize(1);
   scene.info.frames[0].has_depth = true;
-  EXPECT_FALSE(says("preset"));
+  scene.plain_background.reset();
+  EXPECT_TRUE(says("preset      parts/hash_room.yaml: depth images show where the scene ends"));
+  const app::Json json = inspect_json(scene, {});
+  EXPECT_EQ(json.at("preset"), "parts/hash_room.yaml");
+  EXPECT_EQ(json.at("preset_why"), "depth images show where the scene ends");
 }
 
 TEST(Inspect, ReportTellsFramesClassesAndProblems) {

@@ -4,6 +4,7 @@
 #include <map>
 
 #include "datasets/colmap/colmap.h"
+#include "datasets/llff/llff.h"
 #include "datasets/replica/replica.h"
 #include "datasets/transforms_json/transforms_json.h"
 #include "loading/frame_source.h"
@@ -91,6 +92,29 @@ TEST(RealData, StudioRoomByColmapAndByTransforms) {
     EXPECT_EQ(f.camera.p1, g.camera.p1);
   }
   EXPECT_FALSE(colmap.bounds.empty());
+}
+
+TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
+  if (!std::filesystem::exists(data("llff_room"))) GTEST_SKIP() << "the optional scene llff_room is not at hand";
+  TransformsJsonParams pt;
+  LlffParams pl;
+  pt.root = pl.root = data("llff_room");
+  TransformsJson by_json(pt, {});
+  Llff by_llff(pl, {});
+  Diagnostics d;
+  const SceneInfo json = by_json.open(d), llff = by_llff.open(d);
+  for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
+  ASSERT_EQ(json.frames.size(), llff.frames.size());
+  for (std::size_t i = 0; i < json.frames.size(); ++i) {
+    const FrameInfo &a = json.frames[i], &b = llff.frames[i];
+    EXPECT_EQ(a.name, b.name);
+    EXPECT_EQ(a.split, b.split);
+    EXPECT_NEAR(a.camera.fx, b.camera.fx, 1e-3);
+    EXPECT_EQ(a.camera.cy, b.camera.cy);
+    for (int axis = 0; axis < 3; ++axis)
+      EXPECT_LT(length(a.world_from_camera.axis(axis) - b.world_from_camera.axis(axis)), 1e-5) << a.name;
+    EXPECT_LT(length(a.world_from_camera.t - b.world_from_camera.t), 1e-5) << a.name;
+  }
 }
 
 TEST(RealData, ShelfBinWithDepthAndLabels) {

@@ -173,10 +173,9 @@ TEST(SceneErrors, TransformsJson) {
   EXPECT_EQ(transforms_error("{\"frames\": [" + frame + "]}"),
             "frame 'a' (ROOT/a.png): focal length is 0 x 0 pixels; it must be positive; check the intrinsics and the "
             "axes convention");
-  EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"w\": 8, \"h\": 8, \"frames\": [" + frame + "]}"),
-            "frame 'a' (ROOT/a.png): colour image 'ROOT/a.png' is 4 x 4 pixels, the camera 8 x 8; colour, depth and "
-            "labels of a frame need the size that "
-            "its camera states");
+  EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"w\": 8, \"h\": 4, \"frames\": [" + frame + "]}"),
+            "frame 'a' (ROOT/a.png): colour image 'ROOT/a.png' is 4 x 4 pixels, the camera 8 x 4: another aspect "
+            "ratio; give the images that the cameras were made from, or scaled copies");
 }
 
 }  // namespace

@@ -107,6 +107,12 @@ void fuzz_transforms(std::string_view bytes) {
   open_dataset("transforms_json", "root: transforms");
 }
 
+void fuzz_llff(std::string_view bytes) {
+  put("llff/poses_bounds.npy", bytes);
+  for (const char* name : {"a", "b"}) put_image("llff/images/" + std::string(name) + ".png");
+  open_dataset("llff", "root: llff");
+}
+
 // Parts: traj_w_c.txt, info_semantic.json.
 void fuzz_replica(std::string_view bytes) {
   const auto parts = parts_of(bytes, 2);

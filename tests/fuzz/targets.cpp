@@ -11,6 +11,7 @@ std::span<const Target> targets() {
       {"poses", fuzz_poses},
       {"cameras", fuzz_cameras},
       {"transforms", fuzz_transforms},
+      {"llff", fuzz_llff},
       {"replica", fuzz_replica},
       {"scannet", fuzz_scannet},
       {"colmap_binary", fuzz_colmap_binary},

@@ -26,6 +26,7 @@ void fuzz_sweep(std::string_view bytes);
 void fuzz_poses(std::string_view bytes);
 void fuzz_cameras(std::string_view bytes);
 void fuzz_transforms(std::string_view bytes);
+void fuzz_llff(std::string_view bytes);
 void fuzz_replica(std::string_view bytes);
 void fuzz_scannet(std::string_view bytes);
 void fuzz_colmap_binary(std::string_view bytes);

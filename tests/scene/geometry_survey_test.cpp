@@ -28,6 +28,7 @@ struct Room {
   std::function<void(int, FrameBuffer&)> spoiled = [](int, FrameBuffer&) {};
   bool depth = true, texture = true, opengl_files = false;
   int width = 160, height = 120;
+  double focal = 1;  // what multiplies the focal lengths as they are written
 
   SceneInfo open(Diagnostics&) const {
     SceneInfo info;
@@ -37,6 +38,8 @@ struct Room {
       FrameInfo f;
       f.name = std::to_string(i);
       f.camera = room_camera(width, height);
+      f.camera.fx *= focal;
+      f.camera.fy *= focal;
       f.world_from_camera = written(poses[i]);
       f.has_depth = depth;
       info.frames.push_back(f);
@@ -274,6 +277,78 @@ TEST(GeometrySurvey, PhotographsThatTellNothingAreSaidToTellNothing) {
   Room still{.poses = std::vector<Pose>(12, walk(5)[4])};
   still.depth = false;
   expect_quiet(ask(still), "could not be checked: the camera hardly moves");
+}
+
+Room photographs(int width = 320) {
+  Room room{.poses = walk(24)};
+  room.depth = false;
+  room.width = width;
+  room.height = width * 3 / 4;
+  return room;
+}
+
+TEST(GeometrySurvey, PosesOfOtherPhotographsAreRefusedAndCanBeForced) {
+  Room room = photographs();
+  room.written = [n = 0](const Pose&) mutable { return walk(24, 0.2)[static_cast<std::size_t>(n++ * 7 % 24)]; };
+  const Answer a = ask(room);
+  EXPECT_EQ(a.error.find("room: the poses are not those of the photographs: of "), 0u) << a.error << a.geometry;
+  EXPECT_NE(a.error.find(" lie where any convention puts them; check that the poses are in the order of the images"),
+            std::string::npos)
+      << a.error;
+  EXPECT_EQ(a.geometry, "poses contradict the photographs");
+  SceneLoadOptions forced;
+  forced.check_geometry = false;
+  EXPECT_EQ(ask(room, forced).error, "");
+}
+
+TEST(GeometrySurvey, PosesThatFewCornersFitAreWarnedAbout) {
+  Room room = photographs();
+  room.written = [n = 0](const Pose& p) mutable {  // some frames were tracked, others not
+    Pose out = p;
+    if (n++ % 5 > 1) out.t = out.t + Vec3d{0.7 * std::sin(3.0 * n), 0.5 * std::sin(5.0 * n), 0.7 * std::sin(7.0 * n)};
+    return out;
+  };
+  const Answer a = ask(room);
+  EXPECT_EQ(a.error, "");
+  EXPECT_EQ(a.warning.find("room: poses and photographs do not agree: of "), 0u) << a.warning << a.geometry;
+}
+
+TEST(GeometrySurvey, IntrinsicsOfAnotherImageSizeAreNamedWithTheFactor) {
+  for (const double factor : {2.0, 0.5}) {
+    Room room = photographs();
+    room.focal = factor;
+    const Answer a = ask(room);
+    EXPECT_EQ(a.error.find(factor > 1 ? "room: intrinsics are of images 2 times as large: of "
+                                      : "room: intrinsics are of images 2 times as small: of "),
+              0u)
+        << a.error << a.geometry;
+    EXPECT_NE(
+        a.error.find(factor > 1 ? "divide focal lengths and centre by 2," : "multiply focal lengths and centre by 2,"),
+        std::string::npos)
+        << a.error;
+  }
+}
+
+TEST(GeometrySurvey, CornersOfPhotographsLieOnTheWalls) {
+  Diagnostics d;
+  Room photos = photographs();
+  const LoadedScene scene = load_scene(photos, {}, d);
+  ASSERT_GT(scene.corners.x.size(), 200u);
+  const Box room{{-2, -1.5, -2.5}, {2, 1.5, 2.5}};
+  std::size_t inside = 0;
+  for (std::size_t i = 0; i < scene.corners.x.size(); ++i) {
+    const Vec3d p{scene.corners.x[i], scene.corners.y[i], scene.corners.z[i]};
+    bool in = true;
+    for (int a = 0; a < 3; ++a) in = in && p[a] > room.lo[a] - 0.3 && p[a] < room.hi[a] + 0.3;
+    inside += in ? 1 : 0;
+  }
+  EXPECT_GT(static_cast<double>(inside), 0.9 * static_cast<double>(scene.corners.x.size()));
+  for (int a = 0; a < 3; ++a) {
+    EXPECT_LT(scene.bounds.lo[a], room.lo[a] + 0.2) << a;
+    EXPECT_GT(scene.bounds.hi[a], room.hi[a] - 0.2) << a;
+    EXPECT_GT(scene.bounds.lo[a], room.lo[a] - 1.5) << a;
+    EXPECT_LT(scene.bounds.hi[a], room.hi[a] + 1.5) << a;
+  }
 }
 
 TEST(GeometrySurvey, TheVerdictIsTheSameForAnyNumberOfThreads) {

@@ -113,6 +113,17 @@ TEST(SceneChecks, Intrinsics) {
   EXPECT_EQ(message([](Camera& c) { c.cx = 100; }),
             "frame 'a': principal point (100, 15) lies far outside the image of 40 x 30 pixels; check that the "
             "intrinsics belong to images of this size");
+  const auto centered = [](double x, double y) { return [x, y](Camera& c) { c.cx = x, c.cy = y; }; };
+  const std::string meant =
+      " as this one of 40 x 30 pixels: the intrinsics are that image's; state the size that they belong to, or give "
+      "those of the images as they are stored";
+  EXPECT_EQ(message(centered(80, 60)),
+            "frame 'a': principal point (80, 60) is the middle of an image 4 times as large" + meant);
+  EXPECT_EQ(message(centered(10, 7.4)),
+            "frame 'a': principal point (10, 7.4) is the middle of an image 2.01 times as small" + meant);
+  EXPECT_EQ(message(centered(15.2, 19.8)),
+            "frame 'a': principal point (15.2, 19.8) is the middle of an image turned by a quarter" + meant);
+  EXPECT_EQ(message(centered(26, 14)), "");  // cropped, or a lens that is shifted
   EXPECT_EQ(message([](Camera& c) { c.k2 = std::numeric_limits<double>::quiet_NaN(); }),
             "frame 'a': camera has an intrinsic that is not finite; calibrate again");
   EXPECT_EQ(message([](Camera& c) { c.width_px = 0; }), "frame 'a': image size is 0 x 30; state the size in pixels");

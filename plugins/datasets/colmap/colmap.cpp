@@ -2,10 +2,12 @@
 #include "datasets/colmap/colmap.h"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <filesystem>
+#include <initializer_list>
 
-#include "formats/image_io.h"
+#include "loading/camera_fit.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
@@ -33,16 +35,55 @@ void validate(const ColmapParams& p, Diagnostics& diagnostics) {
   check_test_every(p.test_every, diagnostics);
 }
 
+namespace {
+
+constexpr const char* kModelFolders[] = {"sparse/0", "sparse", "colmap/sparse/0", "."};
+
+bool holds_model(const fs::path& folder) {
+  std::error_code ignored;
+  return fs::exists(folder / "cameras.bin", ignored) || fs::exists(folder / "cameras.txt", ignored);
+}
+
+// Whether a file directly in it has one of the extensions, in small letters.
+bool holds_files(const fs::path& folder, std::initializer_list<const char*> extensions) {
+  std::error_code unknown;
+  for (fs::directory_iterator it(folder, unknown), end; !unknown && it != end; it.increment(unknown)) {
+    std::string extension = it->path().extension().string();
+    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    if (std::find(extensions.begin(), extensions.end(), extension) != extensions.end()) return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+std::string recognise(const std::string& path, ColmapParams& p) {
+  const fs::path root(path);
+  const auto model = std::find_if(std::begin(kModelFolders), std::end(kModelFolders),
+                                  [&](const char* folder) { return holds_model(root / folder); });
+  if (model == std::end(kModelFolders)) return "";
+  p.root = path;
+  std::error_code ignored;
+  if (!fs::is_directory(root / p.images, ignored)) {
+    for (const char* folder : {".", "rgb", "color", "photos", "input"}) {
+      if (!holds_files(root / folder, {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp"})) continue;
+      p.images = folder;
+      break;
+    }
+  }
+  for (const char* folder : {"labels", "label", "semantic", "semantic_class"}) {
+    if (holds_files(root / folder, {".png"})) p.label_dir = folder;
+    if (!p.label_dir.empty()) break;
+  }
+  return std::string("a COLMAP model") + (std::string(*model) == "." ? "" : std::string(" in ") + *model);
+}
+
 Colmap::Colmap(const ColmapParams& params, const DatasetBuild& build)
     : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
   if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
 }
 
 namespace {
-
-bool holds_model(const fs::path& folder) {
-  return fs::exists(folder / "cameras.bin") || fs::exists(folder / "cameras.txt");
-}
 
 double quantile(std::vector<double>& values, double share) {
   const auto at = static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
@@ -61,7 +102,7 @@ std::string Colmap::model_folder(Diagnostics& diagnostics) const {
     throw Error(ErrorKind::no_input, "no cameras.bin or cameras.txt in '" + (root / params_.model).string() + "'",
                 "check scene.model");
   }
-  for (const char* folder : {"sparse/0", "sparse", "colmap/sparse/0", "."}) {
+  for (const char* folder : kModelFolders) {
     if (!holds_model(root / folder)) continue;
     if (holds_model(root / folder / ".." / "1")) {
       diagnostics.note(root_, std::string("the reconstruction fell into several models; '") + folder +
@@ -71,29 +112,6 @@ std::string Colmap::model_folder(Diagnostics& diagnostics) const {
   }
   throw Error(ErrorKind::no_input, "no cameras.bin or cameras.txt in '" + root_ + "', its sparse/0 or sparse",
               "check scene.root, or name the model's folder with scene.model");
-}
-
-// Image points run from 0 to the size, so every intrinsic follows the ratio of sizes. A side may be rounded.
-bool Colmap::scale_camera(const std::string& image, const std::string& place, Camera& camera,
-                          Diagnostics& diagnostics) const {
-  ImageSize size;
-  try {
-    size = image_size(image);
-  } catch (const Error&) {
-    return true;  // check_headers tells what is wrong with the file
-  }
-  if (size.width_px == camera.width_px && size.height_px == camera.height_px) return true;
-  const double sx = static_cast<double>(size.width_px) / camera.width_px;
-  const double sy = static_cast<double>(size.height_px) / camera.height_px;
-  if (std::abs(sx * camera.height_px - size.height_px) >= 1 && std::abs(sy * camera.width_px - size.width_px) >= 1) {
-    diagnostics.error(place,
-                      "image is " + size_text(size.width_px, size.height_px) + " pixels, the model's camera " +
-                          size_text(camera.width_px, camera.height_px) + ": another aspect ratio",
-                      "give the images that the model was made from, or scaled copies of them");
-    return false;
-  }
-  camera = camera.resized(size.width_px, size.height_px);
-  return true;
 }
 
 SceneInfo Colmap::open(Diagnostics& diagnostics) {
@@ -113,10 +131,10 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
 
   std::vector<std::string> skipped;
   FrameNames names;
-  std::size_t unlabelled = 0, scaled = 0;
+  std::size_t unlabelled = 0;
+  CameraFit sizes;
   FrameFileCheck check(params_.missing, "label_dir");
   check.expect(model.images.size());
-  std::string scaled_text;
   for (std::size_t rank = 0; rank < model.images.size(); ++rank) {
     const ColmapImage& in = model.images[rank];
     FrameInfo frame;
@@ -128,15 +146,10 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
     const PoseState state = check_pose(frame.world_from_camera, in.place, diagnostics);
     if (state == PoseState::not_finite) skipped.push_back(frame.name);
     if (state != PoseState::good || frame.camera.width_px == 0) continue;  // a camera without a size was refused
-    const Camera stated = frame.camera;
     if (!check.present(frame, files, diagnostics)) continue;
-    if (!scale_camera(files.color, frame_place(frame), frame.camera, diagnostics) ||
+    if (!sizes.fit(files.color, frame_place(frame), frame.camera, diagnostics) ||
         !check_camera(frame.camera, frame_place(frame), diagnostics)) {
       continue;
-    }
-    if (frame.camera.width_px != stated.width_px && scaled++ == 0) {
-      scaled_text = size_text(frame.camera.width_px, frame.camera.height_px) + " pixels, the model's camera " +
-                    size_text(stated.width_px, stated.height_px);
     }
     if (!params_.label_dir.empty()) {
       const fs::path label = (root / params_.label_dir / in.name).replace_extension(".png");
@@ -152,9 +165,7 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
   }
   check.report((root / params_.images).string(), info_.frames.size(), diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), folder, diagnostics);
-  if (scaled > 0)
-    diagnostics.note(
-        root_, "images are " + scaled_text + ": the intrinsics of " + std::to_string(scaled) + " frames were scaled");
+  sizes.report(root_, diagnostics);
   const bool has_labels = unlabelled < info_.frames.size() && !params_.label_dir.empty();
   if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty()) {
     diagnostics.error((root / params_.label_dir).string(), "no label image for any frame",

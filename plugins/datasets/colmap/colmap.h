@@ -24,6 +24,8 @@ struct ColmapParams {
 };
 void describe(ParamVisitor& visit, ColmapParams& params);
 void validate(const ColmapParams& params, Diagnostics& diagnostics);
+std::string recognise(const std::string& path, ColmapParams& params);
+std::string preparation(const std::string& folder, const ColmapParams& params);
 
 class Colmap final : public Dataset {
  public:
@@ -33,7 +35,6 @@ class Colmap final : public Dataset {
 
  private:
   std::string model_folder(Diagnostics& diagnostics) const;
-  bool scale_camera(const std::string& image, const std::string& place, Camera& camera, Diagnostics& diagnostics) const;
   void extent_from_points(const ColmapModel& model);
 
   ColmapParams params_;

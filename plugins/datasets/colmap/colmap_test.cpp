@@ -161,14 +161,14 @@ TEST(Colmap, IntrinsicsFollowTheImagesOnDisk) {
   EXPECT_EQ(info.frames[0].camera.cy, 1.125);
   EXPECT_EQ(info.frames[0].camera.k2, -0.02);
   ASSERT_EQ(d.all().size(), 1u);
-  EXPECT_NE(d.all()[0].text().find("images are 4 x 2 pixels, the model's camera 8 x 4: the intrinsics of 2 frames"),
+  EXPECT_NE(d.all()[0].text().find(
+                "images are 4 x 2 pixels, the cameras' 8 x 4, 2 times as large: the intrinsics of 2 frames"),
             std::string::npos)
       << d.all()[0].text();
   Diagnostics refused;
   open(scene_folder("r", 4, 4, [](const std::string& f) { Binary().write(f); }), refused);
   ASSERT_FALSE(problems(refused).empty());
-  EXPECT_NE(problems(refused)[0].find("image is 4 x 4 pixels, the model's camera 8 x 4: another aspect ratio"),
-            std::string::npos);
+  EXPECT_NE(problems(refused)[0].find("is 4 x 4 pixels, the camera 8 x 4: another aspect ratio"), std::string::npos);
 }
 
 TEST(Colmap, LensesWithOneFocalLengthAndRefusedOnes) {

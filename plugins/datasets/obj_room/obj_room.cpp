@@ -71,6 +71,17 @@ void validate(const ObjRoomParams& p, Diagnostics& diagnostics) {
   }
 }
 
+std::string recognise(const std::string& path, ObjRoomParams& p) {
+  std::error_code unknown;
+  std::vector<std::string> found;
+  for (fs::directory_iterator it(path, unknown), end; !unknown && it != end; it.increment(unknown)) {
+    if (it->path().extension() == ".obj") found.push_back(it->path().filename().string());
+  }
+  if (found.size() != 1) return "";  // of several, the user says which
+  p.root = path;
+  return "the room " + found[0];
+}
+
 ObjRoom::ObjRoom(const ObjRoomParams& params, const DatasetBuild& build)
     : params_(params), root_(resolved(build.config_dir, params.root)), config_dir_(build.config_dir) {}
 

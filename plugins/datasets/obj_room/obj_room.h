@@ -56,6 +56,7 @@ struct ObjRoomParams {
 
 void describe(ParamVisitor& visit, ObjRoomParams& p);
 void validate(const ObjRoomParams& p, Diagnostics& diagnostics);
+std::string recognise(const std::string& path, ObjRoomParams& params);
 
 class ObjRoom final : public Dataset {
  public:

@@ -17,6 +17,34 @@ void validate(const PackedParams& p, Diagnostics& diagnostics) {
   if (p.file.empty()) diagnostics.error("file", "the packed scene is not given", "set scene.file");
 }
 
+namespace {
+
+// A file that cannot be read is none.
+bool begins_as_pack(const std::string& path) {
+  try {
+    return is_packed_scene(path);
+  } catch (const Error&) {
+    return false;
+  }
+}
+
+}  // namespace
+
+std::string recognise(const std::string& path, PackedParams& p) {
+  std::error_code unknown;
+  std::vector<std::string> found;
+  if (std::filesystem::is_regular_file(path, unknown)) {
+    if (begins_as_pack(path)) found.push_back(path);
+  } else {
+    for (std::filesystem::directory_iterator it(path, unknown), end; !unknown && it != end; it.increment(unknown)) {
+      if (it->is_regular_file(unknown) && begins_as_pack(it->path().string())) found.push_back(it->path().string());
+    }
+  }
+  if (found.size() != 1) return "";  // of several, the user names one
+  p.file = found[0];
+  return "a packed scene";
+}
+
 Packed::Packed(const PackedParams& params, const DatasetBuild& build)
     : path_((std::filesystem::path(build.config_dir) / params.file).string()) {}
 

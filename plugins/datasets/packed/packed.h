@@ -15,6 +15,7 @@ struct PackedParams {
 };
 void describe(ParamVisitor& visit, PackedParams& params);
 void validate(const PackedParams& params, Diagnostics& diagnostics);
+std::string recognise(const std::string& path, PackedParams& params);
 
 class Packed final : public Dataset {
  public:

@@ -66,6 +66,15 @@ void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
   }
 }
 
+std::string recognise(const std::string& path, ReplicaParams& p) {
+  std::error_code ignored;
+  p.root = path;
+  for (const char* folder : {".", "Sequence_1"}) {
+    if (fs::is_regular_file(fs::path(path) / folder / "traj_w_c.txt", ignored)) return "Replica's traj_w_c.txt";
+  }
+  return "";
+}
+
 Replica::Replica(const ReplicaParams& params, const DatasetBuild& build)
     : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
   if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();

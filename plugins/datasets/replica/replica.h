@@ -38,6 +38,7 @@ struct ReplicaParams {
 };
 void describe(ParamVisitor& visit, ReplicaParams& params);
 void validate(const ReplicaParams& params, Diagnostics& diagnostics);
+std::string recognise(const std::string& path, ReplicaParams& params);
 
 class Replica final : public Dataset {
  public:

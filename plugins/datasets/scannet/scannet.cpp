@@ -41,6 +41,15 @@ void validate(const ScannetParams& p, Diagnostics& diagnostics) {
   check_test_every(p.test_every, diagnostics);
 }
 
+std::string recognise(const std::string& path, ScannetParams& p) {
+  std::error_code ignored;
+  p.root = path;
+  for (const char* folder : {"color", "pose", "intrinsic"}) {
+    if (!fs::is_directory(fs::path(path) / folder, ignored)) return "";
+  }
+  return "an exported ScanNet scene";
+}
+
 Scannet::Scannet(const ScannetParams& params, const DatasetBuild& build)
     : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
   if (!params.classes.empty()) table_file_ = (fs::path(build.config_dir) / params.classes).string();

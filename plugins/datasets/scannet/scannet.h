@@ -31,6 +31,7 @@ struct ScannetParams {
 };
 void describe(ParamVisitor& visit, ScannetParams& params);
 void validate(const ScannetParams& params, Diagnostics& diagnostics);
+std::string recognise(const std::string& path, ScannetParams& params);
 
 /// A frame is delivered by the colour camera, at its size. Depth is looked up at the depth camera's pixel that the
 /// colour pixel's ray falls into (both look from the pose, so z-depth is the same), labels and instances, which stand

@@ -109,12 +109,33 @@ class FileReader {
     return node[key].get<double>();
   }
 
+  // nerfstudio writes a flag, instant-ngp 0 or 1, and hand-made files "true". Nothing when reported.
+  std::optional<bool> flag(const json& node, const char* key, const std::string& place) {
+    if (!node.contains(key) || node[key].is_null()) return false;
+    const json& value = node[key];
+    if (value.is_boolean()) return value.get<bool>();
+    for (const auto& [means, as_written] :
+         {std::pair{true, json{1, "true", "True", "1"}}, std::pair{false, json{0, "false", "False", "0", ""}}}) {
+      if (std::find(as_written.begin(), as_written.end(), value) != as_written.end()) return means;
+    }
+    diagnostics_.error(place, std::string("'") + key + "' is " + value.dump() + ", neither true nor false",
+                       "write true or false");
+    return std::nullopt;
+  }
+
   bool check_model(const json& node, const std::string& place) {
     std::string model;
-    if (node.contains("camera_model") && node["camera_model"].is_string())
+    if (node.contains("camera_model") && !node["camera_model"].is_null()) {
+      if (!node["camera_model"].is_string()) {
+        diagnostics_.error(place, "'camera_model' is " + node["camera_model"].dump() + ", which is no name",
+                           "write \"camera_model\": \"OPENCV\", or leave the key out");
+        return false;
+      }
       model = node["camera_model"].get<std::string>();
-    if (node.contains("is_fisheye") && node["is_fisheye"].is_boolean() && node["is_fisheye"].get<bool>())
-      model = "OPENCV_FISHEYE";
+    }
+    const std::optional<bool> fisheye = flag(node, "is_fisheye", place);
+    if (!fisheye) return false;
+    if (*fisheye) model = "OPENCV_FISHEYE";
     static const std::vector<std::string> known{"",       "OPENCV",     "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL",
                                                 "RADIAL", "PERSPECTIVE"};
     if (std::find(known.begin(), known.end(), model) != known.end()) return true;
@@ -124,6 +145,29 @@ class FileReader {
             "' is not supported (only perspective lenses: OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL)",
         "undistort the images to a pinhole camera, for example with colmap image_undistorter");
     return false;
+  }
+
+  // nerfstudio's list of all coefficients, which takes the place of the single keys there.
+  void read_distortion(const json& node, TransformsLens& lens, const std::string& place) {
+    if (!node.contains("distortion_params") || node["distortion_params"].is_null()) return;
+    const json& list = node["distortion_params"];
+    const std::pair<const char*, double*> fields[] = {{"k1", &lens.k1}, {"k2", &lens.k2}, {"k3", &lens.k3},
+                                                      {"k4", &lens.k4}, {"p1", &lens.p1}, {"p2", &lens.p2}};
+    if (!list.is_array() || list.size() != std::size(fields) ||
+        !std::all_of(list.begin(), list.end(), [](const json& v) { return v.is_number(); })) {
+      diagnostics_.error(place, "'distortion_params' is not a list of six numbers", "write [k1, k2, k3, k4, p1, p2]");
+      return;
+    }
+    for (std::size_t i = 0; i < std::size(fields); ++i) {
+      const auto& [key, field] = fields[i];
+      const double value = list[i].get<double>();
+      if (node.contains(key) && node[key].is_number() && node[key].get<double>() != value) {
+        diagnostics_.error(place, std::string("'") + key + "' is not what 'distortion_params' has in its place",
+                           "keep one of the two");
+        return;
+      }
+      *field = value;
+    }
   }
 
   TransformsLens read_lens(const json& node, const TransformsLens& base, const std::string& place) {
@@ -145,6 +189,7 @@ class FileReader {
     }
     if (const auto value = number(node, "cx", place)) lens.cx = value;
     if (const auto value = number(node, "cy", place)) lens.cy = value;
+    read_distortion(node, lens, place);
     return lens;
   }
 

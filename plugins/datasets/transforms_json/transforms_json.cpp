@@ -8,6 +8,7 @@
 
 #include "formats/image_io.h"
 #include "formats/input_limits.h"
+#include "loading/camera_fit.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
@@ -37,6 +38,23 @@ void describe(ParamVisitor& visit, TransformsJsonParams& p) {
 void validate(const TransformsJsonParams& p, Diagnostics& diagnostics) {
   if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
   check_test_every(p.test_every, diagnostics);
+}
+
+std::string recognise(const std::string& path, TransformsJsonParams& p) {
+  std::error_code ignored;
+  const fs::path file(path);
+  p.root = path;
+  if (fs::is_regular_file(file, ignored) && file.extension() == ".json" &&
+      file.filename().string().starts_with("transforms")) {
+    // The usual names stand for the whole folder, whose other file may hold the tests.
+    const std::string name = file.filename().string();
+    if (name == "transforms.json" || name == "transforms_train.json") p.root = file.parent_path().string();
+    return name;
+  }
+  for (const char* name : {"transforms.json", "transforms_train.json"}) {
+    if (fs::is_regular_file(file / name, ignored)) return name;
+  }
+  return "";
 }
 
 TransformsJson::TransformsJson(const TransformsJsonParams& params, const DatasetBuild& build)
@@ -73,7 +91,8 @@ Camera camera_of(const TransformsLens& lens, std::int32_t width, std::int32_t he
 bool whole_size(double value) { return value >= 1 && value <= 2147483647.0 && value == std::floor(value); }
 
 // The camera of one frame; the image's header tells the size where the file does not. False when reported.
-bool frame_camera(const TransformsFrame& in, const std::string& place, Camera& out, Diagnostics& diagnostics) {
+bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit& sizes, Camera& out,
+                  Diagnostics& diagnostics) {
   ImageSize size;
   if (in.lens.w != 0 || in.lens.h != 0) {
     if (!whole_size(in.lens.w) || !whole_size(in.lens.h)) {
@@ -98,7 +117,7 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, Camera& o
     }
   }
   out = camera_of(in.lens, size.width_px, size.height_px);
-  return check_camera(out, place, diagnostics);
+  return sizes.fit(in.files.color, place, out, diagnostics) && check_camera(out, place, diagnostics);
 }
 
 }  // namespace
@@ -178,6 +197,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   FrameNames names;
   bool has_labels = false, has_depth = false;
   FrameFileCheck check(params_.missing, "label_key");
+  CameraFit sizes;
   const std::vector<const TransformsFrame*> used = used_frames(index, diagnostics);
   const std::vector<Split> splits = splits_of(used, diagnostics);
   check.expect(used.size());
@@ -194,7 +214,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
     if (state == PoseState::not_finite) skipped.push_back(frame.name);
     FrameFiles files = in.files;
     if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
-        !frame_camera(in, place, frame.camera, diagnostics)) {
+        !frame_camera(in, place, sizes, frame.camera, diagnostics)) {
       continue;
     }
     frame.has_depth = !files.depth.empty();
@@ -207,6 +227,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
     files_.push_back(files);
   }
   check.report(root_, info_.frames.size(), diagnostics);
+  sizes.report(root_, diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), root_, diagnostics);
   info_.metric = params_.metric || has_depth;
   info_.limit = index.limit;

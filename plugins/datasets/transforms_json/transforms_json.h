@@ -25,6 +25,7 @@ struct TransformsJsonParams {
 };
 void describe(ParamVisitor& visit, TransformsJsonParams& params);
 void validate(const TransformsJsonParams& params, Diagnostics& diagnostics);
+std::string recognise(const std::string& path, TransformsJsonParams& params);
 
 class TransformsJson final : public Dataset {
  public:

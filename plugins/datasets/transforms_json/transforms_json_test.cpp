@@ -72,6 +72,26 @@ TEST(TransformsJson, OwnLensDepthAndLabels) {
   EXPECT_EQ(out.label, (std::vector<std::int16_t>{kVoid, 0, 0, 0, kVoid, kVoid, kVoid, 0}));
 }
 
+// nerfstudio's list has the coefficients in this order, and a frame's own takes the place of the file's.
+TEST(TransformsJson, DistortionParamsAreTheLens) {
+  const std::string folder = fresh_folder("d");
+  write_image(folder + "/a.png");
+  write_image(folder + "/b.png");
+  write_file_atomic(folder + "/transforms.json",
+                    std::string("{\"fl_x\": 3, \"distortion_params\": [0.01, 0.02, 0.03, 0.04, 0.05, 0.06], "
+                                "\"frames\": [{\"file_path\": \"a.png\", ") +
+                        kEye + "}, {\"file_path\": \"b.png\", \"distortion_params\": [0.1, 0, 0, 0, 0, 0], " + kEye +
+                        "}]}");
+  Diagnostics d;
+  const TransformsIndex index = read_transforms(folder, "", d);
+  EXPECT_FALSE(d.has_errors());
+  const TransformsLens& a = index.frames.at(0).lens;
+  EXPECT_EQ((std::vector<double>{a.k1, a.k2, a.k3, a.k4, a.p1, a.p2}),
+            (std::vector<double>{0.01, 0.02, 0.03, 0.04, 0.05, 0.06}));
+  EXPECT_EQ(index.frames.at(1).lens.k1, 0.1);
+  EXPECT_EQ(index.frames.at(1).lens.p2, 0.0);
+}
+
 // Comparisons, not seconds: a list of names is looked up, not walked, and equal stems get numbers without new tries.
 TEST(TransformsJson, AHundredThousandFramesOfListsAndOfOneName) {
   const std::string folder = fresh_folder("m");

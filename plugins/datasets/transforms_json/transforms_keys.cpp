@@ -10,8 +10,9 @@ namespace semfield {
 
 namespace {
 
-const std::vector<std::string> kLensKeys{"w",  "h",  "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y",
-                                         "k1", "k2", "k3",   "k4",   "p1", "p2", "camera_model",   "is_fisheye"};
+const std::vector<std::string> kLensKeys{
+    "w",  "h",  "fl_x", "fl_y", "cx", "cy",           "camera_angle_x", "camera_angle_y",   "k1",
+    "k2", "k3", "k4",   "p1",   "p2", "camera_model", "is_fisheye",     "distortion_params"};
 const std::vector<std::string> kFileKeys{"frames",          "classes",        "depth_unit_m",
                                          "train_filenames", "test_filenames", "val_filenames",
                                          "aabb_scale",      "scale",          "offset"};

@@ -1,0 +1,40 @@
+// LLFF scenes: poses_bounds.npy and a folder of images in the order of their names.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "config/params.h"
+#include "loading/frame_files.h"
+#include "plugin/dataset.h"
+
+namespace semfield {
+
+struct LlffParams {
+  std::string root;
+  std::string images = "images";
+  std::int32_t test_every = 8;
+  std::string label_dir;
+  std::string classes;
+  UnknownLabels unknown_labels = UnknownLabels::error;
+};
+void describe(ParamVisitor& visit, LlffParams& params);
+void validate(const LlffParams& params, Diagnostics& diagnostics);
+std::string recognise(const std::string& path, LlffParams& params);
+
+class Llff final : public Dataset {
+ public:
+  Llff(const LlffParams& params, const DatasetBuild& build);
+  SceneInfo open(Diagnostics& diagnostics) override;
+  void read(int frame, FrameBuffer& out) const override;
+
+ private:
+  std::vector<std::string> image_files() const;
+  LlffParams params_;
+  std::string root_, class_file_;
+  SceneInfo info_;
+  std::vector<FrameFiles> files_;
+};
+
+}  // namespace semfield
