@@ -276,6 +276,8 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
     diagnostics.warning("train.self_training", "there are no labels to begin with, so no round gives any",
                         "give the scene labels, or set train.self_training.at to []");
   }
+  if (options.trainable && device.kind != Device::cpu)
+    say_slow_fields(s.config, registry, s.plan, s.extent, device, diagnostics);
   if (options.build) build_session(s, registry, options, device);
   return s;
 }
