@@ -2,6 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cmath>
+
 #include "scene/camera_path.h"
 #include "scene/output_names.h"
 
@@ -71,6 +74,12 @@ std::vector<NamedView> render_views(const Session& s, const RenderOptions& optio
   if (views.empty()) {
     throw Error(ErrorKind::data, options.run + ": nothing to render in '" + render_name(options) + "'",
                 "see `semfield inspect`");
+  }
+  for (NamedView& view : views) {
+    Camera& camera = view.camera.camera;
+    const double height = static_cast<double>(options.width) * camera.height_px / camera.width_px;
+    if (options.width > 0)
+      camera = camera.resized(options.width, static_cast<std::int32_t>(std::max(1L, std::lround(height))));
   }
   return views;
 }

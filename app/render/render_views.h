@@ -20,6 +20,7 @@ struct RenderOptions {
   bool video = false;
   std::vector<std::string> panels;  ///< of the video; none: all that the run has
   double fps = 24;
+  int width = 0;  ///< pixels; 0: that of each camera
   std::vector<std::string> set;
 };
 
@@ -32,7 +33,8 @@ struct NamedView {
   std::string file_name() const;
 };
 
-/// Throws Error(data) for a bad trajectory file and for nothing to render. Warnings about cameras go to the diagnostics.
+/// Throws Error(data) for a bad trajectory file and for nothing to render. Warnings about cameras go to the
+/// diagnostics.
 std::vector<NamedView> render_views(const Session& session, const RenderOptions& options, Diagnostics& diagnostics);
 
 /// As read_cameras reads them back.

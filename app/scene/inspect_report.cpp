@@ -122,7 +122,7 @@ void put(std::string& out, T value) {
 
 }  // namespace
 
-std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics) {
+std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use) {
   const std::vector<int> train = scene.frames_of(Split::train), test = scene.frames_of(Split::test);
   const auto [depth, read, cameras] = count_frames(scene);
   std::string out = fmt::format("scene       {}\n", scene.info.name);
@@ -136,12 +136,14 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
   out += fmt::format("near, far   {:.4g}, {:.4g}{}\n", scene.near_m, scene.far_m,
                      scene.near_far_from.empty() ? "" : " from " + scene.near_far_from);
   out += fmt::format("pixel       {:.4g} at the middle depth\n", scene.pixel_footprint_m);
+  if (!depth_use.empty()) out += "depth       " + depth_use + "\n";
   if (!scene.geometry.empty()) out += "geometry    " + scene.geometry + "\n";
   if (const auto advice = advised_preset(scene)) out += "preset      " + advice->text() + "\n";
   return out + class_table(scene) + problems(diagnostics);
 }
 
-nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics) {
+nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics,
+                                    const std::string& depth_use) {
   using Json = nlohmann::ordered_json;
   const auto vector = [](Vec3d v) { return Json{v.x, v.y, v.z}; };
   const auto box = [&](const Box& b) {
@@ -154,6 +156,7 @@ nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics&
            {"test_frames", scene.frames_of(Split::test).size()},
            {"frames_read", counted.read},
            {"frames_with_depth", counted.depth},
+           {"depth", depth_use},
            {"metric", scene.info.metric},
            {"cameras", box(counted.cameras)},
            {"bounds", box(scene.bounds)},

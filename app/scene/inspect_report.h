@@ -10,10 +10,11 @@
 namespace semfield {
 
 /// Frames, splits, sizes, extent, bounds, near and far, class table with pixel shares of train and test and how many
-/// labelled training frames see each class, then every problem with its remedy. Ends with a line feed.
-std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics);
+/// labelled training frames see each class, then every problem with its remedy. `depth_use`: what training makes of
+/// depth images (settings/loss_config.h). Ends with a line feed.
+std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 /// The same for programs.
-app::Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics);
+app::Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 
 /// Camera frusta as binary PLY: a pyramid a frame of `depth_m` height (0 = 2 % of the bounds' diagonal), train blue,
 /// test orange.

@@ -1,6 +1,7 @@
 // inspect: what a scene holds, and what training would find wrong with it.
 #include <algorithm>
 #include <cstdio>
+#include <numeric>
 
 #include "app/json_output.h"
 #include "app/scene/configured_scene.h"
@@ -9,6 +10,8 @@
 #include "app/verb.h"
 #include "core/text.h"
 #include "session/ray_source.h"
+#include "settings/label_choices.h"
+#include "settings/loss_config.h"
 
 namespace semfield::app {
 
@@ -36,13 +39,18 @@ void show_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnos
   }
 }
 
-// Training would refuse it at its first step.
+// What training would say of where rays come from, or refuse at its first step.
 void check_ray_source(const LoadedScene& scene, const RunConfig& config, Diagnostics& diagnostics) {
-  if (config.train.ray_source != RaySourceKind::label_balanced || config.labels.selection.class_room > 0) return;
+  LabelCount labels;
+  labels.may_come = config.labels.selection.class_room > 0;
   for (const int f : scene.frames_of(Split::train)) {
+    const Camera& camera = scene.info.frames[static_cast<std::size_t>(f)].camera;
     const std::vector<std::int64_t>& pixels = scene.class_pixels[static_cast<std::size_t>(f)];
-    if (!pixels.empty() && std::any_of(pixels.begin(), pixels.end() - 1, [](std::int64_t n) { return n > 0; })) return;
+    labels.train_px += std::int64_t{camera.width_px} * camera.height_px;
+    if (!pixels.empty()) labels.labelled_px += std::accumulate(pixels.begin(), pixels.end() - 1, std::int64_t{0});
   }
+  warn_of_rare_labels(config.train, labels, diagnostics);
+  if (config.train.ray_source != RaySourceKind::label_balanced || labels.labelled_px > 0 || labels.may_come) return;
   const Error refused = no_labelled_pixel();
   diagnostics.error("", refused.message(), refused.remedy());
 }
@@ -57,10 +65,11 @@ int run(const InspectOptions& options, AppContext& context) {
   LoadedScene scene = load_for_labels(opened, diagnostics);
   if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
   if (!diagnostics.has_errors()) check_ray_source(scene, opened.config, diagnostics);
+  const std::string depth = depth_use(opened.config.losses, training_depth(scene), diagnostics);
   if (context.json) {
-    print_json(context, inspect_json(scene, diagnostics));
+    print_json(context, inspect_json(scene, diagnostics, depth));
   } else {
-    std::fputs(inspect_report(scene, diagnostics).c_str(), stdout);
+    std::fputs(inspect_report(scene, diagnostics, depth).c_str(), stdout);
   }
   if (folder)
     print_note(context, "next: `semfield init " + shell_word(what) + "` writes a configuration for this scene");

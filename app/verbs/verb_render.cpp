@@ -36,12 +36,16 @@ void write_frame(const std::string& base, const RenderedFrame& frame, const Sess
   const MapSize size{frame.width_px, frame.height_px};
   write_color(base + "_rgb.png", size, frame.rgb);
   write_depth_mm(base + "_depth.png", size, frame.depth_m);
+  const DepthRange range = robust_depth_range(frame.depth_m);
+  write_png_rgb(base + "_depth_vis.png", size.width_px, size.height_px,
+                depth_colors(frame.depth_m, range.near_m, range.far_m));
   if (npy) write_map_npy(base + "_depth.npy", size, frame.depth_m);
   if (frame.label.empty()) return;
   const int logits = static_cast<int>(s.plan.class_of_logit.size());
   write_label_ids(base + "_label.png", size, frame.label, s.scene.info.classes);
   write_label_colors(base + "_label_vis.png", size, frame.label, s.scene.info.classes);
   write_entropy(base + "_entropy.png", size, frame.entropy, logits);
+  write_png_rgb(base + "_entropy_vis.png", size.width_px, size.height_px, entropy_colors(frame.entropy, logits));
   if (npy) write_map_npy(base + "_entropy.npy", size, frame.entropy);
   if (frame.probability.empty()) return;
   const std::array<std::int64_t, 3> shape{size.height_px, size.width_px, s.classes()};
@@ -78,6 +82,7 @@ void create_folder(const fs::path& folder) {
 struct Rendered {
   std::size_t frames = 0;
   double s_per_frame = 0;
+  std::int32_t width_px = 0, height_px = 0;  ///< of the first picture, or of the video
   const char* what = "folder";
   std::string where;
 };
@@ -118,7 +123,8 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
         write_frame((folder / view.file_name()).string(), frame, s, options.npy);
       },
       context);
-  return {views.size(), seconds, "folder", folder.string()};
+  const Camera& first = views.front().camera.camera;
+  return {views.size(), seconds, first.width_px, first.height_px, "folder", folder.string()};
 }
 
 fs::path video_file(const RenderOptions& options) {
@@ -140,13 +146,13 @@ Rendered render_video(const RenderOptions& options, const std::string& ffmpeg, c
   }
   const fs::path file = video_file(options);
   create_folder(file.parent_path());
-  VideoWriter video(ffmpeg, file.string(), first.width_px * static_cast<std::int32_t>(panels.size()), first.height_px,
-                    options.fps);
+  const std::int32_t width_px = first.width_px * static_cast<std::int32_t>(panels.size());
+  VideoWriter video(ffmpeg, file.string(), width_px, first.height_px, options.fps);
   const double seconds = render_all(
       s, views, false, [&](const NamedView&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); },
       context);
   video.finish();
-  return {views.size(), seconds, "file", file.string()};
+  return {views.size(), seconds, width_px, first.height_px, "file", file.string()};
 }
 
 int run(const RenderOptions& options, AppContext& context) {
@@ -168,11 +174,13 @@ int run(const RenderOptions& options, AppContext& context) {
                          {"step", run.step},
                          {"frames", done.frames},
                          {"s_per_frame", done.s_per_frame},
+                         {"width_px", done.width_px},
+                         {"height_px", done.height_px},
                          {done.what, done.where}});
     return 0;
   }
-  std::printf("render: frames=%zu s_per_frame=%.3f %s=%s\n", done.frames, done.s_per_frame, done.what,
-              done.where.c_str());
+  std::printf("render: frames=%zu size=%dx%d s_per_frame=%.3f %s=%s\n", done.frames, done.width_px, done.height_px,
+              done.s_per_frame, done.what, done.where.c_str());
   return 0;
 }
 
@@ -184,6 +192,8 @@ void words(VerbWords& verb, RenderOptions& options) {
              "(12 or 16 numbers), or 'smooth' for a path through the training cameras",
              {"smooth"});
   verb.value_in("--frames N", options.frames, 1, 100000, "number of frames of the smooth path");
+  verb.value_in("--width PX", options.width, 1, 16384,
+                "width of the pictures or the video's panels, pixels; heights follow (default: that of the cameras)");
   verb.value("--out PATH", options.out,
              "folder for the images, or the video's file (default: render/ in the run folder)");
   verb.flag("--video", options.video, "write a video through ffmpeg instead of images");

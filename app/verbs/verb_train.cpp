@@ -37,10 +37,11 @@ std::string number(const std::vector<std::pair<std::string, std::optional<double
   for (const auto& [key, value] : values) {
     if (key == name && value) return fmt::format(fmt::runtime(format), *value);
   }
-  return "-";
+  return {};
 }
 
-// Figures of a part of the test frames have names of their own, so that nobody takes them for those of all.
+// The figures that the scene can have, a blank behind each. Those of a part of the test frames have names of their own,
+// so that nobody takes them for those of all.
 std::string scores_text(const TrainOutcome& outcome) {
   const ScoredPart& part = outcome.scored;
   const bool whole = part.frames == 0 || part.whole();
@@ -48,9 +49,10 @@ std::string scores_text(const TrainOutcome& outcome) {
   if (part.stride > 1) text += fmt::format("sample_pixels=1/{} ", part.stride * part.stride);
   const std::pair<const char*, const char*> figures[] = {
       {"miou_present", "{:.4f}"}, {"total_accuracy", "{:.4f}"}, {"psnr", "{:.2f}"}, {"absrel", "{:.4f}"}};
-  for (const auto& [name, format] : figures)
-    text += fmt::format("{}{}={} ", whole ? "" : "sample_", name, number(outcome.values, name, format));
-  text.pop_back();
+  for (const auto& [name, format] : figures) {
+    const std::string value = number(outcome.values, name, format);
+    if (!value.empty()) text += fmt::format("{}{}={} ", whole ? "" : "sample_", name, value);
+  }
   return text;
 }
 
@@ -186,7 +188,7 @@ int run(const TrainOptions& options, AppContext& context) {
     print_json(context, outcome_json(outcome));
     return 0;
   }
-  std::printf("train: %s train_s=%.1f trained_s=%.1f steps=%lld peak_mb=%zu report=%s\n", scores_text(outcome).c_str(),
+  std::printf("train: %strain_s=%.1f trained_s=%.1f steps=%lld peak_mb=%zu report=%s\n", scores_text(outcome).c_str(),
               outcome.train_s, outcome.trained_s, static_cast<long long>(outcome.step), outcome.peak_bytes >> 20,
               outcome.report_path.c_str());
   return 0;

@@ -265,8 +265,7 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
     diagnostics.error(scene.info.name,
                       "the labels of all " + std::to_string(labelled) +
                           " labelled training frames are void in every pixel: nothing can be learned from them",
-                      "export label images that hold class ids, or train without them: --set scene.labels.frames=none "
-                      "--set train.ray_source=all_images");
+                      "export label images that hold class ids, or train without them: --set scene.labels.frames=none");
   }
   out.soft = std::any_of(out.frames.begin(), out.frames.end(), [](const auto& f) { return !f.soft.empty(); });
   return out;

@@ -234,6 +234,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
                       "give two frames at least, better some dozens");
   }
   scene.frames.resize(frames.size());
+  scene.depth_pixels.resize(frames.size());
   // Why there are no classes is told already; every labelled frame would only tell it again.
   const bool labels_can_be_read = !scene.info.classes.empty() || !diagnostics.has_errors();
   for (FrameInfo& frame : frames) frame.has_labels = frame.has_labels && labels_can_be_read;
@@ -311,6 +312,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
       const bool same = cameras[i].width_px == frame.width_px && cameras[i].height_px == frame.height_px;
       if (!same) frame = resize_frame(frame, cameras[i].width_px, cameras[i].height_px);
       scene.class_pixels[i] = class_pixels_of(frame.label, classes);
+      scene.depth_pixels[i] = std::count_if(frame.depth_m.begin(), frame.depth_m.end(), [](float z) { return z > 0; });
       if (frames[i].split == Split::train && !frame.depth_m.empty())
         surveyed[i] = survey_frame(cameras[i], frames[i].world_from_camera, frame, step);
       if (geometry) geometry->look_at(i, cameras[i], frame);

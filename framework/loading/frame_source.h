@@ -59,6 +59,8 @@ struct LoadedScene {
   bool extent_is_guessed = false;  ///< bounds and far are the view cones' and a multiple of the cameras' walk
   /// Pixels of each class in each frame: [frames][C + 1], the last entry is void; empty for a frame without labels.
   std::vector<std::vector<std::int64_t>> class_pixels;
+  /// Pixels of each frame with a valid depth: [frames]; counted of all frames, whosever depth is kept.
+  std::vector<std::int64_t> depth_pixels;
 
   std::vector<int> frames_of(Split split) const;
 };

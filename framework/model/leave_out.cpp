@@ -124,6 +124,29 @@ void plan_passes(const SceneManifest& manifest, const BuildRequest& request, Pla
        ProofClass::certified, "samples behind surfaces, when rendering", "", ""});
 }
 
+void plan_losses(const BuildRequest& request, Planner& planner, BuildPlan& plan) {
+  for (const LossKind& kind : loss_kinds()) {
+    LeftOut row{fmt::format("loss_{}", kind.type),
+                "not asked for",
+                fmt::format("`losses` names no term of type {}", kind.type),
+                ProofClass::bitwise,
+                std::string(kind.cost),
+                fmt::format("add {{type: {}}} to the list `losses`", kind.type),
+                ""};
+    if (std::find(request.losses.begin(), request.losses.end(), kind.type) == request.losses.end()) {
+      planner.leave(true, std::move(row));
+      continue;
+    }
+    row.rule = "no training pixel has a depth";
+    row.evidence = request.depth_frames > 0
+                       ? fmt::format("depth images of {} training frames, without a valid pixel", request.depth_frames)
+                       : "no training frame has a depth image";
+    row.instead.clear();
+    if (planner.leave(kind.make()->traits().reads_depth && request.depth_px == 0, std::move(row)))
+      plan.no_losses.emplace_back(kind.type);
+  }
+}
+
 struct BuiltRow {
   bool fires = false;
   LeftOut row;
@@ -181,13 +204,7 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
       {kTrainingDepth, "depth of training frames gives bounds and distances and is then dropped",
        fmt::format("no loss reads it: {} training pixels with depth", request.training_depth_px), ProofClass::bitwise,
        fmt::format("2 bytes a pixel: {:.1f} MB", depth_mb), "", fmt::format("{:.1f} MB not held", depth_mb)});
-  for (const LossKind& kind : loss_kinds()) {
-    const bool named = std::find(request.losses.begin(), request.losses.end(), kind.type) != request.losses.end();
-    planner.leave(!named,
-                  {fmt::format("loss_{}", kind.type), "not asked for",
-                   fmt::format("`losses` names no term of type {}", kind.type), ProofClass::bitwise,
-                   std::string(kind.cost), fmt::format("add {{type: {}}} to the list `losses`", kind.type), ""});
-  }
+  plan_losses(request, planner, plan);
   planner.leave(request.density_noise == 0,
                 {"density_noise", "its deviation is 0", "rendering.density_noise is 0", ProofClass::bitwise,
                  "one normal variate for each sample", "set rendering.density_noise", ""});

@@ -39,6 +39,9 @@ struct BuildRequest {
   bool periodic_evaluation = true;
   std::string no_cuda = "no device is asked for";  ///< why the run stays on the processor; empty: it does not
   std::int64_t training_depth_px = 0;  ///< pixels whose depth was read for the bounds and is needed by nothing later
+  /// Training frames with depth images, and their pixels with a valid depth, for terms that read them; < 0: not
+  /// counted.
+  std::int64_t depth_frames = -1, depth_px = -1;
 };
 
 /// How "same result" is shown: bitwise equal, within a bound that is printed, or statistically over seeds.
@@ -61,10 +64,11 @@ struct BuildPlan {
   bool head_on_unlabelled_rays = false;
   bool undistortion = true;
   bool depth_metrics = true;
-  bool late_samples = false;        ///< rendering evaluates samples behind an opaque surface too
-  std::vector<int> class_of_logit;  ///< logit -> class; absent classes have none
-  std::vector<LeftOut> left_out;    ///< what is not built
-  std::vector<std::string> kept;    ///< forced back by name
+  bool late_samples = false;           ///< rendering evaluates samples behind an opaque surface too
+  std::vector<std::string> no_losses;  ///< types of the list `losses` that are not built
+  std::vector<int> class_of_logit;     ///< logit -> class; absent classes have none
+  std::vector<LeftOut> left_out;       ///< what is not built
+  std::vector<std::string> kept;       ///< forced back by name
 };
 
 /// What only the built parts know.

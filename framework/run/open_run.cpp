@@ -1,6 +1,9 @@
 #include "run/open_run.h"
 
+#include <filesystem>
+#include <functional>
 #include <optional>
+#include <set>
 
 #include "core/text.h"
 #include "labels/clicks/click_file.h"
@@ -11,8 +14,29 @@
 #include "session/checkpoint_facts.h"
 #include "session/trainer.h"
 #include "settings/run_identity.h"
+#include "system/files.h"
 
 namespace semfield {
+
+namespace {
+
+// What training has shown of the scene already is not said again by each verb.
+void add_untold(const Diagnostics& found, const std::string& told_path, Diagnostics& diagnostics) {
+  std::set<std::string, std::less<>> told;
+  const std::string text = std::filesystem::exists(told_path) ? read_text_file(told_path) : std::string();
+  std::string_view rest = text, line;
+  while (next_line(rest, line)) told.emplace(line);
+  for (const Diagnostic& finding : found.all()) {
+    if (told.contains(finding.text())) continue;
+    if (finding.severity == Severity::warning) {
+      diagnostics.warning(finding.where, finding.message, finding.remedy);
+    } else {
+      diagnostics.note(finding.where, finding.message);
+    }
+  }
+}
+
+}  // namespace
 
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
                    Diagnostics& diagnostics, OpenFor purpose, Ranks* ranks) {
@@ -40,7 +64,9 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   options.pixels = purpose != OpenFor::rendering;
   options.labels = purpose == OpenFor::evaluation_of_training_frames;
   const bool same_scene = compare_settings_with_training(facts, config, folder, overrides, registry, diagnostics);
-  run.session = open_session(std::move(config), registry, options, diagnostics);
+  Diagnostics of_scene;
+  run.session = open_session(std::move(config), registry, options, of_scene);
+  add_untold(of_scene, folder.findings_path(), diagnostics);
   if (facts.inputs && same_scene)
     warn_of_other_inputs(*facts.inputs, scene_inputs(run.session.scene, run.session.labels), diagnostics);
   warn_of_other_modules(facts.modules, run.session.config.plugins, diagnostics);

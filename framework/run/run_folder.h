@@ -13,7 +13,8 @@ namespace semfield {
 
 /// Layout (all paths relative to the folder, which may be moved as a whole):
 ///   run.yaml  classes.yaml  clicks.jsonl (of the labelling page)  metrics.jsonl  events.out.tfevents.*
-///   environment.json  left_out.json  labels.json final_eval.json  worst_frames.json  labelling.json  report.html .lock
+///   environment.json  left_out.json  findings.txt  labels.json final_eval.json  worst_frames.json  labelling.json
+///   report.html  .lock
 ///   self_labels/round_00010000.safetensors (runs with self-training)
 ///   checkpoints/step_00020000.safetensors + latest    render/<split>/<frame>_{rgb,label,label_vis,depth,entropy}.*
 class RunFolder {
@@ -34,6 +35,8 @@ class RunFolder {
   std::string environment_path() const { return in("environment.json"); }
   std::string left_out_path() const { return in("left_out.json"); }
   std::string labelling_path() const { return in("labelling.json"); }
+  /// What training found when it opened the scene, a finding a line: whoever opens the run again does not repeat it.
+  std::string findings_path() const { return in("findings.txt"); }
   std::string labels_path() const { return in("labels.json"); }
   std::string final_eval_path() const { return in("final_eval.json"); }
   std::string worst_frames_path() const { return in("worst_frames.json"); }

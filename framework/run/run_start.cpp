@@ -84,7 +84,10 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
                    folder->path(), diagnostics);
     if (point.facts) options.trained_classes = point.facts->classes;
   }
+  const std::size_t before = diagnostics.all().size();
   Session session = open_session(std::move(config), registry, options, diagnostics);
+  std::string findings;
+  for (std::size_t i = before; i < diagnostics.all().size(); ++i) findings += diagnostics.all()[i].text() + "\n";
   SceneInputs inputs = scene_inputs(session.scene, session.labels);
   if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
   tell_findings(listener, diagnostics, session);
@@ -94,6 +97,8 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
     folder.emplace(RunFolder::create(request.out_dir));
   }
   write_run_config(*folder, session.config, registry);
+  if (!findings.empty() || std::filesystem::exists(folder->findings_path()))
+    write_file_atomic(folder->findings_path(), findings);
   return {std::move(*folder), std::move(session), std::move(inputs), std::move(point)};
 }
 

@@ -5,6 +5,7 @@
 
 #include "compute/parallel.h"
 #include "core/error.h"
+#include "core/slow_path.h"
 #include "execution/ranks_executor.h"
 
 namespace semfield {
@@ -266,6 +267,20 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
   options.work.threads = config.runtime.threads;
   options.class_weight = std::move(class_weight);
   return std::make_unique<Pipeline<Real>>(std::move(passes), std::move(options), trainable);
+}
+
+void say_slow_fields(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                     const SceneExtent& extent, DeviceId device, Diagnostics& diagnostics) {
+  const auto say = [&](const std::string& where, const Field<float>& field) {
+    const auto* part = dynamic_cast<const SlowPath*>(&field);
+    const std::string found = part == nullptr ? "" : part->slow_path();
+    if (!found.empty()) diagnostics.warning(where, found);
+  };
+  for (const PassParts<float>& pass : make_passes<float>(config, registry, plan, extent, device.kind)) {
+    const PassConfig& written = config.passes[pass.number];
+    say(written.key + ".field", *pass.field);
+    if (pass.branch) say(written.key + "." + written.branch()->key + ".field", *pass.branch->field);
+  }
 }
 
 void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,

@@ -45,6 +45,10 @@ template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
 
+/// A finding for each field that computes more slowly on `device` than other settings of it would.
+void say_slow_fields(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                     const SceneExtent& extent, DeviceId device, Diagnostics& diagnostics);
+
 /// From now on `pipeline` trains and renders on `device`, which chosen_device gave, and with it on those of all `ranks`
 /// where these are given: they call this together.
 void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,

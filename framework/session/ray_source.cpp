@@ -41,12 +41,13 @@ RayBatch BatchBuffers::view(bool with_labels) const {
 
 Error no_labelled_pixel() {
   return Error(ErrorKind::data, "train.ray_source is label_balanced, but no training pixel carries a label",
-               "draw rays from all pixels with --set train.ray_source=all_images, or give the scene labels");
+               "let the labels decide with --set train.ray_source=auto, or give the scene labels");
 }
 
 RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> logit_of_class, const RayLimits& limits,
                      const RaySourceOptions& options)
     : frames_(std::move(frames)), logit_of_class_(std::move(logit_of_class)), limits_(limits), options_(options) {
+  SEMFIELD_CHECK(options_.train.ray_source != RaySourceKind::automatic, "a session settles train.ray_source");
   offsets_.push_back(0);
   for (const TrainFrame& frame : frames_) {
     offsets_.push_back(offsets_.back() + std::int64_t{frame.pixels->width_px} * frame.pixels->height_px);
@@ -140,6 +141,7 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
       break;
     }
     case RaySourceKind::all_images:
+    case RaySourceKind::automatic:
       break;
   }
   return locate(static_cast<std::int64_t>(uniform_below(address, index, static_cast<std::uint64_t>(offsets_.back()))));

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "compute/cpu_kernels.h"
 #include "compute/parallel.h"
@@ -11,9 +12,9 @@
 #include "formats/image_formats.h"
 #include "formats/image_io.h"
 #include "session/bounds_probe.h"
-#include "session/branch_choice.h"
 #include "session/ranks_session.h"
 #include "session/trained_classes.h"
+#include "settings/label_choices.h"
 #include "settings/loss_config.h"
 #include "settings/run_length.h"
 #include "system/memory_limit.h"
@@ -119,6 +120,26 @@ void keep_components(RunConfig& config, const std::vector<std::string>& componen
 
 namespace {
 
+// What the plan leaves out stands in the configuration no more, so that a resume trains with the same terms.
+void drop_losses(Session& s) {
+  std::erase_if(s.config.losses, [&](const LossEntry& entry) {
+    return std::find(s.plan.no_losses.begin(), s.plan.no_losses.end(), entry.type) != s.plan.no_losses.end();
+  });
+}
+
+// What is left open in the configuration and the labels decide. Of a run that was trained it is settled.
+void choose_by_labels(Session& s, bool labels_made, bool trainable, Diagnostics& diagnostics) {
+  const std::vector<std::int64_t>& pixels = s.manifest.train_class_pixels;
+  const LabelCount count{std::accumulate(pixels.begin(), pixels.end(), std::int64_t{0}), s.manifest.train_pixels,
+                         s.plan.semantics};
+  if (trainable) warn_of_rare_labels(s.config.train, count, diagnostics);
+  const std::string rays = choose_ray_source(s.config.train, count);
+  std::vector<std::string> branches;
+  if (labels_made) branches = choose_branches(s.config, label_statistics(s.scene, s.labels));
+  if (s.plan.semantics) s.chosen_by_labels = std::move(branches);  // else none of them is built
+  if (!rays.empty()) s.chosen_by_labels.push_back(rays);
+}
+
 // Scene, labels, manifest and plan: all that does not depend on how large the scene is.
 Session load_session(RunConfig config, Registry& registry, const SessionOptions& options, const ChosenDevice& chosen,
                      Diagnostics& diagnostics) {
@@ -140,7 +161,6 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
     require_frame_memory(s.config, bytes, frames, width_px);
   };
   s.scene = load_scene(*dataset, load, diagnostics);
-  if (options.trainable) require_loss_data(s.config.losses, s.scene.info, diagnostics);
   open_label_files(s.scene, s.config.labels, diagnostics);
   if (options.trained_classes)
     require_class_table(*options.trained_classes, s.scene.info.classes, s.config.labels.clicks);
@@ -150,11 +170,18 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   diagnostics.throw_if_errors(ErrorKind::data, "the labels have problems:");
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
-  if (make_labels) s.chosen_branches = choose_branches(s.config, label_statistics(s.scene, s.labels));
   BuildRequest request = build_request(s.config, registry);
   request.no_cuda = chosen.no_cuda;
   request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
+  if (of_losses) {
+    const TrainingDepth depth = training_depth(s.scene);
+    (void)depth_use(s.config.losses, depth, diagnostics);  // for its warning
+    request.depth_frames = depth.frames;
+    request.depth_px = depth.pixels;
+  }
   s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
+  drop_losses(s);
+  choose_by_labels(s, make_labels, options.trainable, diagnostics);
   return s;
 }
 
@@ -257,6 +284,8 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
     diagnostics.warning("train.self_training", "there are no labels to begin with, so no round gives any",
                         "give the scene labels, or set train.self_training.at to []");
   }
+  if (options.trainable && device.kind != Device::cpu)
+    say_slow_fields(s.config, registry, s.plan, s.extent, device, diagnostics);
   if (options.build) build_session(s, registry, options, device);
   return s;
 }
@@ -270,7 +299,7 @@ WorkSettings Session::work() const {
 
 std::vector<std::string> Session::choices() const {
   std::vector<std::string> lines = chosen;
-  lines.insert(lines.end(), chosen_branches.begin(), chosen_branches.end());
+  lines.insert(lines.end(), chosen_by_labels.begin(), chosen_by_labels.end());
   return lines;
 }
 
@@ -309,7 +338,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   RaySourceOptions options;
   options.train = config.train;
   options.with_depth = losses_read_depth(config.losses);
-  options.labels_may_come = config.labels.selection.class_room > 0;
+  options.labels_may_come = plan.semantics;
   options.seed = config.runtime.seed;
   options.tile_rays = pipeline->executor().tile_rays(config.train.rays);
   return std::make_unique<RaySource>(std::move(frames), plan.semantics ? logit_of_class() : std::vector<std::int16_t>{},

@@ -23,8 +23,8 @@ struct Session {
   SceneManifest manifest;
   BuildPlan plan;
   SceneExtent extent;
-  std::vector<std::string> chosen;           ///< a line for each parameter that was chosen from the scene
-  std::vector<std::string> chosen_branches;  ///< and for each pass whose semantic branch the labels chose
+  std::vector<std::string> chosen;            ///< a line for each parameter that was chosen from the scene
+  std::vector<std::string> chosen_by_labels;  ///< and for each choice that the labels made (label_choices.h)
   RayLimits limits;
   MemoryFacts memory_facts;
   MemoryPlan memory;  ///< of training; empty for sessions that do not train

@@ -47,22 +47,28 @@ bool losses_read_depth(const std::vector<LossEntry>& entries) {
                      [](const LossEntry& entry) { return entry.term->traits().reads_depth; });
 }
 
-void require_loss_data(const std::vector<LossEntry>& entries, const SceneInfo& scene, Diagnostics& diagnostics) {
-  int frames = 0;
-  for (const FrameInfo& frame : scene.frames) {
-    if (frame.split != Split::train) continue;
-    if (frame.has_depth) return;
-    ++frames;
+TrainingDepth training_depth(const LoadedScene& scene) {
+  TrainingDepth depth;
+  for (const int f : scene.frames_of(Split::train)) {
+    depth.frames += scene.info.frames[static_cast<std::size_t>(f)].has_depth ? 1 : 0;
+    depth.pixels += scene.depth_pixels[static_cast<std::size_t>(f)];
   }
-  for (const LossEntry& entry : entries) {
-    if (!entry.term->traits().reads_depth) continue;
-    diagnostics.error(
-        entry.where,
-        fmt::format("losses: the term '{}' needs depth images of training frames, and none of the {} "
-                    "training frames has one",
-                    entry.type, frames),
-        fmt::format("take {{type: {}}} out of the list `losses`, or give the scene depth images", entry.type));
-  }
+  return depth;
+}
+
+std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth& depth, Diagnostics& diagnostics) {
+  const bool read = losses_read_depth(entries);
+  if (depth.frames == 0) return read ? "no training frame has a depth image; colour alone teaches geometry" : "";
+  if (!read)
+    return fmt::format("depth images of {} training frames give bounds and distances; no loss reads them",
+                       depth.frames);
+  if (depth.pixels > 0) return fmt::format("depth images of {} training frames will be used", depth.frames);
+  diagnostics.warning(
+      "losses",
+      fmt::format("the depth images of all {} training frames have no valid pixel, so no term can read them",
+                  depth.frames),
+      "export z-depth that is finite and above 0, or set losses: []");
+  return fmt::format("depth images of {} training frames have no valid pixel", depth.frames);
 }
 
 std::vector<LossDoc> describe_losses() {

@@ -6,8 +6,8 @@
 
 #include "config/config_tree.h"
 #include "config/params_read.h"
+#include "loading/frame_source.h"
 #include "losses/loss_list.h"
-#include "scene/scene.h"
 
 namespace semfield {
 
@@ -16,10 +16,16 @@ std::vector<LossEntry> read_losses(const ConfigNode& tree, Diagnostics& diagnost
 /// What read_losses would read, every parameter written out.
 ConfigNode losses_config(const std::vector<LossEntry>& entries);
 
-/// An error for each term whose data no training frame has.
-void require_loss_data(const std::vector<LossEntry>& entries, const SceneInfo& scene, Diagnostics& diagnostics);
 /// True when a term reads the depth of training frames.
 bool losses_read_depth(const std::vector<LossEntry>& entries);
+/// Depth images of training frames, and their valid pixels.
+struct TrainingDepth {
+  std::int64_t frames = 0, pixels = 0;
+};
+TrainingDepth training_depth(const LoadedScene& scene);
+/// What training makes of them, as a phrase; "" where there are none and no term asks for them. Warns where a term
+/// reads depth images without a valid pixel.
+std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth& depth, Diagnostics& diagnostics);
 
 /// Every type that the list may name.
 struct LossDoc {

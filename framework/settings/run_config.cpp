@@ -25,12 +25,24 @@ void describe(ParamVisitor& visit, TrainParams& p) {
   SEMFIELD_PARAM(visit, p, time_s,
                  "seconds of training that steps and schedule are settled for where steps is 0; 0: none", {0, 1e8});
   SEMFIELD_PARAM(visit, p, rays, "rays per step", {1, 1 << 20});
-  SEMFIELD_PARAM(visit, p, ray_source, "where a step's rays come from");
+  SEMFIELD_PARAM(
+      visit, p, ray_source,
+      "where a step's rays come from: pixels of all images or of one, drawn evenly; label_balanced draws "
+      "labelled_share of them from labelled pixels; auto is label_balanced where training pixels have labels or "
+      "may get them, else all_images, and run.yaml has the choice");
   SEMFIELD_PARAM(visit, p, labelled_share, "share of rays from labelled pixels, for label_balanced", {0, 1});
   SEMFIELD_PARAM(
       visit, p, label_rays_teach_color,
       "false: rays that label_balanced draws for their labels do not enter the colour loss, which then "
       "comes from evenly drawn rays alone. A few labelled pixels that are drawn again and again spoil geometry");
+}
+
+void validate(const TrainParams& p, Diagnostics& diagnostics) {
+  const bool balanced = p.ray_source == RaySourceKind::label_balanced || p.ray_source == RaySourceKind::automatic;
+  if (!balanced || p.label_rays_teach_color || p.labelled_share < 1) return;
+  diagnostics.error("train.labelled_share",
+                    "1 draws every ray for its label, and label_rays_teach_color is false: nothing would teach colour",
+                    "lower labelled_share, or set train.label_rays_teach_color: true");
 }
 
 void describe(ParamVisitor& visit, SelfTrainingParams& p) {
@@ -283,6 +295,7 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
   validate_section(tree, "scene.labels", config.labels.selection, diagnostics);
   validate_section(tree, "scene.load", config.load, diagnostics);
   validate_section(tree, "rendering", config.rendering, diagnostics);
+  validate_section(tree, "train", config.train, diagnostics);
   validate_section(tree, "train.self_training", config.self_training, diagnostics);
   validate_section(tree, "runtime", config.runtime, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);

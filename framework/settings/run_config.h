@@ -25,10 +25,11 @@
 
 namespace semfield {
 
-enum class RaySourceKind : std::uint8_t { all_images, one_image, label_balanced };
+/// automatic: the labels decide when a session opens (settings/label_choices.h).
+enum class RaySourceKind : std::uint8_t { all_images, one_image, label_balanced, automatic };
 template <>
 struct ChoiceNames<RaySourceKind> {
-  static constexpr std::array<std::string_view, 3> names{"all_images", "one_image", "label_balanced"};
+  static constexpr std::array<std::string_view, 4> names{"all_images", "one_image", "label_balanced", "auto"};
 };
 
 struct TrainParams {
@@ -40,6 +41,7 @@ struct TrainParams {
   bool label_rays_teach_color = true;
 };
 void describe(ParamVisitor& visit, TrainParams& params);
+void validate(const TrainParams& params, Diagnostics& diagnostics);
 
 /// Rounds of self-training (session/self_training.h).
 struct SelfTrainingParams {
@@ -91,7 +93,7 @@ struct PluginSlot {
   std::unique_ptr<PluginParams> params;
 };
 
-/// Labels that a semantic branch is meant for; branch_choice.h says which a scene has.
+/// Labels that a semantic branch is meant for; label_choices.h says which a scene has.
 enum class LabelKind : std::uint8_t { any, few, noisy, many };
 template <>
 struct ChoiceNames<LabelKind> {

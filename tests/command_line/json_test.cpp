@@ -36,7 +36,7 @@ const std::vector<std::pair<std::string, Case>>& cases() {
       {"train", {"config.yaml --steps 200 --out run", {"run", "step", "train_s", "values", "report"}}},
       {"config diff", {"config.yaml run/run.yaml", {"differences"}}},
       {"eval", {"run", {"run", "split", "step", "miou_present", "per_class_iou", "confusion", "per_frame"}}},
-      {"render", {"run --out images", {"run", "step", "frames", "s_per_frame", "folder"}}},
+      {"render", {"run --out images", {"run", "step", "frames", "s_per_frame", "width_px", "height_px", "folder"}}},
       {"report", {"run", {"runs", "file"}}},
       {"sweep", {"sweep.yaml --dry-run --out swept", {"folder", "planned"}}},
       {"mesh", {"run --resolution 24", {"run", "vertices", "faces", "files"}}},

@@ -67,7 +67,11 @@ TEST_F(Names, DifferencesSetTheOneAsTheOther) {
     set += " --set " + shell_word(d.at("key").get<std::string>() + "=" + d.at("b").get<std::string>());
   }
   EXPECT_EQ(set, " --set train.rays=500");
-  EXPECT_EQ(run("config explain " + preset("quickstart.yaml") + set).code, 0);
+  const Result text = run("config explain " + preset("quickstart.yaml") + set);
+  EXPECT_EQ(text.code, 0);
+  EXPECT_NE(text.out.find("# train.ray_source is auto: where a step's rays come from"), std::string::npos);
+  EXPECT_NE(text.out.find("# runtime.precision is auto: "), std::string::npos);
+  EXPECT_EQ(text.out.find("runtime.memory_gb is auto"), std::string::npos);
   // By index or by name, the same settings.
   const json by_index = explained(preset("quickstart.yaml") +
                                   " --set passes.0.position.levels=12 --set passes.0.semantic.1.dropout=0.3 --set "

@@ -5,6 +5,7 @@
 #include <regex>
 #include <sstream>
 
+#include "system/files.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 
@@ -55,6 +56,25 @@ TEST_F(Words, HelpOfAVerbIsTheSameHoweverItIsAsked) {
   const std::string render = run("help render").out;
   for (const char* part : {"--frames N", "(1 to 100000; default: 240)", "(default: test)", "-q, --quiet"})
     EXPECT_NE(render.find(part), std::string::npos) << part << " in\n" << render;
+}
+
+TEST_F(Words, NoOptionSaysItsDefaultTwice) {
+  const std::string page = read_text_file(SEMFIELD_SOURCE_DIR "/docs/reference/verbs.md");
+  const std::regex heading("\\n## ([a-z][a-z -]*)\\n");
+  int verbs = 0;
+  for (std::sregex_iterator it(page.begin(), page.end(), heading); it != std::sregex_iterator(); ++it, ++verbs) {
+    const std::string text = run("help " + (*it)[1].str()).out;
+    std::size_t begin = 0;
+    while (begin < text.size()) {  // an option, with the lines that belong to it
+      std::size_t end = text.find("--", begin + 1);
+      end = std::min(end, text.size());
+      const std::string option = text.substr(begin, end - begin);
+      const std::size_t first = option.find("default: ");
+      EXPECT_TRUE(first == std::string::npos || option.find("default: ", first + 1) == std::string::npos) << option;
+      begin = end;
+    }
+  }
+  EXPECT_GT(verbs, 20);
 }
 
 TEST_F(Words, VersionInOneLineSaysWhatTheVerbSays) {

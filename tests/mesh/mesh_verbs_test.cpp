@@ -13,6 +13,7 @@
 #include <numeric>
 
 #include "core/text.h"
+#include "formats/image_io.h"
 #include "formats/npz.h"
 #include "loading/packed_scene.h"
 #include "system/files.h"
@@ -231,6 +232,33 @@ TEST_F(Verbs, VideoIsDecodedByAnotherProgram) {
   ASSERT_EQ(still.code, 0) << still.err;
   EXPECT_EQ(answer_of("ffprobe -v error -show_entries stream=width,height -of csv=p=0 " + shell_word(*dir_ / "t.mkv")),
             "48,36\n");
+}
+
+TEST_F(Verbs, PicturesHaveTheWidthThatIsAskedForAndOnesForTheEye) {
+  const std::string folder = *dir_ / "narrow";
+  const Result r = run(*dir_, {"render", run_dir(), "--split", "test", "--width", "24", "--out", folder});
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_NE(r.out.find(" size=24x18 "), std::string::npos) << r.out;
+  std::map<std::string, int> kinds;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder)) {
+    if (entry.path().extension() != ".png") continue;
+    const std::string name = entry.path().stem().string();
+    ++kinds[name.substr(name.find("_", name.find_last_of("0123456789")) + 1)];
+    const ImageSize size = image_size(entry.path().string());
+    EXPECT_EQ(size.width_px, 24) << entry.path();
+    EXPECT_EQ(size.height_px, 18) << entry.path();
+  }
+  const int frames = kinds["rgb"];
+  EXPECT_GT(frames, 1);
+  for (const char* kind : {"depth", "depth_vis", "label", "label_vis", "entropy", "entropy_vis"})
+    EXPECT_EQ(kinds[kind], frames) << kind;
+  if (!found("ffmpeg") || !found("ffprobe")) return;
+  const std::string file = *dir_ / "narrow.mp4";
+  const Result video = run(*dir_, {"render", run_dir(), "--split", "test", "--video", "--width", "24", "--panels",
+                                   "rgb,depth", "--out", file});
+  ASSERT_EQ(video.code, 0) << video.err;
+  EXPECT_NE(video.out.find(" size=48x18 "), std::string::npos) << video.out;
+  EXPECT_EQ(answer_of("ffprobe -v error -show_entries stream=width,height -of csv=p=0 " + shell_word(file)), "48,18\n");
 }
 
 TEST_F(Verbs, VideoWithoutFfmpegNamesTheRemedy) {

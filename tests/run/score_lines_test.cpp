@@ -1,6 +1,8 @@
 // The program's words about scores: those of a sample cannot be taken for those of the split.
 #include <gtest/gtest.h>
 
+#include <filesystem>
+
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 
@@ -32,6 +34,33 @@ TEST(ScoreLines, ASampleHasNamesOfItsOwn) {
   ASSERT_EQ(whole.code, 0) << whole.err;
   EXPECT_EQ(whole.out.find("train: miou_present=0."), 0u) << whole.out;
   EXPECT_EQ(whole.err, "") << "-q";
+}
+
+TEST(ScoreLines, FiguresThatTheSceneCannotHaveAreNotPrinted) {
+  const TempDir dir;
+  write_packed_config(dir, 2, 60);
+  const Result r = semfield_run("train config.yaml --set scene.labels.frames=none --threads 1 --out run", dir.path());
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_EQ(r.out.find("train: psnr="), 0u) << r.out;
+  EXPECT_NE(r.out.find(" absrel="), std::string::npos) << r.out;
+  EXPECT_EQ(r.out.find("=-"), std::string::npos) << r.out;
+}
+
+TEST(Findings, WhatTrainingHasShownIsNotSaidAgain) {
+  const TempDir dir;
+  write_packed_config(dir, 2, 60);
+  const std::string warning = "the size asked for changes the aspect ratio";
+  const Result trained = semfield_run(
+      "train config.yaml --set scene.load.width_px=20 --set scene.load.height_px=36 --threads 1 --out run", dir.path());
+  ASSERT_EQ(trained.code, 0) << trained.err;
+  EXPECT_NE(trained.err.find(warning), std::string::npos) << trained.err;
+  for (const char* verb : {"eval run", "render run", "mesh run --resolution 8"}) {
+    const Result r = semfield_run(verb, dir.path());
+    EXPECT_EQ(r.code, 0) << r.err;
+    EXPECT_EQ(r.err.find(warning), std::string::npos) << verb << "\n" << r.err;
+  }
+  std::filesystem::remove(dir / "run/findings.txt");
+  EXPECT_NE(semfield_run("eval run", dir.path()).err.find(warning), std::string::npos);
 }
 
 }  // namespace

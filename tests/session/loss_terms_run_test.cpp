@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "compute/parallel.h"
+#include "config/compose.h"
 #include "eval/evaluator.h"
 #include "run/train_run.h"
 #include "session/trainer.h"
@@ -63,20 +64,101 @@ TEST(LossConfig, StandsInTheResolvedFormAndOnlyThere) {
   EXPECT_EQ(write_config(resolved_config(again)), text);
 }
 
-TEST(LossConfig, DepthIsRefusedWhereNoTrainingFrameHasIt) {
-  std::string yaml = hash_config("losses:\n  - {type: depth}\n");
+std::string without_depth_images(std::string yaml) {
   const std::string scene = "{type: analytic_room";
-  yaml.replace(yaml.find(scene), scene.size(), scene + ", with_depth: false");
+  return yaml.replace(yaml.find(scene), scene.size(), scene + ", with_depth: false");
+}
+
+// A preset names the term for every scene; where no frame has a depth it is left out, bit for bit.
+TEST(LossConfig, DepthIsLeftOutWhereNoTrainingFrameHasIt) {
+  const std::string yaml = without_depth_images(hash_config("losses:\n  - {type: depth}\n"));
   Registry registry = make_registry();
-  try {
-    open_text(yaml, registry);
-    FAIL() << "a depth loss without depth was accepted";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::data);
-    expect_says(error.what(), {"the term 'depth' needs depth images of training frames, and none of the 9 training "
-                               "frames has one",
-                               "take {type: depth} out of the list `losses`"});
+  const Session s = open_text(yaml, registry);
+  EXPECT_TRUE(s.config.losses.empty());
+  EXPECT_EQ(resolved_config(s.config).find("losses"), nullptr);
+  const auto& rows = s.plan.left_out;
+  const auto row = std::find_if(rows.begin(), rows.end(), [](const LeftOut& r) { return r.component == "loss_depth"; });
+  ASSERT_NE(row, rows.end());
+  EXPECT_EQ(row->evidence, "no training frame has a depth image");
+  EXPECT_EQ(row->proof, ProofClass::bitwise);
+  const Session kept = open_text(yaml, registry, {"loss_depth"});
+  EXPECT_EQ(kept.plan.kept, std::vector<std::string>{"loss_depth"});
+  ASSERT_EQ(kept.config.losses.size(), 1u);
+  const std::uint32_t out = train_fingerprint(yaml, 2, 30);
+  EXPECT_EQ(out, train_fingerprint(yaml + "runtime: {keep: [loss_depth]}\n", 2, 30));
+  EXPECT_EQ(out, train_fingerprint(without_depth_images(hash_config()), 2, 30));
+}
+
+TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
+  LoadedScene scene;
+  for (const Split split : {Split::train, Split::train, Split::test}) {
+    FrameInfo info;
+    info.split = split;
+    info.has_depth = true;
+    scene.info.frames.push_back(info);
   }
+  scene.depth_pixels = {0, 7, 9};
+  Registry registry = make_registry();
+  Diagnostics diagnostics;
+  const auto use = [&](const std::string& losses, const TrainingDepth& depth) {
+    const RunConfig config = read_run_config(parse_config_text(hash_config(losses), "a.yaml"), registry, diagnostics);
+    return depth_use(config.losses, depth, diagnostics);
+  };
+  const std::string term = "losses: [{type: depth}]\n";
+  EXPECT_EQ(use(term, training_depth(scene)), "depth images of 2 training frames will be used");
+  EXPECT_EQ(use("losses: []\n", training_depth(scene)),
+            "depth images of 2 training frames give bounds and distances; no loss reads them");
+  EXPECT_EQ(use("losses: []\n", {}), "");
+  EXPECT_EQ(use(term, {}), "no training frame has a depth image; colour alone teaches geometry");
+  EXPECT_TRUE(diagnostics.all().empty());
+  scene.depth_pixels = {0, 0, 9};
+  EXPECT_EQ(use(term, training_depth(scene)), "depth images of 2 training frames have no valid pixel");
+  ASSERT_EQ(diagnostics.all().size(), 1u);
+  EXPECT_EQ(diagnostics.all()[0].text(),
+            "losses: the depth images of all 2 training frames have no valid pixel, so no term can read them; export "
+            "z-depth that is finite and above 0, or set losses: []");
+  BuildRequest request;
+  request.losses = {"depth", "distortion"};
+  request.depth_frames = 2;
+  request.depth_px = 0;
+  const BuildPlan plan = plan_build({}, request, {});
+  EXPECT_EQ(plan.no_losses, std::vector<std::string>{"depth"});
+  request.depth_px = 7;
+  EXPECT_TRUE(plan_build({}, request, {}).no_losses.empty());
+}
+
+TEST(LossConfig, DepthThatATermReadsIsHeldAndCounted) {
+  Registry registry = make_registry();
+  const auto opened = [&](const std::string& losses) {
+    Diagnostics diagnostics;
+    return open_session(read_run_config(parse_config_text(hash_config(losses), "a.yaml"), registry, diagnostics),
+                        registry, {}, diagnostics);
+  };
+  const Session with = opened("losses: [{type: depth}]\n"), without = opened("");
+  std::size_t bytes = 0;
+  for (const int f : with.scene.frames_of(Split::train)) {
+    const auto i = static_cast<std::size_t>(f);
+    EXPECT_EQ(with.scene.frames[i].depth_m.size(), with.scene.frames[i].rgb.size() / 3);
+    EXPECT_TRUE(without.scene.frames[i].depth_m.empty());
+    EXPECT_GT(without.scene.depth_pixels[i], 0) << "counted, kept or not";
+    bytes += with.scene.frames[i].depth_m.bytes();
+  }
+  EXPECT_EQ(with.memory_facts.frames, without.memory_facts.frames + bytes);
+}
+
+// Every preset of a kind of scene teaches geometry by depth images; the shipped room and the experiments only score by
+// them.
+TEST(ShippedConfigurations, PresetsNameTheDepthTerm) {
+  const auto losses_of = [](const std::string& file) {
+    const ConfigNode tree = compose_config(SEMFIELD_SOURCE_DIR "/configs/" + file, {});
+    const ConfigNode* losses = tree.find("losses");
+    return losses == nullptr ? std::string("none") : write_config_inline(*losses);
+  };
+  for (const char* part : {"hash_room", "object", "unbounded"})
+    EXPECT_EQ(losses_of(std::string("parts/") + part + ".yaml"), "[{type: depth, weight: 0.02}]") << part;
+  EXPECT_EQ(losses_of("scenes/replica.yaml"), "[{type: depth, weight: 0.02}]");
+  for (const char* file : {"quickstart.yaml", "quickstart_frequency.yaml", "experiments/editions/gpu_fast.yaml"})
+    EXPECT_EQ(losses_of(file), "[]") << file;
 }
 
 TEST(LossConfig, LeaveOutSaysOfEachTermWhyItIsNotThere) {

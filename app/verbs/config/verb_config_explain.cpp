@@ -1,4 +1,5 @@
 // config explain: the final tree, with where each value comes from.
+#include <algorithm>
 #include <cstdio>
 
 #include "app/json_output.h"
@@ -9,6 +10,21 @@
 namespace semfield::app {
 
 namespace {
+
+// What stands as `auto` is settled when a session opens; each such setting's sentence, as comments below the tree.
+std::string open_choices(const ConfigNode& tree) {
+  std::string out;
+  const std::vector<ConfigSetting> settings = config_settings(tree);
+  for (const SectionDoc& section : describe_sections()) {
+    for (const ParamDoc& param : section.params) {
+      const std::string key = section.path + "." + param.name;
+      const bool open = std::any_of(settings.begin(), settings.end(),
+                                    [&](const ConfigSetting& s) { return s.key == key && s.value == "auto"; });
+      if (open) out += "# " + key + " is auto: " + param.help + "\n";
+    }
+  }
+  return out;
+}
 
 int explain(const ConfigOptions& options, AppContext& context) {
   const ConfigNode written = compose_config(options.config, options.set);
@@ -21,7 +37,7 @@ int explain(const ConfigOptions& options, AppContext& context) {
     print_json(context, {{"settings", settings}});
     return 0;
   }
-  std::fputs(explain_config(tree).c_str(), stdout);
+  std::fputs((explain_config(tree) + open_choices(tree)).c_str(), stdout);
   return 0;
 }
 

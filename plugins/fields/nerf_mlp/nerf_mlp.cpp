@@ -58,6 +58,15 @@ class LayerList {
 
 }  // namespace
 
+std::string layer_by_layer(const NerfMlpShape& s) {
+  const std::string what = "field 'nerf_mlp' runs layer by layer here, which is slower than its fused kernels: ";
+  if (fused_takes(s)) return what + "they need a GPU of compute capability 9.0";
+  return what + "they take width: " + std::to_string(kNerfFusedWidth) +
+         ", view_width: " + std::to_string(kNerfFusedViewWidth) + ", depth: 2 to " + std::to_string(kNerfFusedDepth) +
+         ", encoded positions of up to " + std::to_string(kNerfFusedPosition) +
+         ", and runtime.fold_feature_layer and direction_once_per_ray where there is a direction";
+}
+
 template <class Real>
 NerfMlp<Real>::NerfMlp(const NerfMlpParams& params, const FieldBuild& build, const KernelTables& kernels)
     : kernels_(&kernels.get<NerfMlpKernels<Real>>(build.device, "field 'nerf_mlp'", build.precision)) {

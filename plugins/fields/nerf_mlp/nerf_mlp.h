@@ -6,6 +6,7 @@
 
 #include "config/params.h"
 #include "core/error.h"
+#include "core/slow_path.h"
 #include "fields/nerf_mlp/nerf_mlp_kernels.h"
 #include "plugin/field.h"
 #include "plugin/kernels.h"
@@ -32,7 +33,7 @@ void validate(const NerfMlpParams& params, Diagnostics& diagnostics);
 /// step and their gradients are handed on to both factors; with direction_once_per_ray, d W_view[width:] + bias is a
 /// row a ray.
 template <class Real>
-class NerfMlp final : public Field<Real> {
+class NerfMlp final : public Field<Real>, public SlowPath {
  public:
   NerfMlp(const NerfMlpParams& params, const FieldBuild& build, const KernelTables& kernels);
   FieldTraits traits() const noexcept override { return {shape_.width, shape_.has_direction()}; }
@@ -42,6 +43,9 @@ class NerfMlp final : public Field<Real> {
   std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
   std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
   std::vector<LayerShape> layers() const override;
+  std::string slow_path() const override {
+    return kernels_->slow != nullptr && kernels_->slow(shape_) ? layer_by_layer(shape_) : std::string();
+  }
   void declare(ParamDeclarer& declarer) const override;
   void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override;
   void derive_backward(const StepContext& ctx, const Tensors<Real>& tensors) const override;

@@ -78,10 +78,14 @@ std::size_t saved_bytes(const NerfMlpShape& s, std::int64_t samples) {
 }
 
 FeatureForm feature_form(const NerfMlpShape& s, std::int32_t hidden_width) {
-  return FusedNerfMlp::serves(s) && FusedNerfMlp::computes_layer(hidden_width) ? FeatureForm::hidden_layer : FeatureForm::rounded;
+  return FusedNerfMlp::serves(s) && FusedNerfMlp::computes_layer(hidden_width) ? FeatureForm::hidden_layer
+                                                                               : FeatureForm::rounded;
 }
 
-constexpr NerfMlpKernels<float> kBf16{forward, backward, derive, derive_backward, saved_bytes, feature_form};
+bool slow(const NerfMlpShape& s) { return !FusedNerfMlp::serves(s); }
+
+constexpr NerfMlpKernels<float> kBf16{forward,     backward,     derive,  derive_backward,
+                                      saved_bytes, feature_form, nullptr, slow};
 
 }  // namespace
 

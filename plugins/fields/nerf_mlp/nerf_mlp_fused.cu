@@ -161,9 +161,9 @@ bool FusedNerfMlp::serves(const NerfMlpShape& s) {
            cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, device) == cudaSuccess && major == 9 &&
            minor == 0;
   }();
-  return enabled() && hopper && s.precision == Precision::bf16 && s.width == fused::kWidth &&
-         s.view_width == fused::kView && s.position_dims <= fused::kPosition && s.depth >= 2 &&
-         s.depth <= fused::kMaxDepth && !s.has_feature_activation() && (!s.has_direction() || s.direction_once);
+  static_assert(kNerfFusedWidth == fused::kWidth && kNerfFusedViewWidth == fused::kView);
+  static_assert(kNerfFusedPosition == fused::kPosition && kNerfFusedDepth == fused::kMaxDepth);
+  return enabled() && hopper && fused_takes(s);
 }
 
 bool FusedNerfMlp::computes_layer(std::int32_t hidden_width) { return hidden_width == fused::kView; }

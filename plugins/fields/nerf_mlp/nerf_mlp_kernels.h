@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "plugin/field.h"
@@ -37,6 +38,16 @@ struct NerfMlpShape {
   bool has_feature_activation() const { return has_direction() && !fold; }
 };
 
+/// The networks of a GPU's fused kernels, in bf16.
+inline constexpr int kNerfFusedWidth = 256, kNerfFusedViewWidth = 128, kNerfFusedPosition = 64, kNerfFusedDepth = 15;
+inline bool fused_takes(const NerfMlpShape& s) {
+  return s.precision == Precision::bf16 && s.width == kNerfFusedWidth && s.view_width == kNerfFusedViewWidth &&
+         s.position_dims <= kNerfFusedPosition && s.depth >= 2 && s.depth <= kNerfFusedDepth &&
+         !s.has_feature_activation() && (!s.has_direction() || s.direction_once);
+}
+/// Why a GPU computes the network layer by layer, where it does.
+std::string layer_by_layer(const NerfMlpShape& shape);
+
 template <class Real>
 struct NerfMlpKernels {
   void (*forward)(const NerfMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
@@ -51,6 +62,8 @@ struct NerfMlpKernels {
   FeatureForm (*feature_form)(const NerfMlpShape& shape, std::int32_t hidden_width) = nullptr;
   /// Null: not planned ahead on this device.
   std::size_t (*scratch_bytes)(const NerfMlpShape& shape, std::int64_t samples, std::int64_t rays) = nullptr;
+  /// Whether there are faster kernels, which do not take this shape. Null: never.
+  bool (*slow)(const NerfMlpShape& shape) = nullptr;
 };
 
 void nerf_mlp_kernels(KernelTables& tables);

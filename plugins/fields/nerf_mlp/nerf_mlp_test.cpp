@@ -213,5 +213,28 @@ TEST(NerfMlp, SaysWhenADeviceHasNoKernels) {
   }
 }
 
+TEST(NerfMlp, SaysWhereAGpuComputesItLayerByLayer) {
+  const auto said = [](const NerfMlpParams& params, bool hopper = true, bool fold = true) {
+    NerfMlpKernels<float> table;
+    table.slow = [](const NerfMlpShape& s) { return !fused_takes(s); };
+    if (!hopper) table.slow = [](const NerfMlpShape&) { return true; };
+    FieldBuild build = build_of(63, 27, fold);
+    build.device = Device::cuda;
+    build.precision = Precision::bf16;
+    KernelTables t;
+    t.add(Device::cuda, "field 'nerf_mlp'", &table, build.precision);
+    return NerfMlp<float>(params, build, t).slow_path();
+  };
+  const std::string slow = "field 'nerf_mlp' runs layer by layer here, which is slower than its fused kernels: ";
+  const std::string shape = slow +
+                            "they take width: 256, view_width: 128, depth: 2 to 15, encoded positions of up to 64, and "
+                            "runtime.fold_feature_layer and direction_once_per_ray where there is a direction";
+  EXPECT_EQ(said({}), "");
+  EXPECT_EQ(said(kSmall), shape);
+  EXPECT_EQ(said({}, true, false), shape);
+  EXPECT_EQ(said({}, false), slow + "they need a GPU of compute capability 9.0");
+  EXPECT_EQ((NerfMlp<float>(kSmall, build_of(63, 27), tables()).slow_path()), "") << "on a CPU";
+}
+
 }  // namespace
 }  // namespace semfield

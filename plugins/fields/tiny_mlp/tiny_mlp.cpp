@@ -36,6 +36,19 @@ TinyMlpLayer learned(std::vector<TensorSpec>& specs, const std::string& name, st
 
 }  // namespace
 
+std::string layer_by_layer(const TinyMlpShape& s) {
+  const bool fits = fused_takes(s) || fused_takes_feature(s);
+  std::string what = "field 'tiny_mlp' runs layer by layer here, which is slower than its fused kernels: ";
+  if (fits) return what + "this GPU has too little shared memory for them";
+  if (s.feature_only) {
+    return what + "as a semantic branch they take feature: hidden, up to " + std::to_string(kTinyFusedFeatureLayers) +
+           " hidden layers, and widths and encoded positions of up to " + std::to_string(kTinyFusedFeatureWidth);
+  }
+  return what + "they take one hidden layer, two colour layers, widths and encoded positions of up to " +
+         std::to_string(kTinyFusedWidth) + ", encoded directions of up to " + std::to_string(kTinyFusedDirection) +
+         " and up to " + std::to_string(kTinyFusedGeometry) + " geometry features";
+}
+
 template <class Real>
 TinyMlp<Real>::TinyMlp(const TinyMlpParams& params, const FieldBuild& build, const KernelTables& kernels)
     : kernels_(&kernels.get<TinyMlpKernels<Real>>(build.device, "field 'tiny_mlp'", build.precision)) {

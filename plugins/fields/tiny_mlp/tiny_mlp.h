@@ -7,6 +7,7 @@
 
 #include "config/params.h"
 #include "core/error.h"
+#include "core/slow_path.h"
 #include "fields/tiny_mlp/tiny_mlp_kernels.h"
 #include "plugin/field.h"
 #include "plugin/kernels.h"
@@ -36,7 +37,7 @@ void validate(const TinyMlpParams& params, Diagnostics& diagnostics);
 /// The semantic head reads h (feature: hidden) or g (feature: geometry). Without a direction c sees g alone.
 /// Exact saving direction_once_per_ray: d W_color_0[G:] + b is a row a ray.
 template <class Real>
-class TinyMlp final : public Field<Real> {
+class TinyMlp final : public Field<Real>, public SlowPath {
  public:
   TinyMlp(const TinyMlpParams& params, const FieldBuild& build, const KernelTables& kernels);
   FieldTraits traits() const noexcept override { return {shape_.feature_dims(), shape_.has_direction()}; }
@@ -46,6 +47,9 @@ class TinyMlp final : public Field<Real> {
   std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
   std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
   std::vector<LayerShape> layers() const override;
+  std::string slow_path() const override {
+    return kernels_->slow != nullptr && kernels_->slow(shape_) ? layer_by_layer(shape_) : std::string();
+  }
   void declare(ParamDeclarer& declarer) const override;
   void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override;
 

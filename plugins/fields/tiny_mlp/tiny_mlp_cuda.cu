@@ -49,7 +49,12 @@ FeatureForm feature_form(const TinyMlpShape& s, std::int32_t) {
   return tiny::fused_applies(s) && tiny::shares_feature(s) ? FeatureForm::rounded : FeatureForm::full;
 }
 
-constexpr TinyMlpKernels<float> kTable{forward, backward, derive, saved_bytes, feature_form};
+// In fp32 it is the precision that is slow.
+bool slow(const TinyMlpShape& s) {
+  return s.precision == Precision::bf16 && !tiny::fused_applies(s) && !tiny::feature_applies(s);
+}
+
+constexpr TinyMlpKernels<float> kTable{forward, backward, derive, saved_bytes, feature_form, nullptr, slow};
 
 }  // namespace
 

@@ -272,10 +272,7 @@ unsigned blocks_for(const void* kernel, int layers, std::int64_t rows) {
 }  // namespace
 
 bool feature_applies(const TinyMlpShape& s) {
-  const auto layers = static_cast<int>(s.hidden.size());
-  return s.feature_only && s.feature == TinyFeature::hidden && s.precision == Precision::bf16 &&
-         layers <= kMostFeatureLayers && s.hidden_width <= kMostFeatureWidth && s.position_dims <= kMostFeatureWidth &&
-         shared_memory_limit() >= Memory<8, 8>::bytes(layers);
+  return fused_takes_feature(s) && shared_memory_limit() >= Memory<8, 8>::bytes(static_cast<int>(s.hidden.size()));
 }
 
 std::size_t feature_saved_bytes(const TinyMlpShape& s, std::int64_t samples) {

@@ -8,8 +8,8 @@
 
 namespace semfield::cuda::tiny {
 
-inline constexpr int kMostFeatureLayers = 4;
-inline constexpr int kMostFeatureWidth = 128;  // and numbers of a position
+inline constexpr int kMostFeatureLayers = kTinyFusedFeatureLayers;
+inline constexpr int kMostFeatureWidth = kTinyFusedFeatureWidth;  // and numbers of a position
 
 /// Whether these kernels compute this network on the current device.
 bool feature_applies(const TinyMlpShape& shape);

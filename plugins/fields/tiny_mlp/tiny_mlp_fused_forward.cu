@@ -142,10 +142,9 @@ std::size_t shared_memory_limit() {
 }
 
 bool fused_applies(const TinyMlpShape& s) {
-  constexpr int kMostPositions = 4 * kGroup;
-  return s.precision == Precision::bf16 && s.hidden.size() == 1 && s.color.size() == 2 && s.hidden_width <= kWidth &&
-         s.color_width <= kWidth && s.geometry_features < kGroup && s.position_dims <= kMostPositions &&
-         s.direction_dims <= kGroup && shared_memory_limit() >= kMostSharedMemory;
+  static_assert(kTinyFusedWidth == kWidth && kTinyFusedPosition == 4 * kGroup && kTinyFusedDirection == kGroup);
+  static_assert(kTinyFusedGeometry == kGroup - 1);
+  return fused_takes(s) && shared_memory_limit() >= kMostSharedMemory;
 }
 
 bool shares_feature(const TinyMlpShape& s) { return s.feature == TinyFeature::hidden && s.hidden_width % kGroup == 0; }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "plugin/field.h"
@@ -41,6 +42,25 @@ struct TinyMlpShape {
   std::int32_t feature_dims() const { return feature == TinyFeature::hidden ? hidden_width : geometry_features; }
 };
 
+/// The largest networks of a GPU's fused kernels, in bf16: of the whole network, and of one that is asked for its
+/// hidden feature alone.
+inline constexpr int kTinyFusedWidth = 64, kTinyFusedPosition = 64, kTinyFusedDirection = 16, kTinyFusedGeometry = 15;
+inline constexpr int kTinyFusedFeatureWidth = 128, kTinyFusedFeatureLayers = 4;
+
+inline bool fused_takes(const TinyMlpShape& s) {
+  return s.precision == Precision::bf16 && s.hidden.size() == 1 && s.color.size() == 2 &&
+         s.hidden_width <= kTinyFusedWidth && s.color_width <= kTinyFusedWidth &&
+         s.geometry_features <= kTinyFusedGeometry && s.position_dims <= kTinyFusedPosition &&
+         s.direction_dims <= kTinyFusedDirection;
+}
+inline bool fused_takes_feature(const TinyMlpShape& s) {
+  return s.feature_only && s.feature == TinyFeature::hidden && s.precision == Precision::bf16 &&
+         s.hidden.size() <= kTinyFusedFeatureLayers && s.hidden_width <= kTinyFusedFeatureWidth &&
+         s.position_dims <= kTinyFusedFeatureWidth;
+}
+/// Why a GPU computes the network layer by layer, where it does.
+std::string layer_by_layer(const TinyMlpShape& shape);
+
 template <class Real>
 struct TinyMlpKernels {
   void (*forward)(const TinyMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
@@ -54,6 +74,8 @@ struct TinyMlpKernels {
   FeatureForm (*feature_form)(const TinyMlpShape& shape, std::int32_t hidden_width) = nullptr;
   /// Null: not planned ahead on this device.
   std::size_t (*scratch_bytes)(const TinyMlpShape& shape, std::int64_t samples, std::int64_t rays) = nullptr;
+  /// Whether there are faster kernels, which do not take this shape. Null: never.
+  bool (*slow)(const TinyMlpShape& shape) = nullptr;
 };
 
 void tiny_mlp_kernels(KernelTables& tables);

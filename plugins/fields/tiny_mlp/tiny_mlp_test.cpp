@@ -29,6 +29,26 @@ const KernelTables& tables() {
   return tables;
 }
 
+// A device's table, as far as it says what is slow.
+std::string slow_path_of(const TinyMlpParams& params, FieldBuild build, bool shared_memory = true) {
+  static const TinyMlpKernels<float> enough = [] {
+    TinyMlpKernels<float> t;
+    t.slow = [](const TinyMlpShape& s) {
+      return s.precision == Precision::bf16 && !fused_takes(s) && !fused_takes_feature(s);
+    };
+    return t;
+  }();
+  static const TinyMlpKernels<float> too_little = [] {
+    TinyMlpKernels<float> t;
+    t.slow = [](const TinyMlpShape&) { return true; };
+    return t;
+  }();
+  build.device = Device::cuda;
+  KernelTables t;
+  t.add(Device::cuda, "field 'tiny_mlp'", shared_memory ? &enough : &too_little, build.precision);
+  return TinyMlp<float>(params, build, t).slow_path();
+}
+
 TinyMlpParams small(TinyFeature feature = TinyFeature::hidden) { return {12, 2, 5, 10, 2, feature}; }
 
 FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims, bool once = true) {
@@ -204,6 +224,32 @@ TEST(TinyMlp, SaysWhatItCannotBuild) {
   } catch (const Error& e) {
     EXPECT_NE(e.message().find("field 'tiny_mlp' has no cuda kernels"), std::string::npos) << e.what();
   }
+}
+
+TEST(TinyMlp, SaysWhereAGpuComputesItLayerByLayer) {
+  FieldBuild build = build_of(32, 16);
+  build.precision = Precision::bf16;
+  const std::string slow = "field 'tiny_mlp' runs layer by layer here, which is slower than its fused kernels: ";
+  const std::string whole =
+      slow +
+      "they take one hidden layer, two colour layers, widths and encoded positions of up to 64, encoded directions "
+      "of up to 16 and up to 15 geometry features";
+  EXPECT_EQ(slow_path_of({}, build), "");
+  for (const TinyMlpParams& params : {TinyMlpParams{65}, TinyMlpParams{64, 2}, TinyMlpParams{64, 1, 16},
+                                      TinyMlpParams{64, 1, 15, 128}, TinyMlpParams{64, 1, 15, 64, 3}})
+    EXPECT_EQ(slow_path_of(params, build), whole);
+  EXPECT_EQ(slow_path_of({}, build, false), slow + "this GPU has too little shared memory for them");
+  FieldBuild branch = build_of(115, 0);
+  branch.precision = Precision::bf16;
+  branch.feature_only = true;
+  EXPECT_EQ(slow_path_of({128, 2}, branch), "");
+  EXPECT_EQ(slow_path_of({129, 2}, branch),
+            slow +
+                "as a semantic branch they take feature: hidden, up to 4 hidden layers, and widths and encoded "
+                "positions of up to 128");
+  build.precision = Precision::fp32;
+  EXPECT_EQ(slow_path_of({128}, build), "") << "then it is the precision that is slow";
+  EXPECT_EQ((TinyMlp<float>({128}, build_of(32, 16), tables()).slow_path()), "") << "on a CPU";
 }
 
 }  // namespace
