@@ -350,7 +350,7 @@ bool LabelRun::checkpoint_is_due() const {
   return every > 0 && training_.step() != saved_step_ && seconds_since(last_save_) >= every;
 }
 
-bool LabelRun::keep_is_due() const { return !failed_to_keep_ || since(*failed_to_keep_) >= kKeepAgain_s; }
+bool LabelRun::keep_is_due() const { return !failed_to_keep_ || seconds_since(*failed_to_keep_) >= kKeepAgain_s; }
 
 void LabelRun::keep(bool checkpoint) {
   failed_to_keep_ = Clock::now();
