@@ -58,7 +58,7 @@ LabelRun::LabelRun(OpenedForTraining opened, Registry& registry, TrainingListene
       pictures_(training_, loop_),
       checkpoints_(folder_.checkpoints_path(), training_.session().config.report.keep_checkpoints) {
   write_run_records(folder_, training_, registry, opened.point);
-  classes_ = classes_written_ = session().scene.info.classes.to_yaml();
+  classes_ = classes_written_ = named_classes(session().scene.info.classes).to_yaml();
   if (opened.point.facts) {
     training_.load(opened.point.path);
     saved_step_ = training_.step();

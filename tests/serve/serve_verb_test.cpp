@@ -174,8 +174,10 @@ TEST(ServeVerb, ExportsAreThoseOfTheVerbs) {
     ASSERT_EQ(begun.status, 200) << begun.body;
     Json s = served.state();
     const auto end = std::chrono::steady_clock::now() + std::chrono::minutes(4);
-    while (s["exports"].back()["state"] == "running" && std::chrono::steady_clock::now() < end)
-      s = served.state(s["revision"].dump());
+    const auto is_open = [&] {
+      return s["exports"].back()["state"] == "waiting" || s["exports"].back()["state"] == "running";
+    };
+    while (is_open() && std::chrono::steady_clock::now() < end) s = served.state(s["revision"].dump());
     ASSERT_EQ(s["exports"].back()["state"], "done") << s["exports"].dump(1);
   }
   const std::string zip = served.ask("GET", "export/labels-1/0").body;
