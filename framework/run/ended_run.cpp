@@ -4,8 +4,6 @@
 
 #include "eval/final_eval.h"
 #include "run/metrics_log.h"
-#include "run/run_folder.h"
-#include "run/run_resume.h"
 #include "system/files.h"
 #include "system/memory_limit.h"
 
@@ -39,11 +37,8 @@ void read_scores(const RunFolder& folder, TrainOutcome& outcome) {
 
 }  // namespace
 
-std::optional<TrainOutcome> ended_run(const RunConfig& config, Registry& registry, const std::string& run_dir) {
-  const RunFolder folder = RunFolder::read(run_dir);
-  Diagnostics found_later;
-  const ResumePoint point = find_resume_point(folder, config, registry, found_later);
-  if (!point.facts || !point.changed.empty() || !found_later.all().empty()) return std::nullopt;
+std::optional<TrainOutcome> ended_run(const RunFolder& folder, const RunConfig& config, const ResumePoint& point) {
+  if (!point.facts || !point.changed.empty()) return std::nullopt;
   if (last_step(config) == 0 || point.step() < last_step(config)) return std::nullopt;
   if (!fs::exists(folder.report_path())) return std::nullopt;
   // A scene without test frames has no last evaluation.

@@ -11,6 +11,7 @@
 #include "classes/class_names.h"
 #include "compute/parallel.h"
 #include "labels/clicks/click_file.h"
+#include "run/ended_run.h"
 #include "run/leave_out_proofs.h"
 #include "settings/run_identity.h"
 #include "system/files.h"
@@ -92,6 +93,10 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
   if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
   tell_findings(listener, diagnostics, session);
   if (request.out_dir.empty()) return {std::nullopt, std::move(session), std::move(inputs), std::move(point)};
+  if (folder) {
+    if (std::optional<TrainOutcome> ended = ended_run(*folder, session.config, point))
+      return {std::move(*folder), std::move(session), std::move(inputs), std::move(point), std::move(ended)};
+  }
   if (!folder) {
     (void)run_config_text(session.config, registry);  // what cannot be stored leaves no folder
     folder.emplace(RunFolder::create(request.out_dir));

@@ -15,7 +15,8 @@ struct OpenedForTraining {
   std::optional<RunFolder> folder;  ///< locked; none where the request names none
   Session session;
   SceneInputs inputs;
-  ResumePoint point;  ///< what a Training of the session is to load
+  ResumePoint point;                       ///< what a Training of the session is to load
+  std::optional<TrainOutcome> ended = {};  ///< of a run with nothing left to do; then nothing was written
 };
 
 /// Opens the scene and, for a run that goes on, finds its newest checkpoint; makes the folder of a new one when nothing

@@ -13,7 +13,6 @@
 #include "core/text.h"
 #include "eval/final_eval.h"
 #include "run/checkpoint_store.h"
-#include "run/ended_run.h"
 #include "run/rows/step_rows.h"
 #include "run/run_folder.h"
 #include "run/run_start.h"
@@ -266,14 +265,12 @@ class Run {
 TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* told) {
   RunListener nobody;
   RunListener& listener = told != nullptr ? *told : nobody;
-  if (request.resume && !request.more.any() && request.keep.empty()) {
-    if (std::optional<TrainOutcome> ended = ended_run(config, registry, request.out_dir)) {
-      listener.note(fmt::format("the run has come to its end, {} steps, and nothing of it was changed; to train on: {}",
-                                ended->step, train_on_words(ended->run_dir, ended->train_s)));
-      return *ended;
-    }
-  }
   OpenedForTraining opened = open_for_training(std::move(config), registry, request, listener);
+  if (opened.ended) {
+    listener.note(fmt::format("the run has come to its end, {} steps, and nothing of it was changed; to train on: {}",
+                              opened.ended->step, train_on_words(opened.ended->run_dir, opened.ended->train_s)));
+    return *opened.ended;
+  }
   Run run(std::move(*opened.folder), std::move(opened.session), registry, listener, std::move(opened.point),
           std::move(opened.inputs));
   if (request.resume) run.go_on();

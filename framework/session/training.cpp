@@ -102,7 +102,7 @@ void Training::settle_length() {
                   rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : "", step(), config.schedule.factor));
   Diagnostics never;
   check_length(config, never);
-  for (const Diagnostic& finding : never.all()) listener_->note("warning: " + finding.message);
+  for (const Diagnostic& finding : never.all()) listener_->warning(finding.message);
 }
 
 const SceneInputs& Training::inputs() {
