@@ -103,16 +103,6 @@ TEST(LabelRays, TheColourLossIsTheMeanOverTheOthers) {
   }
 }
 
-TEST(LabelRays, WithLabelRaysAloneNoColourIsLearned) {
-  Registry registry = make_registry();
-  Oracle only(config_of("labelled_share: 1, label_rays_teach_color: false"), registry);
-  EXPECT_EQ(only.gradients().color, 0);
-  for (const Tensor<double>& t : only.pipeline->store().all()) {
-    if (!t.learned() || t.rule.semantic) continue;
-    EXPECT_TRUE(std::all_of(t.grad.data(), t.grad.data() + t.size(), [](double g) { return g == 0; })) << t.name;
-  }
-}
-
 TEST(LabelRays, GradientsAreThoseOfFiniteDifferencesAndOfAnyTiles) {
   std::string shared = config_of(kApart);  // the head behind the pass's own field: labels shape all of it
   const std::size_t branch = shared.find("    semantic: {");
