@@ -62,7 +62,7 @@ RunSession::RunSession(OpenedForTraining opened, Registry& registry, TrainingLis
 
 void RunSession::write_records(const RunFolder& folder, const ResumePoint& point) {
   write_run_records(folder, training_, registry_, point);
-  classes_written_ = session().scene.info.classes.to_yaml();
+  classes_written_ = named_classes(session().scene.info.classes).to_yaml();
   write_label_counts(folder, session(), self_training_);
 }
 
