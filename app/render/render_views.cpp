@@ -14,8 +14,9 @@ namespace {
 
 constexpr int kFramesPerKey = 36;  // of a smooth path: a training camera every one and a half seconds
 
-NamedView view_of(const Session& s, const FrameInfo& info) {
-  return {info.name, {info.camera, info.world_from_camera, s.plan.undistortion}, s.limits};
+NamedView view_of(const Session& s, int frame) {
+  const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frame)];
+  return {info.name, {info.camera, info.world_from_camera, s.plan.undistortion}, s.limits, frame};
 }
 
 std::vector<NamedView> views_of_poses(const Session& s, const std::vector<Pose>& poses) {
@@ -68,7 +69,7 @@ std::vector<NamedView> render_views(const Session& s, const RenderOptions& optio
     views = views_of_poses(s, read_camera_file(options.trajectory, CameraAxes::right_down_forward));
   } else {
     for (const int f : s.scene.frames_of(options.split == "test" ? Split::test : Split::train)) {
-      views.push_back(view_of(s, s.scene.info.frames[static_cast<std::size_t>(f)]));
+      views.push_back(view_of(s, f));
     }
   }
   if (views.empty()) {

@@ -28,6 +28,7 @@ struct NamedView {
   std::string name;
   RayCamera camera;
   RayLimits limits;
+  int frame = -1;  ///< of the scene, where it is the view of one
 
   /// What the names of its files begin with: slashes are '_'.
   std::string file_name() const;

@@ -8,7 +8,6 @@
 #include "app/serve/jpeg.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "formats/image_io.h"
 #include "formats/png_codec.h"
 
 namespace semfield::app {
@@ -48,12 +47,24 @@ std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_p
   return encode_png(width_px, height_px, 3, 8, index, {palette, clear}, kQuick);
 }
 
-std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes) {
-  const nlohmann::ordered_json facts{{"width", picture.width_px},
-                                     {"height", picture.height_px},
-                                     {"overlay_revision", picture.overlay_revision},
-                                     {"render_ms", picture.render_ms},
-                                     {"stale", picture.stale}};
+std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes, bool is_spot) {
+  nlohmann::ordered_json facts{{"width", picture.width_px},
+                               {"height", picture.height_px},
+                               {"overlay_revision", picture.overlay_revision},
+                               {"render_ms", picture.render_ms},
+                               {"stale", picture.stale}};
+  facts["marks"] = nlohmann::ordered_json::array();
+  for (const SeenMark& mark : picture.seen) {
+    nlohmann::ordered_json points = nlohmann::ordered_json::array();
+    for (const PixelPoint& p : mark.points) points.push_back({p.x, p.y});
+    facts["marks"].push_back({{"id", mark.id}, {"points", std::move(points)}});
+  }
+  if (is_spot) {
+    facts["spot"] = nullptr;
+    if (picture.spot) facts["spot"] = {{"view", picture.spot->view}, {"at", {picture.spot->at.x, picture.spot->at.y}}};
+    facts["meets_surface"] = picture.meets_surface;
+    facts["nearest_view"] = picture.nearest_view;
+  }
   const std::int32_t w = picture.width_px, h = picture.height_px;
   std::string out;
   put_part(out, facts.dump());
@@ -64,14 +75,13 @@ std::string picture_bytes(const Picture& picture, const std::vector<ClassState>&
   return out;
 }
 
-std::vector<std::uint8_t> photo_jpeg(const PagePhoto& photo, std::int32_t most_px) {
+std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px) {
   const std::int32_t longest = std::max(photo.width_px, photo.height_px);
-  if (most_px <= 0 || longest <= most_px) return encode_jpeg(photo.width_px, photo.height_px, photo.rgb);
+  if (most_px <= 0 || longest <= most_px) return encode_jpeg(photo.width_px, photo.height_px, photo.pixels);
   const auto shorter = [&](std::int32_t side) {
     return std::max<std::int32_t>(1, static_cast<std::int32_t>(std::lround(double{1} * side * most_px / longest)));
   };
-  const Image<std::uint8_t> whole{photo.width_px, photo.height_px, 3, {photo.rgb.begin(), photo.rgb.end()}};
-  const Image<std::uint8_t> small = resize_area(whole, shorter(photo.width_px), shorter(photo.height_px));
+  const Image<std::uint8_t> small = resize_area(photo, shorter(photo.width_px), shorter(photo.height_px));
   return encode_jpeg(small.width_px, small.height_px, small.pixels);
 }
 

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "app/serve/page_source.h"
+#include "formats/image_io.h"
 
 namespace semfield::app {
 
@@ -15,10 +16,10 @@ std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_p
                                     const std::vector<ClassState>& classes);
 
 /// What answers a request for a picture: JSON of its facts, then JPEG, PNG of labels and PNG of entropy, each behind
-/// its length in four bytes, little-endian; 0 for one that there is not.
-std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes);
+/// its length in four bytes, little-endian; 0 for one that there is not. `is_spot`: the request was about a point.
+std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes, bool is_spot);
 
 /// A photograph as JPEG, made smaller where its longest side is above `most_px`; 0: never.
-std::vector<std::uint8_t> photo_jpeg(const PagePhoto& photo, std::int32_t most_px);
+std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px);
 
 }  // namespace semfield::app

@@ -126,7 +126,8 @@ FreeCamera read_camera(const Json& map) {
 }  // namespace
 
 PictureRequest parse_picture_request(std::string_view json) {
-  const Json root = parse_map(json, {"client", "view", "camera", "most_px", "color", "labels", "entropy", "full"});
+  const Json root =
+      parse_map(json, {"client", "view", "camera", "at", "most_px", "color", "labels", "entropy", "full"});
   PictureRequest request;
   const auto client = root.find("client");
   if (client == root.end()) refuse("key 'client' is missing");
@@ -138,6 +139,16 @@ PictureRequest parse_picture_request(std::string_view json) {
   if (camera != root.end()) request.camera = read_camera(*camera);
   read_whole(root, "view", 0, 1 << 24, request.view);
   if ((request.view >= 0) == request.camera.has_value()) refuse("expected either 'view' or 'camera'");
+  if (root.contains("at")) {
+    if (!request.camera) refuse("'at' is a point of a camera's picture, and there is no 'camera'");
+    const auto at = numbers_at<2>(root, "at", 1);
+    if (!(at[0] >= 0 && at[1] >= 0)) refuse_value("at", "shares of width and height from 0 to 1", root["at"]);
+    request.at = PixelPoint{at[0], at[1]};
+    request.labels = false;
+    for (const char* map : {"color", "labels", "entropy", "full"})
+      if (root.contains(map)) refuse(std::string("'") + map + "' and 'at': a question about a point gets no picture");
+    return request;
+  }
   read_whole(root, "most_px", 16, kMostPictureSide, request.most_px);
   read_flag(root, "color", request.color);
   read_flag(root, "labels", request.labels);

@@ -9,7 +9,8 @@
 
 namespace semfield::app {
 
-inline constexpr std::int32_t kMostPictureSide = 2048;  ///< pixels of a free camera's picture or a photograph
+inline constexpr std::int32_t kMostPictureSide = 2048;  ///< pixels of a free camera's picture
+inline constexpr std::int32_t kMostPhotoSide = 65536;   ///< pixels that a request for a photograph may name
 
 /// Throws Error(data) with a sentence that names the key, for every value out of its bounds and for keys that are
 /// missing, unknown or given twice. That the view exists is the session's to say.

@@ -152,9 +152,9 @@ int PageServer::view_of(const HttpRequest& request) const {
 }
 
 HttpResponse PageServer::get_photo(const HttpRequest& request) const {
-  const auto most = static_cast<std::int32_t>(query_number(request.query, "most_px", 0, kMostPictureSide));
+  const auto most = static_cast<std::int32_t>(query_number(request.query, "most_px", 0, kMostPhotoSide));
   const int view = view_of(request);
-  const std::vector<std::uint8_t> jpeg = photo_jpeg(source_.photo(view), most);
+  const std::vector<std::uint8_t> jpeg = photo_jpeg(source_.photo(view, most), most);
   HttpResponse response{200, kJpeg, std::string(jpeg.begin(), jpeg.end())};
   // The run may be opened again with another image in the view's place, which then has another address.
   if (query_value(request.query, "photo") == source_.state()->views[static_cast<std::size_t>(view)].photo)
@@ -179,7 +179,7 @@ HttpResponse PageServer::post_picture(const HttpRequest& request) {
   if (!wanted.camera) check_view(static_cast<std::uint64_t>(wanted.view));
   Picture picture = source_.picture(wanted, [&] { return request.abandoned(); });
   picture.overlay_revision += options_.first_revision;
-  return {200, "application/octet-stream", picture_bytes(picture, source_.state()->classes)};
+  return {200, "application/octet-stream", picture_bytes(picture, source_.state()->classes, wanted.at.has_value())};
 }
 
 HttpResponse PageServer::post_export(const HttpRequest& request) {

@@ -27,14 +27,19 @@ Json run_json(const LabelState& s, const std::string& id) {
 }
 
 Json class_json(const ClassState& c) {
-  return {{"index", c.index},          {"id", c.id},         {"name", c.name},
-          {"color", c.color},          {"clicks", c.clicks}, {"area_share", c.area_share},
+  return {{"index", c.index},
+          {"id", c.id},
+          {"name", c.name},
+          {"own", c.own},
+          {"color", c.color},
+          {"clicks", c.clicks},
+          {"area_share", c.area_share},
           {"confidence", c.confidence}};
 }
 
 Json view_json(const ViewState& v) {
   return {{"frame", v.frame},     {"width", v.width_px}, {"height", v.height_px}, {"clicks", v.clicks},
-          {"entropy", v.entropy}, {"ready", v.ready},    {"photo", v.photo}};
+          {"entropy", v.entropy}, {"ready", v.ready},    {"photo", v.photo},      {"held_out", v.held_out}};
 }
 
 Json mark_json(const Annotations::Mark& mark, const PageSource& source) {
@@ -44,6 +49,7 @@ Json mark_json(const Annotations::Mark& mark, const PageSource& source) {
           {"view", source.view_of(mark.frame)},
           {"points", std::move(points)},
           {"radius", mark.radius_px},
+          {"fill", mark.fill},
           {"class", mark.class_index}};
 }
 

@@ -57,7 +57,8 @@ class Exporter {
                   "choose another --out");
   }
 
-  void add(const FrameInfo& info, const std::function<void(double)>& progress) {
+  void add(int number, const std::function<void(double)>& progress) {
+    const FrameInfo& info = session_.scene.info.frames[static_cast<std::size_t>(number)];
     const std::optional<StoredSize> stored = options_.size == "stored" ? stored_size_of(info) : std::nullopt;
     const Camera& camera = stored ? stored->camera : info.camera;
     FrameOptions rendering{stored ? stored->stride : 1, progress};
@@ -72,6 +73,8 @@ class Exporter {
     const std::int64_t all = std::ssize(frame.label);
     const SmallRegions small = fill_small_regions(frame.label, frame.width_px, frame.height_px,
                                                   options_.min_area.value_or(all / kPixelsOfARegion));
+    if (const std::optional<Annotations>& clicks = session_.config.labels.clicks)
+      clicks->clear_ignored(number, frame.width_px, frame.height_px, frame.label);
     filled_.regions += small.regions;
     filled_.pixels += small.pixels;
     pixels_ += all;
@@ -142,7 +145,7 @@ int run(const ExportVerbOptions& options, AppContext& context) {
       const auto part_done = [&](double share) {
         progress.show(exporter.frames() + share, static_cast<double>(frames.size()));
       };
-      exporter.add(s.scene.info.frames[static_cast<std::size_t>(f)], part_done);
+      exporter.add(f, part_done);
     }
   }
   exporter.finish();

@@ -100,6 +100,8 @@ double render_all(const Session& s, const std::vector<NamedView>& views, bool pr
   for (const NamedView& view : views) {
     RenderedFrame frame = render_named_frame(*s.pipeline, view.name, view.camera, view.limits, s.plan.class_of_logit,
                                              {}, {1, part_done, probability, s.classes()});
+    if (view.frame >= 0 && !frame.label.empty() && s.config.labels.clicks)
+      s.config.labels.clicks->clear_ignored(view.frame, frame.width_px, frame.height_px, frame.label);
     if (written.valid()) written.get();
     written = std::async(std::launch::async, [&view, &sink, frame = std::move(frame)] { sink(view, frame); });
     ++done;

@@ -12,13 +12,13 @@
 #include <thread>
 
 #include "app/child_process.h"
+#include "app/serve/page_photos.h"
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_server.h"
 #include "app/serve/run_id.h"
 #include "app/signals.h"
 #include "core/text.h"
 #include "run/run_folder.h"
-#include "scene/stored_frame.h"
 #include "serve/label_session.h"
 #include "system/shared_files.h"
 
@@ -44,7 +44,7 @@ constexpr int kUsualPort = 8787;
 // The session as the page's server calls it.
 class SessionSource final : public PageSource {
  public:
-  explicit SessionSource(LabelSession& session) : session_(session) {}
+  explicit SessionSource(LabelSession& session) : session_(session), photos_(session.opened()) {}
   bool apply(const LabelEvent& event) override { return session_.apply(event); }
   std::shared_ptr<const LabelState> state() const override { return session_.state(); }
   std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const override {
@@ -53,9 +53,8 @@ class SessionSource final : public PageSource {
   Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned) override {
     return session_.picture(request, abandoned);
   }
-  PagePhoto photo(int view) const override {
-    const StoredFrame& frame = session_.photo(view);
-    return {frame.width_px, frame.height_px, frame.rgb};
+  Image<std::uint8_t> photo(int view, std::int32_t most_px) override {
+    return photos_.read(session_.frame_of(view), most_px);
   }
   FreeCamera camera_of(int view) const override { return session_.camera_of(view); }
   int view_of(int frame) const override { return session_.view_of(frame); }
@@ -63,6 +62,7 @@ class SessionSource final : public PageSource {
 
  private:
   LabelSession& session_;
+  PagePhotos photos_;
 };
 
 class Told final : public TrainingListener {

@@ -23,7 +23,8 @@ constexpr std::int64_t kCellPixels = 8;  // of maps, for a cell of the pool: wit
 
 }  // namespace
 
-LabelLoop::LabelLoop(Training& training, std::span<const int> frames, const LabelLoopOptions& options)
+LabelLoop::LabelLoop(Training& training, std::span<const int> frames, const LabelLoopOptions& options,
+                     std::span<const int> held_out)
     : training_(training),
       pipeline_(*training.session().pipeline),
       options_(options),
@@ -33,7 +34,7 @@ LabelLoop::LabelLoop(Training& training, std::span<const int> frames, const Labe
   const Session& session = training.session();
   std::int64_t pixels = 0;
   std::int32_t shortest = 1 << 20;
-  for (const int f : frames) {
+  const auto add_view = [&](int f) -> const Camera& {
     const auto n = static_cast<std::size_t>(f);
     const FrameInfo& info = session.scene.info.frames[n];
     PoolView view;
@@ -41,9 +42,17 @@ LabelLoop::LabelLoop(Training& training, std::span<const int> frames, const Labe
     view.camera = {info.camera, info.world_from_camera, session.plan.undistortion};
     view.photo = &session.scene.frames[n];
     views_.push_back(std::move(view));
-    pixels += std::int64_t{info.camera.width_px} * info.camera.height_px;
-    shortest = std::min({shortest, info.camera.width_px, info.camera.height_px});
+    return info.camera;
+  };
+  for (const int f : frames) {
+    const Camera& camera = add_view(f);
+    pixels += std::int64_t{camera.width_px} * camera.height_px;
+    shortest = std::min({shortest, camera.width_px, camera.height_px});
   }
+  pooled_ = views_.size();
+  for (const int f : held_out)
+    shortest = std::min({shortest, add_view(f).width_px, views_.back().camera.camera.height_px});
+  ignored_.resize(views_.size());
   const double stride = std::sqrt(static_cast<double>(pixels) / static_cast<double>(options.map_rays));
   stride_ = std::clamp(static_cast<std::int32_t>(std::ceil(stride)), 2, std::max(2, shortest / 8));
   live_.assign(static_cast<std::size_t>(learner_.classes()), false);
@@ -59,14 +68,14 @@ SurfaceMap LabelLoop::map_of(int view, std::int32_t stride) {
 bool LabelLoop::update_surfaces(double budget_s) {
   const Clock::time_point start = Clock::now();
   const auto spent = [&] { return std::chrono::duration<double>(Clock::now() - start).count(); };
-  for (std::size_t v = 0; v < views_.size(); ++v) {
+  for (std::size_t v = 0; v < pooled_; ++v) {
     if (!due(views_[v])) continue;
     views_[v].map = map_of(static_cast<int>(v), stride_);
     if (spent() >= budget_s) return false;
   }
-  const auto oldest = std::min_element(views_.begin(), views_.end(),
+  const auto oldest = std::min_element(pooled().begin(), pooled().end(),
                                        [](const PoolView& a, const PoolView& b) { return a.map.step < b.map.step; });
-  if (oldest == views_.end() || (ready() && pool_step_ >= oldest->map.step)) return false;
+  if (oldest == pooled().end() || (ready() && pool_step_ >= oldest->map.step)) return false;
   make_pool();
   pool_step_ = training_.step();
   return true;
@@ -75,8 +84,8 @@ bool LabelLoop::update_surfaces(double budget_s) {
 void LabelLoop::make_pool() {
   pipeline_.executor().download(training_.step());
   std::int64_t pixels = 0;
-  for (const PoolView& view : views_) pixels += std::ssize(view.map.distance_m);
-  pool_ = make_surface_pool(views_, training_.session().limits,
+  for (const PoolView& view : pooled()) pixels += std::ssize(view.map.distance_m);
+  pool_ = make_surface_pool(pooled(), training_.session().limits,
                             std::clamp<std::int64_t>(pixels / kCellPixels, 1, options_.pool_points));
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : pool_.points) positions.push_back(point.position);
@@ -292,7 +301,8 @@ std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> click
 }
 
 ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
-  const PoolView& view = views_[static_cast<std::size_t>(v)];
+  PoolView& view = views_[static_cast<std::size_t>(v)];
+  if (static_cast<std::size_t>(v) >= pooled_ && ready() && due(view)) view.map = map_of(v, stride_);
   const SurfaceMap& map = fine != nullptr ? *fine : view.map;
   CoarseLabels coarse{map.stride, map.width_px, map.height_px, {}, {}};
   coarse.label.assign(map.distance_m.size(), kVoid);
@@ -339,6 +349,12 @@ ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
       labels.entropy[at] = 0;
     }
   }
+  const std::vector<bool>& ignored = ignored_[static_cast<std::size_t>(v)];
+  for (std::size_t p = 0; p < ignored.size(); ++p) {
+    if (!ignored[p]) continue;
+    labels.label[p] = kVoid;
+    labels.entropy[p] = 0;
+  }
   return labels;
 }
 
@@ -353,6 +369,15 @@ std::optional<Asked> LabelLoop::propose(Acquisition how, std::uint64_t seed, std
   for (const Vec3d& place : skipped_)
     if (const std::int32_t point = graph_.point_at(place); point >= 0) passed.push_back(point);
   input.passed = passed;
+  std::vector<bool> barred;
+  if (std::any_of(ignored_.begin(), ignored_.end(), [](const auto& pixels) { return !pixels.empty(); })) {
+    for (const PoolPoint& point : pool_.points) {
+      const auto v = static_cast<std::size_t>(point.view);
+      const std::int64_t pixel = std::int64_t{point.pixel.row} * views_[v].photo->width_px + point.pixel.column;
+      barred.push_back(!ignored_[v].empty() && ignored_[v][static_cast<std::size_t>(pixel)]);
+    }
+  }
+  input.barred = &barred;
   input.seed = seed;
   input.round = round;
   input.rules = options_.proposals;

@@ -43,10 +43,14 @@ struct ViewLabels {
 /// One thread at a time, and no step of the training meanwhile.
 class LabelLoop {
  public:
-  /// `frames`: the views, numbers in SceneInfo::frames. Borrows the training, which must have semantics.
-  LabelLoop(Training& training, std::span<const int> frames, const LabelLoopOptions& options);
+  /// `frames`: the views, numbers in SceneInfo::frames; `held_out`: views behind them that are only looked at, so
+  /// neither surface nor questions come from them. Borrows the training, which must have semantics.
+  LabelLoop(Training& training, std::span<const int> frames, const LabelLoopOptions& options,
+            std::span<const int> held_out = {});
 
   const std::vector<PoolView>& views() const { return views_; }
+  /// Those that are not held out.
+  std::span<const PoolView> pooled() const { return {views_.data(), pooled_}; }
   const SurfacePool& pool() const { return pool_; }
   const SurfaceGraph& graph() const { return graph_; }
   /// Every view has a map, and there is a pool.
@@ -97,6 +101,9 @@ class LabelLoop {
   void set_temperature(double temperature);
   double temperature() const { return temperature_; }
 
+  /// Pixels [height * width] of a view that have no label and are not asked about; empty: none of it.
+  void set_ignored(int view, std::vector<bool> pixels) { ignored_[static_cast<std::size_t>(view)] = std::move(pixels); }
+
   PointLearner& learner() { return learner_; }
 
  private:
@@ -126,6 +133,8 @@ class LabelLoop {
   Pipeline<float>& pipeline_;
   LabelLoopOptions options_;
   std::vector<PoolView> views_;
+  std::size_t pooled_ = 0;
+  std::vector<std::vector<bool>> ignored_;  // of each view
   std::int32_t stride_ = 1;
   SurfacePool pool_;
   SurfaceGraph graph_;

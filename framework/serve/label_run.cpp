@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <iterator>
 
 #include "classes/class_names.h"
 #include "eval/metrics.h"
@@ -48,13 +49,20 @@ std::vector<std::uint64_t> checksums(const Annotations& annotations, std::size_t
   return sums;
 }
 
+// Test frames with pixels: they are looked at, and nothing is learned from them.
+std::vector<int> held_out_frames(const Session& session) {
+  std::vector<int> frames = session.scene.frames_of(Split::test);
+  std::erase_if(frames, [&](int f) { return session.scene.frames[static_cast<std::size_t>(f)].rgb.empty(); });
+  return frames;
+}
+
 }  // namespace
 
 LabelRun::LabelRun(OpenedForTraining opened, Registry& registry, TrainingListener* listener)
     : registry_(registry),
       folder_(std::move(*opened.folder)),
       training_(std::move(opened.session), listener, std::move(opened.inputs)),
-      loop_(training_, training_.session().drawn_frames(), {}),
+      loop_(training_, training_.session().drawn_frames(), {}, held_out_frames(training_.session())),
       pictures_(training_, loop_),
       checkpoints_(folder_.checkpoints_path(), training_.session().config.report.keep_checkpoints) {
   write_run_records(folder_, training_, registry, opened.point);
@@ -76,7 +84,7 @@ LabelRun::LabelRun(OpenedForTraining opened, Registry& registry, TrainingListene
 std::vector<LabelledPixels> LabelRun::given_labels() const {
   std::vector<LabelledPixels> out;
   std::size_t total = 0;
-  for (std::size_t v = 0; v < loop_.views().size() && total < kMostGiven; ++v) {
+  for (std::size_t v = 0; v < loop_.pooled().size() && total < kMostGiven; ++v) {
     const auto frame = static_cast<std::size_t>(loop_.views()[v].frame);
     if (frame >= session().labels.unclicked.size()) continue;
     const TrainingLabels::Frame& labels = session().labels.unclicked[frame];
@@ -119,12 +127,27 @@ void LabelRun::name_pixels(const Annotations& annotations, std::span<const int> 
     clicks_.insert(clicks_.end(), of_frame.begin(), of_frame.end());
 }
 
+void LabelRun::ignore_pixels(const Annotations& annotations, std::span<const int> frames) {
+  for (const int frame : frames) {
+    const auto f = static_cast<std::size_t>(frame);
+    if (view_of_frame_[f] < 0) continue;
+    const Camera& camera = session().scene.info.frames[f].camera;
+    std::vector<std::int16_t> labels(static_cast<std::size_t>(std::int64_t{camera.width_px} * camera.height_px), 0);
+    std::vector<bool> ignored;
+    if (annotations.clear_ignored(frame, camera.width_px, camera.height_px, labels))
+      std::transform(labels.begin(), labels.end(), std::back_inserter(ignored),
+                     [](std::int16_t l) { return l == kVoid; });
+    loop_.set_ignored(view_of_frame_[f], std::move(ignored));
+  }
+}
+
 void LabelRun::take(const Annotations& annotations) {
   const std::vector<std::uint64_t> sums = checksums(annotations, marked_.size());
   std::vector<int> changed;
   for (std::size_t f = 0; f < sums.size(); ++f)
     if (sums[f] != marked_[f]) changed.push_back(static_cast<int>(f));
   training_.set_clicks(annotations, changed);
+  ignore_pixels(annotations, changed);
   // What a run that goes on had learned already is no change.
   if (!changed.empty() && taken_) changed_step_ = training_.step();
   taken_ = true;
@@ -132,6 +155,7 @@ void LabelRun::take(const Annotations& annotations) {
   classes_ = named_classes(session().scene.info.classes).to_yaml();
   name_pixels(annotations, changed);
   marks_ = annotations.marks().size();
+  pictures_.set_marks(annotations.marks(), view_of_frame_);
   if (!changed.empty() || !loop_.learned()) {
     unlearned_ = true;
     fold_ = 0;
@@ -304,7 +328,7 @@ void LabelRun::describe(LabelState& state) const {
     cls.confidence = summary_.sure[c];
   }
   for (std::size_t v = 0; v < state.views.size(); ++v) {
-    state.views[v].ready = !loop_.views()[v].map.empty();
+    state.views[v].ready = state.views[v].held_out ? loop_.ready() : !loop_.views()[v].map.empty();
     if (v < summary_.entropy.size()) state.views[v].entropy = summary_.entropy[v];
   }
 }

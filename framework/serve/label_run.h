@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <deque>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -65,6 +66,8 @@ class LabelRun {
   bool fit_a_fold();
   void name_pixels(const Annotations& annotations, std::span<const int> changed);
   std::vector<LabelledPixels> given_labels() const;
+  // What nobody shall name in these frames.
+  void ignore_pixels(const Annotations& annotations, std::span<const int> frames);
 
   Registry& registry_;
   RunFolder folder_;

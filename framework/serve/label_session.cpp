@@ -173,6 +173,7 @@ void LabelSession::Parts::name_classes(LabelState& next) const {
     cls.id = entry.id;
     cls.name = entry.name;
     cls.color = entry.color;
+    cls.own = c < annotations.own_classes();
     cls.clicks = 0;
     next.classes.push_back(cls);
   }
@@ -200,8 +201,8 @@ LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSess
   for (const PoolView& view : parts_->run.loop().views()) {
     const FrameInfo& info = session.scene.info.frames[static_cast<std::size_t>(view.frame)];
     const std::uint32_t checksum = crc32c(std::as_bytes(std::span(view.photo->rgb)));
-    first->views.push_back(
-        {info.name, info.camera.width_px, info.camera.height_px, 0, 1, false, fmt::format("{:08x}", checksum)});
+    first->views.push_back({info.name, info.camera.width_px, info.camera.height_px, 0, 1, false,
+                            fmt::format("{:08x}", checksum), info.split == Split::test});
   }
   first->events = parts_->log.events().size();
   first->notes = parts_->notes;
@@ -270,8 +271,8 @@ Picture LabelSession::picture(const PictureRequest& request, const std::function
   return order->made ? std::move(*order->made) : none;
 }
 
-const StoredFrame& LabelSession::photo(int view) const {
-  return *parts_->run.loop().views().at(static_cast<std::size_t>(view)).photo;
+int LabelSession::frame_of(int view) const {
+  return parts_->run.loop().views().at(static_cast<std::size_t>(view)).frame;
 }
 
 FreeCamera LabelSession::camera_of(int view) const {

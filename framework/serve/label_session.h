@@ -41,8 +41,8 @@ class LabelSession {
   /// picture any more. Quick pictures come before those of PictureRequest::full; of more than 16 that wait the oldest
   /// is stale. Throws Error for a request that is wrong or a training that has failed.
   Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {});
-  /// The photograph of a view at its loaded size.
-  const StoredFrame& photo(int view) const;
+  /// The view's frame, in SceneInfo::frames.
+  int frame_of(int view) const;
   FreeCamera camera_of(int view) const;
   /// Number of the view that shows a frame of the scene; -1: none.
   int view_of(int frame) const;

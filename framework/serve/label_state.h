@@ -20,15 +20,17 @@ struct ClassState {
   int clicks = 0;
   double area_share = 0;  ///< of the surface that the views show
   double confidence = 0;  ///< mean over its area, after temperature
+  bool own = false;       ///< of the scene's table: not to be renamed, merged or deleted
 };
 
 struct ViewState {
   std::string frame;
   std::int32_t width_px = 0, height_px = 0;
   int clicks = 0;
-  double entropy = 0;  ///< mean over its pixels, as a share of the largest there can be
-  bool ready = false;  ///< its surface is known, so it has labels
-  std::string photo;   ///< a checksum of its photograph
+  double entropy = 0;     ///< mean over its pixels, as a share of the largest there can be
+  bool ready = false;     ///< its surface is known, so it has labels
+  std::string photo;      ///< a checksum of its photograph
+  bool held_out = false;  ///< a test frame, which is only looked at
 };
 
 struct ProposalState {
@@ -37,6 +39,18 @@ struct ProposalState {
   PixelPoint at;         ///< pixels of the view
   std::string why;       ///< "unseen" or "uncertain"
   int class_guess = -1;  ///< index; -1: none
+};
+
+/// A click of another view that a picture shows: the places of it that are seen.
+struct SeenMark {
+  std::string id;
+  std::vector<PixelPoint> points;  ///< pixels of the picture
+};
+
+/// A pixel of a view.
+struct Spot {
+  int view = -1;
+  PixelPoint at;
 };
 
 struct HistoryRow {
@@ -79,7 +93,9 @@ struct PictureRequest {
   int view = -1;                     ///< number in LabelState::views, or
   std::optional<FreeCamera> camera;  ///< a camera of its own
   std::int32_t most_px = 0;          ///< longest side of a free camera's picture; 0: that of the views
-  bool color = false;                ///< rendered colour
+  std::optional<PixelPoint>
+      at;              ///< of a camera: the point asked about, as shares of its width and height; no map is made
+  bool color = false;  ///< rendered colour
   bool labels = true;
   bool entropy = false;
   bool full = false;  ///< every pixel rendered: a free camera that stands still, or a view's final labels
@@ -91,6 +107,10 @@ struct Picture {
   std::vector<std::uint8_t> rgb;
   std::vector<std::int16_t> label;    ///< class indices, kVoid for none
   std::vector<std::uint8_t> entropy;  ///< 0 to 255: a share of the largest there can be
+  std::vector<SeenMark> seen;         ///< clicks of other views; with labels alone
+  std::optional<Spot> spot;           ///< what was asked about `at`: where a photograph shows it best
+  bool meets_surface = false;         ///< the ray through `at` meets something
+  int nearest_view = -1;              ///< of a camera with `at`: the view that is taken from about there
   std::uint64_t overlay_revision = 0;
   double render_ms = 0;
   bool stale = false;  ///< nothing was made: a later request took the place, or the session ends

@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "labels/outline_fill.h"
-
 namespace semfield {
 
 namespace {
@@ -23,9 +21,14 @@ std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t wi
     if (painted.empty() || painted[static_cast<std::size_t>(std::int64_t{y} * width_px + x)] == mark.class_index)
       out.push_back({x, y});
   };
-  const PixelPlace first{pixel_in(mark.points[0].x, width_px), pixel_in(mark.points[0].y, height_px)};
+  const std::vector<PixelRun> runs = runs_of(mark, width_px, height_px);
+  PixelPlace first{pixel_in(mark.points[0].x, width_px), pixel_in(mark.points[0].y, height_px)};
+  if (mark.fill && !runs.empty()) {  // a corner may lie outside of what an outline holds
+    const PixelRun& middle = runs[runs.size() / 2];
+    first = {(middle.x0 + middle.x1) / 2, middle.y};
+  }
   take(first.column, first.row);
-  for (const PixelRun& run : stroke_runs(mark.points, mark.radius_px, width_px, height_px))
+  for (const PixelRun& run : runs)
     for (std::int32_t x = run.x0; x < run.x1; ++x)
       if (x != first.column || run.y != first.row) take(x, run.y);
   return out;

@@ -61,12 +61,17 @@ Asked best_of(std::size_t count, const Score& score) {
   return best;
 }
 
+bool is_barred(const ProposalInput& in, std::size_t point) {
+  return in.barred != nullptr && !in.barred->empty() && (*in.barred)[point];
+}
+
 // How little is known of each point, 0 to 1: far from every click by way of the surface, or doubted by the network.
 std::vector<float> doubts(const ProposalInput& in) {
   const std::vector<double> entropy = entropies(in);
   std::vector<float> doubt(entropy.size());
   for (std::size_t i = 0; i < doubt.size(); ++i) {
     const float way = std::min(1.0F, in.graph->settled()[i].cost[0] / in.rules.unseen);
+    if (is_barred(in, i)) continue;
     doubt[i] = static_cast<float>((1 - in.rules.entropy_share) * static_cast<double>(way) +
                                   in.rules.entropy_share * static_cast<double>(way) * entropy[i]);
   }
@@ -85,7 +90,7 @@ std::vector<std::int32_t> candidates_of(const ProposalInput& in, std::span<const
   std::vector<std::int32_t> may;
   double sum = 0;
   for (std::size_t i = 0; i < doubt.size(); ++i) {
-    if (!in.pool->points[i].interior) continue;
+    if (!in.pool->points[i].interior || is_barred(in, i)) continue;
     may.push_back(static_cast<std::int32_t>(i));
     up_to.push_back(sum += static_cast<double>(doubt[i]) + 1e-9);
   }

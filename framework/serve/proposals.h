@@ -42,7 +42,7 @@ struct ProposalRules {
 };
 
 /// What a choice knows. `probability` [N, C] of the pool's points; empty while nothing is learned. `answered`: places
-/// of earlier clicks; `passed`: points that somebody did not want to name.
+/// of earlier clicks; `passed`: points that somebody did not want to name; `barred`: points that nobody shall name.
 struct ProposalInput {
   const SurfacePool* pool = nullptr;
   const SurfaceGraph* graph = nullptr;
@@ -50,6 +50,7 @@ struct ProposalInput {
   std::int32_t classes = 0;
   std::span<const Vec3d> answered;
   std::span<const std::int32_t> passed;
+  const std::vector<bool>* barred = nullptr;  ///< [N] points that are never asked about; null or empty: none
   std::uint64_t seed = 1, round = 0;
   ProposalRules rules{};
 };

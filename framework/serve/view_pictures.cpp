@@ -81,11 +81,12 @@ void ViewPictures::begin(const PictureRequest& request) {
     refuse("the camera has a number that is not finite", "give position and rotation as numbers");
   camera_ = camera_for(request);
   picture_ = {};
+  distance_m_.clear();
   rows_done_ = 0;
   spent_s_ = 0;
   shows_labels_ = training_.session().pipeline->has_semantics() && loop_.learned();
   request_ = request;
-  if (request.view >= 0 && !request.color && !request.full) return;
+  if (request.at || (request.view >= 0 && !request.color && !request.full)) return;
   Camera& camera = camera_.camera;
   if (!request.full) {  // small enough to be there soon
     const double rays = static_cast<double>(camera.width_px) * camera.height_px,
@@ -102,15 +103,16 @@ void ViewPictures::begin(const PictureRequest& request) {
 
 std::optional<Picture> ViewPictures::work(double budget_s) {
   if (!request_) return std::nullopt;
-  if (request_->view >= 0 && !request_->color && !request_->full) {
+  if (request_->at || (request_->view >= 0 && !request_->color && !request_->full)) {
     const Clock::time_point start = Clock::now();
-    Picture made = labels_of_view(*request_);
+    Picture made = request_->at ? spot_of(*request_) : labels_of_view(*request_);
     made.render_ms = 1e3 * since(start);
     request_.reset();
     return made;
   }
   render_rows(budget_s);
   if (rows_done_ < picture_.height_px) return std::nullopt;
+  if (request_->labels) picture_.seen = seen_in_picture();
   picture_.render_ms = 1e3 * spent_s_;
   request_.reset();
   return std::move(picture_);
@@ -137,9 +139,52 @@ Picture ViewPictures::labels_of_view(const PictureRequest& request) {
   Picture picture;
   picture.width_px = labels.width_px;
   picture.height_px = labels.height_px;
-  if (request.labels) picture.label = std::move(labels.label);
+  if (request.labels) {
+    picture.label = std::move(labels.label);
+    const PoolView& view = loop_.views()[static_cast<std::size_t>(request.view)];
+    const bool is_fine = fine->complete() && fine->map.step > 0;
+    picture.seen = seen_by(view.camera, distance_in(is_fine ? fine->map : view.map), request.view);
+  }
   if (request.entropy) picture.entropy = std::move(labels.entropy);
   return picture;
+}
+
+std::vector<SeenMark> ViewPictures::seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own) {
+  return places_.seen_by(camera, distance, own, loop_.views(), training_.session().limits, tolerance_m());
+}
+
+std::vector<SeenMark> ViewPictures::seen_in_picture() {
+  const auto width = static_cast<std::size_t>(picture_.width_px);
+  if (request_->view < 0) {
+    const SurfaceDistance distance = [&](std::int32_t column, std::int32_t row) {
+      return static_cast<double>(distance_m_[static_cast<std::size_t>(row) * width + static_cast<std::size_t>(column)]);
+    };
+    return seen_by(camera_, distance, -1);
+  }
+  const PoolView& view = loop_.views()[static_cast<std::size_t>(request_->view)];
+  std::vector<SeenMark> seen = seen_by(view.camera, distance_in(view.map), request_->view);
+  for (SeenMark& mark : seen)
+    for (PixelPoint& p : mark.points)
+      p = {p.x * picture_.width_px / view.camera.camera.width_px,
+           p.y * picture_.height_px / view.camera.camera.height_px};
+  return seen;
+}
+
+// The photograph that shows what the free camera has at a point.
+Picture ViewPictures::spot_of(const PictureRequest& request) {
+  const RayLimits& limits = training_.session().limits;
+  const Camera& camera = camera_.camera;
+  const auto pixel_in = [](double share, std::int32_t length) {
+    return std::clamp(static_cast<std::int32_t>(share * length), 0, length - 1);
+  };
+  const PixelPlace pixel{pixel_in(request.at->x, camera.width_px), pixel_in(request.at->y, camera.height_px)};
+  const float distance = surface_distances(*training_.session().pipeline, camera_, limits, {{pixel}})[0];
+  Picture answer;
+  answer.meets_surface = distance > 0;
+  const double scale_m = distance > 0 ? static_cast<double>(distance) : limits.far_m / 4;
+  answer.nearest_view = nearest_view(loop_.pooled(), camera_.world_from_camera, scale_m);
+  if (distance > 0) answer.spot = best_spot(loop_.pooled(), point_at(camera_, limits, pixel, scale_m), tolerance_m());
+  return answer;
 }
 
 bool ViewPictures::refine(double budget_s) {
@@ -187,6 +232,14 @@ void ViewPictures::render_rows(double budget_s) {
     const RenderedFrame frame = render_frame(*session.pipeline, band, session.limits, session.plan.class_of_logit);
     const double rays = static_cast<double>(width) * band.camera.height_px;
     rays_per_s_ = 0.7 * rays_per_s_ + 0.3 * rays / std::max(since(begun), 1e-6);
+    for (std::size_t i = 0; request_->camera && i < frame.depth_m.size(); ++i) {
+      const double x = (static_cast<double>(i % static_cast<std::size_t>(width)) + 0.5 - band.camera.cx) /
+                       band.camera.fx,
+                   y = (static_cast<double>(i / static_cast<std::size_t>(width)) + 0.5 - band.camera.cy) /
+                       band.camera.fy;
+      const float z = frame.opacity[i] < kSurfaceOpacity ? 0 : frame.depth_m[i] / frame.opacity[i];
+      distance_m_.push_back(z * static_cast<float>(std::sqrt(x * x + y * y + 1)));
+    }
     if (request_->color)
       for (const float value : frame.rgb) picture_.rgb.push_back(static_cast<std::uint8_t>(std::lround(value * 255)));
     for (std::size_t i = 0; shows_labels_ && i < frame.label.size(); ++i) {

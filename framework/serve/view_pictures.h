@@ -8,6 +8,7 @@
 
 #include "serve/label_loop.h"
 #include "serve/label_state.h"
+#include "serve/surface_sight.h"
 
 namespace semfield {
 
@@ -20,6 +21,11 @@ class ViewPictures {
   void begin(const PictureRequest& request);
   /// Works on it for about this long; the picture once it is done.
   std::optional<Picture> work(double budget_s);
+
+  /// Clicks that pictures of other views and of free cameras show.
+  void set_marks(std::span<const Annotations::Mark> marks, std::span<const int> view_of_frame) {
+    places_.set(marks, view_of_frame);
+  }
 
   /// A view that is looked at gets a surface of its own at (nearly) every pixel, for about this long. True when the
   /// labels of the view looked at last can be drawn more finely than before.
@@ -34,6 +40,11 @@ class ViewPictures {
   };
   Fine* find_fine(int view);
   Picture labels_of_view(const PictureRequest& request);
+  Picture spot_of(const PictureRequest& request);
+  std::vector<SeenMark> seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own);
+  std::vector<SeenMark> seen_in_picture();
+  // How far from the surface what lies on it may seem to be.
+  double tolerance_m() const { return 1.5 * loop_.pool().cell_m; }
   RayCamera camera_for(const PictureRequest& request) const;
   void render_rows(double budget_s);
 
@@ -45,7 +56,9 @@ class ViewPictures {
   RayCamera camera_;
   Picture picture_;
   std::int32_t rows_done_ = 0;
-  bool shows_labels_ = false;  // something was learned when it began; all of its rows have labels, or none
+  MarkPlaces places_;
+  std::vector<float> distance_m_;  // [rows done * width] of a free camera's picture
+  bool shows_labels_ = false;      // something was learned when it began; all of its rows have labels, or none
   double spent_s_ = 0;
 };
 

@@ -40,7 +40,7 @@ struct PreparedRun {
   }
   LabelState state() const {
     LabelState out;
-    out.views.resize(run.loop().views().size());
+    out.views.resize(run.loop().pooled().size());
     run.describe(out);
     return out;
   }
@@ -87,6 +87,53 @@ TEST(LabelRun, ASkipInTheSteadOfAnotherCounts) {
     EXPECT_GT(length(room.place_of(*next.proposal) - room.place_of(*asked.proposal)), room.run.loop().pool().cell_m)
         << "round " << k;
   }
+}
+
+// A region that nobody shall label has no label and is not asked about; undone, it is as before.
+TEST(LabelRun, WhatIsIgnoredIsNotAskedAbout) {
+  PreparedRun room;
+  room.annotations.apply([&] {
+    LabelEvent add = room.undo("add", "");
+    add.kind = LabelEventKind::add_class;
+    add.class_name = "wall";
+    return add;
+  }());
+  LabelEvent wall = room.event("wall", LabelEventKind::click, 0, {24.5, 5.5});
+  wall.class_name = "wall";
+  room.annotations.apply(wall);
+  for (int view = 0; view < std::ssize(room.run.loop().pooled()); ++view) {  // but for view 3
+    if (view == 3) continue;
+    LabelEvent ignore = room.event("i" + std::to_string(view), LabelEventKind::click, view, {0, 0});
+    ignore.points = {{0, 0}, {48, 0}, {48, 36}, {0, 36}};
+    ignore.fill = true;
+    ignore.class_name = "void";
+    room.annotations.apply(ignore);
+  }
+  room.run.take(room.annotations);
+  for (int k = 0; k < 5; ++k) {
+    const LabelState asked = room.state();
+    ASSERT_TRUE(asked.proposal.has_value());
+    EXPECT_EQ(asked.proposal->view, 3);
+    room.annotations.apply(room.event("s" + std::to_string(k), LabelEventKind::skip, 3, asked.proposal->at));
+    room.run.take(room.annotations);
+  }
+  const auto labelled = [&](int view) {
+    room.run.pictures().begin([&] {
+      PictureRequest request;
+      request.view = view;
+      return request;
+    }());
+    const Picture picture = *room.run.pictures().work(1e9);
+    return picture.label.size() -
+           static_cast<std::size_t>(std::count(picture.label.begin(), picture.label.end(), kVoid));
+  };
+  EXPECT_EQ(labelled(1), 0u);
+  EXPECT_GT(labelled(3), 48u * 36 / 2);
+  room.annotations.apply(room.undo("back", "i1"));
+  wall.id = "again";
+  room.annotations.apply(wall);
+  room.run.take(room.annotations);
+  EXPECT_GT(labelled(1), 48u * 36 / 2);
 }
 
 TEST(LabelRun, ClicksGiveTheStateItsNumbers) {

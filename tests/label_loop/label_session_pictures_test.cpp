@@ -50,7 +50,7 @@ TEST(LabelSessionPictures, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
   EXPECT_EQ(seen.rgb.size(), 3u * 48 * 36);
   EXPECT_EQ(seen.label.size(), 48u * 36u);
   // The camera of a view sees what its photograph shows.
-  const StoredFrame& photo = run.session.photo(3);
+  const StoredFrame& photo = run.session.opened().scene.frames[static_cast<std::size_t>(run.session.frame_of(3))];
   double wrong = 0;
   for (std::size_t i = 0; i < seen.rgb.size(); ++i) wrong += std::abs(int{seen.rgb[i]} - int{photo.rgb[i]});
   EXPECT_LT(wrong / static_cast<double>(seen.rgb.size()), 40);

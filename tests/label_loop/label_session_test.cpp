@@ -51,7 +51,8 @@ TEST(LabelSession, BeginsWithoutLabelsAndWithoutClasses) {
   const TempDir dir;
   RunningSession run(session_config(), dir / "run");
   const auto first = run.session.state();
-  EXPECT_EQ(first->views.size(), 9u);
+  ASSERT_EQ(first->views.size(), 12u);
+  for (std::size_t v = 0; v < first->views.size(); ++v) EXPECT_EQ(first->views[v].held_out, v >= 9) << v;
   EXPECT_TRUE(first->classes.empty());
   EXPECT_EQ(first->named, 0);
   EXPECT_EQ(first->room, 6);
@@ -59,15 +60,31 @@ TEST(LabelSession, BeginsWithoutLabelsAndWithoutClasses) {
   EXPECT_FALSE(first->geometry_ready);
   EXPECT_FALSE(first->proposal.has_value());
   EXPECT_EQ(first->phase, "learning colour and geometry");
-  EXPECT_EQ(run.session.photo(3).width_px, 48);
+  EXPECT_EQ(run.session.view_of(run.session.frame_of(3)), 3);
   const LoadedScene& scene = run.session.opened().scene;
-  EXPECT_EQ(run.session.view_of(scene.frames_of(Split::test).front()), -1);
+  EXPECT_EQ(run.session.view_of(scene.frames_of(Split::test).front()), 9);
   EXPECT_EQ(run.session.view_of(scene.frames_of(Split::train).at(2)), 2);
   run.start();
   const auto ready = run.wait_until([](const LabelState& s) { return s.geometry_ready && s.proposal; });
   EXPECT_EQ(ready->proposal->why, "unseen");
   EXPECT_EQ(ready->proposal->class_guess, -1);
   EXPECT_EQ(run.session.picture(labels_of(0)).label, std::vector<std::int16_t>(48 * 36, kVoid));
+}
+
+// They have labels as the others, and take no clicks.
+TEST(LabelSession, TestFramesAreLookedAt) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  run.start();
+  run.wait_until([](const LabelState& s) { return s.geometry_ready; });
+  ASSERT_TRUE(run.session.apply(run.add("1", "wall")));
+  ASSERT_TRUE(run.session.apply(run.click("2", 0, "wall", {20, 10})));
+  const auto state = run.settled();
+  EXPECT_TRUE(state->views[9].ready);
+  const std::vector<std::int16_t> label = run.session.picture(labels_of(9)).label;
+  EXPECT_GT(std::count(label.begin(), label.end(), 0), 48 * 36 / 2);
+  EXPECT_THROW(run.session.apply(run.click("3", 9, "wall", {20, 10})), Error);
+  EXPECT_LT(state->proposal->view, 9);
 }
 
 // Also when no surface is made anew after the last step, as here: 150, 290 and 514 steps are when they are due.
@@ -275,7 +292,7 @@ TEST(LabelSession, LabelsOfTheConfigurationCountAsGiven) {
   EXPECT_TRUE(state->marks.empty());
   const int other = 4;
   const std::vector<std::int16_t> label = run.session.picture(labels_of(other)).label;
-  const StoredFrame& photo = run.session.photo(other);
+  const StoredFrame& photo = run.session.opened().scene.frames[static_cast<std::size_t>(run.session.frame_of(other))];
   const Session& opened = run.session.opened();
   const auto frame = static_cast<std::size_t>(opened.drawn_frames()[other]);
   const RayCamera camera{opened.scene.info.frames[frame].camera, opened.scene.info.frames[frame].world_from_camera,

@@ -56,6 +56,19 @@ struct Known {
 constexpr Acquisition kAll[] = {Acquisition::random, Acquisition::farthest, Acquisition::entropy, Acquisition::margin,
                                 Acquisition::surface};
 
+TEST(Proposals, BarredPointsAreNotAskedAbout) {
+  Known known;
+  std::vector<bool> barred(known.pool.points.size(), true);
+  for (std::size_t i = 0; i < barred.size(); ++i) barred[i] = known.pool.points[i].position.x > 0;
+  for (std::uint64_t round = 0; round < 20; ++round) {
+    ProposalInput input = known.input(1, round);
+    input.barred = &barred;
+    const auto asked = choose_click(Acquisition::surface, input);
+    ASSERT_TRUE(asked.has_value());
+    EXPECT_FALSE(barred[static_cast<std::size_t>(asked->point)]) << round;
+  }
+}
+
 TEST(Proposals, NothingIsAskedOfAnEmptyPool) {
   const SurfacePool none;
   const SurfaceGraph graph(none, {});

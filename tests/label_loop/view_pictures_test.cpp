@@ -65,6 +65,10 @@ void expect_whole(const Picture& picture, bool rgb, bool label, bool entropy) {
   EXPECT_EQ(picture.entropy.size(), entropy ? pixels : 0);
 }
 
+void expect_none(const Picture& picture) {
+  EXPECT_TRUE(picture.rgb.empty() && picture.label.empty() && picture.entropy.empty());
+}
+
 TEST(ViewPictures, AViewsLabelsAreThoseOfTheLoop) {
   PicturedRoom room;
   EXPECT_EQ(room.made(of_view(2)).label, std::vector<std::int16_t>(48 * 36, kVoid)) << "nothing is learned";
@@ -102,6 +106,56 @@ TEST(ViewPictures, AFreeCameraIsRenderedInPieces) {
   PictureRequest request = of_view(1);  // the same camera, but with its own focal length
   request.color = request.full = true;
   expect_whole(room.made(request), true, true, false);
+}
+
+TEST(ViewPictures, ClicksOfOtherViewsAreShownWhereTheyAreSeen) {
+  PicturedRoom room;
+  room.loop->learn(room.clicks(8));
+  const std::vector<Annotations::Mark> marks{{"own", room.loop->views()[1].frame, {{24.5, 18.5}}, 0, 0},
+                                             {"other", room.loop->views()[2].frame, {{24.5, 18.5}}, 0, 0}};
+  std::vector<int> view_of_frame(room.training->session().scene.frames.size(), -1);
+  for (int v = 0; v < std::ssize(room.loop->views()); ++v)
+    view_of_frame[static_cast<std::size_t>(room.loop->views()[static_cast<std::size_t>(v)].frame)] = v;
+  room.pictures.set_marks(marks, view_of_frame);
+  const auto ids = [](const Picture& picture) {
+    std::string out;
+    for (const SeenMark& mark : picture.seen) out += mark.id + " ";
+    return out;
+  };
+  EXPECT_EQ(ids(room.made(of_view(2))).find("other"), std::string::npos) << "a view's own clicks are in the state";
+  EXPECT_EQ(ids(room.made(of_view(1))).find("own"), std::string::npos);
+  PictureRequest same = of_camera({room.loop->views()[2].camera.world_from_camera, 60});
+  const RayCamera& camera = room.loop->views()[2].camera;
+  same.camera->fov_deg = 2 * std::atan(camera.camera.width_px / (2 * camera.camera.fx)) * 57.29577951308232;
+  same.labels = true;
+  const Picture flown = room.made(same);
+  const auto other =
+      std::find_if(flown.seen.begin(), flown.seen.end(), [](const SeenMark& mark) { return mark.id == "other"; });
+  ASSERT_NE(other, flown.seen.end()) << "a free camera that looks as view 2 does";
+  EXPECT_NEAR(other->points[0].x, 24.5 * flown.width_px / 48, 1);
+  EXPECT_NEAR(other->points[0].y, 18.5 * flown.height_px / 36, 1);
+}
+
+TEST(ViewPictures, APointOfAFreeCameraIsFoundInAPhotograph) {
+  PicturedRoom room;
+  PictureRequest request;
+  request.camera = room.camera();
+  request.at = PixelPoint{0.5, 0.5};
+  request.labels = false;
+  const Picture answer = room.made(request);
+  expect_none(answer);
+  EXPECT_TRUE(answer.meets_surface);
+  EXPECT_EQ(answer.nearest_view, 1) << "the camera stands where view 1 was taken";
+  ASSERT_TRUE(answer.spot.has_value());
+  const RayCamera& seen = room.loop->views()[static_cast<std::size_t>(answer.spot->view)].camera;
+  const PixelPlace there{static_cast<std::int32_t>(answer.spot->at.x), static_cast<std::int32_t>(answer.spot->at.y)};
+  const Vec3d middle = hit_at(room.loop->views()[1].camera, {24, 18}).point;
+  EXPECT_LT(length(hit_at(seen, there).point - middle), 0.5);
+  request.camera->world_from_camera.t = {1e6, -1e6, 1e6};
+  const Picture nothing = room.made(request);
+  EXPECT_FALSE(nothing.meets_surface);
+  EXPECT_FALSE(nothing.spot.has_value());
+  EXPECT_GE(nothing.nearest_view, 0);
 }
 
 TEST(ViewPictures, BoundsOfEveryNumberAreTaken) {

@@ -48,8 +48,20 @@ TEST(LabelEvent, EveryKindIsReadAndWritten) {
   const LabelEvent skip = parse_label_event(R"({"id":"e","type":"skip","frame":"f","size":[4,3],"points":[[4,3]]})");
   EXPECT_EQ(skip.kind, LabelEventKind::skip);
   EXPECT_EQ(skip.points, (std::vector<PixelPoint>{{4, 3}}));
+  const LabelEvent merged = parse_label_event(R"({"id":"f","type":"merge","class":"stool","into":"chair"})");
+  EXPECT_EQ(merged.kind, LabelEventKind::merge_class);
+  EXPECT_EQ(merged.class_name + ">" + merged.new_name, "stool>chair");
+  const LabelEvent deleted = parse_label_event(R"({"id":"g","type":"delete","class":"stool"})");
+  EXPECT_EQ(deleted.kind, LabelEventKind::delete_class);
+  EXPECT_EQ(deleted.class_name, "stool");
+  const LabelEvent outline =
+      parse_label_event(click_with(R"([[12.5,33.0]],"radius":4)", R"([[1,1],[9,1],[9,5]],"radius":0,"fill":true)"));
+  EXPECT_TRUE(outline.fill);
+  EXPECT_FALSE(click.fill);
+  EXPECT_EQ(label_event_json(click).find("fill"), std::string::npos);  // an older program reads it, too
 
-  for (LabelEvent event : {click, made, renamed, skip, parse_label_event(R"({"id":"d","type":"undo","of":"q"})")}) {
+  for (LabelEvent event : {click, made, renamed, skip, merged, deleted, outline,
+                           parse_label_event(R"({"id":"d","type":"undo","of":"q"})")}) {
     EXPECT_EQ(parse_label_event(label_event_json(event)), event) << label_event_json(event);
     event.unix_ms = 1790000000123;
     EXPECT_EQ(parse_label_event(label_event_json(event)), event) << label_event_json(event);
@@ -102,7 +114,17 @@ TEST(LabelEvent, EveryRefusalNamesTheKey) {
        "event: 'points': expected a list of one point, got a list of 2"},
       {R"({"id":"a","type":"skip","frame":"f","size":[4,3],"points":[[1,1]],"radius":1})",
        "event: unknown key \"radius\" of a 'skip'"},
-      {click_with("\"click\"", "\"klick\""), "event: 'type': expected click, class, rename, undo, skip, got \"klick\""},
+      {click_with("\"click\"", "\"klick\""),
+       "event: 'type': expected click, class, rename, undo, skip, merge, delete, got \"klick\""},
+      {R"({"id":"a","type":"merge","class":"b"})", "event: key 'into' is missing"},
+      {R"({"id":"a","type":"merge","class":"b","into":7})",
+       "event: 'into': expected a text of 1 to 128 bytes without control characters, got 7"},
+      {R"({"id":"a","type":"delete"})", "event: key 'class' is missing"},
+      {R"({"id":"a","type":"delete","class":"b","into":"c"})", "event: unknown key \"into\" of a 'delete'"},
+      {click_with("\"class\":\"chair\"", "\"class\":\"chair\",\"fill\":1"),
+       "event: 'fill': expected true or false, got 1"},
+      {click_with("\"class\":\"chair\"", "\"class\":\"chair\",\"fill\":true"),
+       "event: 'fill': an outline needs 3 points, and there are 1"},
       {click_with("a1-17", "a 17"),
        "event: 'id': expected 1 to 64 letters of a-z, A-Z, 0-9, '-' and '_', got \"a 17\""},
       {click_with("a1-17", ""), "event: 'id': expected 1 to 64 letters"},

@@ -12,7 +12,7 @@ import urllib.error
 import urllib.request
 
 KEYS = {"space": " ", "enter": "\ue007", "escape": "\ue00c", "left": "\ue012", "up": "\ue013", "right": "\ue014", "down": "\ue015", "tab": "\ue004",
-        "shift": "\ue008", "ctrl": "\ue009", "backspace": "\ue003", "f2": "\ue032", "home": "\ue011", "end": "\ue010"}
+        "shift": "\ue008", "ctrl": "\ue009", "backspace": "\ue003", "f2": "\ue032", "delete": "\ue017", "home": "\ue011", "end": "\ue010"}
 
 
 def programs():

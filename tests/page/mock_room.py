@@ -72,6 +72,44 @@ def cast(origin, direction):
     return best, found
 
 
+def ray(camera, width, height, x, y):
+    """Origin and unit direction of the ray through a point of the image."""
+    rotation, focal = camera["rotation"], width / 2 / math.tan(math.radians(camera["fov_deg"]) / 2)
+    u, v = (x - width / 2) / focal, (y - height / 2) / focal
+    length = math.sqrt(u * u + v * v + 1)
+    return list(camera["position"]), [(rotation[3 * k] * u + rotation[3 * k + 1] * v + rotation[3 * k + 2]) / length for k in range(3)]
+
+
+def pixel_of(camera, width, height, place):
+    """Where the camera has a place in its image, or None."""
+    rotation, focal = camera["rotation"], width / 2 / math.tan(math.radians(camera["fov_deg"]) / 2)
+    away = [p - o for p, o in zip(place, camera["position"])]
+    x, y, z = (sum(rotation[3 * k + c] * away[k] for k in range(3)) for c in range(3))
+    at = [focal * x / z + width / 2, focal * y / z + height / 2] if z > 1e-6 else [-1, -1]
+    return at if 0 <= at[0] < width and 0 <= at[1] < height else None
+
+
+def is_seen(camera, place):
+    """Nothing lies between the camera and the place."""
+    away = [p - o for p, o in zip(place, camera["position"])]
+    length = math.sqrt(sum(v * v for v in away))
+    return abs(cast(list(camera["position"]), [v / length for v in away])[0] - length) < 0.03 * length
+
+
+def photo(k, count, width, height, scale, is_turned=False):
+    """The photograph of view k as PNG, `scale` times as large: then with lines that are one of its pixels wide, 8 of a small one's apart."""
+    rows = rendered(k, count, width, height)[0][::-1 if is_turned else 1]
+    if scale == 1:
+        return png(width, height, rows, 2)
+    large = []
+    for row in rows:
+        wide = bytearray(b"".join(row[3 * i:3 * i + 3] * scale for i in range(width)))
+        for x in range(0, width * scale, 8 * scale):
+            wide[3 * x:3 * x + 3] = b"\xff\xff\xff"
+        large += [bytes(wide)] * scale
+    return png(width * scale, height * scale, large, 2)
+
+
 def render(camera, width, height):
     """(rgb rows, objects [height][width]) of a camera {"position", "rotation", "fov_deg"}."""
     rotation, origin = camera["rotation"], camera["position"]

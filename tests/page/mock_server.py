@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """A stand-in for `semfield serve`: serves the page with a small room that learns at once. For tests of the page, and to work on it:
-  python3 mock_server.py [--port 8090] [--views 12] [--size 160x120] [--classes]"""
+  python3 mock_server.py [--port 8090] [--views 12] [--size 160x120] [--held-out 2] [--classes]"""
 
 import argparse
 import http.server
@@ -24,14 +24,15 @@ class Room:
     "overlay": label maps stay as they are; "event": 503 and a sentence; "refuse": 400; "lost": a click never arrives; "drop": it is
     applied, but the answer is lost; "silent": the state is told to nobody; "picture": slow; "slow export": for ever."""
 
-    def __init__(self, views=12, size=(160, 120), classes=(), room=32):
-        self.size, self.most = size, room
+    def __init__(self, views=12, size=(160, 120), classes=(), room=32, held_out=0, photo_scale=1):
+        self.size, self.most, self.held_out, self.photo_scale = size, room, held_out, photo_scale
+        self.photos = []  # (view, most_px) that were asked for
         self.cameras = mock_room.cameras(views)
         self.frames = [f"rgb_{k:02}" for k in range(views)]
-        self.given = [{"name": name, "color": COLORS[i % 4]} for i, name in enumerate(classes)]
+        self.given = [{"name": name, "color": COLORS[i % 4], "own": True} for i, name in enumerate(classes)]
         self.events, self.exports, self.faults, self.received = [], [], set(), []
         self.start, self.revision, self.overlay, self.failure = time.time(), 1, [1, 0], ""
-        self.run_id, self.trouble, self.photos = "run-1", "", 0  # photos: 1 stands on their heads
+        self.run_id, self.trouble, self.turned = "run-1", "", 0  # turned: photographs stand on their heads
         self.changed = threading.Condition()
         self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
         self.polls = 0
@@ -58,36 +59,84 @@ class Room:
         names = {row["name"]: row for row in classes}
         for event in alive:
             if event["type"] == "class":
-                row = {"name": event["name"], "color": event.get("color") or COLORS[len(classes) % 4]}
+                row = {"name": event["name"], "color": event.get("color") or COLORS[len(classes) % 4], "own": False}
                 classes.append(row)
                 names[event["name"]] = row
             if event["type"] == "rename" and event["class"] in names:
                 row = names[event["class"]]
                 row["name"], row["color"] = event["name"], event.get("color", row["color"])
                 names[event["name"]] = row
-        return classes, {name: classes.index(row) for name, row in names.items()}
+            if event["type"] == "merge":
+                names[event["class"]] = names[event["into"]]
+            if event["type"] == "delete":
+                names.pop(event["class"], None)
+        ended = {e["class"] for e in alive if e["type"] in ("merge", "delete")}
+        for row in classes:
+            row["ended"] = row["name"] in ended
+        index = {name: classes.index(row) for name, row in names.items()}
+        return classes, {**index, "void": -1}
 
     def marks(self, alive, index):
-        return [{"id": e["id"], "view": self.frames.index(e["frame"]), "points": e["points"], "radius": e["radius"], "class": index[e["class"]]}
-                for e in alive if e["type"] == "click" and e["class"] in index]
+        return [{"id": e["id"], "view": self.frames.index(e["frame"]), "points": e["points"], "radius": e["radius"], "fill": e.get("fill", False),
+                 "class": index[e["class"]]} for e in alive if e["type"] == "click" and e["class"] in index]
+
+    def inside(self, mark):
+        """A pixel of the mark: its first point, or the middle of an outline."""
+        points = mark["points"] if mark["fill"] else mark["points"][:1]
+        return int(sum(p[0] for p in points) / len(points)), int(sum(p[1] for p in points) / len(points))
 
     def learned(self, marks):
         """Object -> class by the last click on it."""
         known = {}
         for mark in marks:
-            x, y = mark["points"][0]
-            known[self.view(mark["view"])[1][int(y)][int(x)]] = mark["class"]
+            x, y = self.inside(mark)
+            if mark["class"] >= 0:
+                known[self.view(mark["view"])[1][y][x]] = mark["class"]
         return known
+
+    def place(self, view, at):
+        """World position of a pixel."""
+        origin, direction = mock_room.ray(self.cameras[view], *self.size, *at)
+        t = mock_room.cast(origin, direction)[0]
+        return [o + t * d for o, d in zip(origin, direction)]
+
+    def seen(self, marks, camera, size, own):
+        """Marks of other views that a camera sees."""
+        out = []
+        for mark in marks:
+            if mark["view"] == own or mark["class"] < 0:
+                continue
+            place = self.place(mark["view"], mark["points"][0])
+            at = mock_room.pixel_of(camera, *size, place)
+            if at and mock_room.is_seen(camera, place):
+                out.append({"id": mark["id"], "points": [at]})
+        return out
+
+    def spot(self, camera, at):
+        """What answers a question about a point of a free camera's picture."""
+        width, height = self.size
+        origin, direction = mock_room.ray(camera, width, height, at[0] * width, at[1] * height)
+        t = mock_room.cast(origin, direction)[0]
+        place = [o + t * d for o, d in zip(origin, direction)]
+        trained = range(len(self.frames) - self.held_out)
+        found = [(k, mock_room.pixel_of(self.cameras[k], width, height, place)) for k in trained]
+        found = [(k, p) for k, p in found if p and mock_room.is_seen(self.cameras[k], place) and "hidden" not in self.faults]
+        near = min(trained, key=lambda k: math.dist(self.cameras[k]["position"], camera["position"]))
+        return {"spot": {"view": found[0][0], "at": found[0][1]} if found else None, "meets_surface": "hidden" not in self.faults, "nearest_view": near}
 
     def apply(self, event):
         if any(e["id"] == event["id"] for e in self.events):
             return False
         alive = self.alive(self.events)
         classes, index = self.classes(alive)
+        if event["type"] == "click" and self.frames.index(event["frame"]) >= len(self.frames) - self.held_out:
+            raise ValueError(f"frame '{event['frame']}' is not a training frame", "label training frames only")
         if event["type"] == "click" and event["class"] not in index:
             raise ValueError(f"there is no class '{event['class']}'", "make it first")
         if event["type"] == "class" and event["name"] in {row["name"] for row in classes}:
             raise ValueError(f"there is a class '{event['name']}' already", "choose another name")
+        if event["type"] in ("merge", "delete") and event["class"] not in index:
+            raise ValueError(f"no class '{event['class']}'", "")
         self.events.append(event)
         self.touch()
         threading.Timer(0.35, self.learn).start()
@@ -100,7 +149,7 @@ class Room:
 
     def proposal(self, known, skipped):
         for which in (4, 5, 6, 0, 7, 2, 1, 3):
-            for k in range(len(self.frames)):
+            for k in range(len(self.frames) - self.held_out):
                 if which in known or (which, k) in skipped or k % 3:
                     continue
                 at = [(i, j) for j, row in enumerate(self.view(k)[1]) for i, v in enumerate(row) if v == which]
@@ -131,9 +180,10 @@ class Room:
                     "psnr": history[-1][2], "rays_per_s": 21500, "phase": "learning colour and geometry", "geometry_ready": True, "temperature": 1.2},
             "room": {"named": len(classes), "most": self.most},
             "classes": [{"index": i, **row, "clicks": sum(m["class"] == i for m in marks), "area_share": share * list(known.values()).count(i),
-                         "confidence": 0.9 if i in known.values() else 0} for i, row in enumerate(classes)],
+                         "confidence": 0.9 if i in known.values() else 0} for i, row in enumerate(classes) if not row["ended"]],
             "views": [{"frame": f, "width": self.size[0], "height": self.size[1], "clicks": sum(m["view"] == k for m in marks),
-                       "entropy": max(0.05, 0.9 - 0.1 * len(known) - 0.02 * (k % 4)), "ready": bool(known), "photo": f"{k}-{self.photos}"} for k, f in enumerate(self.frames)],
+                       "entropy": max(0.05, 0.9 - 0.1 * len(known) - 0.02 * (k % 4)), "ready": bool(known), "photo": f"{k}-{self.turned}",
+                       "held_out": k >= len(self.frames) - self.held_out} for k, f in enumerate(self.frames)],
             "proposal": self.proposal(known, skipped), "marks": marks, "history": history, "exports": self.exports, "notes": [], "trouble": self.trouble, "failure": self.failure}
 
     def picture(self, wish):
@@ -141,6 +191,8 @@ class Room:
         classes = self.classes(self.alive(self.events))[0]
         known = self.learned(marks)
         begin = time.time()
+        if "at" in wish:
+            return b"".join(struct.pack("<I", len(part)) + part for part in (json.dumps(self.spot(wish["camera"], wish["at"])).encode(), b"", b"", b""))
         if "camera" in wish:
             self.flights.append((wish["most_px"], wish["full"]))
             width = min(wish["most_px"], 160)
@@ -151,7 +203,8 @@ class Room:
         other = known[min(known)] if known else -1
         table = bytes(known.get(v, other) + 1 for v in range(256))
         doubt = bytes((40 if v in known else 220) if known else 128 for v in range(256))
-        head = {"width": width, "height": height, "overlay_revision": self.overlay[0], "render_ms": 1000 * (time.time() - begin), "stale": False}
+        head = {"width": width, "height": height, "overlay_revision": self.overlay[0], "render_ms": 1000 * (time.time() - begin), "stale": False,
+                "marks": self.seen(marks, wish.get("camera") or self.cameras[wish["view"]], (width, height), wish.get("view", -1))}
         parts = [json.dumps(head).encode(), mock_room.png(width, height, rows, 2) if wish.get("color") else b"",
                  mock_room.png(width, height, [r.translate(table) for r in objects], 3, [[0, 0, 0]] + [c["color"] for c in classes]) if wish.get("labels") else b"",
                  mock_room.png(width, height, [r.translate(doubt) for r in objects], 0) if wish.get("entropy") else b""]
@@ -233,9 +286,11 @@ class Handler(http.server.BaseHTTPRequestHandler):
                 state = room.state(int(query["after"]))
             self.answer(state)
         elif path == "photo":
-            (width, height), rows = room.size, room.view(int(query["view"]))[0]
-            named = query.get("photo") == f"{query['view']}-{room.photos}"
-            self.answer(mock_room.png(width, height, rows[::-1] if room.photos else rows, 2), "image/png", cache="max-age=600, immutable" if named else "no-store")
+            view, most = int(query["view"]), int(query.get("most_px", 0))
+            room.photos.append((view, most))
+            scale = 1 if 0 < most <= 480 else room.photo_scale
+            named = query.get("photo") == f"{view}-{room.turned}"
+            self.answer(mock_room.photo(view, len(room.cameras), *room.size, scale, room.turned), "image/png", cache="max-age=600, immutable" if named else "no-store")
         elif path == "camera":
             self.answer(room.cameras[int(query["view"])])
         elif path.startswith("export/"):
@@ -315,9 +370,11 @@ def main():
     parser.add_argument("--port", type=int, default=8090)
     parser.add_argument("--views", type=int, default=12)
     parser.add_argument("--size", default="160x120")
+    parser.add_argument("--held-out", type=int, default=2, help="the last views are test frames")
     parser.add_argument("--classes", action="store_true", help="the scene has classes of its own")
     given = parser.parse_args()
-    room = Room(given.views, tuple(int(v) for v in given.size.split("x")), ("floor", "wall", "sofa") if given.classes else ())
+    room = Room(given.views, tuple(int(v) for v in given.size.split("x")), ("floor", "wall", "sofa") if given.classes else (),
+                held_out=given.held_out, photo_scale=4)
     print(Server(room, given.port).start(), flush=True)
     threading.Event().wait()
 

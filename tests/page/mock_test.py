@@ -5,45 +5,12 @@ import pathlib
 
 import mock_server
 import page_case
+from mock_page_case import BLUE, RED, SIZE, MockPageCase
 
-SIZE = (120, 90)
-RED, BLUE = [230, 75, 70], [70, 150, 240]  # the first colours that the page offers
 RING = [255, 213, 74]
 
 
-class PageTest(page_case.PageCase):
-    SIZE = SIZE
-
-    def serve(self, **options):
-        self.room = mock_server.Room(views=options.pop("views", 6), size=SIZE, **options)
-        self.server = mock_server.Server(self.room)
-        self.url = self.server.start()
-        self.addCleanup(lambda: self.server.http.ended or self.server.stop())
-
-    def clicks(self):
-        return sum(e["type"] == "click" for e in self.room.events)
-
-    def wait_pixel(self, page, x, y, want, why, tolerance=14):
-        """Until the page shows about this colour at a pixel of the view."""
-        seen = None
-        for _ in range(60):
-            seen = page.pixels([self.page_of(page, x, y)])[0]
-            if max(abs(a - b) for a, b in zip(seen, want)) <= tolerance:
-                return
-        self.fail(f"{why}: {seen} at {x}, {y}, not {want}")
-
-    def mixed(self, view, x, y, color):
-        """The photograph with the overlay at its first opacity."""
-        photo = self.room.view(view)[0][int(y)][3 * int(x):3 * int(x) + 3]
-        return [0.45 * a + 0.55 * b for a, b in zip(photo, color)]
-
-    def pixel_of(self, view, which):
-        """A pixel well inside an object of the room."""
-        objects = self.room.view(view)[1]
-        inside = [(i + 0.5, j + 0.5) for j in range(8, SIZE[1] - 8) for i in range(8, SIZE[0] - 8)
-                  if all(objects[j + dj][i + di] == which for dj in (-5, 0, 5) for di in (-5, 0, 5))]
-        return inside[len(inside) // 2]
-
+class PageTest(MockPageCase):
     def test_what_a_person_does(self):
         self.serve()
         page = self.open()
@@ -93,8 +60,9 @@ class PageTest(page_case.PageCase):
         page.keys("2", "space")
         self.wait_saved(page, 4)
         self.assertEqual((self.room.events[-1]["class"], self.room.events[-1]["points"][0]), ("floor", proposal["at"]))
-        page.wait("document.getElementById('proposal-text').textContent.startsWith('Click proposed')")
+        page.wait_for(lambda: self.room.state(0)["proposal"]["id"] != proposal["id"], True, "no other proposal")
         before = self.room.state(0)["proposal"]["id"]
+        page.wait(f"document.querySelector('#strip .proposed')?.dataset.view == {self.room.state(0)['proposal']['view']}")
         page.keys("s")
         page.wait_for(lambda: self.room.events[-1]["type"], "skip", "no skip arrives")
         self.assertNotEqual(self.room.state(0)["proposal"]["id"], before)
@@ -158,6 +126,7 @@ class PageTest(page_case.PageCase):
         page.wait("!document.getElementById('class-dialog').open || document.activeElement.closest('#swatches')")
         if page.run("return document.getElementById('class-dialog').open"):
             page.click("#class-ok")
+        page.wait("!document.getElementById('class-dialog').open")
         page.keys(*["shift+right"] * 4, "shift+down", "enter")
         self.wait_saved(page, 1)
         event = self.room.events[-1]
@@ -273,7 +242,7 @@ class PageTest(page_case.PageCase):
         x, y = next((x, y) for y in range(8, 40) for x in range(8, SIZE[0] - 8)
                     if max(abs(a - b) for a, b in zip(color(rows[y], x), color(rows[-1 - y], x))) > 60)
         self.wait_pixel(page, x + 0.5, y + 0.5, color(rows[y], x), "the photograph is not shown")
-        self.room.photos = 1  # the scene was changed and the program started again: same address, same token
+        self.room.turned = 1  # the scene was changed and the program started again: same address, same token
         self.room.touch()
         self.wait_pixel(page, x + 0.5, y + 0.5, color(rows[-1 - y], x), "the photograph of before is shown")
         page.wait("document.querySelector('#strip [data-view=\"0\"] img').getAttribute('src').includes('photo=0-1')")
@@ -379,9 +348,10 @@ class PageTest(page_case.PageCase):
         self.assertEqual(self.room.most_pictures, 1)
 
     def test_fingers(self):
-        self.serve(classes=("sofa",))
+        self.serve(classes=("sofa", "floor"))
         page = self.open(820, 1180)
         self.room.faults.add("overlay")
+        page.keys("1")
         at = self.page_of(page, 60, 45)
         page.fingers([at])
         self.wait_saved(page, 1)
@@ -397,6 +367,7 @@ class PageTest(page_case.PageCase):
         seen = page.pixels([(at[0] - 200, at[1])])[0]
         apart = [sum(abs(a - b) for a, b in zip(seen, other)) for other in (photo, label)]
         self.assertLess(*apart, "the first finger of a pinch leaves a stroke")
+        page.keys("2")  # a tap on a click of its own class selects it
         page.fingers([at])
         self.wait_saved(page, 3)
         x, y = self.room.events[-1]["points"][0]

@@ -1,6 +1,6 @@
 // Unit tests of the page's modules, run inside the page: the body of a function that answers a list of what is wrong.
-return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'api'].map((name) => import(`./${name}.js`)))
-.then(([model, viewport, colors, fly, plots, events, api]) => {
+return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'api', 'pictures'].map((name) => import(`./${name}.js`)))
+.then(([model, viewport, colors, fly, plots, events, api, pictures]) => {
   const wrong = [];
   const is = (got, want, what) => { if (JSON.stringify(got) !== JSON.stringify(want)) wrong.push(`${what}: ${JSON.stringify(got)}`); };
   const image = {width: 100, height: 50}, screen = {width: 400, height: 400};
@@ -8,7 +8,7 @@ return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'ap
   const fit = viewport.fitted(image, screen);
   is(viewport.toImage(port, 150, 200).map((v) => v.toFixed(6)), viewport.toImage(fit, 150, 200).map((v) => v.toFixed(6)), 'zoom keeps the point');
   is(viewport.zoomed(port, 0.01, 0, 0, image, screen), fit, 'never smaller than fitted');
-  is(model.strokeParts([[0, 0], [0.2, 0], [5, 0.04], [5.1, 0]], 1), [[[0, 0], [5, 0], [5.1, 0]]], 'a stroke is thinned');
+  is(model.strokeParts([[0, 0], [0.2, 0], [5, 0.004], [5.1, 0]], 1), [[[0, 0], [5, 0], [5.1, 0]]], 'a stroke is thinned');
   const parts = model.strokeParts(Array.from({length: 10}, (_, i) => [i * 2, 0]), 1, 4);
   is(parts.map((part) => part.length), [4, 4, 4], 'a long stroke has parts');
   is(parts[1][0], parts[0][3], 'that share their ends');
@@ -24,6 +24,30 @@ return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'ap
   is(late.marks.map((mark) => mark.saved), [false], 'also when the first is saved already');
   const renamed = model.combined(state, [{event: {id: 'r', type: 'rename', class: 'a', name: 'b'}}], known);
   is([renamed.classes[0].name, renamed.marks[0].name], ['b', 'b'], 'renaming reaches marks');
+  const two = {...state, classes: [...state.classes, {index: 1, name: 'c', color: [4, 5, 6], clicks: 0}]};
+  const merge = {event: {id: 'm', type: 'merge', class: 'a', into: 'c'}};
+  const merged = model.combined(two, [merge], known);
+  is([merged.classes.map((row) => [row.name, row.clicks]), merged.marks.map((mark) => mark.label)], [[['c', 1]], ['c']], 'a merge takes clicks along');
+  const twice = model.combined(two, [merge, {event: {id: 'r2', type: 'rename', class: 'c', name: 'd'}}], known);
+  is(twice.marks.map((mark) => mark.label), ['d'], 'also to a name that comes later');
+  const deleted = model.combined(two, [{event: {id: 'd', type: 'delete', class: 'a'}}], known);
+  is([deleted.classes.map((row) => row.name), deleted.marks.length], [['c'], 0], 'a deleted class takes its clicks along');
+  is(model.combined(two, [{event: {id: 'd', type: 'delete', class: 'a'}}, {event: {id: 'e', type: 'undo', of: 'd'}}], known).marks.length, 1, 'undo brings them back');
+  const large = {event: {id: 'w', type: 'click', frame: 'f', size: [400, 200], points: [[40, 20]], radius: 8, class: 'void'}};
+  const ignored = model.combined({...state, views: [{frame: 'f', width: 100, height: 50}]}, [large], known);
+  is(ignored.marks.filter((mark) => mark.isIgnore).map(({points, radius, label}) => [points, radius, label]), [[[[10, 5]], 2, 'ignore']], 'pixels of another size');
+  is([ignored.ignore.clicks, ignored.classes[0].clicks], [1, 1], 'what is ignored counts by itself');
+  is(model.ignoreName([{name: 'void'}]), 'undefined', 'a class that is called void');
+  const square = [[0, 0], [10, 0], [10, 10], [0, 10]];
+  is([model.isWithin(square, 5, 5), model.isWithin(square, 15, 5), model.isWithin([...square, [5, 5]], 1, 5)], [true, false, false], 'inside of an outline');
+  is([model.distanceTo([[0, 0], [10, 0]], 5, 3), model.distanceTo([[0, 0]], 3, 4)], [3, 5], 'distance to a line');
+  const listed = [{id: 'dot', points: [[1, 1]], radius: 1}, {id: 'area', points: square, radius: 0, fill: true}, {id: 'line', points: [[20, 0], [30, 0]], radius: 2}];
+  is([[1.2, 1], [5, 5], [25, 1.5], [25, 8]].map((at) => model.markAt(listed, at, 1)?.id ?? null), ['dot', 'area', 'line', null], 'the mark that is meant');
+  is(model.outlineCorners([[0, 0], [0.2, 0], [5, 0.123456], [5, 5]], 1), [[0, 0], [5, 0.12], [5, 5]], 'corners are rounded and thinned');
+  is(model.outlineCorners(Array.from({length: 9000}, (_, i) => [i, i % 7]), 0, 4096).length <= 4096, true, 'and are no more than an event holds');
+  is(model.orderedViews([{entropy: 1, clicks: 0, held_out: true}, {entropy: 0.5, clicks: 3}], 'uncertain'), [1, 0], 'test frames come last');
+  is([pictures.photoLevel(300, 480), pictures.photoLevel(481, 480), pictures.photoLevel(1500, 480), pictures.photoLevel(9000, 480), pictures.photoLevel(1200, 1100)],
+     [480, 1024, 2048, 0, 2048], 'sizes of photographs');
   is(model.nameProblem('', []) !== '' && model.nameProblem('a', ['a']) !== '' && model.nameProblem('b', ['a']) === '', true, 'names');
   is(colors.kPalette.includes(colors.freeColor(colors.kPalette.slice(1))), true, 'a free colour');
   is(colors.freeColor(colors.kPalette.slice(1)), colors.kPalette[0], 'the one that is left');

@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """The page in headless Chromium against `semfield serve` on the shipped room: serve_test.py PROGRAM CONFIG"""
 
+import io
 import json
 import pathlib
 import shutil
@@ -10,12 +11,35 @@ import subprocess
 import sys
 import tempfile
 import urllib.request
+import zipfile
+import zlib
 
 import page_case
 
 PROGRAM, CONFIG = sys.argv[1:3] if len(sys.argv) > 2 else ("", "")
 SIZE = (96, 72)
 SETTINGS = {"scene.frames": 8, "scene.test_frames": 2, "scene.labels.frames": "none", "scene.load.width_px": SIZE[0], "runtime.threads": 2}
+
+
+def grey_png(data):
+    """Rows of an 8-bit grey PNG."""
+    chunks, at = {}, 8
+    while at < len(data):
+        length = int.from_bytes(data[at:at + 4], "big")
+        chunks.setdefault(data[at + 4:at + 8], []).append(data[at + 8:at + 8 + length])
+        at += 12 + length
+    width, height, bits, kind = (int.from_bytes(chunks[b"IHDR"][0][a:b], "big") for a, b in ((0, 4), (4, 8), (8, 9), (9, 10)))
+    assert (bits, kind) == (8, 0), (bits, kind)
+    raw, rows, before = zlib.decompress(b"".join(chunks[b"IDAT"])), [], bytes(width)
+    for j in range(height):
+        how, row = raw[j * (width + 1)], bytearray(raw[j * (width + 1) + 1:(j + 1) * (width + 1)])
+        for i in range(width):
+            a, b, c = row[i - 1] if i else 0, before[i], before[i - 1] if i else 0
+            near = min((abs(b - c), 0, a), (abs(a - c), 1, b), (abs(a + b - 2 * c), 2, c))[2]
+            row[i] = (row[i] + (0, a, b, (a + b) // 2, near)[how]) % 256
+        rows.append(bytes(row))
+        before = row
+    return rows
 
 
 class Serve:
@@ -148,11 +172,32 @@ class ServeTest(page_case.PageCase):
         page.wait("!document.getElementById('legend').hidden")
         page.keys("e", "r", "r", "f")
         page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera", 60)
-        page.keys("escape")
+        page.mouse(self.page_of(page, 48, 40))  # from where the first photograph was taken
+        self.wait_saved(page, 6)
+        self.assertIn(f"in {self.serve.events()[-1]['frame']}, which shows this place best", page.text("#messages"))
+        page.keys("escape", "home", "i", "p")
+        for corner in ((4, 4), (30, 4), (30, 30), (4, 30)):
+            self.click(page, *corner)
+        page.keys("enter", "b")
+        self.wait_saved(page, 7)
+        self.wait_learned(page)
+        size = page.run("return fetch('./photo?view=0').then((a) => a.blob()).then(createImageBitmap).then((b) => b.width)")
+        self.assertGreater(size, SIZE[0], "the photograph is as small as what trains")
+        held_out = [view["frame"] for view in self.serve.state()["views"] if view["held_out"]]
+        self.assertEqual(len(held_out), 2)
+        page.keys("end")
+        self.click(page, 20.5, 20.5)
+        page.wait(f"document.getElementById('messages').textContent.includes('{held_out[-1]} is held out for tests')")
+        page.keys("home")
         page.click("[data-what=labels]")
         page.wait("document.querySelector('#export-list a')", "no export", 120)
-        head = page.run("return fetch(document.querySelector('#export-list a').href).then((a) => a.arrayBuffer()).then((b) => [...new Uint8Array(b).slice(0, 2)])")
-        self.assertEqual(bytes(head), b"PK")
+        data = page.run("return fetch(document.querySelector('#export-list a').href).then((a) => a.arrayBuffer()).then((b) => [...new Uint8Array(b)])")
+        with zipfile.ZipFile(io.BytesIO(bytes(data))) as labels:
+            rows = grey_png(labels.read(f"{self.serve.state()['views'][0]['frame']}_label.png"))
+        inside, outside = {rows[j][i] for j in range(6, 28) for i in range(6, 28)}, [v for row in rows[40:] for v in row]
+        self.assertEqual(len(inside), 1, "a region that is ignored has labels")
+        self.assertNotIn(inside.pop(), {row["id"] for row in self.serve.state()["classes"]})
+        self.assertGreater(sum(v in {row["id"] for row in self.serve.state()["classes"]} for v in outside), len(outside) / 2)
         self.assertEqual(page.complaints() + other.complaints(), [])
 
     def test_kills_lose_nothing(self):

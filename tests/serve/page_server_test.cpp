@@ -209,7 +209,9 @@ TEST_F(ServedPage, PhotographsMayBeKeptAndShrink) {
     EXPECT_EQ(get(unnamed).header("cache-control"), "no-store") << unnamed;
   EXPECT_EQ(get("photo?view=1&most_px=3").status, 200);
   EXPECT_NE(get("photo?view=1&most_px=3").body, whole.body);
-  for (const char* wrong : {"photo", "photo?view=2", "photo?view=-1", "photo?view=x", "photo?view=1&most_px=9999",
+  EXPECT_EQ(get("photo?view=1&most_px=9999").body, whole.body);
+  EXPECT_EQ(source_.photos, (std::vector<std::int32_t>{0, 3, 3, 9999}));
+  for (const char* wrong : {"photo", "photo?view=2", "photo?view=-1", "photo?view=x", "photo?view=1&most_px=65537",
                             "photo?view=99999999999999999999"})
     EXPECT_EQ(get(wrong).status, 400) << wrong;
 }
@@ -220,6 +222,32 @@ TEST_F(ServedPage, ACameraIsToldAsPicturesAskForIt) {
   EXPECT_EQ(camera["rotation"], (Json{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}));
   const Json request{{"client", "c"}, {"camera", camera}, {"color", true}};
   EXPECT_EQ(post("picture", request.dump()).status, 200);
+}
+
+TEST_F(ServedPage, APointOfAFreeCameraIsAnsweredByAPhotographThatShowsIt) {
+  const auto ask_at = [&](const char* at) {
+    const Answer answer = post("picture", std::string(R"({"client":"c","at":)") + at +
+                                              R"(,"camera":{"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,1]}})");
+    EXPECT_EQ(answer.status, 200);
+    std::size_t begin = 0;
+    return Json::parse(part_at(answer.body, begin));
+  };
+  const Json found = ask_at("[0.25,0.5]");
+  EXPECT_EQ(source_.requests.at(0).at, (PixelPoint{0.25, 0.5}));
+  EXPECT_EQ(found["spot"], (Json{{"view", 0}, {"at", {2.5, 1.5}}}));
+  EXPECT_EQ(found["nearest_view"], 1);
+  const Json hidden = ask_at("[0.75,0]");
+  EXPECT_EQ(hidden["spot"], nullptr);
+  EXPECT_EQ(hidden["meets_surface"], true);
+  EXPECT_EQ(ask_at("[1,1]")["meets_surface"], false);
+}
+
+TEST_F(ServedPage, APictureTellsTheClicksOfOtherViews) {
+  const Answer answer = post("picture", R"({"client":"c","view":0})");
+  std::size_t at = 0;
+  const Json head = Json::parse(part_at(answer.body, at));
+  EXPECT_EQ(head["marks"], (Json::array({{{"id", "m1"}, {"points", {{0.5, 1.5}, {2.5, 1.5}}}}})));
+  EXPECT_FALSE(head.contains("spot"));
 }
 
 TEST_F(ServedPage, AViewThatIsNotThereIsNamed) {

@@ -74,14 +74,23 @@ class FakeSource final : public PageSource {
     p.width_px = 4;
     p.height_px = 3;
     p.overlay_revision = 9;
+    if (request.at) {
+      p.meets_surface = request.at->x < 0.9;
+      p.nearest_view = 1;
+      if (request.at->x < 0.5) p.spot = Spot{0, {2.5, 1.5}};
+      return p;
+    }
+    p.seen = {{"m1", {{0.5, 1.5}, {2.5, 1.5}}}};
     if (request.color) p.rgb.assign(36, 128);
     if (request.labels) p.label = {-1, 0, 1, 1, -1, 0, 1, 1, -1, 0, 1, 5};
     if (request.entropy) p.entropy = {0, 20, 40, 60, 80, 100, 120, 140, 160, 180, 200, 255};
     return p;
   }
-  PagePhoto photo(int view) const override {
-    static const std::vector<std::uint8_t> rgb(72, 90);
-    return view == 0 ? PagePhoto{4, 3, std::span(rgb).first(36)} : PagePhoto{6, 4, rgb};
+  Image<std::uint8_t> photo(int view, std::int32_t most_px) override {
+    const std::scoped_lock lock(mutex_);
+    photos.push_back(most_px);
+    if (view == 0) return {4, 3, 3, std::vector<std::uint8_t>(36, 90)};
+    return {12, 8, 3, std::vector<std::uint8_t>(288, 90)};  // the file's is twice as large as what trains
   }
   FreeCamera camera_of(int view) const override {
     FreeCamera camera;
@@ -111,6 +120,7 @@ class FakeSource final : public PageSource {
   }
 
   std::vector<PictureRequest> requests;
+  std::vector<std::int32_t> photos;  // most_px of each that was asked for
   std::atomic<int> saves{0}, abandoned_pictures{0};
   bool held = false;
 

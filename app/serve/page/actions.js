@@ -13,24 +13,28 @@ export function actionsOf(page) {
     'r': () => page.setRendered(!page.isRendered),
     'o': () => { stage.isHidden = !stage.isHidden; page.changed(); },
     't': () => { page.settings.set({names: !page.settings.names}); page.changed(); },
-    'c': () => { const name = stage.aim && stage.classAt(stage.aim); if (name) page.choose(name); },
+    'c': () => page.chooseSeen(),
+    'b': () => stage.tools.use('brush'), 'p': () => stage.tools.use('polygon'), 'x': () => stage.tools.use('erase'),
+    'i': () => page.choose(labeller.ignore.name), 'Delete': () => page.remove(),
+    'Backspace': () => { if (!stage.tools.takeBack()) page.remove(); },
     ',': () => page.neighbourClass(-1), '.': () => page.neighbourClass(1),
     '[': () => page.setRadius(page.settings.radius - 1), ']': () => page.setRadius(page.settings.radius + 1),
     '+': () => stage.zoom(1.25), '=': () => stage.zoom(1.25), '-': () => stage.zoom(0.8), '0': () => stage.fit(),
-    'f': () => page.fly(), 'Escape': () => page.land(), '?': showHelp,
+    'f': () => page.fly(), 'v': () => (page.flight ? page.flights.toPhotograph() : page.messages.tell('v goes from a flight to the nearest photograph; f flies.')),
+    'Escape': () => page.leave(), '?': showHelp,
     'Home': () => page.show(page.strip.shown[0]), 'End': () => page.show(page.strip.shown.at(-1)),
-    'Enter': () => { if (stage.cross) page.click([stage.cross]); },
+    'Enter': () => page.enter(),
   };
   for (const [key, step] of [['ArrowLeft', -1], ['ArrowUp', -1], ['ArrowRight', 1], ['ArrowDown', 1]]) {
-    actions[key] = () => page.show(page.strip.neighbour(page.index, step));
+    actions[key] = () => page.step(step);
     const [dx, dy] = key === 'ArrowLeft' || key === 'ArrowRight' ? [step, 0] : [0, step];
     actions[`shift+${key}`] = () => stage.moveCross(dx, dy, false);
     actions[`ctrl+shift+${key}`] = () => stage.moveCross(dx, dy, true);
   }
   for (const digit of '123456789') {
-    actions[digit] = () => page.choose([...page.settings.keysOf(page.classes)].find(([, key]) => key === digit)?.[0]);
+    actions[digit] = () => page.chooseByKey(digit);
     actions[`shift+${digit}`] = () => {
-      if (labeller.chosen === null) return;
+      if (!page.classes.some(({name}) => name === labeller.chosen)) return page.messages.tell('Choose the class that shall have this key first.');
       page.settings.give(labeller.chosen, digit);
       page.changed();
     };

@@ -1,14 +1,14 @@
 // The page put together: state comes in, the parts show it, keys and buttons act.
 import {actionsOf} from './actions.js';
-import {PictureChannel, followState, getJson, postJson} from './api.js';
-import {cssColor} from './colors.js';
-import {askClass, showHelp} from './dialogs.js';
-import {byId, make, setAttribute, setText} from './dom.js';
+import {PictureChannel, followState, postJson} from './api.js';
+import {Bars} from './bars.js';
+import {ask, askClass, showHelp} from './dialogs.js';
+import {byId} from './dom.js';
 import {safeStorage} from './events.js';
-import {FreeCamera, Flight, paceOf, upOf} from './fly.js';
+import {Flights} from './flights.js';
 import {followKeys} from './keys.js';
 import {Labeller} from './labeller.js';
-import {OverlayEvents, reason} from './model.js';
+import {OverlayEvents} from './model.js';
 import {Messages, Panel} from './panel.js';
 import {Pictures} from './pictures.js';
 import {Settings} from './settings.js';
@@ -16,8 +16,6 @@ import {Stage} from './stage.js';
 import {Strip} from './strip.js';
 
 const kRenderPause_ms = 4000;     // between renderings of a view that is only looked at
-const kMostFlight_px = 640;
-const kCamerasAsked = 16;
 const kLost = 'Connection lost, trying again; nothing is lost.';
 const kMoved = 'Another run or a new start answers here: open the address that the program prints; nothing is lost.';
 
@@ -35,19 +33,30 @@ class Page {
     this.overlayEvents = new OverlayEvents();
     this.index = 0;
     this.isRendered = false;
-    this.flight = null;
+    this.bars = new Bars(this, this.messages);
+    this.flights = new Flights(this, this.messages, this.labeller.ids.tab);
     this.strip = new Strip((view) => this.show(view));
     this.panel = new Panel({
       choose: (name) => this.choose(name),
+      ignore: () => this.choose(this.labeller.ignore.name),
       rename: (row) => this.change(row),
       point: (name) => { this.stage.pointed = name; this.redraw(); },
-      export: (what) => postJson('./export', {what}).catch((error) => refuse(error.message, error.remedy)),
+      export: (what) => {
+        this.messages.tell('The export is begun; it is listed here when it is done.');
+        postJson('./export', {what}).catch((error) => refuse(error.message, error.remedy));
+      },
       cancelExport: (id) => postJson('./export', {cancel: id}).catch((error) => refuse(error.message, error.remedy)),
     });
     this.stage = new Stage(this.labeller, this.settings, {
       changed: this.redraw,
       click: (points) => this.click(points),
-      isFlying: () => this.flight !== null,
+      polygon: (points, step) => this.polygon(points, step),
+      erase: (marks) => this.labeller.erase(marks),
+      select: (mark) => this.select(mark),
+      mayLabel: () => this.mayLabel(),
+      tell: (text) => this.messages.tell(text),
+      clickFlight: (x, y) => this.flights.click([x, y]),
+      isFlying: () => this.flights.isFlying,
       drag: (dx, dy) => this.flight.look(dx * 0.004, -dy * 0.004),
       wheel: (factor) => this.flight.ahead(Math.log(factor) * 1.5),
     });
@@ -57,12 +66,15 @@ class Page {
 
   get state() { return this.labeller.state; }
   get classes() { return this.labeller.classes; }
+  get view() { return this.state.views[this.index]; }
+  get flight() { return this.flights.flight; }
 
   take(value, anew) {
     const isFirst = this.state === null;
     this.isLost = null;
     if (anew && !isFirst) this.pictures.forget();
     this.overlayEvents.tell(value.overlay);
+    this.flights.follow(value.overlay.revision);
     this.labeller.take(value, anew);
     if (isFirst) this.show(Number(this.session.getItem('semfield.view') ?? this.state.proposal?.view ?? 0));
     this.labeller.chosen ??= this.classes.length === 1 ? this.classes[0].name : null;
@@ -98,7 +110,7 @@ class Page {
 
   update() {
     this.isStale = false;
-    this.updateFoot();
+    this.bars.foot();
     if (!this.state) return;
     const {views} = this.state;
     this.index = Math.min(this.index, Math.max(0, views.length - 1));
@@ -106,103 +118,55 @@ class Page {
     const clicks = views.map(() => 0);
     for (const {view} of this.labeller.marks) clicks[view] += 1;
     this.strip.update(views, clicks, this.index, this.labeller.proposal?.view ?? -1);
-    this.panel.updateClasses(this.classes, this.labeller.chosen, this.settings.keysOf(this.classes), this.state.room);
+    this.panel.updateClasses(this.classes, this.labeller.ignore, this.labeller.chosen, this.settings.keysOf(this.classes), this.state.room);
     this.panel.updateRun(this.state);
-    this.updateTools();
-    this.updateProposal();
-    this.updateWelcome();
+    this.bars.update();
     this.draw();
   }
 
-  updateFoot() {
-    const {unsaved} = this.labeller;
-    setText(byId('connection'), this.isLost ?? (this.state ? 'connected' : 'connecting'));
-    byId('connection').classList.toggle('lost', Boolean(this.isLost));
-    setText(byId('saving'), unsaved ? `${unsaved} not saved yet` : this.labeller.marks.length ? 'every click is saved' : '');
-    byId('saving').classList.toggle('waiting', unsaved > 0);
-    if (!unsaved) this.messages.settled();
+  select(mark) {
+    this.stage.selected = mark?.id ?? null;
+    this.changed();
   }
 
-  updateTools() {
-    const {stage, settings} = this;
-    for (const [id, on] of [['show-photo', !this.isRendered], ['show-rendered', this.isRendered], ['show-labels', stage.kind === 'labels'],
-                            ['show-entropy', stage.kind === 'entropy'], ['fly', this.flight !== null]]) {
-      setAttribute(byId(id), 'aria-pressed', on);
-    }
-    byId('opacity').value = stage.isHidden ? 0 : settings.opacity;
-    setText(byId('opacity-value'), stage.isHidden ? 'off' : `${settings.opacity} %`);
-    byId('radius').value = settings.radius;
-    setText(byId('radius-value'), `${settings.radius} px`);
-    byId('legend').hidden = stage.kind !== 'entropy' || this.flight !== null;
-    byId('pad').hidden = !this.flight;
-    byId('canvas').classList.toggle('flying', this.flight !== null);
-    const view = this.state.views[this.index];
-    setAttribute(byId('canvas'), 'aria-label', this.flight ? 'Free camera' : view ? `View ${view.frame}` : 'No view');
-  }
-
-  updateProposal() {
-    const {proposal, chosen} = this.labeller;
-    const text = byId('proposal-text');
-    const isHere = proposal?.view === this.index && !this.flight;
-    const none = this.classes.length === 0;
-    const guess = this.classes.find(({index}) => index >= 0 && index === proposal?.class_guess);
-    text.classList.toggle('some', Boolean(proposal) && !this.flight);
-    setText(text, this.flight ? 'Flying: w a s d q e move, drag looks around, f leaves.'
-      : !proposal ? 'No click is proposed at the moment.'
-      : `Click proposed ${isHere ? 'here' : `in ${this.state.views[proposal.view].frame}`}: ${reason(proposal.why)}.`);
-    const take = byId('proposal-take');
-    take.hidden = byId('proposal-skip').hidden = !proposal || this.flight !== null;
-    this.fill(take, !isHere ? ['Go to it'] : chosen !== null ? ['Label as ', this.classOf(chosen)] : [none ? 'Name it' : 'Choose a class'], isHere && chosen === null && !none ? '' : 'space');
-    take.disabled = isHere && chosen === null && !none;
-    const button = byId('proposal-guess');
-    button.hidden = take.hidden || !isHere || !guess || guess.name === chosen;
-    if (!button.hidden) this.fill(button, ['Guess: ', guess], 'g');
+  /// The mark that is selected or pointed at goes.
+  remove() {
+    const mark = this.stage.meant;
+    if (!mark) return this.messages.tell('Point at a click, or select it with a click of its own class; then Delete removes it.');
+    this.stage.selected = null;
+    this.labeller.erase([mark]);
   }
 
   classOf(name) { return this.labeller.classOf(name); }
 
-  /// A button's words, a class with its swatch among them, and its key.
-  fill(button, parts, key) {
-    const told = JSON.stringify([parts, key]);
-    if (button.told === told) return;
-    button.told = told;
-    button.replaceChildren(...parts.flatMap((part) => {
-      if (typeof part === 'string') return [part];
-      const dot = make('span', {class: 'dot'});
-      dot.style.setProperty('--color', cssColor(part.color));
-      return [dot, part.name];
-    }), ...(key ? [' ', make('kbd', {}, key)] : []));
-  }
-
-  updateWelcome() {
-    const welcome = byId('welcome');
-    const {views} = this.state;
-    const hasMarks = this.labeller.marks.length > 0;
-    const words = views.length === 0 ? ['There is no view to label', 'The scene has no training frame.']
-      : this.classes.length === 0 ? ['Name the first class', 'Press n, or click on something in the picture. Colour and geometry are being learned already; ' +
-          'labels of all views follow within a second of the first clicks.']
-      : !hasMarks && this.labeller.chosen === null ? ['Choose a class, then click', 'Keys 1 to 9 choose a class, n makes one. A click, or a drag along something, labels it.']
-      : !hasMarks ? [`Click on something that is "${this.labeller.chosen}"`, 'Or drag along it. Keys 1 to 9 choose another class, n makes one.'] : null;
-    welcome.hidden = !words || this.flight !== null;
-    if (words && this.welcomed !== words[0]) welcome.replaceChildren(make('h2', {}, words[0]), make('p', {}, words[1]));
-    this.welcomed = words?.[0];
-  }
-
   draw() {
-    if (this.flight) return this.stage.drawFlight(this.flown, this.flown ? `${this.flown.width} x ${this.flown.height}, ${Math.round(this.flown.render_ms)} ms` : 'Taking off');
-    const view = this.state.views[this.index];
+    const {view, labeller} = this;
+    const {flown} = this.flights;
+    if (this.flight) {
+      return this.stage.drawFlight(flown && {...flown, shown: this.flights.marks(labeller.marks)},
+                                   flown ? `${flown.width} x ${flown.height}, ${Math.round(flown.render_ms)} ms` : 'Taking off');
+    }
     if (!view) return;
     const overlay = this.pictures.overlay(this.index);
     if (!document.hidden && (view.ready || this.isRendered)) {
       this.pictures.want({view: this.index, entropy: this.stage.kind === 'entropy', color: this.isRendered}, this.state.overlay.revision, kRenderPause_ms);
     }
     const events = overlay ? this.overlayEvents.known(overlay.revision) : -1;
-    const {proposal} = this.labeller;
+    const {proposal} = labeller;
+    this.stage.view.setImage(view.width, view.height);
+    const {port, ratio} = this.stage.view;
+    const view_px = Math.max(view.width, view.height);
+    const photo = this.isRendered && overlay?.color ? null : this.pictures.photo(this.index, view.photo, view_px, view_px * port.scale * (ratio ?? 1));
+    const known = new Map(labeller.marks.map((mark) => [mark.id, mark]));
+    const share = view.width / (overlay?.width ?? view.width);
     this.stage.drawView({
       index: this.index,
-      picture: (this.isRendered ? overlay?.color : null) ?? this.pictures.photo(this.index, view.photo),
+      isLocked: view.held_out,
+      picture: photo ?? overlay?.color,
       overlay,
-      marks: this.labeller.marks.filter((mark) => mark.view === this.index),
+      marks: labeller.marks.filter((mark) => mark.view === this.index),
+      others: (overlay?.marks ?? []).filter(({id}) => known.has(id) && known.get(id).view !== this.index).map(({id, points}) => ({
+        ...known.get(id), points: points.map((p) => p.map((v) => v * share)), frame: this.state.views[known.get(id).view].frame})),
       isPainted: ({id, saved}) => saved && this.labeller.births.isPainted(id, events),
       ring: proposal?.view === this.index ? proposal.at : null,
     });
@@ -212,7 +176,8 @@ class Page {
     if (!this.state || !(view >= 0 && view < this.state.views.length)) return;
     this.land();
     this.index = view;
-    this.stage.cross = null;
+    Object.assign(this.stage, {cross: null, selected: null, marks: [], others: []});
+    this.stage.tools.forget();
     this.session.setItem('semfield.view', view);
     this.stage.fit();
     this.changed();
@@ -220,6 +185,26 @@ class Page {
 
   choose(name) {
     if (name !== undefined && name !== null) this.labeller.choose(name);
+  }
+
+  chooseByKey(digit) {
+    const name = [...this.settings.keysOf(this.classes)].find(([, key]) => key === digit)?.[0];
+    if (name === undefined) return this.messages.tell(`No class has the key ${digit}; shift and ${digit} gives it to the chosen one.`);
+    this.choose(name);
+  }
+
+  chooseSeen() {
+    const {stage} = this;
+    const name = stage.aim && stage.classAt(stage.aim);
+    if (name) this.choose(name);
+    else this.messages.tell('There is no label under the pointer.');
+  }
+
+  /// To another view of the strip.
+  step(steps) {
+    const to = this.strip.neighbour(this.index, steps);
+    if (to === this.index && !this.flight) return this.messages.tell(steps < 0 ? 'This is the first view.' : 'This is the last view.');
+    this.show(to);
   }
 
   async make() {
@@ -236,8 +221,31 @@ class Page {
 
   async change(row) {
     if (!row) return this.messages.tell('Choose the class to change first.');
+    if (row.isIgnore) return this.messages.tell('What is ignored has no name of its own.');
     const answer = await askClass(this.classes, row);
+    if (answer?.mergeInto) return this.labeller.mergeClass(row.name, answer.mergeInto);
+    if (answer?.isDeleted) return this.deleteClass(row);
     if (answer && (answer.name !== row.name || answer.color.join() !== row.color.join())) this.labeller.changeClass(row.name, answer.name, answer.color);
+  }
+
+  async deleteClass({name, clicks}) {
+    const what = clicks ? `Its ${clicks} click${clicks === 1 ? '' : 's'} go with it, in all views.` : 'It has no clicks.';
+    if (await ask(`Delete "${name}"?`, `${what} Undo (z) brings it back.`, 'Delete it')) this.labeller.deleteClass(name);
+    else this.messages.tell(`"${name}" stays.`);
+  }
+
+  /// False for a view that is only looked at, and says so.
+  isOpenToLabels() {
+    if (this.view?.held_out) this.messages.tell(`${this.view.frame} is held out for tests: a label here would train on what tests measure. Label another view.`);
+    return !this.view?.held_out;
+  }
+
+  /// Whether a label can be begun now; else says why, or asks for a class.
+  mayLabel() {
+    if (!this.isOpenToLabels()) return false;
+    if (this.labeller.chosen !== null) return true;
+    this.hasClass();
+    return false;
   }
 
   /// True when a class is chosen, if need be after a dialog.
@@ -249,8 +257,27 @@ class Page {
   }
 
   async click(points) {
-    const {index} = this;
-    if (this.state && await this.hasClass()) this.labeller.click(index, points, this.settings.radius);
+    const {index, state} = this;
+    if (state && this.isOpenToLabels() && await this.hasClass()) this.labeller.click(index, points, this.settings.radius);
+  }
+
+  polygon(points, step) { this.labeller.polygon(this.index, points, step); }
+
+  enter() {
+    const {stage} = this;
+    if (stage.tools.close()) return;
+    if (!stage.cross) return this.messages.tell('Move a cross over the view with shift and the arrow keys; enter clicks there.');
+    if (stage.tools.kind === 'polygon') stage.tools.clickCorner(stage.cross);
+    else this.click([stage.cross]);
+  }
+
+  /// Out of what is under way: a polygon, a selection, a flight.
+  leave() {
+    const {stage} = this;
+    if (this.flight) return this.land();
+    if (stage.tools.outline) this.messages.tell('The polygon is dropped.');
+    stage.tools.forget();
+    this.select(null);
   }
 
   async space() {
@@ -302,38 +329,14 @@ class Page {
     if (this.classes.length) this.choose(this.classes[(at + step + this.classes.length) % this.classes.length].name);
   }
 
-  async fly() {
-    if (this.flight || this.isTakingOff || !this.state) return this.land();
-    this.isTakingOff = true;
-    try {
-      const every = Math.max(1, Math.ceil(this.state.views.length / kCamerasAsked));
-      const others = this.state.views.map((_, i) => i).filter((i) => i % every === 0 && i !== this.index);
-      const cameras = await Promise.all([this.index, ...others].map((view) => getJson(`./camera?view=${view}`)));
-      this.flown = null;
-      const canvas = byId('canvas');
-      this.flight = new Flight({
-        channel: this.channel,
-        camera: new FreeCamera(cameras[0], upOf(cameras)),
-        pace: paceOf(cameras),
-        fullSize_px: Math.min(kMostFlight_px, Math.max(canvas.clientWidth, canvas.clientHeight)),
-        changed: (picture) => {
-          this.flown = {...picture, serial: (this.flown?.serial ?? 0) + 1};
-          this.changed();
-        },
-        trouble: (error) => { if (error.status === 400) this.messages.refuse(error.message, error.remedy); },
-      });
-    } catch (error) {
-      this.messages.refuse(error.message, error.remedy);
-    }
-    this.isTakingOff = false;
-    byId('canvas').focus();
-    this.changed();
+  fly() {
+    if (this.flight || this.flights.isTakingOff || !this.state) return this.land();
+    return this.flights.begin();
   }
 
   land() {
     if (!this.flight) return;
-    this.flight.end();
-    this.flight = null;
+    this.flights.end();
     this.pictures.wished = null;
     this.stage.fit();
     this.changed();
@@ -351,6 +354,10 @@ class Page {
     on('fit', () => stage.fit());
     on('fly', () => this.fly());
     on('land', () => this.land());
+    on('to-photograph', () => this.flights.toPhotograph());
+    for (const kind of ['brush', 'polygon', 'erase']) on(`tool-${kind}`, () => stage.tools.use(kind));
+    on('selection-delete', () => this.remove());
+    on('selection-close', () => this.select(null));
     on('help', showHelp);
     on('new-class', () => this.make());
     on('proposal-take', () => this.space());

@@ -4,10 +4,39 @@ import {fitted, toImage, toScreen} from './viewport.js';
 
 const kMostLayer_px = 2e6;  // the overlay is drawn at every move of the pointer
 
-/// Paints what a click or stroke covers: discs along its points, a pixel alone when the radius is 0.
-export function paintClick(context, points, radius, color) {
-  context.fillStyle = context.strokeStyle = cssColor(color);
+let hatch = null;
+
+/// Stripes for what is ignored, as wide at every zoom; `scale`: of the context.
+function hatchOf(context, scale) {
+  if (!hatch) {
+    hatch = new OffscreenCanvas(8, 8);
+    const stripes = hatch.getContext('2d');
+    stripes.fillStyle = 'rgb(40 40 44)';
+    stripes.fillRect(0, 0, 8, 8);
+    stripes.strokeStyle = 'rgb(190 190 190)';
+    stripes.lineWidth = 2.5;
+    for (const at of [-8, 0, 8]) {
+      stripes.beginPath();
+      stripes.moveTo(at - 2, 10);
+      stripes.lineTo(at + 10, -2);
+      stripes.stroke();
+    }
+  }
+  const pattern = context.createPattern(hatch, 'repeat');
+  pattern.setTransform(new DOMMatrix().scale(1 / scale));
+  return pattern;
+}
+
+/// Paints what a mark covers: discs along its points, a pixel alone when the radius is 0, the inside of an outline.
+export function paintClick(context, {points, radius, color, fill}, style = cssColor(color)) {
+  context.fillStyle = context.strokeStyle = style;
   context.lineCap = context.lineJoin = 'round';
+  if (fill) {
+    context.beginPath();
+    points.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+    context.fill('evenodd');
+    return;
+  }
   if (radius < 0.5) {
     for (const [x, y] of points) context.fillRect(Math.floor(x), Math.floor(y), 1, 1);
     if (points.length < 2) return;
@@ -89,7 +118,11 @@ export class ViewCanvas {
     context.clearRect(0, 0, size.width, size.height);
     context.scale(this.share, this.share);
     if (overlay) context.drawImage(overlay, 0, 0, width, height);
-    for (const {points, radius, color} of paints) paintClick(context, points, radius, color);
+    for (const mark of paints) {
+      context.globalCompositeOperation = mark.isIgnore ? 'destination-out' : 'source-over';
+      paintClick(context, mark);
+    }
+    context.globalCompositeOperation = 'source-over';
   }
 
   /// Leaves `alpha` of 255 to every pixel that is not of the colour.
@@ -108,7 +141,23 @@ export class ViewCanvas {
     return a ? [r, g, b] : null;
   }
 
-  /// what: {isSmooth: never show the picture's pixels, picture, opacity, marks, showNames, ring, brush: {x, y, radius, color}, cross: [x, y], stroke}
+  /// The part of a picture of the whole image that is on the screen, drawn there: a photograph may have many megapixels.
+  drawPicture(picture, alwaysSmooth) {
+    const {context, port, image, screen} = this;
+    const share = picture.width / image.width;
+    const [left, top] = toImage(port, 0, 0).map((v) => Math.max(0, Math.floor(v)));
+    const [right, bottom] = toImage(port, screen.width, screen.height).map(Math.ceil);
+    const [width, height] = [Math.min(right, image.width) - left, Math.min(bottom, image.height) - top];
+    if (width <= 0 || height <= 0) return;
+    const [x, y] = toScreen(port, left, top);
+    context.imageSmoothingEnabled = alwaysSmooth || port.scale / share < 6;
+    context.imageSmoothingQuality = 'high';
+    const tall = picture.height / image.height;
+    context.drawImage(picture, left * share, top * tall, width * share, height * tall, x, y, width * port.scale, height * port.scale);
+  }
+
+  /// what: {isSmooth: never show the picture's pixels, picture, opacity, marks, others: clicks of other views, selected and hovered mark,
+  /// showNames, ring, brush: {x, y, radius, color}, cross: [x, y], stroke, outline: {points, color, tip}}
   draw(what) {
     const {context, port, image} = this;
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
@@ -116,15 +165,17 @@ export class ViewCanvas {
     const place = [port.x, port.y, image.width * port.scale, image.height * port.scale];
     context.fillStyle = '#0c0d0f';
     context.fillRect(...place);
-    context.imageSmoothingEnabled = port.scale < 6 || what.isSmooth;
-    context.imageSmoothingQuality = 'high';
-    if (what.picture) context.drawImage(what.picture, ...place);
-    context.imageSmoothingEnabled = false;
+    if (what.picture) this.drawPicture(what.picture, what.isSmooth);
+    context.globalAlpha = Math.max(what.opacity, 0.3);
+    for (const mark of what.marks) if (mark.isIgnore) this.inImage(() => paintClick(context, mark, hatchOf(context, port.scale)));
+    context.imageSmoothingEnabled = true;  // edges of labels without steps where a pixel that trains is large
     context.globalAlpha = what.opacity;
     if (what.opacity > 0) context.drawImage(this.layer, ...place);
     context.globalAlpha = 1;
     if (what.stroke) this.drawStroke(what.stroke);
-    for (const mark of what.marks) this.drawMark(mark, what.showNames || mark === what.hovered);
+    for (const mark of what.others ?? []) this.drawOther(mark, what.showNames || mark === what.hovered);
+    for (const mark of what.marks) this.drawMark(mark, what.showNames || mark === what.hovered, mark === what.selected, what.doomed?.has(mark.id));
+    if (what.outline) this.drawOutline(what.outline);
     if (what.ring) this.drawRing(what.ring);
     if (what.cross) this.drawCross(what.cross);
     if (what.brush) this.drawBrush(what.brush);
@@ -139,26 +190,76 @@ export class ViewCanvas {
     context.restore();
   }
 
-  drawStroke({points, radius, color}) {
+  drawStroke(stroke) {
     this.context.globalAlpha = 0.75;
-    this.inImage((context) => paintClick(context, points, radius, color));
+    this.inImage((context) => paintClick(context, stroke, stroke.isIgnore ? hatchOf(context, this.port.scale) : cssColor(stroke.color)));
     this.context.globalAlpha = 1;
   }
 
-  drawMark({points, color, name, saved}, showName) {
+  /// Closed or open line through points of the image, on the screen.
+  trace(points, isClosed) {
     const {context} = this;
-    const at = points.map(([x, y]) => toScreen(this.port, x, y));
-    if (at.length > 1) {
-      context.lineCap = context.lineJoin = 'round';
-      outlined(context, 1.5, cssColor(color), () => at.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y))));
-    }
-    const [x, y] = at[0];
-    context.setLineDash([]);
-    for (const [radius, style] of [[6.5, 'rgb(0 0 0 / 0.8)'], [5.5, '#fff'], [4, cssColor(color)]]) {
+    points.forEach((point, i) => context[i ? 'lineTo' : 'moveTo'](...toScreen(this.port, ...point)));
+    if (isClosed) context.closePath();
+  }
+
+  drawDot(x, y, sizes) {
+    const {context} = this;
+    for (const [radius, style] of sizes) {
       context.fillStyle = style;
       context.beginPath();
       context.arc(x, y, radius, 0, 2 * Math.PI);
       context.fill();
+    }
+  }
+
+  /// A polygon that is being drawn, up to the pointer.
+  drawOutline({points, color, tip, closes}) {
+    const {context} = this;
+    context.lineJoin = 'round';
+    const line = tip ? [...points, tip] : points;
+    context.globalAlpha = 0.3;
+    context.fillStyle = cssColor(color);
+    context.beginPath();
+    this.trace(line, true);
+    context.fill();
+    context.globalAlpha = 1;
+    outlined(context, 1.5, cssColor(color), () => this.trace(line, false));
+    points.forEach((point, i) => this.drawDot(...toScreen(this.port, ...point), i === 0 && closes ? [[9, '#000c'], [8, '#fff'], [6, cssColor(color)]] : [[5, '#000c'], [4, '#fff']]));
+  }
+
+  /// A click of another view, where the surface that it named is seen.
+  drawOther({points, color, label}, showName) {
+    const {context} = this;
+    context.globalAlpha = 0.75;
+    for (const point of points) this.drawDot(...toScreen(this.port, ...point), [[5, 'rgb(0 0 0 / 0.6)'], [4, 'rgb(255 255 255 / 0.8)'], [2.8, cssColor(color)]]);
+    context.globalAlpha = 1;
+    if (showName) this.drawName(label, color, ...toScreen(this.port, ...points[0]));
+  }
+
+  drawMark({points, color, label, fill, isIgnore, saved}, showName, isSelected, isDoomed) {
+    const {context} = this;
+    if (points.length > 1) {
+      context.lineCap = context.lineJoin = 'round';
+      outlined(context, 1.5, cssColor(color), () => this.trace(points, fill));
+    }
+    const [x, y] = toScreen(this.port, ...points[0]);
+    context.setLineDash([]);
+    if (isSelected || isDoomed) {
+      outlined(context, 2, isDoomed ? '#ff6b5e' : '#8ab4f8', () => context.arc(x, y, 11, 0, 2 * Math.PI));
+    }
+    this.drawDot(x, y, [[6.5, 'rgb(0 0 0 / 0.8)'], [5.5, '#fff'], [4, cssColor(color)]]);
+    if (isIgnore || isDoomed) {
+      context.strokeStyle = isDoomed ? '#ff3b30' : '#111';
+      context.lineWidth = 2;
+      context.beginPath();
+      context.moveTo(x - 3, y - 3);
+      context.lineTo(x + 3, y + 3);
+      if (isDoomed) {
+        context.moveTo(x + 3, y - 3);
+        context.lineTo(x - 3, y + 3);
+      }
+      context.stroke();
     }
     if (!saved) {  // a broken ring until the program has it
       context.setLineDash([3, 3]);
@@ -169,7 +270,7 @@ export class ViewCanvas {
       context.stroke();
       context.setLineDash([]);
     }
-    if (showName && name) this.drawName(name, color, x, y);
+    if (showName && label) this.drawName(label, color, x, y);
   }
 
   drawName(name, color, x, y) {

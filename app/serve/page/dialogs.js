@@ -3,7 +3,33 @@ import {cssColor, freeColor, hexColor, kPalette, rgbOfHex} from './colors.js';
 import {byId, make, setText} from './dom.js';
 import {nameProblem} from './model.js';
 
-/// Asks for a class's name and colour. `row`: the class to change, or none for a new one. Resolves to {name, color} or null.
+/// Asks a question with one answer that does something; resolves to whether it was given.
+export function ask(title, text, yes) {
+  const dialog = byId('question');
+  setText(byId('question-title'), title);
+  setText(byId('question-text'), text);
+  setText(byId('question-yes'), yes);
+  dialog.returnValue = '';
+  dialog.showModal();
+  return new Promise((resolve) => { dialog.onclose = () => resolve(dialog.returnValue === 'yes'); });
+}
+
+/// The part of the dialog that ends a class; calls end({mergeInto}) or end({isDeleted}).
+function offerEnds(row, others, end) {
+  byId('class-more').hidden = !row;
+  if (!row) return;
+  const clicks = `${row.clicks} click${row.clicks === 1 ? '' : 's'}`;
+  setText(byId('class-more-title'), row.own ? 'The scene names this class: its colour alone can change.' : `Merge it into another class, or delete it with its ${clicks}`);
+  byId('class-end').hidden = row.own;
+  const select = byId('merge-into');
+  select.replaceChildren(...others.map(({name}) => make('option', {value: name}, name)));
+  select.hidden = byId('class-merge').hidden = others.length === 0;
+  byId('class-merge').onclick = () => end({mergeInto: select.value});
+  byId('class-delete').onclick = () => end({isDeleted: true});
+}
+
+/// Asks for a class's name and colour. `row`: the class to change, or none for a new one. Resolves to {name, color}, {mergeInto: name},
+/// {isDeleted: true} or null.
 export function askClass(classes, row) {
   const dialog = byId('class-dialog');
   const input = byId('class-name');
@@ -14,6 +40,7 @@ export function askClass(classes, row) {
   setText(byId('class-ok'), row ? 'Change it' : 'Make it');
   setText(byId('class-problem'), '');
   input.value = row?.name ?? '';
+  input.disabled = Boolean(row?.own);
 
   const offered = kPalette.some((rgb) => hexColor(rgb) === hexColor(color)) ? kPalette : [color, ...kPalette.slice(0, -1)];
   const swatches = offered.map((rgb) => {
@@ -49,6 +76,10 @@ export function askClass(classes, row) {
 
   return new Promise((resolve) => {
     let result = null;
+    offerEnds(row, others, (how) => {
+      result = how;
+      dialog.close();
+    });
     const form = dialog.querySelector('form');
     form.onsubmit = (event) => {
       const name = input.value.trim();
@@ -71,14 +102,18 @@ export function askClass(classes, row) {
 
 const kHelp = [
   ['Label', [
-    ['click', 'label the pixel with the chosen class'],
-    ['drag', 'label a stroke'],
+    ['click, drag', 'label with the chosen class: a place, a stroke'],
+    ['b', 'brush'],
+    ['p', 'polygon: click corners or drag; enter or the first corner closes it, backspace takes a corner back'],
+    ['x', 'eraser: click or drag over clicks to delete them'],
+    ['del', 'delete the click under the pointer, or the selected one (click it with its own class)'],
     ['1 ... 9', 'choose a class'],
     ['shift+1 ... 9', 'give the chosen class this key'],
     [', .', 'the class before, the next'],
     ['c', 'choose the class under the pointer'],
     ['n', 'make a class'],
-    ['F2', 'rename the chosen class (or double click)'],
+    ['F2', 'rename, merge or delete the chosen class (or double click)'],
+    ['i', 'ignore: what nobody shall label'],
     ['[ ]', 'smaller brush, larger brush'],
     ['z, shift+z', 'undo, do again'],
   ]],
@@ -105,6 +140,8 @@ const kHelp = [
   ['Fly', [
     ['f', 'fly through the scene; f or esc leaves'],
     ['w a s d, q e', 'move; down, up (with shift: faster)'],
+    ['click', 'label what is there, in the photograph that shows it best'],
+    ['v', 'go to that photograph, or the nearest'],
     ['drag, arrows', 'look around'],
     ['wheel', 'move ahead or back'],
   ]],

@@ -142,7 +142,7 @@ export class Flight {
         if (took_ms < 80) this.size_px = Math.min(kSizes.most, Math.round(this.size_px * 1.15));
       }
       if (picture.stale) this.renew();
-      else this.changed(picture);
+      else this.changed({...picture, camera: request.camera});
     }, (error) => {
       setTimeout(() => this.renew(), 1000);
       this.trouble(error);

@@ -1,18 +1,10 @@
 // What a person does to the labels: clicks, classes, undo. Keeps what the program does not know yet and adds it to its state.
 import {EventQueue, Ids, safeStorage} from './events.js';
-import {MarkBirths, combined, merged, strokeParts} from './model.js';
+import {MarkBirths, combined, kIgnore, merged, outlineCorners, strokeParts} from './model.js';
 
 const kMostHistory = 300;
 
-/// What an event did, for a message.
-function inWords(event) {
-  switch (event.type) {
-    case 'click': return `${event.points.length > 1 ? 'stroke' : 'click'} "${event.class}" in ${event.frame}`;
-    case 'class': return `class "${event.name}"`;
-    case 'rename': return event.class === event.name ? `colour of "${event.name}"` : `"${event.class}" is "${event.name}"`;
-    default: return 'skipped proposal';
-  }
-}
+export const shapeOf = ({points, fill}) => (fill ? 'polygon' : points.length > 1 ? 'stroke' : 'click');
 
 export class Labeller {
   /// changed(): something shown is another; tell(text): a word of what was done; refuse(sentence, remedy, passes): an error to show, passes: until all is saved.
@@ -23,6 +15,7 @@ export class Labeller {
     this.state = null;
     this.classes = [];
     this.marks = [];
+    this.ignore = {...kIgnore, name: 'void', clicks: 0};  // the row of what is ignored
     this.births = new MarkBirths();
     this.pending = [];      // [{event, revision}]; revision: of the answer, null before it came
     this.everyEvent = new Map();
@@ -40,12 +33,26 @@ export class Labeller {
       },
       refused: (event, error) => {
         this.forget(event);
-        this.refuse(`Not taken (${inWords(event)}): ${error.message}`, error.remedy);
+        this.refuse(`Not taken (${this.inWords(event)}): ${error.message}`, error.remedy);
       },
       failed: (error) => {
         if (error.status >= 500) this.refuse(error.message, error.remedy || 'It stays in this browser and is sent again.', true);
       },
     });
+  }
+
+  /// What an event did, for a message.
+  inWords(event) {
+    const name = event.class === this.ignore.name ? 'ignore' : `"${event.class}"`;
+    switch (event.type) {
+      case 'click': return `${shapeOf(event)} ${name} in ${event.frame}`;
+      case 'class': return `class "${event.name}"`;
+      case 'rename': return event.class === event.name ? `colour of "${event.name}"` : `"${event.class}" is "${event.name}"`;
+      case 'merge': return `${name} merged into "${event.into}"`;
+      case 'delete': return `class ${name} deleted`;
+      case 'undo': return this.everyEvent.has(event.of) ? `deletion of ${this.inWords(this.everyEvent.get(event.of))}` : 'deletion';
+      default: return 'skipped proposal';
+    }
   }
 
   get unsaved() { return this.queue.unsent.length; }
@@ -77,7 +84,7 @@ export class Labeller {
     this.pending = this.pending.filter((item) => item.revision === null || item.revision > this.state.revision);
     const index = this.classes.find((row) => row.name === this.chosen)?.index ?? -1;
     Object.assign(this, combined(this.state, this.pending, this.everyEvent));
-    if (this.chosen !== null && !this.classes.some((row) => row.name === this.chosen)) {
+    if (this.chosen !== null && !this.classOf(this.chosen)) {
       this.chosen = this.classes.find((row) => row.index === index && index >= 0)?.name ?? null;
     }
     this.changed();
@@ -89,7 +96,8 @@ export class Labeller {
     return proposal && proposal.id !== this.skipped ? proposal : null;
   }
 
-  classOf(name) { return this.classes.find((row) => row.name === name); }
+  /// The class's row, or that of what is ignored.
+  classOf(name) { return this.classes.find((row) => row.name === name) ?? (name === this.ignore.name ? this.ignore : undefined); }
 
   choose(name) {
     this.chosen = name;
@@ -110,13 +118,51 @@ export class Labeller {
     return whole;
   }
 
+  within(view, points) {
+    const {width, height} = this.state.views[view];
+    return points.map(([x, y]) => [Math.min(Math.max(x, 0), width - 0.01), Math.min(Math.max(y, 0), height - 0.01)]);
+  }
+
   /// A click (one point) or a stroke in pixels of the view, with the chosen class.
   click(view, points, radius) {
     const {frame, width, height} = this.state.views[view];
-    const within = points.map(([x, y]) => [Math.min(Math.max(x, 0), width - 0.1), Math.min(Math.max(y, 0), height - 0.1)]);
-    for (const part of strokeParts(within, Math.max(0.7, radius / 3))) {
+    for (const part of strokeParts(this.within(view, points), Math.max(0.7, radius / 3))) {
       this.add({type: 'click', frame, size: [width, height], points: part, radius, class: this.chosen});
     }
+  }
+
+  /// The inside of an outline; `step`: corners that lie nearer to the one before are left out.
+  polygon(view, points, step) {
+    const {frame, width, height} = this.state.views[view];
+    const corners = outlineCorners(this.within(view, points), step);
+    if (corners.length < 3) return this.tell('A polygon needs three corners.');
+    this.add({type: 'click', frame, size: [width, height], points: corners, radius: 0, class: this.chosen, fill: true});
+  }
+
+  /// Takes marks away, each as an undo of its event, which can itself be undone.
+  erase(marks) {
+    for (const mark of marks) {
+      if (!this.everyEvent.has(mark.id)) this.everyEvent.set(mark.id, this.eventOf(mark));
+      this.add({type: 'undo', of: mark.id});
+    }
+    if (marks.length) this.tell(marks.length === 1 ? `Deleted: ${this.inWords(this.eventOf(marks[0]))}` : `Deleted: ${marks.length} clicks`);
+  }
+
+  eventOf(mark) {
+    return {id: mark.id, type: 'click', frame: this.state.views[mark.view].frame, points: mark.points, fill: mark.fill, class: mark.name};
+  }
+
+  mergeClass(name, into) {
+    const {clicks} = this.classOf(name);
+    this.add({type: 'merge', class: name, into});
+    if (this.chosen === name || this.chosen === null) this.choose(into);
+    this.tell(`"${name}" is merged into "${into}", which got its ${clicks} click${clicks === 1 ? '' : 's'}.`);
+  }
+
+  deleteClass(name) {
+    const {clicks} = this.classOf(name);
+    this.add({type: 'delete', class: name});
+    this.tell(`"${name}" is deleted${clicks ? ` with ${clicks} click${clicks === 1 ? '' : 's'}` : ''}; z brings it back.`);
   }
 
   addClass(name, color) {
@@ -148,13 +194,13 @@ export class Labeller {
     let event = this.undoable.pop();
     if (!event) {
       const mark = this.marks.findLast(({id}) => this.ids.isOurs(id));
-      if (mark) event = {id: mark.id, type: 'click', frame: this.state.views[mark.view].frame, points: mark.points, class: mark.name};
+      if (mark) event = this.eventOf(mark);
     }
     if (!event) return this.tell('There is nothing to undo.');
     if (!this.everyEvent.has(event.id)) this.everyEvent.set(event.id, event);
     this.redoable.push(this.add({type: 'undo', of: event.id}, false));
     this.keep();
-    this.tell(`Undone: ${inWords(event)}`);
+    this.tell(`Undone: ${this.inWords(event)}`);
   }
 
   redo() {
@@ -164,7 +210,7 @@ export class Labeller {
     this.undoable.push(event);
     this.add({type: 'undo', of: undo.id}, false);
     if (event.type === 'class') this.choose(event.name);
-    this.tell(`Done again: ${inWords(event)}`);
+    this.tell(`Done again: ${this.inWords(event)}`);
   }
 
   forget(event) {

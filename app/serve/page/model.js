@@ -6,9 +6,14 @@ export function merged(state, answer) {
   return {...answer, marks: answer.marks ?? state?.marks ?? [], history: answer.history ?? state?.history ?? []};
 }
 
+/// The name by which events say that a region is ignored: one that means "no class" to the program, and that no class has.
+export const ignoreName = (classes) => ['void', 'undefined', 'unlabelled'].find((name) => !classes.some((row) => row.name === name));
+/// What stands for it on the page.
+export const kIgnore = {index: -1, label: 'ignore', color: [150, 150, 150], isIgnore: true};
+
 /// Classes and marks as they will be when every pending event is known. Pending: [{event}], in order; an event's undo hides it.
-/// classes: [{index, name, color, clicks, area_share, confidence, saved}], index -1 while the program has not named it;
-/// marks: [{id, view, points, radius, name, color, saved}].
+/// classes: [{index, name, color, clicks, area_share, confidence, own, saved}], index -1 while the program has not named it;
+/// marks: [{id, view, points, radius, fill, name, label, color, isIgnore, saved}], points in pixels of the view, label: the name to show.
 export function combined(state, pending, everyEvent) {
   const undone = new Set();
   const revived = new Set();
@@ -30,33 +35,56 @@ export function combined(state, pending, everyEvent) {
   }
 
   const classes = state.classes.map((row) => ({...row, saved: true}));
+  const ignore = {...kIgnore, name: ignoreName(classes)};
+  const byIndex = new Map(classes.map((row) => [row.index, row]));
+  const byName = new Map(classes.map((row) => [row.name, row]));  // as events name them, one after the other
+  const named = new Map();                                        // rows of clicks that are pending
+  const end = (name, into) => {
+    const row = byName.get(name);
+    if (!row || into === undefined) return;
+    classes.splice(classes.indexOf(row), 1);
+    byName.delete(name);
+    row.into = into;  // another row, or null: deleted
+  };
   for (const event of alive) {
-    if (event.type === 'class' && !classes.some((row) => row.name === event.name)) {
+    if (event.type === 'class' && !byName.has(event.name)) {
       const color = event.color ?? freeColor(classes.map((row) => row.color));
       classes.push({index: -1, name: event.name, color, clicks: 0, area_share: 0, confidence: 0, saved: false});
+      byName.set(event.name, classes.at(-1));
     }
-    if (event.type === 'rename') {
-      const row = classes.find(({name}) => name === event.class);
-      if (row) Object.assign(row, {name: event.name, color: event.color ?? row.color, saved: false});
+    if (event.type === 'merge') end(event.class, byName.get(event.into));
+    if (event.type === 'delete') end(event.class, null);
+    if (event.type === 'rename' && byName.has(event.class)) {
+      const row = byName.get(event.class);
+      byName.delete(event.class);
+      Object.assign(row, {name: event.name, color: event.color ?? row.color, saved: false});
+      byName.set(event.name, row);
     }
+    if (event.type === 'click') named.set(event.id, byName.get(event.class) ?? (event.class === ignore.name ? ignore : {name: event.class, color: kIgnore.color}));
   }
-  const byIndex = new Map(classes.map((row) => [row.index, row]));
-  const byName = new Map(classes.map((row) => [row.name, row]));
+  const last = (row) => {
+    let now = row;
+    while (now && now.into !== undefined) now = now.into;
+    return now;
+  };
+  const shown = ({name, label, color, isIgnore}) => ({name, label: label ?? name, color, isIgnore: Boolean(isIgnore)});
   const marks = [];
   for (const mark of state.marks) {
-    const row = byIndex.get(mark.class);
-    if (!undone.has(mark.id)) marks.push({...mark, name: row?.name ?? 'void', color: row?.color ?? [160, 160, 160], saved: true});
+    const row = mark.class < 0 ? ignore : last(byIndex.get(mark.class));
+    if (!undone.has(mark.id) && row) marks.push({...mark, ...shown(row), saved: true});
   }
   const known = new Set(state.marks.map((mark) => mark.id));
   const viewOf = new Map(state.views.map((view, i) => [view.frame, i]));
   for (const event of alive) {
     if (event.type !== 'click' || known.has(event.id) || !viewOf.has(event.frame)) continue;
-    const row = byName.get(event.class);
-    marks.push({id: event.id, view: viewOf.get(event.frame), points: event.points, radius: event.radius, name: event.class,
-                color: row?.color ?? [160, 160, 160], saved: false});
+    const row = last(named.get(event.id));
+    const view = viewOf.get(event.frame);
+    const share = event.size ? state.views[view].width / event.size[0] : 1;
+    if (row) marks.push({id: event.id, view, points: event.points.map((p) => p.map((v) => v * share)), radius: event.radius * share, fill: Boolean(event.fill), ...shown(row), saved: false});
   }
-  for (const row of classes) row.clicks = marks.filter(({name}) => name === row.name).length;
-  return {classes, marks};
+  ignore.clicks = marks.filter(({isIgnore}) => isIgnore).length;
+  for (const row of classes) row.clicks = marks.filter(({name, isIgnore}) => !isIgnore && name === row.name).length;
+  return {classes, marks, ignore};
 }
 
 /// Which events of `overlay` (a revision of the label maps) are known, from the pairs that states told.
@@ -91,19 +119,60 @@ export class MarkBirths {
 /// The order in which the strip shows views.
 export function orderedViews(views, order) {
   const all = views.map((_, i) => i);
-  if (order === 'uncertain') all.sort((a, b) => views[b].entropy - views[a].entropy || a - b);
-  if (order === 'few') all.sort((a, b) => views[a].clicks - views[b].clicks || views[b].entropy - views[a].entropy || a - b);
+  const last = (a, b) => Boolean(views[a].held_out) - Boolean(views[b].held_out);  // they ask for no clicks
+  if (order === 'uncertain') all.sort((a, b) => last(a, b) || views[b].entropy - views[a].entropy || a - b);
+  if (order === 'few') all.sort((a, b) => last(a, b) || views[a].clicks - views[b].clicks || views[b].entropy - views[a].entropy || a - b);
   return all;
 }
 
-/// Events of one stroke in parts of at most `most` points that share their ends, rounded to a tenth of a pixel and without
+const kDigits = 100;  // a photograph may have many pixels for one of the view
+const rounded = (point) => point.map((v) => Math.round(v * kDigits) / kDigits);
+
+/// Where a point (x, y) lies from the polyline `points`.
+export function distanceTo(points, x, y) {
+  let least = Math.hypot(points[0][0] - x, points[0][1] - y);
+  for (let i = 1; i < points.length; ++i) {
+    const [[ax, ay], [bx, by]] = [points[i - 1], points[i]];
+    const [dx, dy] = [bx - ax, by - ay];
+    const t = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / Math.max(1e-12, dx * dx + dy * dy)));
+    least = Math.min(least, Math.hypot(ax + t * dx - x, ay + t * dy - y));
+  }
+  return least;
+}
+
+/// Whether the closed outline holds a point, by the even-odd rule.
+export function isWithin(outline, x, y) {
+  let isIn = false;
+  outline.forEach(([bx, by], i) => {
+    const [ax, ay] = outline.at(i - 1);
+    if ((ay > y) !== (by > y) && x < ax + ((y - ay) / (by - ay)) * (bx - ax)) isIn = !isIn;
+  });
+  return isIn;
+}
+
+/// The latest mark that covers a point, or comes nearer than `slack`; a mark's first point counts before all others. Or null.
+export function markAt(marks, [x, y], slack) {
+  const first = ({points: [[px, py]]}) => Math.hypot(px - x, py - y);
+  const heads = marks.filter((mark) => first(mark) < slack);
+  if (heads.length) return heads.reduce((best, mark) => (first(mark) <= first(best) ? mark : best));
+  return marks.findLast(({points, radius, fill}) => (fill ? isWithin(points, x, y) : distanceTo(points, x, y) < Math.max(radius, slack / 2))) ?? null;
+}
+
+/// An outline of at most `most` corners, rounded, without corners nearer than `step` to the one before.
+export function outlineCorners(points, step, most = 4096) {
+  const kept = points.filter((p, i) => i === 0 || Math.hypot(p[0] - points[i - 1][0], p[1] - points[i - 1][1]) >= step);
+  const every = Math.ceil(kept.length / most);
+  return kept.filter((_, i) => i % every === 0).map(rounded);
+}
+
+/// Events of one stroke in parts of at most `most` points that share their ends, rounded to a hundredth of a pixel and without
 /// points that lie nearer than `step` to the one before.
 export function strokeParts(points, step, most = 4096) {
   const kept = [];
   for (const [i, point] of points.entries()) {
     const last = kept.at(-1);
     if (last && i + 1 < points.length && Math.hypot(point[0] - last[0], point[1] - last[1]) < step) continue;
-    kept.push(point.map((v) => Math.round(v * 10) / 10));
+    kept.push(rounded(point));
   }
   const parts = [];
   for (let at = 0; at < kept.length; at += most - 1) {

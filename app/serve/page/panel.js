@@ -8,7 +8,7 @@ const kWords = {labels: 'Label images', coco: 'COCO', mesh: 'Mesh'};
 const percent = (share) => (share >= 0.0995 ? `${Math.round(100 * share)}` : (100 * share).toFixed(1));
 
 export class Panel {
-  /// calls: choose(name), rename(row), point(name or null), export(what).
+  /// calls: choose(name), ignore(), rename(row), point(name or null), export(what).
   constructor(calls) {
     this.calls = calls;
     this.plots = new Plots(byId('plots'));
@@ -16,6 +16,7 @@ export class Panel {
     for (const button of document.querySelectorAll('#exports button')) {
       button.addEventListener('click', () => calls.export(button.dataset.what));
     }
+    byId('ignore').addEventListener('click', () => calls.ignore());
     byId('classes').addEventListener('keydown', (event) => {
       const step = {ArrowDown: 1, ArrowUp: -1}[event.key];
       if (!step) return;
@@ -43,8 +44,10 @@ export class Panel {
     byId('classes').append(row.item);
   }
 
-  /// keys: digit of a class's name, or none.
-  updateClasses(classes, chosen, keys, room) {
+  /// keys: digit of a class's name, or none; ignore: the row of what is ignored.
+  updateClasses(classes, ignore, chosen, keys, room) {
+    setAttribute(byId('ignore'), 'aria-pressed', chosen === ignore.name);
+    setText(byId('ignore').querySelector('.clicks'), ignore.clicks ? String(ignore.clicks) : '');
     while (this.rows.length < classes.length) this.addRow();
     while (this.rows.length > classes.length) this.rows.pop().item.remove();
     const hasChosen = classes.some(({name}) => name === chosen);
@@ -63,7 +66,7 @@ export class Panel {
       const told = shown.saved ? '' : ', not saved yet';
       setAttribute(row.item, 'aria-label', `${shown.name}${key ? `, key ${key}` : ''}, ${shown.clicks} clicks, ${percent(shown.area_share)} % of the area, ` +
         `${Math.round(100 * shown.confidence)} % sure${told}`);
-      setAttribute(row.item, 'title', `${shown.name}${told}: click to choose, double click to change`);
+      setAttribute(row.item, 'title', `${shown.name}${told}: click to choose, double click to rename, merge or delete`);
       row.item.classList.toggle('unsaved', !shown.saved);
     });
     setText(byId('room'), `${classes.length} of ${room.most}`);

@@ -3,6 +3,16 @@ import {getBlob, photoAddress} from './api.js';
 import {kEntropyColors} from './colors.js';
 
 const kKept = 16;
+const kKeptLarge = 3;      // photographs larger than the view: some have many megapixels
+const kLevels_px = [1024, 2048, 4096];
+
+/// Longest side to ask for, so that a photograph shown `wanted_px` long is sharp: what the program has at hand for the view, a level, or
+/// 0 for all that there is.
+export function photoLevel(wanted_px, view_px) {
+  if (wanted_px <= view_px) return view_px;
+  return kLevels_px.find((level) => level >= wanted_px && level > view_px) ?? 0;
+}
+const isLess = (level, other) => level !== 0 && (other === 0 || level < other);
 
 /// A map that forgets what was used longest ago.
 class Recent {
@@ -43,24 +53,41 @@ export class Pictures {
   constructor(channel, changed, trouble) {
     Object.assign(this, {channel, changed, trouble});
     this.photos = new Recent(kKept);
+    this.large = new Recent(kKeptLarge);
     this.overlays = new Recent(kKept);
     this.wished = null;
   }
 
+  /// The best photograph of the view that is there, or null; one that is sharp when it is shown `wanted_px` long is fetched.
   /// name: of the photograph, which is another when the scene was changed and the program started again.
-  photo(view, name) {
-    const known = this.photos.get(view);
-    if (known?.name === name) return known.bitmap;
-    const entry = {name, bitmap: null};
-    this.photos.set(view, entry);
-    getBlob(photoAddress(view, name)).then(createImageBitmap).then((bitmap) => {
-      entry.bitmap = bitmap;
+  photo(view, name, view_px, wanted_px) {
+    const small = this.fetched(this.photos, view, name, view_px);
+    const level = photoLevel(wanted_px, view_px);
+    const large = level === view_px ? this.large.get(view) : this.fetched(this.large, view, name, level);
+    return (large?.name === name ? large.bitmap : null) ?? small.bitmap;
+  }
+
+  /// {bitmap, level}: of a photograph at this level or a higher one; a lower one until it comes.
+  fetched(kept, view, name, level) {
+    const before = kept.get(view);
+    const entry = before?.name === name ? before : {name, bitmap: null, level: undefined, coming: undefined};
+    const has = entry.level !== undefined && !isLess(entry.level, level);
+    const comes = entry.coming !== undefined && !isLess(entry.coming, level);
+    kept.set(view, entry);
+    if (has || comes || entry.isAll || entry.rests) return entry;
+    entry.coming = level;
+    getBlob(photoAddress(view, name, level)).then(createImageBitmap).then((bitmap) => {
+      if (isLess(level, entry.level)) return;
+      entry.bitmap?.close();
+      Object.assign(entry, {bitmap, level, isAll: level === 0 || Math.max(bitmap.width, bitmap.height) < level});
       this.changed();
     }, (error) => {
-      if (this.photos.get(view) === entry) this.photos.delete(view);
+      entry.coming = undefined;
+      entry.rests = true;
+      if (error.status !== 400) setTimeout(() => { entry.rests = false; this.changed(); }, 3000);
       this.trouble(error);
     });
-    return null;
+    return entry;
   }
 
   /// {labels, entropy, color, revision, full...} of the view, or null; older than the newest while that is fetched.
@@ -94,7 +121,7 @@ export class Pictures {
     if (!picture.stale) {
       const entry = this.overlays.get(view) ?? {};
       const revision = picture.overlay_revision;
-      Object.assign(entry, {revision, labels: picture.labels ?? entry.labels ?? null});
+      Object.assign(entry, {revision, labels: picture.labels ?? entry.labels ?? null, marks: picture.marks, width: picture.width});
       if (picture.entropy) Object.assign(entry, {entropy: entropyCanvas(picture.entropy), entropyRevision: revision});
       if (picture.color) Object.assign(entry, {color: picture.color, colorRevision: revision, colored_ms: performance.now()});
       entry.version = (entry.version ?? 0) + 1;

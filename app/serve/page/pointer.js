@@ -2,7 +2,7 @@
 
 const kStill_px = 4;
 
-/// Calls: hover(x, y) or hover(null); down(x, y), draw(x, y), up(isClick), cancel() of the left button, a pen or one finger;
+/// Calls: hover(x, y) or hover(null); down(x, y), draw(x, y), up(isClick, x, y), cancel() of the left button, a pen or one finger;
 /// pan(dx, dy) of the right or middle button or two fingers; zoom(factor, x, y). Points are CSS pixels of the element.
 export function followPointer(element, calls) {
   const pointers = new Map();
@@ -65,7 +65,7 @@ export function followPointer(element, calls) {
   const ended = (event) => {
     if (!pointers.delete(event.pointerId)) return;
     if (mode === 'draw') {
-      if (event.type === 'pointerup') calls.up(!moved);
+      if (event.type === 'pointerup') calls.up(!moved, ...at(event));
       else calls.cancel();
       mode = null;
     }

@@ -2,12 +2,14 @@
 import {ViewCanvas} from './canvas.js';
 import {byId, setText} from './dom.js';
 import {followPointer} from './pointer.js';
+import {Tools} from './tools.js';
 import {isInside, moved, toScreen, zoomed} from './viewport.js';
 
 const kDimmed = 50;  // alpha of other classes while one is pointed at
+const kHead_px = 9;  // of the screen: a pointer this near to the first point of a mark means the mark
 
 export class Stage {
-  /// calls: click(points, radius, isClick), changed(), drag(dx, dy) and wheel(factor) of a flight.
+  /// calls: those of Tools, changed(), drag(dx, dy), wheel(factor) and clickFlight(share of width, of height) of a flight.
   constructor(labeller, settings, calls) {
     Object.assign(this, {labeller, settings, calls});
     this.view = new ViewCanvas(byId('canvas'));
@@ -16,19 +18,25 @@ export class Stage {
     this.pointed = null;       // name of the class whose row is pointed at
     this.pointer = null;       // CSS pixels
     this.cross = null;         // pixels of the view; for clicks without a mouse
-    this.stroke = null;
-    this.flown = null;         // picture of a flight
+    this.marks = [];           // of the view
+    this.others = [];          // clicks of other views that are seen
+    this.selected = null;      // id of a mark
+    this.tools = new Tools(this, calls);
     new ResizeObserver(() => { if (this.view.resize()) calls.changed(); }).observe(byId('canvas'));
     this.view.resize();
     followPointer(byId('canvas'), {
       hover: (x, y) => { this.pointer = x === null ? null : [x, y]; if (x !== null) this.cross = null; calls.changed(); },
-      down: (x, y) => { if (!calls.isFlying()) this.begin(x, y); else this.last = [x, y]; },
+      down: (x, y) => { if (!calls.isFlying()) this.tools.down(x, y); else this.last = [x, y]; },
       draw: (x, y) => {
         if (calls.isFlying()) { calls.drag(x - this.last[0], y - this.last[1]); this.last = [x, y]; }
-        else this.extend(x, y);
+        else this.tools.draw(x, y);
       },
-      up: (isClick) => { if (!calls.isFlying()) this.finish(isClick); },
-      cancel: () => { this.stroke = null; calls.changed(); },
+      up: (isClick, x, y) => {
+        if (!calls.isFlying()) return this.tools.up(x, y, isClick);
+        const at = this.view.imageAt(x, y);
+        if (isClick && isInside(this.view.image, ...at)) calls.clickFlight(at[0] / this.view.image.width, at[1] / this.view.image.height);
+      },
+      cancel: () => this.tools.cancel(),
       pan: (dx, dy) => {
         if (calls.isFlying()) calls.drag(dx, dy);
         else this.look(moved(this.view.port, dx, dy, this.view.image, this.view.screen));
@@ -37,28 +45,7 @@ export class Stage {
     });
   }
 
-  get chosenColor() { return this.labeller.classOf(this.labeller.chosen)?.color ?? [255, 255, 255]; }
-
-  begin(x, y) {
-    const at = this.view.imageAt(x, y);
-    this.stroke = isInside(this.view.image, ...at) ? {points: [at], radius: this.settings.radius, color: this.chosenColor} : null;
-    this.calls.changed();
-  }
-
-  extend(x, y) {
-    if (!this.stroke) return;
-    const [ix, iy] = this.view.imageAt(x, y);
-    const {width, height} = this.view.image;
-    this.stroke.points.push([Math.min(Math.max(ix, 0), width - 0.1), Math.min(Math.max(iy, 0), height - 0.1)]);
-    this.calls.changed();
-  }
-
-  finish(isClick) {
-    const {stroke} = this;
-    this.stroke = null;
-    if (stroke) this.calls.click(isClick ? stroke.points.slice(0, 1) : stroke.points);
-    this.calls.changed();
-  }
+  get chosenRow() { return this.labeller.classOf(this.labeller.chosen) ?? {color: [255, 255, 255]}; }
 
   look(port) {
     this.view.look(port);
@@ -103,27 +90,41 @@ export class Stage {
     return color && (this.labeller.classes.find((row) => row.color.every((v, i) => Math.abs(v - color[i]) <= 1))?.name ?? null);
   }
 
-  markAt(marks) {
-    if (!this.pointer) return null;
+  /// The mark whose first point lies under a point of the screen, or null; of the view itself before those of others.
+  markUnder(x, y, marks = this.marks) {
     return marks.findLast(({points}) => {
-      const [x, y] = toScreen(this.view.port, ...points[0]);
-      return Math.hypot(x - this.pointer[0], y - this.pointer[1]) < 9;
+      const [px, py] = toScreen(this.view.port, ...points[0]);
+      return Math.hypot(px - x, py - y) < kHead_px;
     }) ?? null;
   }
 
-  /// Draws a view: photo or rendered colour, its overlay, the marks; `isPainted(mark)`: the overlay knows the mark.
-  drawView({index, picture, overlay, marks, isPainted, ring}) {
-    const {width, height} = this.labeller.state.views[index];
-    this.view.setImage(width, height);
+  /// The mark that keys mean: the one that is selected, or the one under the pointer or the cross.
+  get meant() {
+    const selected = this.marks.find(({id}) => id === this.selected);
+    if (selected) return selected;
+    const at = this.cross ? toScreen(this.view.port, ...this.cross) : this.pointer;
+    return at && this.markUnder(...at);
+  }
+
+  /// Draws a view: photo or rendered colour, its overlay, the marks; `isPainted(mark)`: the overlay knows the mark; others: clicks of other
+  /// views; isLocked: it is only looked at.
+  drawView({index, picture, overlay, marks, others, isPainted, ring, isLocked}) {
+    Object.assign(this, {marks, others});
     const isEntropy = this.kind === 'entropy';
-    const paints = isEntropy ? [] : marks.filter((mark) => !isPainted(mark));
+    // What is ignored has no label in the overlay; what was named on it later lies over its stripes.
+    const ignored = marks.findIndex(({isIgnore}) => isIgnore);
+    const paints = isEntropy ? [] : marks.filter((mark, i) => !isPainted(mark) || (ignored >= 0 && i >= ignored));
     this.paint(isEntropy ? overlay?.entropy : overlay?.labels, paints,
                `${index} ${this.kind} ${overlay?.version} ${paints.map(({id, color}) => id + color).join()}`);
-    const hovered = this.markAt(marks);
-    const brush = this.pointer && !this.cross && this.labeller.chosen !== null && this.aim
-      ? {x: this.aim[0], y: this.aim[1], radius: this.settings.radius, color: this.chosenColor} : null;
-    this.view.draw({picture, opacity: this.opacity, marks, hovered, showNames: this.settings.names, ring, brush, cross: this.cross, stroke: this.stroke});
-    this.tellAim(hovered);
+    const hovered = this.pointer && (this.markUnder(...this.pointer) ?? this.markUnder(...this.pointer, others));
+    const {tools} = this;
+    const hasBrush = this.pointer && !this.cross && this.aim && !isLocked && tools.kind !== 'polygon';
+    const brush = hasBrush && (tools.kind === 'erase' || this.labeller.chosen !== null)
+      ? {x: this.aim[0], y: this.aim[1], radius: this.settings.radius, color: tools.kind === 'erase' ? [255, 107, 94] : this.chosenRow.color} : null;
+    const outline = tools.outline && {points: tools.outline, color: this.chosenRow.color, tip: this.aim, closes: tools.closes};
+    this.view.draw({picture, opacity: this.opacity, marks, others, hovered, selected: marks.find(({id}) => id === this.selected), doomed: tools.doomed,
+                    showNames: this.settings.names, ring, brush, cross: this.cross, stroke: tools.stroke, outline});
+    this.tellAim(hovered, isLocked);
   }
 
   drawFlight(picture, text) {
@@ -131,7 +132,7 @@ export class Stage {
       this.view.setImage(picture.width, picture.height);
       this.paint(picture.labels, [], `flight ${picture.serial}`);
     }
-    this.view.draw({isSmooth: true, picture: picture?.color, opacity: picture ? this.opacity : 0, marks: []});
+    this.view.draw({isSmooth: true, picture: picture?.color, opacity: picture ? this.opacity : 0, marks: [], others: picture?.shown ?? [], showNames: this.settings.names});
     setText(byId('readout'), text);
   }
 
@@ -146,15 +147,20 @@ export class Stage {
     if (color) this.view.dimOthers(color, kDimmed);
   }
 
-  tellAim(hovered) {
-    const {aim} = this;
-    let text = '';
+  tellAim(hovered, isLocked) {
+    const {aim, tools} = this;
+    const words = [];
+    if (isLocked) words.push('Held out for tests: only to look at.');
+    if (tools.outline) words.push(`${tools.outline.length} corner${tools.outline.length === 1 ? '' : 's'}`);
     if (aim) {
+      words.push(`${aim[0].toFixed(1)}, ${aim[1].toFixed(1)}`);
+      if (hovered) {
+        const where = hovered.frame ? ` in ${hovered.frame}` : '';
+        words.push(`(clicked as ${hovered.label}${where}${hovered.saved ? '' : ', not saved yet'}${where ? '' : '; Delete removes it'})`);
+      }
       const name = this.classAt(aim);
-      text = `${Math.floor(aim[0])}, ${Math.floor(aim[1])}`;
-      if (name) text += `  ${name}`;
-      if (hovered) text += `  (clicked as ${hovered.name}${hovered.saved ? '' : ', not saved yet'})`;
+      if (name) words.push(name);
     }
-    setText(byId('readout'), text);
+    setText(byId('readout'), words.join('  ·  '));
   }
 }

@@ -33,7 +33,8 @@ export class Strip {
       const name = make('span', {class: 'name'}, make('bdi', {dir: 'ltr'}, view.frame));
       const clicks = make('span', {class: 'clicks'});
       const bar = make('span', {class: 'bar'}, make('i'));
-      const button = make('button', {'data-view': i, tabindex: -1, title: view.frame}, image, name, clicks, bar);
+      const badge = view.held_out ? [make('span', {class: 'badge'}, 'test')] : [];
+      const button = make('button', {'data-view': i, tabindex: -1, title: view.frame}, image, name, clicks, view.held_out ? '' : bar, ...badge);
       const item = make('li', {}, button);
       return {item, button, clicks, fill: bar.firstChild};
     });
@@ -55,7 +56,7 @@ export class Strip {
       const percent = Math.round(100 * view.entropy);
       setText(count, clicks[i] ? String(clicks[i]) : '');
       setStyle(fill, 'width', `${percent}%`);
-      const label = `${view.frame}: ${clicks[i]} click${clicks[i] === 1 ? '' : 's'}, entropy ${percent} %${i === proposed ? ', click proposed' : ''}`;
+      const label = view.held_out ? `${view.frame}: held out for tests, only to look at` : `${view.frame}: ${clicks[i]} click${clicks[i] === 1 ? '' : 's'}, entropy ${percent} %${i === proposed ? ', click proposed' : ''}`;
       setAttribute(button, 'aria-label', label);
       setAttribute(button, 'title', label);
       setAttribute(button, 'aria-current', i === current);

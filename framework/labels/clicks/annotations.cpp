@@ -7,7 +7,6 @@
 #include "core/error.h"
 #include "formats/png_codec.h"
 #include "labels/label_files.h"
-#include "labels/outline_fill.h"
 
 namespace semfield {
 
@@ -20,12 +19,22 @@ namespace {
 Annotations::Mark mark_of(const LabelEvent& event, int frame, const Camera& camera, int class_index) {
   const double scale_x = static_cast<double>(camera.width_px) / event.width_px,
                scale_y = static_cast<double>(camera.height_px) / event.height_px;
-  Annotations::Mark mark{event.id, frame, {}, event.radius_px * scale_x, class_index};
+  Annotations::Mark mark{event.id, frame, {}, event.radius_px * scale_x, class_index, event.fill};
   for (const PixelPoint& p : event.points) mark.points.push_back({p.x * scale_x, p.y * scale_y});
   return mark;
 }
 
+bool ends_a_class(LabelEventKind kind) {
+  return kind == LabelEventKind::merge_class || kind == LabelEventKind::delete_class;
+}
+
 }  // namespace
+
+std::vector<PixelRun> runs_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px) {
+  std::vector<PixelRun> inside;
+  if (mark.fill) inside = outline_runs(mark.points, width_px, height_px);
+  return inside.empty() ? stroke_runs(mark.points, mark.radius_px, width_px, height_px) : inside;
+}
 
 Annotations::Annotations(const SceneInfo& scene, int room) : own_(scene.classes.entries()) {
   for (const FrameInfo& frame : scene.frames) {
@@ -51,13 +60,27 @@ Annotations::Annotations(const SceneInfo& scene, int room) : own_(scene.classes.
   list_classes();
 }
 
-int Annotations::resolve_class(const LabelEvent& event) const {
+int Annotations::resolve_class(const LabelEvent& event, const std::string& name) const {
   for (std::size_t c = 0; c < named_.size(); ++c) {
-    if (named_[c] && named_[c]->name == event.class_name) return static_cast<int>(c);
+    if (named_[c] && named_[c]->name == name) return static_cast<int>(c);
   }
   const ClassNames names(named_table());
-  if (names.find(event.class_name) == kVoid) return kVoid;
-  refuse(event, "no class '" + event.class_name + "'", names.remedy_for(event.class_name));
+  if (names.find(name) == kVoid) return kVoid;
+  for (auto end = ends_.rbegin(); end != ends_.rend(); ++end) {
+    const Record& record = records_[static_cast<std::size_t>(*end)];
+    if (!record.in_force || record.event.class_name != name) continue;
+    const bool merged = record.event.kind == LabelEventKind::merge_class;
+    refuse(event, "no class '" + name + "' any more",
+           merged ? "it was merged into '" + record.event.new_name + "'" : "it was deleted");
+  }
+  refuse(event, "no class '" + name + "'", names.remedy_for(name));
+}
+
+int Annotations::resolve_added_class(const LabelEvent& event, const char* remedy) const {
+  const int c = resolve_class(event, event.class_name);
+  if (c == kVoid) refuse(event, "'" + event.class_name + "' stands for pixels without a class");
+  if (c < own_classes_) refuse(event, "the class '" + event.class_name + "' is one of the scene's own", remedy);
+  return c;
 }
 
 void Annotations::require_free_name(const LabelEvent& event, const std::string& name, const char* remedy) const {
@@ -105,27 +128,66 @@ Annotations::Turned Annotations::turned_by(int of) const {
   return turned;
 }
 
+std::optional<int> Annotations::class_now(int record) const {
+  int c = records_[static_cast<std::size_t>(record)].class_index;
+  for (auto end = std::upper_bound(ends_.begin(), ends_.end(), record); end != ends_.end(); ++end) {
+    const Record& e = records_[static_cast<std::size_t>(*end)];
+    if (!e.in_force || e.class_index != c) continue;
+    if (e.event.kind == LabelEventKind::delete_class) return std::nullopt;
+    c = e.into;
+  }
+  return c;
+}
+
+const Annotations::Record* Annotations::end_of_class(int added) const {
+  for (auto end = ends_.rbegin(); end != ends_.rend() && *end > added; ++end) {
+    const Record& e = records_[static_cast<std::size_t>(*end)];
+    if (e.in_force && (e.class_record == added || e.into_record == added)) return &e;
+  }
+  return nullptr;
+}
+
 void Annotations::check_undo(const LabelEvent& event) const {
   const auto found = record_of_.find(event.of);
   if (found == record_of_.end()) refuse(event, "there is no event '" + event.of + "' to undo");
   if (!records_[static_cast<std::size_t>(found->second)].in_force)
     refuse(event, "event '" + event.of + "' is undone already", "undo its undo to bring it back");
   const Turned turned = turned_by(found->second);
+  const int last = turned.records.back();
+  const Record& record = records_[static_cast<std::size_t>(last)];
+  if (record.event.kind == LabelEventKind::skip) return;
+  if (record.event.kind != LabelEventKind::click) return check_class_undo(event, turned);
+  if (!turned.in_force) return;
+  const bool is_deleted = !class_now(last).has_value();
+  if (is_deleted || !has_its_class(record))
+    refuse(event, "the class '" + record.event.class_name + "' of this click is " + (is_deleted ? "deleted" : "undone"),
+           "bring the class back first");
+}
+
+void Annotations::check_class_undo(const LabelEvent& event, const Turned& turned) const {
   const Record& last = records_[static_cast<std::size_t>(turned.records.back())];
   const auto c = static_cast<std::size_t>(last.class_index);
-  if (last.event.kind == LabelEventKind::click) {
-    if (turned.in_force && !has_its_class(last))
-      refuse(event, "the class '" + last.event.class_name + "' of this click is undone", "bring the class back first");
-    return;
+  if (last.event.kind == LabelEventKind::add_class && !turned.in_force) {
+    if (const Record* const end = end_of_class(turned.records.back()))
+      refuse(event, "the class '" + last.event.class_name + "' was merged or deleted since",
+             "undo event '" + end->event.id + "' first");
+    const auto uses = [&](const Mark& mark) { return mark.class_index == last.class_index; };
+    const auto clicks = std::count_if(marks().begin(), marks().end(), uses);
+    if (clicks > 0) {
+      refuse(event, "the class '" + named_[c]->name + "' has " + std::to_string(clicks) + " clicks",
+             "undo its clicks first");
+    }
   }
-  if (last.event.kind == LabelEventKind::skip) return;
-  const auto uses = [&](const Mark& mark) { return mark.class_index == last.class_index; };
-  const auto clicks = std::count_if(marks().begin(), marks().end(), uses);
-  if (last.event.kind == LabelEventKind::add_class && !turned.in_force && clicks > 0) {
-    refuse(event, "the class '" + named_[c]->name + "' has " + std::to_string(clicks) + " clicks",
-           "undo its clicks first");
+  const bool ends = ends_a_class(last.event.kind);
+  if (ends && turned.in_force) {
+    const auto is_there = [&](int of, int added) { return is_named(of) && record_of_class(of) == added; };
+    const bool has_own = is_there(last.class_index, last.class_record);
+    if (!has_own || (last.into >= 0 && !is_there(last.into, last.into_record)))
+      refuse(event, "the class '" + (has_own ? last.event.new_name : last.event.class_name) + "' is no longer there",
+             "bring the class back first");
   }
-  if (last.event.kind == LabelEventKind::add_class && turned.in_force && named_[c]) {
+  const bool comes_back = last.event.kind == LabelEventKind::add_class ? turned.in_force : ends && !turned.in_force;
+  if (comes_back && named_[c]) {
     refuse(event, "the place of the class '" + last.event.class_name + "' has been given to '" + named_[c]->name + "'",
            "add the class anew, or undo '" + named_[c]->name + "' first");
   }
@@ -147,19 +209,29 @@ Annotations::Record Annotations::resolve(const LabelEvent& event) const {
       break;
     case LabelEventKind::click:
       resolve_place(event);
-      record.class_index = resolve_class(event);
-      if (record.class_index >= 0) record.class_record = named_[static_cast<std::size_t>(record.class_index)]->record;
+      record.class_index = resolve_class(event, event.class_name);
+      record.class_record = record_of_class(record.class_index);
       break;
     case LabelEventKind::change_class:
-      record.class_index = resolve_class(event);
-      if (record.class_index >= 0) record.class_record = named_[static_cast<std::size_t>(record.class_index)]->record;
+      record.class_index = resolve_class(event, event.class_name);
+      record.class_record = record_of_class(record.class_index);
       if (record.class_index == kVoid) refuse(event, "'" + event.class_name + "' stands for pixels without a class");
       if (event.new_name == event.class_name) break;
-      if (record.class_index < own_classes_) {
-        refuse(event, "the class '" + event.class_name + "' is one of the scene's own",
-               "rename it in the scene's table");
-      }
+      (void)resolve_added_class(event, "rename it in the scene's table");
       require_free_name(event, event.new_name, "choose another name");
+      break;
+    case LabelEventKind::merge_class:
+      record.class_index = resolve_added_class(event, "merge the other one into it");
+      record.class_record = record_of_class(record.class_index);
+      record.into = resolve_class(event, event.new_name);
+      record.into_record = record_of_class(record.into);
+      if (record.into == kVoid) refuse(event, "'" + event.new_name + "' stands for pixels without a class");
+      if (record.into == record.class_index)
+        refuse(event, "a class cannot be merged into itself", "name another class");
+      break;
+    case LabelEventKind::delete_class:
+      record.class_index = resolve_added_class(event, "undo its clicks instead");
+      record.class_record = record_of_class(record.class_index);
       break;
     case LabelEventKind::add_class:
       require_free_name(event, event.class_name, "choose another name");
@@ -178,6 +250,10 @@ int Annotations::free_place() const {
   if (named_.size() < ids_.size()) return named_classes();
   const auto undone = std::find_if(named_.begin(), named_.end(), [](const auto& naming) { return !naming; });
   return undone == named_.end() ? -1 : static_cast<int>(undone - named_.begin());
+}
+
+int Annotations::record_of_class(int class_index) const {
+  return class_index < 0 ? -1 : named_[static_cast<std::size_t>(class_index)]->record;
 }
 
 bool Annotations::has_its_class(const Record& record) const {
@@ -204,12 +280,14 @@ bool Annotations::apply(const LabelEvent& event) {
     }
     changed = turned.records.back();
   }
+  if (ends_a_class(event.kind)) ends_.push_back(last);
   const Record& record = records_[static_cast<std::size_t>(changed)];
   if (record.event.kind == LabelEventKind::click || record.event.kind == LabelEventKind::skip) {
     put_mark(changed, record.in_force);
   } else {
     if (event.kind == LabelEventKind::add_class && record.class_index == named_classes()) named_.emplace_back();
     list_classes();
+    if (ends_a_class(record.event.kind)) list_marks();
   }
   known_.add(event);
   return true;
@@ -221,14 +299,25 @@ void Annotations::put_mark(int record, bool in_force) {
   Marks& marks = of.event.kind == LabelEventKind::click ? marks_ : skips_;
   const auto at = std::lower_bound(marks.records.begin(), marks.records.end(), record);
   const auto place = at - marks.records.begin();
-  if (in_force) {
+  const bool is_listed = at != marks.records.end() && *at == record;
+  const std::optional<int> c = class_now(record);
+  if (in_force && c && !is_listed) {
     const int frame = frame_of_.at(of.event.frame);
     const Camera& camera = frames_[static_cast<std::size_t>(frame)].camera;
-    marks.list.insert(marks.list.begin() + place, mark_of(of.event, frame, camera, of.class_index));
+    marks.list.insert(marks.list.begin() + place, mark_of(of.event, frame, camera, *c));
     marks.records.insert(at, record);
-  } else {
+  } else if (!in_force && is_listed) {
     marks.list.erase(marks.list.begin() + place);
     marks.records.erase(at);
+  }
+}
+
+// Clicks anew: their classes were merged or deleted, or are no longer so.
+void Annotations::list_marks() {
+  marks_ = {};
+  for (int r = 0; r < static_cast<int>(records_.size()); ++r) {
+    const Record& record = records_[static_cast<std::size_t>(r)];
+    if (record.in_force && record.event.kind == LabelEventKind::click) put_mark(r, true);
   }
 }
 
@@ -245,6 +334,7 @@ std::vector<std::optional<Annotations::Naming>> Annotations::namings(int turned)
     if (record.class_record >= 0 && record.class_record != turned && !has_its_class(record)) continue;
     std::optional<Naming>& naming = out[static_cast<std::size_t>(record.class_index)];
     if (record.event.kind == LabelEventKind::add_class) naming = Naming{record.event.class_name, record.event.color, r};
+    if (ends_a_class(record.event.kind)) naming.reset();
     if (record.event.kind != LabelEventKind::change_class || !naming) continue;
     naming->name = record.event.new_name;
     if (record.event.color) naming->color = record.event.color;
@@ -292,12 +382,36 @@ std::vector<std::int16_t> Annotations::paint(int frame, std::span<const std::int
       throw Error(ErrorKind::internal, "labels to paint over have another size than the frame");
     raster.hard.assign(base.begin(), base.end());
   }
+  paint_marks(frame, raster);
+  return std::move(raster.hard);
+}
+
+// Over a raster of any size of the frame's shape.
+void Annotations::paint_marks(int frame, LabelRaster& raster) const {
+  const Camera& camera = frames_.at(static_cast<std::size_t>(frame)).camera;
+  const double scale_x = static_cast<double>(raster.width_px) / camera.width_px,
+               scale_y = static_cast<double>(raster.height_px) / camera.height_px;
   for (const Mark& mark : marks()) {
     if (mark.frame != frame) continue;
-    semfield::paint(stroke_runs(mark.points, mark.radius_px, camera.width_px, camera.height_px),
-                    static_cast<std::int16_t>(mark.class_index), raster);
+    Mark scaled = mark;
+    scaled.radius_px *= scale_x;
+    for (PixelPoint& p : scaled.points) p = {p.x * scale_x, p.y * scale_y};
+    semfield::paint(runs_of(scaled, raster.width_px, raster.height_px), static_cast<std::int16_t>(mark.class_index),
+                    raster);
   }
-  return std::move(raster.hard);
+}
+
+bool Annotations::clear_ignored(int frame, std::int32_t width_px, std::int32_t height_px,
+                                std::span<std::int16_t> labels) const {
+  const auto ignores = [&](const Mark& mark) { return mark.frame == frame && mark.class_index == kVoid; };
+  if (std::none_of(marks().begin(), marks().end(), ignores)) return false;
+  constexpr std::int16_t kUntouched = -2;
+  LabelRaster raster = void_raster(width_px, height_px);
+  std::fill(raster.hard.begin(), raster.hard.end(), kUntouched);
+  paint_marks(frame, raster);
+  for (std::size_t p = 0; p < labels.size(); ++p)
+    if (raster.hard.at(p) == kVoid) labels[p] = kVoid;
+  return true;
 }
 
 Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEvent>& events, const std::string& name) {

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "labels/clicks/label_event.h"
+#include "labels/outline_fill.h"
 #include "scene/scene.h"
 
 namespace semfield {
@@ -24,7 +25,7 @@ class Annotations {
 
   /// False: an event of this id was applied before. Throws Error(data) naming what is wrong: an unknown frame or one
   /// that does not train, a point outside, an image of another shape, an unknown class, a name that is taken, no room,
-  /// an undo of nothing, of an undone event or of a class that clicks use, ...
+  /// an undo of nothing, of an undone event or of a class that clicks use, a merge of the scene's own class, ...
   bool check(const LabelEvent& event) const;
   /// The same; then the event counts. Nothing has changed where it throws.
   bool apply(const LabelEvent& event);
@@ -34,16 +35,18 @@ class Annotations {
     int frame = 0;                   ///< in SceneInfo::frames
     std::vector<PixelPoint> points;  ///< pixels of the loaded frame
     double radius_px = 0;
-    int class_index = kVoid;  ///< kVoid: takes labels away (a void class was named); of skips always
+    int class_index = kVoid;  ///< after merges; kVoid: ignore (a void class was named); of skips always
+    bool fill = false;        ///< the points are a closed outline
   };
   const std::vector<Mark>& marks() const { return marks_.list; }  ///< clicks in force, in the order of their events
   const std::vector<Mark>& skips() const { return skips_.list; }
 
   /// As many valid classes as there is room for: the scene's, the added ones, then "unnamed ID". A class keeps index
-  /// and id; one whose event is undone is called "unnamed ID" and keeps its place until every place has been given a
-  /// name: then the next added class takes it, and the undone one cannot come back while that is there.
+  /// and id; one that is undone, merged or deleted is called "unnamed ID" and keeps its place until every place has
+  /// been given a name: then the next added class takes it, and the other cannot come back while that is there.
   const ClassTable& classes() const { return classes_; }
-  /// Places that were ever given a name: the classes [0, named_classes()); is_named() is false for undone ones.
+  /// Places that were ever given a name: the classes [0, named_classes()); is_named() is false for those that are
+  /// undone, merged or deleted.
   int named_classes() const { return static_cast<int>(named_.size()); }
   bool is_named(int class_index) const;
   /// Whether one more class can be added.
@@ -57,6 +60,9 @@ class Annotations {
   std::vector<int> frames_with_marks() const;
   /// Labels [height * width] of a frame: `base` (empty: void) with the frame's clicks painted over it, in order.
   std::vector<std::int16_t> paint(int frame, std::span<const std::int16_t> base) const;
+  /// Takes labels [height * width] of an image of a frame, of any size, away where its clicks say to ignore it; false:
+  /// they say so nowhere.
+  bool clear_ignored(int frame, std::int32_t width_px, std::int32_t height_px, std::span<std::int16_t> labels) const;
   bool seen(const std::string& id) const { return record_of_.contains(id); }
   /// The events applied.
   const EventsKnown& known() const { return known_; }
@@ -65,9 +71,10 @@ class Annotations {
   struct Record {
     LabelEvent event;
     bool in_force = true;
-    int class_index = kVoid;  // click, add_class, change_class
-    int class_record = -1;  // click, change_class: the record that added the class; -1: it is the scene's own, or void
-    int of = -1;            // undo: the record undone
+    int class_index = kVoid;             // of all kinds but undo and skip
+    int class_record = -1;               // the record that added the class; -1: it is the scene's own, or void
+    int into = kVoid, into_record = -1;  // the same of the other class: merge_class
+    int of = -1;                         // undo: the record undone
   };
   struct Naming {
     std::string name;
@@ -82,7 +89,11 @@ class Annotations {
 
   Record resolve(const LabelEvent& event) const;
   void resolve_place(const LabelEvent& event) const;
-  int resolve_class(const LabelEvent& event) const;
+  int resolve_class(const LabelEvent& event, const std::string& name) const;
+  // A class that an event may rename, merge or delete: an added one.
+  int resolve_added_class(const LabelEvent& event, const char* remedy) const;
+  // The record that added a class which is there now; -1: none, it is the scene's own, or void.
+  int record_of_class(int class_index) const;
   int free_place() const;
   bool has_its_class(const Record& record) const;
   void require_free_name(const LabelEvent& event, const std::string& name, const char* remedy) const;
@@ -93,8 +104,15 @@ class Annotations {
   };
   Turned turned_by(int of) const;
   void check_undo(const LabelEvent& event) const;
+  void check_class_undo(const LabelEvent& event, const Turned& turned) const;
+  // The class of a click after later merges; nothing where it was deleted.
+  std::optional<int> class_now(int record) const;
+  // The last merge or deletion in force that concerns the class which a record added; null: none.
+  const Record* end_of_class(int added) const;
   std::vector<std::optional<Naming>> namings(int turned = -1) const;
+  void paint_marks(int frame, LabelRaster& raster) const;
   void put_mark(int record, bool in_force);
+  void list_marks();
   void list_classes();
 
   std::vector<FrameShape> frames_;
@@ -104,6 +122,7 @@ class Annotations {
   int own_classes_ = 0;
   std::vector<Record> records_;
   std::map<std::string, int> record_of_;
+  std::vector<int> ends_;                     // records of merges and deletions, ascending
   std::vector<std::optional<Naming>> named_;  // of the places taken; nullopt: its event is undone
   struct Marks {
     std::vector<Mark> list;
@@ -112,6 +131,10 @@ class Annotations {
   ClassTable classes_;
   EventsKnown known_;
 };
+
+/// Pixels of a frame of this size that the mark paints: those inside a filled outline (its line alone where it holds
+/// no pixel's centre), or those of stroke_runs.
+std::vector<PixelRun> runs_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px);
 
 /// What `events` add up to; event i stood in line i + 1 of `name`, which errors name. Where `room` is 0 there is room
 /// for all classes that they add, one place each; else for `room`, and for more only where events need more.

@@ -19,16 +19,18 @@ struct KindText {
   LabelEventKind kind;
   const char* type;
   std::vector<std::string> keys;  // those it must have, beside "id" and "type"
-  bool color;                     // it may have one
+  std::string may;                // one that it may have; "": none
 };
 
 const std::vector<KindText>& kinds() {
   static const std::vector<KindText> all{
-      {LabelEventKind::click, "click", {"frame", "size", "points", "radius", "class"}, false},
-      {LabelEventKind::add_class, "class", {"name"}, true},
-      {LabelEventKind::change_class, "rename", {"class", "name"}, true},
-      {LabelEventKind::undo, "undo", {"of"}, false},
-      {LabelEventKind::skip, "skip", {"frame", "size", "points"}, false}};
+      {LabelEventKind::click, "click", {"frame", "size", "points", "radius", "class"}, "fill"},
+      {LabelEventKind::add_class, "class", {"name"}, "color"},
+      {LabelEventKind::change_class, "rename", {"class", "name"}, "color"},
+      {LabelEventKind::undo, "undo", {"of"}, ""},
+      {LabelEventKind::skip, "skip", {"frame", "size", "points"}, ""},
+      {LabelEventKind::merge_class, "merge", {"class", "into"}, ""},
+      {LabelEventKind::delete_class, "delete", {"class"}, ""}};
   return all;
 }
 
@@ -147,6 +149,15 @@ void read_radius(const Json& root, LabelEvent& event) {
     refuse_value("radius", "pixels from 0 to a million", radius);
 }
 
+void read_fill(const Json& root, LabelEvent& event) {
+  const auto fill = root.find("fill");
+  if (fill == root.end()) return;
+  if (!fill->is_boolean()) refuse_value("fill", "true or false", *fill);
+  event.fill = fill->get<bool>();
+  if (event.fill && event.points.size() < kLeastOutlinePoints)
+    refuse("'fill': an outline needs 3 points, and there are " + std::to_string(event.points.size()));
+}
+
 void read_color(const Json& root, LabelEvent& event) {
   const auto color = root.find("color");
   if (color == root.end()) return;
@@ -173,13 +184,19 @@ const KindText& kind_at(const Json& root) {
 void check_keys(const Json& root, const KindText& kind) {
   std::vector<std::string> known{"id", "type", "time_ms"};
   known.insert(known.end(), kind.keys.begin(), kind.keys.end());
-  if (kind.color) known.emplace_back("color");
+  if (!kind.may.empty()) known.push_back(kind.may);
   for (const auto& item : root.items()) {
     if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
     const std::string near = did_you_mean(item.key(), known);
     refuse("unknown key " + shown(Json(item.key())) + " of a '" + kind.type + "'",
            near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
   }
+}
+
+// The event's text behind a key that names a class; null for other keys.
+std::string LabelEvent::*name_behind(std::string_view key, LabelEventKind kind) {
+  if (key == "class" || (key == "name" && kind == LabelEventKind::add_class)) return &LabelEvent::class_name;
+  return key == "name" || key == "into" ? &LabelEvent::new_name : nullptr;
 }
 
 }  // namespace
@@ -208,12 +225,14 @@ LabelEvent parse_label_event(std::string_view json) {
     read_size(root, event);
     read_points(root, event);
   }
-  if (click) read_radius(root, event);
-  if (click || kind.kind == LabelEventKind::change_class)
-    event.class_name = line_at(root, "class", kMostClassNameBytes);
-  if (kind.kind == LabelEventKind::add_class) event.class_name = line_at(root, "name", kMostClassNameBytes);
-  if (kind.kind == LabelEventKind::change_class) event.new_name = line_at(root, "name", kMostClassNameBytes);
-  if (kind.color) read_color(root, event);
+  if (click) {
+    read_radius(root, event);
+    read_fill(root, event);
+  }
+  for (const std::string& key : kind.keys) {
+    if (const auto name = name_behind(key, event.kind)) event.*name = line_at(root, key.c_str(), kMostClassNameBytes);
+  }
+  if (kind.may == "color") read_color(root, event);
   if (kind.kind == LabelEventKind::undo) {
     event.of = id_at(root, "of");
     if (event.of == event.id) refuse("'of': it is the event's own id");
@@ -234,13 +253,13 @@ std::string label_event_json(const LabelEvent& event) {
     if (key == "size") value = {event.width_px, event.height_px};
     if (key == "radius") value = event.radius_px;
     if (key == "of") value = event.of;
-    if (key == "class") value = event.class_name;
-    if (key == "name") value = event.kind == LabelEventKind::add_class ? event.class_name : event.new_name;
+    if (const auto name = name_behind(key, event.kind)) value = event.*name;
     if (key != "points") continue;
     value = Json::array();
     for (const PixelPoint& p : event.points) value.push_back({p.x, p.y});
   }
-  if (kind->color && event.color) root["color"] = *event.color;
+  if (event.fill) root["fill"] = true;
+  if (kind->may == "color" && event.color) root["color"] = *event.color;
   return root.dump(-1, ' ', false, Json::error_handler_t::strict);
 }
 

@@ -13,7 +13,7 @@
 
 namespace semfield {
 
-enum class LabelEventKind : std::uint8_t { click, add_class, change_class, undo, skip };
+enum class LabelEventKind : std::uint8_t { click, add_class, change_class, undo, skip, merge_class, delete_class };
 
 struct LabelEvent {
   std::string id;  ///< the client's, unique: 1 to 64 of [A-Za-z0-9_-]
@@ -23,8 +23,10 @@ struct LabelEvent {
   std::int32_t width_px = 0, height_px = 0;  ///< click, skip: size of the image whose pixels `points` count
   std::vector<PixelPoint> points;            ///< click: one, or the polyline of a stroke; skip: one
   double radius_px = 0;                      ///< click: 0 = the pixels that the points or the stroke lie in, alone
-  std::string class_name;                    ///< click: what was named; add_class: its name; change_class: the old name
-  std::string new_name;                      ///< change_class; the old name where the colour alone changes
+  bool fill = false;                         ///< click: `points` are a closed outline, and its inside is named
+  std::string class_name;                    ///< click: what was named, a void name: nothing; else the class meant
+  std::string new_name;                      ///< change_class: the new name, or the old one where the colour alone
+                                             ///< changes; merge_class: whose clicks those of `class_name` become
   std::optional<std::array<std::uint8_t, 3>>
       color;       ///< add_class (none: the default of its id), change_class (none: unchanged)
   std::string of;  ///< undo: id of the event undone; undoing an undo brings the event back
@@ -37,6 +39,8 @@ inline constexpr std::int64_t kMostEventSide = 65536;  ///< pixels an axis
 inline constexpr double kMostEventRadius = 1e6;
 inline constexpr std::size_t kMostClassNameBytes = 128;
 inline constexpr std::size_t kMostFrameNameBytes = 4096;
+
+inline constexpr std::size_t kLeastOutlinePoints = 3;
 
 /// Whether `text` may be the id of an event.
 bool is_event_id(std::string_view text);

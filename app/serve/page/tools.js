@@ -1,0 +1,140 @@
+// What the pointer does to the view: a brush that labels, a polygon, an eraser of marks.
+import {markAt} from './model.js';
+import {isInside} from './viewport.js';
+
+const kSnap_px = 9;  // of the screen: what lies nearer is meant
+const kCorner_px = 4;
+
+export class Tools {
+  /// stage: its view's port and image, settings and chosen class; calls: click(points), polygon(points, step), erase(marks), select(mark or null),
+  /// tell(text), changed().
+  constructor(stage, calls) {
+    Object.assign(this, {stage, calls});
+    this.kind = 'brush';
+    this.forget();
+  }
+
+  /// What is under way is dropped.
+  forget() {
+    this.stroke = null;
+    this.outline = null;
+    this.doomed = new Map();
+  }
+
+  use(kind) {
+    this.forget();
+    this.kind = kind;
+    this.calls.tell({
+      brush: 'Brush: a click or a drag labels.',
+      polygon: 'Polygon: click its corners, or drag along its edge; the first corner, a double click or enter closes it.',
+      erase: 'Eraser: click or drag over clicks, strokes and polygons to delete them.',
+    }[kind]);
+    this.calls.changed();
+  }
+
+  get slack() { return kSnap_px / this.stage.view.port.scale; }
+
+  down(x, y) {
+    const {stage} = this;
+    const at = stage.view.imageAt(x, y);
+    this.isIn = isInside(stage.view.image, ...at);
+    if (!this.isIn) return;
+    const {color, isIgnore} = stage.chosenRow;
+    if (this.kind === 'brush') this.stroke = {points: [at], radius: stage.settings.radius, color, isIgnore};
+    if (this.kind === 'erase') {
+      this.erasedAt = null;
+      this.doom(at);
+    }
+    this.calls.changed();
+  }
+
+  draw(x, y) {
+    if (!this.isIn) return;
+    const [ix, iy] = this.stage.view.imageAt(x, y);
+    const {width, height} = this.stage.view.image;
+    const at = [Math.min(Math.max(ix, 0), width - 0.01), Math.min(Math.max(iy, 0), height - 0.01)];
+    if (this.kind === 'brush') this.stroke?.points.push(at);
+    if (this.kind === 'erase') this.doom(at);
+    if (this.kind === 'polygon') this.corner(at, kCorner_px);
+    this.calls.changed();
+  }
+
+  up(x, y, isClick) {
+    if (!this.isIn) return isClick && this.calls.tell('Click into the picture.');
+    const at = this.stage.view.imageAt(x, y);
+    const {stroke} = this;
+    this.stroke = null;
+    if (this.kind === 'brush' && stroke) {
+      const mark = isClick && this.stage.markUnder(x, y);
+      if (mark && (mark.name === this.stage.labeller.chosen || this.stage.labeller.chosen === null)) this.calls.select(mark);
+      else this.calls.click(isClick ? stroke.points.slice(0, 1) : stroke.points);
+    }
+    if (this.kind === 'erase') this.finishErasing();
+    if (this.kind === 'polygon' && isClick) this.clickCorner(at);
+    this.calls.changed();
+  }
+
+  /// The pointer left, or a second finger came.
+  cancel() {
+    this.stroke = null;
+    this.doomed = new Map();
+    this.calls.changed();
+  }
+
+  /// Whatever lies on the way of the eraser, which a quick pointer tells in few points.
+  doom(at) {
+    const reach = Math.max(this.slack, this.stage.settings.radius);
+    const from = this.erasedAt ?? at;
+    this.erasedAt = at;
+    const steps = Math.ceil(Math.hypot(at[0] - from[0], at[1] - from[1]) / reach) || 1;
+    for (let i = 1; i <= steps; ++i) {
+      const here = at.map((v, axis) => from[axis] + ((v - from[axis]) * i) / steps);
+      const mark = markAt(this.stage.marks.filter(({id}) => !this.doomed.has(id)), here, reach);
+      if (mark) this.doomed.set(mark.id, mark);
+    }
+  }
+
+  finishErasing() {
+    const marks = [...this.doomed.values()];
+    this.doomed = new Map();
+    if (marks.length) this.calls.erase(marks);
+    else this.calls.tell('No click of this view is there. The eraser takes clicks, strokes and polygons away.');
+  }
+
+  near(a, b) { return Math.hypot(a[0] - b[0], a[1] - b[1]) < this.slack; }
+
+  get closes() { return (this.outline?.length ?? 0) >= 3; }
+
+  clickCorner(at) {
+    const {outline} = this;
+    if (this.closes && (this.near(at, outline[0]) || this.near(at, outline.at(-1)))) return this.close();
+    this.corner(at, 0);
+  }
+
+  corner(at, step_px) {
+    if (!this.calls.mayLabel()) return;
+    const last = this.outline?.at(-1);
+    if (last && Math.hypot(at[0] - last[0], at[1] - last[1]) * this.stage.view.port.scale < step_px) return;
+    this.outline = [...(this.outline ?? []), at];
+  }
+
+  /// False: no outline is under way.
+  close() {
+    const {outline} = this;
+    if (!outline) return false;
+    if (!this.closes) this.calls.tell('A polygon needs three corners.');
+    else {
+      this.outline = null;
+      this.calls.polygon(outline, 1 / this.stage.view.port.scale);
+    }
+    this.calls.changed();
+    return true;
+  }
+
+  takeBack() {
+    if (!this.outline) return false;
+    this.outline = this.outline.length > 1 ? this.outline.slice(0, -1) : null;
+    this.calls.changed();
+    return true;
+  }
+}
