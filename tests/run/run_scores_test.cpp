@@ -110,7 +110,7 @@ TEST(RunScores, ARunWithATimeLimitScoresTheFramesThatFitAndSaysSo) {
   EXPECT_NE(read_text_file(dir / "run/final_eval.json").find("\"test_sample\""), std::string::npos);
   bool said = false;
   for (const std::string& note : cut.notes)
-    said = said || note.find("scores 2 of " + std::to_string(all) + " frames to end near the time limit") == 20;
+    said = said || note.find("scores 2 of " + std::to_string(all) + " frames to end near the time asked for") == 20;
   EXPECT_TRUE(said) << (cut.notes.empty() ? "" : cut.notes.back());
   ASSERT_FALSE(cut.progress.empty());
   EXPECT_EQ(cut.progress.back().done, 2);
