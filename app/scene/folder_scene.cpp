@@ -162,9 +162,6 @@ ConfigNode config_of(const FolderScene& scene, const std::string& preset) {
   if (const int by = downscale_of(scene); by > 1)
     section = section.with("load", ConfigNode::make_map({{"downscale", text_node(std::to_string(by))}}, {}));
   ConfigNode tree = ConfigNode::make_map({{"include", text_node(preset)}, {"scene", section}}, {});
-  if (!scene.labels) {  // the presets draw part of the rays from labelled pixels
-    tree = tree.with("train", ConfigNode::make_map({{"ray_source", text_node("all_images")}}, {}));
-  }
   return tree;
 }
 

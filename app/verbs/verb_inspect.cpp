@@ -65,7 +65,8 @@ int run(const InspectOptions& options, AppContext& context) {
   LoadedScene scene = load_for_labels(opened, diagnostics);
   if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
   if (!diagnostics.has_errors()) check_ray_source(scene, opened.config, diagnostics);
-  const std::string depth = depth_use(opened.config.losses, training_depth(scene), diagnostics);
+  std::string depth;
+  if (!diagnostics.has_errors()) depth = depth_use(opened.config.losses, training_depth(scene), diagnostics);
   if (context.json) {
     print_json(context, inspect_json(scene, diagnostics, depth));
   } else {
