@@ -3,7 +3,8 @@
 A page's blocks run in order, in a scratch folder that looks like the repository's: configs/ (presets made small), scenes/, scripts/,
 data/ (what page_scenes.py made), and `semfield` in PATH. Blocks with `file=NAME` behind their language, the page's and those of
 own_data.md, are saved there before. Every command of
-a block marked `sh`, or behind `$ ` in one marked `console`, has to end with exit code 0; `semfield serve` is stopped when it serves.
+a block marked `sh`, or behind `$ ` in one marked `console`, has to end with exit code 0; `semfield serve` is stopped when it serves, and
+minutes of `--time` are 2 seconds.
 A comment before a block says what a reader need not see, a thing a line:
 
   <!-- not run: needs a GPU -->                     the block is not run, for this reason
@@ -135,7 +136,7 @@ def play(new_scratch, text):
                 body = body.replace(long, short)
             else:
                 faults.append(f"'{clause}' of a comment before a block means nothing")
-        commands = first + commands_of(kind, body)
+        commands = first + commands_of(kind, re.sub(r"(--time )[0-9.]+[mh]\b", r"\g<1>2s", body))
         if missing:
             continue
         scratch = scratch or new_scratch()
