@@ -92,6 +92,54 @@ TEST(TransformsJson, DistortionParamsAreTheLens) {
   EXPECT_EQ(index.frames.at(1).lens.p2, 0.0);
 }
 
+// An uncompressed TIFF of one strip, 4 x 2 pixels, with an orientation as EXIF has it.
+void write_tiff(const std::string& path, int orientation) {
+  const std::uint32_t entries[][4] = {{256, 3, 1, 4}, {257, 3, 1, 2},   {258, 3, 3, 134}, {259, 3, 1, 1},
+                                      {262, 3, 1, 2}, {273, 4, 1, 140}, {274, 3, 1, 1},   {277, 3, 1, 3},
+                                      {278, 3, 1, 2}, {279, 4, 1, 24}};
+  std::string out("II\x2a\0\x08\0\0\0", 8);
+  const auto put = [&out](std::uint32_t value, int bytes) {
+    for (int i = 0; i < bytes; ++i) out += static_cast<char>(value >> (8 * i));
+  };
+  put(10, 2);
+  for (const auto& [tag, type, count, value] : entries) {
+    put(tag, 2);
+    put(type, 2);
+    put(count, 4);
+    put(tag == 274 ? static_cast<std::uint32_t>(orientation) : value, 4);
+  }
+  put(0, 4);
+  for (int i = 0; i < 3; ++i) put(8, 2);
+  write_file_atomic(path, out + std::string(24, 'g'));
+}
+
+// Pixels count as they are stored. Where the camera is that of the picture as viewers turn it, that is said.
+TEST(TransformsJson, ExifOrientationIsNamed) {
+  if (!images_available()) GTEST_SKIP() << "this build reads no TIFF (SEMFIELD_WITH_IMAGES=OFF)";
+  const std::string folder = fresh_folder("e");
+  const auto said = [&](int orientation, const std::string& size) {
+    write_tiff(folder + "/a.tif", orientation);
+    write_file_atomic(folder + "/transforms.json",
+                      "{\"fl_x\": 3, " + size + ", \"frames\": [{\"file_path\": \"a.tif\", " + kEye + "}]}");
+    TransformsJsonParams p;
+    p.root = folder;
+    Diagnostics d;
+    TransformsJson(p, {}).open(d);
+    return d.all().empty() ? std::string() : d.all().front().text();
+  };
+  EXPECT_EQ(said(1, "\"w\": 4, \"h\": 2"), "");
+  EXPECT_NE(said(3, "\"w\": 4, \"h\": 2")
+                .find("1 of 1 images have an EXIF orientation by which viewers turn them; here "
+                      "pixels count as they are stored"),
+            std::string::npos);
+  EXPECT_NE(said(6, "\"w\": 2, \"h\": 4")
+                .find("is 4 x 2 pixels, the camera 2 x 4, which is that of the picture turned as the file's EXIF "
+                      "orientation says (6); pixels are read as they are stored: turn them, for example with `mogrify "
+                      "-auto-orient FILES`"),
+            std::string::npos);
+  EXPECT_NE(said(1, "\"w\": 2, \"h\": 4").find("one is turned by a quarter against the other"), std::string::npos);
+}
+
 // Comparisons, not seconds: a list of names is looked up, not walked, and equal stems get numbers without new tries.
 TEST(TransformsJson, AHundredThousandFramesOfListsAndOfOneName) {
   const std::string folder = fresh_folder("m");
