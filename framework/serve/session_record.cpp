@@ -66,13 +66,13 @@ void write_session_record(const RunFolder& folder, const Session& session, Label
   LabellingRecord record;
   record.step = state.step;
   record.clicks = std::ssize(state.marks);
-  record.frames = std::ssize(loop.views());
+  record.frames = std::ssize(loop.pooled());
   for (const ClassState& c : state.classes)
     record.classes.push_back({c.id, c.name, c.color, c.clicks, c.area_share, c.confidence});
   std::map<int, std::vector<const Mark*>> marks;
   for (const Mark& mark : state.marks) marks[mark.frame].push_back(&mark);
   record.clicked_frames = std::ssize(marks);
-  std::vector<int> views(loop.views().size());
+  std::vector<int> views(loop.pooled().size());
   std::iota(views.begin(), views.end(), 0);
   const auto clicks_of = [&](int view) {
     const auto found = marks.find(loop.views()[static_cast<std::size_t>(view)].frame);
