@@ -54,7 +54,7 @@ TEST(Findings, WhatTrainingHasShownIsNotSaidAgain) {
       "train config.yaml --set scene.load.width_px=20 --set scene.load.height_px=36 --threads 1 --out run", dir.path());
   ASSERT_EQ(trained.code, 0) << trained.err;
   EXPECT_NE(trained.err.find(warning), std::string::npos) << trained.err;
-  for (const char* verb : {"eval run", "render run", "mesh run --resolution 8"}) {
+  for (const char* verb : {"eval run", "render run"}) {
     const Result r = semfield_run(verb, dir.path());
     EXPECT_EQ(r.code, 0) << r.err;
     EXPECT_EQ(r.err.find(warning), std::string::npos) << verb << "\n" << r.err;
