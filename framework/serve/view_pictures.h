@@ -8,7 +8,7 @@
 
 #include "serve/label_loop.h"
 #include "serve/label_state.h"
-#include "serve/surface_sight.h"
+#include "serve/surface/surface_sight.h"
 
 namespace semfield {
 

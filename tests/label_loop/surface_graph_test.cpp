@@ -1,5 +1,5 @@
 // Ways along the surface: against Bellman and Ford's relaxation, seed by seed, in any order, and within bounds.
-#include "serve/surface_graph.h"
+#include "serve/surface/surface_graph.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "serve/surface_pool.h"
+#include "serve/surface/surface_pool.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "serve/surface_map.h"
+#include "serve/surface/surface_map.h"
 
 #include <algorithm>
 

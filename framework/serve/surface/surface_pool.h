@@ -8,7 +8,7 @@
 
 #include "core/small_math.h"
 #include "scene/stored_frame.h"
-#include "serve/surface_map.h"
+#include "serve/surface/surface_map.h"
 
 namespace semfield {
 

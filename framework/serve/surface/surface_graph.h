@@ -7,7 +7,7 @@
 #include <unordered_map>
 #include <vector>
 
-#include "serve/surface_pool.h"
+#include "serve/surface/surface_pool.h"
 
 namespace semfield {
 

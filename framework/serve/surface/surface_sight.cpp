@@ -1,4 +1,4 @@
-#include "serve/surface_sight.h"
+#include "serve/surface/surface_sight.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "serve/surface_graph.h"
+#include "serve/surface/surface_graph.h"
 
 #include <algorithm>
 #include <cmath>
