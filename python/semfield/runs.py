@@ -15,7 +15,7 @@ from .devices import ordinal_of
 from .errors import UsageError
 from .labels import Labels
 from .results import Outcome, Points, Score, Step, View
-from .scenes import Camera, ClassEntry, Frame, PathLike, Scene, _floats, _pixels, _temporary, _whole
+from .scenes import Camera, ClassEntry, Frame, PathLike, Scene, _floats, _number, _pixels, _temporary, _whole
 
 Config = Union[str, "os.PathLike[str]", Mapping[str, Any]]
 FrameId = Union[str, int]  #: name of a frame, or its number in `Run.frames`
@@ -241,7 +241,7 @@ class Run:
             seconds: or seconds of training more, above 0.
         """
         more = 0 if steps is None else _whole("extend: steps", steps, 1, 10**9)
-        time_s = 0.0 if seconds is None else float(seconds)
+        time_s = 0.0 if seconds is None else _number("extend: seconds", seconds)
         if (steps is None) == (seconds is None) or not (more or 0 < time_s <= 1e8):
             raise UsageError(f"extend(steps={steps}, seconds={seconds}): expected steps of 1 or more, or seconds above 0")
         self._session.train_more(more, time_s)

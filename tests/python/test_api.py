@@ -258,7 +258,8 @@ def test_numbers_beyond_their_types_are_told(run: sf.Run) -> None:
         lambda: sf.Camera.from_fov(32, 24, 180), lambda: sf.Camera(32, 24, 16).resized(2**40, 24), lambda: run.render(frame=0, stride=big),
         lambda: run.render(frame=0, stride=2**31), lambda: run.render(frame=0, width=big), lambda: run.render(frame=0, height="a"),  # type: ignore[arg-type]
         lambda: run.render(frame=0, width=2**31 - 1), lambda: run.render(frame=0, device="cuda:99999999999"), lambda: run.train(big * 2),
-        lambda: run.train(3, every=big * 2), lambda: run.render(frame=big), lambda: run.pixels(big), lambda: run.evaluate(frames=[big]),
+        lambda: run.train(3, every=big * 2), lambda: run.extend(seconds=10**400), lambda: run.extend(steps=big),
+        lambda: run.render(frame=big), lambda: run.pixels(big), lambda: run.evaluate(frames=[big]),
         lambda: run.query([[10**400, 0, 0]]), lambda: run.set_labels(0, np.full((24, 32), 2**64 - 1, np.uint64)),
         lambda: run.render(pose=np.full((4, 4), 10**400, object)), lambda: sf.open(config_of(_Box(Path("."))), class_room=big),
         lambda: sf.open(NETWORK, {"train.rays": 2**70}), lambda: sf.resolved(NETWORK, {"train.steps": big * 2}),
