@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <functional>
+#include <ostream>
 #include <string>
 
 namespace semfield {
@@ -57,6 +58,8 @@ struct Machine {
   std::function<double(std::int64_t, double)> seconds;
 };
 
+void PrintTo(const Machine& machine, std::ostream* out) { *out << machine.name; }
+
 class PaceOn : public ::testing::TestWithParam<Machine> {};
 
 TEST_P(PaceOn, TheTimeIsMetWithinATenth) {
@@ -80,6 +83,8 @@ const Machine kMachines[] = {
     {"load_that_comes", 300, 1, 4, [](std::int64_t, double s) { return s < 120 ? 0.02 : 0.06; }},
     {"load_that_comes_and_goes", 300, 1, 8, [](std::int64_t, double s) { return std::fmod(s, 50) < 25 ? 0.02 : 0.05; }},
     {"gpu", 20, 32, 2, [](std::int64_t i, double) { return i < 4 ? 0.4 : 2.4e-4 + 2e-4 * noise(i); }},
+    // It passes, and moves nothing.
+    {"a_stall", 20, 1, 1, [](std::int64_t i, double) { return i == 200 ? 0.35 : 0.05; }},
     {"slow_first_step", 10, 1, 2, [](std::int64_t i, double) { return i == 0 ? 2.0 : 0.01; }},
 };
 INSTANTIATE_TEST_SUITE_P(Machines, PaceOn, ::testing::ValuesIn(kMachines),
