@@ -275,7 +275,7 @@ void special_depth(CaseRun& run) {
     testing::LossRays<float> sound({4, 4, 4, 4, 4}), spoilt = sound;
     sound.depth_target = {0, 0, 0, 0, 2};
     spoilt.depth_target = {0, -0.0F, std::numeric_limits<float>::quiet_NaN(), -1, 2};
-    const std::string name(kind.name);
+    const std::string name(kind.type);
     run.expect(term->counted_rays(spoilt.targets(), 5) == 1, name + " counts one pixel");
     run.measure(std::abs(spoilt.add(*term, 1) - sound.add(*term, 1)), 0, name);
     run.expect(spoilt.d_depth == sound.d_depth && spoilt.d_weight == sound.d_weight, name + " has the same gradients");
