@@ -1,7 +1,6 @@
 // export: label maps of a run's field for labelling tools.
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 #include <functional>
@@ -17,6 +16,7 @@
 #include "labels/small_regions.h"
 #include "run/open_run.h"
 #include "run/run_folder.h"
+#include "scene/output_names.h"
 #include "serve/label_upsampling.h"
 #include "system/files.h"
 
@@ -108,10 +108,8 @@ class Exporter {
     if (coco_) {
       coco_->add(frame);
     } else if (options_.format == "png") {
-      std::string name = frame.name + "_label.png";
-      std::replace(name.begin(), name.end(), '/', '_');
-      write_label_ids((std::filesystem::path(options_.out) / name).string(), {frame.width_px, frame.height_px},
-                      frame.label, classes());
+      write_label_ids((std::filesystem::path(options_.out) / (output_name(frame.name) + "_label.png")).string(),
+                      {frame.width_px, frame.height_px}, frame.label, classes());
       ++shapes_;
     } else {
       shapes_ += write_labelme(options_.out, frame, classes());

@@ -64,12 +64,6 @@ std::string scene_of(const std::string& config, const std::string& path) {
   return text;
 }
 
-// As RunFolder::render_path names files.
-std::string file_stem(std::string frame) {
-  std::replace(frame.begin(), frame.end(), '/', '_');
-  return frame;
-}
-
 ReportStrip read_strip(const fs::path& folder, const std::string& name, const std::string& note) {
   ReportStrip strip{name, note, {}};
   for (const ImageKind& kind : kKinds) {
@@ -165,7 +159,7 @@ ReportInput read_report_input(const std::vector<std::string>& run_folders, int m
   if (input.strips.empty()) input.strips = read_strips(render, most_frames, {});  // a sample as small as the worst
   if (const std::optional<LabellingRecord>& clicked = input.runs.front().clicked) {
     for (const LabellingRecord::Frame& frame : clicked->shown) {
-      ReportStrip strip = read_strip(fs::path(first.path()) / "render" / "labelled", file_stem(frame.name),
+      ReportStrip strip = read_strip(fs::path(first.path()) / "render" / "labelled", output_name(frame.name),
                                      fmt::format("{} click{}", frame.clicks, frame.clicks == 1 ? "" : "s"));
       strip.name = frame.name;
       if (!strip.images.empty()) input.clicked.push_back(std::move(strip));
