@@ -3,11 +3,16 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <ostream>
 
 #include "system/files.h"
 #include "tests/fuzz/targets.h"
 
 namespace semfield::fuzz {
+
+// In names of tests, in place of bytes.
+void PrintTo(const Target& target, std::ostream* out) { *out << target.name; }
+
 namespace {
 
 namespace fs = std::filesystem;
