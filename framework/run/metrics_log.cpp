@@ -150,7 +150,8 @@ MetricsLog MetricsLog::resume(const std::string& path, std::int64_t step) {
   return open(path);
 }
 
-MetricsLog::MetricsLog(MetricsLog&& other) noexcept : path_(std::move(other.path_)), descriptor_(other.descriptor_) {
+MetricsLog::MetricsLog(MetricsLog&& other) noexcept
+    : path_(std::move(other.path_)), descriptor_(other.descriptor_), torn_from_(other.torn_from_) {
   other.descriptor_ = -1;
 }
 
@@ -159,12 +160,14 @@ MetricsLog::~MetricsLog() {
 }
 
 void MetricsLog::append(const MetricsRow& row) {
+  if (torn_from_ >= 0 && ::ftruncate(descriptor_, torn_from_) != 0) throw write_error("shorten", path_, errno);
+  torn_from_ = -1;
   const off_t before = ::lseek(descriptor_, 0, SEEK_END);
   try {
     append_all(descriptor_, path_, metrics_line(row) + "\n");
   } catch (const Error&) {
     // A part of a row would spoil the next one.
-    if (before >= 0 && ::ftruncate(descriptor_, before) != 0) throw write_error("shorten", path_, errno);
+    if (before >= 0 && ::ftruncate(descriptor_, before) != 0) torn_from_ = before;
     throw;
   }
 }

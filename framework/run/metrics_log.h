@@ -58,6 +58,7 @@ class MetricsLog {
   static MetricsLog open(const std::string& path);
   std::string path_;
   int descriptor_ = -1;
+  std::int64_t torn_from_ = -1;  // where the part of a row begins that could not be taken back
 };
 
 }  // namespace semfield

@@ -124,7 +124,8 @@ TEST(SameRun, ExchangedLabelsAreToldByEvalAndResume) {
 TEST(SameRun, LabelsThatTheSettingsChooseAreNoOtherLabels) {
   const Trained trained(", labels: {frames: 50%}");
   EXPECT_EQ(trained.open({}, OpenFor::evaluation_of_training_frames), "");
-  const std::string said = trained.open({"scene.labels.frames=all"}, OpenFor::evaluation_of_training_frames);
+  std::string said = trained.open({"scene.labels.frames=all"}, OpenFor::evaluation_of_training_frames);
+  std::erase(said, '"');  // which some versions of yaml-cpp put around the value
   EXPECT_EQ(said, "settings: other ones than the run was trained with: scene.labels.frames: 50% -> all\n");
 }
 
