@@ -338,7 +338,9 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   RaySourceOptions options;
   options.train = config.train;
   options.with_depth = losses_read_depth(config.losses);
-  options.labels_may_come = plan.semantics;
+  const std::vector<std::int64_t>& pixels = manifest.train_class_pixels;
+  const bool none = std::all_of(pixels.begin(), pixels.end(), [](std::int64_t count) { return count == 0; });
+  options.labels_may_come = config.labels.selection.class_room > 0 || (plan.semantics && none);
   options.seed = config.runtime.seed;
   options.tile_rays = pipeline->executor().tile_rays(config.train.rays);
   return std::make_unique<RaySource>(std::move(frames), plan.semantics ? logit_of_class() : std::vector<std::int16_t>{},
