@@ -197,7 +197,11 @@ void HttpServer::Impl::watch() {
       listener.close();
       std::erase_if(peers,
                     [](const auto& p) { return p.second.at == Peer::At::reading || p.second.at == Peer::At::closing; });
-      if (peers.empty() || Clock::now() > farewell) return peers.clear();
+      if (peers.empty() || Clock::now() > farewell) {
+        for (auto& [number, peer] : peers)
+          if (peer.gone != nullptr) *peer.gone = true;
+        return peers.clear();
+      }
     }
     polled = {{waker.get(), POLLIN, 0}, {listener.get(), POLLIN, 0}};
     numbers.clear();

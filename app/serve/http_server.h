@@ -47,7 +47,8 @@ class HttpServer {
  public:
   /// Listens when it returns. The handler must outlive the server. Throws Error(unavailable).
   HttpServer(const HttpOptions& options, HttpHandler& handler);
-  /// Answers that are being made get a second to be sent; those that take longer are waited for and not sent.
+  /// Answers that are being made get a second to be sent; those that take longer are told that nobody waits for them
+  /// (HttpRequest::abandoned), waited for and not sent.
   ~HttpServer();
   HttpServer(const HttpServer&) = delete;
   HttpServer& operator=(const HttpServer&) = delete;

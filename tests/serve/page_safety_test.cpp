@@ -399,6 +399,15 @@ TEST_F(ServedPage, ClosingAnswersRequestsThatWait) {
   EXPECT_EQ(waiting.receive().status, 200);
 }
 
+TEST_F(ServedPage, ClosingGivesUpPicturesThatTakeLong) {
+  source_.hold(true);  // for ever
+  Connection waiting(port());
+  waiting.send(text("POST", "picture", R"({"client":"c","view":0})"));
+  source_.wait_for_requests(1);
+  server_.reset();
+  EXPECT_EQ(source_.abandoned_pictures, 1);
+}
+
 TEST_F(ServedPage, APortThatIsTakenIsNamedOrTheNextIsUsed) {
   PageOptions o = options();
   o.http.port = port();
