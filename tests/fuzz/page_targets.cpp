@@ -15,7 +15,8 @@ void fuzz_page(std::string_view bytes) {
   accepted([&] {
     const PictureRequest r = app::parse_picture_request(bytes);
     promise((r.view >= 0) != r.camera.has_value(), "a picture of a view and of a camera");
-    promise(r.color || r.labels || r.entropy, "a picture without a map");
+    promise(r.at.has_value() != (r.color || r.labels || r.entropy), "neither a map nor a point, or both");
+    promise(!r.at || (r.camera && r.at->x >= 0 && r.at->x <= 1 && r.at->y >= 0 && r.at->y <= 1), "a point outside");
     promise(r.most_px == 0 || (r.most_px >= 16 && r.most_px <= app::kMostPictureSide), "a picture of a wrong size");
     if (!r.camera) return;
     const Pose& pose = r.camera->world_from_camera;

@@ -130,7 +130,7 @@ TEST(LabelSessionPictures, WrongRequestsAreRefusedAndTheSessionGoesOn) {
   EXPECT_NE(refusal(nothing).find("picture: "), std::string::npos);
   PictureRequest far = nothing;
   far.view = 1000;
-  EXPECT_NE(refusal(far).find("view 1000 is none of the 9"), std::string::npos);
+  EXPECT_NE(refusal(far).find("view 1000 is none of the 12"), std::string::npos);
   PictureRequest large = of_camera(run.session.camera_of(0), "a");
   large.most_px = 100000;
   EXPECT_NE(refusal(large).find("most_px 100000"), std::string::npos);

@@ -158,7 +158,7 @@ TEST(ClassEvents, WhatIsIgnoredHasNoLabelUntilItIsNamed) {
             (Rows{"22222222", "22...222", "22.2.222", "22...222", "22222222", "22222222"}));
   std::vector<std::int16_t> large(4 * 48, 2);  // an image of twice the size
   EXPECT_TRUE(annotations.clear_ignored(0, 16, 12, large));
-  EXPECT_EQ(rows_of({16, 12, large, {}})[2], "2222.....2222222");
+  EXPECT_EQ(rows_of({16, 12, large, {}})[2], "22222....2222222");
   labels.assign(48, 2);
   annotations.clear_ignored(1, 8, 6, labels);
   EXPECT_EQ(labels, std::vector<std::int16_t>(48, 2));

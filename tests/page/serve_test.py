@@ -147,7 +147,7 @@ class ServeTest(page_case.PageCase):
         self.wait_learned(page)
         self.wait_mixed(page, 77.5, 20.5, colors[second], "undo does not bring the label back")
 
-        page.wait("document.getElementById('proposal-text').textContent.startsWith('Click proposed')", "nothing is proposed", 60)
+        page.wait("document.getElementById('proposal-text').textContent.startsWith('Click proposed')", "nothing is proposed", 240)
         proposal = self.serve.state()["proposal"]
         here = page.run("return Number(document.querySelector('#strip [aria-current=true]').dataset.view)")
         page.keys("space")
