@@ -192,6 +192,12 @@ int run(const MeshOptions& options, AppContext& context) {
   const std::size_t all = surface.triangles.size();
   if (!options.keep_unseen) drop_unseen(surface, cameras, s.limits, grid.spacing);
   const std::size_t unseen = all - surface.triangles.size();
+  if (unseen > 0 && surface.triangles.empty()) {
+    throw Error(ErrorKind::data,
+                fmt::format("{}: no training camera sees any of the {} faces at a density of {:.4g}", options.run,
+                            unseen, level),
+                "train longer, or keep them with --keep-unseen");
+  }
   const std::int64_t components = drop_small_components(surface, options.keep_components);
   if (surface.triangles.empty()) {
     throw Error(ErrorKind::data, fmt::format("{}: no surface at a density of {:.4g}", options.run, level),

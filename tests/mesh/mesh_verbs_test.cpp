@@ -154,7 +154,8 @@ TEST_F(Verbs, MeshColorsAreThoseAskedFor) {
   write_file_atomic(*dir_ / "plain.yaml", yaml);
   const std::string plain = *dir_ / "plain";
   ASSERT_EQ(run(*dir_, {"train", *dir_ / "plain.yaml", "--steps", "40", "--out", plain}).code, 0);
-  EXPECT_EQ(files({}, plain), Files{plain + "/mesh.ply"});
+  // So short a training may leave a fog around the cameras, of which none of them sees a face.
+  EXPECT_EQ(files({"--keep-unseen"}, plain), Files{plain + "/mesh.ply"});
   for (const char* color : {"class", "both"}) {
     const Result r = run(*dir_, {"mesh", plain, "--color", color});
     EXPECT_EQ(r.code, 65) << r.err;
