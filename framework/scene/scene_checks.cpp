@@ -195,14 +195,7 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
   }
   check_focal(camera, place, diagnostics);
   const auto outside = [](double c, int size) { return c < -size || c > 2.0 * size; };
-  if (const std::string other = other_image(camera); !other.empty()) {
-    diagnostics.error(place,
-                      "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
-                          ") is the middle of an image " + other + " as this one of " +
-                          std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) +
-                          " pixels: the intrinsics are that image's",
-                      "state the size that they belong to, or give those of the images as they are stored");
-  } else if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
+  if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
     diagnostics.error(place,
                       "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
                           ") lies far outside the image of " + std::to_string(camera.width_px) + " x " +
@@ -225,6 +218,17 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
     }
   }
   return diagnostics.error_count() == before;
+}
+
+bool check_principal_point(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
+  const std::string other = other_image(camera);
+  if (other.empty()) return true;
+  diagnostics.error(place,
+                    "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
+                        ") is the middle of an image " + other + " as this one of " + std::to_string(camera.width_px) +
+                        " x " + std::to_string(camera.height_px) + " pixels: the intrinsics are that image's",
+                    "state the size that they belong to, or give those of the images as they are stored");
+  return false;
 }
 
 }  // namespace semfield

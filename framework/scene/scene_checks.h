@@ -37,9 +37,12 @@ void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, c
 /// passed over.
 void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics);
 
-/// Focal lengths positive, principal point at most one image size outside and not the middle of a picture of another
-/// size or turned by a quarter, lens invertible over the image (else a warning: the pixels beyond are masked). False
-/// when an error was reported.
+/// Focal lengths positive, principal point at most one image size outside, lens invertible over the image (else a
+/// warning: the pixels beyond are masked). False when an error was reported.
 bool check_camera(const Camera& camera, const std::string& place, Diagnostics& diagnostics);
+
+/// For intrinsics that a file states apart from the images, of a camera with a size: reports a principal point that is
+/// the middle of a picture of another size, with the factor, or of one turned by a quarter. False when it did.
+bool check_principal_point(const Camera& camera, const std::string& place, Diagnostics& diagnostics);
 
 }  // namespace semfield

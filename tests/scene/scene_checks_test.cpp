@@ -99,7 +99,7 @@ TEST(SceneChecks, Intrinsics) {
     Camera c = testing_room::room_camera();
     change(c);
     Diagnostics d;
-    const bool good = check_camera(c, "frame 'a'", d);
+    const bool good = check_camera(c, "frame 'a'", d) && check_principal_point(c, "frame 'a'", d);
     EXPECT_EQ(good, !d.has_errors());
     return d.all().empty() ? std::string() : d.all().back().text();
   };

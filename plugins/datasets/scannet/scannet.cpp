@@ -220,7 +220,7 @@ Camera Scannet::read_camera(const std::string& file, const std::vector<std::stri
   camera.fy = (*m)[5];
   camera.cx = (*m)[2] + 0.5;
   camera.cy = (*m)[6] + 0.5;
-  if (!check_camera(camera, path, diagnostics)) return camera;
+  if (!check_principal_point(camera, path, diagnostics) || !check_camera(camera, path, diagnostics)) return camera;
   if (std::abs(camera.cx / camera.width_px - 0.5) > 0.2 || std::abs(camera.cy / camera.height_px - 0.5) > 0.2) {
     diagnostics.warning(path,
                         "its principal point is far from the middle of images of " + std::to_string(camera.width_px) +

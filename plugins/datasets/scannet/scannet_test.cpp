@@ -233,6 +233,9 @@ TEST(Scannet, IntrinsicsAreChecked) {
   plain_write(file, "40 1 19.5 0\n0 40 14.5 0\n0 0 1 0\n0 0 0 1\n");
   EXPECT_NE(problems(params_of(folder))[0].find(file + ": is not a pinhole camera without skew"), std::string::npos);
   plain_write(file, "40 0 39.5 0\n0 40 29.5 0\n0 0 1 0\n0 0 0 1\n");
+  EXPECT_NE(problems(params_of(folder))[0].find("is the middle of an image 2 times as large as this one of 40 x 30"),
+            std::string::npos);
+  plain_write(file, "40 0 39.5 0\n0 40 14.5 0\n0 0 1 0\n0 0 0 1\n");
   EXPECT_NE(problems(params_of(folder))[0].find("its principal point is far from the middle of images of 40 x 30"),
             std::string::npos);
   std::filesystem::remove(file);

@@ -117,7 +117,8 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
     }
   }
   out = camera_of(in.lens, size.width_px, size.height_px);
-  return sizes.fit(in.files.color, place, out, diagnostics) && check_camera(out, place, diagnostics);
+  return sizes.fit(in.files.color, place, out, diagnostics) && check_principal_point(out, place, diagnostics) &&
+         check_camera(out, place, diagnostics);
 }
 
 }  // namespace
