@@ -144,7 +144,8 @@ std::string one_of(const std::vector<std::string>& words) {
 std::string sentence_of(const Word& word) {
   std::vector<std::string> facts;
   if (!word.range.empty()) facts.push_back(word.range);
-  if (!word.initial.empty()) facts.push_back("default: " + word.initial);
+  const bool says_default = word.help.find("(default: ") != std::string::npos;
+  if (!word.initial.empty() && !says_default) facts.push_back("default: " + word.initial);
   if (word.required && word.kind == Word::Kind::value) facts.push_back("required");
   return word.help + (facts.empty() ? "" : " (" + join(facts, "; ") + ")");
 }

@@ -225,8 +225,9 @@ class Run:
         Raises:
             KeyboardInterrupt: after the step under way; the run can go on from there.
         """
+        of_length = self._session.steps_left
         left = None if steps is None else _whole("train: steps", steps, 0, 2**62)
-        if left is None and self._session.steps_left == 0:
+        if left is None and of_length == 0:
             left = 0
         return Training(self, left, _whole("train: every", every, 1, 2**62))
 
@@ -240,7 +241,7 @@ class Run:
             steps: steps more, 1 or more.
             seconds: or seconds of training more, above 0.
         """
-        more = 0 if steps is None else _whole("extend: steps", steps, 1, 10**9)
+        more = 0 if steps is None else _whole("extend: steps", steps, 0, 10**9)
         time_s = 0.0 if seconds is None else _number("extend: seconds", seconds)
         if (steps is None) == (seconds is None) or not (more or 0 < time_s <= 1e8):
             raise UsageError(f"extend(steps={steps}, seconds={seconds}): expected steps of 1 or more, or seconds above 0")

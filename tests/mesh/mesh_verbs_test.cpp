@@ -153,7 +153,7 @@ TEST_F(Verbs, MeshColorsAreThoseAskedFor) {
   yaml.replace(yaml.find("file: room.sfpack"), 17, "file: room.sfpack, labels: {frames: none}");
   write_file_atomic(*dir_ / "plain.yaml", yaml);
   const std::string plain = *dir_ / "plain";
-  ASSERT_EQ(run(*dir_, {"train", *dir_ / "plain.yaml", "--steps", "40", "--out", plain}).code, 0);
+  ASSERT_EQ(run(*dir_, {"train", *dir_ / "plain.yaml", "--steps", "200", "--out", plain}).code, 0);
   // So short a training may leave a fog around the cameras, of which none of them sees a face.
   EXPECT_EQ(files({"--keep-unseen"}, plain), Files{plain + "/mesh.ply"});
   for (const char* color : {"class", "both"}) {

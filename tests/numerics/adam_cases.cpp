@@ -240,10 +240,9 @@ void counters(CaseRun& run) {
                       1e-12, what);
         };
         check_factor(ScheduleKind::constant, rise, "constant");
-        if (progress < 250) {  // 0.1^progress in the normal range
-          check_factor(ScheduleKind::exponential, rise * std::pow(static_cast<long double>(schedule.factor), progress),
-                       "exponential");
-        }
+        check_factor(ScheduleKind::exponential,
+                     rise * std::pow(static_cast<long double>(schedule.factor), std::min(progress, 1.0L)),
+                     "exponential, held at the end");
         const auto floor = static_cast<long double>(schedule.factor);
         check_factor(ScheduleKind::cosine,
                      rise * (floor + (1 - floor) * (1 + std::cos(pi * std::min(progress, 1.0L))) / 2), "cosine");

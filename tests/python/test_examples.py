@@ -29,18 +29,18 @@ def play(folder: Path, *words: Any, steps: int) -> str:
 
 
 def test_train_and_label(tmp_path: Path) -> None:
-    said = play(tmp_path, EXAMPLES / "train_and_label.py", "out", steps=120)
+    said = play(tmp_path, EXAMPLES / "train_and_label.py", "out", steps=300)
     share = float(said.split("in the other 22, ")[1].split(" %")[0])
     assert share > 75
     stored = np.load(tmp_path / "out" / "labels.npz")
     assert stored["labels"].shape == (24, 30, 40) and set(np.unique(stored["labels"])) == set(range(5))
     assert list(stored["names"][:2]) == ["0000", "0001"] and stored["entropy"].min() >= 0
-    assert sf.load(tmp_path / "out" / "run").step == 120
+    assert sf.load(tmp_path / "out" / "run").step == 300
     assert len(list((tmp_path / "out" / "pictures").glob("*_label.png"))) == 24
 
 
 def test_labels_to_pointcloud(tmp_path: Path) -> None:
-    said = play(tmp_path, EXAMPLES / "labels_to_pointcloud.py", steps=40)
+    said = play(tmp_path, EXAMPLES / "labels_to_pointcloud.py", steps=150)
     header, _, rows = (tmp_path / "points.ply").read_bytes().partition(b"end_header\n")
     count = int(header.split(b"element vertex ")[1].split()[0])
     points = np.frombuffer(rows, [("place", "<f4", 3), ("color", "u1", 3), ("label", "<i4")])

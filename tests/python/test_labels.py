@@ -19,7 +19,8 @@ def same(a: sf.Run, b: sf.Run) -> bool:
 
 
 def lines_of(run: sf.Run) -> List[Dict[str, Any]]:
-    return [json.loads(line) for line in (Path(run.run_dir) / "clicks.jsonl").read_text().splitlines()]
+    file = Path(run.run_dir) / "clicks.jsonl"  # made by the first click
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
 
 
 @pytest.fixture()

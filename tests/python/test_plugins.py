@@ -337,7 +337,7 @@ def test_the_program_trains_it_with_the_same_bits(scene: sf.Scene, tmp_path: Pat
         sf.open(config)
     sf.command("train", config, "--out", tmp_path / "a", "--steps", "8", "--plugin", idea, "--quiet")
     sf.load_plugin(idea)
-    run = sf.open(config, {"train.steps": 8})
+    run = sf.open(config, {"train.steps": 8, "train.schedule.decay_steps": 8})  # as --steps does
     list(run.train())
     run.save(tmp_path / "b")
     one, two = (tensors_of(str(next((tmp_path / f / "checkpoints").glob("*.safetensors")))) for f in "ab")
