@@ -65,7 +65,8 @@ TEST_F(ServedPage, StateHasTheKeysOfTheContract) {
                                  {"clicks", 1},
                                  {"entropy", 0.5},
                                  {"ready", true},
-                                 {"photo", "b1"}}));
+                                 {"photo", "b1"},
+                                 {"held_out", false}}));
   EXPECT_EQ(s["proposal"]["at"], (Json{2.5, 3.5}));
   EXPECT_EQ(s["marks"][0]["view"], 1);  // of frame 7
   EXPECT_EQ(s["marks"][0]["points"], (Json{{1.5, 2.5}}));
