@@ -33,7 +33,7 @@ const std::vector<std::pair<std::string, Case>>& cases() {
       {"config check", {"config.yaml", {"config", "errors"}}},
       {"config explain", {"config.yaml", {"settings"}}},
       {"inspect", {"config.yaml", {"scene", "frames", "bounds", "classes", "findings"}}},
-      {"init", {"room.sfpack --out init.yaml", {"scene", "frames", "preset", "findings", "file", "type"}}},
+      {"init", {"room.sfpack --out init.yaml", {"file", "type", "others", "downscale"}}},
       {"train", {"config.yaml --steps 200 --out run", {"run", "step", "train_s", "values", "report"}}},
       {"config diff", {"config.yaml run/run.yaml", {"differences"}}},
       {"eval", {"run", {"run", "split", "step", "miou_present", "per_class_iou", "confusion", "per_frame"}}},
