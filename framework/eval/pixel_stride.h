@@ -1,4 +1,4 @@
-// A frame scored at every so manieth pixel of every so manieth row: which pixels those are.
+// Which pixels a frame is scored at: every s-th of every s-th row.
 #pragma once
 
 #include <cstdint>

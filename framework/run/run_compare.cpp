@@ -29,7 +29,7 @@ std::vector<ConfigDifference> changes_of_identity(const ConfigNode& a, const Con
   return changes;
 }
 
-// Those of the checkpoint are what trained. `config diff` compares run.yaml, so one that says something else is told.
+// Those of the checkpoint are what trained. `config diff` compares run.yaml, so a difference from it is reported.
 std::optional<ConfigNode> settings_of(const RunFolder& folder, const Side& side, Registry& registry,
                                       Diagnostics& diagnostics) {
   std::optional<RunConfig> written, trained;

@@ -1,4 +1,4 @@
-// Labels of a view's every so manieth pixel, brought to its full size along the edges of the photograph, or to the size
+// Labels of every s-th pixel of a view, brought to its full size along the edges of the photograph, or to the size
 // of its stored image, which training may have made smaller.
 #pragma once
 

@@ -7,7 +7,7 @@
 
 namespace semfield {
 
-/// Reads no clock: it is told of seconds of training. The number of steps is settled after a tenth of the time, once
+/// Reads no clock: it is given seconds of training. The number of steps is settled after a tenth of the time, once
 /// the rate holds still, and after a quarter of it at the latest: steps become faster as space empties. Where the rate
 /// has changed since for longer than a moment, so that the end would miss the time by more than a twelfth of it, the
 /// number is settled anew.

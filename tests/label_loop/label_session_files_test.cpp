@@ -178,7 +178,7 @@ TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
   }
 }
 
-// What the terminal is told of a scene that has changed, the page is told too.
+// The page shows the warnings of a changed scene that the terminal shows.
 TEST(LabelSession, WarningsReachThePage) {
   const TempDir dir;
   {

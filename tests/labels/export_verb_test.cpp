@@ -46,7 +46,7 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
       EXPECT_EQ(read_labels(*reader, frame_of(name), table).hard, rendered) << format << " " << name;
     }
   }
-  // A run that loads its images smaller: labels have the size of the images all the same, unless it is told otherwise.
+  // A run that loads its images smaller: labels still have the size of the images, unless an option says otherwise.
   const std::string half = "export run --split test --set scene.load.downscale=2 ";
   for (const std::string size : {"stored", "trained"}) {
     const Result r = semfield_run(half + "--size " + size + " --out half.json", folder);
