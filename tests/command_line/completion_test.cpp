@@ -79,7 +79,7 @@ printf '%s\n' "${COMPREPLY[@]}"
 
 TEST_P(Completion, Verbs) {
   const Words verbs = offered("semfield ");
-  for (const char* verb : {"train", "config", "check-numerics", "completion", "man"})
+  for (const char* verb : {"train", "config", "check-numerics", "completion", "help"})
     EXPECT_TRUE(verbs.contains(verb)) << verb;
   EXPECT_FALSE(verbs.contains("check"));
   EXPECT_EQ(offered("semfield tr"), Words{"train"});
@@ -97,7 +97,7 @@ TEST_P(Completion, Flags) {
   EXPECT_EQ(offered("semfield --pl"), Words{"--plugin"});
   // --json where there is one.
   EXPECT_EQ(offered("semfield eval --js"), Words{"--json"});
-  EXPECT_EQ(offered("semfield man --js"), Words{});
+  EXPECT_EQ(offered("semfield help --js"), Words{});
 }
 
 TEST_P(Completion, ChoicesOfValues) {
