@@ -7,6 +7,7 @@
 #include <system_error>
 #include <utility>
 
+#include "app/command_line/completion.h"
 #include "app/command_line/grammar.h"
 #include "app/command_line/help.h"
 #include "app/json_output.h"
@@ -155,6 +156,10 @@ bool parse(const Grammar& grammar, const Split& split, AppContext& context) {
 }  // namespace
 
 int run_command_line(int argc, char** argv, AppContext& context) {
+  if (argc > 2 && argv[1] == std::string("completion") && argv[2] == std::string("--of")) {  // unparsed: half a line
+    std::fputs(completions(program_grammar(), {argv + 3, argv + argc}).c_str(), stdout);
+    return 0;
+  }
   GlobalOptions global;
   const Grammar grammar = program_grammar(global);
   const Split split = split_words(grammar, {argv + 1, argv + argc});

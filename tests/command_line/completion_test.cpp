@@ -59,9 +59,10 @@ printf '%s\n' "${COMPREPLY[@]}"
     const std::string tool =
         shell_ == "zsh" ? SEMFIELD_SOURCE_DIR "/tests/command_line/zsh_candidates.zsh" : dir_ / ("try." + shell_);
     const std::string flags = shell_ == "bash" ? " --norc " : shell_ == "zsh" ? " -f " : " --no-config ";
-    std::istringstream lines(output_of("cd " + shell_word(dir_ / "work") + " && HOME=" + shell_word(dir_.path()) +
-                                       " timeout 60 " + shell_ + flags + shell_word(tool) + " " + script + " " + words +
-                                       " 2>&1"));
+    std::istringstream lines(
+        output_of("cd " + shell_word(dir_ / "work") + " && HOME=" + shell_word(dir_.path()) +
+                  " PATH=" + shell_word(fs::path(testing_program::program()).parent_path().string()) +
+                  ":\"$PATH\" timeout 60 " + shell_ + flags + shell_word(tool) + " " + script + " " + words + " 2>&1"));
     Words out;
     for (std::string word; std::getline(lines, word);) {
       word = word.substr(word.rfind(',') + 1);
