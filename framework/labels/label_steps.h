@@ -24,7 +24,7 @@ struct FrameLabels {
   bool empty() const { return hard.empty() && soft.empty(); }
 };
 
-/// Training labels of a scene: one entry a frame of SceneInfo; empty for test frames and unlabelled ones.
+/// Training labels of a scene: one entry per frame of SceneInfo; empty for test frames and unlabelled ones.
 using LabelSet = std::vector<FrameLabels>;
 
 /// Facts of a step for the manifest, in the order of writing: ("pixels changed", "12345").

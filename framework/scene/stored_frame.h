@@ -32,7 +32,7 @@ class LabelMap {
   std::vector<std::int16_t> wide_;
 };
 
-/// z-depth in metres, 0 = invalid: two bytes a pixel where every value is a whole number of millimetres, else float.
+/// z-depth in metres, 0 = invalid: two bytes per pixel where every value is a whole number of millimetres, else float.
 class DepthMap {
  public:
   DepthMap() = default;

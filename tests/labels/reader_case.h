@@ -46,7 +46,7 @@ inline ClassTable room_table() {
                      {7, "table", {70, 80, 90}, false}});
 }
 
-/// Everything that open() reports, one a line.
+/// Everything that open() reports, one per line.
 inline std::string open_findings(LabelReader& reader, const ClassTable& known) {
   Diagnostics diagnostics;
   try {

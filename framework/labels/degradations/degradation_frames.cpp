@@ -11,7 +11,7 @@
 namespace semfield {
 
 std::vector<std::size_t> hard_frames(const LoadedScene& scene, const LabelSet& labels, std::string_view type) {
-  SEMFIELD_CHECK(labels.size() == scene.frames.size(), "one entry of labels a frame");
+  SEMFIELD_CHECK(labels.size() == scene.frames.size(), "one entry of labels per frame");
   std::vector<std::size_t> out;
   for (std::size_t f = 0; f < labels.size(); ++f) {
     if (labels[f].empty()) continue;

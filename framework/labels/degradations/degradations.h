@@ -7,7 +7,7 @@
 
 namespace semfield {
 
-/// Uniform random classes on an exact number of pixels a frame [Zhi21, section 4.3].
+/// Uniform random classes on an exact number of pixels per frame [Zhi21, section 4.3].
 std::unique_ptr<Degradation> make_pixel_noise();
 /// Wrong classes on whole instances in a share of the frames that see them [Zhi21, section 4.3].
 std::unique_ptr<Degradation> make_region_noise();

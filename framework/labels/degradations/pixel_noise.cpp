@@ -1,4 +1,4 @@
-// Pixel noise: an exact number of distinct pixels a frame gets uniform random classes.
+// Pixel noise: an exact number of distinct pixels per frame gets uniform random classes.
 #include <cmath>
 #include <numeric>
 
