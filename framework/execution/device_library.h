@@ -18,6 +18,7 @@ struct DeviceOptions {
   int ordinal = 0;
   bool trainable = true;
   bool deterministic = false;  ///< sums in a fixed order: the same bits in every run and for any number of ranks
+  const KernelTables* kernels = nullptr;  ///< where losses find theirs; null only without losses
   Ranks* ranks = nullptr;      ///< processes that make every step together, each with a device; null: this one alone
 };
 

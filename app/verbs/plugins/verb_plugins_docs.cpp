@@ -31,8 +31,10 @@ int refresh_tree(const fs::path& root, const AppContext& context) {
   write_if_new(root / "docs" / "reference" / "plugins.md", plugins_markdown(context.registry));
   write_if_new(root / "docs" / "reference" / "verbs.md", verbs_page(program_grammar()));
   for (const PluginEntry* entry : context.registry.entries()) {
-    const fs::path readme = root / "plugins" / (std::string(kind_name(entry->kind)) + "s") / entry->name / "README.md";
-    if (fs::exists(readme)) write_if_new(readme, with_parameter_table(read_text_file(readme.string()), *entry));
+    for (const char* top : {"plugins", "framework"}) {
+      const fs::path readme = root / top / kind_folder(entry->kind) / entry->name / "README.md";
+      if (fs::exists(readme)) write_if_new(readme, with_parameter_table(read_text_file(readme.string()), *entry));
+    }
   }
   print_note(context, std::to_string(written) + " generated pages changed under " + root.string());
   return 0;

@@ -1,19 +1,19 @@
-// Rays with samples, values and targets for tests of loss terms, and every setting that a term's choices have.
+// Rays with samples, values and targets, and the gradients that a loss adds: for tests of losses.
 #pragma once
 
 #include <algorithm>
-#include <string>
 #include <vector>
 
 #include "core/rng.h"
-#include "losses/loss_term.h"
+#include "plugin/loss.h"
 
-namespace semfield::testing {
+namespace semfield::testkit {
 
-/// Random rays of given sample counts. Every third ray has no known depth.
+/// Random rays of given sample counts. Every third ray has no known depth; labels are hard or soft, one in four rays of
+/// the first half has none, and those of the second half have neither label nor logits.
 template <class Real>
 struct LossRays {
-  explicit LossRays(const std::vector<int>& counts, std::uint64_t seed = 1) {
+  explicit LossRays(const std::vector<int>& counts, std::uint64_t seed = 1, bool soft_labels = false) {
     auto uniform = [&, next = std::uint64_t{0}](double low, double high) mutable {
       // As float: the same numbers in every precision.
       return static_cast<float>(low + (high - low) * static_cast<double>(uniform01({seed, 0, 0x10557}, next++)));
@@ -43,19 +43,35 @@ struct LossRays {
       depth_target.push_back(r % 3 == 2 || counts[r] == 0 ? 0.0F : truth);
       first.push_back(static_cast<std::int32_t>(t.size()));
     }
-    for (auto* v : {&d_color}) v->assign(color.size(), Real(0));
-    for (auto* v : {&d_depth}) v->assign(depth.size(), Real(0));
-    for (auto* v : {&d_weight, &d_sigma}) v->assign(t.size(), Real(0));
+    semantic_rays = (static_cast<std::int64_t>(counts.size()) + 1) / 2;
+    for (std::int64_t r = 0; r < rays(); ++r) {
+      const bool labelled = r < semantic_rays && r % 4 != 1;
+      label.push_back(labelled ? static_cast<std::int16_t>(r % kClasses) : std::int16_t{-1});
+      for (std::int32_t c = 0; c < kClasses; ++c) {
+        if (r < semantic_rays) logits.push_back(uniform(-3, 3));
+        soft.push_back(labelled ? uniform(0, 1) : 0.0F);
+      }
+    }
+    if (!soft_labels) soft.clear();
+    d_color.assign(color.size(), Real(0));
+    d_depth.assign(depth.size(), Real(0));
+    d_weight.assign(t.size(), Real(0));
+    d_sigma.assign(t.size(), Real(0));
+    d_logits.assign(logits.size(), Real(0));
   }
+  static constexpr std::int32_t kClasses = 5;
   std::int64_t rays() const { return static_cast<std::int64_t>(first.size()) - 1; }
   template <class T>
   static View<T> mat(std::vector<T>& v, std::int32_t cols) {
     return View<T>(v.data(), static_cast<std::int64_t>(v.size()) / cols, cols);
   }
   RayTargets targets(std::int64_t begin = 0, std::int64_t count = -1) {
+    const std::int64_t n = count < 0 ? rays() : count;
     RayTargets out;
-    out.color = mat(color_target, 3).row_range(begin, count < 0 ? rays() : count);
-    out.depth = mat(depth_target, 1).row_range(begin, count < 0 ? rays() : count);
+    out.color = mat(color_target, 3).row_range(begin, n);
+    out.label = mat(label, 1).row_range(begin, n);
+    out.more.set(channel::depth, mat(depth_target, 1).row_range(begin, n));
+    if (!soft.empty()) out.more.set(channel::soft_label, mat(soft, kClasses).row_range(begin, n));
     return out;
   }
   /// Rays [begin, begin + count); sample arrays stay whole.
@@ -71,71 +87,43 @@ struct LossRays {
     out.color = mat(color, 3).row_range(begin, n);
     out.depth = mat(depth, 1).row_range(begin, n);
     out.opacity = mat(opacity, 1).row_range(begin, n);
+    const auto [from, rows] = semantic_rows(begin, n);
+    out.heads.set(channel::logits, mat(logits, kClasses).row_range(from, rows));
     return out;
   }
   RayGradients<Real> gradients(std::int64_t begin = 0, std::int64_t count = -1) {
     const std::int64_t n = count < 0 ? rays() : count;
-    return {mat(d_color, 3).row_range(begin, n), mat(d_depth, 1).row_range(begin, n), mat(d_weight, 1),
-            mat(d_sigma, 1)};
+    const auto [from, rows] = semantic_rows(begin, n);
+    RayGradients<Real> out{mat(d_color, 3).row_range(begin, n), mat(d_depth, 1).row_range(begin, n), mat(d_weight, 1),
+                           mat(d_sigma, 1), {}};
+    out.heads.set(channel::logits, mat(d_logits, kClasses).row_range(from, rows));
+    return out;
   }
-  double add(const LossTerm& term, double scale) { return term.add(targets(), values(), scale, gradients()); }
-
-  std::vector<std::int32_t> first;
-  std::vector<double> near_far;
-  std::vector<float> color_target, depth_target;
-  std::vector<Real> t, delta, sigma, weight, color, depth, opacity;
-  std::vector<Real> d_color, d_depth, d_weight, d_sigma;
-};
-
-/// A kind with one of its choices set, or as it is.
-struct LossSetting {
-  std::string name;
-  std::shared_ptr<LossTerm> term;
-};
-
-/// Sets choice `wanted` of the parameters to its value `value`; counts choices and their values.
-class ChoiceSetter final : public ParamVisitor {
- public:
-  ChoiceSetter(int wanted, int value) : wanted_(wanted), value_(value) {}
-  void boolean(const ParamInfo&, bool&) override {}
-  void integer(const ParamInfo&, std::int64_t&) override {}
-  void real(const ParamInfo&, double&) override {}
-  void text(const ParamInfo&, std::string&) override {}
-  void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) override {
-    if (choices_++ != wanted_ || value_ >= static_cast<int>(names.size())) return;
-    value = value_;
-    set = std::string(info.name) + "_" + std::string(names[static_cast<std::size_t>(value_)]);
-  }
-  void integers(const ParamInfo&, std::vector<std::int64_t>&) override {}
-  void reals(const ParamInfo&, std::vector<double>&) override {}
-  void texts(const ParamInfo&, std::vector<std::string>&) override {}
-  std::string set;
-
- private:
-  int wanted_, value_, choices_ = 0;
-};
-
-/// Every kind as it is, and with each value of each of its choices.
-inline std::vector<LossSetting> loss_settings() {
-  std::vector<LossSetting> out;
-  for (const LossKind& kind : loss_kinds()) {
-    out.push_back({std::string(kind.type), kind.make()});
-    for (int choice = 0, found = 1; found > 0; ++choice) {
-      found = 0;
-      for (int value = 0; value < 16; ++value) {
-        std::shared_ptr<LossTerm> term = kind.make();
-        ChoiceSetter setter(choice, value);
-        term->describe(setter);
-        if (setter.set.empty()) break;
-        ++found;
-        out.push_back({std::string(kind.type) + "_" + setter.set, std::move(term)});
-      }
+  /// Opacity has no gradient of its own: it follows the weights.
+  void sum_opacity() {
+    for (std::size_t r = 0; r + 1 < first.size(); ++r) {
+      opacity[r] = 0;
+      for (std::int32_t m = first[r]; m < first[r + 1]; ++m) opacity[r] += weight[static_cast<std::size_t>(m)];
     }
   }
-  return out;
-}
+  double add(const Loss& loss, double scale) { return loss.add(targets(), values(), scale, gradients()); }
+
+  std::int64_t semantic_rays = 0;  ///< the first rays, which have logits
+  std::vector<std::int32_t> first;
+  std::vector<std::int16_t> label;
+  std::vector<double> near_far;
+  std::vector<float> color_target, depth_target, soft;
+  std::vector<Real> t, delta, sigma, weight, color, depth, opacity, logits;
+  std::vector<Real> d_color, d_depth, d_weight, d_sigma, d_logits;
+
+ private:
+  std::pair<std::int64_t, std::int64_t> semantic_rows(std::int64_t begin, std::int64_t count) const {
+    const std::int64_t from = std::min(begin, semantic_rays);
+    return {from, std::min(begin + count, semantic_rays) - from};
+  }
+};
 
 /// Ray lengths that make warps and blocks end awkwardly.
 inline std::vector<int> awkward_ray_lengths() { return {31, 0, 1, 32, 33, 2, 0, 64, 127, 128, 129, 5, 200, 0}; }
 
-}  // namespace semfield::testing
+}  // namespace semfield::testkit
