@@ -18,7 +18,8 @@ LossList::LossList(std::vector<LossEntry> entries) : entries_(std::move(entries)
   SEMFIELD_CHECK(entries_.size() <= kMostLossTerms, "too many losses");
   for (std::size_t i = 0; i < entries_.size(); ++i) {
     const LossTraits& traits = traits_.emplace_back(entries_[i].loss->traits());
-    const auto heads = std::count_if(traits.moves.begin(), traits.moves.end(), [](auto name) { return !of_pass(name); });
+    const auto heads =
+        std::count_if(traits.moves.begin(), traits.moves.end(), [](auto name) { return !of_pass(name); });
     if (heads > 0) of_heads_ |= 1U << i;
     if (heads > 0 && heads < std::ssize(traits.moves))
       throw Error(ErrorKind::config,

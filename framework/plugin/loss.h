@@ -17,7 +17,7 @@ namespace semfield {
 struct RayTargets {
   View<const float> color;         ///< [R, 3] in [0, 1]
   View<const std::int16_t> label;  ///< [R, 1] class, negative: none
-  ChannelTable<const float> more;      ///< [R, K] each: soft_label, depth and whatever else the losses read
+  ChannelTable<const float> more;  ///< [R, K] each: soft_label, depth and whatever else the losses read
 };
 
 /// What a pass makes of the rays. M samples: row m of t, delta, sigma and weight.
@@ -31,16 +31,16 @@ struct RayValues {
   View<const Real> color;          ///< [R, 3]
   View<const Real> depth;          ///< [R, 1] sum of w t, metres along the ray
   View<const Real> opacity;        ///< [R, 1] sum of w
-  ChannelTable<const Real> heads;      ///< what heads make, by name: logits [S, C]. Rays from S on have no row
+  ChannelTable<const Real> heads;  ///< what heads make, by name: logits [S, C]. Rays from S on have no row
 };
 
 /// dL/d(values). Losses add to them; those that no loss moves may be empty.
 template <class Real>
 struct RayGradients {
-  View<Real> color;      ///< [R, 3]
-  View<Real> depth;      ///< [R, 1]
-  View<Real> weight;     ///< [M, 1]; a gradient of opacity is the same value at all samples of the ray
-  View<Real> sigma;      ///< [M, 1] direct, beside what the other gradients make of it
+  View<Real> color;          ///< [R, 3]
+  View<Real> depth;          ///< [R, 1]
+  View<Real> weight;         ///< [M, 1]; a gradient of opacity is the same value at all samples of the ray
+  View<Real> sigma;          ///< [M, 1] direct, beside what the other gradients make of it
   ChannelTable<Real> heads;  ///< of RayValues::heads, the same shapes
 };
 

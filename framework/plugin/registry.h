@@ -79,9 +79,9 @@ std::string call_preparation(const std::string& folder, const Params& params) {
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its
-/// namespace (a loss's validate may be that of LossRule); an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a dataset's
-/// `std::string recognise(const std::string& path, Params&)` and
-/// `std::string preparation(const std::string& folder, const Params&)`.
+/// namespace (a loss's validate may be that of LossRule); an encoder's may have `void choose(Params&, const
+/// EncoderBuild&, std::vector<std::string>&)`, a dataset's `std::string recognise(const std::string& path, Params&)`
+/// and `std::string preparation(const std::string& folder, const Params&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:

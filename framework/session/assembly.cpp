@@ -200,8 +200,7 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry) {
     const auto named = std::find_if(config.losses.begin(), config.losses.end(),
                                     [&](const LossEntry& one) { return one.type == entry->name; });
     const bool is_named = named != config.losses.end();
-    request.losses.push_back(
-        {entry->name, entry->saves, is_named, is_named ? named->loss->traits() : LossTraits{}});
+    request.losses.push_back({entry->name, entry->saves, is_named, is_named ? named->loss->traits() : LossTraits{}});
   }
   request.balance_classes = config.semantics.balance_classes;
   request.mixed_precision = config.runtime.precision != Precision::fp32;

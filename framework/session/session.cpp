@@ -401,11 +401,10 @@ std::string describe_session(const Session& s) {
           "pass      {}: {}{}", pass.parts().name, slots,
           pass.parts().head ? fmt::format(", {} classes", pass.parts().head->classes()) : ", no semantics"));
     }
-    add(fmt::format(
-        "learned   {} parameters; {} of {} rays, tiles of {}, {} lanes, {} threads",
-        s.pipeline->store().learned_count(),
-        (last_step(s.config) > 0 ? "" : "as many steps as fit into ") + length_text(s.config),
-        s.config.train.rays, s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
+    add(fmt::format("learned   {} parameters; {} of {} rays, tiles of {}, {} lanes, {} threads",
+                    s.pipeline->store().learned_count(),
+                    (last_step(s.config) > 0 ? "" : "as many steps as fit into ") + length_text(s.config),
+                    s.config.train.rays, s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
     out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
   }
   for (const std::string& line : s.choices()) add("chosen    " + line);

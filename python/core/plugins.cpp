@@ -262,8 +262,9 @@ void load_python_file(Registry& registry, const std::string& path) {
   }
   b.loading = outer;
   if (trial.entries().size() == before)
-    throw Error(ErrorKind::unavailable, doing + ": it defines no plugin",
-                "decorate a class with @semfield.encoder(\"name\"), @semfield.dataset(\"name\") or @semfield.loss(\"name\")");
+    throw Error(
+        ErrorKind::unavailable, doing + ": it defines no plugin",
+        "decorate a class with @semfield.encoder(\"name\"), @semfield.dataset(\"name\") or @semfield.loss(\"name\")");
   trial.set_current_module({});
   trial.add_module_file(path);
   registry = std::move(trial);

@@ -22,7 +22,7 @@ bool ends_with(const std::string& text, const std::string& end) {
 const Folders kFrameworkFolders{"core",   "system",  "compute", "config",   "formats", "classes", "scene",
                                 "survey", "loading", "plugin",  "labels",   "losses",  "model",   "execution",
                                 "optim",  "cuda",    "eval",    "settings", "session", "run",     "report",
-                                "fuse",   "mesh",    "sweep",   "serve",    "testkit", "ranks",    "mpi"};
+                                "fuse",   "mesh",    "sweep",   "serve",    "testkit", "ranks",   "mpi"};
 
 // A folder and those that it may include. Folders inside a folder stand on its floor.
 const std::map<std::string, Folders>& floors() {

@@ -60,9 +60,9 @@ struct DeviceRays {
     return out;
   }
   RayValues<float> values() const {
-    RayValues<float> out{near_far.read_only(), first.read_only(), t.read_only(),       delta.read_only(),
-                         sigma.read_only(),    weight.read_only(), color.read_only(), depth.read_only(),
-                         opacity.read_only(),  {}};
+    RayValues<float> out{
+        near_far.read_only(), first.read_only(), t.read_only(),     delta.read_only(),   sigma.read_only(),
+        weight.read_only(),   color.read_only(), depth.read_only(), opacity.read_only(), {}};
     out.heads.set(channel::logits, logits.read_only());
     return out;
   }

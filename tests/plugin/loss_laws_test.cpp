@@ -90,18 +90,20 @@ TEST_P(BrokenLoss, IsCaught) {
   EXPECT_NE(found.find(GetParam().law), std::string::npos) << "failures were:\n" << found;
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    EachPromise, BrokenLoss,
-    testing::Values(Case{Break::wrong_slope, "gradient of logits"}, Case{Break::hidden_slope, "gradient of color"},
-                    Case{Break::says_more, "does not move color"}, Case{Break::assigns, "gradients accumulate, logits"},
-                    Case{Break::scaled_loss, "the loss is before its scale"},
-                    Case{Break::depends_on_row, "rays are independent, gradient of logits"},
-                    Case{Break::float_off, "float against double, loss"}, Case{Break::loss_of_nothing, "no ray: has a loss"},
-                    Case{Break::needs_no_label, "without label: there is a loss"},
-                    Case{Break::pulls_unlabelled, "rays without a label: have a gradient"},
-                    Case{Break::counts_unlabelled, "without label: rays are counted"},
-                    Case{Break::divides_by_zero, "extremes: the loss is not finite"}),
-    NameOfCase{});
+INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenLoss,
+                         testing::Values(Case{Break::wrong_slope, "gradient of logits"},
+                                         Case{Break::hidden_slope, "gradient of color"},
+                                         Case{Break::says_more, "does not move color"},
+                                         Case{Break::assigns, "gradients accumulate, logits"},
+                                         Case{Break::scaled_loss, "the loss is before its scale"},
+                                         Case{Break::depends_on_row, "rays are independent, gradient of logits"},
+                                         Case{Break::float_off, "float against double, loss"},
+                                         Case{Break::loss_of_nothing, "no ray: has a loss"},
+                                         Case{Break::needs_no_label, "without label: there is a loss"},
+                                         Case{Break::pulls_unlabelled, "rays without a label: have a gradient"},
+                                         Case{Break::counts_unlabelled, "without label: rays are counted"},
+                                         Case{Break::divides_by_zero, "extremes: the loss is not finite"}),
+                         NameOfCase{});
 
 }  // namespace
 }  // namespace semfield

@@ -1,10 +1,11 @@
 // Where a run trains whose parts lack kernels for the device; the device itself is not needed.
+#include "settings/device_choice.h"
+
 #include <gtest/gtest.h>
 
 #include <filesystem>
 
 #include "config/compose.h"
-#include "settings/device_choice.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -41,7 +42,8 @@ struct PartsRun {
 };
 
 const std::string kStays =
-    " has no cuda kernels, so the run stays on the CPU, which is tens to hundreds of times slower than a GPU; use parts "
+    " has no cuda kernels, so the run stays on the CPU, which is tens to hundreds of times slower than a GPU; use "
+    "parts "
     "that have kernels for it: `semfield plugins matrix` lists them";
 
 std::string refusal_of(PartsRun& run) {

@@ -37,15 +37,17 @@ void expect_says(const std::string& text, const std::vector<std::string>& parts)
 }
 
 TEST(LossConfig, MistakesAreNamedWithPlaceAndRemedy) {
-  expect_says(errors_of("losses: [{type: distorsion}]\n"),
-              {"room.yaml:", "no loss named 'distorsion'; known: depth, distortion, generalised_cross_entropy, near_density",
-               "did you mean 'distortion'?"});
+  expect_says(
+      errors_of("losses: [{type: distorsion}]\n"),
+      {"room.yaml:", "no loss named 'distorsion'; known: depth, distortion, generalised_cross_entropy, near_density",
+       "did you mean 'distortion'?"});
   expect_says(errors_of("losses: [{type: depth, weight: -1}]\n"),
               {"room.yaml:", "losses.0.weight: expected number in [0, 1000000], got -1"});
   expect_says(errors_of("losses: [{type: depth, from_step: 2000}]\n"),
               {"losses.0.from_step: expected number in [0, 1], got 2000"});
   expect_says(errors_of("losses: [{type: depth, wieght: 1}]\n"), {"unknown key 'wieght'", "did you mean 'weight'?"});
-  expect_says(errors_of("losses: [{weight: 1}]\n"), {"losses.0: key 'type' is missing", "choose one of depth, distortion"});
+  expect_says(errors_of("losses: [{weight: 1}]\n"),
+              {"losses.0: key 'type' is missing", "choose one of depth, distortion"});
   expect_says(errors_of("losses: {type: depth}\n"), {"losses: expected a list of terms", "write losses: [{type:"});
   const std::string twice = errors_of("losses:\n  - {type: depth}\n  - {type: distortion}\n  - {type: depth}\n");
   expect_says(twice, {"losses.2: the term 'depth' stands at room.yaml:", "already", "keep one of them"});
@@ -284,9 +286,8 @@ TEST(LossTerms, ALossOnLogitsIsLeftOutWithoutLabels) {
   const Session s = open_text(yaml, registry);
   EXPECT_TRUE(s.config.losses.empty());
   const auto& rows = s.plan.left_out;
-  const auto row = std::find_if(rows.begin(), rows.end(), [](const LeftOut& r) {
-    return r.component == "loss_generalised_cross_entropy";
-  });
+  const auto row = std::find_if(rows.begin(), rows.end(),
+                                [](const LeftOut& r) { return r.component == "loss_generalised_cross_entropy"; });
   ASSERT_NE(row, rows.end());
   EXPECT_EQ(row->rule, "there are no semantics");
 }

@@ -66,7 +66,7 @@ template double DepthLoss::sum<double>(const RayTargets&, const RayValues<double
 namespace {
 void register_into(Registry& registry) {
   registry.add_loss<DepthLoss>("depth", "depth images of training frames; pixels without depth count for nothing",
-                           "depth of training frames in memory, two bytes per pixel, and its gradient");
+                               "depth of training frames in memory, two bytes per pixel, and its gradient");
 }
 }  // namespace
 

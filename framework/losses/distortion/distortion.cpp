@@ -47,8 +47,9 @@ template double DistortionLoss::sum<double>(const RayTargets&, const RayValues<d
 
 namespace {
 void register_into(Registry& registry) {
-  registry.add_loss<DistortionLoss>("distortion", "light of a ray comes from one place [Barron22, Eq. 15]; begun early it condenses fog",
-                           "two walks along each ray and the gradient of its weights");
+  registry.add_loss<DistortionLoss>(
+      "distortion", "light of a ray comes from one place [Barron22, Eq. 15]; begun early it condenses fog",
+      "two walks along each ray and the gradient of its weights");
 }
 }  // namespace
 

@@ -40,8 +40,10 @@ template double NearDensityLoss::sum<double>(const RayTargets&, const RayValues<
 
 namespace {
 void register_into(Registry& registry) {
-  registry.add_loss<NearDensityLoss>("near_density", "the first decimetres in front of a camera are empty [Yang23]; begun early it can end all density",
-                           "a gradient per sample");
+  registry.add_loss<NearDensityLoss>(
+      "near_density",
+      "the first decimetres in front of a camera are empty [Yang23]; begun early it can end all density",
+      "a gradient per sample");
 }
 }  // namespace
 

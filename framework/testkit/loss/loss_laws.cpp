@@ -93,8 +93,8 @@ class LossLaws {
     };
     const GradientCheck check{1e-6, 1e-6, 16 * options_.gradient_elements, options_.seed};
     for (const Gradient<double>& one : gradients_of<double>())
-      note(about(one.channel), check_gradient(value, LossRays<double>::mat(at.*one.value, 1),
-                                              column(moved.*one.gradient), check));
+      note(about(one.channel),
+           check_gradient(value, LossRays<double>::mat(at.*one.value, 1), column(moved.*one.gradient), check));
   }
 
   void moves() {
@@ -130,7 +130,8 @@ class LossLaws {
     for (const Gradient<double>& one : gradients_of<double>()) {
       std::vector<double> wanted = once.*one.gradient;
       for (double& d : wanted) d *= 3;
-      note("gradients accumulate, " + std::string(one.channel), compare(column(thrice.*one.gradient), column(wanted), 1e-12));
+      note("gradients accumulate, " + std::string(one.channel),
+           compare(column(thrice.*one.gradient), column(wanted), 1e-12));
     }
   }
 

@@ -94,8 +94,11 @@ struct LossRays {
   RayGradients<Real> gradients(std::int64_t begin = 0, std::int64_t count = -1) {
     const std::int64_t n = count < 0 ? rays() : count;
     const auto [from, rows] = semantic_rows(begin, n);
-    RayGradients<Real> out{mat(d_color, 3).row_range(begin, n), mat(d_depth, 1).row_range(begin, n), mat(d_weight, 1),
-                           mat(d_sigma, 1), {}};
+    RayGradients<Real> out{mat(d_color, 3).row_range(begin, n),
+                           mat(d_depth, 1).row_range(begin, n),
+                           mat(d_weight, 1),
+                           mat(d_sigma, 1),
+                           {}};
     out.heads.set(channel::logits, mat(d_logits, kClasses).row_range(from, rows));
     return out;
   }

@@ -8,10 +8,11 @@
 namespace semfield {
 
 void describe(ParamVisitor& visit, GeneralisedCrossEntropyParams& p) {
-  SEMFIELD_PARAM(visit, p, q,
-                 "between cross-entropy (towards 0), which trusts every label, and 1, the absolute error, which lets go "
-                 "of labels that the network contradicts [Zhang18]",
-                 {0.01, 1});
+  SEMFIELD_PARAM(
+      visit, p, q,
+      "between cross-entropy (towards 0), which trusts every label, and 1, the absolute error, which lets go "
+      "of labels that the network contradicts [Zhang18]",
+      {0.01, 1});
 }
 
 LossTraits GeneralisedCrossEntropy::traits() const {
@@ -95,7 +96,8 @@ template double GeneralisedCrossEntropy::sum<double>(const RayTargets&, const Ra
 namespace {
 void register_into(Registry& registry) {
   registry.add_loss<GeneralisedCrossEntropy>(
-      "generalised_cross_entropy", "Class labels of which many may be wrong: (1 - p^q) / q of the label's class [Zhang18].",
+      "generalised_cross_entropy",
+      "Class labels of which many may be wrong: (1 - p^q) / q of the label's class [Zhang18].",
       "an exponential per class and labelled ray");
 }
 }  // namespace

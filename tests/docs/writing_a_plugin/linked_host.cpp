@@ -18,7 +18,8 @@ int main(int argc, char** argv) {
     Registry registry;
     register_linked_plugins(registry);
     testkit::Failures failures;
-    if (registry.entries().size() != 3) failures.push_back("the table of linked plugins does not hold the page's three");
+    if (registry.entries().size() != 3)
+      failures.push_back("the table of linked plugins does not hold the page's three");
     for (const PluginEntry* entry : registry.entries()) testkit::append(failures, testkit::declaration_laws(*entry));
     testkit::append(failures, testkit::encoder_laws(registry, "rings", {}, {}));
     testkit::append(failures, testkit::loss_laws(registry, "opaque", {}));
