@@ -14,7 +14,6 @@
 #include "cuda/kernel_tables.h"
 #include "cuda/kernels/adam.h"
 #include "cuda/kernels/layers.h"
-#include "cuda/loss_terms.h"
 #include "cuda/matmul.h"
 #include "cuda/stages.h"
 #include "execution/train_rays.h"
@@ -36,11 +35,11 @@ std::int64_t last_labelled(View<const std::int16_t> label) {
 StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options)
     : host_(host),
       options_(options),
+      losses_(loss_kernels(host.options().losses, options.kernels)),
       train_arena_(arena_source()),
       beside_arena_(arena_source()),
       render_arena_(arena_source()) {
   SEMFIELD_CHECK(parts.size() <= static_cast<std::size_t>(kMostPasses), "a device runs at most 4 passes");
-  require_loss_kernels(host.options().losses);
   const LaunchScope on_device(step_launch());
   check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "making a stream");
   check(cudaStreamCreateWithFlags(&beside_, cudaStreamNonBlocking), "making a stream");
@@ -331,12 +330,11 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
                            classes == 0 ? View<const float>() : owner_.class_weight_.view(1, classes),
                            owner_.host_.options().rules.semantics.weight, d_logits, sums(pass));
   }
-  LossTraits active_terms() const override {
-    return shape_.terms != 0 ? owner_.host_.options().losses.traits(shape_.terms) : LossTraits{};
-  }
-  void add_terms(std::size_t pass, Workspace& arena, const RayTargets& targets, const RayValues<float>& values,
-                 const RayGradients<float>& gradients) override {
-    add_losses(arena, owner_.host_.options().losses, shape_.terms, targets, values, gradients, sums(pass));
+  const LossList& losses() const override { return owner_.host_.options().losses; }
+  std::uint32_t active_losses() const override { return shape_.terms; }
+  void add_losses(std::size_t pass, Workspace& arena, std::uint32_t which, const RayTargets& targets,
+                  const RayValues<float>& values, const RayGradients<float>& gradients) override {
+    cuda::add_losses(arena, owner_.losses_, which, {targets, values, gradients}, sums(pass));
   }
   void count(std::size_t pass, const PassTrace<float>& trace) override {
     count_samples(trace.samples.first, trace.sigma, sums(pass));

@@ -197,7 +197,7 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
   TileExecutor(LaneExecutor& owner, int lane, const TileRange& tile, const BatchScales& scales)
       : owner_(owner), lane_(lane), tile_(tile), scales_(scales) {}
 
-  StepLosses losses;
+  StepLosses sums;
 
   const SampledTile<Real>* drawn() const override {
     const bool drawn = owner_.draws_ahead() && tile_.number != kAlone;
@@ -205,8 +205,8 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
   }
   void color_loss(std::size_t, Workspace&, View<const Real> color, View<const float> target,
                   View<Real> d_color) override {
-    losses.mse = photometric_loss<Real>(color, target, scales_.color, 1.0, d_color);
-    losses.color += losses.mse;
+    sums.mse = photometric_loss<Real>(color, target, scales_.color, 1.0, d_color);
+    sums.color += sums.mse;
   }
   void semantic_loss(std::size_t, Workspace&, View<const Real> logits, const SemanticTargets& targets,
                      View<Real> d_logits) override {
@@ -216,20 +216,19 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
         classes == 0 ? View<const float>() : View<const float>(options.class_weight.data(), 1, classes);
     const SemanticLoss semantic = semantic_cross_entropy<Real>(logits, targets, class_weight, scales_.semantic,
                                                                options.rules.semantics.weight, d_logits, tile_.begin);
-    losses.semantic += semantic.sum;
-    losses.labelled = semantic.labelled;
-    losses.correct = semantic.correct;
+    sums.semantic += semantic.sum;
+    sums.labelled = semantic.labelled;
+    sums.correct = semantic.correct;
   }
-  LossTraits active_terms() const override {
-    return scales_.terms.active != 0 ? owner_.options().losses.traits(scales_.terms.active) : LossTraits{};
-  }
-  void add_terms(std::size_t, Workspace&, const RayTargets& targets, const RayValues<Real>& values,
-                 const RayGradients<Real>& gradients) override {
-    owner_.options().losses.template add<Real>(scales_.terms, targets, values, gradients, losses.terms);
+  const LossList& losses() const override { return owner_.options().losses; }
+  std::uint32_t active_losses() const override { return scales_.terms.active; }
+  void add_losses(std::size_t, Workspace&, std::uint32_t which, const RayTargets& targets,
+                  const RayValues<Real>& values, const RayGradients<Real>& gradients) override {
+    losses().template add<Real>(which, scales_.terms, targets, values, gradients, sums.terms);
   }
   void count(std::size_t pass, const PassTrace<Real>& trace) override {
-    losses.samples = trace.samples.count;
-    if (any_density(trace)) losses.dense_passes |= 1U << pass;
+    sums.samples = trace.samples.count;
+    if (any_density(trace)) sums.dense_passes |= 1U << pass;
   }
   View<Real> encoded_gradient(std::size_t pass, const PassTrace<Real>& trace, Workspace& arena) override {
     const std::int32_t dims = trace.encoded.cols;
@@ -280,7 +279,7 @@ StepLosses LaneExecutor<Real>::train_tile(const StepContext& ctx, int lane, cons
       tile_begin + label_only_rays(batch.label_only_share, tile_begin, tile_end) - begin, 0, count);
   TileExecutor executor(*this, lane, tile, scales);
   train_rays<Real>(passes(), pipeline_.per_ray(), rays, ctx, executor);
-  return executor.losses;
+  return executor.sums;
 }
 
 template <class Real>

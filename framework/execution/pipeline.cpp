@@ -21,7 +21,12 @@ double color_normaliser(const RayBatch& batch) {
   return static_cast<double>(std::max<std::int64_t>(1, 3 * rays));
 }
 
-RayTargets targets_of(const RayBatch& batch) { return {batch.target, batch.label, batch.soft, batch.depth}; }
+RayTargets targets_of(const RayBatch& batch) {
+  RayTargets targets{batch.target, batch.label, {}};
+  if (!batch.soft.empty()) targets.more.set(channel::soft_label, batch.soft);
+  if (!batch.depth.empty()) targets.more.set(channel::depth, batch.depth);
+  return targets;
+}
 
 template <class Real>
 Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)

@@ -13,8 +13,26 @@ std::string_view kind_name(PluginKind kind) {
       return "sampler";
     case PluginKind::dataset:
       return "dataset";
+    case PluginKind::loss:
+      return "loss";
   }
   return "plugin";
+}
+
+std::string_view kind_folder(PluginKind kind) {
+  switch (kind) {
+    case PluginKind::encoder:
+      return "encoders";
+    case PluginKind::field:
+      return "fields";
+    case PluginKind::sampler:
+      return "samplers";
+    case PluginKind::dataset:
+      return "datasets";
+    case PluginKind::loss:
+      return "losses";
+  }
+  return "plugins";
 }
 
 void Registry::add(PluginEntry entry) {

@@ -1,6 +1,8 @@
 // The one registry: what plugins exist, how to describe them and how to make them.
 #pragma once
 
+#include <array>
+#include <concepts>
 #include <functional>
 #include <map>
 #include <memory>
@@ -14,12 +16,18 @@
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/kernels.h"
+#include "plugin/loss.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
 
-enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset };
+enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset, loss };
+/// In the order of documents.
+inline constexpr std::array kPluginKinds{PluginKind::encoder, PluginKind::field, PluginKind::sampler,
+                                         PluginKind::dataset, PluginKind::loss};
 std::string_view kind_name(PluginKind kind);
+/// "encoders", as the folder of its plugins is named.
+std::string_view kind_folder(PluginKind kind);
 
 /// A plugin's parameter struct with its type erased.
 class PluginParams {
@@ -71,13 +79,16 @@ std::string call_preparation(const std::string& folder, const Params& params) {
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its
-/// namespace; an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a dataset's
-/// `std::string recognise(const std::string& path, Params&)` and
-/// `std::string preparation(const std::string& folder, const Params&)`.
+/// namespace (a loss's validate may be that of LossRule); an encoder's may have `void choose(Params&, const
+/// EncoderBuild&, std::vector<std::string>&)`, a dataset's `std::string recognise(const std::string& path, Params&)`
+/// and `std::string preparation(const std::string& folder, const Params&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
-  void describe(ParamVisitor& visit) override { plugin_detail::call_describe(visit, value); }
+  void describe(ParamVisitor& visit) override {
+    if constexpr (std::derived_from<Params, LossRule>) describe_rule(visit, value);
+    plugin_detail::call_describe(visit, value);
+  }
   void validate(Diagnostics& diagnostics) const override { plugin_detail::call_validate(value, diagnostics); }
   void choose(const EncoderBuild& build, std::vector<std::string>& chosen) override {
     plugin_detail::call_choose(value, build, chosen);
@@ -107,6 +118,8 @@ struct PluginEntry {
   std::function<std::unique_ptr<Sampler<double>>(const PluginParams&, const SamplerBuild&, const KernelTables&)>
       sampler64;
   std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
+  std::function<std::unique_ptr<Loss>(const PluginParams&)> loss;
+  std::string saves;         ///< of a loss: what its absence saves, in words
   bool reads_packs = false;  ///< a dataset that opens what loading/packed_scene.h writes, by its parameter `file`
   bool slow = false;         ///< calls take so long that the laws are checked on fewer rows (plugins in Python)
 };
@@ -146,6 +159,18 @@ class Registry {
     e.reads_packs = reads_packs;
     e.dataset = [](const PluginParams& p, const DatasetBuild& build) -> std::unique_ptr<Dataset> {
       return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build);
+    };
+    add(std::move(e));
+  }
+
+  /// Impl is derived from LossOf<Impl, Params>, Params from LossRule. `saves`: what its absence saves.
+  template <class Impl>
+  void add_loss(std::string name, std::string summary, std::string saves) {
+    using Params = typename Impl::Params;
+    PluginEntry e = entry<Params>(PluginKind::loss, std::move(name), std::move(summary));
+    e.saves = std::move(saves);
+    e.loss = [](const PluginParams& p) -> std::unique_ptr<Loss> {
+      return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value);
     };
     add(std::move(e));
   }

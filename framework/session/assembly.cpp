@@ -195,7 +195,13 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry) {
   request.direction_encoder = config.passes.back().direction.entry != nullptr;
   request.density_noise = config.rendering.density_noise;
   request.early_stop = config.rendering.early_stop;
-  for (const LossEntry& entry : config.losses) request.losses.push_back(entry.type);
+  for (const PluginEntry* entry : registry.entries()) {
+    if (entry->kind != PluginKind::loss) continue;
+    const auto named = std::find_if(config.losses.begin(), config.losses.end(),
+                                    [&](const LossEntry& one) { return one.type == entry->name; });
+    const bool is_named = named != config.losses.end();
+    request.losses.push_back({entry->name, entry->saves, is_named, is_named ? named->loss->traits() : LossTraits{}});
+  }
   request.balance_classes = config.semantics.balance_classes;
   request.mixed_precision = config.runtime.precision != Precision::fp32;
   request.periodic_evaluation = config.report.eval_every_s > 0;
@@ -288,6 +294,7 @@ void run_on(DeviceId device, const RunConfig& config, const Registry& registry, 
   std::unique_ptr<Executor<float>> executor;  // a pipeline begins on the processor
   if (device.kind != Device::cpu) {
     DeviceOptions options{device.ordinal, trainable, config.runtime.deterministic};
+    options.kernels = &registry.kernels();
     options.ranks = ranks;
     executor = cuda_library().make(pipeline, make_passes<float>(config, registry, plan, extent, device.kind), options);
   }

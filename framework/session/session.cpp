@@ -153,7 +153,7 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   load.pixels = options.pixels || !options.known;
   load.check_geometry = load.check_geometry && !options.known;  // a run that was trained is evaluated as it is
   load.with_instances = make_labels && s.config.labels.needs_instances();
-  const bool of_losses = options.trainable && losses_read_depth(s.config.losses);
+  const bool of_losses = options.trainable && losses_read(s.config.losses, channel::depth);
   const bool needs_depth =
       of_losses || options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
   load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
@@ -337,7 +337,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   }
   RaySourceOptions options;
   options.train = config.train;
-  options.with_depth = losses_read_depth(config.losses);
+  options.with_depth = losses_read(config.losses, channel::depth);
   const std::vector<std::int64_t>& pixels = manifest.train_class_pixels;
   const bool none = std::all_of(pixels.begin(), pixels.end(), [](std::int64_t count) { return count == 0; });
   options.labels_may_come = config.labels.selection.class_room > 0 || (plan.semantics && none);
@@ -401,11 +401,10 @@ std::string describe_session(const Session& s) {
           "pass      {}: {}{}", pass.parts().name, slots,
           pass.parts().head ? fmt::format(", {} classes", pass.parts().head->classes()) : ", no semantics"));
     }
-    add(fmt::format(
-        "learned   {} parameters; {} of {} rays, tiles of {}, {} lanes, {} threads",
-        s.pipeline->store().learned_count(),
-        (last_step(s.config) > 0 ? "" : "as many steps as fit into ") + length_text(s.config),
-        s.config.train.rays, s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
+    add(fmt::format("learned   {} parameters; {} of {} rays, tiles of {}, {} lanes, {} threads",
+                    s.pipeline->store().learned_count(),
+                    (last_step(s.config) > 0 ? "" : "as many steps as fit into ") + length_text(s.config),
+                    s.config.train.rays, s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
     out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
   }
   for (const std::string& line : s.choices()) add("chosen    " + line);

@@ -300,7 +300,7 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
   validate_section(tree, "runtime", config.runtime, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);
   validate_section(tree, "propagate", config.propagate, diagnostics);
-  config.losses = read_losses(tree, diagnostics);
+  config.losses = read_losses(tree, registry, diagnostics);
   read_passes(tree, registry, config, diagnostics);
   config.load.contracted = config.rendering.outside == Outside::contracted;
   return config;

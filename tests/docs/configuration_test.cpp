@@ -7,7 +7,6 @@
 
 #include "plugin/linked_plugins.h"
 #include "settings/label_config.h"
-#include "settings/loss_config.h"
 #include "settings/run_config.h"
 #include "system/files.h"
 #include "tests/docs/pages.h"
@@ -42,8 +41,6 @@ std::string section_tables() {
   std::string text = "\n";
   for (const SectionDoc& section : describe_sections())
     text += heading_and_table("`" + section.path + "`: " + section.sentence, section.params);
-  for (const LossDoc& term : describe_losses())
-    text += heading_and_table("`losses[]` with `type: " + term.type + "`: " + term.sentence, term.params);
   return text + "\n";
 }
 

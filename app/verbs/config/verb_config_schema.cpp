@@ -4,7 +4,6 @@
 #include "app/verb.h"
 #include "config/schema.h"
 #include "settings/label_config.h"
-#include "settings/loss_config.h"
 #include "settings/run_config.h"
 #include "sweep/sweep_schema.h"
 
@@ -56,10 +55,9 @@ int run(const SchemaOptions& options, AppContext& context) {
   std::vector<SchemaAlternative> readers, degradations;
   for (const LabelStepDoc& doc : describe_label_steps())
     (doc.key == "from" ? readers : degradations).push_back({doc.type, doc.sentence, doc.params});
-  std::vector<SchemaAlternative> losses;
-  for (const LossDoc& doc : describe_losses()) losses.push_back({doc.type, doc.sentence, doc.params});
   const std::vector<SchemaChoice> choices{
-      {"losses[]", "terms of the loss beside colour and semantics; each type once", losses},
+      {"losses[]", "terms of the loss beside colour and semantics; each type once",
+       alternatives(context.registry, PluginKind::loss)},
       {"scene.labels.from", "label files to train on instead of the dataset's own labels", readers},
       {"scene.labels.degrade[]", "changes of the training labels, in order", degradations},
       {"scene", "where frames come from", alternatives(context.registry, PluginKind::dataset)},

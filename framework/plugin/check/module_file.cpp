@@ -1,5 +1,5 @@
 // The ELF file of a loadable module: processor, length, and the stamp in its own section.
-#include "plugin/module_file.h"
+#include "plugin/check/module_file.h"
 
 #include <elf.h>
 #include <fmt/format.h>
