@@ -122,6 +122,7 @@ std::string plugins_markdown(const Registry& registry) {
     const std::vector<const PluginEntry*> entries = entries_of(registry, kind);
     if (entries.empty()) continue;
     std::string title = std::string(kind_folder(kind));
+    std::replace(title.begin(), title.end(), '_', ' ');
     title[0] = static_cast<char>(title[0] - 'a' + 'A');
     text += "\n## " + title + "\n";
     for (const PluginEntry* entry : entries) {

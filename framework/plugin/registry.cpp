@@ -15,6 +15,10 @@ std::string_view kind_name(PluginKind kind) {
       return "dataset";
     case PluginKind::loss:
       return "loss";
+    case PluginKind::label_reader:
+      return "label reader";
+    case PluginKind::degradation:
+      return "degradation";
   }
   return "plugin";
 }
@@ -31,6 +35,10 @@ std::string_view kind_folder(PluginKind kind) {
       return "datasets";
     case PluginKind::loss:
       return "losses";
+    case PluginKind::label_reader:
+      return "label_readers";
+    case PluginKind::degradation:
+      return "degradations";
   }
   return "plugins";
 }

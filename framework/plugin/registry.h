@@ -21,10 +21,14 @@
 
 namespace semfield {
 
-enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset, loss };
+class LabelReader;
+class Degradation;
+
+enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset, loss, label_reader, degradation };
 /// In the order of documents.
-inline constexpr std::array kPluginKinds{PluginKind::encoder, PluginKind::field, PluginKind::sampler,
-                                         PluginKind::dataset, PluginKind::loss};
+inline constexpr std::array kPluginKinds{PluginKind::encoder,    PluginKind::field, PluginKind::sampler,
+                                         PluginKind::dataset,    PluginKind::loss,  PluginKind::label_reader,
+                                         PluginKind::degradation};
 std::string_view kind_name(PluginKind kind);
 /// "encoders", as the folder of its plugins is named.
 std::string_view kind_folder(PluginKind kind);
@@ -100,6 +104,15 @@ class ParamsOf final : public PluginParams {
   Params value;
 };
 
+/// Of a plugin whose objects hold their parameters and declare them by members describe() and validate().
+template <class Item>
+class ParamsInside final : public PluginParams {
+ public:
+  void describe(ParamVisitor& visit) override { value.describe(visit); }
+  void validate(Diagnostics& diagnostics) const override { value.validate(diagnostics); }
+  Item value;
+};
+
 struct PluginEntry {
   PluginKind kind = PluginKind::encoder;
   std::string name;
@@ -119,6 +132,8 @@ struct PluginEntry {
       sampler64;
   std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
   std::function<std::unique_ptr<Loss>(const PluginParams&)> loss;
+  std::function<std::unique_ptr<LabelReader>(const PluginParams&)> label_reader;
+  std::function<std::unique_ptr<Degradation>(const PluginParams&)> degradation;
   std::string saves;         ///< of a loss: what its absence saves, in words
   bool reads_packs = false;  ///< a dataset that opens what loading/packed_scene.h writes, by its parameter `file`
   bool slow = false;         ///< calls take so long that the laws are checked on fewer rows (plugins in Python)
@@ -175,6 +190,21 @@ class Registry {
     add(std::move(e));
   }
 
+  /// Impl is derived from LabelReader (labels/label_steps.h).
+  template <class Impl>
+  void add_label_reader(std::string name, std::string summary) {
+    PluginEntry e = entry_inside<Impl>(PluginKind::label_reader, std::move(name), std::move(summary));
+    e.label_reader = copier<LabelReader, Impl>();
+    add(std::move(e));
+  }
+  /// Impl is derived from Degradation (labels/label_steps.h).
+  template <class Impl>
+  void add_degradation(std::string name, std::string summary) {
+    PluginEntry e = entry_inside<Impl>(PluginKind::degradation, std::move(name), std::move(summary));
+    e.degradation = copier<Degradation, Impl>();
+    add(std::move(e));
+  }
+
   /// Kernel tables of every plugin.
   KernelTables& kernels() { return kernels_; }
   const KernelTables& kernels() const { return kernels_; }
@@ -204,6 +234,21 @@ class Registry {
     e.summary = std::move(summary);
     e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<Params>>()); };
     return e;
+  }
+  template <class Impl>
+  static PluginEntry entry_inside(PluginKind kind, std::string name, std::string summary) {
+    PluginEntry e;
+    e.kind = kind;
+    e.name = std::move(name);
+    e.summary = std::move(summary);
+    e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsInside<Impl>>()); };
+    return e;
+  }
+  template <class Base, class Impl>
+  static std::function<std::unique_ptr<Base>(const PluginParams&)> copier() {
+    return [](const PluginParams& p) -> std::unique_ptr<Base> {
+      return std::make_unique<Impl>(static_cast<const ParamsInside<Impl>&>(p).value);
+    };
   }
   template <class Base, class Impl, class Params, class Build>
   static std::function<std::unique_ptr<Base>(const PluginParams&, const Build&, const KernelTables&)> maker() {

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 
-#include "config/typed_params.h"
 #include "settings/pass_config.h"
 
 namespace semfield {

@@ -207,7 +207,7 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
   config.dataset = read_slot(PluginKind::dataset, anchored, "scene", registry, diagnostics, {"labels", "load"});
   if (const ConfigNode* labels = scene->is_map() ? scene->find("labels") : nullptr;
       labels != nullptr && labels->is_map()) {
-    read_label_steps(*labels, !config.base_dir.empty(), config.labels, diagnostics);
+    read_label_steps(*labels, !config.base_dir.empty(), registry, config.labels, diagnostics);
   }
   if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
 }

@@ -45,7 +45,7 @@ TEST(IncludeRules, KnownViolationsAreForbidden) {
       {"framework/scene/scene.h", "survey/geometry_survey.h"},
       {"framework/survey/geometry_survey.h", "loading/frame_source.h"},
       {"framework/plugin/dataset.h", "loading/frame_source.h"},
-      {"framework/labels/readers/click_reader.cpp", "eval/evaluator.h"},
+      {"plugins/label_readers/clicks/clicks.cpp", "eval/evaluator.h"},
       {"framework/config/compose.cpp", "yaml-cpp/yaml.h"},
       {"framework/scene/camera.cpp", "OpenImageIO/imageio.h"},
       {"framework/scene/camera.cpp", "tiny_obj_loader.h"},

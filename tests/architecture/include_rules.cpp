@@ -99,7 +99,8 @@ std::string forbidden_library(const std::string& path, const std::string& target
 std::string first_folder(const std::string& path) { return path.substr(0, path.find('/')); }
 
 bool names_plugin(const std::string& target) {
-  for (const char* kind : {"encoders/", "fields/", "samplers/", "datasets/", "fused/"}) {
+  for (const char* kind :
+       {"encoders/", "fields/", "samplers/", "datasets/", "label_readers/", "degradations/", "fused/"}) {
     if (starts_with(target, kind)) return true;
   }
   return starts_with(target, "plugins/");
@@ -134,11 +135,14 @@ std::string forbidden_in_plugin(const std::string& inside, const std::string& ta
   static const Folders sdk{"core", "system", "compute", "plugin"};
   static const Folders of_scenes{"formats", "classes", "scene", "survey", "loading"};
   if (sdk.contains(other) || target == "config/params.h") return {};
-  if ((of_scenes.contains(other) || target == "config/config_tree.h") && kind == "datasets") return {};
+  const bool of_labels = kind == "label_readers" || kind == "degradations";
+  if ((of_scenes.contains(other) || target == "config/config_tree.h") && (kind == "datasets" || of_labels)) return {};
+  if (other == "labels" && of_labels) return {};
   if (other == "cuda" && (ends_with(inside, ".cu") || ends_with(inside, ".cuh"))) return {};
   if (kind == "fused" && target == "model/encoded_field.h") return {};
   return "a plugin sees core, system, compute, config/params.h, plugin" +
-         std::string(kind == "datasets" ? " and the folders of scenes, config/config_tree.h" : "") + " alone";
+         std::string(kind == "datasets" || of_labels ? " and the folders of scenes, config/config_tree.h" : "") +
+         " alone";
 }
 
 }  // namespace

@@ -2,7 +2,6 @@
 #include "tests/docs/keys.h"
 
 #include "plugin/linked_plugins.h"
-#include "settings/label_config.h"
 #include "settings/run_config.h"
 
 namespace semfield::docs {
@@ -17,8 +16,6 @@ std::vector<ParamDoc> params_of(const PluginEntry& entry) {
 
 Keys::Keys() {
   for (const SectionDoc& section : describe_sections()) add(section.path, section.params);
-  for (const LabelStepDoc& step : describe_label_steps())
-    add("scene.labels." + step.key + (step.key == "degrade" ? ".N" : ""), step.params);
   // By convention every dataset of files has these.
   for (const char* key : {"train.schedule.legs", "scene.root", "scene.file", "scene.classes", "scene.type",
                           "scene.unknown_labels", "passes.N"})
@@ -32,6 +29,10 @@ Keys::Keys() {
     }
     if (entry->kind == PluginKind::loss) {
       add("losses.N", params);
+      continue;
+    }
+    if (entry->kind == PluginKind::label_reader || entry->kind == PluginKind::degradation) {
+      add(entry->kind == PluginKind::degradation ? "scene.labels.degrade.N" : "scene.labels.from", params);
       continue;
     }
     for (const char* slot : {"sampler", "position", "direction", "field", "semantic.position", "semantic.field"})

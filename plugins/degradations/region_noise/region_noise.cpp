@@ -6,8 +6,8 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "labels/degradations/degradation_frames.h"
-#include "labels/degradations/degradations.h"
+#include "labels/degradation_frames.h"
+#include "plugin/module.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
@@ -252,6 +252,13 @@ class RegionNoise final : public Degradation {
 
 }  // namespace
 
-std::unique_ptr<Degradation> make_region_noise() { return std::make_unique<RegionNoise>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_degradation<RegionNoise>("region_noise",
+                                        "a wrong class on whole instances in a share of the frames that see them");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(region_noise, "1.0", register_into)
 
 }  // namespace semfield

@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <array>
 
-#include "labels/degradations/degradation_frames.h"
-#include "labels/degradations/degradations.h"
+#include "labels/degradation_frames.h"
+#include "plugin/module.h"
 
 namespace semfield {
 
@@ -67,6 +67,13 @@ class SuperResolution final : public Degradation {
 
 }  // namespace
 
-std::unique_ptr<Degradation> make_super_resolution() { return std::make_unique<SuperResolution>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_degradation<SuperResolution>("super_resolution",
+                                            "labels of a coarse grid: spread over its cells, or alone among void");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(super_resolution, "1.0", register_into)
 
 }  // namespace semfield

@@ -9,8 +9,8 @@
 #include <span>
 
 #include "core/rng.h"
-#include "labels/degradations/degradation_frames.h"
-#include "labels/degradations/degradations.h"
+#include "labels/degradation_frames.h"
+#include "plugin/module.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
@@ -335,6 +335,13 @@ class SimulatedPredictions final : public Degradation {
 
 }  // namespace
 
-std::unique_ptr<Degradation> make_simulated_predictions() { return std::make_unique<SimulatedPredictions>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_degradation<SimulatedPredictions>(
+      "simulated_predictions", "soft or hard labels with the errors of a network, simulated from the clean labels");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(simulated_predictions, "1.0", register_into)
 
 }  // namespace semfield

@@ -3,8 +3,8 @@
 #include <numeric>
 
 #include "core/rng.h"
-#include "labels/degradations/degradation_frames.h"
-#include "labels/degradations/degradations.h"
+#include "labels/degradation_frames.h"
+#include "plugin/module.h"
 
 namespace semfield {
 
@@ -69,6 +69,13 @@ class PixelNoise final : public Degradation {
 
 }  // namespace
 
-std::unique_ptr<Degradation> make_pixel_noise() { return std::make_unique<PixelNoise>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_degradation<PixelNoise>(
+      "pixel_noise", "uniform random classes, void included, on an exact share of each frame's pixels");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(pixel_noise, "1.0", register_into)
 
 }  // namespace semfield

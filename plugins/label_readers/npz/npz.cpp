@@ -1,4 +1,6 @@
 // Class probabilities of a network, as NumPy arrays: one .npz or .npy file a frame.
+#include "formats/npz.h"
+
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -6,9 +8,9 @@
 
 #include "core/text.h"
 #include "formats/input_limits.h"
-#include "formats/npz.h"
 #include "labels/label_files.h"
-#include "labels/readers/label_readers.h"
+#include "labels/label_steps.h"
+#include "plugin/module.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -183,6 +185,12 @@ class NpzReader : public LabelReader {
 
 }  // namespace
 
-std::unique_ptr<LabelReader> make_npz_reader() { return std::make_unique<NpzReader>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_label_reader<NpzReader>("npz", "class probabilities of NumPy arrays: soft labels");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(npz, "1.0", register_into)
 
 }  // namespace semfield

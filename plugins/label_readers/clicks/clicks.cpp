@@ -8,8 +8,9 @@
 #include "labels/clicks/annotations.h"
 #include "labels/clicks/click_log.h"
 #include "labels/label_files.h"
+#include "labels/label_steps.h"
 #include "labels/outline_fill.h"
-#include "labels/readers/label_readers.h"
+#include "plugin/module.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -184,6 +185,14 @@ class ClickReader : public LabelReader {
 
 }  // namespace
 
-std::unique_ptr<LabelReader> make_click_reader() { return std::make_unique<ClickReader>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_label_reader<ClickReader>(
+      "clicks",
+      "single pixels or discs from a CSV file, or clicks and strokes of the labelling page; all else is void");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(clicks, "1.0", register_into)
 
 }  // namespace semfield

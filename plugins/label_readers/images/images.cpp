@@ -8,8 +8,9 @@
 #include "formats/png_codec.h"
 #include "formats/text_rows.h"
 #include "labels/label_files.h"
-#include "labels/readers/label_readers.h"
+#include "labels/label_steps.h"
 #include "loading/frame_files.h"
+#include "plugin/module.h"
 #include "scene/unknown_labels.h"
 #include "system/files.h"
 
@@ -205,6 +206,12 @@ class ImageLabelReader : public LabelReader {
 
 }  // namespace
 
-std::unique_ptr<LabelReader> make_image_label_reader() { return std::make_unique<ImageLabelReader>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_label_reader<ImageLabelReader>("images", "label images: class ids, palette indices, or exact colours");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(images, "1.0", register_into)
 
 }  // namespace semfield

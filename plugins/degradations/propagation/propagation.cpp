@@ -3,8 +3,8 @@
 #include <numeric>
 
 #include "core/rng.h"
-#include "labels/degradations/degradation_frames.h"
-#include "labels/degradations/degradations.h"
+#include "labels/degradation_frames.h"
+#include "plugin/module.h"
 
 namespace semfield {
 
@@ -121,6 +121,13 @@ class Propagation final : public Degradation {
 
 }  // namespace
 
-std::unique_ptr<Degradation> make_propagation() { return std::make_unique<Propagation>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_degradation<Propagation>("propagation",
+                                        "one click or one grown region per class and frame; the rest is void");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(propagation, "1.0", register_into)
 
 }  // namespace semfield

@@ -1,5 +1,5 @@
 // Frames and classes that degradations work on.
-#include "labels/degradations/degradation_frames.h"
+#include "labels/degradation_frames.h"
 
 #include <algorithm>
 #include <cmath>

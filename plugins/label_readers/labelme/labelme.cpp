@@ -7,8 +7,9 @@
 #include "core/text.h"
 #include "formats/png_codec.h"
 #include "labels/label_files.h"
+#include "labels/label_steps.h"
 #include "labels/outline_fill.h"
-#include "labels/readers/label_readers.h"
+#include "plugin/module.h"
 #include "system/files.h"
 #include "system/sorted_folder.h"
 
@@ -198,6 +199,13 @@ class LabelmeReader : public LabelReader {
 
 }  // namespace
 
-std::unique_ptr<LabelReader> make_labelme_reader() { return std::make_unique<LabelmeReader>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_label_reader<LabelmeReader>(
+      "labelme", "polygons, rectangles, circles and points of labelme: one JSON file per frame");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(labelme, "1.0", register_into)
 
 }  // namespace semfield

@@ -8,8 +8,9 @@
 #include "core/text.h"
 #include "formats/png_codec.h"
 #include "labels/label_files.h"
-#include "labels/readers/label_readers.h"
+#include "labels/label_steps.h"
 #include "labels/run_lengths.h"
+#include "plugin/module.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -255,6 +256,12 @@ class CocoReader : public LabelReader {
 
 }  // namespace
 
-std::unique_ptr<LabelReader> make_coco_reader() { return std::make_unique<CocoReader>(); }
+namespace {
+void register_into(Registry& registry) {
+  registry.add_label_reader<CocoReader>("coco", "polygons and run lengths of COCO: one JSON file for all frames");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(coco, "1.0", register_into)
 
 }  // namespace semfield
