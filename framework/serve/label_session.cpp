@@ -50,9 +50,9 @@ bool is_write_error(const Error& error) {
 }
 
 // Keeps warnings for the page.
-class Noting final : public TrainingListener {
+class Noting final : public RunListener {
  public:
-  explicit Noting(TrainingListener* told) : told_(told) {}
+  explicit Noting(RunListener* told) : told_(told) {}
   void note(const std::string& text) override {
     if (told_ != nullptr) told_->note(text);
   }
@@ -63,11 +63,11 @@ class Noting final : public TrainingListener {
   std::vector<std::string> warnings;
 
  private:
-  TrainingListener* told_;
+  RunListener* told_;
 };
 
 OpenedForTraining open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
-                                 TrainingListener& listener) {
+                                 RunListener& listener) {
   TrainRequest request;
   request.out_dir = options.run_dir;
   const std::filesystem::path folder = std::filesystem::absolute(options.run_dir);
@@ -82,7 +82,7 @@ OpenedForTraining open_labelling(RunConfig config, Registry& registry, const Lab
 }  // namespace
 
 struct LabelSession::Parts {
-  Parts(OpenedForTraining opened, Registry& registry, Noting& noting, TrainingListener* listener)
+  Parts(OpenedForTraining opened, Registry& registry, Noting& noting, RunListener* listener)
       : notes(std::move(noting.warnings)),
         annotations(*opened.session.config.labels.clicks),
         log([&] {
@@ -192,7 +192,7 @@ void LabelSession::Parts::name_classes(LabelState& next) const {
 }
 
 LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
-                           TrainingListener* told) {
+                           RunListener* told) {
   Noting noting(told);
   parts_ =
       std::make_unique<Parts>(open_labelling(std::move(config), registry, options, noting), registry, noting, told);

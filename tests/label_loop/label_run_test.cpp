@@ -19,7 +19,7 @@ using testing_train::TempDir;
 // A run that has a surface, and whose events a test applies by itself.
 struct PreparedRun {
   TempDir dir;
-  TrainingListener nobody;
+  RunListener nobody;
   LabelRun run;
   Annotations annotations;
 
