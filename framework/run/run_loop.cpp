@@ -24,14 +24,20 @@ constexpr double kProgressEvery_s = 0.2;
 constexpr double kStopDeadline_s = 10;
 constexpr std::size_t kMostWaiting = 100'000;  // rows of a run with a folder, while they cannot be written
 
-template <class Time>
-double seconds_since(Time start) {
-  return std::chrono::duration<double>(Time::clock::now() - start).count();
-}
+using Clock = std::chrono::steady_clock;
+
+double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
 std::string place_of(const std::string& folder) { return fs::weakly_canonical(fs::absolute(folder)).string(); }
 
 }  // namespace
+
+std::string ScoredPart::text() const {
+  const std::string count = frames == of ? fmt::format("{} frames", of) : fmt::format("{} of {} frames", frames, of);
+  return stride == 1 ? count : fmt::format("{} at 1 pixel in {}", count, stride * stride);
+}
+
+double RunListener::now_s() { return std::chrono::duration<double>(Clock::now().time_since_epoch()).count(); }
 
 RunLoop::RunLoop(OpenedForTraining opened, Registry& registry, RunListener* listener, const RunLoopOptions& options)
     : registry_(registry),
