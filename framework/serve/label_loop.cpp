@@ -135,7 +135,7 @@ std::vector<float> LabelLoop::probabilities(const PointRows& rows, std::span<con
   parallel_for((std::ssize(places) + 1023) / 1024, [&](std::int64_t block) {
     for (auto i = static_cast<std::size_t>(block * 1024);
          i < std::min(places.size(), static_cast<std::size_t>((block + 1) * 1024)); ++i)
-      points[i] = graph_.point_at(places[i]);
+      points[i] = pool_.cells.near(places[i]);
   });
   weigh_by_way(points, temperature, out);
   return out;
@@ -154,7 +154,8 @@ void LabelLoop::refresh_places(std::span<const LabelledPixels> clicks, double bu
 LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks, const std::vector<bool>& left_out) {
   Named named;
   // By class: points of strokes in cells of the pool. What several strokes name counts once, with the weights of all.
-  std::vector<std::unordered_map<std::uint64_t, std::size_t>> stroked(static_cast<std::size_t>(classes()));
+  std::vector<std::unordered_map<std::int32_t, std::size_t>> stroked(static_cast<std::size_t>(classes()));
+  SurfaceCells cells = ready() ? SurfaceCells(pool_.cell_m()) : SurfaceCells();
   answered_.clear();
   for (std::size_t k = 0; k < clicks.size(); ++k) {
     if (!left_out.empty() && left_out[k]) continue;
@@ -168,8 +169,8 @@ LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks,
         click.weight * std::sqrt(static_cast<double>(std::max<std::size_t>(1, click.pixels.size() / kMostClickPixels)));
     const auto weight = static_cast<float>(own / static_cast<double>(places.size()));
     for (const Vec3d& place : places) {
-      if (is_stroke(click) && pool_.cell_m > 0) {
-        const std::uint64_t cell = surface_cell_key(surface_cell(place, pool_.cell_m));
+      if (is_stroke(click) && ready()) {
+        const std::int32_t cell = cells.add(place);
         const auto [entry, fresh] = stroked[static_cast<std::size_t>(logit)].try_emplace(cell, named.logit.size());
         if (!fresh) {
           named.weight[entry->second] += weight;
@@ -190,7 +191,7 @@ void LabelLoop::settle_seeds() {
   std::vector<GraphSeed> seeds;
   std::set<std::int32_t> named_points;
   for (auto seed = seeds_.rbegin(); seed != seeds_.rend(); ++seed) {  // the latest says what a point is
-    const std::int32_t point = graph_.point_at(seed->position);
+    const std::int32_t point = pool_.cells.near(seed->position);
     if (point >= 0 && named_points.insert(point).second) seeds.push_back({point, seed->logit});
   }
   graph_.settle(seeds);
@@ -367,7 +368,7 @@ std::optional<Asked> LabelLoop::propose(Acquisition how, std::uint64_t seed, std
   input.answered = answered_;
   std::vector<std::int32_t> passed;
   for (const Vec3d& place : skipped_)
-    if (const std::int32_t point = graph_.point_at(place); point >= 0) passed.push_back(point);
+    if (const std::int32_t point = pool_.cells.near(place); point >= 0) passed.push_back(point);
   input.passed = passed;
   std::vector<bool> barred;
   if (std::any_of(ignored_.begin(), ignored_.end(), [](const auto& pixels) { return !pixels.empty(); })) {

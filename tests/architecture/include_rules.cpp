@@ -22,7 +22,7 @@ bool ends_with(const std::string& text, const std::string& end) {
 const Folders kFrameworkFolders{"core",   "system",  "compute", "config",   "formats", "classes", "scene",
                                 "survey", "loading", "plugin",  "labels",   "losses",  "model",   "execution",
                                 "optim",  "cuda",    "eval",    "settings", "session", "run",     "report",
-                                "fuse",   "mesh",    "sweep",   "serve",    "testkit", "ranks",    "mpi"};
+                                "fuse",   "mesh",    "sweep",   "serve",    "testkit", "ranks",   "mpi"};
 
 // A folder and those that it may include. Folders inside a folder stand on its floor.
 const std::map<std::string, Folders>& floors() {
@@ -57,14 +57,15 @@ const std::map<std::string, Folders>& floors() {
       {"execution", execution},
       {"cuda", with(execution, {"cuda"})},
       {"eval", with(execution, {"survey", "loading", "labels", "eval"})},
+      {"surface", with(execution, {"survey", "loading", "labels", "eval", "surface"})},
       {"settings", settings},
       {"session", with(settings, {"eval", "session"})},
       {"run", run},
       {"report", with(run, {"report"})},
-      {"fuse", with(run, {"fuse"})},
+      {"fuse", with(run, {"surface", "fuse"})},
       {"mesh", with(run, {"mesh"})},
       {"sweep", with(run, {"report", "sweep"})},
-      {"serve", with(run, {"serve"})},
+      {"serve", with(run, {"surface", "serve"})},
       {"testkit", kFrameworkFolders},
   };
   return table;
