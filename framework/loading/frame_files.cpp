@@ -113,7 +113,7 @@ std::string label_settings(const FrameInfo& frame, const std::filesystem::path& 
 
 }  // namespace
 
-std::vector<std::string> files_with(const std::string& folder, std::initializer_list<std::string_view> extensions) {
+std::vector<std::string> files_with(const std::string& folder, std::span<const std::string_view> extensions) {
   std::vector<std::string> found;
   std::error_code unknown;
   if (!std::filesystem::is_directory(folder, unknown)) return found;

@@ -3,8 +3,8 @@
 #pragma once
 
 #include <array>
-#include <initializer_list>
 #include <map>
+#include <span>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -21,10 +21,10 @@ struct FrameFiles {
 };
 
 /// Of photographs, as `files_with` takes them.
-inline constexpr std::initializer_list<std::string_view> kPhotographs{".jpg", ".jpeg", ".png", ".tif", ".tiff"};
+inline constexpr std::array<std::string_view, 5> kPhotographs{".jpg", ".jpeg", ".png", ".tif", ".tiff"};
 /// Paths of the files of a folder whose extension, in small letters, is one of these; in the order of their names. None
 /// for a folder that is not there.
-std::vector<std::string> files_with(const std::string& folder, std::initializer_list<std::string_view> extensions);
+std::vector<std::string> files_with(const std::string& folder, std::span<const std::string_view> extensions);
 
 /// What a label id outside the class table is; the parameter `unknown_labels` of datasets made of image files.
 enum class UnknownLabels { error, as_void };

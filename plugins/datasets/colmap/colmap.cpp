@@ -45,7 +45,7 @@ bool holds_model(const fs::path& folder) {
 
 bool holds_files(const fs::path& folder, std::initializer_list<std::string_view> extensions) {
   try {
-    return !files_with(folder.string(), extensions).empty();
+    return !files_with(folder.string(), {extensions.begin(), extensions.size()}).empty();
   } catch (const Error&) {  // a folder that cannot be read
     return false;
   }
