@@ -57,14 +57,15 @@ const std::map<std::string, Folders>& floors() {
       {"execution", execution},
       {"cuda", with(execution, {"cuda"})},
       {"eval", with(execution, {"survey", "loading", "labels", "eval"})},
+      {"surface", with(execution, {"survey", "loading", "labels", "eval", "surface"})},
       {"settings", settings},
       {"session", with(settings, {"eval", "session"})},
       {"run", run},
       {"report", with(run, {"report"})},
-      {"fuse", with(run, {"fuse"})},
+      {"fuse", with(run, {"surface", "fuse"})},
       {"mesh", with(run, {"mesh"})},
       {"sweep", with(run, {"report", "sweep"})},
-      {"serve", with(run, {"serve"})},
+      {"serve", with(run, {"surface", "serve"})},
       {"testkit", kFrameworkFolders},
   };
   return table;

@@ -112,7 +112,7 @@ void label_range(CaseRun& run) {
     run.expect_error(ErrorKind::data, {"frame 'view_7'", "label.png", fmt::format("id {} ", bad), "x 3", "y 2"},
                      [&] { read_frame_files(frame, files, {}, classes, buffer); });
     FrameReadRules lenient;
-    lenient.unknown_labels_void = true;
+    lenient.unknown_labels = UnknownLabels::as_void;
     read_frame_files(frame, files, lenient, classes, buffer);
     run.expect(buffer.label[15] == kVoid && buffer.label[14] == 4, "unknown_labels: void makes it void, and it alone");
   }

@@ -1,55 +1,36 @@
-#include "serve/surface/surface_graph.h"
+#include "surface/surface_graph.h"
 
 #include <algorithm>
 #include <cmath>
 #include <functional>
 #include <queue>
 #include <tuple>
-#include <unordered_map>
-
-#include "compute/parallel.h"
 
 namespace semfield {
 
 namespace {
 
-float step_cost(const PoolPoint& a, const PoolPoint& b, double cell, const SurfaceGraphRules& rules) {
-  double color = 0;
-  for (int c = 0; c < 3; ++c) {
-    const double d = static_cast<double>(a.color[c]) - static_cast<double>(b.color[c]);
-    color += d * d;
-  }
-  const Vec3d bend = a.normal - b.normal;
-  return static_cast<float>(rules.way * length(a.position - b.position) / cell +
-                            std::min(rules.most, color / (2 * rules.color_sigma * rules.color_sigma)) +
-                            std::min(rules.most, dot(bend, bend) / (2 * rules.normal_sigma * rules.normal_sigma)));
+float step_cost(const PoolPoint& a, const PoolPoint& b, double cell_m, const SurfaceGraphRules& rules) {
+  const PointDifference apart = difference(a, b, rules.color_sigma, rules.normal_sigma);
+  return static_cast<float>(rules.way * length(a.position - b.position) / cell_m + std::min(rules.most, apart.color) +
+                            std::min(rules.most, apart.normal));
 }
 
 }  // namespace
 
-SurfaceGraph::SurfaceGraph(const SurfacePool& pool, const SurfaceGraphRules& rules) : cell_m_(pool.cell_m) {
-  const auto count = static_cast<std::int64_t>(pool.points.size());
-  std::unordered_map<std::uint64_t, std::int32_t>& at = point_of_cell_;
-  at.reserve(static_cast<std::size_t>(2 * count));
-  for (std::int64_t i = 0; i < count; ++i)
-    at.emplace(surface_cell_key(pool.points[static_cast<std::size_t>(i)].cell), static_cast<std::int32_t>(i));
-  std::vector<std::vector<Edge>> of(pool.points.size());
-  parallel_for((count + 511) / 512, [&](std::int64_t block) {
-    for (std::int64_t i = block * 512; i < std::min(count, (block + 1) * 512); ++i) {
-      const PoolPoint& own = pool.points[static_cast<std::size_t>(i)];
-      for (std::int32_t k = 0; k < 27; ++k) {
-        const SurfaceCell other{own.cell[0] + k % 3 - 1, own.cell[1] + k / 3 % 3 - 1, own.cell[2] + k / 9 - 1};
-        const auto found = at.find(surface_cell_key(other));
-        if (found == at.end() || found->second == i) continue;
-        const PoolPoint& point = pool.points[static_cast<std::size_t>(found->second)];
-        of[static_cast<std::size_t>(i)].push_back({found->second, step_cost(own, point, pool.cell_m, rules)});
-      }
-    }
-  });
-  first_.assign(1, 0);
-  for (const std::vector<Edge>& edges : of) {
-    edges_.insert(edges_.end(), edges.begin(), edges.end());
-    first_.push_back(static_cast<std::int32_t>(edges_.size()));
+SurfaceGraph::SurfaceGraph(const SurfacePool& pool, const SurfaceGraphRules& rules) {
+  const std::vector<CellPair> pairs = pool.cells.neighbours();
+  first_.assign(pool.points.size() + 1, 0);
+  for (const CellPair& pair : pairs)
+    for (const std::int32_t point : {pair.a, pair.b}) ++first_[static_cast<std::size_t>(point) + 1];
+  for (std::size_t i = 1; i < first_.size(); ++i) first_[i] += first_[i - 1];
+  std::vector<std::int32_t> next = first_;
+  edges_.resize(2 * pairs.size());
+  for (const CellPair& pair : pairs) {
+    const auto a = static_cast<std::size_t>(pair.a), b = static_cast<std::size_t>(pair.b);
+    const float cost = step_cost(pool.points[a], pool.points[b], pool.cell_m(), rules);
+    edges_[static_cast<std::size_t>(next[a]++)] = {pair.b, cost};
+    edges_[static_cast<std::size_t>(next[b]++)] = {pair.a, cost};
   }
   settle({});
 }
@@ -108,26 +89,6 @@ void SurfaceGraph::spread(std::span<const GraphSeed> seeds) {
       if (take(edges_[e].to, cls, next)) queue.push({next, edges_[e].to, cls});
     }
   }
-}
-
-std::int32_t SurfaceGraph::point_at(Vec3d place) const {
-  if (point_of_cell_.empty()) return -1;
-  const SurfaceCell own = surface_cell(place, cell_m_);
-  if (const auto found = point_of_cell_.find(surface_cell_key(own)); found != point_of_cell_.end())
-    return found->second;
-  std::int32_t nearest = -1;
-  double least = INFINITY;
-  for (std::int32_t k = 0; k < 27; ++k) {
-    const SurfaceCell other{own[0] + k % 3 - 1, own[1] + k / 3 % 3 - 1, own[2] + k / 9 - 1};
-    const auto found = point_of_cell_.find(surface_cell_key(other));
-    if (found == point_of_cell_.end()) continue;
-    const Vec3d center{(other[0] + 0.5) * cell_m_, (other[1] + 0.5) * cell_m_, (other[2] + 0.5) * cell_m_};
-    const double distance = length(center - place);
-    if (distance >= least) continue;
-    least = distance;
-    nearest = found->second;
-  }
-  return nearest;
 }
 
 void SurfaceGraph::around(std::int32_t point, float reach, std::size_t most, Scratch& scratch,

@@ -1,5 +1,5 @@
 #define EIGEN_DONT_PARALLELIZE
-#include "fuse/label_diffusion.h"
+#include "surface/label_diffusion.h"
 
 #include <Eigen/IterativeLinearSolvers>
 #include <Eigen/SparseCore>

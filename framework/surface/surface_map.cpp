@@ -1,4 +1,4 @@
-#include "serve/surface/surface_map.h"
+#include "surface/surface_map.h"
 
 #include <algorithm>
 

@@ -10,7 +10,7 @@
 
 #include "labels/clicks/annotations.h"
 #include "serve/label_state.h"
-#include "serve/surface/surface_pool.h"
+#include "surface/surface_pool.h"
 
 namespace semfield {
 

@@ -1,4 +1,4 @@
-#include "serve/surface/surface_sight.h"
+#include "serve/surface_sight.h"
 
 #include <algorithm>
 #include <cmath>
@@ -8,10 +8,9 @@ namespace semfield {
 
 namespace {
 
-constexpr double kSameDistance = 0.03;   // of the distance
-constexpr double kBeyond = 1.5;          // half images off the axis: a lens may map what is farther out into the image
-constexpr std::size_t kMarkPlaces = 8;   // of a stroke or an outline
-constexpr std::size_t kMostSeen = 1000;  // clicks of other views in one picture
+constexpr double kSameDistance = 0.03;      // of the distance
+constexpr std::size_t kMarkPlaces = 8;      // of a stroke or an outline
+constexpr std::size_t kMostSeen = 1000;     // clicks of other views in one picture
 constexpr std::int32_t kSpotMargin_px = 2;  // a place at the border of a photograph is clicked badly
 
 PixelPlace pixel_at(const Camera& camera, PixelPoint p) {
@@ -32,15 +31,9 @@ std::vector<PixelPlace> some_pixels(const std::vector<PixelPoint>& points) {
 }  // namespace
 
 std::optional<PixelPoint> pixel_of(const RayCamera& camera, Vec3d place) {
-  const Camera& c = camera.camera;
-  const Vec3d p = camera.world_from_camera.apply_inverse(place);
-  if (!(p.z > 0)) return std::nullopt;
-  double u = c.fx * p.x / p.z + c.cx, v = c.fy * p.y / p.z + c.cy;
-  const auto is_far = [](double at, std::int32_t length) { return std::abs(2 * at / length - 1) > kBeyond; };
-  if (is_far(u, c.width_px) || is_far(v, c.height_px)) return std::nullopt;
-  if (camera.undistort) c.project(p, u, v);
-  if (!(u >= 0 && v >= 0 && u < c.width_px && v < c.height_px)) return std::nullopt;
-  return PixelPoint{u, v};
+  const std::optional<PixelHit> hit = project_point(camera.camera, camera.world_from_camera, place);
+  if (!hit) return std::nullopt;
+  return PixelPoint{hit->u, hit->v};
 }
 
 SurfaceDistance distance_in(const SurfaceMap& map) {

@@ -1,13 +1,12 @@
-// The pool's points as a graph on which clicks spread: a way costs more across steps of colour and bends of the
-// surface.
+// Find the cheapest ways over the points of a surface from those that somebody has named: steps of colour and bends
+// cost more.
 #pragma once
 
 #include <cstdint>
 #include <span>
-#include <unordered_map>
 #include <vector>
 
-#include "serve/surface/surface_pool.h"
+#include "surface/surface_pool.h"
 
 namespace semfield {
 
@@ -42,9 +41,6 @@ class SurfaceGraph {
   /// One more seed, at the cost of what changes.
   void add(const GraphSeed& seed);
 
-  /// The point whose cell holds a place, or lies beside that cell; -1: none.
-  std::int32_t point_at(Vec3d place) const;
-
   /// The points that can be reached from `point` for at most `reach`, and at most `most` of them, the cheapest first.
   struct Near {
     std::int32_t point;
@@ -65,8 +61,6 @@ class SurfaceGraph {
   // Ways from all seeds at once, so that a point is visited about as often as it has classes, however many seeds there
   // are.
   void spread(std::span<const GraphSeed> seeds);
-  double cell_m_ = 1;
-  std::unordered_map<std::uint64_t, std::int32_t> point_of_cell_;
   std::vector<std::int32_t> first_;  // [points + 1]
   std::vector<Edge> edges_;
   std::vector<Settled> settled_;
