@@ -11,7 +11,7 @@
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
 #include "plugin/kernels.h"
-#include "plugin/mlp/walk.h"
+#include "plugin/mlp/walk_backward.h"
 
 namespace semfield::cuda {
 
@@ -81,14 +81,13 @@ struct DeviceLayers {
 
   static void product(const Weights& w, const MlpPart& part, const MlpProduct<DeviceLayers>& p, Workspace& arena) {
     const auto n = static_cast<std::size_t>(part.number);
-    const bool one_bias = p.start.rows == 1 && p.row_of.empty();
     if constexpr (kRounds) {
       LinearForward<Act, Act> to_rows;
       to_rows.x = with_padding(p.x);
       to_rows.weight = w.of[n];
-      if (!p.y.empty() && (one_bias || p.start.empty())) {
-        if (one_bias) to_rows.bias = p.start;
-        if (one_bias) to_rows.rounded_bias = w.bias[n];
+      if (!p.y.empty() && p.starts_from_bias) {
+        to_rows.bias = p.start;
+        to_rows.rounded_bias = w.bias[n];
         to_rows.activation = p.relu ? Activation::relu : Activation::none;
         to_rows.y = with_padding(p.y);
         linear_forward(to_rows);
@@ -108,8 +107,8 @@ struct DeviceLayers {
       layer.weight = w.of[n].col_range(p.columns.first, p.columns.cols);
       layer.y = out;
       layer.add = p.start.data == out.data;
-      if (one_bias) layer.bias = layer.rounded_bias = p.start;
-      const bool in_one = one_bias || layer.add || p.start.empty();
+      if (p.starts_from_bias) layer.bias = layer.rounded_bias = p.start;
+      const bool in_one = p.starts_from_bias || layer.add;
       if (in_one) layer.activation = p.relu ? Activation::relu : Activation::none;
       linear_forward(layer);
       if (!in_one) finish(out, p.start, p.row_of, p.relu, {}, out, {});

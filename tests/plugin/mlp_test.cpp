@@ -1,6 +1,4 @@
 // Networks of layers: an independent forward, central differences, the savings, every precision, costs, memory.
-#include "plugin/mlp/mlp.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -14,15 +12,13 @@
 #include "testkit/compare.h"
 #include "testkit/gradient_check.h"
 #include "testkit/tensor_box.h"
+#include "tests/plugin/mlp_network.h"
 
 namespace semfield {
 namespace {
 
 using testkit::TensorBox;
-using enum LayerActivation;
-
-constexpr std::int32_t kIn = 5, kRay = 3, kWidth = 32;
-constexpr std::int64_t kRays = 4;
+using namespace testing_mlp;
 
 const KernelTables& tables() {
   static const KernelTables tables = [] {
@@ -33,33 +29,10 @@ const KernelTables& tables() {
   return tables;
 }
 
-MlpBuild build_of(bool fold = true, bool rays_once = true, Precision precision = Precision::fp32) {
-  return {Device::cpu, precision, kIn, kRay, fold, rays_once};
-}
-
-/// Every kind of layer: a chain with a skip, a sine of two inputs, columns that are read and an output, two linear
-/// layers with nothing between them, a ray input, a sigmoid, an output that is read on, and a layer that nobody needs.
-template <class Real>
-Mlp<Real> everything(const MlpBuild& build) {
-  Mlp<Real> net(build, tables(), "test 'mlp'");
-  const Rows h = net.chain({"trunk", {net.samples()}, kWidth}, 3, 2);
-  const Rows waves = net.layer({"waves", {h, net.samples()}, kWidth, sine, 3});
-  const Rows geometry = net.layer({"geometry", {waves}, 4, none});
-  net.layer({"unneeded", {waves}, 7});
-  const Rows linear = net.layer({"linear", {geometry.columns(1, 3)}, 6, none});
-  const Rows view = net.layer({"view", {linear, net.rays(), h}, kWidth});
-  net.output(geometry.columns(0, 1));
-  net.output(net.layer({"color", {view}, 3, sigmoid}));
-  net.output(h);
-  net.seal();
-  return net;
-}
-constexpr std::int32_t kOut[] = {1, 3, kWidth};
-
 template <class Real>
 struct Bench {
   explicit Bench(const MlpBuild& build, std::int64_t samples = 37)
-      : net(everything<Real>(build)), box(net, 1), count(samples) {
+      : net(everything<Real>(build, tables())), box(net, 1), count(samples) {
     const RandomAddress address{7, 0, 0};
     std::uint64_t index = 0;
     const auto fill = [&](std::vector<Real>& to, std::int64_t size) {
@@ -294,7 +267,7 @@ TEST(Mlp, TakesWhatItSays) {
 }
 
 TEST(Mlp, DropsWhatNobodyNeedsAndNamesTheRest) {
-  const Mlp<float> net = everything<float>(build_of());
+  const Mlp<float> net = everything<float>(build_of(), tables());
   EXPECT_EQ(net.find("unneeded"), nullptr);
   std::map<std::string, TensorSpec> specs;
   const TensorBox<float> box(net, 1);
@@ -311,7 +284,7 @@ TEST(Mlp, DropsWhatNobodyNeedsAndNamesTheRest) {
 // A chain's first sine reads the samples, the others are started for their frequency.
 TEST(Mlp, SinesStartAsInTheirPaper) {
   Mlp<float> net(build_of(), tables(), "test 'mlp'");
-  net.output(net.chain({"sine", {net.samples()}, 24, sine, 30}, 2));
+  net.output(net.chain({"sine", {net.samples()}, 24, LayerActivation::sine, 30}, 2));
   net.seal();
   const TensorBox<float> box(net, 1);
   EXPECT_DOUBLE_EQ(box.specs()[0].init.high, 1.0 / kIn);

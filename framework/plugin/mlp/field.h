@@ -30,7 +30,7 @@ class MlpField : public Field<Real> {
   }
 
  protected:
-  /// owner: "field 'siren'", as in messages. Throws Error(config) without an encoded position, Error(unavailable)
+  /// owner: "field 'waves'", as in messages. Throws Error(config) without an encoded position, Error(unavailable)
   /// where there are no kernels for the device and precision.
   MlpField(const FieldBuild& build, const KernelTables& kernels, std::string_view owner);
 

@@ -40,7 +40,7 @@ struct LayerSpec {
 template <class Real>
 class Mlp final : public Parametric<Real> {
  public:
-  /// Throws Error(unavailable) where `owner` ("field 'siren'") has no kernels for the device and precision.
+  /// Throws Error(unavailable) where `owner` ("field 'waves'") has no kernels for the device and precision.
   Mlp(const MlpBuild& build, const KernelTables& kernels, std::string_view owner);
 
   Rows samples() const { return {kSampleInput, 0, graph_.sample_dims}; }

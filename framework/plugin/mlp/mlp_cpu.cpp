@@ -7,7 +7,7 @@
 #include "compute/parallel.h"
 #include "compute/row_loops.h"
 #include "plugin/mlp/mlp.h"
-#include "plugin/mlp/walk.h"
+#include "plugin/mlp/walk_backward.h"
 
 namespace semfield {
 
