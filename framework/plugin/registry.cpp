@@ -1,6 +1,8 @@
 // The registry: entries by kind and name.
 #include "plugin/registry.h"
 
+#include "plugin/mlp/mlp.h"
+
 namespace semfield {
 
 std::string_view kind_name(PluginKind kind) {
@@ -42,6 +44,8 @@ std::string_view kind_folder(PluginKind kind) {
   }
   return "plugins";
 }
+
+Registry::Registry() { mlp_kernels(kernels_); }
 
 void Registry::add(PluginEntry entry) {
   entry.module = current_module_;

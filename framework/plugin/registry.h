@@ -8,6 +8,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <type_traits>
 #include <vector>
 
 #include "config/params.h"
@@ -23,6 +24,8 @@ namespace semfield {
 
 class LabelReader;
 class Degradation;
+template <class Real>
+class MlpField;
 
 enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset, loss, label_reader, degradation };
 /// In the order of documents.
@@ -60,7 +63,7 @@ void call_describe(ParamVisitor& visit, Params& params) {
 }
 template <class Params>
 void call_validate(const Params& params, Diagnostics& diagnostics) {
-  validate(params, diagnostics);
+  if constexpr (requires { validate(params, diagnostics); }) validate(params, diagnostics);
 }
 template <class Params>
 void call_choose(Params& params, const EncoderBuild& build, std::vector<std::string>& chosen) {
@@ -82,10 +85,10 @@ std::string call_preparation(const std::string& folder, const Params& params) {
 }
 }  // namespace plugin_detail
 
-/// Params needs `void describe(ParamVisitor&, Params&)` and `void validate(const Params&, Diagnostics&)` in its
-/// namespace (a loss's validate may be that of LossRule); an encoder's may have `void choose(Params&, const
-/// EncoderBuild&, std::vector<std::string>&)`, a dataset's `std::string recognise(const std::string& path, Params&)`
-/// and `std::string preparation(const std::string& folder, const Params&)`.
+/// Params needs `void describe(ParamVisitor&, Params&)` in its namespace, and may have `void validate(const Params&,
+/// Diagnostics&)` (a loss's may be that of LossRule); an encoder's may have `void choose(Params&, const EncoderBuild&,
+/// std::vector<std::string>&)`, a dataset's `std::string recognise(const std::string& path, Params&)` and `std::string
+/// preparation(const std::string& folder, const Params&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
@@ -141,6 +144,8 @@ struct PluginEntry {
 
 class Registry {
  public:
+  Registry();  ///< has no plugin, and the kernels of networks
+
   /// Throws Error(unavailable) for a name taken in its kind, naming both modules.
   void add(PluginEntry entry);
 
@@ -158,6 +163,8 @@ class Registry {
     PluginEntry e = entry<Params>(PluginKind::field, std::move(name), std::move(summary));
     e.field32 = maker<Field<float>, Impl<float>, Params, FieldBuild>();
     e.field64 = maker<Field<double>, Impl<double>, Params, FieldBuild>();
+    if constexpr (std::is_base_of_v<MlpField<float>, Impl<float>>)
+      kernels_.compose("field '" + e.name + "'", kMlpOwner);
     add(std::move(e));
   }
   template <template <class> class Impl, class Params>

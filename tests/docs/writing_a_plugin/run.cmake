@@ -48,7 +48,8 @@ endif()
 
 file(COPY ${TREE}/plugins/CMakeLists.txt DESTINATION ${folder}/plugins)
 file(COPY ${TREE}/tests/docs/writing_a_plugin/CMakeLists.txt ${TREE}/tests/docs/writing_a_plugin/linked_host.cpp DESTINATION ${folder})
-file(COPY ${folder}/plugins/encoders/rings/rings.cpp ${folder}/plugins/losses/opaque/opaque.cpp ${folder}/plugins/datasets/pose_list/pose_list.cpp DESTINATION ${folder}/my_plugins)
+file(COPY ${folder}/plugins/encoders/rings/rings.cpp ${folder}/plugins/losses/opaque/opaque.cpp ${folder}/plugins/fields/sines/sines.cpp
+     ${folder}/plugins/datasets/pose_list/pose_list.cpp ${folder}/plugins/label_readers/text_grid/text_grid.cpp DESTINATION ${folder}/my_plugins)
 file(MAKE_DIRECTORY ${WORK_DIR}/scene)
 
 # CMake finds out where libraries lie from what the compiler prints, with names of its temporary files; it cannot read odd ones.
@@ -82,6 +83,10 @@ if(NOT step_output MATCHES "bands=7, directions +passed\n.*plugins check: passed
 endif()
 step("plugins check opaque" ${APP} plugins check ${folder}/my_plugins/build/opaque.so)
 if(NOT step_output MATCHES "loss +opaque +defaults +passed\nplugins check: passed=2 failed=0 ")
+  message(FATAL_ERROR "the check says something else:\n${step_output}")
+endif()
+step("plugins check sines" ${APP} plugins check ${folder}/my_plugins/build/sines.so)
+if(NOT step_output MATCHES "field +sines .* passed\n.*plugins check: passed=[0-9]+ failed=0 ")
   message(FATAL_ERROR "the check says something else:\n${step_output}")
 endif()
 step("plugins check pose_list" ${APP} plugins check ${folder}/my_plugins/build/pose_list.so --scene root=${WORK_DIR}/scene --scene focal_px=${focal_px})
