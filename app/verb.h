@@ -136,7 +136,9 @@ std::vector<std::string> choice_names() {
 /// The words of which names of verbs are made, each once: for completion.
 std::vector<std::string> words_of_verbs();
 
-/// Every verb_NAME() of the build, in no order. The build writes it (app/CMakeLists.txt).
+/// The name that users type. The build writes this and the next (app/CMakeLists.txt).
+const std::string& program_name();
+/// Every verb_NAME() of the program, in no order.
 std::vector<Verb> all_verbs();
 
 }  // namespace semfield::app

@@ -31,10 +31,4 @@ std::string version_lines() {
   return text;
 }
 
-std::string version_line() {
-  std::string text;
-  for (const auto& [name, fact] : facts()) text += (text.empty() ? "" : "; ") + name + " " + fact;
-  return text;
-}
-
 }  // namespace semfield::app

@@ -1,4 +1,4 @@
-// What this binary is, in sentences.
+// What this binary is.
 #pragma once
 
 #include <string>
@@ -7,7 +7,5 @@ namespace semfield::app {
 
 /// Version, compiler, plugin interface, processor and instruction sets, a line each.
 std::string version_lines();
-/// The same in one line.
-std::string version_line();
 
 }  // namespace semfield::app

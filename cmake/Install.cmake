@@ -60,7 +60,7 @@ set(semfield_words ${PROJECT_BINARY_DIR}/words)
 file(MAKE_DIRECTORY ${semfield_words})
 add_custom_command(OUTPUT ${semfield_words}/made
   COMMAND ${CMAKE_COMMAND} -E rm -rf ${semfield_words}/man1
-  COMMAND semfield_app --quiet man --out ${semfield_words}/man1
+  COMMAND semfield_app --quiet help --man --out ${semfield_words}/man1
   COMMAND gzip -9nr ${semfield_words}/man1
   COMMAND semfield_app completion bash > ${semfield_words}/semfield
   COMMAND semfield_app completion zsh > ${semfield_words}/_semfield

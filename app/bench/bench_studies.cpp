@@ -4,5 +4,5 @@
 extern "C" void semfield_bench_studies(semfield::app::BenchStudies& studies);
 void semfield_bench_studies(semfield::app::BenchStudies& studies) {
   using namespace semfield::app;
-  studies = {bench_gpu, bench_label, bench_pairs, bench_quadrature, bench_scale, bench_step};
+  studies = {bench_gpu, bench_step};
 }

@@ -7,12 +7,15 @@
 #include <system_error>
 #include <utility>
 
+#include "app/command_line/completion.h"
 #include "app/command_line/grammar.h"
 #include "app/command_line/help.h"
+#include "app/json_output.h"
 #include "app/version_text.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "plugin/loader.h"
+#include "run/run_folder.h"
 
 namespace semfield::app {
 
@@ -107,7 +110,7 @@ Error refused(const VerbGrammar* verb, const CLI::ParseError& error) {
   return {ErrorKind::usage,
           (verb == nullptr ? "" : verb->name + ": ") +
               (no_value ? text.substr(0, text.find(':')) + ": its value is missing" : text),
-          "see `semfield help" + name + "`"};
+          "see " + command("help" + name)};
 }
 
 int print_help(const Grammar& grammar, const VerbGrammar* verb) {
@@ -115,11 +118,20 @@ int print_help(const Grammar& grammar, const VerbGrammar* verb) {
   return 0;
 }
 
+void print_version(const Split& split, AppContext& context) {
+  if (std::find(split.rest.begin(), split.rest.end(), "--json") == split.rest.end()) {
+    std::fputs(version_lines().c_str(), stdout);
+  } else {
+    context.verb = "version";
+    print_json(context, Json::parse(environment_json(this_environment())));
+  }
+}
+
 // Reads the words of `split` into what they take; true: all was done by it.
-bool parse(const Grammar& grammar, const Split& split) {
+bool parse(const Grammar& grammar, const Split& split, AppContext& context) {
   CLI::App parser;
   parser.set_help_flag("-h,--help");
-  parser.set_version_flag("--version", [] { return version_line(); });
+  parser.set_version_flag("--version", [] { return std::string(); });
   add_words(parser, grammar.everywhere);
   if (split.verb != nullptr) add_words(parser, split.verb->words);
   try {
@@ -129,7 +141,7 @@ bool parse(const Grammar& grammar, const Split& split) {
     print_help(grammar, split.verb);
     return true;
   } catch (const CLI::CallForVersion&) {
-    std::printf("%s\n", version_line().c_str());
+    print_version(split, context);
     return true;
   } catch (const CLI::ParseError& error) {
     if (split.verb != nullptr) refuse_unknown(grammar, *split.verb, parser.remaining());
@@ -144,10 +156,14 @@ bool parse(const Grammar& grammar, const Split& split) {
 }  // namespace
 
 int run_command_line(int argc, char** argv, AppContext& context) {
+  if (argc > 2 && argv[1] == std::string("completion") && argv[2] == std::string("--of")) {  // unparsed: half a line
+    std::fputs(completions(program_grammar(), {argv + 3, argv + argc}).c_str(), stdout);
+    return 0;
+  }
   GlobalOptions global;
   const Grammar grammar = program_grammar(global);
   const Split split = split_words(grammar, {argv + 1, argv + argc});
-  if (parse(grammar, split)) return 0;
+  if (parse(grammar, split, context)) return 0;
   context.quiet = global.quiet;
   context.json = global.json;
   if (split.verb == nullptr || split.verb->group) {

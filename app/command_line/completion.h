@@ -1,4 +1,4 @@
-// Completion of the program's words in shells: a script for each, made from the grammar.
+// What the words of a command line may go on with, for shells that complete them.
 #pragma once
 
 #include <string>
@@ -10,11 +10,13 @@ namespace semfield::app {
 
 /// "bash", "zsh", "fish".
 const std::vector<std::string>& shells();
-/// The script that a shell of shells() reads.
-std::string completion_script(const Grammar& grammar, const std::string& shell);
+/// The script that a shell of shells() reads. It runs the program at each TAB: `semfield completion --of WORDS`.
+std::string completion_script(const std::string& shell);
 
-std::string bash_completion(const Grammar& grammar);
-std::string zsh_completion(const Grammar& grammar);
-std::string fish_completion(const Grammar& grammar);
+/// What the last of `words`, which may be empty, may become; the others stand before it. The first line is "words",
+/// "files", "folders" (of which the shell offers its own, beside the candidates) or "list" (more may follow without a
+/// blank); then a line for each candidate: it, a tab and a sentence. A word "=" alone stands between an option and its
+/// value, as bash cuts them.
+std::string completions(const Grammar& grammar, const std::vector<std::string>& words);
 
 }  // namespace semfield::app

@@ -60,7 +60,8 @@ std::vector<Word> words_everywhere(GlobalOptions& global) {
   };
   // The parser itself knows what these two do.
   Word help = word_of_all(Word::Kind::flag, "--help", "-h", "", "print this help");
-  Word version = word_of_all(Word::Kind::flag, "--version", "", "", "print the version in one line");
+  Word version = word_of_all(Word::Kind::flag, "--version", "", "",
+                             "print version, compiler, plugin interface and instruction sets");
   return {std::move(quiet), std::move(json), std::move(plugin), std::move(help), std::move(version)};
 }
 
@@ -158,8 +159,10 @@ std::string form_of(const Word& word) {
   return (word.letter.empty() ? "" : word.letter + ", ") + word.name + (word.value.empty() ? "" : " " + word.value);
 }
 
+std::string command(const std::string& words) { return "`" + program_name() + " " + words + "`"; }
+
 std::string usage_of(const VerbGrammar& verb) {
-  std::string text = "semfield " + verb.name;
+  std::string text = program_name() + " " + verb.name;
   if (verb.group) return text + " VERB";
   bool options = false;
   for (const Word& word : verb.words) {

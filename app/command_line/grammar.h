@@ -75,6 +75,8 @@ const Grammar& program_grammar();
 std::string sentence_of(const Word& word);
 /// "-q, --quiet", "--threads N", "RUN", "[CONFIG...]".
 std::string form_of(const Word& word);
+/// What a user types, in quotes of code: command("help train") is "`semfield help train`".
+std::string command(const std::string& words);
 /// "semfield render RUN [OPTIONS]".
 std::string usage_of(const VerbGrammar& verb);
 

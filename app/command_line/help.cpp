@@ -4,6 +4,7 @@
 #include <utility>
 #include <vector>
 
+#include "app/verb.h"
 #include "core/error.h"
 #include "core/text.h"
 
@@ -87,7 +88,7 @@ std::vector<std::string> verbs_with(const Grammar& grammar, const std::string& f
   std::vector<std::string> verbs;
   for (const VerbGrammar& verb : grammar.verbs) {
     for (const Word& word : verb.words) {
-      if (word.name == flag) verbs.push_back("`semfield " + verb.name + "`");
+      if (word.name == flag) verbs.push_back(command(verb.name));
     }
   }
   return verbs;
@@ -110,17 +111,17 @@ std::string closest_flag(const std::string& flag, const std::vector<std::string>
 
 std::string program_help(const Grammar& grammar) {
   return "Semfield: neural fields of appearance, geometry and semantics for one scene\n\n"
-         "Usage: semfield VERB [WORDS]\n" +
-         section("Verbs", verb_rows(grammar.below(""))) +
-         section("With every verb", rows_of(pointers(grammar.everywhere), false)) +
-         "\n`semfield help VERB` tells the words of a verb.\n";
+         "Usage: " +
+         program_name() + " VERB [WORDS]\n" + section("Verbs", verb_rows(grammar.below(""))) +
+         section("With every verb", rows_of(pointers(grammar.everywhere), false)) + "\n" + command("help VERB") +
+         " prints the words of a verb.\n";
 }
 
 std::string verb_help(const Grammar& grammar, const VerbGrammar& verb) {
   std::string text = "Usage: " + usage_of(verb) + "\n\n" + verb.sentence + "\n";
   if (verb.group) {
-    return text + section("Verbs", verb_rows(grammar.below(verb.name))) + "\n`semfield help " + verb.name +
-           " VERB` tells the words of a verb.\n";
+    return text + section("Verbs", verb_rows(grammar.below(verb.name))) + "\n" +
+           command("help " + verb.name + " VERB") + " prints the words of a verb.\n";
   }
   std::vector<const Word*> own = pointers(verb.words), all = grammar.words_of(verb);
   const std::vector<const Word*> rest(all.begin() + static_cast<std::ptrdiff_t>(own.size()), all.end());
@@ -143,12 +144,12 @@ Error unknown_verb(const Grammar& grammar, const std::string& group, const std::
   const std::string head = group.empty() ? "" : group + " ";
   const std::string text = "there is no verb '" + head + word + "'";
   if (const std::string near = did_you_mean(word, names_below(grammar, group)); !near.empty())
-    return {ErrorKind::usage, text, "did you mean `semfield " + head + near + "`?"};
+    return {ErrorKind::usage, text, "did you mean " + command(head + near) + "?"};
   for (const VerbGrammar* other : grammar.below("")) {
     const std::string near = did_you_mean(word, names_below(grammar, other->name));
-    if (!near.empty()) return {ErrorKind::usage, text, "did you mean `semfield " + other->name + " " + near + "`?"};
+    if (!near.empty()) return {ErrorKind::usage, text, "did you mean " + command(other->name + " " + near) + "?"};
   }
-  return {ErrorKind::usage, text, "`semfield help" + (group.empty() ? "" : " " + group) + "` lists the verbs"};
+  return {ErrorKind::usage, text, command("help" + (group.empty() ? "" : " " + group)) + " lists the verbs"};
 }
 
 Error unknown_flag(const Grammar& grammar, const std::string& verb, const std::string& word) {
@@ -173,7 +174,7 @@ Error unknown_flag(const Grammar& grammar, const std::string& verb, const std::s
   }
   if (const std::string near = closest_flag(flag, all); !near.empty())
     return {ErrorKind::usage, text, "did you mean " + near + " of " + verbs_with(grammar, near).front() + "?"};
-  return {ErrorKind::usage, text, "see `semfield help" + (verb.empty() ? "" : " " + verb) + "`"};
+  return {ErrorKind::usage, text, "see " + command("help" + (verb.empty() ? "" : " " + verb))};
 }
 
 Error no_json(const Grammar& grammar, const VerbGrammar& verb) {

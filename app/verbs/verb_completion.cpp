@@ -13,7 +13,7 @@ struct CompletionOptions {
 };
 
 int run(const CompletionOptions& options, AppContext&) {
-  std::fputs(completion_script(program_grammar(), options.shell).c_str(), stdout);
+  std::fputs(completion_script(options.shell).c_str(), stdout);
   return 0;
 }
 

@@ -172,7 +172,7 @@ void read_label_json(const std::string& text, const std::string& name, std::vect
       courses.push_back(std::move(course));
     }
   } catch (const nlohmann::json::exception& error) {
-    throw Error(ErrorKind::data, name + ": it is no result of `semfield bench label --json`: " + error.what(),
+    throw Error(ErrorKind::data, name + ": it is no result of `semfield-study label --json`: " + error.what(),
                 "write it again");
   }
 }

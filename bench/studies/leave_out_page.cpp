@@ -37,7 +37,7 @@ std::string cell(std::string text) {
   return text;
 }
 
-constexpr const char* kPairsStudy = "bench pairs";
+constexpr const char* kPairsStudy = "study pairs";
 
 }  // namespace
 
@@ -95,7 +95,7 @@ LeaveOutFindings parse_findings(const std::string& text, const std::string& name
     }
   } catch (const nlohmann::json::exception& e) {
     throw Error(ErrorKind::data, "'" + name + "' is no table of leave-out pairs: " + e.what(),
-                "delete it, and write it anew with `semfield bench pairs --write-docs`");
+                "delete it, and write it anew with `semfield-study pairs --write-docs`");
   }
   return findings;
 }

@@ -1,4 +1,4 @@
-// What `bench quadrature` measures and says: tables, omissions, plots and JSON of measured rules.
+// What `semfield-study quadrature` measures and says: tables, omissions, plots and JSON of measured rules.
 #pragma once
 
 #include <string>

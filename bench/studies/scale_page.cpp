@@ -14,7 +14,7 @@ namespace semfield {
 namespace {
 
 constexpr int kMostDevices = 1024;
-constexpr const char* kScaleStudy = "bench scale";
+constexpr const char* kScaleStudy = "study scale";
 constexpr std::array<std::pair<const char*, const char*>, 4> kKinds{
     {{"paper", "cpu"}, {"hash", "cpu"}, {"paper", "cuda"}, {"hash", "cuda"}}};
 
@@ -27,7 +27,7 @@ const ScaleLink kNetwork{"100 Gb/s network", 10e-6, 11e9};
 constexpr int kLanes = 48;
 // A message of the chain holds 64 pieces of gradients of 4 KiB at most.
 constexpr double kMessageBytes = 256 << 10;
-// What `bench scale` sets: 30 samples a ray, each with its place (3 float64) and the gradient of 32 encoded numbers.
+// What `semfield-study scale` sets: 30 samples a ray, each with its place (3 float64) and the gradient of 32 encoded numbers.
 constexpr double kHashRowBytes = 30 * (3 * 8 + 32 * 4);
 
 ScaleSystem system_of(const std::string& device) {
@@ -240,7 +240,7 @@ std::string scale_measured(const ScaleResults& results) {
     if (value != "-") continue;
     missing += fmt::format("{}`{}` on a machine with {}", missing.empty() ? "" : ", ", name, machine_for(name));
   }
-  if (!missing.empty()) text += "\nNot measured: " + missing + ". `semfield bench scale` measures it there.\n";
+  if (!missing.empty()) text += "\nNot measured: " + missing + ". `semfield-study scale` measures it there.\n";
   return text + "\n```text\n" + scale_line(results) + "\n```\n";
 }
 

@@ -1,4 +1,4 @@
-// What `bench scale` measured, as the tables and the figure of docs/evidence/scale.md, beside the model.
+// What `semfield-study scale` measured, as the tables and the figure of docs/evidence/scale.md, beside the model.
 #pragma once
 
 #include <optional>

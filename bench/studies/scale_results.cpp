@@ -126,8 +126,8 @@ std::string scale_json(const ScaleResults& results) {
 ScaleResults parse_scale_json(const std::string& text, const std::string& name) {
   ScaleResults results;
   const auto refuse = [&](const std::string& what) {
-    throw Error(ErrorKind::data, "'" + name + "' is no file of `semfield bench scale`: " + what,
-                "give a results.json that `semfield bench scale --out FOLDER` has written");
+    throw Error(ErrorKind::data, "'" + name + "' is no file of `semfield-study scale`: " + what,
+                "give a results.json that `semfield-study scale --out FOLDER` has written");
   };
   try {
     const Json json = Json::parse(text);

@@ -1,4 +1,4 @@
-// What `bench scale` measured, on one machine or brought together from several.
+// What `semfield-study scale` measured, on one machine or brought together from several.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// The trainings that `bench scale` starts: their configurations, and what their run folders tell.
+// The trainings that `semfield-study scale` starts: their configurations, and what their run folders tell.
 #pragma once
 
 #include <cstdint>

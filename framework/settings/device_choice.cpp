@@ -91,7 +91,7 @@ ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry,
   }
   diagnostics.warning("runtime.device",
                       why_not + ", so the run stays on the CPU, which is tens to hundreds of times slower than a GPU",
-                      "use parts that have kernels for it: `semfield plugins matrix` lists them");
+                      "use parts that have kernels for it: `semfield plugins list --devices` lists them");
   return {DeviceId{}, why_not};
 }
 
@@ -121,7 +121,7 @@ void say_slow_paths(const RunConfig& config, const Registry& registry, DeviceId 
     diagnostics.warning("runtime.precision", cost, "set runtime.precision: auto");
   } else {
     diagnostics.warning("runtime.precision", cost + "; " + lacking + " has no kernels of bf16",
-                        "use a field that has: `semfield plugins matrix` lists them");
+                        "use a field that has: `semfield plugins list --devices` lists them");
   }
 }
 

@@ -93,7 +93,7 @@ bool keeps_state(const std::string& line) {
 }
 
 TEST(SourceRules, StateOfTheProcessIsListed) {
-  std::ifstream file(std::string(SEMFIELD_SOURCE_DIR) + "/ARCHITECTURE.md");
+  std::ifstream file(std::string(SEMFIELD_SOURCE_DIR) + "/docs/reference/inside.md");
   const std::string page{std::istreambuf_iterator<char>(file), {}};
   const std::size_t begin = page.find("## State of the process");
   ASSERT_NE(begin, std::string::npos);
@@ -110,7 +110,7 @@ TEST(SourceRules, StateOfTheProcessIsListed) {
         const std::string name = path.parent_path().filename().string() + "/" + path.filename().string();
         found.insert(name);
         EXPECT_NE(section.find("`" + name + "`"), std::string::npos)
-            << source.path << " keeps state of the process, which ARCHITECTURE.md does not list: " << line;
+            << source.path << " keeps state of the process, which docs/reference/inside.md does not list: " << line;
       }
     }
   }

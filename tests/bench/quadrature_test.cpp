@@ -1,4 +1,4 @@
-// Rules of the rendering integral: references, the orders and constants that theory predicts, and `bench quadrature`.
+// Rules of the rendering integral: references, the orders and constants that theory predicts, and `semfield-study quadrature`.
 #include <gtest/gtest.h>
 #include <unistd.h>
 
@@ -201,12 +201,12 @@ TEST(QuadratureVerb, WritesTablesPlotsAndJson) {
   const std::string folder = testing::TempDir() + "bench_quadrature_" + std::to_string(::getpid());
   fs::remove_all(folder);
   fs::create_directories(folder);
-  const auto r = testing_program::semfield_run("-q bench quadrature --rays 64 --out out", folder);
+  const auto r = testing_program::semfield_run("-q quadrature --rays 64 --out out", folder);
   const std::size_t end = r.out.find_last_not_of('\n'), begin = r.out.rfind('\n', end);
   std::smatch words;
   const std::string last = r.out.substr(begin + 1, end - begin);
   ASSERT_TRUE(
-      std::regex_match(last, words, std::regex(R"(bench quadrature: rules=(\d+) problems=6 order_ok=(\d+)/(\d+))")))
+      std::regex_match(last, words, std::regex(R"(study quadrature: rules=(\d+) problems=6 order_ok=(\d+)/(\d+))")))
       << last << r.err;
   EXPECT_GE(std::stoi(words[1]), 8);
   EXPECT_GE(std::stoi(words[3]), 60);

@@ -1,4 +1,4 @@
-// What `bench scale` makes of measurements: goals, files, tables, and that the page shows its data.
+// What `semfield-study scale` makes of measurements: goals, files, tables, and that the page shows its data.
 #include "studies/scale_page.h"
 
 #include <gtest/gtest.h>
@@ -133,9 +133,9 @@ TEST(ScalePage, TheModelStandsOnOneRankAlone) {
 TEST(ScalePage, MarksThatAreMissingAreNamed) {
   EXPECT_THROW(with_scale("# A page\n", two_cores(), "page.md"), Error);
   const std::string page = with_scale(
-      "a\n<!-- bench scale: measured begin -->\nold\n<!-- bench scale: measured end -->\nb\n<!-- bench scale: model "
+      "a\n<!-- study scale: measured begin -->\nold\n<!-- study scale: measured end -->\nb\n<!-- study scale: model "
       "begin "
-      "--><!-- bench scale: model end -->\nc\n",
+      "--><!-- study scale: model end -->\nc\n",
       two_cores(), "page.md");
   EXPECT_EQ(page.find("old"), std::string::npos);
   EXPECT_EQ(page.find("`cpu2_strong` on a machine"), std::string::npos) << page;  // measured
@@ -144,7 +144,7 @@ TEST(ScalePage, MarksThatAreMissingAreNamed) {
   EXPECT_EQ(page, with_scale(page, two_cores(), "page.md"));
 }
 
-// Whoever changes the model, or how it is shown, renews the page: semfield bench scale --combine
+// Whoever changes the model, or how it is shown, renews the page: semfield-study scale --combine
 // docs/evidence/scale.json --write-docs docs.
 TEST(ScalePage, TheShippedPageShowsItsData) {
   const std::string docs = SEMFIELD_SOURCE_DIR "/docs/", name = docs + "evidence/scale.md";

@@ -1,4 +1,4 @@
-// `semfield bench scale` with real ranks of mpirun.
+// `semfield-study scale` with real ranks of mpirun.
 #include <gtest/gtest.h>
 #include <unistd.h>
 
@@ -16,7 +16,7 @@ TEST(ScaleRanks, TwoRanksAreTimedAndEndInTheBitsOfOne) {
   const std::string folder = testing::TempDir() + "scale_ranks_" + std::to_string(::getpid());
   std::filesystem::create_directories(folder);
   const testing_program::Result r =
-      testing_program::semfield_run("bench scale --quick --repeats 1 --only cpu,bits,sweep --json", folder);
+      testing_program::semfield_run("scale --quick --repeats 1 --only cpu,bits,sweep --json", folder);
   std::filesystem::remove_all(folder);
   ASSERT_EQ(r.code, 0) << r.err;
   const json out = json::parse(r.out);

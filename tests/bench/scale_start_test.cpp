@@ -1,4 +1,4 @@
-// What `bench scale` makes of ranks that cannot be had, and of trainings that fail.
+// What `semfield-study scale` makes of ranks that cannot be had, and of trainings that fail.
 #include <gtest/gtest.h>
 #include <unistd.h>
 

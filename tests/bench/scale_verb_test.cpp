@@ -1,4 +1,4 @@
-// `semfield bench scale` through the program: one rank, several ranks where there is mpirun, and its mistakes.
+// `semfield-study scale` through the program: one rank, several ranks where there is mpirun, and its mistakes.
 #include <gtest/gtest.h>
 #include <unistd.h>
 
@@ -25,7 +25,7 @@ class ScaleVerb : public testing::Test {
   }
   ~ScaleVerb() override { fs::remove_all(folder_); }
   Result run(const std::string& words, const std::string& before = "") const {
-    return testing_program::semfield_run("bench scale " + words, folder_, before);
+    return testing_program::semfield_run("scale " + words, folder_, before);
   }
   std::string file(const std::string& name) const { return read_text_file(folder_ + "/" + name); }
   bool has(const std::string& name) const { return fs::exists(folder_ + "/" + name); }

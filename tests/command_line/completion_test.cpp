@@ -59,9 +59,10 @@ printf '%s\n' "${COMPREPLY[@]}"
     const std::string tool =
         shell_ == "zsh" ? SEMFIELD_SOURCE_DIR "/tests/command_line/zsh_candidates.zsh" : dir_ / ("try." + shell_);
     const std::string flags = shell_ == "bash" ? " --norc " : shell_ == "zsh" ? " -f " : " --no-config ";
-    std::istringstream lines(output_of("cd " + shell_word(dir_ / "work") + " && HOME=" + shell_word(dir_.path()) +
-                                       " timeout 60 " + shell_ + flags + shell_word(tool) + " " + script + " " + words +
-                                       " 2>&1"));
+    std::istringstream lines(
+        output_of("cd " + shell_word(dir_ / "work") + " && HOME=" + shell_word(dir_.path()) +
+                  " PATH=" + shell_word(fs::path(testing_program::program()).parent_path().string()) +
+                  ":\"$PATH\" timeout 60 " + shell_ + flags + shell_word(tool) + " " + script + " " + words + " 2>&1"));
     Words out;
     for (std::string word; std::getline(lines, word);) {
       word = word.substr(word.rfind(',') + 1);
@@ -79,7 +80,7 @@ printf '%s\n' "${COMPREPLY[@]}"
 
 TEST_P(Completion, Verbs) {
   const Words verbs = offered("semfield ");
-  for (const char* verb : {"train", "config", "check-numerics", "completion", "man"})
+  for (const char* verb : {"train", "config", "check-numerics", "completion", "help"})
     EXPECT_TRUE(verbs.contains(verb)) << verb;
   EXPECT_FALSE(verbs.contains("check"));
   EXPECT_EQ(offered("semfield tr"), Words{"train"});
@@ -97,7 +98,7 @@ TEST_P(Completion, Flags) {
   EXPECT_EQ(offered("semfield --pl"), Words{"--plugin"});
   // --json where there is one.
   EXPECT_EQ(offered("semfield eval --js"), Words{"--json"});
-  EXPECT_EQ(offered("semfield man --js"), Words{});
+  EXPECT_EQ(offered("semfield help --js"), Words{});
 }
 
 TEST_P(Completion, ChoicesOfValues) {

@@ -21,7 +21,7 @@ bool installed(const char* program) {
 
 TEST(Man, PageOfAVerbHasItsWords) {
   const TempDir dir;
-  const Result page = semfield_run("man render", dir.path(), "SOURCE_DATE_EPOCH=86400 ");
+  const Result page = semfield_run("help --man render", dir.path(), "SOURCE_DATE_EPOCH=86400 ");
   ASSERT_EQ(page.code, 0) << page.err;
   EXPECT_EQ(page.out.find(".TH SEMFIELD\\-RENDER 1 \"1970-01-02\" \"Semfield "), 0u) << page.out;
   for (const char* part :
@@ -29,21 +29,21 @@ TEST(Man, PageOfAVerbHasItsWords) {
         ".SH OPERANDS\n.TP\n.I RUN\n", ".BI \\-\\-frames \" N\"\n", "(1 to 100000; default: 240)",
         ".SH SEE ALSO\n.BR semfield (1)\n"})
     EXPECT_NE(page.out.find(part), std::string::npos) << part << " in\n" << page.out;
-  const Result whole = semfield_run("man", dir.path());
+  const Result whole = semfield_run("help --man", dir.path());
   EXPECT_NE(whole.out.find(".TP\n.BR semfield\\-render (1)\n"), std::string::npos) << whole.out;
   EXPECT_NE(whole.out.find(".SH EXIT STATUS\n.TP\n.B 0\ndone\n"), std::string::npos) << whole.out;
-  EXPECT_EQ(semfield_run("man rendr", dir.path()).err,
+  EXPECT_EQ(semfield_run("help --man rendr", dir.path()).err,
             "semfield: there is no verb 'rendr'; did you mean `semfield render`?\n");
-  EXPECT_EQ(semfield_run("man render --out all", dir.path()).code, 2);
+  EXPECT_EQ(semfield_run("help --man render --out all", dir.path()).code, 2);
 }
 
 class ManPages : public ::testing::Test {
  protected:
   void SetUp() override {
-    const Result r = semfield_run("man --out all", dir_.path());
+    const Result r = semfield_run("help --man --out all", dir_.path());
     ASSERT_EQ(r.code, 0) << r.err;
     for (const auto& entry : fs::directory_iterator(dir_ / "all")) pages_.push_back(entry.path().string());
-    EXPECT_GE(pages_.size(), 30u);
+    EXPECT_GE(pages_.size(), 25u);
     EXPECT_TRUE(fs::exists(dir_ / "all/semfield.1"));
     EXPECT_TRUE(fs::exists(dir_ / "all/semfield-config-check.1"));
   }

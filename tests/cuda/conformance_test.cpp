@@ -132,7 +132,7 @@ TEST(CudaConformance, EveryRegisteredPluginHasKernelsAndARow) {
 TEST(CudaConformance, TheProgramsMatrixShowsTheKernelsOfTheBuild) {
   std::string folder = ::testing::TempDir() + "semfield_matrix_XXXXXX";
   ASSERT_NE(::mkdtemp(folder.data()), nullptr);
-  const testing_program::Result result = testing_program::semfield_run("plugins matrix", folder);
+  const testing_program::Result result = testing_program::semfield_run("plugins list --devices", folder);
   EXPECT_EQ(result.code, 0) << result.err;
   EXPECT_EQ(result.err, "");
   EXPECT_EQ(result.out, support_matrix_text(registry_with_cuda()));

@@ -116,9 +116,9 @@ TEST(VerbsPage, IsFresh) {
   const fs::path tree = fs::path(SEMFIELD_BINARY_DIR) / "tests/docs/generated_pages";
   fs::remove_all(tree);
   fs::create_directories(tree / "plugins");
-  output_of("-q plugins docs --out " + shell_word(tree.string()));
+  output_of("-q help --pages " + shell_word(tree.string()));
   EXPECT_TRUE(read_text_file((tree / "docs/reference/verbs.md").string()) == page("docs/reference/verbs.md"))
-      << "docs/reference/verbs.md is stale; run: semfield plugins docs --out PROJECT_FOLDER";
+      << "docs/reference/verbs.md is stale; run: semfield help --pages PROJECT_FOLDER";
 }
 
 TEST(VerbsPage, HasEveryVerbOfTheHelp) {
@@ -172,7 +172,7 @@ TEST(CommandLinePage, ExitCodesAreThoseOfTheProgram) {
   have.insert({"0", "130"});
   EXPECT_EQ(listed, have);
   // The manual says the same of each.
-  const std::string manual = std::regex_replace(output_of("man"), std::regex(R"(\\-)"), "-");
+  const std::string manual = std::regex_replace(output_of("help --man"), std::regex(R"(\\-)"), "-");
   const std::regex row(R"(\n\| ([0-9, ]+) \| ([^|(]*[^|( ]))");
   const std::string text = page("docs/reference/command_line.md");
   int compared = 0;

@@ -65,7 +65,7 @@ TEST(CommittedPages, TheReferenceIsFresh) {
   register_linked_plugins(registry);
   const std::filesystem::path page = std::filesystem::path(SEMFIELD_SOURCE_DIR) / "docs/reference/plugins.md";
   EXPECT_TRUE(text_of(page) == plugins_markdown(registry))
-      << "docs/reference/plugins.md is stale; run: semfield plugins docs --out PROJECT_FOLDER";
+      << "docs/reference/plugins.md is stale; run: semfield help --pages PROJECT_FOLDER";
 }
 
 TEST(CommittedPages, TheTablesOfPluginFoldersAreFresh) {
@@ -83,12 +83,12 @@ TEST(CommittedPages, TheTablesOfPluginFoldersAreFresh) {
     }
     ++checked;
     EXPECT_TRUE(with_parameter_table(page, *entry) == page)
-        << folder << "/README.md has a stale parameter table; run: semfield plugins docs --out PROJECT_FOLDER";
+        << folder << "/README.md has a stale parameter table; run: semfield help --pages PROJECT_FOLDER";
   }
   if (!never_generated.empty()) {
     GTEST_SKIP() << checked
                  << " tables checked; without a README, its markers or a generated table: " << join(never_generated)
-                 << "; run: semfield plugins docs --out PROJECT_FOLDER";
+                 << "; run: semfield help --pages PROJECT_FOLDER";
   }
 }
 

@@ -42,7 +42,7 @@ struct PartsRun {
 
 const std::string kStays =
     " has no cuda kernels, so the run stays on the CPU, which is tens to hundreds of times slower than a GPU; use parts "
-    "that have kernels for it: `semfield plugins matrix` lists them";
+    "that have kernels for it: `semfield plugins list --devices` lists them";
 
 std::string refusal_of(PartsRun& run) {
   try {
@@ -106,7 +106,7 @@ TEST(SlowPaths, AFieldWithoutKernelsOfBf16IsNamed) {
   EXPECT_EQ(precision_of(run.config, run.registry, kGpu), Precision::fp32);
   EXPECT_EQ(run.slow_paths(kGpu, Precision::fp32),
             "runtime.precision: fp32 runs layer by layer on a GPU, 3 to 15 times slower than bf16; field 'tiny_mlp' "
-            "has no kernels of bf16; use a field that has: `semfield plugins matrix` lists them\n");
+            "has no kernels of bf16; use a field that has: `semfield plugins list --devices` lists them\n");
 }
 
 TEST(SlowPaths, EmulatedBf16OnACpuSaysSo) {

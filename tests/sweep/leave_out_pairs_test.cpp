@@ -21,7 +21,7 @@ namespace {
 
 std::string in_source(const std::string& file) { return std::string(SEMFIELD_SOURCE_DIR) + "/" + file; }
 
-// Statistical pairs need seeds and minutes: `semfield bench pairs`.
+// Statistical pairs need seeds and minutes: `semfield-study pairs`.
 std::vector<LeaveOutPair> quick_pairs() {
   std::vector<LeaveOutPair> out;
   for (const LeaveOutPair& pair : leave_out_pairs()) {
@@ -55,9 +55,9 @@ INSTANTIATE_TEST_SUITE_P(LeaveOut, Pairs, testing::ValuesIn(quick_pairs()),
                          [](const auto& param) { return param.param.name; });
 
 const char* const kEmptyPage =
-    "# A title\n\n<!-- bench pairs: measured begin --><!-- bench pairs: measured end -->\n\nWords between.\n\n"
-    "<!-- bench pairs: left out begin -->\nold\n<!-- bench pairs: left out end -->\n"
-    "<!-- bench pairs: kept begin --><!-- bench pairs: kept end -->\n";
+    "# A title\n\n<!-- study pairs: measured begin --><!-- study pairs: measured end -->\n\nWords between.\n\n"
+    "<!-- study pairs: left out begin -->\nold\n<!-- study pairs: left out end -->\n"
+    "<!-- study pairs: kept begin --><!-- study pairs: kept end -->\n";
 
 LeaveOutFindings two_findings() {
   LeaveOutFindings f;
@@ -106,7 +106,7 @@ TEST(LeaveOutPage, WordsStayAndTablesAreReplaced) {
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::data);
     EXPECT_NE(std::string(error.what()).find("folder/leave_out.md"), std::string::npos) << error.what();
-    EXPECT_NE(error.remedy().find("<!-- bench pairs: measured begin -->"), std::string::npos) << error.what();
+    EXPECT_NE(error.remedy().find("<!-- study pairs: measured begin -->"), std::string::npos) << error.what();
   }
 }
 
@@ -129,7 +129,7 @@ TEST(LeaveOutPage, TheShippedPageIsThatOfItsTable) {
   const LeaveOutFindings shipped = parse_findings(read_text_file(json), json);
   const std::string page = read_text_file(in_source("docs/reference/leave_out.md"));
   EXPECT_EQ(page, with_findings(page, shipped, "leave_out.md"))
-      << "renew it: semfield bench pairs --write-docs docs/reference";
+      << "renew it: semfield-study pairs --write-docs docs/reference";
   for (const LeaveOutPair& pair : leave_out_pairs()) {
     const auto row = std::find_if(shipped.rows.begin(), shipped.rows.end(),
                                   [&](const LeaveOutFinding& r) { return r.name == pair.name; });

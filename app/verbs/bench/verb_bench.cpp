@@ -3,6 +3,6 @@
 
 namespace semfield::app {
 
-Verb verb_bench() { return make_group("bench", 180, "measure speed, integration error and left-out components"); }
+Verb verb_bench() { return make_group("bench", 180, "measure the speed of training steps"); }
 
 }  // namespace semfield::app

@@ -1,4 +1,4 @@
-// bench pairs: every left-out component against the run that keeps it; --write-docs renews the shipped table.
+// pairs: every left-out component against the run that keeps it; --write-docs renews the shipped table.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -7,8 +7,8 @@
 #include <filesystem>
 #include <optional>
 
-#include "app/bench/bench_studies.h"
 #include "app/json_output.h"
+#include "app/verb.h"
 #include "run/run_folder.h"
 #include "studies/leave_out_page.h"
 #include "system/files.h"
@@ -18,14 +18,23 @@ namespace semfield::app {
 
 namespace {
 
+struct PairsStudyOptions {
+  std::vector<std::string> only;  ///< names of pairs; empty: all
+  std::vector<std::string> set;
+  std::string write_docs;  ///< folder of leave_out.json and leave_out.md
+  int rounds = 9;
+  int seeds = 5;
+  int seed_steps = 400;
+};
+
 namespace fs = std::filesystem;
 
-std::string about(const LeaveOutOptions& options, const PairOptions& pairs) {
+std::string about(const PairsStudyOptions& options, const PairOptions& pairs) {
   const Environment e = this_environment();
   const std::time_t now = std::time(nullptr);
   std::tm utc{};
   ::gmtime_r(&now, &utc);
-  return fmt::format("`semfield bench pairs{}` on one core of {}, {}, {:04}-{:02}-{:02}; {} rounds; scene: {}.",
+  return fmt::format("`semfield-study pairs{}` on one core of {}, {}, {:04}-{:02}-{:02}; {} rounds; scene: {}.",
                      options.only.empty() ? "" : " --only ...", e.cpu, e.compiler, utc.tm_year + 1900, utc.tm_mon + 1,
                      utc.tm_mday, pairs.rounds, join(pairs.set));
 }
@@ -49,9 +58,7 @@ class DocsFolder {
   std::string json_, page_;
 };
 
-}  // namespace
-
-int bench_pairs(const LeaveOutOptions& options, AppContext& context) {
+int run(const PairsStudyOptions& options, AppContext& context) {
   std::optional<DocsFolder> docs;
   if (!options.write_docs.empty()) docs.emplace(options.write_docs);
   PairOptions pairs;
@@ -89,6 +96,24 @@ int bench_pairs(const LeaveOutOptions& options, AppContext& context) {
   if (docs) docs->write(findings);
   if (context.json) print_json(context, Json::parse(findings_json(findings)));
   return all_hold ? 0 : static_cast<int>(ErrorKind::failure);
+}
+
+void words(VerbWords& verb, PairsStudyOptions& options) {
+  verb.repeated("--only PAIR", options.only, "pairs to run (default: all)");
+  verb.value_in("--rounds N", options.rounds, 1, 1000, "number of alternating timed rounds");
+  verb.value_in("--seeds N", options.seeds, 2, 1000, "runs on each side of a statistical pair");
+  verb.value_in("--steps N", options.seed_steps, 20, 1000000, "steps of each of these runs");
+  verb.repeated("--set KEY=VALUE", options.set, "override a value of all pairs: --set train.rays=200");
+  verb.value("--write-docs FOLDER", options.write_docs,
+             "folder in which leave_out.json and leave_out.md are renewed: docs/reference");
+}
+
+}  // namespace
+
+Verb verb_pairs() {
+  return with_json(make_verb<PairsStudyOptions>(
+      "pairs", 40, "compare runs that leave a component out with runs that keep it: the proof, and what it saves",
+      words, run));
 }
 
 }  // namespace semfield::app

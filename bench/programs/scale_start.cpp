@@ -1,4 +1,4 @@
-#include "app/bench/scale_start.h"
+#include "programs/scale_start.h"
 
 #include <fmt/format.h>
 #include <sched.h>
@@ -107,7 +107,7 @@ void need_mpirun() { mpirun(); }
 ScaleEnd start_ranks(const ScaleStart& start, const std::string& folder, const AppContext& context) {
   std::vector<std::string> words;
   if (start.ranks > 1) words = launcher_words(start, context);
-  words.push_back(own_program());
+  words.push_back((std::filesystem::path(own_program()).parent_path() / "semfield").string());
   words.insert(words.end(), start.words.begin(), start.words.end());
   const ChildFiles files{(std::filesystem::path(folder) / "output.txt").string(),
                          (std::filesystem::path(folder) / "log.txt").string()};

@@ -1,12 +1,12 @@
-// bench label: clicks that a simulated person needs, by what it is asked, and how long the answers take.
+// label: clicks that a simulated person needs, by what it is asked, and how long the answers take.
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <cstdio>
 
-#include "app/bench/bench_studies.h"
 #include "app/bench/bench_tools.h"
 #include "app/json_output.h"
+#include "app/verb.h"
 #include "core/text.h"
 #include "studies/label_bench.h"
 #include "system/files.h"
@@ -15,6 +15,18 @@
 namespace semfield::app {
 
 namespace {
+
+struct LabelStudyOptions {
+  std::vector<std::string> configs;
+  std::vector<std::string> set;
+  std::vector<std::string> questions;
+  int seeds = 5;
+  int clicks = 300;
+  double geometry_s = 30;
+  double between_s = 2;
+  int timed_clicks = 60;
+  std::vector<std::string> combine;
+};
 
 constexpr int kKills = 200;
 
@@ -26,9 +38,7 @@ std::vector<Acquisition> questions_of(const std::vector<std::string>& names) {
   return out;
 }
 
-}  // namespace
-
-int bench_label(const BenchLabelOptions& options, AppContext& context) {
+int run(const LabelStudyOptions& options, AppContext& context) {
   LabelBenchOptions bench;
   if (!options.questions.empty()) bench.strategies = questions_of(options.questions);
   bench.seeds = options.seeds;
@@ -59,6 +69,32 @@ int bench_label(const BenchLabelOptions& options, AppContext& context) {
   }
   std::printf("%s\n%s\n", label_tables(courses).c_str(), label_line(courses, latency, lost, kKills).c_str());
   return lost == 0 ? 0 : static_cast<int>(ErrorKind::failure);
+}
+
+void words(VerbWords& verb, LabelStudyOptions& options) {
+  verb.optional_operands("config", options.configs, "configurations of labelled scenes (default: the shipped room)");
+  verb.repeated("--set KEY=VALUE", options.set, "override a value: --set train.rays=2048");
+  verb.threads(options.set);
+  verb.device(options.set);
+  verb.list("--questions LIST", options.questions, "ways to ask, with commas (default: all)",
+            choice_names<Acquisition>());
+  verb.value_in("--seeds N", options.seeds, 1, 100,
+                "persons for each way to ask; the first one's seed is runtime.seed");
+  verb.value_in("--clicks N", options.clicks, 1, 2000, "clicks of a person");
+  verb.positive("--geometry X", options.geometry_s, "seconds of training before the first click");
+  verb.value_in("--between X", options.between_s, 0, 86400,
+                "seconds of training between two clicks; 0: the geometry stands");
+  verb.value_in("--timed-clicks N", options.timed_clicks, 0, 1000,
+                "clicks whose answers are timed while a session trains");
+  verb.list("--combine FILES", options.combine,
+            "files that `--json` has written; their persons count as if they were here");
+}
+
+}  // namespace
+
+Verb verb_label() {
+  return with_json(make_verb<LabelStudyOptions>(
+      "label", 50, "count the clicks that a simulated person needs, and time the answers", words, run));
 }
 
 }  // namespace semfield::app

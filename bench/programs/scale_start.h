@@ -1,4 +1,4 @@
-// This program started as ranks of mpirun, for `bench scale`.
+// `semfield`, which lies beside this program, started as ranks of mpirun for the study `scale`.
 #pragma once
 
 #include <string>

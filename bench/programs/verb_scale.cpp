@@ -1,4 +1,4 @@
-// bench scale: steps on 1, 2, ... ranks or GPUs, beside a model of what more of them would give.
+// scale: steps on 1, 2, ... ranks or GPUs, beside a model of what more of them would give.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -7,17 +7,26 @@
 #include <filesystem>
 #include <optional>
 
-#include "app/bench/bench_studies.h"
 #include "app/bench/bench_tools.h"
-#include "app/bench/scale_start.h"
 #include "app/json_output.h"
+#include "app/verb.h"
 #include "compute/parallel.h"
+#include "programs/scale_start.h"
 #include "studies/scale_page.h"
 #include "system/files.h"
 
 namespace semfield::app {
 
 namespace {
+
+struct ScaleStudyOptions {
+  std::string out;         ///< folder; "": a temporary one
+  std::string write_docs;  ///< folder of the documents
+  std::vector<std::string> only, combine;
+  std::optional<int> ranks;
+  int repeats = 2;
+  bool quick = false;
+};
 
 namespace fs = std::filesystem;
 
@@ -50,7 +59,7 @@ class WorkFolder {
   fs::path path_;
 };
 
-ScaleResults measured(const BenchScaleOptions& options, AppContext& context) {
+ScaleResults measured(const ScaleStudyOptions& options, AppContext& context) {
   WorkFolder folder(options.out);
   const StudyTools study = study_tools(context);
   ScaleBenchOptions bench;
@@ -78,9 +87,7 @@ void write_docs(const std::string& folder, const ScaleResults& fresh) {
   write_file_atomic(json, scale_json(all));
 }
 
-}  // namespace
-
-int bench_scale(const BenchScaleOptions& options, AppContext& context) {
+int run(const ScaleStudyOptions& options, AppContext& context) {
   ScaleResults results;
   for (const std::string& file : options.combine)
     results = merged(std::move(results), parse_scale_json(read_text_file(file), file));
@@ -112,6 +119,26 @@ int bench_scale(const BenchScaleOptions& options, AppContext& context) {
     std::printf("%s\n", scale_line(results).c_str());
   }
   return differ ? static_cast<int>(ErrorKind::failure) : 0;
+}
+
+void words(VerbWords& verb, ScaleStudyOptions& options) {
+  verb.value("--out FOLDER", options.out, "folder for results.json, scale.md and scale.svg");
+  verb.value_in("--ranks N", options.ranks, 1, 1024, "ranks at most (default: as many as there are cores or GPUs)");
+  verb.list("--only LIST", options.only, "parts to measure, with commas (default: all)", kScaleParts);
+  verb.value_in("--repeats N", options.repeats, 1, 100, "rounds, each of which starts every training once");
+  verb.flag("--quick", options.quick, "narrow networks and few rays, for tests");
+  verb.list("--combine FILES", options.combine,
+            "files results.json; their figures count as if they were measured here, and nothing else is measured "
+            "without --only");
+  verb.value("--write-docs FOLDER", options.write_docs,
+             "folder of the documents, in which evidence/scale.md, its data and its figure are renewed: docs");
+}
+
+}  // namespace
+
+Verb verb_scale() {
+  return with_json(make_verb<ScaleStudyOptions>(
+      "scale", 35, "time steps on several ranks or GPUs, compare their bits, and model many more", words, run));
 }
 
 }  // namespace semfield::app

@@ -1,12 +1,12 @@
-// bench quadrature: every rule of the rendering integral on media whose integrals are known.
+// quadrature: every rule of the rendering integral on media whose integrals are known.
 #include <fmt/format.h>
 
 #include <cstdio>
 #include <filesystem>
 
-#include "app/bench/bench_studies.h"
 #include "app/bench/bench_tools.h"
 #include "app/json_output.h"
+#include "app/verb.h"
 #include "studies/quadrature_report.h"
 #include "system/files.h"
 
@@ -14,7 +14,14 @@ namespace semfield::app {
 
 namespace fs = std::filesystem;
 
-int bench_quadrature(const BenchQuadratureOptions& options, AppContext& context) {
+namespace {
+
+struct QuadratureStudyOptions {
+  long long rays = 1024;  ///< for rules with jitter and media with jumps
+  std::string out;        ///< folder for plots, tables and quadrature.json; "": none
+};
+
+int run(const QuadratureStudyOptions& options, AppContext& context) {
   if (!options.out.empty()) {
     std::error_code failed;
     fs::create_directories(options.out, failed);
@@ -36,9 +43,22 @@ int bench_quadrature(const BenchQuadratureOptions& options, AppContext& context)
     return 0;
   }
   const OrderCount orders = count_orders(results);
-  std::printf("%s\nbench quadrature: rules=%zu problems=%zu order_ok=%d/%d\n", text.c_str(), results.rules.size(),
+  std::printf("%s\nstudy quadrature: rules=%zu problems=%zu order_ok=%d/%d\n", text.c_str(), results.rules.size(),
               results.problems.size(), orders.held, orders.compared);
   return orders.held == orders.compared ? 0 : static_cast<int>(ErrorKind::failure);
+}
+
+void words(VerbWords& verb, QuadratureStudyOptions& options) {
+  verb.value_in("--rays N", options.rays, 16, 1000000, "number of rays for jittered rules and media with jumps");
+  verb.value("--out FOLDER", options.out, "folder for plots (SVG), tables.md and quadrature.json");
+}
+
+}  // namespace
+
+Verb verb_quadrature() {
+  return with_json(make_verb<QuadratureStudyOptions>(
+      "quadrature", 10,
+      "measure the error of every sampler rule of the rendering integral, against evaluations and time", words, run));
 }
 
 }  // namespace semfield::app
