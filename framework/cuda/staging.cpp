@@ -92,7 +92,13 @@ void Staging::send(int slot, const StepCell& cell, const RayBatch& batch) {
   put(block + at_.label, batch.label);
   put(block + at_.soft, batch.soft);
   put(block + at_.depth, batch.depth);
-  check(cudaMemcpyAsync(device_.data(), block, at_.total, cudaMemcpyHostToDevice, launch().stream), "sending a batch");
+  send_again(slot);
+}
+
+void Staging::send_again(int slot) {
+  check(cudaMemcpyAsync(device_.data(), host_ + static_cast<std::size_t>(slot) * at_.total, at_.total,
+                        cudaMemcpyHostToDevice, launch().stream),
+        "sending a batch");
 }
 
 void Staging::fetch(int slot) {

@@ -36,6 +36,8 @@ class Staging {
   bool fits(const RayBatch& batch) const;
   /// Copies cell and batch into the slot and queues its way to the device.
   void send(int slot, const StepCell& cell, const RayBatch& batch);
+  /// Queues the slot's way to the device once more.
+  void send_again(int slot);
   /// Queues the copy of the device's sums into the slot.
   void fetch(int slot);
   /// Of the first `slots`.

@@ -45,7 +45,9 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
     if (wanted) stages.fill(view, Real(0));
     return view;
   };
-  const PassRequest request{call.semantic_rays};
+  PassRequest request;
+  request.semantic_rays = call.semantic_rays;
+  request.room = call.room;
   Proposal<Real> proposal;
   PassTrace<Real> previous;
   for (std::size_t p = 0; p < passes.size(); ++p) {

@@ -53,6 +53,7 @@ struct TrainedRays {
   int lane = kMainGradient;        ///< where gradients of parameters go
   std::int64_t semantic_rays = 0;  ///< the first of them, which get logits
   std::int64_t first_color = 0;    ///< the first ray that has a part in the colour loss
+  std::int64_t room = 0;           ///< PassRequest::room
 };
 
 /// ctx.workspace holds everything of the walk; the caller's scope gives it back. per_ray: most samples a ray after each

@@ -96,6 +96,7 @@ struct SampledTile {
 struct PassRequest {
   std::int64_t semantic_rays = 0;  ///< the first rays of the call, which get logits
   bool colors = true;              ///< false: weights alone are wanted, for a later pass
+  std::int64_t room = 0;  ///< for samples, on a device (SamplerTraits::keeps_to_room); 0: for as many as there can be
 };
 
 /// What losses see of a pass.
