@@ -28,7 +28,7 @@ bool StreamExecutor::fits(std::int64_t rays, const Shape& shape, std::int64_t st
   try {
     const Workspace::Scope scope(train_arena_), beside(beside_arena_);
     sums_->begin(false);
-    walk(shape, {rows_of(staging_->batch(), 0, rays), 0, 0}, step);
+    walk(shape, {staging_->batch().rows(0, rays), 0, 0}, step);
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::unavailable) throw;
     return false;

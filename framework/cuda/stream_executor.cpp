@@ -137,9 +137,9 @@ std::int64_t StreamExecutor::tile_rays(std::int64_t rays) const {
 
 std::int64_t StreamExecutor::labelled_rays(const RayBatch& batch) const {
   std::int64_t most = 0;
-  for (int s = 0; s < sums_->shards() && !batch.label.empty(); ++s) {
+  for (int s = 0; s < sums_->shards() && !batch.targets.label.empty(); ++s) {
     const RayRange rays = shard_of(batch.origin.rows, s, sums_->shards());
-    most = std::max(most, last_labelled(batch.label.row_range(rays.begin, rays.count)));
+    most = std::max(most, last_labelled(batch.targets.label.row_range(rays.begin, rays.count)));
   }
   return most;
 }
@@ -156,7 +156,7 @@ StreamExecutor::Shape& StreamExecutor::shape_of(const RayBatch& batch, std::int6
 
 void StreamExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
   SEMFIELD_CHECK(std::ssize(queued_) < kSlots, "too many steps wait on the device");
-  guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
+  guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.targets.color, 0);
   const BatchScales scales = host_.scales_of(batch);
   const LaunchScope on_stream(render_launch());
   sums_->join();
@@ -198,7 +198,7 @@ StreamExecutor::Shape& StreamExecutor::stage(std::int64_t step, const RayBatch& 
   const auto [first, last] = sums_->own();
   const std::int64_t begin = shard_of(batch.origin.rows, first, sums_->shards()).begin;
   const RayRange end = shard_of(batch.origin.rows, last - 1, sums_->shards());
-  const RayBatch own = rows_of(batch, begin, end.begin + end.count - begin);
+  const RayBatch own = batch.rows(begin, end.begin + end.count - begin);
   sums_->reserve();
   if (!staging_ || rays_ != batch.origin.rows || !staging_->fits(own)) {
     SEMFIELD_CHECK(queued_.empty(), "batches of one size are queued together");
@@ -299,7 +299,7 @@ void StreamExecutor::backward(const Shape& shape, std::int64_t step, bool overla
     const Workspace::Scope scope(train_arena_), beside(beside_arena_);
     const RayRange rays = shard_of(rays_, s, sums_->shards());
     store_->zero_derived_gradients();
-    const Shard shard{rows_of(staging_->batch(), rays.begin - begin, rays.count), rays.begin, s - first};
+    const Shard shard{staging_->batch().rows(rays.begin - begin, rays.count), rays.begin, s - first};
     if (rays.count > 0) walk(shape, shard, step);
     sums_->shard_done(s);
   }
@@ -385,7 +385,7 @@ void StreamExecutor::walk(const Shape& shape, const Shard& shard, std::int64_t s
   TrainedRays rays;
   rays.batch = shard.batch;
   rays.semantic_rays = std::min(shape.semantic_rays, count);
-  rays.first_color = label_only_rays(shard.batch.label_only_share, shard.first_ray, shard.first_ray + count);
+  rays.first_color = shard.batch.without_color();
   ShardExecutor executor(*this, shape, shard.number, ctx);
   train_rays<float>(passes_, host_.per_ray(), rays, ctx, executor);
 }
