@@ -121,7 +121,7 @@ void StreamExecutor::walk(const Shape& shape, const Shard& shard, std::int64_t s
   rays.lane = shard.lane;
   rays.room = room_.rows();
   rays.semantic_rays = std::min(shape.semantic_rays, count);
-  rays.first_color = label_only_rays(shard.batch.label_only_share, shard.first_ray, shard.first_ray + count);
+  rays.first_color = shard.batch.without_color();
   ShardExecutor executor(*this, shape, shard.number, ctx);
   train_rays<float>(passes_, host_.per_ray(), rays, ctx, executor);
 }
@@ -143,7 +143,7 @@ void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int
   const RayBatch batch = staging_->batch();
   const auto shard_at = [&](int s) {
     const RayRange rays = shard_of(rays_, s, sums_->shards());
-    return Shard{rows_of(batch, rays.begin - begin, std::min(most, rays.count)), rays.begin, s - first, kMainGradient};
+    return Shard{batch.rows(rays.begin - begin, std::min(most, rays.count)), rays.begin, s - first, kMainGradient};
   };
   if (tracks_.empty()) {
     const Workspace::Scope scope(train_arena_), beside(beside_arena_);

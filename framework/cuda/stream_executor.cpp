@@ -154,9 +154,9 @@ std::int64_t StreamExecutor::tile_rays(std::int64_t rays) const {
 
 std::int64_t StreamExecutor::labelled_rays(const RayBatch& batch) const {
   std::int64_t most = 0;
-  for (int s = 0; s < sums_->shards() && !batch.label.empty(); ++s) {
+  for (int s = 0; s < sums_->shards() && !batch.targets.label.empty(); ++s) {
     const RayRange rays = shard_of(batch.origin.rows, s, sums_->shards());
-    most = std::max(most, last_labelled(batch.label.row_range(rays.begin, rays.count)));
+    most = std::max(most, last_labelled(batch.targets.label.row_range(rays.begin, rays.count)));
   }
   return most;
 }
@@ -176,7 +176,7 @@ StreamExecutor::Shape& StreamExecutor::known_shape(std::int64_t semantic_rays, s
 
 void StreamExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
   SEMFIELD_CHECK(std::ssize(queued_) < kSlots, "too many steps wait on the device");
-  guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
+  guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.targets.color, 0);
   const BatchScales scales = host_.scales_of(batch);
   const LaunchScope on_stream(render_launch());
   sums_->join();
@@ -236,7 +236,7 @@ StreamExecutor::Shape& StreamExecutor::stage(std::int64_t step, const RayBatch& 
   const auto [first, last] = sums_->own();
   const std::int64_t begin = shard_of(batch.origin.rows, first, sums_->shards()).begin;
   const RayRange end = shard_of(batch.origin.rows, last - 1, sums_->shards());
-  const RayBatch own = rows_of(batch, begin, end.begin + end.count - begin);
+  const RayBatch own = batch.rows(begin, end.begin + end.count - begin);
   if (!staging_ || rays_ != batch.origin.rows || !staging_->fits(own)) {
     SEMFIELD_CHECK(queued_.empty(), "batches of one size are queued together");
     forget_graphs();

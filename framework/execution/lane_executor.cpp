@@ -15,11 +15,6 @@ namespace semfield {
 namespace {
 constexpr std::int64_t kRoundRows = 512;  // samples of a round of rendering
 
-template <class T>
-View<const T> rows_of(View<const T> view, std::int64_t begin, std::int64_t count) {
-  return view.empty() ? view : view.row_range(begin, count);
-}
-
 // Any sample whose density, and with it the slope of its activation, is not 0.
 template <class Real>
 bool any_density(const PassTrace<Real>& trace) {
@@ -137,7 +132,7 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
   const ComputeFloatMode mode;
   const std::int64_t rays = batch.origin.rows, tile_rays = pipeline_.tile_rays();
   const std::int64_t tiles = (rays + tile_rays - 1) / tile_rays;
-  guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
+  guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.targets.color, 0);
   const BatchScales scales = pipeline_.scales_of(batch);
   if (ranks_) {
     ranks_->share_out(tiles);
@@ -259,24 +254,12 @@ StepLosses LaneExecutor<Real>::train_tile(const StepContext& ctx, int lane, cons
   const Workspace::Scope tile_scope(*ctx.workspace);
   TrainedRays rays;
   rays.lane = lane;
-  rays.batch = batch;
-  rays.batch.origin = batch.origin.row_range(begin, count);
-  rays.batch.direction = batch.direction.row_range(begin, count);
-  rays.batch.near_far = batch.near_far.row_range(begin, count);
-  rays.batch.target = batch.target.row_range(begin, count);
-  rays.batch.label = rows_of(batch.label, begin, count);
-  rays.batch.soft = rows_of(batch.soft, begin, count);
-  rays.batch.depth = rows_of(batch.depth, begin, count);
-  if (pipeline_.has_semantics() && !batch.label.empty()) {
-    for (std::int64_t r = 0; r < count; ++r) {
-      if (options().head_on_all_rays || rays.batch.label(r, 0) != kVoid) rays.semantic_rays = r + 1;
-    }
+  rays.batch = batch.rows(begin, count);
+  const View<const std::int16_t> label = rays.batch.targets.label;
+  for (std::int64_t r = 0; r < label.rows && pipeline_.has_semantics(); ++r) {
+    if (options().head_on_all_rays || label(r, 0) != kVoid) rays.semantic_rays = r + 1;
   }
-  // The tile of the batch that holds these rays begins with the rays that are there for their labels.
-  const std::int64_t tile_rays = pipeline_.tile_rays(), tile_begin = begin / tile_rays * tile_rays;
-  const std::int64_t tile_end = std::min(tile_begin + tile_rays, batch.origin.rows);
-  rays.first_color = std::clamp<std::int64_t>(
-      tile_begin + label_only_rays(batch.label_only_share, tile_begin, tile_end) - begin, 0, count);
+  rays.first_color = rays.batch.without_color();
   TileExecutor executor(*this, lane, tile, scales);
   train_rays<Real>(passes(), pipeline_.per_ray(), rays, ctx, executor);
   return executor.sums;

@@ -135,6 +135,12 @@ std::pair<std::string, std::string> idle_loss(const LossTraits& traits, const Bu
   const bool semantic = traits.reads_target(channel::label) || traits.reads_target(channel::soft_label) ||
                         traits.reads_head(channel::logits);
   if (semantic && !plan.semantics) return {"there are no semantics", "the semantic head is left out"};
+  for (const std::string_view name : traits.targets) {
+    const bool known =
+        name == channel::color || name == channel::label || name == channel::soft_label || name == channel::depth;
+    if (!known && !request.channels.contains(std::string(name)))
+      return {"no training frame has a channel that it reads", fmt::format("no training frame has '{}'", name)};
+  }
   return {};
 }
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -41,6 +42,7 @@ struct BuildRequest {
   EmptySpace empty_space = EmptySpace::sampled;  ///< of the last pass's sampler
   bool direction_encoder = true;                 ///< the last pass names one
   std::vector<LossRequest> losses;               ///< every loss that the list `losses` might name
+  std::set<std::string> channels;                ///< further channels that training frames offer
   double density_noise = 0;
   double early_stop = 0;
   bool balance_classes = false;

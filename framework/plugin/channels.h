@@ -70,6 +70,8 @@ class ChannelTable {
   std::size_t size() const { return count_; }
   const Channel* begin() const { return all_.data(); }
   const Channel* end() const { return all_.data() + count_; }
+  Channel* begin() { return all_.data(); }
+  Channel* end() { return all_.data() + count_; }
 
  private:
   std::array<Channel, kMostChannels> all_{};

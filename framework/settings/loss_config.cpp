@@ -50,6 +50,15 @@ ConfigNode losses_config(const std::vector<LossEntry>& entries) {
   return ConfigNode::make_list(std::move(items), {});
 }
 
+std::vector<std::string> targets_of(const std::vector<LossEntry>& entries) {
+  std::vector<std::string> names;
+  for (const LossEntry& entry : entries) {
+    for (const std::string_view name : entry.loss->traits().targets)
+      if (std::find(names.begin(), names.end(), name) == names.end()) names.emplace_back(name);
+  }
+  return names;
+}
+
 bool losses_read(const std::vector<LossEntry>& entries, std::string_view target) {
   return std::any_of(entries.begin(), entries.end(),
                      [&](const LossEntry& entry) { return entry.loss->traits().reads_target(target); });

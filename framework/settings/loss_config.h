@@ -15,7 +15,9 @@ std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& regis
 /// What read_losses would read, every parameter written out.
 ConfigNode losses_config(const std::vector<LossEntry>& entries);
 
-/// True when a loss cannot do without the target of that name.
+/// The targets that losses cannot do without, each once.
+std::vector<std::string> targets_of(const std::vector<LossEntry>& entries);
+/// True when one of them has the name.
 bool losses_read(const std::vector<LossEntry>& entries, std::string_view target);
 /// Depth images of training frames, and their valid pixels.
 struct TrainingDepth {

@@ -238,6 +238,7 @@ class Dataset(_Plugin):
             frames.append({
                 "name": f.name, "source": f.source or f.name, "camera": f.camera._dict(), "pose": f.pose, "split": f.split,
                 "has_depth": bool(f.has_depth), "has_labels": bool(f.has_labels),
+                "channels": {name: tuple(int(n) for n in getattr(c, "shape", c)) for name, c in f.channels.items()},
             })
         return {
             "name": type(self).__name__, "frames": frames, "classes": _class_rows(self.classes()),
@@ -247,7 +248,7 @@ class Dataset(_Plugin):
 
     def _read(self, index: int) -> Dict[str, Any]:
         f = self.pixels(index)
-        return {"rgb": f.rgb, "labels": f.labels, "depth_m": f.depth_m}
+        return {"rgb": f.rgb, "labels": f.labels, "depth_m": f.depth_m, "channels": dict(f.channels)}
 
 
 E_ = TypeVar("E_", bound=Type[Encoder])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -555,3 +556,36 @@ def test_a_loss_in_a_file_is_checked(tmp_path: Path) -> None:
     file.write_text(LOSS)
     said = sf.command("plugins", "check", file)
     assert "failed=0" in said, said
+
+
+def test_a_channel_of_a_dataset_reaches_a_loss(scene: sf.Scene) -> None:
+    seen: Dict[str, Any] = {}
+
+    class Bright(sf.Loss):
+        """The error of the brightness."""
+
+        targets = ["brightness"]
+        moves = ["color"]
+
+        def value(self, targets: Dict[str, np.ndarray], values: Dict[str, np.ndarray]) -> Any:
+            if "brightness" not in targets:
+                return np.zeros(1), {}
+            seen["close"] = np.abs(targets["color"].mean(1, keepdims=True) - targets["brightness"]).max()
+            error = values["color"].mean(1, keepdims=True) - targets["brightness"]
+            return error[:, 0]**2, {"color": np.repeat(2 * error / 3, 3, 1)}
+
+    class BrightBox(Box):
+        """The box of the tests, and the brightness of its pixels."""
+
+        def frames(self) -> Any:
+            return [dataclasses.replace(f, channels={"brightness": (f.camera.height, f.camera.width, 1)}) for f in super().frames()]
+
+        def pixels(self, index: int) -> sf.Frame:
+            f = super().pixels(index)
+            return dataclasses.replace(f, channels={"brightness": f.rgb.mean(2, keepdims=True) / 255})
+
+    sf.loss("py_bright")(Bright)
+    sf.dataset("py_bright_box")(BrightBox)
+    run = sf.open({**config_of(scene), "scene": {"type": "py_bright_box"}, "losses": [{"type": "py_bright"}]})
+    assert trained(run, 3)[0].terms["py_bright"] > 0
+    assert seen["close"] < 1e-6

@@ -188,24 +188,24 @@ TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {
   const Session session = open_text(hash_config(kEveryTerm), registry);
   BatchBuffers batch;
   session.make_ray_source()->fill(5, batch);
-  ASSERT_EQ(batch.depth.size(), batch.label.size());
+  ASSERT_EQ(batch.of(channel::depth).size(), batch.label.size());
   double largest_angle = 0;
-  for (std::size_t r = 0; r < batch.depth.size(); ++r) {
+  for (std::size_t r = 0; r < batch.of(channel::depth).size(); ++r) {
     const double* o = &batch.origin[3 * r];
     const double* d = &batch.direction[3 * r];
     const auto hit = testkit::intersect_analytic_room({o[0], o[1], o[2]}, {d[0], d[1], d[2]});
-    if (batch.depth[r] == 0) {  // the surface lies at the end of the ray, where the bounds cut it off
+    if (batch.of(channel::depth)[r] == 0) {  // the surface lies at the end of the ray, where the bounds cut it off
       EXPECT_NEAR(hit.t_m, batch.near_far[2 * r + 1], 0.02);
       continue;
     }
-    EXPECT_NEAR(batch.depth[r], hit.t_m, 2e-3) << "ray " << r;
+    EXPECT_NEAR(batch.of(channel::depth)[r], hit.t_m, 2e-3) << "ray " << r;
     largest_angle = std::max(largest_angle, std::abs(d[2]));
   }
   EXPECT_GT(largest_angle, 0.2) << "rays far from the axis tell z-depth from distance";
   const Session plain = open_text(hash_config(), registry);
   plain.make_ray_source()->fill(5, batch);
-  EXPECT_TRUE(batch.depth.empty()) << "no term asks for it";
-  EXPECT_TRUE(batch.view(true).depth.empty());
+  EXPECT_TRUE(batch.more.empty()) << "no term asks for it";
+  EXPECT_TRUE(batch.view(true).targets.more[channel::depth].empty());
 }
 
 TEST(RaySourceDepth, RaysThatAreThereForTheirLabelsTellNone) {
@@ -217,8 +217,9 @@ TEST(RaySourceDepth, RaysThatAreThereForTheirLabelsTellNone) {
   BatchBuffers batch;
   session.make_ray_source()->fill(5, batch);
   const auto tile = static_cast<std::size_t>(session.pipeline->tile_rays());
-  for (std::size_t r = 0; r < tile / 2; ++r) EXPECT_EQ(batch.depth[r], 0) << r;
-  EXPECT_TRUE(std::any_of(batch.depth.begin(), batch.depth.end(), [](float t) { return t > 0; }));
+  for (std::size_t r = 0; r < tile / 2; ++r) EXPECT_EQ(batch.of(channel::depth)[r], 0) << r;
+  const std::vector<float>& depth = batch.of(channel::depth);
+  EXPECT_TRUE(std::any_of(depth.begin(), depth.end(), [](float t) { return t > 0; }));
 }
 
 TEST(PipelineGradient, WithEveryTermOfTheLoss) {
