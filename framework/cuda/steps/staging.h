@@ -24,7 +24,31 @@ struct StepSums {
 /// Rays [begin, begin + count) of a batch, with the share of the whole.
 RayBatch rows_of(const RayBatch& batch, std::int64_t begin, std::int64_t count);
 
-/// A batch of a step in one block: StepCell, then the rays.
+/// Page-locked memory of the host; cudaFreeHost gives it back.
+template <class T>
+T* pinned(std::size_t count, const char* what) {
+  void* memory = nullptr;
+  check(cudaMallocHost(&memory, count * sizeof(T)), what);
+  return static_cast<T*>(memory);
+}
+
+/// The arrays of a batch one behind the other.
+struct BatchLayout {
+  std::int64_t rays = 0;
+  bool has_labels = false, has_depth = false;
+  std::int32_t soft_classes = 0;
+  double label_only_share = 0;
+  std::size_t origin = 0, direction = 0, near_far = 0, target = 0, label = 0, soft = 0, depth = 0, total = 0;
+
+  BatchLayout() = default;
+  /// Of batches of the shape of `like`.
+  explicit BatchLayout(const RayBatch& like);
+  bool fits(const RayBatch& batch) const;
+  /// The batch in a block of device memory.
+  RayBatch in(const std::byte* block) const;
+};
+
+/// Batches of steps on their way to the device: of each its StepCell and its rays, which may lie there already.
 class Staging {
  public:
   /// For batches of the shape of `like`.
@@ -33,11 +57,13 @@ class Staging {
   Staging(const Staging&) = delete;
   Staging& operator=(const Staging&) = delete;
 
-  bool fits(const RayBatch& batch) const;
+  bool fits(const RayBatch& batch) const { return at_.fits(batch); }
   /// Copies cell and batch into the slot and queues its way to the device.
   void send(int slot, const StepCell& cell, const RayBatch& batch);
-  /// Queues the slot's way to the device once more.
-  void send_again(int slot);
+  /// The same with a batch in device memory, laid out as BatchLayout says.
+  void send(int slot, const StepCell& cell, const std::byte* drawn);
+  /// Queues the slot's way to the device once more; drawn: as it was sent, else null.
+  void send_again(int slot, const std::byte* drawn);
   /// Queues the copy of the device's sums into the slot.
   void fetch(int slot);
   /// Of the first `slots`.
@@ -47,18 +73,15 @@ class Staging {
   const StepCell* cell() const { return reinterpret_cast<const StepCell*>(device_.data()); }
   StepSums* device_sums() const { return reinterpret_cast<StepSums*>(device_sums_.data()); }
   /// The batch on the device.
-  RayBatch batch() const;
+  RayBatch batch() const { return at_.in(device_.data() + kCellBytes); }
 
  private:
-  struct Layout {
-    std::size_t origin = 0, direction = 0, near_far = 0, target = 0, label = 0, soft = 0, depth = 0, total = 0;
-  };
-  std::int64_t rays_;
-  bool has_labels_, has_depth_;
-  std::int32_t soft_classes_;
-  double label_only_share_;
-  Layout at_;
-  std::byte* host_ = nullptr;  // [slots, at_.total]
+  static constexpr std::size_t kCellBytes = 256;
+  static_assert(sizeof(StepCell) <= kCellBytes);
+  std::byte* slot_at(int slot) const { return host_ + static_cast<std::size_t>(slot) * (kCellBytes + at_.total); }
+
+  BatchLayout at_;
+  std::byte* host_ = nullptr;  // [slots, kCellBytes + at_.total]
   StepSums* host_sums_ = nullptr;
   Buffer<std::byte> device_, device_sums_;
 };
