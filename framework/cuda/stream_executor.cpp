@@ -14,7 +14,6 @@
 #include "cuda/kernel_tables.h"
 #include "cuda/kernels/adam.h"
 #include "cuda/kernels/layers.h"
-#include "cuda/loss_terms.h"
 #include "cuda/matmul.h"
 #include "cuda/stages.h"
 #include "execution/train_rays.h"
@@ -36,11 +35,11 @@ std::int64_t last_labelled(View<const std::int16_t> label) {
 StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options)
     : host_(host),
       options_(options),
+      losses_(loss_kernels(host.options().losses, options.kernels)),
       train_arena_(arena_source()),
       beside_arena_(arena_source()),
       render_arena_(arena_source()) {
   SEMFIELD_CHECK(parts.size() <= static_cast<std::size_t>(kMostPasses), "a device runs at most 4 passes");
-  require_loss_kernels(host.options().losses);
   const LaunchScope on_device(step_launch());
   check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "making a stream");
   check(cudaStreamCreateWithFlags(&beside_, cudaStreamNonBlocking), "making a stream");
@@ -155,9 +154,9 @@ std::int64_t StreamExecutor::tile_rays(std::int64_t rays) const {
 
 std::int64_t StreamExecutor::labelled_rays(const RayBatch& batch) const {
   std::int64_t most = 0;
-  for (int s = 0; s < sums_->shards() && !batch.label.empty(); ++s) {
+  for (int s = 0; s < sums_->shards() && !batch.targets.label.empty(); ++s) {
     const RayRange rays = shard_of(batch.origin.rows, s, sums_->shards());
-    most = std::max(most, last_labelled(batch.label.row_range(rays.begin, rays.count)));
+    most = std::max(most, last_labelled(batch.targets.label.row_range(rays.begin, rays.count)));
   }
   return most;
 }
@@ -176,7 +175,7 @@ StreamExecutor::Shape& StreamExecutor::known_shape(std::int64_t semantic_rays, s
 }
 
 void StreamExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
-  guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
+  guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.targets.color, 0);
   queue_batch(step, batch, update, nullptr);
 }
 
@@ -248,7 +247,7 @@ StreamExecutor::Shape& StreamExecutor::stage(const StepCell& of_step, const RayB
   const auto [first, last] = sums_->own();
   const std::int64_t begin = shard_of(batch.origin.rows, first, sums_->shards()).begin;
   const RayRange end = shard_of(batch.origin.rows, last - 1, sums_->shards());
-  const RayBatch own = rows_of(batch, begin, end.begin + end.count - begin);
+  const RayBatch own = batch.rows(begin, end.begin + end.count - begin);
   if (!staging_ || rays_ != batch.origin.rows || !staging_->fits(own)) {
     SEMFIELD_CHECK(queued_.empty(), "batches of one size are queued together");
     forget_graphs();

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "cuda/kernels/losses.h"
+#include "cuda/loss_terms.h"
 #include "cuda/memory.h"
 #include "cuda/ranks/gathered_rows.h"
 #include "cuda/ranks/gradient_sums.h"
@@ -135,6 +136,7 @@ class StreamExecutor final : public Executor<float> {
 
   Pipeline<float>& host_;
   DeviceOptions options_;
+  std::vector<DeviceLoss> losses_;  // of the list, in its order
   cudaStream_t stream_ = nullptr;
   cudaStream_t beside_ = nullptr;  // semantic branches, which need nothing of the colour gradients; in a step alone
   cudaEvent_t forked_ = nullptr, joined_ = nullptr;

@@ -41,7 +41,7 @@ struct PixelPool {
   std::span<const std::uint32_t> ranks_before;
   /// Logits of a frame's pixels, kVoid for those without a label. Throws Error(data) for a label that is no class.
   std::function<void(std::size_t frame, std::span<std::int16_t> logit)> read_labels;
-  double label_only_share() const { return labels_apart ? labelled_share : 0; }
+  std::vector<std::int64_t> label_only;  ///< RayBatch::label_only, the same in every step
 };
 
 }  // namespace semfield

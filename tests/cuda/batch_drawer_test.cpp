@@ -101,17 +101,21 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
     expect_bits(there(got.origin), want.origin, "origin");
     expect_bits(there(got.direction), want.direction, "direction");
     expect_bits(there(got.near_far), want.near_far, "near and far");
-    expect_bits(there(got.target), want.target, "colour");
-    ASSERT_EQ(seen.label.empty(), host.label.empty());
-    ASSERT_EQ(seen.depth.empty(), host.depth.empty());
-    EXPECT_EQ(seen.label_only_share, host.label_only_share);
-    if (!host.label.empty()) {
-      expect_bits(there(got.label), want.label, "label");
-      EXPECT_EQ(std::memcmp(seen.label.data, host.label.data, want.label.size() * sizeof(std::int16_t)), 0);
+    expect_bits(there(got.targets.color), want.target, "colour");
+    const View<const float> depth = got.targets.more[channel::depth], seen_depth = seen.targets.more[channel::depth];
+    ASSERT_EQ(seen.targets.label.empty(), host.targets.label.empty());
+    ASSERT_EQ(seen_depth.empty(), !pool.with_depth);
+    ASSERT_EQ(seen.label_only.rows, host.label_only.rows);
+    for (std::int64_t t = 0; t < host.label_only.rows; ++t)
+      EXPECT_EQ(seen.label_only(t, 0), host.label_only(t, 0)) << t;
+    if (!host.targets.label.empty()) {
+      expect_bits(there(got.targets.label), want.label, "label");
+      EXPECT_EQ(std::memcmp(seen.targets.label.data, want.label.data(), want.label.size() * sizeof(std::int16_t)), 0);
     }
-    if (!host.depth.empty()) {
-      expect_bits(there(got.depth), want.depth, "depth");
-      EXPECT_EQ(std::memcmp(seen.depth.data, host.depth.data, want.depth.size() * sizeof(float)), 0);
+    if (pool.with_depth) {
+      const std::vector<float>& wanted = want.of(channel::depth);
+      expect_bits(there(depth), wanted, "depth");
+      EXPECT_EQ(std::memcmp(seen_depth.data, wanted.data(), wanted.size() * sizeof(float)), 0);
     }
   }
 }
@@ -133,7 +137,7 @@ TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
         options.train.ray_source = kind;
         options.train.labelled_share = 0.3;
         options.train.label_rays_teach_color = teach;
-        options.with_depth = tile != 333;
+        if (tile != 333) options.targets = {std::string(channel::depth)};
         options.seed = 11 + static_cast<std::uint64_t>(tile);
         options.tile_rays = tile;
         RaySource source = frames.make(options);

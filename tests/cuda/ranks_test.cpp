@@ -38,8 +38,8 @@ void lead_ranks(int size, bool own_devices, const std::string& yaml, const Lead&
     Session session = open_text(yaml, registry);
     const WorkSettings work = session.work();
     const WorkScope scope(work);
-    run_on({Device::cuda, own_devices ? ranks.rank() : 0}, session.config, registry, session.plan, session.extent,
-           *session.pipeline, true, &ranks);
+    run_on({{Device::cuda, own_devices ? ranks.rank() : 0}, true, &ranks}, session.config, registry, session.plan,
+           session.extent, *session.pipeline);
     if (ranks.rank() == 0) return lead(session);
     static_cast<RanksExecutor&>(session.pipeline->executor()).serve();
   });

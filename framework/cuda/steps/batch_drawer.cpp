@@ -30,15 +30,22 @@ std::vector<std::size_t> lenses_of(const PixelPool& pool) {
   return first;
 }
 
-RayBatch shape_of(const PixelPool& pool) {
-  static const std::int16_t some_label = 0;
-  static const float some_depth = 0;
-  RayBatch like;
-  like.origin = {nullptr, pool.rays, 3};
-  if (pool.with_labels) like.label = {&some_label, pool.rays, 1};
-  if (pool.with_depth) like.depth = {&some_depth, pool.rays, 1};
-  like.label_only_share = pool.label_only_share();
-  return like;
+// A batch in host memory, or one without data: those of labels and depth, or null.
+RayBatch batch_with(const PixelPool& pool, const std::int16_t* label, const float* depth) {
+  RayBatch batch;
+  batch.origin = {nullptr, pool.rays, 3};
+  batch.direction = {nullptr, pool.rays, 3};
+  batch.near_far = {nullptr, pool.rays, 2};
+  batch.targets.color = {nullptr, pool.rays, 3};
+  if (pool.with_labels) batch.targets.label = {label, pool.rays, 1};
+  if (pool.with_depth) batch.targets.more.set(channel::depth, {depth, pool.rays, 1});
+  if (!pool.label_only.empty()) batch.label_only = {pool.label_only.data(), std::ssize(pool.label_only), 1};
+  batch.tile_rays = pool.tile_rays;
+  return batch;
+}
+BatchLayout layout_of(const PixelPool& pool) {
+  static const std::int16_t some_label = 0;  // labels are there where their view is not empty
+  return BatchLayout(batch_with(pool, &some_label, nullptr));
 }
 
 template <class T>
@@ -55,19 +62,19 @@ std::size_t BatchDrawer::bytes_of(const PixelPool& pool, int ahead) {
   if (pool.with_depth) per_pixel += sizeof(float);
   for (const std::size_t f : lenses_of(pool))
     bytes += static_cast<std::size_t>(pixels_of(pool.frames[f])) * 3 * sizeof(double);
-  const std::size_t of_step =
-      BatchLayout(shape_of(pool)).total + static_cast<std::size_t>(pool.rays) * sizeof(DrawnRay);
+  const std::size_t of_step = layout_of(pool).bytes() + static_cast<std::size_t>(pool.rays) * sizeof(DrawnRay);
   return bytes + per_pixel * static_cast<std::size_t>(pool.offsets.back()) + of_step * static_cast<std::size_t>(ahead);
 }
 
-BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead) : at_(shape_of(pool)), ahead_(ahead) {
+BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead)
+    : with_labels_(pool.with_labels), with_depth_(pool.with_depth), layout_(layout_of(pool)), ahead_(ahead) {
   const auto steps = static_cast<std::size_t>(ahead), rays = static_cast<std::size_t>(pool.rays);
   scratch_ = Buffer<std::byte>(steps * rays * sizeof(DrawnRay), "rays of steps");
-  batches_ = Buffer<std::byte>(steps * at_.total, "batches of steps");
+  batches_ = Buffer<std::byte>(steps * layout_.bytes(), "batches of steps");
   send_pixels(pool);
   send_labels(pool);
-  if (at_.has_labels) seen_label_ = pinned<std::int16_t>(steps * rays, "pinned memory of labels");
-  if (at_.has_depth) seen_depth_ = pinned<float>(steps * rays, "pinned memory of depth");
+  if (with_labels_) seen_label_ = pinned<std::int16_t>(steps * rays, "pinned memory of labels");
+  if (with_depth_) seen_depth_ = pinned<float>(steps * rays, "pinned memory of depth");
   synchronize();
 }
 
@@ -144,7 +151,7 @@ void BatchDrawer::send_labels(const PixelPool& pool) {
   rule_.labelled_share = pool.labelled_share;
   rule_.labels_apart = pool.labels_apart;
   rule_.block = pool.block;
-  at_.label_only_share = pool.label_only_share();
+  layout_ = layout_of(pool);
   const bool fresh = labelled_.empty();
   labelled_.resize(pool.frames.size());
   std::vector<std::int16_t> labels;
@@ -169,7 +176,7 @@ void BatchDrawer::send_labels(const PixelPool& pool) {
 
 bool BatchDrawer::relabel(const PixelPool& pool) {
   if (pool.rays != rule_.rays || pool.tile_rays != rule_.tile_rays || pool.frames.size() != frames_.size() ||
-      pool.with_labels != at_.has_labels || pool.with_depth != at_.has_depth)
+      pool.with_labels != with_labels_ || pool.with_depth != with_depth_)
     return false;
   for (std::size_t f = 0; f < frames_.size(); ++f)
     if (pool.frames[f].pixels != frames_[f]) return false;
@@ -179,24 +186,25 @@ bool BatchDrawer::relabel(const PixelPool& pool) {
 
 void BatchDrawer::draw(std::int64_t step) {
   if (any_ && step >= first_ && step < first_ + ahead_) return;
-  const auto view = [&]<class T>(std::size_t at, T*) { return reinterpret_cast<T*>(batches_.data() + at); };
+  const RayBatch first = layout_.in(batches_.data());
+  const View<const float> depth = first.targets.more[channel::depth];
   DrawnBatches batches;
-  batches.origin = view(at_.origin, static_cast<double*>(nullptr));
-  batches.direction = view(at_.direction, static_cast<double*>(nullptr));
-  batches.near_far = view(at_.near_far, static_cast<double*>(nullptr));
-  batches.target = view(at_.target, static_cast<float*>(nullptr));
-  if (at_.has_labels) batches.label = view(at_.label, static_cast<std::int16_t*>(nullptr));
-  if (at_.has_depth) batches.depth = view(at_.depth, static_cast<float*>(nullptr));
-  batches.stride = static_cast<std::int64_t>(at_.total);
+  batches.origin = const_cast<double*>(first.origin.data);
+  batches.direction = const_cast<double*>(first.direction.data);
+  batches.near_far = const_cast<double*>(first.near_far.data);
+  batches.target = const_cast<float*>(first.targets.color.data);
+  batches.label = const_cast<std::int16_t*>(first.targets.label.data);
+  batches.depth = const_cast<float*>(depth.data);
+  batches.stride = static_cast<std::int64_t>(layout_.bytes());
   draw_rays(held_, rule_, step, ahead_, reinterpret_cast<DrawnRay*>(scratch_.data()), batches);
   const auto fetch = [&](void* to, const void* from, std::size_t bytes) {
-    check(cudaMemcpy2DAsync(to, bytes, from, at_.total, bytes, static_cast<std::size_t>(ahead_), cudaMemcpyDeviceToHost,
-                            launch().stream),
+    check(cudaMemcpy2DAsync(to, bytes, from, layout_.bytes(), bytes, static_cast<std::size_t>(ahead_),
+                            cudaMemcpyDeviceToHost, launch().stream),
           "fetching labels");
   };
   const auto rays = static_cast<std::size_t>(rule_.rays);
-  if (at_.has_labels) fetch(seen_label_, batches.label, rays * sizeof(std::int16_t));
-  if (at_.has_depth) fetch(seen_depth_, batches.depth, rays * sizeof(float));
+  if (with_labels_) fetch(seen_label_, batches.label, rays * sizeof(std::int16_t));
+  if (with_depth_) fetch(seen_depth_, batches.depth, rays * sizeof(float));
   synchronize();
   first_ = step;
   any_ = true;
@@ -204,17 +212,16 @@ void BatchDrawer::draw(std::int64_t step) {
 
 const std::byte* BatchDrawer::batch(std::int64_t step) const {
   SEMFIELD_CHECK(any_ && step >= first_ && step < first_ + ahead_, "a step that was drawn");
-  return batches_.data() + static_cast<std::size_t>(step - first_) * at_.total;
+  return batches_.data() + static_cast<std::size_t>(step - first_) * layout_.bytes();
 }
 
 RayBatch BatchDrawer::seen(std::int64_t step) const {
   SEMFIELD_CHECK(any_ && step >= first_ && step < first_ + ahead_, "a step that was drawn");
   const std::size_t at = static_cast<std::size_t>(step - first_) * static_cast<std::size_t>(rule_.rays);
-  RayBatch batch;
-  batch.origin = {nullptr, rule_.rays, 3};
-  if (at_.has_labels) batch.label = {seen_label_ + at, rule_.rays, 1};
-  if (at_.has_depth) batch.depth = {seen_depth_ + at, rule_.rays, 1};
-  batch.label_only_share = at_.label_only_share;
+  RayBatch batch = layout_.in(nullptr);
+  each_array(batch, [](auto& view) { view.data = nullptr, view.device = Device::cpu; });
+  if (with_labels_) batch.targets.label.data = seen_label_ + at;
+  if (with_depth_) batch.targets.more.set(channel::depth, {seen_depth_ + at, rule_.rays, 1});
   return batch;
 }
 

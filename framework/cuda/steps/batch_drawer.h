@@ -43,7 +43,8 @@ class BatchDrawer {
 
   DrawRule rule_;
   HeldPixels held_;
-  BatchLayout at_;
+  bool with_labels_, with_depth_;
+  BatchLayout layout_;
   int ahead_;
   std::int64_t first_ = 0;  // step, of those that were drawn
   bool any_ = false;

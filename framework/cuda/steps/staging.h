@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <span>
+#include <vector>
 
 #include "cuda/kernels/losses.h"
 #include "cuda/launch.h"
@@ -21,9 +22,6 @@ struct StepSums {
   LossSums shard[kShards][kMostPasses];
 };
 
-/// Rays [begin, begin + count) of a batch, with the share of the whole.
-RayBatch rows_of(const RayBatch& batch, std::int64_t begin, std::int64_t count);
-
 /// Page-locked memory of the host; cudaFreeHost gives it back.
 template <class T>
 T* pinned(std::size_t count, const char* what) {
@@ -32,20 +30,24 @@ T* pinned(std::size_t count, const char* what) {
   return static_cast<T*>(memory);
 }
 
-/// The arrays of a batch one behind the other.
-struct BatchLayout {
-  std::int64_t rays = 0;
-  bool has_labels = false, has_depth = false;
-  std::int32_t soft_classes = 0;
-  double label_only_share = 0;
-  std::size_t origin = 0, direction = 0, near_far = 0, target = 0, label = 0, soft = 0, depth = 0, total = 0;
-
+/// The arrays of a batch in one block, in the order of each_array.
+class BatchLayout {
+ public:
   BatchLayout() = default;
-  /// Of batches of the shape of `like`.
+  /// Of batches of the shape of `like`, whose views need no data.
   explicit BatchLayout(const RayBatch& like);
   bool fits(const RayBatch& batch) const;
-  /// The batch in a block of device memory.
+  std::size_t bytes() const { return bytes_; }
+  /// Copies the arrays of a batch in host memory into a block.
+  void write(const RayBatch& batch, std::byte* block) const;
+  /// The batch in a block of device memory; its counts of tiles are host memory.
   RayBatch in(const std::byte* block) const;
+
+ private:
+  BatchShape shape_;
+  std::vector<std::int64_t> label_only_;
+  std::vector<std::size_t> at_;  // where the arrays that are there begin
+  std::size_t bytes_ = 0;
 };
 
 /// Batches of steps on their way to the device: of each its StepCell and its rays, which may lie there already.
@@ -57,7 +59,7 @@ class Staging {
   Staging(const Staging&) = delete;
   Staging& operator=(const Staging&) = delete;
 
-  bool fits(const RayBatch& batch) const { return at_.fits(batch); }
+  bool fits(const RayBatch& batch) const { return layout_.fits(batch); }
   /// Copies cell and batch into the slot and queues its way to the device.
   void send(int slot, const StepCell& cell, const RayBatch& batch);
   /// The same with a batch in device memory, laid out as BatchLayout says.
@@ -73,15 +75,15 @@ class Staging {
   const StepCell* cell() const { return reinterpret_cast<const StepCell*>(device_.data()); }
   StepSums* device_sums() const { return reinterpret_cast<StepSums*>(device_sums_.data()); }
   /// The batch on the device.
-  RayBatch batch() const { return at_.in(device_.data() + kCellBytes); }
+  RayBatch batch() const { return layout_.in(device_.data() + kCellBytes); }
 
  private:
   static constexpr std::size_t kCellBytes = 256;
   static_assert(sizeof(StepCell) <= kCellBytes);
-  std::byte* slot_at(int slot) const { return host_ + static_cast<std::size_t>(slot) * (kCellBytes + at_.total); }
+  std::byte* slot_at(int slot) const { return host_ + static_cast<std::size_t>(slot) * (kCellBytes + layout_.bytes()); }
 
-  BatchLayout at_;
-  std::byte* host_ = nullptr;  // [slots, kCellBytes + at_.total]
+  BatchLayout layout_;
+  std::byte* host_ = nullptr;  // [slots, kCellBytes + layout_.bytes()]
   StepSums* host_sums_ = nullptr;
   Buffer<std::byte> device_, device_sums_;
 };

@@ -4,7 +4,6 @@
 #include <optional>
 
 #include "cuda/kernels/largest.h"
-#include "cuda/loss_terms.h"
 #include "cuda/stages.h"
 #include "cuda/stream_executor.h"
 #include "execution/train_rays.h"
@@ -40,12 +39,11 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
                            classes == 0 ? View<const float>() : owner_.class_weight_.view(1, classes),
                            owner_.host_.options().rules.semantics.weight, d_logits, sums(pass));
   }
-  LossTraits active_terms() const override {
-    return shape_.terms != 0 ? owner_.host_.options().losses.traits(shape_.terms) : LossTraits{};
-  }
-  void add_terms(std::size_t pass, Workspace& arena, const RayTargets& targets, const RayValues<float>& values,
-                 const RayGradients<float>& gradients) override {
-    add_losses(arena, owner_.host_.options().losses, shape_.terms, targets, values, gradients, sums(pass));
+  const LossList& losses() const override { return owner_.host_.options().losses; }
+  std::uint32_t active_losses() const override { return shape_.terms; }
+  void add_losses(std::size_t pass, Workspace& arena, std::uint32_t which, const RayTargets& targets,
+                  const RayValues<float>& values, const RayGradients<float>& gradients) override {
+    cuda::add_losses(arena, owner_.losses_, which, {targets, values, gradients}, sums(pass));
   }
   void count(std::size_t pass, const PassTrace<float>& trace) override {
     count_samples(trace.samples.first, trace.sigma, sums(pass));
@@ -123,7 +121,7 @@ void StreamExecutor::walk(const Shape& shape, const Shard& shard, std::int64_t s
   rays.lane = shard.lane;
   rays.room = room_.rows();
   rays.semantic_rays = std::min(shape.semantic_rays, count);
-  rays.first_color = label_only_rays(shard.batch.label_only_share, shard.first_ray, shard.first_ray + count);
+  rays.first_color = shard.batch.without_color();
   ShardExecutor executor(*this, shape, shard.number, ctx);
   train_rays<float>(passes_, host_.per_ray(), rays, ctx, executor);
 }
@@ -145,7 +143,7 @@ void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int
   const RayBatch batch = staging_->batch();
   const auto shard_at = [&](int s) {
     const RayRange rays = shard_of(rays_, s, sums_->shards());
-    return Shard{rows_of(batch, rays.begin - begin, std::min(most, rays.count)), rays.begin, s - first, kMainGradient};
+    return Shard{batch.rows(rays.begin - begin, std::min(most, rays.count)), rays.begin, s - first, kMainGradient};
   };
   if (tracks_.empty()) {
     const Workspace::Scope scope(train_arena_), beside(beside_arena_);
