@@ -3,7 +3,7 @@
 
 #include "core/check.h"
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/shard_sums.h"
+#include "cuda/ranks/shard_sums.h"
 
 namespace semfield::cuda {
 

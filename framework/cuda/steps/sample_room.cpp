@@ -1,4 +1,4 @@
-#include "cuda/sample_room.h"
+#include "cuda/steps/sample_room.h"
 
 #include <algorithm>
 #include <bit>
