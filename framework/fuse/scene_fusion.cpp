@@ -17,7 +17,7 @@ bool same_pose(const Pose& a, const Pose& b) {
   return length(a.t - b.t) <= kShift * (1 + length(a.t));
 }
 
-void check_frame(const FrameInfo& frame, const OpenedRun& run) {
+void check_frame(const FrameInfo& frame, const TrainedField& run) {
   const std::vector<FrameInfo>& known = run.session.scene.info.frames;
   const auto found =
       std::find_if(known.begin(), known.end(), [&](const FrameInfo& other) { return other.name == frame.name; });
@@ -55,9 +55,9 @@ FrameMaps true_depth(const LoadedScene& scene) {
   return maps;
 }
 
-FrameMaps learned_depth(OpenedRun& run, const LoadedScene& scene, double min_opacity,
+FrameMaps learned_depth(const TrainedField& run, const LoadedScene& scene, double min_opacity,
                         const std::function<void(int done)>& done) {
-  Session& s = run.session;
+  const Session& s = run.session;
   const bool labels = s.pipeline->has_semantics() && same_classes(s.scene.info.classes, scene.info.classes);
   FrameMaps maps;
   maps.frames = scene.frames_of(Split::train);

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "fuse/fusion.h"
-#include "run/open_run.h"
+#include "session/session.h"
 
 namespace semfield {
 
@@ -21,10 +21,16 @@ struct FrameMaps {
 /// Depth of the training frames as the scene has it. Throws Error(data) where no frame has any.
 FrameMaps true_depth(const LoadedScene& scene);
 
+/// The session of a run, and where it lies.
+struct TrainedField {
+  const Session& session;
+  const std::string& run_dir;
+};
+
 /// Depth of the same frames rendered from a run's field - expected depth divided by opacity, 0 below `min_opacity` -
 /// and its labels, when the run has semantics and the class table of `scene`. Throws Error(data) naming a frame that
 /// the run does not know or that stands elsewhere in it. `done` is told the frames rendered; may be null.
-FrameMaps learned_depth(OpenedRun& run, const LoadedScene& scene, double min_opacity,
+FrameMaps learned_depth(const TrainedField& run, const LoadedScene& scene, double min_opacity,
                         const std::function<void(int done)>& done);
 
 /// What one method made of all frames.
