@@ -15,8 +15,8 @@
 #include "config/params_read.h"
 #include "core/findings.h"
 #include "eval/image_output.h"
-#include "fuse/scene_fusion.h"
 #include "scene/output_names.h"
+#include "surface/fuse/scene_fusion.h"
 #include "system/files.h"
 
 namespace semfield::app {

@@ -9,7 +9,7 @@
 #include "app/scene/label_folder.h"
 #include "app/verb.h"
 #include "core/findings.h"
-#include "fuse/propagation.h"
+#include "surface/fuse/propagation.h"
 
 namespace semfield::app {
 
