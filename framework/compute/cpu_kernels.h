@@ -14,6 +14,7 @@ struct CpuKernels {
   void (*expm1_inplace)(Real*, std::int64_t);
   void (*sigmoid_inplace)(Real*, std::int64_t);
   void (*softplus_inplace)(Real*, std::int64_t);
+  void (*sine_inplace)(Real* z, std::int64_t, Real frequency, Real* slope);
   Real (*largest_of)(const Real*, std::int64_t);
   bool (*all_finite)(const Real*, std::int64_t);
   double (*sum_of)(const Real*, std::int64_t);

@@ -9,6 +9,7 @@
 
 #include "compute/cpu_kernels.h"
 #include "compute/isa.h"
+#include "compute/sine.h"
 
 namespace semfield::SEMFIELD_ISA {
 
@@ -130,6 +131,18 @@ void softplus_inplace(Real* x, std::int64_t n) {
   }
 }
 
+template <class Real>
+void sine_inplace(Real* z, std::int64_t n, Real frequency, Real* slope) {
+  const double scale = static_cast<double>(frequency) * 0.15915494309189535;  // 1 / (2 pi)
+  for (std::int64_t i = 0; i < n; ++i) {
+    double turns = static_cast<double>(z[i]) * scale;
+    turns -= std::rint(turns);
+    Real cosine;
+    sincos_of_quarters(4.0 * turns, z[i], cosine);
+    if (slope != nullptr) slope[i] = frequency * cosine;
+  }
+}
+
 // Lanes that a reduction keeps apart, the same for every instruction set: the compiler may not reorder sums itself.
 constexpr std::int64_t kApart = 16;
 
@@ -222,6 +235,7 @@ void fill(CpuKernels<Real>& kernels) {
   kernels.expm1_inplace = expm1_inplace<Real>;
   kernels.sigmoid_inplace = sigmoid_inplace<Real>;
   kernels.softplus_inplace = softplus_inplace<Real>;
+  kernels.sine_inplace = sine_inplace<Real>;
   kernels.largest_of = largest_of<Real>;
   kernels.all_finite = all_finite<Real>;
   kernels.sum_of = sum_of<Real>;

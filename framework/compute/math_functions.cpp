@@ -25,6 +25,11 @@ void softplus_inplace(Real* x, std::int64_t n) {
 }
 
 template <class Real>
+void sine_inplace(Real* z, std::int64_t n, Real frequency, Real* slope) {
+  cpu_kernels<Real>().sine_inplace(z, n, frequency, slope);
+}
+
+template <class Real>
 Real largest_of(const Real* x, std::int64_t n) {
   return cpu_kernels<Real>().largest_of(x, n);
 }
@@ -49,5 +54,7 @@ template void sigmoid_inplace<float>(float*, std::int64_t);
 template void sigmoid_inplace<double>(double*, std::int64_t);
 template void softplus_inplace<float>(float*, std::int64_t);
 template void softplus_inplace<double>(double*, std::int64_t);
+template void sine_inplace<float>(float*, std::int64_t, float, float*);
+template void sine_inplace<double>(double*, std::int64_t, double, double*);
 
 }  // namespace semfield

@@ -19,22 +19,31 @@ std::string_view device_name(Device device) { return device == Device::cpu ? "cp
 std::string_view precision_name(Precision precision) { return precision == Precision::fp32 ? "fp32" : "bf16"; }
 
 bool KernelTables::has(Device device, std::string_view owner) const {
-  const auto found = owners_.find(owner);
-  if (found == owners_.end()) return false;
+  const std::vector<std::string> variants = variants_of(owner);
   const std::string_view name = device_name(device);
-  return std::any_of(found->second.begin(), found->second.end(),
-                     [&](std::string_view variant) { return variant.substr(0, variant.find(' ')) == name; });
+  return std::any_of(variants.begin(), variants.end(),
+                     [&](const std::string& variant) { return variant.substr(0, variant.find(' ')) == name; });
 }
 
 bool KernelTables::has(Device device, std::string_view owner, Precision precision) const {
-  const auto found = owners_.find(owner);
-  return found != owners_.end() &&
-         std::find(found->second.begin(), found->second.end(), variant_name(device, precision)) != found->second.end();
+  const std::vector<std::string> variants = variants_of(owner);
+  return std::find(variants.begin(), variants.end(), variant_name(device, precision)) != variants.end();
 }
 
-std::string KernelTables::devices_of(std::string_view owner) const {
-  const auto found = owners_.find(owner);
-  return found == owners_.end() ? std::string() : join(found->second);
+std::string KernelTables::devices_of(std::string_view owner) const { return join(variants_of(owner)); }
+
+std::vector<std::string> KernelTables::variants_of(std::string_view owner) const {
+  std::vector<std::string> variants;
+  const auto append = [&](std::string_view of) {
+    const auto found = owners_.find(of);
+    if (found == owners_.end()) return;
+    for (const std::string& variant : found->second) {
+      if (std::find(variants.begin(), variants.end(), variant) == variants.end()) variants.push_back(variant);
+    }
+  };
+  if (const auto block = blocks_.find(owner); block != blocks_.end()) append(block->second);
+  append(owner);
+  return variants;
 }
 
 void KernelTables::add_erased(const Key& key, std::string_view owner, const void* table) {

@@ -18,6 +18,9 @@ namespace semfield {
 std::string_view device_name(Device device);
 std::string_view precision_name(Precision precision);
 
+/// Owner of the kernels of plugin/mlp.
+inline constexpr std::string_view kMlpOwner = "network 'mlp'";
+
 /// Tables are keyed by their own type (e.g. WavesKernels<float>), device and precision; a plugin's `*_cpu.cpp` adds
 /// the CPU ones, its `*_cuda.cu`, when built, the CUDA ones. Kernels without matrix products have fp32 tables alone.
 class KernelTables {
@@ -32,6 +35,14 @@ class KernelTables {
   const Table& get(Device device, std::string_view owner, Precision precision = Precision::fp32) const {
     return *static_cast<const Table*>(get_erased({typeid(Table), device, precision}, owner));
   }
+  /// The same, or null.
+  template <class Table>
+  const Table* find(Device device, Precision precision = Precision::fp32) const {
+    const auto found = tables_.find({typeid(Table), device, precision});
+    return found == tables_.end() ? nullptr : static_cast<const Table*>(found->second);
+  }
+  /// `owner` is put together from the blocks of `block`: it has kernels where that has some.
+  void compose(std::string_view owner, std::string_view block) { blocks_[std::string(owner)] = block; }
   /// True when `owner` has kernels for the device, in some precision or in this one.
   bool has(Device device, std::string_view owner) const;
   bool has(Device device, std::string_view owner, Precision precision) const;
@@ -48,7 +59,9 @@ class KernelTables {
   void add_erased(const Key& key, std::string_view owner, const void* table);
   const void* get_erased(const Key& key, std::string_view owner) const;
   std::map<Key, const void*> tables_;
+  std::vector<std::string> variants_of(std::string_view owner) const;
   std::map<std::string, std::vector<std::string>, std::less<>> owners_;
+  std::map<std::string, std::string, std::less<>> blocks_;
 };
 
 }  // namespace semfield

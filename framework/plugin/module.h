@@ -9,7 +9,7 @@
 namespace semfield {
 
 /// Raised whenever an interface in plugin/ changes.
-inline constexpr int kPluginApi = 9;
+inline constexpr int kPluginApi = 10;
 
 /// The framework's own SEMFIELD_ABI_TAG, to be compared with the one that a module was compiled with.
 const char* abi_tag_of_framework();
@@ -54,22 +54,23 @@ static_assert(sizeof(PluginStamp) == 256);
   void semfield_plugin_cuda_kernels(::semfield::KernelTables& tables) { ::semfield::cuda::add_function(tables); } \
   }
 
-/// Last line of a plugin. Linked build (inside namespace semfield): a function semfield_module_<name>() that the
-/// generated table calls. Loadable build (SEMFIELD_LOADABLE_MODULE defined): the exported symbols
-/// semfield_plugin_module and semfield_plugin_stamp, which stands in a section of its own.
+/// Last line of a plugin, with a function or a lambda that gets the Registry and adds to it. Linked build (inside
+/// namespace semfield): a function semfield_module_<name>() that the generated table calls. Loadable build
+/// (SEMFIELD_LOADABLE_MODULE defined): the exported symbols semfield_plugin_module and semfield_plugin_stamp, which
+/// stands in a section of its own.
 #ifdef SEMFIELD_LOADABLE_MODULE
-#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                                     \
+#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, ...)                                                   \
   extern "C" {                                                                                                     \
   SEMFIELD_PLUGIN_STAMP                                                                                            \
   __attribute__((visibility("default"))) extern const ::semfield::PluginModule semfield_plugin_module;             \
   const ::semfield::PluginModule semfield_plugin_module = {::semfield::kPluginApi, SEMFIELD_ABI_TAG, #module_name, \
-                                                           module_version, register_function};                     \
+                                                           module_version, __VA_ARGS__};                           \
   }
 #else
-#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, register_function)                           \
+#define SEMFIELD_PLUGIN_MODULE(module_name, module_version, ...)                                         \
   const ::semfield::PluginModule& semfield_module_##module_name() {                                      \
     static const ::semfield::PluginModule module{::semfield::kPluginApi, SEMFIELD_ABI_TAG, #module_name, \
-                                                 module_version, register_function};                     \
+                                                 module_version, __VA_ARGS__};                           \
     return module;                                                                                       \
   }
 #endif

@@ -1,6 +1,8 @@
 // The registry: entries by kind and name.
 #include "plugin/registry.h"
 
+#include "plugin/mlp/mlp.h"
+
 namespace semfield {
 
 std::string_view kind_name(PluginKind kind) {
@@ -13,9 +15,37 @@ std::string_view kind_name(PluginKind kind) {
       return "sampler";
     case PluginKind::dataset:
       return "dataset";
+    case PluginKind::loss:
+      return "loss";
+    case PluginKind::label_reader:
+      return "label reader";
+    case PluginKind::degradation:
+      return "degradation";
   }
   return "plugin";
 }
+
+std::string_view kind_folder(PluginKind kind) {
+  switch (kind) {
+    case PluginKind::encoder:
+      return "encoders";
+    case PluginKind::field:
+      return "fields";
+    case PluginKind::sampler:
+      return "samplers";
+    case PluginKind::dataset:
+      return "datasets";
+    case PluginKind::loss:
+      return "losses";
+    case PluginKind::label_reader:
+      return "label_readers";
+    case PluginKind::degradation:
+      return "degradations";
+  }
+  return "plugins";
+}
+
+Registry::Registry() { mlp_kernels(kernels_); }
 
 void Registry::add(PluginEntry entry) {
   entry.module = current_module_;

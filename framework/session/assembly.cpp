@@ -203,7 +203,13 @@ BuildRequest build_request(const RunConfig& config, const Registry&, const Sampl
   request.direction_encoder = config.passes.back().direction.entry != nullptr;
   request.density_noise = config.rendering.density_noise;
   request.early_stop = config.rendering.early_stop;
-  for (const LossEntry& entry : config.losses) request.losses.push_back(entry.type);
+  for (const PluginEntry* entry : registry.entries()) {
+    if (entry->kind != PluginKind::loss) continue;
+    const auto named = std::find_if(config.losses.begin(), config.losses.end(),
+                                    [&](const LossEntry& one) { return one.type == entry->name; });
+    const bool is_named = named != config.losses.end();
+    request.losses.push_back({entry->name, entry->saves, is_named, is_named ? named->loss->traits() : LossTraits{}});
+  }
   request.balance_classes = config.semantics.balance_classes;
   request.mixed_precision = config.runtime.precision != Precision::fp32;
   request.periodic_evaluation = config.report.eval_every_s > 0;
@@ -301,6 +307,7 @@ void run_on(const RunOn& how, const RunConfig& config, const Registry& registry,
   std::unique_ptr<Executor<float>> executor;  // a pipeline begins on the CPU
   if (how.device.kind != Device::cpu) {
     DeviceOptions options{how.device.ordinal, how.trainable, config.runtime.deterministic};
+    options.kernels = &registry.kernels();
     options.ranks = how.ranks;
     std::vector<PassParts<float>> passes = make_passes<float>(config, registry, plan, extent, how.device.kind);
     if (how.diagnostics != nullptr) say_slow_fields(config, passes, *how.diagnostics);

@@ -157,8 +157,9 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   const bool make_labels = !options.known || options.labels;
   load.pixels = options.pixels || !options.known;
   load.check_geometry = load.check_geometry && !options.known;  // a run that was trained is evaluated as it is
+  if (options.trainable) load.channels = targets_of(s.config.losses);
   load.with_instances = make_labels && s.config.labels.needs_instances();
-  const bool of_losses = options.trainable && losses_read_depth(s.config.losses);
+  const bool of_losses = options.trainable && losses_read(s.config.losses, channel::depth);
   const bool needs_depth =
       of_losses || options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
   load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
@@ -185,6 +186,9 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
     request.depth_frames = depth.frames;
     request.depth_px = depth.pixels;
   }
+  for (const int f : s.scene.frames_of(Split::train))
+    for (const FrameChannelInfo& one : s.scene.info.frames[static_cast<std::size_t>(f)].channels)
+      request.channels.insert(one.name);
   s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
   drop_losses(s);
   choose_by_labels(s, make_labels, options.trainable, diagnostics);
@@ -347,7 +351,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   }
   RaySourceOptions options;
   options.train = config.train;
-  options.with_depth = losses_read_depth(config.losses);
+  options.targets = targets_of(config.losses);
   const std::vector<std::int64_t>& pixels = manifest.train_class_pixels;
   const bool none = std::all_of(pixels.begin(), pixels.end(), [](std::int64_t count) { return count == 0; });
   options.labels_may_come = config.labels.selection.class_room > 0 || (plan.semantics && none);

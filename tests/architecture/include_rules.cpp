@@ -52,7 +52,7 @@ const std::map<std::string, Folders>& floors() {
       {"loading", loading},
       {"plugin", with(scene, {"plugin"})},
       {"labels", with(loading, {"plugin", "labels"})},
-      {"losses", with(ground, {"config", "losses"})},
+      {"losses", with(scene, {"plugin", "losses"})},
       {"optim", with(ground, {"config", "optim"})},
       {"model", model},
       {"execution", execution},
@@ -109,7 +109,8 @@ std::string folder_of(const std::string& path) {
 }
 
 bool names_plugin(const std::string& target) {
-  for (const char* kind : {"encoders/", "fields/", "samplers/", "datasets/", "fused/"}) {
+  for (const char* kind :
+       {"encoders/", "fields/", "samplers/", "datasets/", "label_readers/", "degradations/", "fused/"}) {
     if (starts_with(target, kind)) return true;
   }
   return starts_with(target, "plugins/");
@@ -124,7 +125,7 @@ std::string forbidden_in_framework(const std::string& path, const std::string& t
   const std::string other = folder_of(target);
   const auto floor = floors().find(folder);
   if (floor == floors().end()) return "framework/" + folder + " stands on no floor of the table";
-  // Kernels of a loss's term lie beside it.
+  // Kernels of a loss lie beside it.
   if (folder == "losses" && other == "cuda" && ends_with(path, "_cuda.cu")) return {};
   if (kFrameworkFolders.contains(other) && !floor->second.contains(other)) return folder + " may not include " + other;
   return {};
@@ -134,8 +135,9 @@ std::string forbidden_in_framework(const std::string& path, const std::string& t
 std::string forbidden_in_plugin(const std::string& inside, const std::string& target) {
   const std::string kind = first_folder(inside);
   const std::string own = inside.substr(0, inside.find('/', kind.size() + 1) + 1);
+  if (starts_with(target, own)) return {};
   if (names_plugin(target)) {
-    if (starts_with(target, own) || (kind == "fused" && ends_with(target, "_math.h"))) return {};
+    if (kind == "fused" && ends_with(target, "_math.h")) return {};
     return "a plugin includes no other plugin";
   }
   const std::string other = folder_of(target);
@@ -143,11 +145,14 @@ std::string forbidden_in_plugin(const std::string& inside, const std::string& ta
   static const Folders sdk{"core", "system", "compute", "plugin"};
   static const Folders of_scenes{"formats", "classes", "scene", "survey", "loading"};
   if (sdk.contains(other) || target == "config/params.h") return {};
-  if ((of_scenes.contains(other) || target == "config/config_tree.h") && kind == "datasets") return {};
+  const bool of_labels = kind == "label_readers" || kind == "degradations";
+  if ((of_scenes.contains(other) || target == "config/config_tree.h") && (kind == "datasets" || of_labels)) return {};
+  if (other == "labels" && of_labels) return {};
   if (other == "cuda" && (ends_with(inside, ".cu") || ends_with(inside, ".cuh"))) return {};
   if (kind == "fused" && target == "model/encoded_field.h") return {};
   return "a plugin sees core, system, compute, config/params.h, plugin" +
-         std::string(kind == "datasets" ? " and the folders of scenes, config/config_tree.h" : "") + " alone";
+         std::string(kind == "datasets" || of_labels ? " and the folders of scenes, config/config_tree.h" : "") +
+         " alone";
 }
 
 }  // namespace

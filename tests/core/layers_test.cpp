@@ -11,8 +11,8 @@
 #include <string>
 #include <vector>
 
-#include "compute/row_loops.h"
 #include "compute/math_functions.h"
+#include "compute/row_loops.h"
 #include "core/rng.h"
 
 namespace semfield {
@@ -132,10 +132,8 @@ TEST(Layers, RayTermEqualsConcatenatedInputWithGradients) {
 TEST(Layers, AddedPartEqualsConcatenation) {
   const Owned x(5, 7, 12), w(7, 3, 13), bias(1, 3, 14), whole(5, 3), parts(5, 3);
   apply(layer_of(x, w, bias, true, whole));
-  apply(Layer<double>{.x = x.read().col_range(0, 3),
-                      .weight = w.read().row_range(0, 3),
-                      .start = bias.read(),
-                      .exact = parts.view});
+  apply(Layer<double>{
+      .x = x.read().col_range(0, 3), .weight = w.read().row_range(0, 3), .start = bias.read(), .exact = parts.view});
   apply(Layer<double>{.x = x.read().col_range(3, 4),
                       .weight = w.read().row_range(3, 4),
                       .start = parts.read(),
@@ -242,6 +240,37 @@ TEST(MathFunctions, AnElementDoesNotDependOnItsPlace) {
       EXPECT_EQ(std::bit_cast<std::uint32_t>(alone), std::bit_cast<std::uint32_t>(whole[i])) << "element " << i;
     }
   }
+}
+
+template <class Real>
+void expect_sines(double tolerance) {
+  for (const Real frequency : {Real(1), Real(30)}) {
+    std::vector<Real> z, slope;
+    for (Real v = Real(-40); v < Real(40); v += Real(0.013)) z.push_back(v);
+    slope.resize(z.size());
+    auto y = z, alone = z;
+    const auto n = static_cast<std::int64_t>(z.size());
+    sine_inplace(y.data(), n, frequency, slope.data());
+    sine_inplace(alone.data(), n, frequency, static_cast<Real*>(nullptr));
+    EXPECT_EQ(alone, y);
+    for (std::size_t i = 0; i < z.size(); ++i) {
+      const double phase = static_cast<double>(frequency) * static_cast<double>(z[i]);
+      EXPECT_NEAR(y[i], std::sin(phase), tolerance) << phase;
+      EXPECT_NEAR(slope[i], static_cast<double>(frequency) * std::cos(phase),
+                  tolerance * static_cast<double>(frequency))
+          << phase;
+    }
+  }
+}
+
+TEST(MathFunctions, SinesAndTheirSlopes) {
+  expect_sines<float>(1.5e-7);
+  expect_sines<double>(1e-12);
+  float ends[] = {NAN, INFINITY, -INFINITY, 1e30f, 0.0f};
+  sine_inplace(ends, 5, 30.0f, static_cast<float*>(nullptr));
+  for (int i = 0; i < 3; ++i) EXPECT_TRUE(std::isnan(ends[i])) << i;
+  EXPECT_LE(std::abs(ends[3]), 1.0f);
+  EXPECT_EQ(ends[4], 0.0f);
 }
 
 TEST(MathFunctions, SigmoidAndSoftplusAtTheEnds) {

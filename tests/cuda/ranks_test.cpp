@@ -54,8 +54,7 @@ struct Trained {
 Lead train_into(Trained& result) {
   return [&result](Session& session) {
     const std::unique_ptr<RaySource> rays = session.make_ray_source();
-    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule,
-                    session.config.train.steps);
+    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
     while (trainer.step() < 12) {
       for (const StepLosses& losses : trainer.advance_many(std::min<std::int64_t>(5, 12 - trainer.step())))
         result.losses.push_back(losses);

@@ -48,8 +48,8 @@ void all_void(CaseRun& run) {
     }
   });
   run.row("fp32");
-  // Training on few labels: 4 rays a step and one labelled frame, so about half of the batches hold no label. In such a
-  // step the head is not touched: neither its values nor its moments, which an update with gradient 0 would move and
+  // Training on few labels: 4 rays per step and one labelled frame, so about half of the batches hold no label. In such
+  // a step the head is not touched: neither its values nor its moments, which an update with gradient 0 would move and
   // decay.
   TrainingBox box(run.registry(), small_config("scene: {type: box_room, labels: {frames: 1}}\n"
                                                "semantics: {hidden_width: 16, weight: 0.3}\n"

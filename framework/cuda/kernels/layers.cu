@@ -363,6 +363,7 @@ SEMFIELD_INSTANTIATE(__nv_bfloat16)
 #undef SEMFIELD_INSTANTIATE
 template void convert<float, float>(View<const float>, View<float>);
 template void convert<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
+template void convert<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
 template void convert<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
 template void add_rows<float, float>(View<const float>, View<float>);
 template void add_rows<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);

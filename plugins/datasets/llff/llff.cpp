@@ -68,7 +68,7 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     throw Error(ErrorKind::no_input, "folder '" + root_ + "' is missing", "check scene.root");
   const NumpyArray poses = read_npy(path, [&](std::span<const std::int64_t> shape) {
     if (shape.size() == 2 && shape[0] > 0 && shape[1] == static_cast<std::int64_t>(kRow)) return;
-    throw Error(ErrorKind::data, "shape " + shape_text(shape) + " is not that of poses: 17 numbers a frame",
+    throw Error(ErrorKind::data, "shape " + shape_text(shape) + " is not that of poses: 17 numbers per frame",
                 "write 3 x 5 numbers of pose and size, near and far for each frame");
   });
   const std::vector<std::string> images = image_files();
