@@ -92,7 +92,7 @@ int measure(const std::string& path, const std::vector<std::string>& overrides) 
     all.push_back(parallel.seconds);
   }
   const double count = static_cast<double>(frames);
-  std::printf("%zu frames of %d x %d, %.0f MB held (%.2f MB a frame), %.0f MB at most in the process\n", frames,
+  std::printf("%zu frames of %d x %d, %.0f MB held (%.2f MB per frame), %.0f MB at most in the process\n", frames,
               width_px, height_px, held_mb, held_mb / count, peak_of_one_mb);
   std::printf("first open, %d threads: %.2f s\n", hardware_threads(), first_s);
   std::printf("again, %d threads: %.2f s, %.0f frames/s; 1 thread: %.2f s, %.0f frames/s; ratio %.2f\n",

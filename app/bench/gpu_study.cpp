@@ -53,7 +53,7 @@ int bench_gpu(const BenchGpuOptions& options, AppContext& context) {
   }
   std::printf("device     %s\n", bench.about.c_str());
   if (!bench.peer_about.empty()) std::printf("peer       %s\n", bench.peer_about.c_str());
-  std::printf("medians of %d rounds, every measurement once a round\n%-32s %10s  %s\n", options.repeats, "", "ms",
+  std::printf("medians of %d rounds, every measurement once per round\n%-32s %10s  %s\n", options.repeats, "", "ms",
               "(min .. max)");
   for (const GpuRow& row : bench.rows) {
     std::printf("%-32s %10.3f  (%.3f .. %.3f)\n", row.name.c_str(), 1e3 * row.seconds.median, 1e3 * row.seconds.min,

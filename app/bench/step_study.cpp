@@ -29,7 +29,8 @@ std::string goal_line(const std::string& head, const Goals& goals) {
 void print_rows(const char* title, const std::vector<StepRow>& rows) {
   if (rows.empty()) return;
   std::printf("\n%s\n%-12s %-5s %7s %7s %6s  %10s  %-21s %9s %12s %9s %8s %10s\n", title, "net", "", "threads",
-              "classes", "rays", "s a step", "(min .. max)", "core s", "samples/s", "GFLOP/s", "of peak", "allocated");
+              "classes", "rays", "s per step", "(min .. max)", "core s", "samples/s", "GFLOP/s", "of peak",
+              "allocated");
   for (const StepRow& row : rows) {
     const std::string classes = row.classes == 0 ? "none" : std::to_string(row.classes);
     const std::string range = fmt::format("({:.4f} .. {:.4f})", row.seconds.min, row.seconds.max);
@@ -70,13 +71,13 @@ void print_table(const BenchStepOptions& options, const BenchStepResults& r) {
                 rates.first * 1e-9, rates.second * 1e-9);
   }
   std::printf("matrix products: %s\n", std::string(isa_name(isa())).c_str());
-  std::printf("medians of %d rounds, every measurement once a round; networks and rays: %s\n", options.repeats,
+  std::printf("medians of %d rounds, every measurement once per round; networks and rays: %s\n", options.repeats,
               options.size.c_str());
   std::printf(
       "GFLOP/s count the multiply-adds of the networks that are executed (exact savings taken off), not those of "
       "encodings, sampling, compositing and Adam\n");
   print_rows("whole steps", r.steps);
-  print_rows("over the number of classes (fewer rays a step for the paper's network)", r.classes);
+  print_rows("over the number of classes (fewer rays per step for the paper's network)", r.classes);
   print_rows("threads", r.scaling);
   print_peers(r);
 }

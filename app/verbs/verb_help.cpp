@@ -46,7 +46,8 @@ void renew_pages(const Grammar& grammar, const fs::path& root, const AppContext&
   write_if_new(root / "docs" / "reference" / "plugins.md", plugins_markdown(context.registry));
   write_if_new(root / "docs" / "reference" / "verbs.md", verbs_page(grammar));
   for (const PluginEntry* entry : context.registry.entries()) {
-    const fs::path readme = root / "plugins" / (std::string(kind_name(entry->kind)) + "s") / entry->name / "README.md";
+    const fs::path own = fs::path(kind_folder(entry->kind)) / entry->name / "README.md";
+    const fs::path readme = fs::exists(root / "framework" / own) ? root / "framework" / own : root / "plugins" / own;
     if (fs::exists(readme)) write_if_new(readme, with_parameter_table(read_text_file(readme.string()), *entry));
   }
   print_note(context, std::to_string(written) + " generated pages changed under " + root.string());

@@ -87,7 +87,7 @@ struct Rendered {
   std::string where;
 };
 
-// Seconds a frame. A frame's files are compressed and written while the next is rendered.
+// Seconds per frame. A frame's files are compressed and written while the next is rendered.
 double render_all(const Session& s, const std::vector<NamedView>& views, bool probability, const FrameSink& sink,
                   const AppContext& context) {
   const auto begin = std::chrono::steady_clock::now();

@@ -65,7 +65,7 @@ class SessionSource final : public PageSource {
   PagePhotos photos_;
 };
 
-class Told final : public TrainingListener {
+class Told final : public RunListener {
  public:
   explicit Told(const AppContext& context) : context_(context) {}
   void note(const std::string& text) override { print_note(context_, text); }

@@ -2,8 +2,8 @@
 """The two training steps that `semfield bench step` times, written in PyTorch: the peer to be measured against.
 
 Nets: `paper` is Semantic-NeRF's [Zhi21]: frequency encoding with 10 and 4 bands, two 8 x 256 networks with density,
-view-dependent colour and class logits, 64 stratified and 128 resampled distances a ray, compositing, mean squared
-error and cross-entropy, Adam. `hash` is a hash grid [Mueller22] with a 64-wide network and 30 samples a ray.
+view-dependent colour and class logits, 64 stratified and 128 resampled distances per ray, compositing, mean squared
+error and cross-entropy, Adam. `hash` is a hash grid [Mueller22] with a 64-wide network and 30 samples per ray.
 Both are written from the papers. What is computed a step is what semfield computes, without its exact savings: the
 class layer runs on every sample and the feature layer is a product of its own, as implementations of the method do.
 
@@ -196,7 +196,7 @@ def stratified(near, far, count):
 
 
 def resample(t, weight, count):
-    """`count` distances a ray by the inverse of the piecewise constant distribution of `weight` [R, K], K sorted t."""
+    """`count` distances per ray by the inverse of the piecewise constant distribution of `weight` [R, K], K sorted t."""
     mid = 0.5 * (t[:, 1:] + t[:, :-1])
     w = weight[:, 1:-1] + 1e-5
     cdf = F.pad(torch.cumsum(w / w.sum(1, keepdim=True), 1), (1, 0))
@@ -209,7 +209,7 @@ def resample(t, weight, count):
 
 
 def composite(t, raw_density, raw_color, logits, soft):
-    """Colours [R, 3], logits [R, C] and weights [R, K] of K samples a ray; the last one takes the rest."""
+    """Colours [R, 3], logits [R, C] and weights [R, K] of K samples per ray; the last one takes the rest."""
     rays, count = t.shape
     delta = torch.cat([t[:, 1:] - t[:, :-1], torch.full_like(t[:, :1], 1e10)], 1)
     raw = raw_density.float().view(rays, count)

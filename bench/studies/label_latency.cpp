@@ -47,7 +47,7 @@ class TemporaryFolder {
   fs::path path_;
 };
 
-// What training does in a window: its own seconds a step, and all seconds a step.
+// What training does in a window: its own seconds per step, and all seconds per step.
 struct MeasuredPace {
   double training_s = 0, wall_s = 0;
 };

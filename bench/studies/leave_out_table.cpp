@@ -129,7 +129,7 @@ std::vector<LeaveOutPair> network_pairs() {
               PairKind::quality);
   p.out = {"passes.0.direction=null"};
   p.kept = {};
-  p.but = "a scene seen from several sides keeps it: its direction part is computed once a ray already";
+  p.but = "a scene seen from several sides keeps it: its direction part is computed once per ray already";
   all.push_back(p);
 
   p = pair_of("frequency_bands", "", "bands finer than a pixel", ProofClass::statistical, PairKind::cost);

@@ -50,7 +50,7 @@ std::optional<double> predicted_order(const RayProblem& problem, const Quadratur
 /// bins); a rule that is exact must be so to rounding. Empty: nothing was predicted that could be compared.
 std::optional<bool> order_holds(const RayProblem& problem, const QuadratureCurve& curve, Quantity quantity);
 
-/// The fewest evaluations, and seconds a ray, at which the rms error of a quantity stays below `level`: from there on
+/// The fewest evaluations, and seconds per ray, at which the rms error of a quantity stays below `level`: from there on
 /// every finer point lies below, between two points the logarithms are interpolated.
 struct Crossing {
   double evaluations = 0, seconds = 0;

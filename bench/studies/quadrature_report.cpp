@@ -326,7 +326,7 @@ std::string quadrature_figure(const QuadratureResults& r, const RayProblem& prob
     for (const bool by_time : {false, true}) {
       PlotSpec spec;
       spec.title = is_double ? "float64" : "float32";
-      spec.x_label = by_time ? "processor time a ray, microseconds" : "field evaluations a ray";
+      spec.x_label = by_time ? "CPU time per ray, microseconds" : "field evaluations per ray";
       spec.log_x = spec.log_y = spec.markers = true;
       spec.end_values = false;
       double low = INFINITY, high = 0;

@@ -94,7 +94,7 @@ class ScaleBench {
     return false;
   }
 
-  // Every training of the list once a round, so that what drifts meets all alike.
+  // Every training of the list once per round, so that what drifts meets all alike.
   void measure(const ScaleMachine& machine, std::vector<ScaleTraining> trainings) {
     if (std::any_of(trainings.begin(), trainings.end(), [](const ScaleTraining& t) { return t.ranks > 1; }))
       tools_.need_ranks();

@@ -9,7 +9,7 @@ namespace semfield {
 
 namespace {
 
-constexpr double kNearlyMost = 0.99;  // of the most rays a second; what comes then is not worth a device
+constexpr double kNearlyMost = 0.99;  // of the most rays per second; what comes then is not worth a device
 
 int hosts_of(const ScaleSystem& system, int devices) { return (devices + system.per_host - 1) / system.per_host; }
 

@@ -33,7 +33,7 @@ struct ScaleStep {
   double fixed_s = 0;                 ///< every device does it whole: optimiser, derived tensors, starts of kernels
   double split_s_per_ray = 0;         ///< rays are dealt out: both directions through the networks
   double repeated_s_per_ray = 0;      ///< every device does it for all rays: adding gathered rows to a table
-  double gradient_bytes = 0;          ///< summed over all devices once a step
+  double gradient_bytes = 0;          ///< summed over all devices once per step
   double gathered_bytes_per_ray = 0;  ///< brought from every device to every device
   int lanes = 0;  ///< rays are dealt out in so many equal shares; 0: one by one. More devices than shares idle.
   /// While the networks that own this share of the gradients are summed, ...
@@ -59,12 +59,12 @@ double gather_seconds(const ScaleSystem& system, int devices, double bytes);
 ScaleTime predict_step(const ScaleStep& step, const ScaleSystem& system, int devices, double rays);
 
 /// `strong`: `rays` rays on one device and on many. Otherwise weak: `rays` rays on each device.
-/// How many times the rays a second of one device; `devices` at best.
+/// How many times the rays per second of one device; `devices` at best.
 double predict_speedup(const ScaleStep& step, const ScaleSystem& system, int devices, double rays, bool strong);
 
 struct ScaleLimits {
   int half_efficient = 1;  ///< the most devices, 1 to `most`, on which a half of each is still of use
-  int fastest = 1;         ///< the fewest devices with 99 % of the most rays a second
+  int fastest = 1;         ///< the fewest devices with 99 % of the most rays per second
 };
 ScaleLimits scale_limits(const ScaleStep& step, const ScaleSystem& system, double rays, bool strong, int most);
 

@@ -27,7 +27,8 @@ const ScaleLink kNetwork{"100 Gb/s network", 10e-6, 11e9};
 constexpr int kLanes = 48;
 // A message of the chain holds 64 pieces of gradients of 4 KiB at most.
 constexpr double kMessageBytes = 256 << 10;
-// What `semfield-study scale` sets: 30 samples a ray, each with its place (3 float64) and the gradient of 32 encoded numbers.
+// What `semfield-study scale` sets: 30 samples per ray, each with its place (3 float64) and the gradient of 32 encoded
+// numbers.
 constexpr double kHashRowBytes = 30 * (3 * 8 + 32 * 4);
 
 ScaleSystem system_of(const std::string& device) {
@@ -90,7 +91,7 @@ std::string measured_table(const ScaleResults& results, const ScaleMachine& mach
   if (ranks.empty()) return {};
   const ScaleSizes sizes = scale_sizes(step, machine.device, results.quick);
   std::string text = fmt::format(
-      "\n{}, {}:\n\n| ranks | {} rays in all, ms | x of n | {} rays a rank, ms | x of n |\n|---|---|---|---|---|\n",
+      "\n{}, {}:\n\n| ranks | {} rays in all, ms | x of n | {} rays per rank, ms | x of n |\n|---|---|---|---|---|\n",
       title_of(step, machine.device), machine.name, sizes.strong, sizes.weak);
   for (const int n : ranks)
     text += fmt::format("| {} |{}{}\n", n, measured_cells(results, machine, step, n, true),
@@ -139,7 +140,7 @@ std::string limits_text(const ScaleCase& c, bool strong) {
   const ScaleLimits limits = scale_limits(c.cost, c.system, rays, strong, kMostDevices);
   const double least = predict_step(c.cost, c.system, limits.fastest, strong ? rays : rays * limits.fastest).step_s();
   return fmt::format(
-      "{}: half of each device or more is of use up to {} devices; 99 % of the most rays a second on {} ({} ms)",
+      "{}: half of each device or more is of use up to {} devices; 99 % of the most rays per second on {} ({} ms)",
       strong ? "Strong" : "Weak", limit_text(limits.half_efficient), limit_text(limits.fastest), ms_text(least));
 }
 
@@ -155,7 +156,7 @@ std::string predicted_cells(const ScaleResults& results, const ScaleCase& c, int
 std::string case_table(const ScaleResults& results, const ScaleCase& c) {
   std::string text = fmt::format(
       "\n### {}\n\nOne device: {}. Many: {}, {} within, {} between.\n\n"
-      "| devices | {} rays in all, ms | of it exchange | x | measured | {} rays a device, ms | of it exchange | x | "
+      "| devices | {} rays in all, ms | of it exchange | x | measured | {} rays per device, ms | of it exchange | x | "
       "measured |\n|---|---|---|---|---|---|---|---|---|\n",
       title_of(c.step, c.device), c.machine.name, c.system.name, c.system.inside.name, c.system.between.name,
       c.sizes.strong, c.sizes.weak);

@@ -63,14 +63,14 @@ struct ScaleResults {
   const ScaleRow* find(const std::string& machine, const std::string& step, int ranks, std::int64_t rays) const;
 };
 
-/// Rays a step: on one rank in weak scaling, on all ranks in strong scaling, and so few that a step on one rank shows
+/// Rays per step: on one rank in weak scaling, on all ranks in strong scaling, and so few that a step on one rank shows
 /// what it costs beside its rays.
 struct ScaleSizes {
   std::int64_t weak = 0, strong = 0, few = 0;
 };
 ScaleSizes scale_sizes(const std::string& step, const std::string& device, bool quick);
 
-/// How many times the rays a second of one rank `ranks` ranks have on a machine, where both were measured.
+/// How many times the rays per second of one rank `ranks` ranks have on a machine, where both were measured.
 std::optional<double> measured_speedup(const ScaleResults& results, const ScaleMachine& machine,
                                        const std::string& step, int ranks, bool strong);
 

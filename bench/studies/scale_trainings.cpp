@@ -50,7 +50,7 @@ ScaleTraining preset_training(const std::string& step, const std::string& device
   if (cuda) {
     t.batch_steps = paper ? 32 : 64;
     t.batches = 5;
-    // As `bench gpu` has it: 2^18 samples a step.
+    // As `bench gpu` has it: 2^18 samples per step.
     if (!paper) {
       t.set = {"passes.0.sampler.samples=32", "passes.0.position.log2_entries=19",
                "passes.0.position.finest_resolution=2048"};

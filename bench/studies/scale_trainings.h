@@ -36,7 +36,7 @@ std::vector<std::string> training_words(const ScaleTraining& training, const std
 std::string sweep_file(int cells, const std::string& device, bool quick, const StudyTools& tools,
                        const std::string& folder);
 
-/// Seconds a step of each timed batch of a run that has ended. Throws Error(data) where it logged none.
+/// Seconds per step of each timed batch of a run that has ended. Throws Error(data) where it logged none.
 std::vector<double> batch_seconds(const std::string& run);
 
 /// Bytes of the gradients that a run's network has.

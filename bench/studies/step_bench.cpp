@@ -85,9 +85,10 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   Diagnostics ignored;
   const DeviceId device = chosen_device(config, registry, ignored).device;
   config.runtime.precision = precision_of(config, registry, device);
-  const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry), {});
-  impl_->pipeline = assemble<float>(config, registry, plan, extent, {}, true);
-  run_on(device, config, registry, plan, extent, *impl_->pipeline, true);
+  std::unique_ptr<Sampler<float>> last = make_last_sampler(config, registry, extent);
+  const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry, last->traits()), {});
+  impl_->pipeline = assemble(make_parts<float>(config, registry, plan, extent, std::move(last)), {}, true);
+  run_on({device}, config, registry, plan, extent, *impl_->pipeline);
 
   std::int64_t per_ray = 0, all = 0;
   for (const Pass<float>& pass : impl_->pipeline->passes()) {

@@ -55,7 +55,7 @@ struct Spread {
 };
 Spread spread_of(std::vector<double> values);
 
-/// Runs every measurement once a round, in order (A B A B ...), `repeats` rounds; what drifts then meets all alike.
+/// Runs every measurement once per round, in order (A B A B ...), `repeats` rounds; what drifts then meets all alike.
 /// Returns one spread a measurement.
 std::vector<Spread> alternate(const std::vector<std::function<double()>>& measurements, int repeats);
 

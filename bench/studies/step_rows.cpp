@@ -189,7 +189,7 @@ class StepBench {
     return rows;
   }
 
-  /// Ours and the peer's in turn; the peak once a round, so that clocks that drift meet both.
+  /// Ours and the peer's in turn; the peak once per round, so that clocks that drift meet both.
   void whole_steps() {
     struct Turn {
       std::unique_ptr<Case> ours;

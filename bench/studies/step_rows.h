@@ -27,10 +27,10 @@ struct StepRow {
   int threads = 0, classes = 0;
   std::int64_t rays = 0;
   Spread seconds;
-  double processor = 0;  ///< processor seconds a step, summed over threads; median
+  double processor = 0;  ///< processor seconds per step, summed over threads; median
   double samples = 0;    ///< a step
   double flop = 0;       ///< of the networks, as executed
-  double peak = 0;       ///< measured floating-point operations a second of this precision and thread count; 0: unknown
+  double peak = 0;  ///< measured floating-point operations per second of this precision and thread count; 0: unknown
   std::int64_t allocated = 0;  ///< most bytes of operator new in a call of steps after the first step
   double rate() const { return samples / seconds.median; }
   double flops() const { return flop / seconds.median; }
@@ -49,7 +49,7 @@ struct PeerRow {
 
 struct BenchStepResults {
   int threads = 0;
-  double peak_fp32_one = 0, peak_fp32 = 0;  ///< operations a second on 1 and on `threads` threads
+  double peak_fp32_one = 0, peak_fp32 = 0;  ///< operations per second on 1 and on `threads` threads
   double peak_bf16_one = 0, peak_bf16 = 0;  ///< 0: the processor has no such instruction
   std::map<std::string, std::pair<double, double>>
       reads;                     ///< table size -> random 8-byte reads a second, 1 and all threads

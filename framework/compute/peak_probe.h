@@ -6,7 +6,7 @@
 
 namespace semfield {
 
-/// Floating-point operations a second (a multiply-add counts 2) of independent float chains held in registers, over
+/// Floating-point operations per second (a multiply-add counts 2) of independent float chains held in registers, over
 /// `threads` threads, each running for about `seconds`. Uses the widest vectors that the processor has, whatever the
 /// build was compiled for: it is the machine's limit, not the build's.
 double peak_fp32_flops(int threads, double seconds);

@@ -68,7 +68,7 @@ class Diagnostics {
   int error_count() const noexcept { return errors_; }
   const std::vector<Diagnostic>& all() const noexcept { return all_; }
 
-  /// Throws one Error that lists every error, one a line; does nothing when there is none.
+  /// Throws one Error that lists every error, one per line; does nothing when there is none.
   void throw_if_errors(ErrorKind kind, std::string_view summary) const;
 
  private:

@@ -33,7 +33,7 @@ class ScratchSum {
 };
 
 /// Bump allocator with a high-water mark. Grows by whole blocks when it must (only in the first step of a shape), and
-/// merges them at the next full release, so a steady state allocates nothing. Not thread-safe: one a thread.
+/// merges them at the next full release, so a steady state allocates nothing. Not thread-safe: one per thread.
 class Workspace {
  public:
   Workspace() = default;

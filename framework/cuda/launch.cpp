@@ -1,5 +1,6 @@
 #include "cuda/launch.h"
 
+#include <algorithm>
 #include <string>
 
 #include "core/error.h"
@@ -45,7 +46,7 @@ std::int64_t first_fault_row(Stage stage) {
 int multiprocessors() {
   int value = 0;
   check(cudaDeviceGetAttribute(&value, cudaDevAttrMultiProcessorCount, t_launch.ordinal), "asking for multiprocessors");
-  return value;
+  return std::max(1, value / t_launch.beside);
 }
 
 }  // namespace semfield::cuda

@@ -1,8 +1,7 @@
-// Terms of the list `losses` on the device: kernels by type, and their sums of a step.
+// The list `losses` on the device: each one's kernel, and their sums of a step.
 #pragma once
 
-#include <span>
-#include <string_view>
+#include <vector>
 
 #include "core/workspace.h"
 #include "cuda/kernels/losses.h"
@@ -10,29 +9,17 @@
 
 namespace semfield::cuda {
 
-/// One call of a term; all views and pointers are device memory.
-struct LossCall {
-  RayTargets targets;
-  RayValues<float> values;
-  RayGradients<float> gradients;
-  const double* scale = nullptr;  ///< LossScales::scale of the term
-  double* of_ray = nullptr;       ///< [R] gets each ray's loss, 0 for a ray that does not count
+/// A loss of the list, and what adds it on the device.
+struct DeviceLoss {
+  std::shared_ptr<const Loss> loss;
+  LossKernel add = nullptr;
 };
 
-/// As LossTerm::add, queued on launch().stream.
-using LossKernel = void (*)(const LossTerm& term, const LossCall& call);
-struct LossKernels {
-  std::string_view type;
-  LossKernel add;
-};
-/// Of every term with a NAME_cuda.cu; the build writes the list.
-std::span<const LossKernels> loss_kernels();
-
-/// Throws Error(unavailable) naming the first term of the list without kernels.
-void require_loss_kernels(const LossList& losses);
-/// Adds gradients of the terms whose bit is set in `active`, scaled by launch().cell; sums->terms gets their sums, in a
-/// fixed order.
-void add_losses(Workspace& arena, const LossList& losses, std::uint32_t active, const RayTargets& targets,
-                const RayValues<float>& values, const RayGradients<float>& gradients, LossSums* sums);
+/// In the order of the list. Throws Error(unavailable) naming the first loss without kernels.
+std::vector<DeviceLoss> loss_kernels(const LossList& losses, const KernelTables* tables);
+/// Adds gradients of the losses whose bit is set in `which`, scaled by launch().cell; sums->terms gets their sums, in a
+/// fixed order. `call` has everything but `scale` and `of_ray`.
+void add_losses(Workspace& arena, const std::vector<DeviceLoss>& losses, std::uint32_t which, LossCall call,
+                LossSums* sums);
 
 }  // namespace semfield::cuda

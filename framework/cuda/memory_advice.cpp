@@ -18,17 +18,20 @@ constexpr std::int64_t kRound = 32;  // rays
 void StreamExecutor::forget_step() {
   synchronize();
   check(cudaStreamSynchronize(beside_), "waiting for the device");
+  for (Track& track : tracks_) {
+    check(cudaStreamSynchronize(track.stream), "waiting for the device");
+    track.arena.forget();
+  }
   train_arena_.forget();
   beside_arena_.forget();
 }
 
-// Forward and backward of the first `rays` rays of a shard; the arena's high-water mark says what they took.
+// Forward and backward of the first `rays` rays of each shard; the arenas' high-water marks say what they took.
 bool StreamExecutor::fits(std::int64_t rays, const Shape& shape, std::int64_t step) {
   forget_step();
   try {
-    const Workspace::Scope scope(train_arena_), beside(beside_arena_);
     sums_->begin(false);
-    walk(shape, {rows_of(staging_->batch(), 0, rays), 0, 0}, step);
+    walk_shards(shape, step, rays);
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::unavailable) throw;
     return false;
@@ -38,11 +41,13 @@ bool StreamExecutor::fits(std::int64_t rays, const Shape& shape, std::int64_t st
 
 // Halves a shard until it fits; what that took says what a ray takes. Parameters stay as they are.
 Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step) {
-  const std::int64_t rays = std::min(tile_rays(rays_), staging_->batch().origin.rows), shards = sums_->shards();
+  room_.give_all();
+  const std::int64_t rays = tile_rays(rays_), shards = sums_->shards();
   std::int64_t fit = rays / 2;
   while (fit > 0 && !fits(fit, shape, step)) fit /= 2;
   if (fit == 0) return error;
-  const std::size_t taken = train_arena_.high_water_bytes() + beside_arena_.high_water_bytes();
+  std::size_t taken = train_arena_.high_water_bytes() + beside_arena_.high_water_bytes();
+  for (const Track& track : tracks_) taken += track.arena.high_water_bytes();
   const double each = static_cast<double>(taken) / static_cast<double>(fit);
   forget_step();
   // An arena asks for an eighth more than its high-water mark (core/workspace.h).

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <span>
+#include <vector>
 
 #include "cuda/kernels/losses.h"
 #include "cuda/launch.h"
@@ -21,9 +22,6 @@ struct StepSums {
   LossSums shard[kShards][kMostPasses];
 };
 
-/// Rays [begin, begin + count) of a batch, with the share of the whole.
-RayBatch rows_of(const RayBatch& batch, std::int64_t begin, std::int64_t count);
-
 /// A batch of a step in one block: StepCell, then the rays.
 class Staging {
  public:
@@ -36,6 +34,8 @@ class Staging {
   bool fits(const RayBatch& batch) const;
   /// Copies cell and batch into the slot and queues its way to the device.
   void send(int slot, const StepCell& cell, const RayBatch& batch);
+  /// Queues the slot's way to the device once more.
+  void send_again(int slot);
   /// Queues the copy of the device's sums into the slot.
   void fetch(int slot);
   /// Of the first `slots`.
@@ -44,19 +44,15 @@ class Staging {
   /// Device memory.
   const StepCell* cell() const { return reinterpret_cast<const StepCell*>(device_.data()); }
   StepSums* device_sums() const { return reinterpret_cast<StepSums*>(device_sums_.data()); }
-  /// The batch on the device.
+  /// The batch on the device; its counts of tiles are host memory.
   RayBatch batch() const;
 
  private:
-  struct Layout {
-    std::size_t origin = 0, direction = 0, near_far = 0, target = 0, label = 0, soft = 0, depth = 0, total = 0;
-  };
-  std::int64_t rays_;
-  bool has_labels_, has_depth_;
-  std::int32_t soft_classes_;
-  double label_only_share_;
-  Layout at_;
-  std::byte* host_ = nullptr;  // [slots, at_.total]
+  BatchShape shape_;
+  std::vector<std::int64_t> label_only_;
+  std::vector<std::size_t> at_;  // where the arrays that are there begin, in the order of each_array
+  std::size_t total_ = 0;        // bytes of cell and batch
+  std::byte* host_ = nullptr;    // [slots, total_]
   StepSums* host_sums_ = nullptr;
   Buffer<std::byte> device_, device_sums_;
 };

@@ -1,4 +1,5 @@
 // What steps leave, read when they are waited for: sums of shards and ranks to losses, and faults.
+#include <algorithm>
 #include <cmath>
 
 #include "cuda/stream_executor.h"
@@ -46,25 +47,38 @@ StepResults StreamExecutor::finish() {
   const std::vector<Queued> queued = std::exchange(queued_, {});
   if (queued.empty()) return {};
   const LaunchScope scope(step_launch());
-  sums_->agree([&] { sums_->wait(); });
-  const std::vector<StepSums> all = sums_->of_all_ranks(staging_->sums(queued.size()));
-  for (std::size_t slot = 0; slot < queued.size() && !failed; ++slot) {
-    std::vector<const StepSums*> of_step;
-    bool fault = false;
-    for (std::size_t at = slot; at < all.size(); at += queued.size()) {
-      of_step.push_back(&all[at]);
-      fault = fault || all[at].fault != kNoFault;
+  for (std::size_t slot = 0; slot < queued.size() && !failed;) {
+    sums_->agree([&] { sums_->wait(); });
+    const std::vector<StepSums> all = sums_->of_all_ranks(staging_->sums(queued.size()));
+    bool has_room = true;
+    for (; slot < queued.size() && !failed; ++slot) {
+      std::vector<const StepSums*> of_step;
+      FaultKey fault = kNoFault;
+      for (std::size_t at = slot; at < all.size(); at += queued.size()) {
+        of_step.push_back(&all[at]);
+        fault = std::min(fault, all[at].fault);
+      }
+      has_room = fault == kNoFault || static_cast<Stage>(fault >> kFaultRowBits) != Stage::room;
+      if (!has_room) break;
+      const StepLosses losses = losses_of(of_step, queued[slot].scales);
+      if (fault != kNoFault || !std::isfinite(losses.total)) {
+        failed = queued[slot].step;
+      } else {
+        done_.push_back(losses);
+      }
     }
-    const StepLosses losses = losses_of(of_step, queued[slot].scales);
-    if (fault || !std::isfinite(losses.total)) {
-      failed = queued[slot].step;
-    } else {
-      done_.push_back(losses);
-    }
+    if (!has_room) run_again(queued, slot);
   }
   if (failed) {
     drop_gradients();
     synchronize();
+  } else {
+    std::int64_t samples = 0;
+    for (const StepSums& sums : staging_->sums(queued.size())) samples = std::max(samples, sums.shard[0][0].samples);
+    if (room_.saw(samples)) {
+      forget_graphs();
+      forget_step();
+    }
   }
   return {done_, failed, std::nullopt};
 }

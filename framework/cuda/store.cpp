@@ -1,5 +1,7 @@
 #include "cuda/store.h"
 
+#include <algorithm>
+
 #include "core/check.h"
 #include "cuda/launch.h"
 
@@ -13,8 +15,9 @@ std::int64_t padded(std::int64_t count) { return (count + kAlignElements - 1) / 
 
 }  // namespace
 
-Store::Store(ParamStore<float>& host, bool trainable) : host_(host), trainable_(trainable) {
-  std::int64_t values = 0, learned = 0, derived = 0;
+Store::Store(ParamStore<float>& host, bool trainable, int lanes)
+    : host_(host), trainable_(trainable), lane_count_(trainable ? lanes : 0) {
+  std::int64_t values = 0, learned = 0, derived = 0, of_lane = 0;
   for (const Tensor<float>& t : host.all()) {
     Place place;
     place.value = values;
@@ -25,6 +28,10 @@ Store::Store(ParamStore<float>& host, bool trainable) : host_(host), trainable_(
     } else if (t.spec.role == TensorRole::derived) {
       place.learned = derived;
       derived += padded(t.size());
+    }
+    if (has_gradient(t.spec.role) && t.spec.role != TensorRole::sparse) {
+      place.of_lane = of_lane;
+      of_lane += padded(t.size());
     }
     places_.push_back(place);
   }
@@ -44,6 +51,23 @@ Store::Store(ParamStore<float>& host, bool trainable) : host_(host), trainable_(
   }
   learned_table_ = Buffer<std::byte>(table.size() * sizeof(AdamTensor<float>), "table of tensors");
   cuda::upload<std::byte>(std::as_bytes(std::span<const AdamTensor<float>>(table)), learned_table_.data());
+  make_lanes(of_lane);
+  synchronize();
+}
+
+void Store::make_lanes(std::int64_t numbers) {
+  if (lane_count_ == 0) return;
+  lane_numbers_ = static_cast<std::size_t>(numbers);
+  lanes_ = Buffer<float>(static_cast<std::size_t>(lane_count_) * lane_numbers_, "gradients of shards");
+  std::vector<ShardTensor> table;
+  for (std::size_t i = 0; i < places_.size(); ++i) {
+    if (places_[i].of_lane == kNone) continue;
+    const std::int64_t count = padded(host_.all()[i].size());
+    table.push_back({places_[i].of_lane, count, grad_of(i).data});
+    longest_in_lane_ = std::max(longest_in_lane_, count);
+  }
+  lane_table_ = Buffer<std::byte>(table.size() * sizeof(ShardTensor), "table of the shards' gradients");
+  cuda::upload<std::byte>(std::as_bytes(std::span<const ShardTensor>(table)), lane_table_.data());
   synchronize();
 }
 
@@ -59,6 +83,12 @@ View<float> Store::grad_of(std::size_t tensor) const {
   return {block + places_[tensor].learned, spec.rows, spec.cols, spec.cols, Device::cuda};
 }
 
+View<float> Store::lane_grad_of(std::size_t tensor, int number) const {
+  const TensorSpec& spec = host_.all()[tensor].spec;
+  if (places_[tensor].of_lane == kNone) return grad_of(tensor);
+  return {lane(number) + places_[tensor].of_lane, spec.rows, spec.cols, spec.cols, Device::cuda};
+}
+
 View<float> Store::moment_of(const Buffer<float>& moments, std::size_t tensor) const {
   const TensorSpec& spec = host_.all()[tensor].spec;
   return {moments.data() + places_[tensor].learned, spec.rows, spec.cols, spec.cols, Device::cuda};
@@ -66,7 +96,7 @@ View<float> Store::moment_of(const Buffer<float>& moments, std::size_t tensor) c
 
 int Store::add(const std::string&, const Parametric<float>& part, const LearningRule&) {
   Component component;
-  component.grads.resize(1);
+  component.grads.resize(1 + static_cast<std::size_t>(lane_count_));
   for (const TensorSpec& spec : specs_of(part)) {
     // What a processor's kernels read in another order no device has.
     while (next_ < host_.all().size() && host_.all()[next_].spec.role == TensorRole::rearranged &&
@@ -78,6 +108,8 @@ int Store::add(const std::string&, const Parametric<float>& part, const Learning
                    "tensor '" + spec.name + "' differs on host and device");
     component.values.push_back(value_of(next_));
     component.grads[0].push_back(grad_of(next_));
+    for (int l = 0; l < lane_count_; ++l)
+      component.grads[1 + static_cast<std::size_t>(l)].push_back(lane_grad_of(next_, l));
     if (trainable_ && host_.all()[next_].learned())
       gradients_added_ = static_cast<std::size_t>(places_[next_].learned + padded(host_.all()[next_].size()));
     ++next_;
@@ -115,6 +147,19 @@ void Store::zero_derived_gradients() const {
   if (derived_grads_.size() == 0) return;
   check(cudaMemsetAsync(derived_grads_.data(), 0, derived_grads_.size() * sizeof(float), launch().stream),
         "clearing gradients");
+}
+
+void Store::clear_lanes(int first, int count) const {
+  const std::size_t bytes = static_cast<std::size_t>(count) * lane_numbers_ * sizeof(float);
+  check(cudaMemsetAsync(lane(first), 0, bytes, launch().stream), "clearing gradients");
+}
+
+void Store::add_lanes(const std::array<int, kShards>& lane_of_shard) const {
+  std::array<const float*, kShards> block{};
+  for (std::size_t s = 0; s < kShards; ++s) block[s] = lane(lane_of_shard[s]);
+  add_shards({reinterpret_cast<const ShardTensor*>(lane_table_.data()),
+              static_cast<int>(lane_table_.size() / sizeof(ShardTensor)), longest_in_lane_},
+             block);
 }
 
 void Store::clear_gradients() const {

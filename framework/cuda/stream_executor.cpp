@@ -14,7 +14,6 @@
 #include "cuda/kernel_tables.h"
 #include "cuda/kernels/adam.h"
 #include "cuda/kernels/layers.h"
-#include "cuda/loss_terms.h"
 #include "cuda/matmul.h"
 #include "cuda/stages.h"
 #include "execution/train_rays.h"
@@ -36,18 +35,18 @@ std::int64_t last_labelled(View<const std::int16_t> label) {
 StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options)
     : host_(host),
       options_(options),
+      losses_(loss_kernels(host.options().losses, options.kernels)),
       train_arena_(arena_source()),
       beside_arena_(arena_source()),
       render_arena_(arena_source()) {
   SEMFIELD_CHECK(parts.size() <= static_cast<std::size_t>(kMostPasses), "a device runs at most 4 passes");
-  require_loss_kernels(host.options().losses);
   const LaunchScope on_device(step_launch());
   check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "making a stream");
   check(cudaStreamCreateWithFlags(&beside_, cudaStreamNonBlocking), "making a stream");
   check(cudaEventCreateWithFlags(&forked_, cudaEventDisableTiming), "making an event");
   check(cudaEventCreateWithFlags(&joined_, cudaEventDisableTiming), "making an event");
   const LaunchScope on_stream(step_launch());
-  store_ = std::make_unique<Store>(host.store(), options.trainable);
+  store_ = std::make_unique<Store>(host.store(), options.trainable, GradientSums::slots_of(options));
   passes_.reserve(parts.size());
   std::vector<std::size_t> ends;
   for (PassParts<float>& part : parts) {
@@ -55,6 +54,12 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
     ends.push_back(store_->gradients_added());
   }
   sums_ = std::make_unique<GradientSums>(options, store_->gradients(), std::move(ends));
+  const auto [first, last] = sums_->own();
+  for (int s = first; s < last && GradientSums::slots_of(options) > 0; ++s) {
+    Track& track = tracks_.emplace_back();
+    check(cudaStreamCreateWithFlags(&track.stream, cudaStreamNonBlocking), "making a stream");
+    check(cudaEventCreateWithFlags(&track.walked, cudaEventDisableTiming), "making an event");
+  }
   render_fault_ = Buffer<FaultKey>(1, "fault of a call");
   const std::vector<float>& weight = host.options().class_weight;
   class_weight_ = Buffer<float>(weight.size(), "class weights");
@@ -71,11 +76,22 @@ StreamExecutor::~StreamExecutor() {
   (void)cudaStreamSynchronize(stream_);
   (void)cudaEventDestroy(joined_);
   (void)cudaEventDestroy(forked_);
-  for (const cudaStream_t stream : {beside_, stream_}) {
+  std::vector<cudaStream_t> streams{beside_, stream_};
+  for (const Track& track : tracks_) {
+    (void)cudaEventDestroy(track.walked);
+    streams.push_back(track.stream);
+  }
+  for (const cudaStream_t stream : streams) {
     (void)cudaStreamSynchronize(stream);
     cuda::forget_stream(stream);
     (void)cudaStreamDestroy(stream);
   }
+}
+
+std::int64_t StreamExecutor::growths() const {
+  std::int64_t all = train_arena_.growth_count() + beside_arena_.growth_count();
+  for (const Track& track : tracks_) all += track.arena.growth_count();
+  return all;
 }
 
 std::string StreamExecutor::description() const { return describe_device(options_.ordinal); }
@@ -138,9 +154,9 @@ std::int64_t StreamExecutor::tile_rays(std::int64_t rays) const {
 
 std::int64_t StreamExecutor::labelled_rays(const RayBatch& batch) const {
   std::int64_t most = 0;
-  for (int s = 0; s < sums_->shards() && !batch.label.empty(); ++s) {
+  for (int s = 0; s < sums_->shards() && !batch.targets.label.empty(); ++s) {
     const RayRange rays = shard_of(batch.origin.rows, s, sums_->shards());
-    most = std::max(most, last_labelled(batch.label.row_range(rays.begin, rays.count)));
+    most = std::max(most, last_labelled(batch.targets.label.row_range(rays.begin, rays.count)));
   }
   return most;
 }
@@ -149,7 +165,10 @@ StreamExecutor::Shape& StreamExecutor::shape_of(const RayBatch& batch, std::int6
   const std::int64_t rays = tile_rays(batch.origin.rows), group = std::max<std::int64_t>(1, rays / kGroups);
   std::int64_t semantic_rays = host_.has_semantics() ? labelled : 0;
   if (host_.options().head_on_all_rays && host_.has_semantics()) semantic_rays = rays;
-  semantic_rays = std::min(rays, (semantic_rays + group - 1) / group * group);
+  return known_shape(std::min(rays, (semantic_rays + group - 1) / group * group), terms);
+}
+
+StreamExecutor::Shape& StreamExecutor::known_shape(std::int64_t semantic_rays, std::uint32_t terms) {
   const auto known = std::find_if(shapes_.begin(), shapes_.end(),
                                   [&](const Shape& s) { return s.semantic_rays == semantic_rays && s.terms == terms; });
   return known != shapes_.end() ? *known : shapes_.emplace_back(Shape{semantic_rays, terms});
@@ -157,14 +176,20 @@ StreamExecutor::Shape& StreamExecutor::shape_of(const RayBatch& batch, std::int6
 
 void StreamExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
   SEMFIELD_CHECK(std::ssize(queued_) < kSlots, "too many steps wait on the device");
-  guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
+  guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.targets.color, 0);
   const BatchScales scales = host_.scales_of(batch);
   const LaunchScope on_stream(render_launch());
   sums_->join();
+  const Shape& shape =
+      run_step(step, static_cast<int>(queued_.size()), [&]() -> Shape& { return stage(step, batch, update, scales); });
+  queued_.push_back({step, scales, shape.semantic_rays, shape.terms});
+}
+
+StreamExecutor::Shape& StreamExecutor::run_step(std::int64_t step, int slot, const std::function<Shape&()>& prepare) {
   Shape* shape = nullptr;
   try {
     sums_->agree([&] {
-      shape = &stage(step, batch, update, scales);
+      shape = &prepare();
       const LaunchScope scope(step_launch());
       begin_step(*shape, step);
     });
@@ -181,9 +206,21 @@ void StreamExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamS
     const LaunchScope scope(step_launch());
     end_step(*shape, step);
     observe(step);
-    staging_->fetch(static_cast<int>(queued_.size()));
+    staging_->fetch(slot);
   });
-  queued_.push_back({step, scales});
+  return *shape;
+}
+
+void StreamExecutor::run_again(std::span<const Queued> queued, std::size_t first) {
+  room_.give_all();
+  drop_gradients();
+  forget_graphs();
+  for (std::size_t slot = first; slot < queued.size(); ++slot) {
+    (void)run_step(queued[slot].step, static_cast<int>(slot), [&]() -> Shape& {
+      staging_->send_again(static_cast<int>(slot));
+      return known_shape(queued[slot].semantic_rays, queued[slot].terms);
+    });
+  }
 }
 
 // Of a step that is not made: the next one begins anew.
@@ -199,8 +236,7 @@ StreamExecutor::Shape& StreamExecutor::stage(std::int64_t step, const RayBatch& 
   const auto [first, last] = sums_->own();
   const std::int64_t begin = shard_of(batch.origin.rows, first, sums_->shards()).begin;
   const RayRange end = shard_of(batch.origin.rows, last - 1, sums_->shards());
-  const RayBatch own = rows_of(batch, begin, end.begin + end.count - begin);
-  sums_->reserve();
+  const RayBatch own = batch.rows(begin, end.begin + end.count - begin);
   if (!staging_ || rays_ != batch.origin.rows || !staging_->fits(own)) {
     SEMFIELD_CHECK(queued_.empty(), "batches of one size are queued together");
     forget_graphs();
@@ -208,7 +244,11 @@ StreamExecutor::Shape& StreamExecutor::stage(std::int64_t step, const RayBatch& 
     staging_ = std::make_unique<Staging>(kSlots, own);
     rays_ = batch.origin.rows;
     color_normaliser_ = color_normaliser(batch);
+    const bool leaves_room =
+        passes_.size() == 1 && tracks_.empty() && passes_.front().parts().sampler->traits().keeps_to_room;
+    room_.begin(leaves_room ? own.origin.rows * host_.per_ray().front() : 0);
   }
+  reserve_gradients();
   const std::int64_t labelled = labelled_rays(batch);
   StepCell cell;
   cell.step = static_cast<std::uint64_t>(step);
@@ -242,11 +282,19 @@ void StreamExecutor::begin_step(Shape& shape, std::int64_t step) {
     if (shape.graphs[0] == nullptr) {
       capture(shape.graphs[0], [&] {
         backward(shape, step, true);
-        if (!sums_->waits()) sums_->meet(launch().fault);
+        if (!sums_->waits()) {
+          sums_->meet(launch().fault);
+          complete_gradients(step);
+        }
         if (!splits()) update(step);
       });
     }
-    if (splits() && shape.graphs[1] == nullptr) capture(shape.graphs[1], [&] { update(step); });
+    if (splits() && shape.graphs[1] == nullptr) {
+      capture(shape.graphs[1], [&] {
+        if (sums_->waits()) complete_gradients(step);
+        update(step);
+      });
+    }
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::unavailable) throw;
     throw with_settings_that_fit(error, shape, step);
@@ -257,6 +305,7 @@ void StreamExecutor::end_step(Shape& shape, std::int64_t step) {
   const bool captured = shape.captured();
   if (captured) start(shape.graphs[0]);
   if (!captured || sums_->waits()) sums_->meet(launch().fault);
+  if (!captured) complete_gradients(step);
   if (hook_) {
     try {
       hook_({step, store_->learned_gradients(), stream_});
@@ -290,106 +339,12 @@ void StreamExecutor::capture(cudaGraphExec_t& graph, const std::function<void()>
 
 void StreamExecutor::start(cudaGraphExec_t graph) { check(cudaGraphLaunch(graph, stream_), "starting a step"); }
 
-void StreamExecutor::backward(const Shape& shape, std::int64_t step, bool overlapped) {
-  StepSums* const sums = staging_->device_sums();
-  check(cudaMemsetAsync(sums->shard, 0, sizeof sums->shard, stream_), "clearing sums");
-  sums_->begin(overlapped);
-  const auto [first, last] = sums_->own();
-  const std::int64_t begin = shard_of(rays_, first, sums_->shards()).begin;
-  for (int s = first; s < last; ++s) {
-    const Workspace::Scope scope(train_arena_), beside(beside_arena_);
-    const RayRange rays = shard_of(rays_, s, sums_->shards());
-    store_->zero_derived_gradients();
-    const Shard shard{rows_of(staging_->batch(), rays.begin - begin, rays.count), rays.begin, s - first};
-    if (rays.count > 0) walk(shape, shard, step);
-    sums_->shard_done(s);
-  }
-}
-
 void StreamExecutor::update(std::int64_t step) {
   const Workspace::Scope scope(train_arena_);
   check_gradients(store_->learned());
   stages().adam(&launch().cell->adam, store_->learned());
   const StepContext ctx = context(step, true, train_arena_);
   for (const Pass<float>& pass : passes_) pass.derive(ctx);
-}
-
-// A shard on the device: sums go into those of the step, and semantic branches run on a stream of their own.
-class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
- public:
-  ShardExecutor(StreamExecutor& owner, const Shape& shape, int shard, const StepContext& ctx)
-      : owner_(owner), shape_(shape), shard_(shard), ctx_(ctx) {}
-
-  void color_loss(std::size_t pass, Workspace& arena, View<const float> color, View<const float> target,
-                  View<float> d_color) override {
-    photometric_loss(arena, color, target, owner_.color_normaliser_, d_color, sums(pass));
-  }
-  void semantic_loss(std::size_t pass, Workspace& arena, View<const float> logits, const SemanticTargets& targets,
-                     View<float> d_logits) override {
-    const auto classes = static_cast<std::int32_t>(owner_.class_weight_.size());
-    semantic_cross_entropy(arena, logits, targets,
-                           classes == 0 ? View<const float>() : owner_.class_weight_.view(1, classes),
-                           owner_.host_.options().rules.semantics.weight, d_logits, sums(pass));
-  }
-  LossTraits active_terms() const override {
-    return shape_.terms != 0 ? owner_.host_.options().losses.traits(shape_.terms) : LossTraits{};
-  }
-  void add_terms(std::size_t pass, Workspace& arena, const RayTargets& targets, const RayValues<float>& values,
-                 const RayGradients<float>& gradients) override {
-    add_losses(arena, owner_.host_.options().losses, shape_.terms, targets, values, gradients, sums(pass));
-  }
-  void count(std::size_t pass, const PassTrace<float>& trace) override {
-    count_samples(trace.samples.first, trace.sigma, sums(pass));
-  }
-  View<float> encoded_gradient(std::size_t, const PassTrace<float>& trace, Workspace& arena) override {
-    return arena.take<float>(trace.encoded.rows, trace.encoded.cols);
-  }
-  void use_encoded_gradient(std::size_t pass, const PassTrace<float>& trace, const StepContext& ctx,
-                            View<float> d_encoded) override {
-    const LiveRows<float> live(stages(), trace.samples);
-    owner_.passes_[pass].scatter(ctx, trace.x, d_encoded);
-  }
-  StepContext begin_branch(const StepContext& ctx) override {
-    check(cudaEventRecord(owner_.forked_, owner_.stream_), "marking a step");
-    check(cudaStreamWaitEvent(owner_.beside_, owner_.forked_, 0), "waiting for a step");
-    Launch next = launch();
-    next.stream = owner_.beside_;
-    branch_.emplace(next);
-    StepContext beside = ctx;
-    beside.workspace = &owner_.beside_arena_;
-    return beside;
-  }
-  void end_branch() override { branch_.reset(); }
-  void join_branch() override {
-    check(cudaEventRecord(owner_.joined_, owner_.beside_), "marking a semantic branch");
-    check(cudaStreamWaitEvent(owner_.stream_, owner_.joined_, 0), "waiting for a semantic branch");
-  }
-
-  void pass_done(std::size_t pass) override {
-    owner_.passes_[pass].derive_backward(ctx_);
-    owner_.sums_->pass_done(pass);
-  }
-
- private:
-  LossSums* sums(std::size_t pass) const { return &owner_.staging_->device_sums()->shard[shard_][pass]; }
-
-  StreamExecutor& owner_;
-  const Shape& shape_;
-  int shard_;
-  StepContext ctx_;
-  std::optional<LaunchScope> branch_;
-};
-
-void StreamExecutor::walk(const Shape& shape, const Shard& shard, std::int64_t step) {
-  StepContext ctx = context(step, true, train_arena_);
-  ctx.first_ray = shard.first_ray;
-  const std::int64_t count = shard.batch.origin.rows;
-  TrainedRays rays;
-  rays.batch = shard.batch;
-  rays.semantic_rays = std::min(shape.semantic_rays, count);
-  rays.first_color = label_only_rays(shard.batch.label_only_share, shard.first_ray, shard.first_ray + count);
-  ShardExecutor executor(*this, shape, shard.number, ctx);
-  train_rays<float>(passes_, host_.per_ray(), rays, ctx, executor);
 }
 
 }  // namespace semfield::cuda

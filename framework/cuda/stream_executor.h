@@ -1,14 +1,18 @@
 // Steps and rendering on a stream of one CUDA device.
 #pragma once
 
+#include <deque>
 #include <functional>
 #include <memory>
 #include <span>
 #include <vector>
 
 #include "cuda/kernels/losses.h"
+#include "cuda/loss_terms.h"
 #include "cuda/memory.h"
+#include "cuda/ranks/gathered_rows.h"
 #include "cuda/ranks/gradient_sums.h"
+#include "cuda/sample_room.h"
 #include "cuda/staging.h"
 #include "cuda/store.h"
 #include "execution/device_library.h"
@@ -18,10 +22,10 @@ namespace semfield::cuda {
 
 /// A step is: one copy of its batch to the device, one graph of every kernel from sampling to Adam, one copy of its
 /// sums back, all queued without waiting. The graph is captured in the third step of a shape: the first sizes arenas
-/// and chooses algorithms. A batch is walked shard by shard (cuda/ranks/gradient_sums.h): as a whole, or this rank's
-/// part of it, or with DeviceOptions::deterministic several parts. Rays of a shard beyond the last labelled one of any
-/// shard carry no semantics; their number is rounded to an eighth of a shard, so that few shapes occur, the same ones
-/// on every rank.
+/// and chooses algorithms. A batch is walked in shards (cuda/ranks/gradient_sums.h): as a whole, or this rank's
+/// part of it, or with DeviceOptions::deterministic several parts side by side, each on a stream of its own. Rays of a
+/// shard beyond the last labelled one of any shard carry no semantics; their number is rounded to an eighth of a shard,
+/// so that few shapes occur, the same ones on every rank.
 ///
 /// With several ranks each has the whole batch, and ends a step with the same tensors. Samplers' states are refreshed
 /// by every rank for itself, from the same tensors.
@@ -44,6 +48,8 @@ class StreamExecutor final : public Executor<float> {
   void render(const RenderJob<float>& job) override;
   void density(View<const double> positions, View<float> sigma) override;
 
+  SampleRoom& sample_room() { return room_; }
+
  private:
   static constexpr int kSlots = 32;
   static constexpr int kGroups = 8;  // shapes of a step: eighths of the batch with semantics
@@ -62,12 +68,35 @@ class StreamExecutor final : public Executor<float> {
     RayBatch batch;
     std::int64_t first_ray = 0;  // of the whole batch
     int number = 0;              // among this rank's
+    int lane = kMainGradient;
+  };
+  // What a shard that is walked beside others has for itself.
+  struct Track {
+    Workspace arena{arena_source()};
+    cudaStream_t stream = nullptr;
+    cudaEvent_t walked = nullptr;
+  };
+  // Of a pass whose encoder learns, in a walk of several shards.
+  struct EncoderRowsOfPass {
+    std::vector<EncoderRows> shard;
+    std::unique_ptr<GatheredRows> gathered;
+  };
+  struct Queued {
+    std::int64_t step;
+    BatchScales scales;
+    std::int64_t semantic_rays;
+    std::uint32_t terms;
   };
   Launch step_launch() const;
   StepContext context(std::int64_t step, bool training, Workspace& arena) const;
   /// Most labelled rays of a shard, those behind others included.
   std::int64_t labelled_rays(const RayBatch& batch) const;
   Shape& shape_of(const RayBatch& batch, std::int64_t labelled, std::uint32_t terms);
+  Shape& known_shape(std::int64_t semantic_rays, std::uint32_t terms);
+  /// A step of the batch in `slot`, which `prepare` sends to the device; it gives the step's shape.
+  Shape& run_step(std::int64_t step, int slot, const std::function<Shape&()>& prepare);
+  /// The steps in slots from `first` on, with room for all samples.
+  void run_again(std::span<const Queued> queued, std::size_t first);
   Shape& stage(std::int64_t step, const RayBatch& batch, const AdamStep& update, const BatchScales& scales);
   /// The part of a step on which no other rank relies: backward, or the graphs that hold it.
   void begin_step(Shape& shape, std::int64_t step);
@@ -79,9 +108,14 @@ class StreamExecutor final : public Executor<float> {
   void start(cudaGraphExec_t graph);
   void backward(const Shape& shape, std::int64_t step, bool overlapped);
   void update(std::int64_t step);
-  void walk(const Shape& shape, const Shard& shard, std::int64_t step);
+  void walk_shards(const Shape& shape, std::int64_t step, std::int64_t most);
+  void walk(const Shape& shape, const Shard& shard, std::int64_t step, Workspace& arena);
+  void complete_gradients(std::int64_t step);
+  void reserve_gradients();
+  /// Of this rank's.
+  std::int64_t first_ray() const;
   class ShardExecutor;
-  std::int64_t growths() const { return train_arena_.growth_count() + beside_arena_.growth_count(); }
+  std::int64_t growths() const;
   /// Whether forward and backward of the first `rays` rays of a shard do (memory_advice.cpp).
   bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
   /// The error of a step that did not fit, with settings that do.
@@ -89,10 +123,6 @@ class StreamExecutor final : public Executor<float> {
   void forget_graphs();
   /// Waits, and gives a step's memory back.
   void forget_step();
-  struct Queued {
-    std::int64_t step;
-    BatchScales scales;
-  };
   /// Of the batch; `sums`: of each rank.
   StepLosses losses_of(std::span<const StepSums* const> sums, const BatchScales& scales) const;
   Launch render_launch() const;
@@ -100,12 +130,16 @@ class StreamExecutor final : public Executor<float> {
 
   Pipeline<float>& host_;
   DeviceOptions options_;
+  std::vector<DeviceLoss> losses_;  // of the list, in its order
   cudaStream_t stream_ = nullptr;
   cudaStream_t beside_ = nullptr;  // semantic branches, which need nothing of the colour gradients; in a step alone
   cudaEvent_t forked_ = nullptr, joined_ = nullptr;
   std::unique_ptr<Store> store_;
   std::vector<Pass<float>> passes_;
   std::unique_ptr<GradientSums> sums_;
+  std::deque<Track> tracks_;  // of this rank's shards, with DeviceOptions::deterministic
+  std::vector<EncoderRowsOfPass> rows_;
+  SampleRoom room_;
   Workspace train_arena_, beside_arena_, render_arena_;
   std::int64_t chunk_rays_ = 16384;   // rendered at a time; halved where memory is short
   std::int64_t growths_ = 0;          // of a step's arenas when graphs were last forgotten

@@ -50,7 +50,7 @@ using ClassOfLogit = std::vector<int>;
 struct FrameOptions {
   std::int32_t stride = 1;               ///< pixels taken (pixel_stride.h); maps are smaller by it
   std::function<void(double)> progress;  ///< share of the pixels that are done, 0 to 1; may be null
-  bool probability = false;              ///< fill RenderedFrame::probability, 4 C bytes a pixel
+  bool probability = false;              ///< fill RenderedFrame::probability, 4 C bytes per pixel
   int classes = 0;                       ///< C of the scene; read for `probability` alone
   bool color = true;                     ///< fill RenderedFrame::rgb; without it colour is not computed
 };

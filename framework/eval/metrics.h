@@ -123,7 +123,7 @@ class Calibration {
   std::int64_t nonfinite() const { return nonfinite_; }
   const std::array<Bin, kBins>& bins() const { return bins_; }  ///< pixels that were not finite are in none
   std::optional<double> ece() const;
-  std::optional<double> nll() const;  ///< nats a pixel
+  std::optional<double> nll() const;  ///< nats per pixel
 
  private:
   void add_pixel(double confidence, bool correct, double truth_probability);

@@ -18,7 +18,8 @@ struct DeviceOptions {
   int ordinal = 0;
   bool trainable = true;
   bool deterministic = false;  ///< sums in a fixed order: the same bits in every run and for any number of ranks
-  Ranks* ranks = nullptr;      ///< processes that make every step together, each with a device; null: this one alone
+  const KernelTables* kernels = nullptr;  ///< where losses find theirs; null only without losses
+  Ranks* ranks = nullptr;  ///< processes that make every step together, each with a device; null: this one alone
 };
 
 /// Single calls of components on a device, and memory for them: what tests of plugins need (testkit/host_twin.h).

@@ -15,11 +15,6 @@ namespace semfield {
 namespace {
 constexpr std::int64_t kRoundRows = 512;  // samples of a round of rendering
 
-template <class T>
-View<const T> rows_of(View<const T> view, std::int64_t begin, std::int64_t count) {
-  return view.empty() ? view : view.row_range(begin, count);
-}
-
 // Any sample whose density, and with it the slope of its activation, is not 0.
 template <class Real>
 bool any_density(const PassTrace<Real>& trace) {
@@ -137,7 +132,7 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
   const ComputeFloatMode mode;
   const std::int64_t rays = batch.origin.rows, tile_rays = pipeline_.tile_rays();
   const std::int64_t tiles = (rays + tile_rays - 1) / tile_rays;
-  guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.target, 0);
+  guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.targets.color, 0);
   const BatchScales scales = pipeline_.scales_of(batch);
   if (ranks_) {
     ranks_->share_out(tiles);
@@ -197,7 +192,7 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
   TileExecutor(LaneExecutor& owner, int lane, const TileRange& tile, const BatchScales& scales)
       : owner_(owner), lane_(lane), tile_(tile), scales_(scales) {}
 
-  StepLosses losses;
+  StepLosses sums;
 
   const SampledTile<Real>* drawn() const override {
     const bool drawn = owner_.draws_ahead() && tile_.number != kAlone;
@@ -205,8 +200,8 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
   }
   void color_loss(std::size_t, Workspace&, View<const Real> color, View<const float> target,
                   View<Real> d_color) override {
-    losses.mse = photometric_loss<Real>(color, target, scales_.color, 1.0, d_color);
-    losses.color += losses.mse;
+    sums.mse = photometric_loss<Real>(color, target, scales_.color, 1.0, d_color);
+    sums.color += sums.mse;
   }
   void semantic_loss(std::size_t, Workspace&, View<const Real> logits, const SemanticTargets& targets,
                      View<Real> d_logits) override {
@@ -216,20 +211,19 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
         classes == 0 ? View<const float>() : View<const float>(options.class_weight.data(), 1, classes);
     const SemanticLoss semantic = semantic_cross_entropy<Real>(logits, targets, class_weight, scales_.semantic,
                                                                options.rules.semantics.weight, d_logits, tile_.begin);
-    losses.semantic += semantic.sum;
-    losses.labelled = semantic.labelled;
-    losses.correct = semantic.correct;
+    sums.semantic += semantic.sum;
+    sums.labelled = semantic.labelled;
+    sums.correct = semantic.correct;
   }
-  LossTraits active_terms() const override {
-    return scales_.terms.active != 0 ? owner_.options().losses.traits(scales_.terms.active) : LossTraits{};
-  }
-  void add_terms(std::size_t, Workspace&, const RayTargets& targets, const RayValues<Real>& values,
-                 const RayGradients<Real>& gradients) override {
-    owner_.options().losses.template add<Real>(scales_.terms, targets, values, gradients, losses.terms);
+  const LossList& losses() const override { return owner_.options().losses; }
+  std::uint32_t active_losses() const override { return scales_.terms.active; }
+  void add_losses(std::size_t, Workspace&, std::uint32_t which, const RayTargets& targets,
+                  const RayValues<Real>& values, const RayGradients<Real>& gradients) override {
+    losses().template add<Real>(which, scales_.terms, targets, values, gradients, sums.terms);
   }
   void count(std::size_t pass, const PassTrace<Real>& trace) override {
-    losses.samples = trace.samples.count;
-    if (any_density(trace)) losses.dense_passes |= 1U << pass;
+    sums.samples = trace.samples.count;
+    if (any_density(trace)) sums.dense_passes |= 1U << pass;
   }
   View<Real> encoded_gradient(std::size_t pass, const PassTrace<Real>& trace, Workspace& arena) override {
     const std::int32_t dims = trace.encoded.cols;
@@ -260,27 +254,15 @@ StepLosses LaneExecutor<Real>::train_tile(const StepContext& ctx, int lane, cons
   const Workspace::Scope tile_scope(*ctx.workspace);
   TrainedRays rays;
   rays.lane = lane;
-  rays.batch = batch;
-  rays.batch.origin = batch.origin.row_range(begin, count);
-  rays.batch.direction = batch.direction.row_range(begin, count);
-  rays.batch.near_far = batch.near_far.row_range(begin, count);
-  rays.batch.target = batch.target.row_range(begin, count);
-  rays.batch.label = rows_of(batch.label, begin, count);
-  rays.batch.soft = rows_of(batch.soft, begin, count);
-  rays.batch.depth = rows_of(batch.depth, begin, count);
-  if (pipeline_.has_semantics() && !batch.label.empty()) {
-    for (std::int64_t r = 0; r < count; ++r) {
-      if (options().head_on_all_rays || rays.batch.label(r, 0) != kVoid) rays.semantic_rays = r + 1;
-    }
+  rays.batch = batch.rows(begin, count);
+  const View<const std::int16_t> label = rays.batch.targets.label;
+  for (std::int64_t r = 0; r < label.rows && pipeline_.has_semantics(); ++r) {
+    if (options().head_on_all_rays || label(r, 0) != kVoid) rays.semantic_rays = r + 1;
   }
-  // The tile of the batch that holds these rays begins with the rays that are there for their labels.
-  const std::int64_t tile_rays = pipeline_.tile_rays(), tile_begin = begin / tile_rays * tile_rays;
-  const std::int64_t tile_end = std::min(tile_begin + tile_rays, batch.origin.rows);
-  rays.first_color = std::clamp<std::int64_t>(
-      tile_begin + label_only_rays(batch.label_only_share, tile_begin, tile_end) - begin, 0, count);
+  rays.first_color = rays.batch.without_color();
   TileExecutor executor(*this, lane, tile, scales);
   train_rays<Real>(passes(), pipeline_.per_ray(), rays, ctx, executor);
-  return executor.losses;
+  return executor.sums;
 }
 
 template <class Real>

@@ -11,18 +11,6 @@
 
 namespace semfield {
 
-std::int64_t label_only_rays(double share, std::int64_t begin, std::int64_t end) {
-  return static_cast<std::int64_t>(std::floor(static_cast<double>(end) * share)) -
-         static_cast<std::int64_t>(std::floor(static_cast<double>(begin) * share));
-}
-
-double color_normaliser(const RayBatch& batch) {
-  const std::int64_t rays = batch.origin.rows - label_only_rays(batch.label_only_share, 0, batch.origin.rows);
-  return static_cast<double>(std::max<std::int64_t>(1, 3 * rays));
-}
-
-RayTargets targets_of(const RayBatch& batch) { return {batch.target, batch.label, batch.soft, batch.depth}; }
-
 template <class Real>
 Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
     : options_(std::move(options)), store_(options_.seed, options_.lanes, trainable) {
@@ -73,21 +61,16 @@ BatchScales Pipeline<Real>::scales_of(const RayBatch& batch) const {
   const std::int64_t rays = batch.origin.rows;
   BatchScales scales;
   scales.color = color_normaliser(batch);
-  if (has_semantics() && !batch.label.empty()) {
+  if (has_semantics() && !batch.targets.label.empty()) {
     const std::vector<float>& weight = options_.class_weight;
     const View<const float> weights =
         weight.empty() ? View<const float>()
                        : View<const float>(weight.data(), 1, static_cast<std::int32_t>(weight.size()));
-    SemanticTargets targets;
-    if (batch.soft.empty()) {
-      targets.hard = batch.label;
-    } else {
-      targets.soft = batch.soft;
-    }
+    const SemanticTargets targets = semantic_targets(batch.targets, rays);
     scales.semantic =
         semantic_normaliser(options_.rules.semantics.normalisation, labelled_weight(targets, weights), rays);
   }
-  scales.terms = options_.losses.scales(batch.terms, targets_of(batch), rays);
+  scales.terms = options_.losses.scales(batch.terms, batch.targets, rays);
   return scales;
 }
 

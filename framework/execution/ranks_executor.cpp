@@ -20,17 +20,7 @@ std::span<std::byte> bytes_of(T& value) {
   return std::as_writable_bytes(std::span(&value, 1));
 }
 
-// The arrays of a batch or of a job, those with the largest elements first; `visit` gets each and its columns.
-template <class Batch, class Visit>
-void each_of_batch(Batch& batch, std::int32_t soft_cols, const Visit& visit) {
-  visit(batch.origin, 3);
-  visit(batch.direction, 3);
-  visit(batch.near_far, 2);
-  visit(batch.target, 3);
-  visit(batch.soft, soft_cols);
-  visit(batch.depth, 1);
-  visit(batch.label, 1);
-}
+// The arrays of a job, those with the largest elements first; `visit` gets each and its columns.
 template <class Job, class Visit>
 void each_input(Job& job, const Visit& visit) {
   visit(job.origin, 3);
@@ -177,39 +167,33 @@ void RanksExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamSt
   Order order;
   order.task = Task::queue;
   order.step = step;
-  order.rows = batch.origin.rows;
-  order.cols = batch.soft.cols;
-  order.number = batch.label_only_share;
+  order.shape = shape_of(batch);
   order.terms = batch.terms;
-  const auto each = [&](const auto& visit) { each_of_batch(batch, order.cols, visit); };
-  order.wanted = arrays_there(each);
   tell(order);
   ArrayMessage message(message_);
   message.add(update);
-  each([&](const auto& view, std::int32_t) { message.add(view); });
+  message.add(batch.label_only);
+  each_array(batch, [&](const auto& view) { message.add(view); });
   ranks_.broadcast(message_);
   inner_.queue(step, batch, update);
 }
 
 void RanksExecutor::serve_step(const Order& order) {
   AdamStep update;
-  RayBatch batch;
-  batch.label_only_share = order.number;
+  RayBatch batch = order.shape.batch();
   batch.terms = order.terms;
-  std::uint32_t bit = 1;
   ArrayMessage message(message_);
-  message.expect(update);
   const auto each = [&](const auto& visit) {
-    bit = 1;
-    each_of_batch(batch, order.cols, [&](auto& view, std::int32_t cols) {
-      if ((order.wanted & bit) != 0) visit(view, cols);
-      bit <<= 1;
+    if (order.shape.tiles > 0) visit(batch.label_only, order.shape.tiles, 1);
+    each_array(batch, [&](auto& view) {
+      if (view.cols > 0) visit(view, order.shape.rays, view.cols);
     });
   };
-  each([&](auto& view, std::int32_t cols) { message.expect(view, order.rows, cols); });
+  message.expect(update);
+  each([&](auto& view, std::int64_t rows, std::int32_t cols) { message.expect(view, rows, cols); });
   ranks_.broadcast(message_);
   message.take(update);
-  each([&](auto& view, std::int32_t cols) { view = message.take(view, order.rows, cols); });
+  each([&](auto& view, std::int64_t rows, std::int32_t cols) { view = message.take(view, rows, cols); });
   inner_.queue(order.step, batch, update);
 }
 
@@ -233,7 +217,7 @@ void RanksExecutor::render(const RenderJob<float>& job) {
   order.task = Task::render;
   order.rows = job.origin.rows;
   order.cols = job.probability.cols;
-  order.number = job.footprint_per_m;
+  order.footprint_per_m = job.footprint_per_m;
   order.wanted = arrays_there([&](const auto& visit) {
     each_input(job, visit);
     each_output(job, order.cols, visit);
@@ -248,7 +232,7 @@ void RanksExecutor::render_shared(const Order& order, const RenderJob<float>& wh
   const auto [begin, end] = part(ranks_.rank());
   std::vector<std::byte> results;
   RenderJob<float> own;
-  own.footprint_per_m = order.number;
+  own.footprint_per_m = order.footprint_per_m;
   std::uint32_t bit = 1;
   const auto wanted = [&](const auto& visit) {
     return [&](auto& view, std::int32_t cols) {

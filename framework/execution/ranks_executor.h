@@ -47,11 +47,12 @@ class RanksExecutor final : public Executor<float> {
   // What is broadcast before the data of a task.
   struct Order {
     Task task = Task::end;
-    std::int32_t cols = 0;     // of soft labels; of probabilities
-    std::uint32_t wanted = 0;  // bit i: the i-th array of a batch or job is there
+    std::int32_t cols = 0;     // of probabilities
+    std::uint32_t wanted = 0;  // bit i: the i-th array of a job is there
     std::uint32_t terms = 0;   // RayBatch::terms
     std::int64_t step = 0, rows = 0;
-    double number = 0;  // label_only_share; footprint_per_m
+    double footprint_per_m = 0;
+    BatchShape shape;
   };
 
   bool leads() const { return ranks_.rank() == 0; }

@@ -148,7 +148,7 @@ std::optional<RayFault> LaneExecutor<Real>::find_fault(std::int64_t step, const 
     try {
       guard_rays<Real>(
           {batch.origin.row_range(ray, 1), batch.direction.row_range(ray, 1), batch.near_far.row_range(ray, 1)},
-          batch.target.row_range(ray, 1), ray);
+          batch.targets.color.row_range(ray, 1), ray);
       train_tile(context(step, true, ray, arenas_.own()), 0, batch, {ray, 1, kAlone}, scales);
     } catch (const RayFault& found) {
       fault = found;

@@ -4,21 +4,18 @@ namespace semfield {
 
 namespace {
 
-SemanticTargets semantic_targets(const RayBatch& batch, std::int64_t rays) {
-  SemanticTargets targets;
-  if (batch.soft.empty()) {
-    targets.hard = batch.label.row_range(0, rays);
-  } else {
-    targets.soft = batch.soft.row_range(0, rays);
-  }
-  return targets;
-}
-
+// Of the cross-entropy, and of the losses of the list that move logits.
 template <class Real>
 View<Real> semantic_gradient(std::size_t pass, const TrainedRays& rays, const PassTrace<Real>& trace, Workspace& arena,
                              StepExecutor<Real>& executor) {
   const View<Real> d_logits = arena.take<Real>(trace.semantic_rays, trace.logits.cols);
-  executor.semantic_loss(pass, arena, trace.logits, semantic_targets(rays.batch, trace.semantic_rays), d_logits);
+  executor.semantic_loss(pass, arena, trace.logits, semantic_targets(rays.batch.targets, trace.semantic_rays),
+                         d_logits);
+  if (const std::uint32_t which = executor.active_losses() & executor.losses().of_heads(); which != 0) {
+    RayGradients<Real> d;
+    d.heads.set(channel::logits, d_logits);
+    executor.add_losses(pass, arena, which, rays.batch.targets, values_of<Real>(rays.batch.near_far, trace), d);
+  }
   return d_logits;
 }
 
@@ -39,7 +36,9 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
     if (wanted) stages.fill(view, Real(0));
     return view;
   };
-  const PassRequest request{call.semantic_rays};
+  PassRequest request;
+  request.semantic_rays = call.semantic_rays;
+  request.room = call.room;
   Proposal<Real> proposal;
   PassTrace<Real> previous;
   for (std::size_t p = 0; p < passes.size(); ++p) {
@@ -59,15 +58,18 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
     RayGradients<Real> d;
     d.color = arena.take<Real>(count, 3);
     if (call.first_color > 0) stages.fill(d.color.row_range(0, call.first_color), Real(0));
-    executor.color_loss(p, arena, colored(View<const Real>(trace.color)), colored(batch.target), colored(d.color));
+    executor.color_loss(p, arena, colored(View<const Real>(trace.color)), colored(batch.targets.color),
+                        colored(d.color));
     executor.count(p, trace);
     View<Real> d_logits;
     if (trace.semantic_rays > 0 && !branched) d_logits = semantic_gradient(p, call, trace, arena, executor);
-    if (const LossTraits terms = executor.active_terms(); terms.any()) {
-      d.depth = zeroed(terms.moves_depth, count);
-      d.weight = zeroed(terms.moves_weight, trace.samples.count);
-      d.sigma = zeroed(terms.moves_sigma, trace.samples.count);
-      executor.add_terms(p, arena, targets_of(batch), values_of<Real>(batch.near_far, trace), d);
+    const LossList& losses = executor.losses();
+    if (const std::uint32_t which = executor.active_losses() & ~losses.of_heads(); which != 0) {
+      const auto moved = [&](std::string_view channel) { return (which & losses.moving(channel)) != 0; };
+      d.depth = zeroed(moved(channel::depth), count);
+      d.weight = zeroed(moved(channel::weight), trace.samples.count);
+      d.sigma = zeroed(moved(channel::sigma), trace.samples.count);
+      executor.add_losses(p, arena, which, batch.targets, values_of<Real>(batch.near_far, trace), d);
     }
     View<Real> d_encoded;
     if (pass.scatters()) d_encoded = executor.encoded_gradient(p, trace, arena);

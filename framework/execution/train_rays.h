@@ -26,10 +26,12 @@ class StepExecutor {
   /// The cross-entropy of logits [N, C], and lambda times its gradient.
   virtual void semantic_loss(std::size_t pass, Workspace& arena, View<const Real> logits,
                              const SemanticTargets& targets, View<Real> d_logits) = 0;
-  /// Of the terms of the list that work in this step, and their sums and gradients, added to `gradients`.
-  virtual LossTraits active_terms() const = 0;
-  virtual void add_terms(std::size_t pass, Workspace& arena, const RayTargets& targets, const RayValues<Real>& values,
-                         const RayGradients<Real>& gradients) = 0;
+  /// Bits of the losses of the list that work in this step, and the sums and gradients of `which` of them, added to
+  /// `gradients`.
+  virtual const LossList& losses() const = 0;
+  virtual std::uint32_t active_losses() const = 0;
+  virtual void add_losses(std::size_t pass, Workspace& arena, std::uint32_t which, const RayTargets& targets,
+                          const RayValues<Real>& values, const RayGradients<Real>& gradients) = 0;
   /// Counts samples, and whether any has density.
   virtual void count(std::size_t pass, const PassTrace<Real>& trace) = 0;
   /// Memory for the gradient at the outputs of a position encoder that learns, [M, Dp], and what becomes of it.
@@ -51,6 +53,7 @@ struct TrainedRays {
   int lane = kMainGradient;        ///< where gradients of parameters go
   std::int64_t semantic_rays = 0;  ///< the first of them, which get logits
   std::int64_t first_color = 0;    ///< the first ray that has a part in the colour loss
+  std::int64_t room = 0;           ///< PassRequest::room
 };
 
 /// ctx.workspace holds everything of the walk; the caller's scope gives it back. per_ray: most samples a ray after each

@@ -16,7 +16,7 @@ struct PngImage {
   std::int32_t width_px = 0, height_px = 0, channels = 0;
   int bits = 8;  ///< 1, 2, 4, 8 or 16: the largest sample is 2^bits - 1
   bool palette = false;
-  std::vector<std::uint8_t> palette_rgb;    ///< 3 bytes an entry
+  std::vector<std::uint8_t> palette_rgb;    ///< 3 bytes per entry
   std::vector<std::uint8_t> palette_alpha;  ///< may be shorter than the palette: the rest is opaque
   std::vector<std::uint8_t> bytes;          ///< one byte a sample, for images of up to 8 bits
   std::vector<std::uint16_t> words;         ///< the samples of 16-bit images

@@ -21,29 +21,7 @@ double median_depth(std::span<const float> depth_m) {
   return *middle;
 }
 
-// Cosine between the ray through an image point and the one that should fall there: equal but for rounding.
-constexpr double kSameRay = 1 - 1e-9;
-
 }  // namespace
-
-std::optional<Vec3d> surface_point(const PosedDepth& view, std::int32_t column, std::int32_t row) {
-  const float z = view.depth_m[view.pixel(column, row)];
-  if (!valid_depth(z)) return std::nullopt;
-  const Vec3d direction = view.camera.direction(column + 0.5, row + 0.5);
-  if (!(direction.z > 0)) return std::nullopt;
-  return view.world_from_camera.apply(direction * (static_cast<double>(z) / direction.z));
-}
-
-std::optional<PixelHit> project_point(const Camera& camera, const Pose& world_from_camera, Vec3d point) {
-  const Vec3d local = world_from_camera.apply_inverse(point);
-  if (!(local.z > 0)) return std::nullopt;
-  double u = 0, v = 0;
-  camera.project(local, u, v);
-  // Written so that NaN is outside; whole numbers are taken only of what fits.
-  if (!(u >= 0 && u < camera.width_px && v >= 0 && v < camera.height_px)) return std::nullopt;
-  if (camera.has_distortion() && !(dot(camera.direction(u, v), normalized(local)) > kSameRay)) return std::nullopt;
-  return PixelHit{static_cast<std::int32_t>(u), static_cast<std::int32_t>(v), local.z};
-}
 
 bool same_surface(const PosedDepth& view, std::size_t pixel, double z_m, const FusionParams& params) {
   const float z = view.depth_m[pixel];

@@ -6,35 +6,10 @@
 #include <span>
 #include <vector>
 
-#include "scene/camera.h"
 #include "settings/fusion_params.h"
+#include "surface/seen_surface.h"
 
 namespace semfield {
-
-/// Camera, pose and z-depth of a view.
-struct PosedDepth {
-  Camera camera;
-  Pose world_from_camera;
-  std::span<const float> depth_m;  ///< [H * W] z-depth, 0 = none
-
-  std::size_t pixel(std::int32_t column, std::int32_t row) const {
-    return static_cast<std::size_t>(row) * static_cast<std::size_t>(camera.width_px) + static_cast<std::size_t>(column);
-  }
-};
-
-/// World point that the centre of a pixel sees; none where it has no depth (0, negative, not finite), or where the lens
-/// has no inverse.
-std::optional<Vec3d> surface_point(const PosedDepth& view, std::int32_t column, std::int32_t row);
-
-/// Pixel of a view that a world point falls on.
-struct PixelHit {
-  std::int32_t column = 0, row = 0;
-  double z_m = 0;  ///< z-depth of the point in that view
-};
-
-/// None for a point behind the camera or outside the image, or outside the field of view of a distorting lens (whose
-/// polynomial folds such points back into the image).
-std::optional<PixelHit> project_point(const Camera& camera, const Pose& world_from_camera, Vec3d point);
 
 /// Whether the surface in a pixel of `view` is the one at z-depth `z_m` there (FusionParams::agree). False without
 /// depth: what the pixel sees is then unknown.

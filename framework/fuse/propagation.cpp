@@ -6,8 +6,8 @@
 #include <cmath>
 
 #include "compute/parallel.h"
-#include "fuse/label_diffusion.h"
-#include "fuse/surface_cells.h"
+#include "surface/label_diffusion.h"
+#include "surface/surface_pool.h"
 
 namespace semfield {
 
@@ -61,65 +61,41 @@ struct CellVotes {
   }
 };
 
-// Cells of all pixels with depth, and what the edges between them and the votes are made of.
-struct Cells {
-  explicit Cells(double edge_m) : grid(edge_m) {}
-  SurfaceCells grid;
+// Points of all pixels with depth, and the votes of their labels.
+struct Pooled {
+  SurfacePool pool;
   CellVotes votes;
-  std::vector<Vec3d> color, normal;                 // sums; of colour 0 to 255
-  std::vector<double> pixels;                       // a cell
-  std::vector<std::vector<std::int32_t>> of_pixel;  // [frames][H * W], -1 = none
-
-  void add(std::int32_t cell, const std::uint8_t* rgb, Vec3d direction) {
-    const auto c = static_cast<std::size_t>(cell);
-    if (c == pixels.size()) {
-      color.emplace_back();
-      normal.emplace_back();
-      pixels.push_back(0);
-    }
-    color[c] = color[c] + Vec3d{double(rgb[0]), double(rgb[1]), double(rgb[2])};
-    normal[c] = normal[c] + direction;
-    pixels[c] += 1;
-  }
 };
 
-// Cells are numbered, and sums added, in the order of frames and pixels: one thread, the same bits always.
-Cells gather(const Surface& surface, double edge_m) {
-  Cells cells(edge_m);
+// Cells are numbered, and sums added, in the order of frames and pixels: the same bits for any number of threads.
+Pooled pooled(const Surface& surface, double edge_m) {
+  Pooled out{SurfacePool(edge_m, surface.frames()), {}};
   LabelRow label(surface.classes);
   for (std::size_t k = 0; k < surface.frames(); ++k) {
     const PosedDepth view = surface.view(k);
-    const std::vector<Vec3d> points = surface_points(view), normals = surface_normals(view, points);
-    const std::vector<std::uint8_t>& rgb = surface.scene.frames[surface.frame(k)].rgb;
-    std::vector<std::int32_t>& of_pixel = cells.of_pixel.emplace_back(points.size(), -1);
-    for (std::size_t p = 0; p < points.size(); ++p) {
-      const std::int32_t cell = cells.grid.add(points[p]);
-      if (cell < 0) continue;
-      of_pixel[p] = cell;
-      cells.add(cell, &rgb[3 * p], normals[p]);
-      if (const auto row = label.of(surface.given(k), p); !row.empty()) cells.votes.add(cell, row);
+    out.pool.add(k, seen_surface(surface_points(view), view.camera.width_px, view.world_from_camera.t),
+                 surface.scene.frames[surface.frame(k)], 1);
+    const std::vector<std::int32_t>& of_pixel = out.pool.point_of_pixel[k];
+    for (std::size_t p = 0; p < of_pixel.size(); ++p) {
+      if (of_pixel[p] < 0) continue;
+      if (const auto row = label.of(surface.given(k), p); !row.empty()) out.votes.add(of_pixel[p], row);
     }
   }
-  cells.votes.votes.resize(static_cast<std::size_t>(cells.grid.count()) * static_cast<std::size_t>(surface.classes));
-  return cells;
+  out.pool.finish();
+  out.votes.votes.resize(out.pool.points.size() * static_cast<std::size_t>(surface.classes));
+  return out;
 }
 
-std::vector<GraphEdge> edges_of(const Cells& cells, const PropagationParams& params) {
-  const std::vector<CellPair> pairs = cells.grid.neighbours();
+std::vector<GraphEdge> edges_of(const SurfacePool& pool, const PropagationParams& params) {
+  const std::vector<CellPair> pairs = pool.cells.neighbours();
   std::vector<GraphEdge> edges(pairs.size());
-  const auto color = [&](std::size_t c) { return cells.color[c] * (1 / (255 * cells.pixels[c])); };
-  const auto normal = [&](std::size_t c) {
-    const double size = length(cells.normal[c]);
-    return size > 0 ? cells.normal[c] * (1 / size) : Vec3d{};
-  };
-  const double of_color = 1 / (2 * params.color_sigma * params.color_sigma),
-               of_normal = 1 / (2 * params.normal_sigma * params.normal_sigma);
   parallel_for(std::ssize(edges), [&](std::int64_t i) {
     const CellPair& pair = pairs[static_cast<std::size_t>(i)];
-    const auto a = static_cast<std::size_t>(pair.a), b = static_cast<std::size_t>(pair.b);
-    const Vec3d dc = color(a) - color(b), dn = normal(a) - normal(b);
-    edges[static_cast<std::size_t>(i)] = {
-        pair.a, pair.b, std::max(kLeastWeight, std::exp(-dot(dc, dc) * of_color - dot(dn, dn) * of_normal))};
+    const PointDifference apart =
+        difference(pool.points[static_cast<std::size_t>(pair.a)], pool.points[static_cast<std::size_t>(pair.b)],
+                   params.color_sigma, params.normal_sigma);
+    edges[static_cast<std::size_t>(i)] = {pair.a, pair.b,
+                                          std::max(kLeastWeight, std::exp(-apart.color - apart.normal))};
   });
   return edges;
 }
@@ -177,27 +153,27 @@ void spread_over_surface(const Surface& surface, const PropagationParams& params
     throw Error(ErrorKind::config, "the scene tells no size from which a cell's edge could be chosen",
                 "set propagate.cell_m");
   }
-  const Cells cells = gather(surface, edge_m);
+  const Pooled cells = pooled(surface, edge_m);
   const Diffusion spread =
-      diffuse_votes(edges_of(cells, params), cells.votes.votes, surface.classes, params.vote_weight, done);
+      diffuse_votes(edges_of(cells.pool, params), cells.votes.votes, surface.classes, params.vote_weight, done);
   const auto width = static_cast<std::size_t>(surface.classes);
   parallel_for(std::ssize(surface.maps.frames), [&](std::int64_t index) {
     const auto k = static_cast<std::size_t>(index);
     const auto row_of = [&](std::size_t p, LabelRow& label) -> std::span<const float> {
-      const std::int32_t cell = cells.of_pixel[k][p];
+      const std::int32_t cell = cells.pool.point_of_pixel[k][p];
       if (cell < 0) return label.of(surface.given(k), p);
       return std::span(spread.probability).subspan(static_cast<std::size_t>(cell) * width, width);
     };
     out.frames[surface.frame(k)] = soft_frame(surface, k, params.min_confidence, row_of);
   });
   std::int64_t voted = 0;
-  for (std::size_t c = 0; c < static_cast<std::size_t>(cells.grid.count()); ++c) {
+  for (std::size_t c = 0; c < cells.pool.points.size(); ++c) {
     const auto row = std::span(cells.votes.votes).subspan(c * width, width);
     voted += std::any_of(row.begin(), row.end(), [](double v) { return v > 0; }) ? 1 : 0;
   }
   add_step(out, surface, "surface",
            {{"edge of a cell, m", fmt::format("{:.4g}", edge_m)},
-            {"cells", std::to_string(cells.grid.count())},
+            {"cells", std::to_string(cells.pool.points.size())},
             {"cells with votes", std::to_string(voted)},
             {"connected parts", std::to_string(spread.parts)},
             {"parts without a vote", std::to_string(spread.parts_without_vote)}});

@@ -1,5 +1,4 @@
-// What stands under `scene.labels`: where training labels come from (`from`) and what is done to them (`degrade`), each
-// chosen by `type` and declared like a plugin's parameters.
+// Interfaces of label readers and degradations, the plugins that `scene.labels.from` and `scene.labels.degrade` name.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +10,6 @@
 
 #include "classes/soft_map.h"
 #include "config/params.h"
-#include "config/typed_params.h"
 #include "core/error.h"
 #include "loading/frame_source.h"
 
@@ -24,13 +22,14 @@ struct FrameLabels {
   bool empty() const { return hard.empty() && soft.empty(); }
 };
 
-/// Training labels of a scene: one entry a frame of SceneInfo; empty for test frames and unlabelled ones.
+/// Training labels of a scene: one entry per frame of SceneInfo; empty for test frames and unlabelled ones.
 using LabelSet = std::vector<FrameLabels>;
 
 /// Facts of a step for the manifest, in the order of writing: ("pixels changed", "12345").
 using StepFacts = std::vector<std::pair<std::string, std::string>>;
 
-/// Parameters common to both kinds of step. describe() declares them; reading, writing and documents derive from it.
+/// What both kinds are: an object that holds its own parameters, so it needs no parameter struct beside it. A copy of an
+/// object that nobody has used is what Registry::add_label_reader and add_degradation make.
 class LabelStep {
  public:
   virtual ~LabelStep() = default;
@@ -74,12 +73,10 @@ class LabelReader : public LabelStep {
   virtual LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const = 0;
 };
 
-/// A type that `from` or `degrade` may name.
-template <class Step>
-using StepKind = TypeOf<Step>;
-
-/// In the order of the reference page.
-const std::vector<StepKind<Degradation>>& degradation_kinds();
-const std::vector<StepKind<LabelReader>>& label_reader_kinds();
+/// Throws Error(data): "<place>: <message>".
+[[noreturn]] inline void refuse_labels(const std::string& place, const std::string& message,
+                                       const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, place + ": " + message, remedy);
+}
 
 }  // namespace semfield

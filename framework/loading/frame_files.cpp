@@ -2,6 +2,7 @@
 #include "loading/frame_files.h"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <iterator>
@@ -12,6 +13,7 @@
 #include "loading/load_progress.h"
 #include "scene/scene_checks.h"
 #include "scene/unknown_labels.h"
+#include "system/sorted_folder.h"
 
 namespace semfield {
 
@@ -111,6 +113,19 @@ std::string label_settings(const FrameInfo& frame, const std::filesystem::path& 
 
 }  // namespace
 
+std::vector<std::string> files_with(const std::string& folder, std::span<const std::string_view> extensions) {
+  std::vector<std::string> found;
+  std::error_code unknown;
+  if (!std::filesystem::is_directory(folder, unknown)) return found;
+  for (const std::filesystem::directory_entry& entry : sorted_folder(folder)) {
+    std::string extension = entry.path().extension().string();
+    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    if (std::find(extensions.begin(), extensions.end(), extension) != extensions.end())
+      found.push_back(entry.path().string());
+  }
+  return found;
+}
+
 bool FrameFileCheck::present(const FrameInfo& frame, FrameFiles& files, Diagnostics& diagnostics) {
   tell_load_progress("checking", ++checked_, frames_);
   if (!present(frame, kColorImage, files.color, diagnostics)) return false;
@@ -206,7 +221,7 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
     out.rgb = std::move(color.pixels);
     if (!files.depth.empty()) read_depth(frame, files.depth, rules.depth_unit_m, out.depth_m);
     if (!files.label.empty() && !classes.empty())
-      read_labels(frame, files.label, rules.unknown_labels_void, classes, out.label);
+      read_labels(frame, files.label, rules.unknown_labels == UnknownLabels::as_void, classes, out.label);
     if (!files.instance.empty()) {
       const Image<std::uint16_t> image = read_ids(files.instance);
       check_size(image, frame, files.instance);

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <map>
+#include <span>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -19,6 +20,12 @@ struct FrameFiles {
   std::string color, depth, label, instance;
 };
 
+/// Of photographs, as `files_with` takes them.
+inline constexpr std::array<std::string_view, 5> kPhotographs{".jpg", ".jpeg", ".png", ".tif", ".tiff"};
+/// Paths of the files of a folder whose extension, in small letters, is one of these; in the order of their names. None
+/// for a folder that is not there.
+std::vector<std::string> files_with(const std::string& folder, std::span<const std::string_view> extensions);
+
 /// What a label id outside the class table is; the parameter `unknown_labels` of datasets made of image files.
 enum class UnknownLabels { error, as_void };
 template <>
@@ -31,9 +38,9 @@ inline constexpr const char* kUnknownLabelRemedy =
     "add what is missing to the class table, or read it as void with --set scene.unknown_labels=void";
 
 struct FrameReadRules {
-  double depth_unit_m = 0.001;       ///< metres of one step of an integer depth image; float images are in metres
-  int alpha_background = -1;         ///< see read_rgb
-  bool unknown_labels_void = false;  ///< false: an id outside the class table is an error
+  double depth_unit_m = 0.001;  ///< metres of one step of an integer depth image; float images are in metres
+  int alpha_background = -1;    ///< see read_rgb
+  UnknownLabels unknown_labels = UnknownLabels::error;  ///< what an id outside the class table is
 };
 
 /// What becomes of a frame whose index names files that are not there; the parameter `missing` of datasets made of

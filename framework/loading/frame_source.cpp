@@ -71,6 +71,12 @@ bool keeps_depth(const SceneLoadOptions& options, Split split) {
   return options.depth == DepthKept::all || (options.depth == DepthKept::test && split == Split::test);
 }
 
+// Further channels teach, so those of training frames alone are read.
+bool wants_channel(const SceneLoadOptions& options, const FrameInfo& f, const std::string& name) {
+  return f.split == Split::train &&
+         std::find(options.channels.begin(), options.channels.end(), name) != options.channels.end();
+}
+
 // What StoredFrame will hold of a frame, if its depth is in whole millimetres.
 std::size_t stored_bytes(const FrameInfo& f, const Camera& camera, const SceneLoadOptions& options, int classes) {
   const std::size_t pixels = static_cast<std::size_t>(camera.width_px) * static_cast<std::size_t>(camera.height_px);
@@ -78,7 +84,33 @@ std::size_t stored_bytes(const FrameInfo& f, const Camera& camera, const SceneLo
   if (f.has_labels) each += classes > 254 ? 2 : 1;
   if (f.has_depth && keeps_depth(options, f.split)) each += 2;
   if (f.has_instances && options.with_instances) each += 4;
-  return pixels * each;
+  std::size_t bytes = pixels * each;
+  for (const FrameChannelInfo& one : f.channels) {
+    if (wants_channel(options, f, one.name))
+      bytes += static_cast<std::size_t>(one.height) * static_cast<std::size_t>(one.width) *
+               static_cast<std::size_t>(one.cols) * sizeof(float);
+  }
+  return bytes;
+}
+
+// Every channel that was asked for, as open() told, and finite.
+void check_channels(const FrameBuffer& b, const FrameInfo& f, std::size_t wanted) {
+  if (b.channels.size() != wanted)
+    throw Error(ErrorKind::internal, "dataset delivered other channels than those that were wanted",
+                "this is a defect of the dataset plugin");
+  for (const FrameChannel& one : b.channels) {
+    const auto told = std::find_if(f.channels.begin(), f.channels.end(),
+                                   [&](const FrameChannelInfo& info) { return info.name == one.name; });
+    const auto size =
+        static_cast<std::size_t>(one.height) * static_cast<std::size_t>(one.width) * static_cast<std::size_t>(one.cols);
+    if (told == f.channels.end() || told->height != one.height || told->width != one.width || told->cols != one.cols ||
+        one.values.size() != size)
+      throw Error(ErrorKind::internal, "dataset delivered another channel '" + one.name + "' than open() told",
+                  "this is a defect of the dataset plugin");
+    if (!std::all_of(one.values.begin(), one.values.end(), [](float v) { return std::isfinite(v); }))
+      throw Error(ErrorKind::data, "channel '" + one.name + "' holds a value that is not finite",
+                  "write 0 where nothing is known");
+  }
 }
 
 void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
@@ -201,6 +233,7 @@ FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int3
   out.depth_m = pick(frame.depth_m, frame.width_px, cols, rows);
   out.label = pick(frame.label, frame.width_px, cols, rows);
   out.instance = pick(frame.instance, frame.width_px, cols, rows);
+  out.channels = frame.channels;  // their grids are their own
   return out;
 }
 
@@ -302,7 +335,11 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     if (cameras[i].width_px == 0) return;
     try {
       FrameBuffer frame;
+      for (const FrameChannelInfo& one : frames[i].channels)
+        if (wants_channel(options, frames[i], one.name)) frame.wanted.push_back(one.name);
+      const std::size_t wanted = frame.wanted.size();
       reader.read(static_cast<int>(i), frame);
+      check_channels(frame, frames[i], wanted);
       if (!labels_can_be_read) frame.label = std::vector<std::int16_t>();
       check_buffer(frame, frames[i]);
       convert_depth(frame, options.convention);

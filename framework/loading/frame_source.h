@@ -30,8 +30,9 @@ struct SceneLoadOptions {
   PoseConvention convention;
   bool check_geometry = true;
   std::int64_t probe_steps = 128;
-  DepthKept depth = DepthKept::all;  ///< not a key
-  bool with_instances = false;       ///< not a key
+  DepthKept depth = DepthKept::all;   ///< not a key
+  bool with_instances = false;        ///< not a key
+  std::vector<std::string> channels;  ///< not a key: further channels of training frames that are wanted, by name
   /// Not a key: told what all frames will take in memory before the first is read; may throw.
   std::function<void(std::size_t bytes, std::size_t frames, std::int32_t width_px)> before_pixels = {};
   /// Not a key: space outside the bounds is contracted (rendering.outside), so that they are those of the subject and

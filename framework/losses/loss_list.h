@@ -1,4 +1,4 @@
-// The terms of a configuration's list `losses`: which of them work in a step, how their means are scaled, and their
+// The losses of a configuration's list `losses`: which of them work in a step, how their means are scaled, and their
 // sums.
 #pragma once
 
@@ -7,25 +7,26 @@
 #include <string>
 #include <vector>
 
-#include "losses/loss_term.h"
+#include "plugin/registry.h"
 
 namespace semfield {
 
-/// More cannot stand in a list: a type stands there once.
+/// More cannot stand in a list.
 inline constexpr std::size_t kMostLossTerms = 8;
 
-/// Numbers a term, in the order of the list.
+/// Numbers per loss, in the order of the list.
 using LossNumbers = std::array<double, kMostLossTerms>;
 
 struct LossEntry {
   std::string type;
-  std::shared_ptr<LossTerm> term;
-  std::string where;  ///< its place in the configuration, for messages
+  std::shared_ptr<const Loss> loss;
+  std::shared_ptr<PluginParams> params;  ///< that it was made of
+  std::string where;                     ///< its place in the configuration, for messages
 };
 
 /// What a step does with a batch.
 struct LossScales {
-  std::uint32_t active = 0;  ///< bit i: term i works in this step
+  std::uint32_t active = 0;  ///< bit i: loss i works in this step
   LossNumbers count{};       ///< rays that its mean is over
   LossNumbers scale{};       ///< weight / count; 0 without a ray
 };
@@ -33,22 +34,28 @@ struct LossScales {
 class LossList {
  public:
   LossList() = default;
-  explicit LossList(std::vector<LossEntry> entries) : entries_(std::move(entries)) {}
+  /// Throws Error(config) for a loss that moves a channel of a head and another one.
+  explicit LossList(std::vector<LossEntry> entries);
 
   const std::vector<LossEntry>& entries() const { return entries_; }
   bool empty() const { return entries_.empty(); }
-  /// Of all terms together, or of the active ones.
-  LossTraits traits(std::uint32_t active = ~0U) const;
+  /// Bits of the losses that move the channel.
+  std::uint32_t moving(std::string_view channel) const;
+  /// Bits of the losses that move channels of heads.
+  std::uint32_t of_heads() const { return of_heads_; }
   LossScales scales(std::uint32_t active, const RayTargets& batch, std::int64_t rays) const;
-  /// Adds the active terms' gradients; `sums` gets each one's sum, before weight and division, added.
+  /// Adds the gradients of the losses whose bit is set in `which`; `sums` gets each one's sum, before weight and
+  /// division, added.
   template <class Real>
-  void add(const LossScales& scales, const RayTargets& targets, const RayValues<Real>& values,
+  void add(std::uint32_t which, const LossScales& scales, const RayTargets& targets, const RayValues<Real>& values,
            const RayGradients<Real>& gradients, LossNumbers& sums) const;
   /// Sums of a step to means; returns their weighted total.
   double finish(const LossScales& scales, LossNumbers& sums) const;
 
  private:
   std::vector<LossEntry> entries_;
+  std::vector<LossTraits> traits_;
+  std::uint32_t of_heads_ = 0;
 };
 
 }  // namespace semfield

@@ -36,7 +36,7 @@ struct SightLines {
 SightLines look(Pipeline<float>& pipeline, std::span<const RayCamera> cameras, const RayLimits& limits, int rays);
 
 /// The density whose first crossing along the sight lines lies nearest to where rendering puts the surface: the mean
-/// distance, at most eight cells a line, is least among half_opaque_density(spacing) * 2^(-k/2), k = 0..18. A field
+/// distance, at most eight cells per line, is least among half_opaque_density(spacing) * 2^(-k/2), k = 0..18. A field
 /// that was trained briefly is soft: one fixed level would lose its walls or inflate its objects.
 double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& request, const SightLines& lines);
 

@@ -4,9 +4,9 @@
 
 #include <algorithm>
 #include <numeric>
+#include <tuple>
 
 #include "core/error.h"
-#include "losses/loss_term.h"
 
 namespace semfield {
 
@@ -124,26 +124,44 @@ void plan_passes(const SceneManifest& manifest, const BuildRequest& request, Pla
        ProofClass::certified, "samples behind surfaces, when rendering", "", ""});
 }
 
+// Why the scene leaves a named loss nothing to do; the first text is empty where it does not.
+std::pair<std::string, std::string> idle_loss(const LossTraits& traits, const BuildRequest& request,
+                                              const BuildPlan& plan) {
+  if (traits.reads_target(channel::depth) && request.depth_px == 0)
+    return {"no training pixel has a depth",
+            request.depth_frames > 0
+                ? fmt::format("depth images of {} training frames, without a valid pixel", request.depth_frames)
+                : "no training frame has a depth image"};
+  const bool semantic = traits.reads_target(channel::label) || traits.reads_target(channel::soft_label) ||
+                        traits.reads_head(channel::logits);
+  if (semantic && !plan.semantics) return {"there are no semantics", "the semantic head is left out"};
+  for (const std::string_view name : traits.targets) {
+    const bool known =
+        name == channel::color || name == channel::label || name == channel::soft_label || name == channel::depth;
+    if (!known && !request.channels.contains(std::string(name)))
+      return {"no training frame has a channel that it reads", fmt::format("no training frame has '{}'", name)};
+  }
+  return {};
+}
+
 void plan_losses(const BuildRequest& request, Planner& planner, BuildPlan& plan) {
-  for (const LossKind& kind : loss_kinds()) {
-    LeftOut row{fmt::format("loss_{}", kind.type),
+  for (const LossRequest& loss : request.losses) {
+    LeftOut row{"loss_" + loss.name,
                 "not asked for",
-                fmt::format("`losses` names no term of type {}", kind.type),
+                fmt::format("`losses` names no term of type {}", loss.name),
                 ProofClass::bitwise,
-                std::string(kind.cost),
-                fmt::format("add {{type: {}}} to the list `losses`", kind.type),
+                loss.saves,
+                fmt::format("add {{type: {}}} to the list `losses`", loss.name),
                 ""};
-    if (std::find(request.losses.begin(), request.losses.end(), kind.type) == request.losses.end()) {
+    if (!loss.named) {
       planner.leave(true, std::move(row));
       continue;
     }
-    row.rule = "no training pixel has a depth";
-    row.evidence = request.depth_frames > 0
-                       ? fmt::format("depth images of {} training frames, without a valid pixel", request.depth_frames)
-                       : "no training frame has a depth image";
+    std::tie(row.rule, row.evidence) = idle_loss(loss.traits, request, plan);
+    const bool idle = !row.rule.empty();
+    if (!idle) row.rule = "the scene has nothing that it reads";
     row.instead.clear();
-    if (planner.leave(kind.make()->traits().reads_depth && request.depth_px == 0, std::move(row)))
-      plan.no_losses.emplace_back(kind.type);
+    if (planner.leave(idle, std::move(row))) plan.no_losses.push_back(loss.name);
   }
 }
 

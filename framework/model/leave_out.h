@@ -3,9 +3,11 @@
 #pragma once
 
 #include <cstdint>
+#include <set>
 #include <string>
 #include <vector>
 
+#include "plugin/loss.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
@@ -24,6 +26,14 @@ struct SceneManifest {
   double direction_spread_deg = 360;
 };
 
+/// A loss, and whether the list names it.
+struct LossRequest {
+  std::string name;
+  std::string saves;  ///< what its absence saves, in words
+  bool named = false;
+  LossTraits traits;  ///< of one that is named
+};
+
 /// What the config asks for, as far as it can be left out.
 struct BuildRequest {
   int passes = 1;
@@ -31,7 +41,8 @@ struct BuildRequest {
   bool last_sampler_single_pass = false;
   EmptySpace empty_space = EmptySpace::sampled;  ///< of the last pass's sampler
   bool direction_encoder = true;                 ///< the last pass names one
-  std::vector<std::string> losses;               ///< types of the list `losses`
+  std::vector<LossRequest> losses;               ///< every loss that the list `losses` might name
+  std::set<std::string> channels;                ///< further channels that training frames offer
   double density_noise = 0;
   double early_stop = 0;
   bool balance_classes = false;

@@ -88,7 +88,8 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
                                     const PassRequest& request) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t ray_count = rays.origin.rows;
-  const std::int64_t capacity = parts_.sampler->capacity(ray_count, previous_per_ray);
+  std::int64_t capacity = parts_.sampler->capacity(ray_count, previous_per_ray);
+  if (request.room > 0) capacity = std::min(capacity, request.room);
   SampledTile<Real> tile;
   tile.per_ray = capacity_per_ray(previous_per_ray);
   tile.samples.t = arena.take<Real>(capacity, 1);

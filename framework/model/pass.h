@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "core/workspace_pool.h"
-#include "losses/loss_term.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
 #include "model/domain_map.h"
@@ -20,6 +19,7 @@
 #include "model/tensor_store.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
+#include "plugin/loss.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
@@ -96,9 +96,10 @@ struct SampledTile {
 struct PassRequest {
   std::int64_t semantic_rays = 0;  ///< the first rays of the call, which get logits
   bool colors = true;              ///< false: weights alone are wanted, for a later pass
+  std::int64_t room = 0;  ///< for samples, on a device (SamplerTraits::keeps_to_room); 0: for as many as there can be
 };
 
-/// What terms of the loss see of a pass.
+/// What losses see of a pass.
 template <class Real>
 RayValues<Real> values_of(View<const double> near_far, const PassTrace<Real>& trace) {
   RayValues<Real> values;
@@ -111,6 +112,7 @@ RayValues<Real> values_of(View<const double> near_far, const PassTrace<Real>& tr
   values.color = trace.color;
   values.depth = trace.depth;
   values.opacity = trace.opacity;
+  if (!trace.logits.empty()) values.heads.set(channel::logits, trace.logits);
   return values;
 }
 

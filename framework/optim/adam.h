@@ -89,7 +89,7 @@ inline constexpr Real kLargestSound = Real(1e150);
 template <>
 inline constexpr float kLargestSound<float> = 1e19F;
 
-/// Steps in which the values and moments of a table's touched rows are looked at, a window of rows a step.
+/// Steps in which the values and moments of a table's touched rows are looked at, a window of rows per step.
 inline constexpr std::int64_t kTableWindows = 16;
 
 /// An element from which no update may start.

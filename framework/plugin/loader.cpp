@@ -8,7 +8,7 @@
 #include <sstream>
 
 #include "core/text.h"
-#include "plugin/module_file.h"
+#include "plugin/check/module_file.h"
 #include "system/file_verdicts.h"
 #include "system/shared_library.h"
 

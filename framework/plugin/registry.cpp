@@ -15,8 +15,34 @@ std::string_view kind_name(PluginKind kind) {
       return "sampler";
     case PluginKind::dataset:
       return "dataset";
+    case PluginKind::loss:
+      return "loss";
+    case PluginKind::label_reader:
+      return "label reader";
+    case PluginKind::degradation:
+      return "degradation";
   }
   return "plugin";
+}
+
+std::string_view kind_folder(PluginKind kind) {
+  switch (kind) {
+    case PluginKind::encoder:
+      return "encoders";
+    case PluginKind::field:
+      return "fields";
+    case PluginKind::sampler:
+      return "samplers";
+    case PluginKind::dataset:
+      return "datasets";
+    case PluginKind::loss:
+      return "losses";
+    case PluginKind::label_reader:
+      return "label_readers";
+    case PluginKind::degradation:
+      return "degradations";
+  }
+  return "plugins";
 }
 
 Registry::Registry() { mlp_kernels(kernels_); }

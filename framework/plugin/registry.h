@@ -1,6 +1,8 @@
 // The one registry: what plugins exist, how to describe them and how to make them.
 #pragma once
 
+#include <array>
+#include <concepts>
 #include <functional>
 #include <map>
 #include <memory>
@@ -15,15 +17,24 @@
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/kernels.h"
+#include "plugin/loss.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
 
+class LabelReader;
+class Degradation;
 template <class Real>
 class MlpField;
 
-enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset };
+enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset, loss, label_reader, degradation };
+/// In the order of documents.
+inline constexpr std::array kPluginKinds{PluginKind::encoder,    PluginKind::field, PluginKind::sampler,
+                                         PluginKind::dataset,    PluginKind::loss,  PluginKind::label_reader,
+                                         PluginKind::degradation};
 std::string_view kind_name(PluginKind kind);
+/// "encoders", as the folder of its plugins is named.
+std::string_view kind_folder(PluginKind kind);
 
 /// A plugin's parameter struct with its type erased.
 class PluginParams {
@@ -75,13 +86,16 @@ std::string call_preparation(const std::string& folder, const Params& params) {
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` in its namespace, and may have `void validate(const Params&,
-/// Diagnostics&)`; an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a
-/// dataset's `std::string recognise(const std::string& path, Params&)` and `std::string preparation(const std::string&
-/// folder, const Params&)`.
+/// Diagnostics&)` (a loss's may be that of LossRule); an encoder's may have `void choose(Params&, const EncoderBuild&,
+/// std::vector<std::string>&)`, a dataset's `std::string recognise(const std::string& path, Params&)` and `std::string
+/// preparation(const std::string& folder, const Params&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
-  void describe(ParamVisitor& visit) override { plugin_detail::call_describe(visit, value); }
+  void describe(ParamVisitor& visit) override {
+    if constexpr (std::derived_from<Params, LossRule>) describe_rule(visit, value);
+    plugin_detail::call_describe(visit, value);
+  }
   void validate(Diagnostics& diagnostics) const override { plugin_detail::call_validate(value, diagnostics); }
   void choose(const EncoderBuild& build, std::vector<std::string>& chosen) override {
     plugin_detail::call_choose(value, build, chosen);
@@ -91,6 +105,15 @@ class ParamsOf final : public PluginParams {
     return plugin_detail::call_preparation(folder, value);
   }
   Params value;
+};
+
+/// Of a plugin whose objects hold their parameters and declare them by members describe() and validate().
+template <class Item>
+class ParamsInside final : public PluginParams {
+ public:
+  void describe(ParamVisitor& visit) override { value.describe(visit); }
+  void validate(Diagnostics& diagnostics) const override { value.validate(diagnostics); }
+  Item value;
 };
 
 struct PluginEntry {
@@ -111,6 +134,10 @@ struct PluginEntry {
   std::function<std::unique_ptr<Sampler<double>>(const PluginParams&, const SamplerBuild&, const KernelTables&)>
       sampler64;
   std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
+  std::function<std::unique_ptr<Loss>(const PluginParams&)> loss;
+  std::function<std::unique_ptr<LabelReader>(const PluginParams&)> label_reader;
+  std::function<std::unique_ptr<Degradation>(const PluginParams&)> degradation;
+  std::string saves;         ///< of a loss: what its absence saves, in words
   bool reads_packs = false;  ///< a dataset that opens what loading/packed_scene.h writes, by its parameter `file`
   bool slow = false;         ///< calls take so long that the laws are checked on fewer rows (plugins in Python)
 };
@@ -163,6 +190,33 @@ class Registry {
     add(std::move(e));
   }
 
+  /// Impl is derived from LossOf<Impl, Params>, Params from LossRule. `saves`: what its absence saves.
+  template <class Impl>
+  void add_loss(std::string name, std::string summary, std::string saves) {
+    using Params = typename Impl::Params;
+    PluginEntry e = entry<Params>(PluginKind::loss, std::move(name), std::move(summary));
+    e.saves = std::move(saves);
+    e.loss = [](const PluginParams& p) -> std::unique_ptr<Loss> {
+      return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value);
+    };
+    add(std::move(e));
+  }
+
+  /// Impl is derived from LabelReader (labels/label_steps.h).
+  template <class Impl>
+  void add_label_reader(std::string name, std::string summary) {
+    PluginEntry e = entry_inside<Impl>(PluginKind::label_reader, std::move(name), std::move(summary));
+    e.label_reader = copier<LabelReader, Impl>();
+    add(std::move(e));
+  }
+  /// Impl is derived from Degradation (labels/label_steps.h).
+  template <class Impl>
+  void add_degradation(std::string name, std::string summary) {
+    PluginEntry e = entry_inside<Impl>(PluginKind::degradation, std::move(name), std::move(summary));
+    e.degradation = copier<Degradation, Impl>();
+    add(std::move(e));
+  }
+
   /// Kernel tables of every plugin.
   KernelTables& kernels() { return kernels_; }
   const KernelTables& kernels() const { return kernels_; }
@@ -192,6 +246,21 @@ class Registry {
     e.summary = std::move(summary);
     e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<Params>>()); };
     return e;
+  }
+  template <class Impl>
+  static PluginEntry entry_inside(PluginKind kind, std::string name, std::string summary) {
+    PluginEntry e;
+    e.kind = kind;
+    e.name = std::move(name);
+    e.summary = std::move(summary);
+    e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsInside<Impl>>()); };
+    return e;
+  }
+  template <class Base, class Impl>
+  static std::function<std::unique_ptr<Base>(const PluginParams&)> copier() {
+    return [](const PluginParams& p) -> std::unique_ptr<Base> {
+      return std::make_unique<Impl>(static_cast<const ParamsInside<Impl>&>(p).value);
+    };
   }
   template <class Base, class Impl, class Params, class Build>
   static std::function<std::unique_ptr<Base>(const PluginParams&, const Build&, const KernelTables&)> maker() {

@@ -45,6 +45,9 @@ struct SamplerTraits {
   bool single_pass = false;     ///< finds the surface itself: no second network is needed after it
   bool observes = false;        ///< wants observe() after each training step
   EmptySpace empty_space = EmptySpace::sampled;
+  /// On a device sample() takes views of fewer than `capacity` rows; where samples are more, it notes a fault of
+  /// Stage::room and leaves out the last ones.
+  bool keeps_to_room = false;
 };
 
 /// sigma (after activation, 1/m) [N,1] at world positions [N,3]; safe to call from parallel_for bodies.
@@ -59,8 +62,8 @@ class Sampler : public Parametric<Real> {
   /// Most samples that sample() can give for `rays` rays after a previous pass with at most `previous` samples a ray.
   virtual std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept = 0;
 
-  /// Fills out (views of at least capacity rows). Random values are addressed by (ctx.first_ray + ray, sample). Without
-  /// ctx.training there is no jitter.
+  /// Fills out (views of at least capacity rows, or of fewer: SamplerTraits::keeps_to_room). Random values are
+  /// addressed by (ctx.first_ray + ray, sample). Without ctx.training there is no jitter.
   void sample(const StepContext& ctx, const Tensors<Real>& tensors, const Rays<Real>& rays,
               const Proposal<Real>* previous, Samples<Real>& out) const;
 

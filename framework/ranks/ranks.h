@@ -52,7 +52,7 @@ class Ranks {
   virtual void receive(int from, std::span<std::byte> data) = 0;
 
   /// `asked` tells whether this process was asked to end; it is called while the process waits for others. Of another
-  /// rank, rank 0 then hears, and its `hear` is called, once a rank. Where some ranks run on other hosts, rank 0 that
+  /// rank, rank 0 then hears, and its `hear` is called, once per rank. Where some ranks run on other hosts, rank 0 that
   /// was asked itself waits half a second more: a launcher asks all to end when one has failed, and soon kills them.
   virtual void end_when(std::function<bool()> asked, std::function<void()> hear) = 0;
   /// Throws RankLost when another process has ended. To be called now and then by whoever waits for what others do by

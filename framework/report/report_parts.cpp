@@ -35,8 +35,8 @@ constexpr std::array<ReportMetric, 21> kMetrics{{
     {"ece", "ECE", "", 3, -1, "expected calibration error, 15 bins"},
     {"nll", "NLL", "nats", 3, -1, "of the true class, a pixel"},
     {"entropy_auroc", "Entropy AUROC", "", 3, 1, "entropy as a detector of wrong pixels; 0.5 is chance"},
-    {"rays_per_s", "Rays a second", "", 3, 1, "last training row"},
-    {"samples_per_ray", "Samples a ray", "", 3, 0, "last training row"},
+    {"rays_per_s", "Rays per second", "", 3, 1, "last training row"},
+    {"samples_per_ray", "Samples per ray", "", 3, 0, "last training row"},
     {"loss", "Training loss", "", 3, 0, "last training row"},
 }};
 

@@ -7,7 +7,7 @@
 
 #include "core/text.h"
 #include "labels/clicks/click_file.h"
-#include "plugin/module_file.h"
+#include "plugin/check/module_file.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 #include "run/run_resume.h"

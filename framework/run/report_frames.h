@@ -1,6 +1,7 @@
 // Frames of an evaluation that a report shows: evenly spaced ones, and the worst.
 #pragma once
 
+#include <algorithm>
 #include <utility>
 #include <vector>
 
@@ -15,7 +16,14 @@ class ReportFrames {
   /// `shown`: frames to keep in any case.
   ReportFrames(std::vector<int> shown, int most_worst)
       : shown_(std::move(shown)), most_worst_(static_cast<std::size_t>(most_worst)) {}
-  void add(const FrameScore& score, const RenderedFrame& maps);
+  void add(const FrameScore& score, const RenderedFrame& maps) {
+    if (std::find(shown_.begin(), shown_.end(), score.frame) != shown_.end()) strips_.emplace_back(score, maps);
+    const auto place =
+        std::find_if(worst_.begin(), worst_.end(), [&](const auto& kept) { return score.worse_than(kept.first); });
+    if (place == worst_.end() && worst_.size() == most_worst_) return;
+    worst_.emplace(place, score, maps);
+    if (worst_.size() > most_worst_) worst_.pop_back();
+  }
 
   using Kept = std::vector<std::pair<FrameScore, RenderedFrame>>;
   const Kept& strips() const { return strips_; }

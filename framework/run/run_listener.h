@@ -14,6 +14,7 @@ namespace semfield {
 
 class RunFolder;
 class ReportFrames;
+struct MetricsRow;
 
 /// Which part of a split an evaluation scored.
 struct ScoredPart {
@@ -40,6 +41,8 @@ struct TrainProgress {
 class RunListener : public TrainingListener {
  public:
   virtual void progress(const TrainProgress&) {}
+  /// A row for metrics.jsonl is made, whether or not the run has a folder.
+  virtual void row(const MetricsRow&) {}
   virtual void scoring(const ScoreProgress&) {}  ///< an evaluation or a round of self-training is under way
   /// 0, or the number of the signal that asks for an orderly end.
   virtual int stop_signal() { return 0; }

@@ -8,7 +8,7 @@
 
 #include "config/compose.h"
 #include "core/text.h"
-#include "plugin/module_file.h"
+#include "plugin/check/module_file.h"
 #include "run/checkpoint_store.h"
 #include "settings/run_identity.h"
 #include "settings/run_length.h"

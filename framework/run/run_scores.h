@@ -10,9 +10,9 @@
 #include "eval/eval_budget.h"
 #include "run/metrics_log.h"
 #include "run/report_frames.h"
+#include "run/rows/tensorboard.h"
 #include "run/run_folder.h"
 #include "run/run_listener.h"
-#include "run/rows/tensorboard.h"
 #include "session/session.h"
 
 namespace semfield {

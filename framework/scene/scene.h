@@ -13,6 +13,13 @@ namespace semfield {
 
 enum class Split : std::uint8_t { train, test, unused };
 
+/// A further channel that a frame offers, by name (plugin/channels.h): feature maps, normals, ...
+struct FrameChannelInfo {
+  std::string name;
+  std::int32_t height = 0, width = 0;  ///< of its own grid, which covers the image
+  std::int32_t cols = 0;               ///< numbers of a cell
+};
+
 struct FrameInfo {
   std::string name;    ///< stem used in messages and output files ("rgb_12", "0017")
   std::string source;  ///< path of the colour image, or what stands for it
@@ -22,6 +29,7 @@ struct FrameInfo {
   bool has_depth = false;
   bool has_labels = false;
   bool has_instances = false;
+  std::vector<FrameChannelInfo> channels;  ///< further ones, which are read where something wants them
 };
 
 /// What open() tells: a manifest, no pixels.
@@ -37,6 +45,13 @@ struct SceneInfo {
   bool opengl_files = false;  ///< camera axes in the files were OpenGL's; open() turned them
 };
 
+/// Numbers of a further channel; cell (y h / H, x w / W) is that of pixel (y, x). A row of zeros: none.
+struct FrameChannel {
+  std::string name;
+  std::int32_t height = 0, width = 0, cols = 0;
+  std::vector<float> values;  ///< [height * width * cols]
+};
+
 /// Pixels of one frame, row-major, top-left first. Vectors are empty where the frame has no such channel.
 struct FrameBuffer {
   std::int32_t width_px = 0, height_px = 0;
@@ -44,6 +59,8 @@ struct FrameBuffer {
   std::vector<float> depth_m;          ///< [H * W] z-depth, 0 = invalid
   std::vector<std::int16_t> label;     ///< [H * W] internal class index, kVoid = void
   std::vector<std::int32_t> instance;  ///< [H * W] instance id, 0 = none
+  std::vector<std::string> wanted;     ///< set by the caller: names of further channels that read() fills
+  std::vector<FrameChannel> channels;  ///< those of FrameInfo::channels that are wanted
 };
 
 }  // namespace semfield

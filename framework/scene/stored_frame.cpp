@@ -59,6 +59,28 @@ StoredFrame::StoredFrame(FrameBuffer frame)
       rgb(std::move(frame.rgb)),
       depth_m(std::move(frame.depth_m)),
       label(std::move(frame.label)),
-      instance(std::move(frame.instance)) {}
+      instance(std::move(frame.instance)),
+      channels(std::move(frame.channels)) {}
+
+const FrameChannel* StoredFrame::channel(std::string_view name) const {
+  const auto found =
+      std::find_if(channels.begin(), channels.end(), [&](const FrameChannel& c) { return c.name == name; });
+  return found == channels.end() ? nullptr : &*found;
+}
+
+void StoredFrame::read_channel(std::string_view name, std::int32_t index, std::span<float> out) const {
+  const FrameChannel* const from = channel(name);
+  if (from == nullptr) return std::fill(out.begin(), out.end(), 0.0F);
+  const std::int64_t row = std::int64_t{index / width_px} * from->height / height_px;
+  const std::int64_t col = std::int64_t{index % width_px} * from->width / width_px;
+  const float* const cell = from->values.data() + (row * from->width + col) * from->cols;
+  std::copy(cell, cell + from->cols, out.begin());
+}
+
+std::size_t StoredFrame::bytes() const {
+  std::size_t sum = rgb.capacity() + depth_m.bytes() + label.bytes() + instance.capacity() * 4;
+  for (const FrameChannel& one : channels) sum += one.values.capacity() * sizeof(float);
+  return sum;
+}
 
 }  // namespace semfield

@@ -3,6 +3,8 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
+#include <string_view>
 #include <vector>
 
 #include "scene/scene.h"
@@ -32,7 +34,7 @@ class LabelMap {
   std::vector<std::int16_t> wide_;
 };
 
-/// z-depth in metres, 0 = invalid: two bytes a pixel where every value is a whole number of millimetres, else float.
+/// z-depth in metres, 0 = invalid: two bytes per pixel where every value is a whole number of millimetres, else float.
 class DepthMap {
  public:
   DepthMap() = default;
@@ -61,10 +63,16 @@ struct StoredFrame {
   DepthMap depth_m;
   LabelMap label;
   std::vector<std::int32_t> instance;
+  std::vector<FrameChannel> channels;
+
+  /// Null where the frame has none of the name.
+  const FrameChannel* channel(std::string_view name) const;
+  /// Its numbers at pixel `index`, row by row from the top; zeros where the frame has none.
+  void read_channel(std::string_view name, std::int32_t index, std::span<float> out) const;
 
   StoredFrame() = default;
   explicit StoredFrame(FrameBuffer frame);
-  std::size_t bytes() const { return rgb.capacity() + depth_m.bytes() + label.bytes() + instance.capacity() * 4; }
+  std::size_t bytes() const;
 };
 
 }  // namespace semfield

@@ -12,8 +12,8 @@
 #include "serve/named_places.h"
 #include "serve/point_learner.h"
 #include "serve/proposals.h"
-#include "serve/surface/surface_graph.h"
-#include "serve/surface/surface_pool.h"
+#include "surface/surface_graph.h"
+#include "surface/surface_pool.h"
 #include "session/training.h"
 
 namespace semfield {

@@ -7,12 +7,9 @@
 #include <functional>
 #include <iterator>
 
-#include "classes/class_names.h"
 #include "eval/metrics.h"
 #include "serve/mark_pixels.h"
 #include "serve/session_record.h"
-#include "settings/run_identity.h"
-#include "system/files.h"
 
 namespace semfield {
 
@@ -27,9 +24,8 @@ constexpr double kSlice_s = 0.03;            // of work on clicks, between steps
 constexpr std::size_t kLeastToFit = 10;      // clicks; and half as many again as at the last fit
 constexpr std::size_t kMostHistory = 600;
 constexpr double kHistoryEvery_s = 1;
-constexpr double kKeepAgain_s = 5;              // after files could not be written
-constexpr std::size_t kMostUnwritten = 100000;  // rows of the log, while they cannot be written
-constexpr std::size_t kGivenPixels = 48;        // of a class in a frame whose labels the configuration gives
+constexpr double kKeepAgain_s = 5;        // after files could not be written
+constexpr std::size_t kGivenPixels = 48;  // of a class in a frame whose labels the configuration gives
 constexpr std::size_t kMostGiven = 6000;
 constexpr double kGivenWeight = 0.1;  // where a click is 1: who clicks beside given labels corrects them
 
@@ -58,20 +54,12 @@ std::vector<int> held_out_frames(const Session& session) {
 
 }  // namespace
 
-LabelRun::LabelRun(OpenedForTraining opened, Registry& registry, TrainingListener* listener)
-    : registry_(registry),
-      folder_(std::move(*opened.folder)),
-      training_(std::move(opened.session), listener, std::move(opened.inputs)),
+LabelRun::LabelRun(OpenedForTraining opened, Registry& registry, RunListener* listener)
+    // Labels change with every click, so rounds of self-training are left to `train`; a full disk is waited for.
+    : run_(std::move(opened), registry, listener, {.rounds = false, .rows_wait = true}),
+      training_(run_.training()),
       loop_(training_, training_.session().drawn_frames(), {}, held_out_frames(training_.session())),
-      pictures_(training_, loop_),
-      checkpoints_(folder_.checkpoints_path(), training_.session().config.report.keep_checkpoints) {
-  write_run_records(folder_, training_, registry, opened.point);
-  classes_ = classes_written_ = named_classes(session().scene.info.classes).to_yaml();
-  if (opened.point.facts) {
-    training_.load(opened.point.path);
-    saved_step_ = training_.step();
-  }
-  log_.emplace(MetricsLog::resume(folder_.metrics_path(), training_.step()));
+      pictures_(training_, loop_) {
   view_of_frame_.assign(session().scene.frames.size(), -1);
   for (std::size_t v = 0; v < loop_.views().size(); ++v)
     view_of_frame_[static_cast<std::size_t>(loop_.views()[v].frame)] = static_cast<int>(v);
@@ -152,7 +140,6 @@ void LabelRun::take(const Annotations& annotations) {
   if (!changed.empty() && taken_) changed_step_ = training_.step();
   taken_ = true;
   marked_ = sums;
-  classes_ = named_classes(session().scene.info.classes).to_yaml();
   name_pixels(annotations, changed);
   marks_ = annotations.marks().size();
   pictures_.set_marks(annotations.marks(), view_of_frame_);
@@ -230,10 +217,9 @@ bool LabelRun::train(double budget_s) {
   const auto most = static_cast<std::int64_t>(std::clamp(budget_s / std::max(step_s_, 1e-5), 1.0, 256.0));
   std::int64_t made = 0;
   while (made < most) {
-    const std::span<const StepLosses> steps = training_.advance(most - made);
-    if (training_.take_settled()) write_run_config(folder_, session().config, registry_);
+    const std::span<const StepLosses> steps = run_.advance(most - made);
     made += std::ssize(steps);
-    record(steps);
+    show(steps);
   }
   const double spent = training_.train_s() - before;
   step_s_ = 0.8 * step_s_ + 0.2 * spent / static_cast<double>(made);
@@ -242,25 +228,11 @@ bool LabelRun::train(double budget_s) {
   return true;
 }
 
-void LabelRun::record(std::span<const StepLosses> steps) {
-  const std::int64_t every = session().config.report.log_every_steps;
-  for (std::size_t i = 0; i < steps.size(); ++i) {
-    const StepLosses& losses = steps[i];
-    const std::int64_t step = training_.step() - std::ssize(steps) + 1 + static_cast<std::int64_t>(i);
+void LabelRun::show(std::span<const StepLosses> steps) {
+  for (const StepLosses& losses : steps) {
     const double share = mse_ == 0 ? 1 : 0.05;
     mse_ += share * (losses.mse - mse_);
     loss_ += share * (losses.total - loss_);
-    if (step % every != 0) continue;
-    MetricsRow row;
-    row.step = step;
-    row.train_s = training_.train_s();
-    row.set("loss", losses.total);
-    row.set("loss_color", losses.color);
-    row.set("loss_semantic", losses.semantic);
-    row.set("psnr", -10 * std::log10(mse_));
-    row.set("rays_per_s", rays_per_s_);
-    row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(session().config.train.rays));
-    if (rows_.size() < kMostUnwritten) rows_.push_back(std::move(row));
   }
   if (!history_.empty() && training_.train_s() - history_.back().train_s < kHistoryEvery_s) return;
   history_.push_back({training_.train_s(), loss_, -10 * std::log10(mse_), static_cast<int>(marks_)});
@@ -305,7 +277,7 @@ bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
 
 void LabelRun::describe(LabelState& state) const {
   state.name = session().config.name;
-  state.run_dir = folder_.path();
+  state.run_dir = run_.run_dir();
   state.device = session().pipeline->executor().description();
   state.step = training_.step();
   state.train_s = training_.train_s();
@@ -366,31 +338,16 @@ void LabelRun::summarise() {
 
 void LabelRun::write_record(LabelState state) {
   describe(state);
-  write_session_record(folder_, session(), loop_, state);
-}
-
-bool LabelRun::checkpoint_is_due() const {
-  const double every = session().config.report.checkpoint_every_s;
-  return every > 0 && training_.step() != saved_step_ && seconds_since(last_save_) >= every;
+  write_session_record(folder(), session(), loop_, state);
 }
 
 bool LabelRun::keep_is_due() const { return !failed_to_keep_ || seconds_since(*failed_to_keep_) >= kKeepAgain_s; }
 
 void LabelRun::keep(bool checkpoint) {
   failed_to_keep_ = Clock::now();
-  for (; !rows_.empty(); rows_.pop_front()) log_->append(rows_.front());
-  if (classes_ != classes_written_) {
-    write_file_atomic(folder_.classes_path(), classes_);
-    classes_written_ = classes_;
-  }
-  if (checkpoint || checkpoint_is_due()) {
-    const std::vector<TensorRef> tensors = training_.state();
-    log_->sync();
-    const CheckpointFacts facts = training_.facts();
-    checkpoints_.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
-    saved_step_ = training_.step();
-    last_save_ = Clock::now();
-  }
+  run_.write_rows();
+  run_.write_classes();
+  if (checkpoint || run_.save_is_due()) run_.save();
   failed_to_keep_.reset();
 }
 

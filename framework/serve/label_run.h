@@ -3,16 +3,13 @@
 
 #include <chrono>
 #include <cstdint>
-#include <deque>
 #include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "labels/clicks/annotations.h"
-#include "run/checkpoint_store.h"
-#include "run/metrics_log.h"
-#include "run/run_start.h"
+#include "run/run_loop.h"
 #include "serve/label_loop.h"
 #include "serve/label_state.h"
 #include "serve/view_pictures.h"
@@ -22,10 +19,10 @@ namespace semfield {
 class LabelRun {
  public:
   /// `opened` has room for classes (scene.labels.class_room), so its network has semantics.
-  LabelRun(OpenedForTraining opened, Registry& registry, TrainingListener* listener);
+  LabelRun(OpenedForTraining opened, Registry& registry, RunListener* listener);
 
   const Session& session() const { return training_.session(); }
-  const RunFolder& folder() const { return folder_; }
+  const RunFolder& folder() const { return *run_.folder(); }
   const LabelLoop& loop() const { return loop_; }
   ViewPictures& pictures() { return pictures_; }
   std::int64_t step() const { return training_.step(); }
@@ -59,7 +56,7 @@ class LabelRun {
   };
   void summarise();
   bool still_learns() const;
-  void record(std::span<const StepLosses> steps);
+  void show(std::span<const StepLosses> steps);
   void ask();
   // Once the places of the clicks are known, which are looked for for about this long; true when it has learned.
   bool learn_new(double budget_s);
@@ -69,13 +66,10 @@ class LabelRun {
   // What nobody shall name in these frames.
   void ignore_pixels(const Annotations& annotations, std::span<const int> frames);
 
-  Registry& registry_;
-  RunFolder folder_;
-  Training training_;
+  RunLoop run_;
+  Training& training_;
   LabelLoop loop_;
   ViewPictures pictures_;
-  CheckpointStore checkpoints_;
-  std::optional<MetricsLog> log_;
   std::vector<int> view_of_frame_;
   std::vector<LabelledPixels> clicks_;  // and given labels
   std::vector<LabelledPixels> given_;
@@ -88,14 +82,10 @@ class LabelRun {
   std::vector<HeldBack> held_back_;
   std::optional<ProposalState> proposal_;
   std::uint64_t asked_ = 0;
-  std::int64_t changed_step_ = -1, saved_step_ = -1;
+  std::int64_t changed_step_ = -1;
   double mse_ = 0, loss_ = 0, rays_per_s_ = 0, step_s_ = 0.01, tending_s_ = 0, refining_s_ = 0, training_s_ = 0;
   std::vector<HistoryRow> history_;
-  std::deque<MetricsRow> rows_;            // not yet in the log
-  std::string classes_, classes_written_;  // of now as YAML, and what classes.yaml holds
   Summary summary_;
-  bool checkpoint_is_due() const;
-  Clock::time_point last_save_ = Clock::now();
   std::optional<Clock::time_point> failed_to_keep_;
 };
 

@@ -9,8 +9,8 @@
 #include <string>
 
 #include "plugin/registry.h"
+#include "run/run_listener.h"
 #include "serve/label_state.h"
-#include "session/training.h"
 
 namespace semfield {
 
@@ -24,7 +24,7 @@ struct LabelSessionOptions {
 class LabelSession {
  public:
   /// Opens scene and run; `listener` may be null. Throws as open_session and Training do.
-  LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options, TrainingListener* listener);
+  LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options, RunListener* listener);
   ~LabelSession();
   LabelSession(const LabelSession&) = delete;
   LabelSession& operator=(const LabelSession&) = delete;

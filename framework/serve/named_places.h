@@ -6,7 +6,7 @@
 #include <unordered_map>
 #include <vector>
 
-#include "serve/surface/surface_pool.h"
+#include "surface/surface_pool.h"
 
 namespace semfield {
 

@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "config/params.h"
-#include "serve/surface/surface_graph.h"
-#include "serve/surface/surface_pool.h"
+#include "surface/surface_graph.h"
+#include "surface/surface_pool.h"
 
 namespace semfield {
 

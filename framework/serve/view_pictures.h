@@ -8,7 +8,7 @@
 
 #include "serve/label_loop.h"
 #include "serve/label_state.h"
-#include "serve/surface/surface_sight.h"
+#include "serve/surface_sight.h"
 
 namespace semfield {
 
@@ -44,7 +44,7 @@ class ViewPictures {
   std::vector<SeenMark> seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own);
   std::vector<SeenMark> seen_in_picture();
   // How far from the surface what lies on it may seem to be.
-  double tolerance_m() const { return 1.5 * loop_.pool().cell_m; }
+  double tolerance_m() const { return 1.5 * loop_.pool().cell_m(); }
   RayCamera camera_for(const PictureRequest& request) const;
   void render_rows(double budget_s);
 

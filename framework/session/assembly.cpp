@@ -56,7 +56,6 @@ std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Regist
   return encoder;
 }
 
-// feature_dims: of the pass's field.
 // Those whose defaults learn nothing, for the position of a semantic branch.
 std::vector<std::string> smooth_encoders(const Registry& registry) {
   std::vector<std::string> names;
@@ -96,18 +95,25 @@ std::unique_ptr<SemanticBranchParts<Real>> make_branch(const PassConfig& pass, c
 }
 
 template <class Real>
+std::unique_ptr<Sampler<Real>> make_sampler(const PluginSlot& slot, const Registry& registry, const SceneExtent& extent,
+                                            Device device) {
+  SamplerBuild build;
+  build.device = device;
+  build.bounds = extent.bounds;
+  build.near_m = extent.near_m;
+  build.far_m = extent.far_m;
+  return make<Real>(slot.entry->sampler32, slot.entry->sampler64, slot, build, registry);
+}
+
+// `sampler` as in make_parts, null for the earlier passes.
+template <class Real>
 PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const Registry& registry,
-                          const BuildPlan& plan, const SceneExtent& extent, Device device) {
+                          const BuildPlan& plan, const SceneExtent& extent, Device device,
+                          std::unique_ptr<Sampler<Real>> sampler) {
   PassParts<Real> parts;
   parts.name = pass.name;
   parts.stages = &stages_of<Real>(device);
-  SamplerBuild sampler_build;
-  sampler_build.device = device;
-  sampler_build.bounds = extent.bounds;
-  sampler_build.near_m = extent.near_m;
-  sampler_build.far_m = extent.far_m;
-  parts.sampler =
-      make<Real>(pass.sampler.entry->sampler32, pass.sampler.entry->sampler64, pass.sampler, sampler_build, registry);
+  parts.sampler = sampler ? std::move(sampler) : make_sampler<Real>(pass.sampler, registry, extent, device);
   parts.position = make_encoder<Real>(pass.position, registry, extent, false, device, pass.key + ".position");
   parts.domain =
       DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
@@ -138,11 +144,14 @@ PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const
 
 template <class Real>
 std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-                                         const SceneExtent& extent, Device device = Device::cpu) {
+                                         const SceneExtent& extent, Device device,
+                                         std::unique_ptr<Sampler<Real>> last = {}) {
   std::vector<PassParts<Real>> passes;
   for (std::size_t p = static_cast<std::size_t>(plan.first_pass); p < config.passes.size(); ++p) {
     const PassConfig& pass = config.passes[p];
-    passes.push_back(make_pass<Real>(pass, config, registry, plan, extent, device));
+    std::unique_ptr<Sampler<Real>> sampler;
+    if (p + 1 == config.passes.size()) sampler = std::move(last);
+    passes.push_back(make_pass<Real>(pass, config, registry, plan, extent, device, std::move(sampler)));
     passes.back().number = static_cast<std::uint32_t>(p);
     if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
       throw Error(ErrorKind::config,
@@ -180,22 +189,27 @@ PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
 
 }  // namespace
 
-BuildRequest build_request(const RunConfig& config, const Registry& registry) {
+std::unique_ptr<Sampler<float>> make_last_sampler(const RunConfig& config, const Registry& registry,
+                                                  const SceneExtent& extent) {
+  return make_sampler<float>(config.passes.back().sampler, registry, extent, Device::cpu);
+}
+
+BuildRequest build_request(const RunConfig& config, const Registry&, const SamplerTraits& last_sampler) {
   BuildRequest request;
-  const PluginSlot& sampler = config.passes.back().sampler;
-  SamplerBuild build;  // a unit box: only the traits are asked
-  build.bounds = {{-1, -1, -1}, {1, 1, 1}};
-  build.near_m = 0.1;
-  build.far_m = 1;
-  const SamplerTraits traits = sampler.entry->sampler32(*sampler.params, build, registry.kernels())->traits();
-  request.last_sampler_single_pass = traits.single_pass;
-  request.empty_space = traits.empty_space;
+  request.last_sampler_single_pass = last_sampler.single_pass;
+  request.empty_space = last_sampler.empty_space;
   request.passes = static_cast<int>(config.passes.size());
   request.last_pass = config.passes.back().key;
   request.direction_encoder = config.passes.back().direction.entry != nullptr;
   request.density_noise = config.rendering.density_noise;
   request.early_stop = config.rendering.early_stop;
-  for (const LossEntry& entry : config.losses) request.losses.push_back(entry.type);
+  for (const PluginEntry* entry : registry.entries()) {
+    if (entry->kind != PluginKind::loss) continue;
+    const auto named = std::find_if(config.losses.begin(), config.losses.end(),
+                                    [&](const LossEntry& one) { return one.type == entry->name; });
+    const bool is_named = named != config.losses.end();
+    request.losses.push_back({entry->name, entry->saves, is_named, is_named ? named->loss->traits() : LossTraits{}});
+  }
   request.balance_classes = config.semantics.balance_classes;
   request.mixed_precision = config.runtime.precision != Precision::fp32;
   request.periodic_evaluation = config.report.eval_every_s > 0;
@@ -238,63 +252,76 @@ std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent&
   return lines;
 }
 
-bool needs_bounds(const RunConfig& config, const Registry& registry) {
-  EncoderBuild build;
-  for (const PassConfig& pass : config.passes) {
-    if (pass.position.entry->encoder32(*pass.position.params, build, registry.kernels())->traits().domain ==
-        Domain::unit_cube)
-      return true;
-  }
-  return false;
+template <class Real>
+bool NetworkParts<Real>::needs_bounds() const {
+  return std::any_of(passes.begin(), passes.end(),
+                     [](const PassParts<Real>& pass) { return pass.position->traits().domain == Domain::unit_cube; });
 }
 
-NetworkPlan plan_network(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-                         const SceneExtent& extent, bool trainable) {
-  const std::vector<PassParts<float>> passes = make_passes<float>(config, registry, plan, extent);
-  const PipelineOptions options = pipeline_options(config, plan, passes);
-  return plan_network<float>(pointers_to(passes), options, config.train.rays, thread_count(), trainable);
+template <class Real>
+NetworkPlan NetworkParts<Real>::plan(const RunConfig& config, bool trainable) const {
+  return plan_network<Real>(pointers_to(passes), options, config.train.rays, thread_count(), trainable);
 }
 
-int lanes_of(const RunConfig& config, const Registry& registry, const BuildPlan& plan, const SceneExtent& extent) {
-  return pipeline_options(config, plan, make_passes<float>(config, registry, plan, extent)).lanes;
+template <class Real>
+NetworkParts<Real> make_parts(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                              const SceneExtent& extent, std::unique_ptr<Sampler<Real>> last) {
+  NetworkParts<Real> parts;
+  parts.passes = make_passes<Real>(config, registry, plan, extent, Device::cpu, std::move(last));
+  parts.options = pipeline_options(config, plan, parts.passes);
+  parts.options.work.threads = config.runtime.threads;
+  return parts;
+}
+
+template <class Real>
+std::unique_ptr<Pipeline<Real>> assemble(NetworkParts<Real> parts, std::vector<float> class_weight, bool trainable) {
+  parts.options.class_weight = std::move(class_weight);
+  return std::make_unique<Pipeline<Real>>(std::move(parts.passes), std::move(parts.options), trainable);
 }
 
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable) {
-  std::vector<PassParts<Real>> passes = make_passes<Real>(config, registry, plan, extent);
-  PipelineOptions options = pipeline_options(config, plan, passes);
-  options.work.threads = config.runtime.threads;
-  options.class_weight = std::move(class_weight);
-  return std::make_unique<Pipeline<Real>>(std::move(passes), std::move(options), trainable);
+  return assemble(make_parts<Real>(config, registry, plan, extent), std::move(class_weight), trainable);
 }
 
-void say_slow_fields(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-                     const SceneExtent& extent, DeviceId device, Diagnostics& diagnostics) {
+namespace {
+
+void say_slow_fields(const RunConfig& config, const std::vector<PassParts<float>>& passes, Diagnostics& diagnostics) {
   const auto say = [&](const std::string& where, const Field<float>& field) {
     const auto* part = dynamic_cast<const SlowPath*>(&field);
     const std::string found = part == nullptr ? "" : part->slow_path();
     if (!found.empty()) diagnostics.warning(where, found);
   };
-  for (const PassParts<float>& pass : make_passes<float>(config, registry, plan, extent, device.kind)) {
+  for (const PassParts<float>& pass : passes) {
     const PassConfig& written = config.passes[pass.number];
     say(written.key + ".field", *pass.field);
     if (pass.branch) say(written.key + "." + written.branch()->key + ".field", *pass.branch->field);
   }
 }
 
-void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-            const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable, Ranks* ranks) {
-  std::unique_ptr<Executor<float>> executor;  // a pipeline begins on the processor
-  if (device.kind != Device::cpu) {
-    DeviceOptions options{device.ordinal, trainable, config.runtime.deterministic};
-    options.ranks = ranks;
-    executor = cuda_library().make(pipeline, make_passes<float>(config, registry, plan, extent, device.kind), options);
+}  // namespace
+
+void run_on(const RunOn& how, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+            const SceneExtent& extent, Pipeline<float>& pipeline) {
+  std::unique_ptr<Executor<float>> executor;  // a pipeline begins on the CPU
+  if (how.device.kind != Device::cpu) {
+    DeviceOptions options{how.device.ordinal, how.trainable, config.runtime.deterministic};
+    options.kernels = &registry.kernels();
+    options.ranks = how.ranks;
+    std::vector<PassParts<float>> passes = make_passes<float>(config, registry, plan, extent, how.device.kind);
+    if (how.diagnostics != nullptr) say_slow_fields(config, passes, *how.diagnostics);
+    executor = cuda_library().make(pipeline, std::move(passes), options);
   }
-  if (ranks != nullptr) executor = std::make_unique<RanksExecutor>(*ranks, pipeline, std::move(executor));
+  if (how.ranks != nullptr) executor = std::make_unique<RanksExecutor>(*how.ranks, pipeline, std::move(executor));
   if (executor) pipeline.run_on(std::move(executor));
 }
 
+template struct NetworkParts<float>;
+template struct NetworkParts<double>;
+template NetworkParts<float> make_parts<float>(const RunConfig&, const Registry&, const BuildPlan&, const SceneExtent&,
+                                               std::unique_ptr<Sampler<float>>);
+template std::unique_ptr<Pipeline<float>> assemble<float>(NetworkParts<float>, std::vector<float>, bool);
 template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
                                                           const SceneExtent&, std::vector<float>, bool);
 template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,

@@ -13,8 +13,8 @@
 
 namespace semfield {
 
-/// What the plan needs to know of the config.
-BuildRequest build_request(const RunConfig& config, const Registry& registry);
+/// What the plan needs to know of the config, and of the sampler of its last pass (make_last_sampler).
+BuildRequest build_request(const RunConfig& config, const Registry& registry, const SamplerTraits& last_sampler);
 
 /// Facts of the scene that components may size themselves by.
 struct SceneExtent {
@@ -30,30 +30,55 @@ SceneExtent extent_of(const RunConfig& config, double pixel_footprint_m);
 /// Lets position encoders replace what they choose from the scene by numbers; "passes.NAME.position: sentence" each.
 std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent, Device device);
 
-/// True when a position encoder of the plan's passes lives in the unit cube: rays must then be clipped to the bounds.
-bool needs_bounds(const RunConfig& config, const Registry& registry);
+/// The sampler of the last pass, which every plan keeps: the plan asks for its traits before a network is built.
+std::unique_ptr<Sampler<float>> make_last_sampler(const RunConfig& config, const Registry& registry,
+                                                  const SceneExtent& extent);
 
-/// What the pipeline will hold, before it is assembled: steps of train.rays rays on thread_count() threads.
-NetworkPlan plan_network(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-                         const SceneExtent& extent, bool trainable);
+/// A network before its tensors are allocated: the parts of its passes for one device, built once. What depends on them
+/// is asked of them.
+template <class Real>
+struct NetworkParts {
+  std::vector<PassParts<Real>> passes;
+  PipelineOptions options;  ///< without class weights; `lanes` is runtime.lanes, or where it is 0 what the run gets
 
-/// runtime.lanes, or where it is 0 the number that the run gets; for run.yaml.
-int lanes_of(const RunConfig& config, const Registry& registry, const BuildPlan& plan, const SceneExtent& extent);
+  /// Whether a position encoder lives in the unit cube: rays must then be clipped to the bounds.
+  bool needs_bounds() const;
+  /// What the pipeline will hold: steps of train.rays rays on thread_count() threads.
+  NetworkPlan plan(const RunConfig& config, bool trainable) const;
+};
 
-/// Real = float trains and renders; double is the oracle of the tests. `class_weight` [C logits] or empty.
+/// `last`, where given, becomes the sampler of the last pass; it was made for the same `extent`. Throws Error(config)
+/// naming parts that do not go together.
+template <class Real>
+NetworkParts<Real> make_parts(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+                              const SceneExtent& extent, std::unique_ptr<Sampler<Real>> last = {});
+
+/// The pipeline of the parts. `class_weight` [C logits] or empty.
+template <class Real>
+std::unique_ptr<Pipeline<Real>> assemble(NetworkParts<Real> parts, std::vector<float> class_weight, bool trainable);
+
+/// Both in one. Real = float trains and renders; double is the oracle of the tests.
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
 
-/// A finding for each field that computes more slowly on `device` than other settings of it would.
-void say_slow_fields(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-                     const SceneExtent& extent, DeviceId device, Diagnostics& diagnostics);
+/// How a pipeline runs on a device.
+struct RunOn {
+  DeviceId device;  ///< that chosen_device gave
+  bool trainable = true;
+  Ranks* ranks = nullptr;  ///< whose devices run it too: they call run_on together
+  Diagnostics* diagnostics =
+      nullptr;  ///< gets a finding for each field that is slower than other settings of it would be
+};
 
-/// From now on `pipeline` trains and renders on `device`, which chosen_device gave, and with it on those of all `ranks`
-/// where these are given: they call this together.
-void run_on(DeviceId device, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-            const SceneExtent& extent, Pipeline<float>& pipeline, bool trainable, Ranks* ranks = nullptr);
+/// From now on `pipeline` trains and renders on the device. The CPU runs the parts that the pipeline has; another
+/// device gets parts of its own.
+void run_on(const RunOn& how, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
+            const SceneExtent& extent, Pipeline<float>& pipeline);
 
+extern template NetworkParts<float> make_parts<float>(const RunConfig&, const Registry&, const BuildPlan&,
+                                                      const SceneExtent&, std::unique_ptr<Sampler<float>>);
+extern template std::unique_ptr<Pipeline<float>> assemble<float>(NetworkParts<float>, std::vector<float>, bool);
 extern template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
                                                                  const SceneExtent&, std::vector<float>, bool);
 extern template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,

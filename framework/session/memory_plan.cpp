@@ -183,7 +183,7 @@ std::vector<std::string> settings_that_fit(RunConfig& config, const Registry& re
   std::vector<Setting> found;
   const std::size_t aim = allowed - allowed / 50;  // another start of the program holds a little more or less
   const auto peak = [&](const MemoryFacts& with) {
-    return plan_memory(config, with, plan_network(config, registry, plan, extent, true)).peak();
+    return plan_memory(config, with, make_parts<float>(config, registry, plan, extent).plan(config, true)).peak();
   };
   for (const Lever& lever : levers_of(config)) {
     const std::int64_t value = largest_that_fits(lever.lowest, lever.now, [&](std::int64_t v) {

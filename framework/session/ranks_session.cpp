@@ -63,12 +63,13 @@ Follower assemble_follower(Ranks& ranks, Registry& registry, const Building& bui
   const KnownScene known = *read_manifest_text({{"scene", manifest}});
   made.device = device_of(ranks, {building.cuda != 0 ? Device::cuda : Device::cpu, building.ordinal});
   if (made.device.kind != Device::cpu) add_cuda_kernels(registry);
-  BuildRequest request = build_request(made.config, registry);
+  made.extent = extent_of(made.config, known.pixel_footprint_m);
+  std::unique_ptr<Sampler<float>> last = make_last_sampler(made.config, registry, made.extent);
+  BuildRequest request = build_request(made.config, registry, last->traits());
   request.no_cuda.clear();
   made.plan = plan_build(known.manifest, request, made.config.runtime.keep);
-  made.extent = extent_of(made.config, known.pixel_footprint_m);
-  made.pipeline =
-      assemble<float>(made.config, registry, made.plan, made.extent, std::move(class_weight), building.trainable != 0);
+  made.pipeline = assemble(make_parts<float>(made.config, registry, made.plan, made.extent, std::move(last)),
+                           std::move(class_weight), building.trainable != 0);
   return made;
 }
 
@@ -82,8 +83,8 @@ void serve_session(Ranks& ranks, Registry& registry, const Building& building) {
   try {
     agree(ranks, [&] { made = assemble_follower(ranks, registry, building, config, manifest, class_weight); });
     agree(ranks, [&] {
-      run_on(made.device, made.config, registry, made.plan, made.extent, *made.pipeline, building.trainable != 0,
-             &ranks);
+      run_on({made.device, building.trainable != 0, &ranks}, made.config, registry, made.plan, made.extent,
+             *made.pipeline);
     });
   } catch (const RankLost&) {
     throw;
@@ -98,22 +99,23 @@ void serve_session(Ranks& ranks, Registry& registry, const Building& building) {
 
 }  // namespace
 
-void lead(Ranks& ranks, Session& session, Registry& registry, DeviceId device, bool trainable) {
+void lead(Ranks& ranks, Session& session, Registry& registry, RunOn how) {
   std::string config = write_config(resolved_config(session.config));
   std::string manifest = manifest_text({session.manifest, session.scene.pixel_footprint_m});
   std::vector<float> class_weight = session.pipeline->options().class_weight;
-  Building building{
-      config.size(), manifest.size(), class_weight.size(), trainable ? 1 : 0, device.kind != Device::cpu ? 1 : 0,
-      device.ordinal};
+  Building building{config.size(),
+                    manifest.size(),
+                    class_weight.size(),
+                    how.trainable ? 1 : 0,
+                    how.device.kind != Device::cpu ? 1 : 0,
+                    how.device.ordinal};
   broadcast(ranks, building);
   ranks.broadcast(bytes_of(config));
   ranks.broadcast(bytes_of(manifest));
   ranks.broadcast(bytes_of(class_weight));
-  DeviceId own;
-  agree(ranks, [&] { own = device_of(ranks, device); });
-  agree(ranks, [&] {
-    run_on(own, session.config, registry, session.plan, session.extent, *session.pipeline, trainable, &ranks);
-  });
+  agree(ranks, [&] { how.device = device_of(ranks, how.device); });
+  how.ranks = &ranks;
+  agree(ranks, [&] { run_on(how, session.config, registry, session.plan, session.extent, *session.pipeline); });
 }
 
 void follow(Ranks& ranks, Registry& registry) {

@@ -10,9 +10,9 @@
 namespace semfield {
 
 /// Rank 0, once `session` has its plan and its pipeline on the processor: the other ranks assemble the same network,
-/// and from now on it runs on `device` of all ranks. Device `cuda` is a device for each rank of a host, in turn. Throws
-/// what a rank could not do, with its name; the others then wait for another session.
-void lead(Ranks& ranks, Session& session, Registry& registry, DeviceId device, bool trainable);
+/// and from now on it runs on the device of all ranks that `how` names. Device `cuda` is a device for each rank of a
+/// host, in turn. Throws what a rank could not do, with its name; the others then wait for another session.
+void lead(Ranks& ranks, Session& session, Registry& registry, RunOn how);
 
 /// What the other ranks do until rank 0 calls dismiss: they serve the sessions that it leads, one after the other.
 /// Throws RankLost.

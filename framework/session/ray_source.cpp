@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 
 #include "compute/parallel.h"
 #include "core/check.h"
@@ -11,17 +12,10 @@
 
 namespace semfield {
 
-void BatchBuffers::resize(std::int64_t rays, std::int32_t classes, bool with_depth) {
-  const auto n = static_cast<std::size_t>(rays);
-  origin.resize(3 * n);
-  direction.resize(3 * n);
-  near_far.resize(2 * n);
-  target.resize(3 * n);
-  label.resize(n);
-  depth.resize(with_depth ? n : 0);
-  choices.resize(n);
-  soft_classes = classes;
-  soft.resize(n * static_cast<std::size_t>(classes));
+std::vector<float>& BatchBuffers::of(std::string_view name) {
+  const auto found = std::find_if(more.begin(), more.end(), [&](const Channel& one) { return one.name == name; });
+  SEMFIELD_CHECK(found != more.end(), "the batch has no such channel");
+  return found->values;
 }
 
 RayBatch BatchBuffers::view(bool with_labels) const {
@@ -30,13 +24,21 @@ RayBatch BatchBuffers::view(bool with_labels) const {
   batch.origin = {origin.data(), rays, 3};
   batch.direction = {direction.data(), rays, 3};
   batch.near_far = {near_far.data(), rays, 2};
-  batch.target = {target.data(), rays, 3};
-  if (with_labels) batch.label = {label.data(), rays, 1};
-  if (with_labels && soft_classes > 0) batch.soft = {soft.data(), rays, soft_classes};
-  if (!depth.empty()) batch.depth = {depth.data(), rays, 1};
-  batch.label_only_share = label_only_share;
+  batch.targets.color = {target.data(), rays, 3};
+  if (with_labels) batch.targets.label = {label.data(), rays, 1};
+  for (const Channel& one : more) {
+    if (with_labels || one.name != channel::soft_label)
+      batch.targets.more.set(one.name, {one.values.data(), rays, one.cols});
+  }
+  if (!label_only.empty()) batch.label_only = {label_only.data(), std::ssize(label_only), 1};
+  batch.tile_rays = tile_rays;
   batch.terms = terms;
   return batch;
+}
+
+std::int64_t label_only_rays(double share, std::int64_t begin, std::int64_t end) {
+  return static_cast<std::int64_t>(std::floor(static_cast<double>(end) * share)) -
+         static_cast<std::int64_t>(std::floor(static_cast<double>(begin) * share));
 }
 
 Error no_labelled_pixel() {
@@ -69,9 +71,42 @@ void RaySource::relabel() {
   for (const std::int16_t logit : logit_of_class_) {
     if (soft) soft_logits_ = std::max(soft_logits_, static_cast<std::int32_t>(logit) + 1);
   }
+  list_targets();
   if (options_.train.ray_source != RaySourceKind::label_balanced) return;
   index_labels();
   if (!balanced() && !options_.labels_may_come) throw no_labelled_pixel();
+}
+
+// Soft labels come without being asked for: the cross-entropy reads them.
+void RaySource::list_targets() {
+  targets_.clear();
+  if (soft_logits_ > 0) targets_.push_back({std::string(channel::soft_label), soft_logits_, Target::From::soft_label});
+  for (const std::string& name : options_.targets) {
+    if (name == channel::color || name == channel::label || name == channel::soft_label) continue;
+    if (name == channel::depth) {
+      targets_.push_back({name, 1, Target::From::depth});
+      continue;
+    }
+    const auto with = std::find_if(frames_.begin(), frames_.end(),
+                                   [&](const TrainFrame& frame) { return frame.pixels->channel(name) != nullptr; });
+    if (with != frames_.end()) targets_.push_back({name, with->pixels->channel(name)->cols, Target::From::frame});
+  }
+}
+
+void RaySource::resize(BatchBuffers& batch) const {
+  const auto n = static_cast<std::size_t>(options_.train.rays);
+  batch.origin.resize(3 * n);
+  batch.direction.resize(3 * n);
+  batch.near_far.resize(2 * n);
+  batch.target.resize(3 * n);
+  batch.label.resize(n);
+  batch.choices.resize(n);
+  batch.more.resize(targets_.size());
+  for (std::size_t i = 0; i < targets_.size(); ++i) {
+    batch.more[i].name = targets_[i].name;
+    batch.more[i].cols = targets_[i].cols;
+    batch.more[i].values.resize(n * static_cast<std::size_t>(targets_[i].cols));
+  }
 }
 
 void RaySource::index_labels() {
@@ -222,22 +257,31 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
   const auto s = static_cast<std::size_t>(row);
   const double cosine = cast_ray(frame.camera, limits_, index % width, index / width, &batch.origin[3 * s],
                                  &batch.direction[3 * s], &batch.near_far[2 * s]);
-  if (options_.with_depth) batch.depth[s] = depth_of(choice, cosine, &batch.near_far[2 * s]);
   for (std::size_t i = 0; i < 3; ++i) {
     batch.target[3 * s + i] = static_cast<float>(frame.pixels->rgb[3 * static_cast<std::size_t>(index) + i]) / 255.0F;
   }
   batch.label[s] = choice.label;
-  if (soft_logits_ == 0) return;
-  const auto logits = static_cast<std::size_t>(soft_logits_);
-  soft_label_of(choice.pixel, std::span(batch.soft).subspan(s * logits, logits));
+  for (std::size_t i = 0; i < targets_.size(); ++i) {
+    const auto cols = static_cast<std::size_t>(targets_[i].cols);
+    const std::span<float> out = std::span(batch.more[i].values).subspan(s * cols, cols);
+    switch (targets_[i].from) {
+      case Target::From::soft_label:
+        soft_label_of(choice.pixel, out);
+        break;
+      case Target::From::depth:
+        out[0] = depth_of(choice, cosine, &batch.near_far[2 * s]);
+        break;
+      case Target::From::frame:
+        frame.pixels->read_channel(targets_[i].name, index, out);
+        break;
+    }
+  }
 }
 
 // Pieces of tiles, so that a tile that is the whole batch occupies every thread too: choose and count, then write.
 void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
   constexpr std::int64_t kPiece = 256;
-  batch.resize(options_.train.rays, soft_logits_, options_.with_depth);
-  const bool apart = balanced() && !options_.train.label_rays_teach_color;
-  batch.label_only_share = apart ? options_.train.labelled_share : 0;
+  resize(batch);
   const std::int64_t tile_rays = std::min(options_.tile_rays, options_.train.rays);
   const std::int64_t tiles = (options_.train.rays + tile_rays - 1) / tile_rays;
   const std::int64_t pieces_each = (tile_rays + kPiece - 1) / kPiece;
@@ -257,10 +301,15 @@ void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
       ++piece.count[static_cast<std::size_t>(group)];
     }
   });
+  const bool apart = balanced() && !options_.train.label_rays_teach_color;
+  batch.label_only.assign(apart ? static_cast<std::size_t>(tiles) : 0, 0);
+  batch.tile_rays = tile_rays;
   for (std::int64_t tile = 0; tile < tiles; ++tile) {
     const auto of_tile =
         std::span(pieces).subspan(static_cast<std::size_t>(tile * pieces_each), static_cast<std::size_t>(pieces_each));
     std::int64_t row = of_tile.front().begin;
+    for (const Piece& piece : of_tile)
+      if (apart) batch.label_only[static_cast<std::size_t>(tile)] += piece.count[0];
     for (std::size_t group = 0; group < of_tile.front().count.size(); ++group) {
       for (Piece& piece : of_tile) {
         piece.row[group] = row;

@@ -37,11 +37,15 @@ struct BatchBuffers {
   std::vector<double> origin, direction, near_far;
   std::vector<float> target;
   std::vector<std::int16_t> label;  ///< the most probable class where labels are soft
-  std::vector<float> soft;          ///< [rays * soft_classes]
-  std::int32_t soft_classes = 0;    ///< 0: labels are hard
-  std::vector<float> depth;         ///< RayBatch::depth
-  double label_only_share = 0;      ///< RayBatch::label_only_share
-  std::uint32_t terms = ~0U;        ///< RayBatch::terms
+  struct Channel {
+    std::string name;
+    std::int32_t cols = 0;
+    std::vector<float> values;  ///< [rays * cols]
+  };
+  std::vector<Channel> more;             ///< RayTargets::more
+  std::vector<std::int64_t> label_only;  ///< RayBatch::label_only, of tiles of tile_rays
+  std::int64_t tile_rays = 0;
+  std::uint32_t terms = ~0U;  ///< RayBatch::terms
   struct Choice {
     TrainPixel pixel;
     std::int16_t label = 0;
@@ -54,17 +58,22 @@ struct BatchBuffers {
   /// Scratch of RaySource::fill: of the rays in the order of their numbers, and of pieces of tiles.
   std::vector<Choice> choices;
   std::vector<Piece> pieces;
-  void resize(std::int64_t rays, std::int32_t soft_classes = 0, bool with_depth = false);
+  /// Values of the channel, which must be there.
+  std::vector<float>& of(std::string_view name);
   RayBatch view(bool with_labels) const;
 };
 
 struct RaySourceOptions {
   TrainParams train;             ///< rays a step, and where they come from
   bool labels_may_come = false;  ///< label_balanced draws from all pixels as long as none has a label; else an error
-  bool with_depth = false;       ///< batches tell the depth of their rays
+  std::vector<std::string> targets;  ///< channels that batches carry beside colour and labels, as the losses read them
   std::uint64_t seed = 1;
   std::int64_t tile_rays = 32;
 };
+
+/// How many of the rays [begin, end) of a step are drawn for their labels: every ray whose running share crosses an
+/// integer, so that the count of a batch does not depend on its tiles.
+std::int64_t label_only_rays(double share, std::int64_t begin, std::int64_t end);
 
 class RaySource {
  public:
@@ -105,11 +114,19 @@ class RaySource {
   std::string place_of(const Pixel& pixel) const;
   void soft_label_of(const Pixel& pixel, std::span<float> out) const;
   float depth_of(const BatchBuffers::Choice& choice, double cosine, const double* near_far) const;
+  void resize(BatchBuffers& batch) const;
   void write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const;
 
   std::vector<TrainFrame> frames_;
   std::vector<std::int16_t> logit_of_class_;
   std::int32_t soft_logits_ = 0;  // logits a soft label spreads over; 0: every label is hard
+  struct Target {
+    std::string name;
+    std::int32_t cols = 0;
+    enum class From : std::uint8_t { soft_label, depth, frame } from = From::frame;
+  };
+  std::vector<Target> targets_;  // that batches carry beside colour and labels
+  void list_targets();
   RayLimits limits_;
   RaySourceOptions options_;
   // Labelled pixels by rank, for label_balanced alone: pixels of the labelled frames in blocks of kBlock, and how many

@@ -140,9 +140,14 @@ void choose_by_labels(Session& s, bool labels_made, bool trainable, Diagnostics&
   if (!rays.empty()) s.chosen_by_labels.push_back(rays);
 }
 
-// Scene, labels, manifest and plan: all that does not depend on how large the scene is.
+SceneExtent extent_of(const Session& s) {
+  return {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m,
+          s.config.rendering.outside == Outside::contracted};
+}
+
+// Scene, labels, manifest and plan. `last` is the sampler that the plan has asked, made for the scene's extent of now.
 Session load_session(RunConfig config, Registry& registry, const SessionOptions& options, const ChosenDevice& chosen,
-                     Diagnostics& diagnostics) {
+                     std::unique_ptr<Sampler<float>>& last, Diagnostics& diagnostics) {
   Session s;
   s.config = std::move(config);
   DatasetBuild dataset_build;
@@ -152,8 +157,9 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   const bool make_labels = !options.known || options.labels;
   load.pixels = options.pixels || !options.known;
   load.check_geometry = load.check_geometry && !options.known;  // a run that was trained is evaluated as it is
+  if (options.trainable) load.channels = targets_of(s.config.losses);
   load.with_instances = make_labels && s.config.labels.needs_instances();
-  const bool of_losses = options.trainable && losses_read_depth(s.config.losses);
+  const bool of_losses = options.trainable && losses_read(s.config.losses, channel::depth);
   const bool needs_depth =
       of_losses || options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
   load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
@@ -170,7 +176,8 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   diagnostics.throw_if_errors(ErrorKind::data, "the labels have problems:");
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
-  BuildRequest request = build_request(s.config, registry);
+  last = make_last_sampler(s.config, registry, extent_of(s));
+  BuildRequest request = build_request(s.config, registry, last->traits());
   request.no_cuda = chosen.no_cuda;
   request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
   if (of_losses) {
@@ -179,6 +186,9 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
     request.depth_frames = depth.frames;
     request.depth_px = depth.pixels;
   }
+  for (const int f : s.scene.frames_of(Split::train))
+    for (const FrameChannelInfo& one : s.scene.info.frames[static_cast<std::size_t>(f)].channels)
+      request.channels.insert(one.name);
   s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
   drop_losses(s);
   choose_by_labels(s, make_labels, options.trainable, diagnostics);
@@ -186,13 +196,11 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
 }
 
 // Derived values become part of the resolved configuration, so that a later session cannot derive others.
-void fix_extent(Session& s, const Registry& registry, DeviceId device) {
-  const bool contracted = s.config.rendering.outside == Outside::contracted;
-  s.extent = {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m, contracted};
+void fix_extent(Session& s, DeviceId device) {
+  s.extent = extent_of(s);
   s.limits.near_m = s.scene.near_m;
   s.limits.far_m = s.scene.far_m;
   s.limits.bounds = s.scene.bounds;
-  s.limits.clip = !contracted && needs_bounds(s.config, registry);
   const Box& b = s.scene.bounds;
   s.config.load.near_m = s.scene.near_m;
   s.config.load.far_m = s.scene.far_m;
@@ -200,13 +208,17 @@ void fix_extent(Session& s, const Registry& registry, DeviceId device) {
   s.chosen = choose_from_scene(s.config, s.extent, device.kind);
 }
 
-void build_session(Session& s, Registry& registry, const SessionOptions& options, DeviceId device) {
-  s.config.runtime.lanes = lanes_of(s.config, registry, s.plan, s.extent);  // derived, as the extent is
+// The network is built once, `last` in it; what else depends on its parts is asked of them.
+void build_session(Session& s, Registry& registry, const SessionOptions& options, RunOn how,
+                   std::unique_ptr<Sampler<float>> last) {
+  if (options.trainable) measure_scene(s);
+  NetworkParts<float> parts = make_parts<float>(s.config, registry, s.plan, s.extent, std::move(last));
+  s.limits.clip = !s.extent.contracted && parts.needs_bounds();
+  s.config.runtime.lanes = parts.options.lanes;  // derived, as the extent is
   if (options.trainable) {
-    measure_scene(s);
-    NetworkPlan network = plan_network(s.config, registry, s.plan, s.extent, true);
+    NetworkPlan network = parts.plan(s.config, true);
     // The host then holds the tensors alone.
-    if (device.kind != Device::cpu) network.activations = network.logits = network.step_rows = network.density = 0;
+    if (how.device.kind != Device::cpu) network.activations = network.logits = network.step_rows = network.density = 0;
     s.memory = plan_memory(s.config, s.memory_facts, network);
     require_memory(s.config, registry, s.plan, s.extent, s.memory_facts, s.memory);
   }
@@ -218,18 +230,19 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
       pixels.push_back(s.manifest.train_class_pixels[static_cast<std::size_t>(c)]);
     class_weight = inverse_log_frequency_weights(pixels);
   }
-  s.pipeline = assemble<float>(s.config, registry, s.plan, s.extent, std::move(class_weight), options.trainable);
+  s.pipeline = assemble(std::move(parts), std::move(class_weight), options.trainable);
   add_built_rows(built_parts(s, options.ranks), s.plan);
   if (options.ranks != nullptr) {
-    lead(*options.ranks, s, registry, device, options.trainable);
+    lead(*options.ranks, s, registry, how);
   } else {
-    run_on(device, s.config, registry, s.plan, s.extent, *s.pipeline, options.trainable);
+    run_on(how, s.config, registry, s.plan, s.extent, *s.pipeline);
   }
 }
 
 // The scene is lent to a session of its own, whose sizes the guess chooses; only what it sees comes back.
+// The network of the probe is another one: its tables and grids are sized by the bounds that it is to find.
 void probe_bounds(Session& s, Registry& registry, const SessionOptions& options, DeviceId device,
-                  Diagnostics& diagnostics) {
+                  std::unique_ptr<Sampler<float>> last, Diagnostics& diagnostics) {
   Diagnostics ignored;
   Session probe;
   probe.config = read_run_config(resolved_config(s.config).without("plugins"), registry, ignored);
@@ -238,10 +251,10 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
   probe.manifest = s.manifest;
   probe.plan = s.plan;
   probe.memory_facts = s.memory_facts;
-  fix_extent(probe, registry, device);
+  fix_extent(probe, device);
   SessionOptions alone = options;
   alone.ranks = nullptr;
-  build_session(probe, registry, alone, device);
+  build_session(probe, registry, alone, {device, options.trainable}, std::move(last));
   const std::optional<SurveyedExtent> seen = probe_extent(probe);
   s.scene = std::move(probe.scene);
   s.labels = std::move(probe.labels);
@@ -275,18 +288,19 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
     check_length(config, never);
     never.throw_if_errors(ErrorKind::config, "");
   }
-  Session s = load_session(std::move(config), registry, options, chosen, diagnostics);
+  std::unique_ptr<Sampler<float>> last;  // a probe takes it along, for its extent is another one
+  Session s = load_session(std::move(config), registry, options, chosen, last, diagnostics);
   s.memory_facts.program = program_bytes;
-  if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, diagnostics);
-  fix_extent(s, registry, device);
+  if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, std::move(last), diagnostics);
+  fix_extent(s, device);
   if (options.trainable) say_slow_paths(s.config, registry, device, bf16_is_native(), diagnostics);
   if (options.trainable && !s.plan.semantics && !s.config.self_training.at.empty()) {
     diagnostics.warning("train.self_training", "there are no labels to begin with, so no round gives any",
                         "give the scene labels, or set train.self_training.at to []");
   }
-  if (options.trainable && device.kind != Device::cpu)
-    say_slow_fields(s.config, registry, s.plan, s.extent, device, diagnostics);
-  if (options.build) build_session(s, registry, options, device);
+  Diagnostics* const slow_fields = options.trainable ? &diagnostics : nullptr;
+  if (options.build)
+    build_session(s, registry, options, {device, options.trainable, nullptr, slow_fields}, std::move(last));
   return s;
 }
 
@@ -337,7 +351,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   }
   RaySourceOptions options;
   options.train = config.train;
-  options.with_depth = losses_read_depth(config.losses);
+  options.targets = targets_of(config.losses);
   const std::vector<std::int64_t>& pixels = manifest.train_class_pixels;
   const bool none = std::all_of(pixels.begin(), pixels.end(), [](std::int64_t count) { return count == 0; });
   options.labels_may_come = config.labels.selection.class_room > 0 || (plan.semantics && none);
@@ -360,61 +374,6 @@ ConfusionMatrix score_training_labels(const Session& s, const std::vector<int>& 
   });
   for (const ConfusionMatrix& part : parts) score.merge(part);
   return score;
-}
-
-std::string describe_session(const Session& s) {
-  const WorkSettings work = s.work();
-  const WorkScope scope(work);
-  std::string out;
-  const auto add = [&](const std::string& line) { out += line + "\n"; };
-  const std::vector<int> train = s.scene.frames_of(Split::train), test = s.scene.frames_of(Split::test);
-  const FrameInfo& first = s.scene.info.frames.at(static_cast<std::size_t>(train.empty() ? 0 : train.front()));
-  const Vec3d size = s.extent.bounds.size();
-  add(fmt::format("scene     {}: {} training and {} test frames at {}x{}, {} classes, labels on {} training frames",
-                  s.scene.info.name, train.size(), test.size(), first.camera.width_px, first.camera.height_px,
-                  s.classes(), s.manifest.labelled_frames));
-  if (s.config.labels.from.reader) add("labels    from " + s.config.labels.from.type);
-  for (const TrainingLabels::Step& step : s.labels.steps) {
-    std::vector<std::string> facts;
-    for (const auto& [name, value] : step.facts) facts.push_back(name + " " + value);
-    add("labels    " + step.type + ": " + join(facts));
-  }
-  add(fmt::format("bounds    {:.2f} x {:.2f} x {:.2f} {} (from {}), near {:.3g}, far {:.3g} (from {})", size.x, size.y,
-                  size.z, s.scene.info.metric ? "m" : "units", s.scene.bounds_from, s.extent.near_m, s.extent.far_m,
-                  s.scene.near_far_from));
-  if (s.pipeline) {
-    for (const Pass<float>& pass : s.pipeline->passes()) {
-      std::string slots;
-      for (const PassConfig& p : s.config.passes) {
-        if (p.name != pass.parts().name) continue;
-        slots = p.sampler.entry->name + ", " + p.position.entry->name + " (" +
-                std::to_string(pass.parts().position->traits().out_dims) + ")";
-        if (pass.parts().direction) slots += ", direction " + p.direction.entry->name;
-        slots += ", " + p.field.entry->name;
-        if (pass.parts().branch) {
-          slots += ", semantics by " + p.branch()->position.entry->name + " (" +
-                   std::to_string(pass.parts().branch->position->traits().out_dims) + ") and " +
-                   p.branch()->field.entry->name;
-        }
-      }
-      add(fmt::format(
-          "pass      {}: {}{}", pass.parts().name, slots,
-          pass.parts().head ? fmt::format(", {} classes", pass.parts().head->classes()) : ", no semantics"));
-    }
-    add(fmt::format(
-        "learned   {} parameters; {} of {} rays, tiles of {}, {} lanes, {} threads",
-        s.pipeline->store().learned_count(),
-        (last_step(s.config) > 0 ? "" : "as many steps as fit into ") + length_text(s.config),
-        s.config.train.rays, s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
-    out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
-  }
-  for (const std::string& line : s.choices()) add("chosen    " + line);
-  for (const LeftOut& row : s.plan.left_out) {
-    add(fmt::format("left out  {} [{}]: {}; this saves {}", row.component, static_cast<char>(row.proof), row.evidence,
-                    row.saving));
-  }
-  for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");
-  return out;
 }
 
 }  // namespace semfield

@@ -68,7 +68,7 @@ std::uint32_t Trainer::terms_of(std::int64_t step) const {
   std::uint32_t terms = 0;
   const std::vector<LossEntry>& entries = pipeline_.options().losses.entries();
   for (std::size_t i = 0; i < entries.size(); ++i)
-    if (step >= step_of_share(entries[i].term->rule.from_step, steps_, schedule_)) terms |= 1U << i;
+    if (step >= step_of_share(entries[i].loss->rule().from_step, steps_, schedule_)) terms |= 1U << i;
   return terms;
 }
 

@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "core/findings.h"
-#include "plugin/module_file.h"
+#include "plugin/check/module_file.h"
 #include "session/trained_classes.h"
 #include "settings/run_identity.h"
 #include "system/checksum.h"

@@ -17,7 +17,7 @@ std::string owner_of(const PluginSlot& slot) {
   return std::string(kind_name(slot.entry->kind)) + " '" + slot.entry->name + "'";
 }
 
-// "field 'ball'", "loss term 'glow'": the first part of the run without kernels for `device`; empty: all have them.
+// "field 'ball'", "loss 'glow'": the first part of the run without kernels for `device`; empty: all have them.
 std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
   for (const PassConfig& pass : config.passes) {
     std::vector<const PluginSlot*> slots{&pass.sampler, &pass.position, &pass.direction, &pass.field};
@@ -32,9 +32,8 @@ std::string part_without_kernels(const RunConfig& config, const Registry& regist
     }
   }
   for (const LossEntry& entry : config.losses) {
-    const auto is_it = [&](const LossKind& kind) { return kind.type == entry.type && kind.cuda; };
-    if (device == Device::cuda && std::none_of(loss_kinds().begin(), loss_kinds().end(), is_it))
-      return "loss term '" + entry.type + "'";
+    std::string owner = "loss '" + entry.type + "'";
+    if (device != Device::cpu && !registry.kernels().has(device, owner)) return owner;
   }
   return {};
 }

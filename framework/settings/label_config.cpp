@@ -5,6 +5,7 @@
 
 #include "config/compose.h"
 #include "labels/clicks/click_log.h"
+#include "settings/pass_config.h"
 
 namespace semfield {
 
@@ -23,18 +24,9 @@ bool starts_elsewhere(const ConfigNode* value, bool paths_are_absolute) {
   return !paths_are_absolute || value->location().line <= 0;
 }
 
-template <class Step>
-void add_docs(const char* key, const std::vector<StepKind<Step>>& kinds, std::vector<LabelStepDoc>& docs) {
-  for (const StepKind<Step>& kind : kinds) {
-    const std::unique_ptr<Step> step = kind.make();
-    docs.push_back({key, std::string(kind.type), std::string(kind.sentence),
-                    describe_params([&](ParamVisitor& visit) { step->describe(visit); })});
-  }
-}
-
 }  // namespace
 
-void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelConfig& config,
+void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, const Registry& registry, LabelConfig& config,
                       Diagnostics& diagnostics) {
   if (const ConfigNode* from = labels.find("from"); from != nullptr && !from->is_null()) {
     ConfigNode anchored = *from;
@@ -43,8 +35,9 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelCo
       if (!starts_elsewhere(value, paths_are_absolute)) continue;
       anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
     }
-    config.from.reader =
-        read_typed<LabelReader>(anchored, "scene.labels.from", label_reader_kinds(), config.from.type, diagnostics);
+    const int errors = diagnostics.error_count();
+    const PluginSlot slot = read_slot(PluginKind::label_reader, anchored, "scene.labels.from", registry, diagnostics);
+    if (diagnostics.error_count() == errors) config.from = {slot.entry->name, slot.entry->label_reader(*slot.params)};
   }
   const ConfigNode* list = labels.find("degrade");
   if (list == nullptr || list->is_null()) return;
@@ -55,9 +48,10 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelCo
   }
   for (const ConfigNode& item : list->items()) {
     const std::string path = "scene.labels.degrade." + std::to_string(config.degrade.size());
-    LabelConfig::Step step;
-    step.degradation = read_typed<Degradation>(item, path, degradation_kinds(), step.type, diagnostics);
-    if (step.degradation) config.degrade.push_back(std::move(step));
+    const int errors = diagnostics.error_count();
+    const PluginSlot slot = read_slot(PluginKind::degradation, item, path, registry, diagnostics);
+    if (diagnostics.error_count() == errors)
+      config.degrade.push_back({slot.entry->name, slot.entry->degradation(*slot.params)});
   }
 }
 
@@ -84,13 +78,6 @@ ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config)
   std::vector<ConfigNode> steps;
   for (const LabelConfig::Step& step : config.degrade) steps.push_back(step_config(step.type, *step.degradation));
   return out.with("degrade", ConfigNode::make_list(std::move(steps), {}));
-}
-
-std::vector<LabelStepDoc> describe_label_steps() {
-  std::vector<LabelStepDoc> docs;
-  add_docs("from", label_reader_kinds(), docs);
-  add_docs("degrade", degradation_kinds(), docs);
-  return docs;
 }
 
 }  // namespace semfield

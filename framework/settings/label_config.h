@@ -7,12 +7,14 @@
 #include "config/config_tree.h"
 #include "config/params_read.h"
 #include "labels/training_labels.h"
+#include "plugin/registry.h"
 
 namespace semfield {
 
 /// Reads both keys of the section `labels` (a map) into `config`. Paths of `from` start at the file that wrote them,
 /// unless `paths_are_absolute`.
-void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, LabelConfig& config, Diagnostics& diagnostics);
+void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, const Registry& registry, LabelConfig& config,
+                      Diagnostics& diagnostics);
 
 /// Makes the path of the key `clicks` absolute, as those of `from`. `of_a_run`: `labels` is that of a run.yaml, in
 /// whose folder a relative path starts; an absolute one, which earlier versions wrote for the run's own file, gives way
@@ -21,13 +23,5 @@ void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& con
 
 /// `labels` with the keys `from` and `degrade` of `config`; without steps the keys are absent.
 ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config);
-
-/// Every type that the two keys may name.
-struct LabelStepDoc {
-  std::string key;  ///< "from" or "degrade"
-  std::string type, sentence;
-  std::vector<ParamDoc> params;
-};
-std::vector<LabelStepDoc> describe_label_steps();
 
 }  // namespace semfield

@@ -4,9 +4,11 @@
 
 #include <algorithm>
 
+#include "settings/pass_config.h"
+
 namespace semfield {
 
-std::vector<LossEntry> read_losses(const ConfigNode& tree, Diagnostics& diagnostics) {
+std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics) {
   std::vector<LossEntry> entries;
   const ConfigNode* list = tree.find("losses");
   if (list == nullptr || list->is_null()) return entries;
@@ -18,10 +20,10 @@ std::vector<LossEntry> read_losses(const ConfigNode& tree, Diagnostics& diagnost
   for (std::size_t i = 0; i < list->items().size(); ++i) {
     const ConfigNode& item = list->items()[i];
     const std::string path = "losses." + std::to_string(i);
-    LossEntry entry;
-    entry.term = read_typed<LossTerm>(item, path, loss_kinds(), entry.type, diagnostics);
-    entry.where = item.location().text();
-    if (!entry.term) continue;
+    const int errors = diagnostics.error_count();
+    PluginSlot slot = read_slot(PluginKind::loss, item, path, registry, diagnostics);
+    if (diagnostics.error_count() > errors) continue;
+    LossEntry entry{slot.entry->name, slot.entry->loss(*slot.params), std::move(slot.params), item.location().text()};
     const auto same = std::find_if(entries.begin(), entries.end(),
                                    [&](const LossEntry& earlier) { return earlier.type == entry.type; });
     if (same != entries.end()) {
@@ -32,19 +34,34 @@ std::vector<LossEntry> read_losses(const ConfigNode& tree, Diagnostics& diagnost
     }
     entries.push_back(std::move(entry));
   }
+  if (entries.size() > kMostLossTerms) {
+    diagnostics.error(list->location().text(),
+                      fmt::format("losses: {} terms, and a list holds at most {}", entries.size(), kMostLossTerms),
+                      "take some out");
+    entries.resize(kMostLossTerms);
+  }
   return entries;
 }
 
 ConfigNode losses_config(const std::vector<LossEntry>& entries) {
   std::vector<ConfigNode> items;
   for (const LossEntry& entry : entries)
-    items.push_back(typed_config(entry.type, [&](ParamVisitor& visit) { entry.term->describe(visit); }));
+    items.push_back(typed_config(entry.type, [&](ParamVisitor& visit) { entry.params->describe(visit); }));
   return ConfigNode::make_list(std::move(items), {});
 }
 
-bool losses_read_depth(const std::vector<LossEntry>& entries) {
+std::vector<std::string> targets_of(const std::vector<LossEntry>& entries) {
+  std::vector<std::string> names;
+  for (const LossEntry& entry : entries) {
+    for (const std::string_view name : entry.loss->traits().targets)
+      if (std::find(names.begin(), names.end(), name) == names.end()) names.emplace_back(name);
+  }
+  return names;
+}
+
+bool losses_read(const std::vector<LossEntry>& entries, std::string_view target) {
   return std::any_of(entries.begin(), entries.end(),
-                     [](const LossEntry& entry) { return entry.term->traits().reads_depth; });
+                     [&](const LossEntry& entry) { return entry.loss->traits().reads_target(target); });
 }
 
 TrainingDepth training_depth(const LoadedScene& scene) {
@@ -57,7 +74,7 @@ TrainingDepth training_depth(const LoadedScene& scene) {
 }
 
 std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth& depth, Diagnostics& diagnostics) {
-  const bool read = losses_read_depth(entries);
+  const bool read = losses_read(entries, channel::depth);
   if (depth.frames == 0) return read ? "no training frame has a depth image; colour alone teaches geometry" : "";
   if (!read)
     return fmt::format("depth images of {} training frames give bounds and distances; no loss reads them",
@@ -69,16 +86,6 @@ std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth
                   depth.frames),
       "export z-depth that is finite and above 0, or set losses: []");
   return fmt::format("depth images of {} training frames have no valid pixel", depth.frames);
-}
-
-std::vector<LossDoc> describe_losses() {
-  std::vector<LossDoc> docs;
-  for (const LossKind& kind : loss_kinds()) {
-    const std::unique_ptr<LossTerm> term = kind.make();
-    docs.push_back({std::string(kind.type), std::string(kind.sentence),
-                    describe_params([&](ParamVisitor& visit) { term->describe(visit); })});
-  }
-  return docs;
 }
 
 }  // namespace semfield

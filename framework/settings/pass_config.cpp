@@ -170,11 +170,15 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
   }
 }
 
-ConfigNode slot_config(const PluginSlot& slot) {
-  ConfigNode node = params_to_config([&](ParamVisitor& visit) { slot.params->describe(visit); });
-  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(slot.entry->name, false, {})}};
-  entries.insert(entries.end(), node.entries().begin(), node.entries().end());
+ConfigNode typed_config(const std::string& type, const Describe& describe) {
+  const ConfigNode params = params_to_config(describe);
+  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(type, false, {})}};
+  entries.insert(entries.end(), params.entries().begin(), params.entries().end());
   return ConfigNode::make_map(std::move(entries), {});
+}
+
+ConfigNode slot_config(const PluginSlot& slot) {
+  return typed_config(slot.entry->name, [&](ParamVisitor& visit) { slot.params->describe(visit); });
 }
 
 ConfigNode pass_config(const PassConfig& pass) {

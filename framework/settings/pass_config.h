@@ -15,6 +15,8 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
 /// The section `passes`.
 void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics);
 
+/// {type, every parameter}.
+ConfigNode typed_config(const std::string& type, const Describe& describe);
 /// What read_slot and read_passes would read, every parameter written out.
 ConfigNode slot_config(const PluginSlot& slot);
 ConfigNode pass_config(const PassConfig& pass);

@@ -207,7 +207,7 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
   config.dataset = read_slot(PluginKind::dataset, anchored, "scene", registry, diagnostics, {"labels", "load"});
   if (const ConfigNode* labels = scene->is_map() ? scene->find("labels") : nullptr;
       labels != nullptr && labels->is_map()) {
-    read_label_steps(*labels, !config.base_dir.empty(), config.labels, diagnostics);
+    read_label_steps(*labels, !config.base_dir.empty(), registry, config.labels, diagnostics);
   }
   if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
 }
@@ -300,7 +300,7 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
   validate_section(tree, "runtime", config.runtime, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);
   validate_section(tree, "propagate", config.propagate, diagnostics);
-  config.losses = read_losses(tree, diagnostics);
+  config.losses = read_losses(tree, registry, diagnostics);
   read_passes(tree, registry, config, diagnostics);
   config.load.contracted = config.rendering.outside == Outside::contracted;
   return config;

@@ -127,7 +127,7 @@ void check_length(const RunConfig& config, Diagnostics& diagnostics) {
                       "warm up for fewer steps, or train longer");
   }
   for (const LossEntry& entry : config.losses) {
-    const double share = entry.term->rule.from_step;
+    const double share = entry.loss->rule().from_step;
     const bool never = end > 0 ? step_of_share(share, config.train.steps, config.schedule) >= end : share >= 1;
     if (!never) continue;
     diagnostics.error(entry.where,

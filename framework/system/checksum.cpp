@@ -6,7 +6,7 @@ namespace semfield {
 
 namespace {
 
-// Slicing-by-8 tables: eight bytes a step, so a checkpoint of 100 MB is checked in a fraction of a second.
+// Slicing-by-8 tables: eight bytes per step, so a checkpoint of 100 MB is checked in a fraction of a second.
 using Tables = std::array<std::array<std::uint32_t, 256>, 8>;
 
 Tables make_tables() {

@@ -67,6 +67,7 @@ class Suite {
           check(*entry, settings, field_builds(registry_, entry->name, Device::cpu));
         if (entry->kind == PluginKind::sampler) check(*entry, settings, std::vector{sampler_build(Device::cpu)});
         if (entry->kind == PluginKind::dataset) check_dataset(*entry, settings);
+        if (entry->kind == PluginKind::loss) check_loss(*entry, settings);
       }
     }
   }
@@ -183,6 +184,11 @@ class Suite {
   void check_dataset(const PluginEntry& entry, const Settings& settings) const {
     tell({entry.kind, entry.name, text_of(settings), "", LawStatus::passed, {}},
          [&] { return dataset_laws(registry_, entry.name, settings, DatasetBuild{request_.folder}); });
+  }
+
+  void check_loss(const PluginEntry& entry, const Settings& settings) const {
+    tell({entry.kind, entry.name, text_of(settings), "", LawStatus::passed, {}},
+         [&] { return loss_laws(registry_, entry.name, settings, options_of(entry, 24)); });
   }
 
   const Registry& registry_;

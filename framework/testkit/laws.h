@@ -71,6 +71,14 @@ Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sa
 Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings,
                       const SamplerBuild& build, const LawOptions& options = {});
 
+/// Of hard labels and, for a loss that reads labels, of soft ones: gradients against central differences of every value
+/// that it sees; moves what its traits say and nothing else; float agrees with double; gradients accumulate and have
+/// the scale, the loss has not; rays independent (same bits of gradients); no ray, no loss; without a target that it
+/// names, and for rays without a label, exactly 0; extremes stay finite.
+Failures loss_laws(const Loss& loss, const LawOptions& options = {});
+Failures loss_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                   const LawOptions& options = {});
+
 struct DatasetExpectation {
   int frames = -1;                ///< exact number of frames, -1 = at least one
   bool depth = false;             ///< at least one frame has depth

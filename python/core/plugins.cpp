@@ -11,41 +11,14 @@
 #include "plugin/loader.h"
 #include "python/core/arrays.h"
 #include "python/core/errors.h"
-#include "python/core/interrupt.h"
+#include "python/core/plugin_calls.h"
+#include "python/core/plugin_loss.h"
 #include "python/core/plugin_params.h"
 #include "python/core/scene_values.h"
 
 namespace semfield::python {
 
 namespace {
-
-// An object of Python that threads without the GIL may hold and drop.
-using Held = std::shared_ptr<py::object>;
-
-Held hold(py::object object) {
-  return {new py::object(std::move(object)), [](py::object* p) {
-            if (Py_IsInitialized() == 0) return;  // the process ends: nothing is given back any more
-            const py::gil_scoped_acquire gil;
-            delete p;
-          }};
-}
-
-// Calls code of a plugin with the GIL; what it raises becomes an Error.
-template <class Call>
-auto called(const std::string& doing, const Call& call) {
-  const py::gil_scoped_acquire gil;
-  try {
-    return call();
-  } catch (py::error_already_set& raised) {
-    if (raised.matches(PyExc_KeyboardInterrupt)) {
-      note_interrupt();
-      throw;
-    }
-    throw error_of(raised, doing);
-  } catch (const py::cast_error& wrong) {
-    throw Error(ErrorKind::failure, doing + ": " + wrong.what());
-  }
-}
 
 Domain domain_of(const std::string& name, const std::string& owner) {
   if (name == "metric") return Domain::metric;
@@ -263,6 +236,15 @@ void add_dataset(const py::dict& declared) {
   add(std::move(entry));
 }
 
+void add_loss(const py::dict& declared) {
+  PluginEntry entry = entry_of(declared, PluginKind::loss);
+  entry.saves = "calls of Python";
+  entry.loss = [type = hold(declared["class"]), name = entry.name](const PluginParams& p) {
+    return make_python_loss(name, *type, static_cast<const PythonParams&>(p));
+  };
+  add(std::move(entry));
+}
+
 void load_python_file(Registry& registry, const std::string& path) {
   const std::string doing = "cannot load plugin '" + path + "'";
   Registry trial = registry;
@@ -280,8 +262,9 @@ void load_python_file(Registry& registry, const std::string& path) {
   }
   b.loading = outer;
   if (trial.entries().size() == before)
-    throw Error(ErrorKind::unavailable, doing + ": it defines no plugin",
-                "decorate a class with @semfield.encoder(\"name\") or @semfield.dataset(\"name\")");
+    throw Error(
+        ErrorKind::unavailable, doing + ": it defines no plugin",
+        "decorate a class with @semfield.encoder(\"name\"), @semfield.dataset(\"name\") or @semfield.loss(\"name\")");
   trial.set_current_module({});
   trial.add_module_file(path);
   registry = std::move(trial);
@@ -304,6 +287,7 @@ RunConfig session_config_of(const ConfigNode& tree, Registry& registry) {
 void define_plugins(py::module_& module) {
   module.def("add_encoder", add_encoder);
   module.def("add_dataset", add_dataset);
+  module.def("add_loss", add_loss);
   module.def("load_plugin", [](const std::string& path) {
     Base& b = base();
     const std::string file = std::filesystem::absolute(path).lexically_normal().string();

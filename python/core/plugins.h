@@ -1,4 +1,4 @@
-// Encoders and datasets that are written in Python: one batch a call, under the GIL.
+// Encoders, datasets and losses that are written in Python: one batch per call, under the GIL.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -18,6 +18,7 @@ Registry& base_registry();
 /// Where the decorators of semfield/plugins.py add their plugins now.
 void add_encoder(const py::dict& declared);
 void add_dataset(const py::dict& declared);
+void add_loss(const py::dict& declared);
 
 /// Runs a file of Python, whose plugins go into `registry`. Throws Error(unavailable) for a file that raises, or that
 /// defines no plugin. To be called with the GIL.

@@ -1,8 +1,10 @@
 #include "python/core/scene_values.h"
 
 #include <fmt/format.h>
+#include <pybind11/stl.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <string_view>
 #include <utility>
@@ -177,6 +179,10 @@ SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
     frame.split = split_of(given["split"].cast<std::string>(), place);
     frame.has_depth = given["has_depth"].cast<bool>();
     frame.has_labels = given["has_labels"].cast<bool>();
+    for (const auto& [name, grid] : given["channels"].cast<py::dict>()) {
+      const auto shape = grid.cast<std::array<std::int32_t, 3>>();
+      frame.channels.push_back({py::str(name).cast<std::string>(), shape[0], shape[1], shape[2]});
+    }
     collect(diagnostics, place, [&] { frame.world_from_camera = pose_of(given["pose"], place); });
     collect(diagnostics, place, [&] {
       frame.camera = camera_of(given["camera"].cast<py::dict>());
@@ -206,6 +212,7 @@ void fill_frame(const py::dict& pixels, const SceneInfo& info, int frame, FrameB
   const FrameInfo& own = info.frames[static_cast<std::size_t>(frame)];
   const py::ssize_t height = own.camera.height_px, width = own.camera.width_px;
   const std::string place = "frame '" + own.name + "'";
+  const std::vector<std::string> wanted = std::move(out.wanted);
   out = {};
   out.width_px = own.camera.width_px;
   out.height_px = own.camera.height_px;
@@ -220,6 +227,13 @@ void fill_frame(const py::dict& pixels, const SceneInfo& info, int frame, FrameB
   if (own.has_labels)
     out.label =
         indices_of(pixels["labels"], info.classes, own.camera.height_px, own.camera.width_px, place + ": labels");
+  for (const FrameChannelInfo& channel : own.channels) {
+    if (std::find(wanted.begin(), wanted.end(), channel.name) == wanted.end()) continue;
+    const auto values = shaped<float>(pixels["channels"][py::str(channel.name)],
+                                      {channel.height, channel.width, channel.cols}, place + ": " + channel.name);
+    out.channels.push_back(
+        {channel.name, channel.height, channel.width, channel.cols, {values.data(), values.data() + values.size()}});
+  }
 }
 
 py::array ids_array(const std::vector<std::int16_t>& indices, const ClassTable& classes, std::int32_t height,

@@ -42,6 +42,18 @@ auto opened(const Open& open) {
   return open();
 }
 
+// The interrupt that the listener looks at, for the time of one call.
+class OneCall {
+ public:
+  OneCall(Interrupt*& place, Interrupt* interrupt) : place_(place) { place_ = interrupt; }
+  ~OneCall() { place_ = nullptr; }
+  OneCall(const OneCall&) = delete;
+  OneCall& operator=(const OneCall&) = delete;
+
+ private:
+  Interrupt*& place_;
+};
+
 std::vector<Vec3d> vectors_of(const py::object& value, const char* what) {
   const auto rows = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(value);
   if (!rows || rows.ndim() != 2 || rows.shape(1) != 3) {
@@ -137,7 +149,7 @@ std::vector<std::string> PySession::notes() const {
 py::list PySession::rows() const {
   py::list out;
   if (!run_) return out;
-  const std::vector<MetricsRow> rows = computed([&] { return run_->rows(); });
+  const std::vector<MetricsRow> rows = computed([&] { return notes_.rows; });
   for (const MetricsRow& row : rows) {
     py::dict item = values_dict(row.values);
     item["step"] = row.step;
@@ -165,8 +177,9 @@ py::dict PySession::train(std::int64_t steps, bool to_end) {
   Interrupt interrupt;
   const double before_s = train_s();
   computed([&] {
+    const OneCall asked(notes_.interrupt, &interrupt);
     while (made < steps && !interrupt.came() && !(to_end && run.training().at_its_end())) {
-      for (const StepLosses& losses : run.advance(steps - made, [&] { return interrupt.came(); })) {
+      for (const StepLosses& losses : run.advance(steps - made)) {
         ++made;
         sum.total += losses.total;
         sum.color += losses.color;

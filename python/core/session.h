@@ -4,11 +4,13 @@
 #include <pybind11/pybind11.h>
 #include <sys/types.h>
 
+#include <csignal>
 #include <memory>
 #include <mutex>
 #include <string>
 #include <vector>
 
+#include "python/core/interrupt.h"
 #include "run/open_run.h"
 #include "run/run_session.h"
 
@@ -17,10 +19,14 @@ namespace semfield::python {
 namespace py = pybind11;
 
 /// What a run tells, kept for Python.
-class Notes final : public TrainingListener {
+class Notes final : public RunListener {
  public:
   void note(const std::string& text) override { texts.push_back(text); }
+  void row(const MetricsRow& made) override { rows.push_back(made); }
+  int stop_signal() override { return interrupt != nullptr && interrupt->came() ? SIGINT : 0; }
   std::vector<std::string> texts;
+  std::vector<MetricsRow> rows;    ///< training rows since the run was opened
+  Interrupt* interrupt = nullptr;  ///< of the call under way
 };
 
 /// It belongs to the process that opened it: a fork has its memory, but not its threads, and shares its files. There,

@@ -1,4 +1,4 @@
-"""Encoders and datasets in Python, for trying ideas: NumPy in, NumPy out, one batch a call.
+"""Encoders, losses and datasets in Python, for trying ideas: NumPy in, NumPy out, one batch per call.
 
 They are held to the same laws as plugins in C++ (``semfield plugins check FILE``), and they are slow: a call takes the
 interpreter's lock, so one thread at a time is in them.
@@ -143,6 +143,58 @@ class Encoder(_Plugin):
         return made
 
 
+class Loss(_Plugin):
+    """A term of the loss beside colour and cross-entropy: ``losses: [{type: NAME}]``.
+
+    A subclass has parameters (`param`), `value` and, where not every ray counts, `counted`. Arrays are views of the
+    framework's memory: keep none of them beyond the call. A ray's loss depends on that ray alone. On a GPU it is refused.
+
+    Attributes:
+        weight, from_step: of every loss; a subclass may give others: ``weight = sf.param(0.1, sf.Loss.weight.help, low=0)``.
+        targets: names of the targets that it cannot do without: "color", "label", "soft_label", "depth".
+        heads: names of what heads make that it reads: "logits".
+        moves: names of what it has gradients of: "color", "depth", "weight" and "sigma", or "logits" alone.
+    """
+
+    weight: Any = param(1.0, "factor of the term beside the colour loss", low=0, high=1e6)
+    from_step: Any = param(0.0, "share of train.steps after which the term begins, and never before train.schedule.hold_steps",
+                           low=0, high=1)
+    targets: Sequence[str] = ()
+    heads: Sequence[str] = ()
+    moves: Sequence[str] = ()
+
+    def counted(self, targets: Dict[str, np.ndarray[Any, Any]], rays: int) -> int:
+        """How many of a whole batch's rays the mean is over; 0: there is no loss.
+
+        Args:
+            targets: as in value, of the batch.
+            rays: R, all of them.
+        """
+        return rays
+
+    def value(
+        self, targets: Dict[str, np.ndarray[Any, Any]], values: Dict[str, np.ndarray[Any, Any]]
+    ) -> Tuple[np.ndarray[Any, Any], Dict[str, np.ndarray[Any, Any]]]:
+        """The loss of each ray, and the gradients of their sum.
+
+        Args:
+            targets: color [R, 3] in [0, 1], label [R, 1] class, negative: none, soft_label [R, C] probabilities, depth
+                [R, 1] metres, 0: unknown; those that the batch has.
+            values: color [R, 3], depth and opacity [R, 1], near_far [R, 2]; t, delta, sigma and weight [M, 1] of samples,
+                those of ray r from first[r, 0] to first[r + 1, 0]; logits [S, C] of the first S rays, those behind them
+                have no label. float32 or, as the oracle of the laws, float64.
+
+        Returns:
+            [R] or [S], and by the names in `moves` arrays of the shapes of the values.
+        """
+        raise NotImplementedError("value")
+
+    @classmethod
+    def _made(cls, values: Mapping[str, Any]) -> "Loss":
+        made: Loss = cls._with(values)
+        return made
+
+
 class Dataset(_Plugin):
     """A scene of files of another kind.
 
@@ -186,6 +238,7 @@ class Dataset(_Plugin):
             frames.append({
                 "name": f.name, "source": f.source or f.name, "camera": f.camera._dict(), "pose": f.pose, "split": f.split,
                 "has_depth": bool(f.has_depth), "has_labels": bool(f.has_labels),
+                "channels": {name: tuple(int(n) for n in getattr(c, "shape", c)) for name, c in f.channels.items()},
             })
         return {
             "name": type(self).__name__, "frames": frames, "classes": _class_rows(self.classes()),
@@ -195,11 +248,12 @@ class Dataset(_Plugin):
 
     def _read(self, index: int) -> Dict[str, Any]:
         f = self.pixels(index)
-        return {"rgb": f.rgb, "labels": f.labels, "depth_m": f.depth_m}
+        return {"rgb": f.rgb, "labels": f.labels, "depth_m": f.depth_m, "channels": dict(f.channels)}
 
 
 E_ = TypeVar("E_", bound=Type[Encoder])
 D_ = TypeVar("D_", bound=Type[Dataset])
+L_ = TypeVar("L_", bound=Type[Loss])
 
 
 def _summary(cls: type, base: type, summary: str) -> str:
@@ -226,6 +280,16 @@ def dataset(name: str, summary: str = "") -> Callable[[D_], D_]:
 
     def add(cls: D_) -> D_:
         _core.add_dataset({"name": name, "summary": _summary(cls, Dataset, summary), "class": cls, "params": cls._params()})
+        return cls
+
+    return add
+
+
+def loss(name: str, summary: str = "") -> Callable[[L_], L_]:
+    """Makes a subclass of Loss a plugin: ``losses: [{type: NAME}]``. Defined again, the last one counts."""
+
+    def add(cls: L_) -> L_:
+        _core.add_loss({"name": name, "summary": _summary(cls, Loss, summary), "class": cls, "params": cls._params()})
         return cls
 
     return add

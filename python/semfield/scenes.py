@@ -146,6 +146,8 @@ class Frame(_Arrays):
         rgb: [H, W, 3] uint8, display-referred; None where pixels stay in the program (`Run.pixels`).
         labels: [H, W] class ids, -1 for none; None without labels.
         depth_m: [H, W] float32, z-depth in metres, 0 for none; None without depth.
+        channels: further numbers by name, [h, w, k] float32 on grids of their own that cover the image, for losses that
+            name them in `targets`; of a dataset's `frames`, their shapes alone.
     """
 
     name: str
@@ -158,6 +160,7 @@ class Frame(_Arrays):
     has_labels: bool = False
     has_depth: bool = False
     source: str = ""
+    channels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
 def _class_rows(classes: Any) -> List[Tuple[int, str, Optional[Tuple[int, int, int]], bool]]:
@@ -251,7 +254,7 @@ class Scene:
             frames.append({
                 "name": all_names[i], "source": all_names[i], "camera": all_cameras[i]._dict(), "pose": poses[i],
                 "split": "test" if i in held_out else "train", "has_depth": all_depths[i] is not None,
-                "has_labels": all_labels[i] is not None,
+                "has_labels": all_labels[i] is not None, "channels": {},
             })
         description = {
             "name": name, "frames": frames, "classes": _class_rows(classes),

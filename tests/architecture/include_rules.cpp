@@ -22,7 +22,7 @@ bool ends_with(const std::string& text, const std::string& end) {
 const Folders kFrameworkFolders{"core",   "system",  "compute", "config",   "formats", "classes", "scene",
                                 "survey", "loading", "plugin",  "labels",   "losses",  "model",   "execution",
                                 "optim",  "cuda",    "eval",    "settings", "session", "run",     "report",
-                                "fuse",   "mesh",    "sweep",   "serve",    "testkit", "ranks",    "mpi"};
+                                "fuse",   "mesh",    "sweep",   "serve",    "testkit", "ranks",   "mpi"};
 
 // A folder and those that it may include. Folders inside a folder stand on its floor.
 const std::map<std::string, Folders>& floors() {
@@ -51,20 +51,21 @@ const std::map<std::string, Folders>& floors() {
       {"loading", loading},
       {"plugin", with(scene, {"plugin"})},
       {"labels", with(loading, {"plugin", "labels"})},
-      {"losses", with(ground, {"config", "losses"})},
+      {"losses", with(scene, {"plugin", "losses"})},
       {"optim", with(ground, {"config", "optim"})},
       {"model", model},
       {"execution", execution},
       {"cuda", with(execution, {"cuda"})},
       {"eval", with(execution, {"survey", "loading", "labels", "eval"})},
+      {"surface", with(execution, {"survey", "loading", "labels", "eval", "surface"})},
       {"settings", settings},
       {"session", with(settings, {"eval", "session"})},
       {"run", run},
       {"report", with(run, {"report"})},
-      {"fuse", with(run, {"fuse"})},
+      {"fuse", with(run, {"surface", "fuse"})},
       {"mesh", with(run, {"mesh"})},
       {"sweep", with(run, {"report", "sweep"})},
-      {"serve", with(run, {"serve"})},
+      {"serve", with(run, {"surface", "serve"})},
       {"testkit", kFrameworkFolders},
   };
   return table;
@@ -99,7 +100,8 @@ std::string forbidden_library(const std::string& path, const std::string& target
 std::string first_folder(const std::string& path) { return path.substr(0, path.find('/')); }
 
 bool names_plugin(const std::string& target) {
-  for (const char* kind : {"encoders/", "fields/", "samplers/", "datasets/", "fused/"}) {
+  for (const char* kind :
+       {"encoders/", "fields/", "samplers/", "datasets/", "label_readers/", "degradations/", "fused/"}) {
     if (starts_with(target, kind)) return true;
   }
   return starts_with(target, "plugins/");
@@ -114,7 +116,7 @@ std::string forbidden_in_framework(const std::string& path, const std::string& t
   const std::string other = first_folder(target);
   const auto floor = floors().find(folder);
   if (floor == floors().end()) return "framework/" + folder + " stands on no floor of the table";
-  // Kernels of a loss's term lie beside it.
+  // Kernels of a loss lie beside it.
   if (folder == "losses" && other == "cuda" && ends_with(path, "_cuda.cu")) return {};
   if (kFrameworkFolders.contains(other) && !floor->second.contains(other)) return folder + " may not include " + other;
   return {};
@@ -124,8 +126,9 @@ std::string forbidden_in_framework(const std::string& path, const std::string& t
 std::string forbidden_in_plugin(const std::string& inside, const std::string& target) {
   const std::string kind = first_folder(inside);
   const std::string own = inside.substr(0, inside.find('/', kind.size() + 1) + 1);
+  if (starts_with(target, own)) return {};
   if (names_plugin(target)) {
-    if (starts_with(target, own) || (kind == "fused" && ends_with(target, "_math.h"))) return {};
+    if (kind == "fused" && ends_with(target, "_math.h")) return {};
     return "a plugin includes no other plugin";
   }
   const std::string other = first_folder(target);
@@ -133,11 +136,14 @@ std::string forbidden_in_plugin(const std::string& inside, const std::string& ta
   static const Folders sdk{"core", "system", "compute", "plugin"};
   static const Folders of_scenes{"formats", "classes", "scene", "survey", "loading"};
   if (sdk.contains(other) || target == "config/params.h") return {};
-  if ((of_scenes.contains(other) || target == "config/config_tree.h") && kind == "datasets") return {};
+  const bool of_labels = kind == "label_readers" || kind == "degradations";
+  if ((of_scenes.contains(other) || target == "config/config_tree.h") && (kind == "datasets" || of_labels)) return {};
+  if (other == "labels" && of_labels) return {};
   if (other == "cuda" && (ends_with(inside, ".cu") || ends_with(inside, ".cuh"))) return {};
   if (kind == "fused" && target == "model/encoded_field.h") return {};
   return "a plugin sees core, system, compute, config/params.h, plugin" +
-         std::string(kind == "datasets" ? " and the folders of scenes, config/config_tree.h" : "") + " alone";
+         std::string(kind == "datasets" || of_labels ? " and the folders of scenes, config/config_tree.h" : "") +
+         " alone";
 }
 
 }  // namespace

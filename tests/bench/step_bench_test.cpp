@@ -59,7 +59,7 @@ TEST_F(StepCases, PaperStepIsWhatOneCountsByHand) {
   // Twice for two operations, times three for both gradients; positions take none.
   const double samples = 1024 * (64 + 192);
   double flop = 2 * samples * (2 * x + 3 * rest);
-  // Two networks: class layer and direction term once a ray, and the product of the folded weights and bias once a
+  // Two networks: class layer and direction term once per ray, and the product of the folded weights and bias once a
   // step.
   const double folded = 2 * 2 * 3 * (257.0 * 256 * 128);
   flop += 2 * 2 * 1024 * (3.0 * 128 * 29 + 2.0 * 27 * 128) + 64 * folded;

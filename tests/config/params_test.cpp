@@ -53,7 +53,7 @@ Describe describer(Sample& p) {
   return [&p](ParamVisitor& visit) { describe(visit, p); };
 }
 
-/// All errors of reading `yaml` (a map) at path "encoder", one a line.
+/// All errors of reading `yaml` (a map) at path "encoder", one per line.
 std::string errors_of(const std::string& yaml, Sample* out = nullptr) {
   Sample sample;
   Diagnostics diagnostics;

@@ -1,4 +1,4 @@
-// The laws of its kind for every registered encoder, field and sampler on the CPU.
+// The laws of its kind for every registered encoder, field, sampler and loss on the CPU.
 #include <gtest/gtest.h>
 
 #include <set>
@@ -38,15 +38,22 @@ TEST_P(SamplerConformance, Laws) {
                         });
 }
 
+class LossConformance : public testing::TestWithParam<Row> {};
+TEST_P(LossConformance, Laws) {
+  const Failures failures = loss_laws(linked_registry(), GetParam().name, GetParam().settings);
+  EXPECT_TRUE(failures.empty()) << to_text(failures);
+}
+
 INSTANTIATE_TEST_SUITE_P(Linked, EncoderConformance, testing::ValuesIn(rows_of(PluginKind::encoder)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, FieldConformance, testing::ValuesIn(rows_of(PluginKind::field)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, SamplerConformance, testing::ValuesIn(rows_of(PluginKind::sampler)), name_of);
+INSTANTIATE_TEST_SUITE_P(Linked, LossConformance, testing::ValuesIn(rows_of(PluginKind::loss)), name_of);
 
 // Zero cases, or a plugin without a row, is a failure and not a pass.
 TEST(Conformance, EveryRegisteredPluginHasARow) {
   const std::vector<const PluginEntry*> entries = linked_registry().entries();
   ASSERT_FALSE(entries.empty());
-  for (const PluginKind kind : {PluginKind::encoder, PluginKind::field, PluginKind::sampler, PluginKind::dataset}) {
+  for (const PluginKind kind : kPluginKinds) {
     std::set<std::string> with_row;
     for (const Row& row : rows_of(kind)) with_row.insert(row.name);
     EXPECT_FALSE(with_row.empty()) << "no " << kind_name(kind) << " is registered";

@@ -11,10 +11,11 @@ namespace {
 
 std::vector<Settings> settings_for(PluginKind kind, const std::string& name) {
   const std::string source = SEMFIELD_SOURCE_DIR;
-  const std::string own = source + "/plugins/" + std::string(kind_name(kind)) + "s/" + name + "/conformance.txt";
+  const std::string own = std::string(kind_folder(kind)) + "/" + name + "/conformance.txt";
   std::vector<Settings> rows;
-  if (std::filesystem::exists(own)) {
-    for (SettingsLine& line : read_settings_lines(own)) rows.push_back(std::move(line.settings));
+  for (const std::string& file : {source + "/plugins/" + own, source + "/framework/" + own}) {
+    if (!std::filesystem::exists(file)) continue;
+    for (SettingsLine& line : read_settings_lines(file)) rows.push_back(std::move(line.settings));
   }
   if (rows.empty()) rows.emplace_back();
   return rows;

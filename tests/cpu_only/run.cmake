@@ -1,4 +1,4 @@
-# Configures this tree with a plugin and a term of the loss that have no .cu file, and builds what is new. Called by CTest with SOURCE_DIR,
+# Configures this tree with an encoder and a loss that have no .cu file, and builds what is new. Called by CTest with SOURCE_DIR,
 # WORK_DIR, GENERATOR, COMPILER, LAUNCHER, CUDA.
 function(step what)
   execute_process(COMMAND ${ARGN} RESULT_VARIABLE code OUTPUT_VARIABLE output ERROR_VARIABLE output)
@@ -20,16 +20,13 @@ step("configure" ${CMAKE_COMMAND} -S ${SOURCE_DIR} -B ${WORK_DIR} -G ${GENERATOR
      -DSEMFIELD_WITH_IMAGES=${IMAGES} -DSEMFIELD_WITH_RAYCAST=${RAYCAST} -DSEMFIELD_WITH_SERVE=${SERVE}
      -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} -DSEMFIELD_ISAS=build -DBUILD_TESTING=OFF -DSEMFIELD_WITH_CUDA=${CUDA} -DSEMFIELD_EXTRA_PARTS=${parts})
 expect(plugins/linked_plugins.cpp "semfield_module_plain()" TRUE)
-expect(framework/losses/loss_kinds.cpp "with_kernels(glow_loss(), false)" TRUE)
-expect(framework/losses/loss_kinds.cpp "with_kernels(depth_loss(), true)" TRUE)
+expect(plugins/linked_plugins.cpp "semfield_module_glow()" TRUE)
+expect(plugins/linked_plugins.cpp "semfield_module_depth()" TRUE)
 if(CUDA)
   expect(framework/cuda/plugin_kernels.cpp "plain" FALSE)
   expect(framework/cuda/plugin_kernels.cpp "identity_cuda_kernels" TRUE)
-  expect(framework/cuda/loss_kernels.cpp "glow" FALSE)
-  expect(framework/cuda/loss_kernels.cpp "depth" TRUE)
+  expect(framework/cuda/plugin_kernels.cpp "glow" FALSE)
+  expect(framework/cuda/plugin_kernels.cpp "depth_cuda_kernels" TRUE)
 endif()
 step("the plugin" ${CMAKE_COMMAND} --build ${WORK_DIR} --target semfield_plugin_plain)
-if(GENERATOR STREQUAL "Ninja")
-  step("the term" ${CMAKE_COMMAND} --build ${WORK_DIR} --target ${parts}/losses/glow/glow.cpp^)
-  step("the list of terms" ${CMAKE_COMMAND} --build ${WORK_DIR} --target ${WORK_DIR}/framework/losses/loss_kinds.cpp^)
-endif()
+step("the loss" ${CMAKE_COMMAND} --build ${WORK_DIR} --target semfield_plugin_glow)

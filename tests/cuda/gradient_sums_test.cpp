@@ -4,8 +4,10 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <mutex>
 
+#include "cuda/kernels/shard_sums.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/ranks/thread_ranks.h"
 
@@ -13,11 +15,9 @@ namespace semfield {
 namespace {
 
 using cuda::GradientSums;
-using cuda::kShardLevels;
 using cuda::kShards;
 using cuda::RayRange;
 using cuda::shard_of;
-using cuda::ShardNode;
 using testing::as_ranks;
 using testing::DeviceLaunch;
 using testing::NotedFault;
@@ -37,16 +37,6 @@ TEST(Shards, CoverTheRaysInOrderAndOnlyTheLastAreShorter) {
       EXPECT_EQ(begin, rays);
     }
   }
-}
-
-TEST(Shards, NodesAreTheFewestSubtreesOfARange) {
-  using Nodes = std::vector<ShardNode>;
-  EXPECT_EQ(cuda::nodes_of(0, 8), (Nodes{{0, 3}}));
-  EXPECT_EQ(cuda::nodes_of(4, 8), (Nodes{{4, 2}}));
-  EXPECT_EQ(cuda::nodes_of(2, 5), (Nodes{{2, 1}, {4, 0}}));
-  EXPECT_EQ(cuda::nodes_of(5, 8), (Nodes{{5, 0}, {6, 1}}));
-  EXPECT_EQ(cuda::nodes_of(1, 7), (Nodes{{1, 0}, {2, 1}, {4, 1}, {6, 0}}));
-  EXPECT_EQ(cuda::nodes_of(3, 3), Nodes{});
 }
 
 // Numbers of many sizes: their sum shows in which order they were added.
@@ -70,7 +60,7 @@ struct Place {
   Place(Ranks* ranks, bool deterministic, std::size_t count, std::vector<std::size_t> ends)
       : gradients(count, "a test"), sums(options(ranks, deterministic), {gradients.data(), count}, std::move(ends)) {
     sums.join();
-    sums.agree([&] { sums.reserve(); });
+    sums.agree([&] { sums.reserve({}); });
   }
   static DeviceOptions options(Ranks* ranks, bool deterministic) {
     DeviceOptions with;
@@ -94,32 +84,108 @@ struct Place {
   GradientSums sums;
 };
 
-// What a step with shards does to them.
-std::vector<float> sum_of_shards(Place& place) {
-  const auto [first, last] = place.sums.own();
-  place.sums.begin(false);
-  for (int s = first; s < last; ++s) {
-    place.write(sum(place.read(), numbers(place.gradients.size(), static_cast<std::uint64_t>(s))));
-    place.sums.shard_done(s);
+TEST(CudaShards, GradientsAreAddedAsATree) {
+  SEMFIELD_NEEDS_DEVICE();
+  const DeviceLaunch launch;
+  constexpr std::size_t kCount = 64 * 20, kFirst = 64 * 3;  // two tensors of a block, in the other order in the sum
+  cuda::Buffer<float> blocks(cuda::kShards * kCount, "a test"), sum_there(kCount, "a test");
+  std::array<const float*, cuda::kShards> block{};
+  for (std::size_t s = 0; s < block.size(); ++s) {
+    const std::size_t place = (s * 3) % block.size();
+    block[s] = blocks.data() + place * kCount;
+    cuda::upload<float>(numbers(kCount, s), blocks.data() + place * kCount);
   }
-  place.sums.meet(cuda::launch().fault);
-  return place.read();
+  cuda::upload<float>(std::vector<float>(kCount, 0.5F), sum_there.data());
+  const std::vector<cuda::ShardTensor> tensors{{0, kFirst, sum_there.data() + kCount - kFirst},
+                                               {kFirst, kCount - kFirst, sum_there.data()}};
+  cuda::Buffer<std::byte> there(tensors.size() * sizeof(cuda::ShardTensor), "a test");
+  cuda::upload<std::byte>(std::as_bytes(std::span(tensors)), there.data());
+  cuda::add_shards({reinterpret_cast<const cuda::ShardTensor*>(there.data()), 2, kCount - kFirst}, block);
+  std::vector<float> got(kCount);
+  cuda::download<float>(sum_there.data(), got);
+  cuda::synchronize();
+  const std::vector<float> total = tree(kCount, 0, 3);
+  for (std::size_t i = 0; i < kCount; ++i) {
+    const std::size_t to = i < kFirst ? kCount - kFirst + i : i - kFirst;
+    ASSERT_EQ(got[to], 0.5F + total[i]) << i;
+  }
 }
 
-TEST(CudaGradientSums, AnyNumberOfRanksAddsShardsInTheSameOrder) {
+TEST(CudaShards, RowsInUseAreJoinedInOrder) {
+  SEMFIELD_NEEDS_DEVICE();
+  const DeviceLaunch launch;
+  constexpr std::int64_t kRoom = 40;
+  for (const std::int32_t dims : {3, 8}) {
+    const std::vector<std::int32_t> counts{7, 0, 40, 1};
+    cuda::Buffer<double> x(4 * 3 * kRoom, "a test"), all_x(4 * 3 * kRoom, "a test");
+    cuda::Buffer<float> dy(4 * static_cast<std::size_t>(dims) * kRoom, "a test");
+    cuda::Buffer<float> all_dy(dy.size(), "a test");
+    cuda::Buffer<std::int32_t> count(counts.size() + 1, "a test");
+    cuda::Buffer<std::int32_t> largest(counts.size() + 1, "a test");
+    cuda::upload<std::int32_t>(std::vector<std::int32_t>{3, 9, 4, 5}, largest.data());
+    const auto largest_of = [&](std::size_t p) { return reinterpret_cast<std::uint32_t*>(largest.data() + p); };
+    std::vector<double> x_here(x.size());
+    std::vector<float> dy_here(dy.size());
+    for (std::size_t i = 0; i < x_here.size(); ++i) x_here[i] = static_cast<double>(i) + 0.25;
+    for (std::size_t i = 0; i < dy_here.size(); ++i) dy_here[i] = static_cast<float>(i) - 3;
+    cuda::upload<double>(x_here, x.data());
+    cuda::upload<float>(dy_here, dy.data());
+    cuda::upload<std::int32_t>(counts, count.data());
+    std::vector<cuda::EncoderRows> parts;
+    std::vector<double> want_x;
+    std::vector<float> want_dy;
+    for (std::size_t p = 0; p < counts.size(); ++p) {
+      const std::size_t rows = static_cast<std::size_t>(counts[p]), d = static_cast<std::size_t>(dims);
+      parts.push_back({{x.data() + p * 3 * kRoom, kRoom, 3, 3, Device::cuda},
+                       {dy.data() + p * d * kRoom, kRoom, dims, dims, Device::cuda},
+                       count.data() + p,
+                       largest_of(p)});
+      want_x.insert(want_x.end(), x_here.begin() + static_cast<std::ptrdiff_t>(p * 3 * kRoom),
+                    x_here.begin() + static_cast<std::ptrdiff_t>(p * 3 * kRoom + 3 * rows));
+      want_dy.insert(want_dy.end(), dy_here.begin() + static_cast<std::ptrdiff_t>(p * d * kRoom),
+                     dy_here.begin() + static_cast<std::ptrdiff_t>(p * d * kRoom + d * rows));
+    }
+    cuda::join_rows(parts, {all_x.view(4 * kRoom, 3), all_dy.view(4 * kRoom, dims), count.data() + counts.size(),
+                            largest_of(counts.size())});
+    std::vector<double> got_x(want_x.size());
+    std::vector<float> got_dy(want_dy.size());
+    std::vector<std::int32_t> got_count(1);
+    std::vector<std::int32_t> got_largest(1);
+    cuda::download<std::int32_t>(largest.data() + counts.size(), got_largest);
+    cuda::download<double>(all_x.data(), got_x);
+    cuda::download<float>(all_dy.data(), got_dy);
+    cuda::download<std::int32_t>(count.data() + counts.size(), got_count);
+    cuda::synchronize();
+    EXPECT_EQ(got_count[0], 48);
+    EXPECT_EQ(got_largest[0], 9);
+    EXPECT_EQ(got_x, want_x);
+    EXPECT_EQ(got_dy, want_dy);
+  }
+}
+
+TEST(CudaGradientSums, AnyNumberOfRanksGathersTheShardsOfAll) {
   SEMFIELD_NEEDS_DEVICE();
   constexpr std::size_t kCount = 64 * 20;
-  const std::vector<float> want = tree(kCount, 0, kShardLevels);
-  {
-    Place alone(nullptr, true, kCount, {kCount});
-    EXPECT_EQ(sum_of_shards(alone), want);
-  }
   for (const int size : {1, 2, 3, 4, 5, 8}) {
     as_ranks(size, [&](Ranks& ranks) {
       Place place(&ranks, true, kCount, {kCount});
-      for (int step = 0; step < 2; ++step) {
-        place.write(std::vector<float>(kCount));
-        EXPECT_EQ(sum_of_shards(place), want) << size << " ranks, rank " << ranks.rank() << ", step " << step;
+      const auto slots = static_cast<std::size_t>(GradientSums::slots_of(Place::options(&ranks, true)));
+      cuda::Buffer<float> blocks(slots * kCount, "a test");
+      const auto of_shard = [&](int s) {
+        return blocks.data() + static_cast<std::size_t>(place.sums.slot_of(s)) * kCount;
+      };
+      place.sums.agree([&] { place.sums.reserve({{blocks.data(), slots / static_cast<std::size_t>(size) * kCount}}); });
+      const auto [first, last] = place.sums.own();
+      for (int s = first; s < last; ++s)
+        cuda::upload<float>(numbers(kCount, static_cast<std::uint64_t>(s)), of_shard(s));
+      place.sums.begin(false);
+      place.sums.meet(cuda::launch().fault);
+      for (int s = 0; s < kShards; ++s) {
+        std::vector<float> got(kCount);
+        cuda::download<float>(of_shard(s), got);
+        place.sums.wait();
+        EXPECT_EQ(got, numbers(kCount, static_cast<std::uint64_t>(s)))
+            << size << " ranks, rank " << ranks.rank() << ", shard " << s;
       }
     });
   }
@@ -137,7 +203,6 @@ TEST(CudaGradientSums, WithoutShardsRanksAreAddedInTheirOrderPassByPass) {
       place.write(numbers(kCount, static_cast<std::uint64_t>(ranks.rank())));
       place.sums.begin(true);
       for (const std::size_t pass : {0, 1, 2}) place.sums.pass_done(pass);
-      place.sums.shard_done(ranks.rank());
       place.sums.meet(cuda::launch().fault);
       EXPECT_EQ(place.read(), want) << size << " ranks, rank " << ranks.rank();
     });
@@ -149,9 +214,10 @@ TEST(CudaGradientSums, TheFirstFaultOfAnyRankIsThatOfAll) {
   for (const bool deterministic : {false, true}) {
     as_ranks(3, [&](Ranks& ranks) {
       Place place(&ranks, deterministic, 64, {64});
+      const cuda::Buffer<float> blocks(3 * 64, "a test");
+      place.sums.agree([&] { place.sums.reserve({{blocks.data(), 64}}); });
       const auto meet = [&] {
         place.sums.begin(false);
-        for (int s = place.sums.own().first; s < place.sums.own().second; ++s) place.sums.shard_done(s);
         place.sums.meet(cuda::launch().fault);
         place.sums.wait();
         return place.launch.take_fault();

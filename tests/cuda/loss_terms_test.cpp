@@ -1,4 +1,4 @@
-// Terms of the loss on the device against the processor's in float64.
+// Losses on the device against the CPU's in float64.
 #include "cuda/loss_terms.h"
 
 #include <gtest/gtest.h>
@@ -6,9 +6,11 @@
 #include <algorithm>
 #include <iostream>
 
+#include "cuda/kernel_tables.h"
 #include "device_fixture.h"
 #include "testkit/compare.h"
-#include "tests/losses/loss_rays.h"
+#include "testkit/loss/loss_rays.h"
+#include "tests/conformance/rows.h"
 
 namespace semfield {
 namespace {
@@ -16,23 +18,27 @@ namespace {
 using cuda::LossSums;
 using testing::DeviceLaunch;
 using testing::DeviceMatrix;
-using testing::LossRays;
+using testkit::LossRays;
 
 constexpr double kScale = 0.37;
 constexpr std::int64_t kUnused = 41;  // rows behind the samples that no ray owns
+constexpr std::int32_t kClasses = LossRays<float>::kClasses;
 
 std::vector<float> with_tail(const std::vector<float>& values, float tail) {
   std::vector<float> all = values;
   all.insert(all.end(), static_cast<std::size_t>(kUnused), tail);
   return all;
 }
+std::vector<float> ones(std::size_t count) { return std::vector<float>(count, 1.F); }
 
 // The rays there, columns a `gap` apart; gradients begin with 1.
 struct DeviceRays {
   DeviceRays(const LossRays<float>& host, int gap)
       : first(host.first, 1),
         near_far(host.near_far, 2),
+        label(host.label, 1),
         truth(host.depth_target, 1),
+        soft(host.soft, kClasses),
         t(with_tail(host.t, 0.F), 1, 1 + gap),
         delta(with_tail(host.delta, 0.F), 1, 1 + gap),
         sigma(with_tail(host.sigma, 3.F), 1, 1 + gap),
@@ -40,27 +46,40 @@ struct DeviceRays {
         depth(host.depth, 1, 1 + gap),
         opacity(host.opacity, 1, 1 + gap),
         color(host.color, 3, 3 + gap),
-        d_color(std::vector<float>(host.color.size(), 1.F), 3, 3 + gap),
-        d_depth(std::vector<float>(host.depth.size(), 1.F), 1, 1 + gap),
-        d_weight(with_tail(std::vector<float>(host.t.size(), 1.F), 1.F), 1, 1 + gap),
-        d_sigma(with_tail(std::vector<float>(host.t.size(), 1.F), 1.F), 1, 1 + gap) {}
+        logits(host.logits, kClasses, kClasses + gap),
+        d_color(ones(host.color.size()), 3, 3 + gap),
+        d_depth(ones(host.depth.size()), 1, 1 + gap),
+        d_weight(with_tail(ones(host.t.size()), 1.F), 1, 1 + gap),
+        d_sigma(with_tail(ones(host.t.size()), 1.F), 1, 1 + gap),
+        d_logits(ones(host.logits.size()), kClasses, kClasses + gap) {}
   RayTargets targets() const {
     RayTargets out;
-    out.depth = truth.read_only();
+    out.label = label.read_only();
+    out.more.set(channel::depth, truth.read_only());
+    if (soft.view().rows > 0) out.more.set(channel::soft_label, soft.read_only());
     return out;
   }
   RayValues<float> values() const {
-    return {near_far.read_only(), first.read_only(), t.read_only(),     delta.read_only(),  sigma.read_only(),
-            weight.read_only(),   color.read_only(), depth.read_only(), opacity.read_only()};
+    RayValues<float> out{
+        near_far.read_only(), first.read_only(), t.read_only(),     delta.read_only(),   sigma.read_only(),
+        weight.read_only(),   color.read_only(), depth.read_only(), opacity.read_only(), {}};
+    out.heads.set(channel::logits, logits.read_only());
+    return out;
   }
-  RayGradients<float> gradients() const { return {d_color.view(), d_depth.view(), d_weight.view(), d_sigma.view()}; }
+  RayGradients<float> gradients() const {
+    RayGradients<float> out{d_color.view(), d_depth.view(), d_weight.view(), d_sigma.view(), {}};
+    out.heads.set(channel::logits, d_logits.view());
+    return out;
+  }
   std::string surroundings() const {
-    return d_color.surroundings() + d_depth.surroundings() + d_weight.surroundings() + d_sigma.surroundings();
+    return d_color.surroundings() + d_depth.surroundings() + d_weight.surroundings() + d_sigma.surroundings() +
+           d_logits.surroundings();
   }
   DeviceMatrix<std::int32_t> first;
   DeviceMatrix<double> near_far;
-  DeviceMatrix<float> truth, t, delta, sigma, weight, depth, opacity, color;
-  DeviceMatrix<float> d_color, d_depth, d_weight, d_sigma;
+  DeviceMatrix<std::int16_t> label;
+  DeviceMatrix<float> truth, soft, t, delta, sigma, weight, depth, opacity, color, logits;
+  DeviceMatrix<float> d_color, d_depth, d_weight, d_sigma, d_logits;
 };
 
 // The gradient that was added; rows that no ray owns must still hold 1.
@@ -72,26 +91,39 @@ std::vector<float> added(const DeviceMatrix<float>& gradient, std::size_t rows) 
   return values;
 }
 
-void expect_same(const testing::LossSetting& setting, const std::vector<int>& counts, int gap) {
-  SCOPED_TRACE(setting.name + ", " + std::to_string(counts.size()) + " rays, gap " + std::to_string(gap));
-  DeviceLaunch launch;
-  const LossRays<float> host(counts);
-  LossRays<double> want(counts);
-  const double sum = want.add(*setting.term, kScale);
-  std::vector<LossEntry> entries;
-  for (const LossKind& kind : loss_kinds()) {
-    if (setting.name.starts_with(kind.type)) entries = {{std::string(kind.type), setting.term, ""}};
+const KernelTables& kernels() {
+  static const KernelTables tables = testing::tables_of({cuda::add_plugin_kernels});
+  return tables;
+}
+
+// A loss of a conformance row, with its kernels; none for a loss of CPUs alone.
+std::vector<cuda::DeviceLoss> device_losses(const testkit::Row& row) {
+  const PluginEntry& entry = testkit::linked_registry().get(PluginKind::loss, row.name);
+  std::shared_ptr<const Loss> loss = entry.loss(*testkit::make_params(entry, row.settings));
+  if (!kernels().has(Device::cuda, "loss '" + row.name + "'")) {
+    std::cout << "loss '" << row.name << "' has no cuda kernels: runs with it stay on the CPU\n";
+    return {};
   }
-  ASSERT_EQ(entries.size(), 1u);
+  const LossList list({{row.name, loss, nullptr, ""}, {row.name, loss, nullptr, ""}});
+  return cuda::loss_kernels(list, &kernels());
+}
+
+void expect_same(const testkit::Row& row, const std::vector<int>& counts, int gap, bool soft_labels = false) {
+  SCOPED_TRACE(row.text() + ", " + std::to_string(counts.size()) + " rays, gap " + std::to_string(gap));
+  const std::vector<cuda::DeviceLoss> losses = device_losses(row);
+  if (losses.empty()) return;
+  DeviceLaunch launch;
+  const LossRays<float> host(counts, 1, soft_labels);
+  LossRays<double> want(counts, 1, soft_labels);
+  const double sum = want.add(*losses[0].loss, kScale);
   // Second in a list of two, of which the first does not work.
-  const LossList losses({entries[0], entries[0]});
   cuda::StepCell cell;
   cell.loss_scale[1] = kScale;
   launch.set_cell(cell);
   DeviceRays there(host, gap);
   const DeviceMatrix<LossSums> sums(std::vector<LossSums>(1), 1);
   const auto run = [&] {
-    cuda::add_losses(launch.arena(), losses, 2, there.targets(), there.values(), there.gradients(), sums.data());
+    cuda::add_losses(launch.arena(), losses, 2, {there.targets(), there.values(), there.gradients()}, sums.data());
     return sums.read()[0];
   };
   const LossSums got = run();
@@ -109,70 +141,61 @@ void expect_same(const testing::LossSetting& setting, const std::vector<int>& co
   compare("depth", there.d_depth, want.d_depth);
   compare("weight", there.d_weight, want.d_weight);
   compare("density", there.d_sigma, want.d_sigma);
+  compare("logits", there.d_logits, want.d_logits);
   EXPECT_EQ(there.surroundings(), "");
   EXPECT_EQ(run().terms[1], got.terms[1]) << "a second run gave other bits";
   EXPECT_EQ(launch.take_fault(), std::nullopt);
 }
 
-// Of the terms that have kernels; EveryKindHasKernels names the others.
-std::vector<testing::LossSetting> settings_with_kernels() {
-  std::vector<testing::LossSetting> settings = testing::loss_settings();
-  std::erase_if(settings, [](const testing::LossSetting& setting) {
-    return std::none_of(loss_kinds().begin(), loss_kinds().end(),
-                        [&](const LossKind& kind) { return kind.cuda && setting.name.starts_with(kind.type); });
-  });
-  EXPECT_FALSE(settings.empty());
-  return settings;
-}
-
-TEST(CudaLossTerms, EveryTermAsTheProcessor) {
+TEST(CudaLosses, EachAsTheProcessor) {
   SEMFIELD_NEEDS_DEVICE();
-  for (const testing::LossSetting& setting : settings_with_kernels()) {
-    for (const int gap : {0, 3}) expect_same(setting, testing::awkward_ray_lengths(), gap);
-    expect_same(setting, {1023, 1024, 1025, 2049, 5000}, 0);
-    for (const auto& counts : std::vector<std::vector<int>>{{0}, {1}, {0, 0, 3}}) expect_same(setting, counts, 0);
+  for (const testkit::Row& row : testkit::rows_of(PluginKind::loss)) {
+    for (const int gap : {0, 3}) expect_same(row, testkit::awkward_ray_lengths(), gap);
+    expect_same(row, testkit::awkward_ray_lengths(), 0, true);
+    expect_same(row, {1023, 1024, 1025, 2049, 5000}, 0);
+    for (const auto& counts : std::vector<std::vector<int>>{{0}, {1}, {0, 0, 3}}) expect_same(row, counts, 0);
   }
 }
 
-TEST(CudaLossTerms, ManyRays) {
+TEST(CudaLosses, ManyRays) {
   SEMFIELD_NEEDS_DEVICE();
   std::vector<int> counts;
   for (int r = 0; r < 4097; ++r) counts.push_back(r * 7 % 40);
-  for (const testing::LossSetting& setting : settings_with_kernels()) expect_same(setting, counts, 0);
+  for (const testkit::Row& row : testkit::rows_of(PluginKind::loss)) expect_same(row, counts, 0);
 }
 
-// A batch without depth, as `bench step` makes it.
-TEST(CudaLossTerms, NoTargetsAreNoLoss) {
+// A batch without what a loss compares with, as `bench step` makes it.
+TEST(CudaLosses, NoTargetsAreNoLoss) {
   SEMFIELD_NEEDS_DEVICE();
   DeviceLaunch launch;
-  const LossRays<float> host(testing::awkward_ray_lengths());
+  const LossRays<float> host(testkit::awkward_ray_lengths());
   DeviceRays there(host, 0);
   const DeviceMatrix<LossSums> sums(std::vector<LossSums>(1), 1);
-  for (const LossKind& kind : loss_kinds()) {
-    if (!kind.cuda || !kind.make()->traits().reads_depth) continue;
-    cuda::add_losses(launch.arena(), LossList({{std::string(kind.type), kind.make(), ""}}), 1, {}, there.values(),
-                     there.gradients(), sums.data());
-    EXPECT_EQ(sums.read()[0].terms[0], 0) << kind.type;
+  for (const testkit::Row& row : testkit::rows_of(PluginKind::loss)) {
+    const std::vector<cuda::DeviceLoss> losses = device_losses(row);
+    if (losses.empty() || losses[0].loss->traits().targets.empty()) continue;
+    cuda::add_losses(launch.arena(), losses, 1, {{}, there.values(), there.gradients()}, sums.data());
+    EXPECT_EQ(sums.read()[0].terms[0], 0) << row.text();
   }
   EXPECT_EQ(launch.take_fault(), std::nullopt);
 }
 
-// Those that the build says have them; a term of processors alone is named, and refused where it is asked for.
-TEST(CudaLossTerms, EveryKindHasKernels) {
-  for (const LossKind& kind : loss_kinds()) {
-    const LossList list({{std::string(kind.type), kind.make(), ""}});
-    if (kind.cuda) {
-      EXPECT_NO_THROW(cuda::require_loss_kernels(list)) << kind.type;
-      continue;
-    }
-    std::cout << "loss term '" << kind.type << "' has no cuda kernels: runs with it stay on the processor\n";
-    EXPECT_THROW(cuda::require_loss_kernels(list), Error) << kind.type;
+struct ElsewhereParams : LossRule {};
+class Elsewhere final : public LossOf<Elsewhere, ElsewhereParams> {
+ public:
+  LossTraits traits() const override { return {}; }
+  template <class Real>
+  double sum(const RayTargets&, const RayValues<Real>&, double, const RayGradients<Real>&) const {
+    return 0;
   }
+};
+
+TEST(CudaLosses, OneWithoutKernelsIsRefusedByName) {
   try {
-    cuda::require_loss_kernels(LossList({{"elsewhere", nullptr, ""}}));
-    FAIL() << "a term without kernels was taken";
+    (void)cuda::loss_kernels(LossList({{"elsewhere", std::make_shared<Elsewhere>(), nullptr, ""}}), &kernels());
+    FAIL() << "a loss without kernels was taken";
   } catch (const Error& error) {
-    EXPECT_NE(error.message().find("'elsewhere' has no CUDA kernels"), std::string::npos) << error.message();
+    EXPECT_NE(error.message().find("loss 'elsewhere' has no cuda kernels"), std::string::npos) << error.message();
   }
 }
 

@@ -38,8 +38,8 @@ void lead_ranks(int size, bool own_devices, const std::string& yaml, const Lead&
     Session session = open_text(yaml, registry);
     const WorkSettings work = session.work();
     const WorkScope scope(work);
-    run_on({Device::cuda, own_devices ? ranks.rank() : 0}, session.config, registry, session.plan, session.extent,
-           *session.pipeline, true, &ranks);
+    run_on({{Device::cuda, own_devices ? ranks.rank() : 0}, true, &ranks}, session.config, registry, session.plan,
+           session.extent, *session.pipeline);
     if (ranks.rank() == 0) return lead(session);
     static_cast<RanksExecutor&>(session.pipeline->executor()).serve();
   });
@@ -54,8 +54,7 @@ struct Trained {
 Lead train_into(Trained& result) {
   return [&result](Session& session) {
     const std::unique_ptr<RaySource> rays = session.make_ray_source();
-    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule,
-                    session.config.train.steps);
+    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
     while (trainer.step() < 12) {
       for (const StepLosses& losses : trainer.advance_many(std::min<std::int64_t>(5, 12 - trainer.step())))
         result.losses.push_back(losses);

@@ -6,8 +6,6 @@
 #include <filesystem>
 
 #include "plugin/linked_plugins.h"
-#include "settings/label_config.h"
-#include "settings/loss_config.h"
 #include "settings/run_config.h"
 #include "system/files.h"
 #include "tests/docs/pages.h"
@@ -42,15 +40,18 @@ std::string section_tables() {
   std::string text = "\n";
   for (const SectionDoc& section : describe_sections())
     text += heading_and_table("`" + section.path + "`: " + section.sentence, section.params);
-  for (const LossDoc& term : describe_losses())
-    text += heading_and_table("`losses[]` with `type: " + term.type + "`: " + term.sentence, term.params);
   return text + "\n";
 }
 
 std::string degradation_tables() {
   std::string text = "\n";
-  for (const LabelStepDoc& step : describe_label_steps()) {
-    if (step.key == "degrade") text += heading_and_table("`" + step.type + "`: " + step.sentence, step.params);
+  Registry registry;
+  register_linked_plugins(registry);
+  for (const std::string& name : registry.names(PluginKind::degradation)) {
+    const PluginEntry& entry = registry.get(PluginKind::degradation, name);
+    const std::unique_ptr<PluginParams> params = entry.new_params();
+    text += heading_and_table("`" + name + "`: " + entry.summary,
+                              describe_params([&](ParamVisitor& visit) { params->describe(visit); }));
   }
   return text + "\n";
 }

@@ -2,8 +2,6 @@
 #include "tests/docs/keys.h"
 
 #include "plugin/linked_plugins.h"
-#include "settings/label_config.h"
-#include "settings/loss_config.h"
 #include "settings/run_config.h"
 
 namespace semfield::docs {
@@ -18,9 +16,6 @@ std::vector<ParamDoc> params_of(const PluginEntry& entry) {
 
 Keys::Keys() {
   for (const SectionDoc& section : describe_sections()) add(section.path, section.params);
-  for (const LabelStepDoc& step : describe_label_steps())
-    add("scene.labels." + step.key + (step.key == "degrade" ? ".N" : ""), step.params);
-  for (const LossDoc& term : describe_losses()) add("losses.N", term.params);
   // By convention every dataset of files has these.
   for (const char* key : {"train.schedule.legs", "scene.root", "scene.file", "scene.classes", "scene.type",
                           "scene.unknown_labels", "passes.N"})
@@ -30,6 +25,14 @@ Keys::Keys() {
     const std::vector<ParamDoc> params = params_of(*entry);
     if (entry->kind == PluginKind::dataset) {
       for (const ParamDoc& doc : params) datasets_[entry->name].insert("scene." + doc.name);
+      continue;
+    }
+    if (entry->kind == PluginKind::loss) {
+      add("losses.N", params);
+      continue;
+    }
+    if (entry->kind == PluginKind::label_reader || entry->kind == PluginKind::degradation) {
+      add(entry->kind == PluginKind::degradation ? "scene.labels.degrade.N" : "scene.labels.from", params);
       continue;
     }
     for (const char* slot : {"sampler", "position", "direction", "field", "semantic.position", "semantic.field"})

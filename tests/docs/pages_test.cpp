@@ -1,4 +1,5 @@
-// What pages point at exists: citations, folders, verbs and their options, exit codes. `scripts/site --check` looks at links.
+// What pages point at exists: citations, folders, verbs and their options, exit codes. `scripts/site --check` looks at
+// links.
 #include "tests/docs/pages.h"
 
 #include <gtest/gtest.h>

@@ -20,7 +20,7 @@ ReplicaParams even_odd(const std::string& folder) {
   return p;
 }
 
-// Every error and warning of loading the folder, one a line.
+// Every error and warning of loading the folder, one per line.
 std::vector<std::string> findings(const ReplicaParams& p) {
   Replica replica(p, {});
   Diagnostics d;

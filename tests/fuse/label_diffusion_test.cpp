@@ -1,5 +1,5 @@
 // Votes on a graph: a chain by hand, a direct factorisation as the oracle, parts that no vote reaches, threads.
-#include "fuse/label_diffusion.h"
+#include "surface/label_diffusion.h"
 
 #include <gtest/gtest.h>
 

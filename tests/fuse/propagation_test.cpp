@@ -10,7 +10,8 @@
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
-#include "fuse/surface_cells.h"
+#include "surface/seen_surface.h"
+#include "surface/surface_cells.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -19,14 +20,14 @@ namespace {
 
 TEST(SurfaceCells, TouchingCellsAreNeighboursOnce) {
   SurfaceCells cells(0.5);
-  EXPECT_EQ(cells.add({0.1, 0.1, 0.1}), 0);
-  EXPECT_EQ(cells.add({-0.1, 0.1, 0.1}), 1);  // the other side of 0 is another cell
-  EXPECT_EQ(cells.add({0.4, 0.4, 0.4}), 0);
-  EXPECT_EQ(cells.add({0.6, 0.6, 0.6}), 2);     // touches 0 in a corner
-  EXPECT_EQ(cells.add({-0.6, -0.1, -0.1}), 3);  // touches 1 in a corner; two cells from 0
-  EXPECT_EQ(cells.add({5, 5, 5}), 4);           // alone
-  EXPECT_EQ(cells.add({1e7, 0, 0}), -1);
-  EXPECT_EQ(cells.add({0, std::numeric_limits<double>::quiet_NaN(), 0}), -1);
+  EXPECT_EQ(cells.add(Vec3d{0.1, 0.1, 0.1}), 0);
+  EXPECT_EQ(cells.add(Vec3d{-0.1, 0.1, 0.1}), 1);  // the other side of 0 is another cell
+  EXPECT_EQ(cells.add(Vec3d{0.4, 0.4, 0.4}), 0);
+  EXPECT_EQ(cells.add(Vec3d{0.6, 0.6, 0.6}), 2);     // touches 0 in a corner
+  EXPECT_EQ(cells.add(Vec3d{-0.6, -0.1, -0.1}), 3);  // touches 1 in a corner; two cells from 0
+  EXPECT_EQ(cells.add(Vec3d{5, 5, 5}), 4);           // alone
+  EXPECT_EQ(cells.add(Vec3d{1e7, 0, 0}), -1);
+  EXPECT_EQ(cells.add(Vec3d{0, std::numeric_limits<double>::quiet_NaN(), 0}), -1);
   EXPECT_EQ(cells.count(), 5);
   std::vector<std::pair<int, int>> pairs;
   for (const CellPair& pair : cells.neighbours())
@@ -37,7 +38,7 @@ TEST(SurfaceCells, TouchingCellsAreNeighboursOnce) {
 
 TEST(SurfaceCells, ABlockHasEveryPair) {
   SurfaceCells cells(1);
-  for (int i = 0; i < 27; ++i) cells.add({i / 9 + 0.5, i / 3 % 3 + 0.5, i % 3 + 0.5});
+  for (int i = 0; i < 27; ++i) cells.add(Vec3d{i / 9 + 0.5, i / 3 % 3 + 0.5, i % 3 + 0.5});
   // Of 3 x 3 x 3 cells: 3 directions with 2 x 9 pairs each, 6 with 2 x 2 x 3, 4 with 2 x 2 x 2.
   EXPECT_EQ(cells.neighbours().size(), 54u + 72u + 32u);
 }
@@ -48,14 +49,14 @@ TEST(SurfaceCells, NormalsOfTheAnalyticRoom) {
   const FrameInfo& info = scene.info.frames[1];
   const std::vector<float> depth = scene.frames[1].depth_m.expand();
   const PosedDepth view{info.camera, info.world_from_camera, depth};
-  const std::vector<Vec3d> points = surface_points(view), normals = surface_normals(view, points);
+  const SeenSurface seen = seen_surface(surface_points(view), info.camera.width_px, info.world_from_camera.t);
   int near = 0, asked = 0;
   for (std::int32_t row = 0; row < info.camera.height_px; ++row) {
     for (std::int32_t column = 0; column < info.camera.width_px; ++column) {
       const Vec3d ray = normalized(info.world_from_camera.rotate(info.camera.direction(column + 0.5, row + 0.5)));
       const testkit::AnalyticHit hit = testkit::intersect_analytic_room(info.world_from_camera.t, ray);
       ++asked;
-      near += dot(hit.normal, normals[view.pixel(column, row)]) > 0.95 ? 1 : 0;
+      near += dot(hit.normal, seen.normal[view.pixel(column, row)]) > 0.95 ? 1 : 0;
     }
   }
   EXPECT_GT(near, asked * 9 / 10) << "of " << asked;

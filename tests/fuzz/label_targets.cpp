@@ -9,6 +9,7 @@
 #include "labels/label_steps.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
+#include "tests/labels/label_plugins.h"
 
 namespace semfield::fuzz {
 
@@ -24,30 +25,20 @@ void read_labels(std::string_view type, const std::string& yaml) {
   frame.camera.width_px = 4;
   frame.camera.height_px = 3;
   for (const ClassTable& known : {room, ClassTable()}) {
-    for (const StepKind<LabelReader>& kind : label_reader_kinds()) {
-      if (kind.type != type) continue;
-      const std::unique_ptr<LabelReader> reader = kind.make();
-      Diagnostics settings;
-      read_params(
-          parse_config_text(yaml, "labels"), "scene.labels.from", [&](ParamVisitor& visit) { reader->describe(visit); },
-          settings);
-      reader->validate(settings);
-      promise(!settings.has_errors(), "the parameters of the target itself are wrong");
-      accepted([&] {
-        Diagnostics diagnostics;
-        const ClassTable own = reader->open(known, diagnostics);
-        if (diagnostics.has_errors() || !reader->has(frame)) return;
-        const ClassTable& classes = known.empty() || reader->adds_classes() ? own : known;
-        const LabelRaster raster = reader->read(frame, classes);
-        const std::size_t pixels =
-            static_cast<std::size_t>(raster.width_px) * static_cast<std::size_t>(raster.height_px);
-        promise(raster.hard.empty() || raster.hard.size() == pixels, "a raster of another size");
-        promise(raster.soft.empty() || raster.soft.size() == pixels * static_cast<std::size_t>(classes.valid_count()),
-                "probabilities of another size");
-        for (const std::int16_t index : raster.hard)
-          promise(index >= kVoid && index < classes.valid_count(), "a label that is no class");
-      });
-    }
+    const std::unique_ptr<LabelReader> reader = testing_labels::make_reader(std::string(type), yaml);
+    accepted([&] {
+      Diagnostics diagnostics;
+      const ClassTable own = reader->open(known, diagnostics);
+      if (diagnostics.has_errors() || !reader->has(frame)) return;
+      const ClassTable& classes = known.empty() || reader->adds_classes() ? own : known;
+      const LabelRaster raster = reader->read(frame, classes);
+      const std::size_t pixels = static_cast<std::size_t>(raster.width_px) * static_cast<std::size_t>(raster.height_px);
+      promise(raster.hard.empty() || raster.hard.size() == pixels, "a raster of another size");
+      promise(raster.soft.empty() || raster.soft.size() == pixels * static_cast<std::size_t>(classes.valid_count()),
+              "probabilities of another size");
+      for (const std::int16_t index : raster.hard)
+        promise(index >= kVoid && index < classes.valid_count(), "a label that is no class");
+    });
   }
 }
 

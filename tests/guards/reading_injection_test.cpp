@@ -262,7 +262,7 @@ TEST(ReadingInjection, ColoursAndSoftLabelsOfABatch) {
       RayBatch view = batch.view(true);
       if (soft) {
         rows[static_cast<std::size_t>(7 * classes + 1)] = static_cast<float>(bad);
-        view.soft = {rows.data(), rays, classes};
+        view.targets.more.set(channel::soft_label, {rows.data(), rays, classes});
       } else {
         batch.target[3 * 7 + 1] = static_cast<float>(bad);
       }

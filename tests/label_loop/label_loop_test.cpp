@@ -160,7 +160,7 @@ TEST(LabelLoop, ASurfaceMadeAnewKeepsTheClicksWhereTheyAre) {
       if (s.cost[0] == 0)
         begun.push_back(loop.pool().points[static_cast<std::size_t>(&s - loop.graph().settled().data())].position);
     for (std::size_t k = 0; k < places.size(); ++k) {
-      const std::int32_t point = loop.graph().point_at(places[k]);
+      const std::int32_t point = loop.pool().cells.near(places[k]);
       if (point < 0) continue;
       ++lying;
       const Settled& s = loop.graph().settled()[static_cast<std::size_t>(point)];
@@ -211,7 +211,7 @@ TEST(LabelLoop, WhatWasPassedOverIsNotAskedForAgain) {
   for (std::uint64_t round = 0; round < 5; ++round) {
     const Asked asked = *loop.propose(Acquisition::surface, 1, round);
     const PoolPoint& point = loop.pool().points[static_cast<std::size_t>(asked.point)];
-    for (const Vec3d& place : places) EXPECT_GT(length(place - point.position), 2 * loop.pool().cell_m);
+    for (const Vec3d& place : places) EXPECT_GT(length(place - point.position), 2 * loop.pool().cell_m());
     places.push_back(point.position);
     skipped.push_back({point.view, 0, {point.pixel}});
     loop.set_skipped(skipped);

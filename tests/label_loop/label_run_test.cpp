@@ -19,7 +19,7 @@ using testing_train::TempDir;
 // A run that has a surface, and whose events a test applies by itself.
 struct PreparedRun {
   TempDir dir;
-  TrainingListener nobody;
+  RunListener nobody;
   LabelRun run;
   Annotations annotations;
 
@@ -84,7 +84,7 @@ TEST(LabelRun, ASkipInTheSteadOfAnotherCounts) {
     const LabelState next = room.state();
     ASSERT_TRUE(next.proposal.has_value());
     EXPECT_NE(next.proposal->id, asked.proposal->id);
-    EXPECT_GT(length(room.place_of(*next.proposal) - room.place_of(*asked.proposal)), room.run.loop().pool().cell_m)
+    EXPECT_GT(length(room.place_of(*next.proposal) - room.place_of(*asked.proposal)), room.run.loop().pool().cell_m())
         << "round " << k;
   }
 }

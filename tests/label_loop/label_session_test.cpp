@@ -310,7 +310,7 @@ TEST(LabelSession, LabelsOfTheConfigurationCountAsGiven) {
 
 // --- failures ---
 
-class Thrower final : public TrainingListener {
+class Thrower final : public RunListener {
  public:
   void stepped(std::int64_t step, const StepLosses&) override {
     if (step >= 20) throw Error(ErrorKind::unavailable, "out of everything");
@@ -337,7 +337,7 @@ TEST(LabelSession, AfterAFailurePicturesAndEventsGoOn) {
 
 // Whatever a training throws: whoever waits is answered.
 TEST(LabelSession, AnyExceptionIsAFailure) {
-  class Stranger final : public TrainingListener {
+  class Stranger final : public RunListener {
    public:
     void stepped(std::int64_t step, const StepLosses&) override {
       if (step >= 20) throw std::runtime_error("out of everything");

@@ -26,11 +26,11 @@ inline std::string session_config(const std::string& scene = "analytic_room, wit
 /// run() in a thread from start() on; what it throws is in `ended_with`. Stopped at the end.
 class RunningSession {
  public:
-  RunningSession(const std::string& yaml, const std::string& run_dir, TrainingListener* listener = nullptr,
+  RunningSession(const std::string& yaml, const std::string& run_dir, RunListener* listener = nullptr,
                  int class_room = 6)
       : RunningSession(run_config_of(parse_config_text(yaml, "test.yaml"), registry()), run_dir, listener, class_room) {
   }
-  RunningSession(RunConfig config, const std::string& run_dir, TrainingListener* listener = nullptr, int class_room = 6)
+  RunningSession(RunConfig config, const std::string& run_dir, RunListener* listener = nullptr, int class_room = 6)
       : session(std::move(config), registry(), {run_dir, class_room}, listener) {}
   ~RunningSession() { stop(); }
   RunningSession(const RunningSession&) = delete;

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "serve/surface/surface_pool.h"
+#include "surface/surface_pool.h"
 #include "testkit/analytic_scene.h"
 
 namespace semfield::testing_loop {

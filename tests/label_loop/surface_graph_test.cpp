@@ -1,5 +1,5 @@
 // Ways along the surface: against Bellman and Ford's relaxation, seed by seed, in any order, and within bounds.
-#include "serve/surface/surface_graph.h"
+#include "surface/surface_graph.h"
 
 #include <gtest/gtest.h>
 
@@ -24,16 +24,16 @@ SurfacePool random_pool(std::uint64_t seed, double share = 0.6) {
   std::uint64_t n = 0;
   const auto any = [&] { return static_cast<double>(uniform01(random, n++)); };
   SurfacePool pool;
-  pool.cell_m = 0.1;
+  pool.cells = SurfaceCells(0.1);
   for (std::int32_t x = -6; x < 6; ++x) {
     for (std::int32_t y = -6; y < 6; ++y) {
       for (std::int32_t z = -1; z < 2; ++z) {
         if (any() > share) continue;
         PoolPoint point;
-        point.cell = {x, y, z};
-        point.position = Vec3d{x + any(), y + any(), z + any()} * pool.cell_m;
+        pool.cells.add(SurfaceCell{x, y, z});
+        point.position = Vec3d{x + any(), y + any(), z + any()} * pool.cell_m();
         point.normal = normalized(Vec3d{any() - 0.5, any() - 0.5, any() + 0.1});
-        for (float& c : point.color) c = static_cast<float>(0.3 * any());
+        point.color = Vec3d{any(), any(), any()} * 0.3;
         point.interior = true;
         pool.points.push_back(point);
       }
@@ -45,12 +45,12 @@ SurfacePool random_pool(std::uint64_t seed, double share = 0.6) {
 // The rules' cost of a way between two cells that touch; infinite for others.
 double way_cost(const SurfacePool& pool, std::size_t i, std::size_t j, const SurfaceGraphRules& rules) {
   const PoolPoint &a = pool.points[i], &b = pool.points[j];
+  const auto at = [&](std::size_t n) { return pool.cells.place(static_cast<std::int32_t>(n)); };
   for (std::size_t axis = 0; axis < 3; ++axis)
-    if (std::abs(a.cell[axis] - b.cell[axis]) > 1) return INFINITY;
-  double color = 0;
-  for (int c = 0; c < 3; ++c) color += std::pow(static_cast<double>(a.color[c]) - static_cast<double>(b.color[c]), 2);
+    if (std::abs(at(i)[axis] - at(j)[axis]) > 1) return INFINITY;
+  const double color = std::pow(length(a.color - b.color), 2);
   const double bend = std::pow(length(a.normal - b.normal), 2);
-  return rules.way * length(a.position - b.position) / pool.cell_m +
+  return rules.way * length(a.position - b.position) / pool.cell_m() +
          std::min(rules.most, 0.5 * color / (rules.color_sigma * rules.color_sigma)) +
          std::min(rules.most, 0.5 * bend / (rules.normal_sigma * rules.normal_sigma));
 }
@@ -196,10 +196,10 @@ TEST(SurfaceGraph, AroundIsTheCheapestWithinReachInOrder) {
 // A row of cells along x: the way over the middle costs what lies there.
 SurfacePool row_of_cells() {
   SurfacePool pool;
-  pool.cell_m = 1;
+  pool.cells = SurfaceCells(1);
   for (std::int32_t x = 0; x < 9; ++x) {
     PoolPoint point;
-    point.cell = {x, 0, 0};
+    pool.cells.add(SurfaceCell{x, 0, 0});
     point.position = {x + 0.5, 0.5, 0.5};
     point.normal = {0, 0, 1};
     pool.points.push_back(point);
@@ -220,7 +220,7 @@ TEST(SurfaceGraph, WaysAreDearerAcrossStepsOfColourAndBends) {
   float before = way;
   for (const float step : {0.1F, 0.2F, 0.3F}) {
     SurfacePool painted = plain;
-    for (std::size_t i = 4; i < 9; ++i) painted.points[i].color[1] = step;
+    for (std::size_t i = 4; i < 9; ++i) painted.points[i].color.y = static_cast<double>(step);
     const float cost = cost_across(painted);
     EXPECT_NEAR(cost - way, 50 * step * step, 1e-3) << "a step of a sigma costs 1/2";
     EXPECT_GT(cost, before);
@@ -236,7 +236,7 @@ TEST(SurfaceGraph, WaysAreDearerAcrossStepsOfColourAndBends) {
   }
   SurfacePool wall = plain;  // black beside white, and back to back: each of the two has its most
   for (std::size_t i = 4; i < 9; ++i) {
-    for (float& c : wall.points[i].color) c = 1;
+    wall.points[i].color = {1, 1, 1};
     wall.points[i].normal = {0, 0, -1};
   }
   EXPECT_NEAR(cost_across(wall), way + 2 * SurfaceGraphRules().most, 1e-4);
@@ -244,13 +244,13 @@ TEST(SurfaceGraph, WaysAreDearerAcrossStepsOfColourAndBends) {
 
 TEST(SurfaceGraph, APlaceIsThatOfItsCellOrOfOneBesideIt) {
   const SurfacePool pool = row_of_cells();
-  const SurfaceGraph graph(pool, {});
-  EXPECT_EQ(graph.point_at({3.9, 0.1, 0.9}), 3);
-  EXPECT_EQ(graph.point_at({3.9, 1.2, 0.5}), 3) << "one cell above";
-  EXPECT_EQ(graph.point_at({9.4, 0.5, 0.5}), 8) << "one cell behind the last";
-  EXPECT_EQ(graph.point_at({3.5, 2.5, 0.5}), -1);
-  EXPECT_EQ(graph.point_at({1e300, -1e300, 0}), -1);
-  EXPECT_EQ(SurfaceGraph().point_at({0, 0, 0}), -1);
+  const SurfaceCells& cells = pool.cells;
+  EXPECT_EQ(cells.near({3.9, 0.1, 0.9}), 3);
+  EXPECT_EQ(cells.near({3.9, 1.2, 0.5}), 3) << "one cell above";
+  EXPECT_EQ(cells.near({9.4, 0.5, 0.5}), 8) << "one cell behind the last";
+  EXPECT_EQ(cells.near({3.5, 2.5, 0.5}), -1);
+  EXPECT_EQ(cells.near({1e300, -1e300, 0}), -1);
+  EXPECT_EQ(SurfaceCells().near({0, 0, 0}), -1);
 }
 
 }  // namespace

@@ -1,5 +1,5 @@
 // Distances along the rays of a camera: rendering's own, near the truth once a room is learned.
-#include "serve/surface/surface_map.h"
+#include "surface/surface_map.h"
 
 #include <gtest/gtest.h>
 

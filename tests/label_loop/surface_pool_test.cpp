@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <set>
 #include <utility>
 #include <vector>
 
@@ -23,9 +22,7 @@ TEST(SurfacePool, HasSomeAsManyPointsAsWanted) {
     const SurfacePool pool = make_surface_pool(room.views, room_limits(), wanted);
     EXPECT_GT(std::ssize(pool.points), wanted * 7 / 10);
     EXPECT_LT(std::ssize(pool.points), wanted * 14 / 10);
-    std::set<std::uint64_t> cells;
-    for (const PoolPoint& point : pool.points) cells.insert(surface_cell_key(point.cell));
-    EXPECT_EQ(cells.size(), pool.points.size()) << "one point a cell";
+    EXPECT_EQ(pool.cells.count(), std::ssize(pool.points)) << "one point per cell";
   }
 }
 
@@ -42,7 +39,7 @@ TEST(SurfacePool, PointsLieOnTheSurfaceThatTheirPixelsShow) {
       ASSERT_GE(n, 0);
       const testkit::AnalyticHit hit =
           hit_at(room.views[v].camera, strided_place(static_cast<std::int64_t>(i), map.width_px, map.stride));
-      EXPECT_LT(length(hit.point - pool.points[static_cast<std::size_t>(n)].position), std::sqrt(3.0) * pool.cell_m);
+      EXPECT_LT(length(hit.point - pool.points[static_cast<std::size_t>(n)].position), std::sqrt(3.0) * pool.cell_m());
       ++pixels[static_cast<std::size_t>(n)];
     }
   }
@@ -50,12 +47,12 @@ TEST(SurfacePool, PointsLieOnTheSurfaceThatTheirPixelsShow) {
   for (std::size_t i = 0; i < pool.points.size(); ++i) {
     const PoolPoint& point = pool.points[i];
     EXPECT_GT(pixels[i], 0u) << "a point that no pixel shows";
-    EXPECT_EQ(point.cell, surface_cell(point.position, pool.cell_m)) << "a mean lies in its cell";
+    EXPECT_EQ(pool.cells.near(point.position), static_cast<std::int32_t>(i)) << "a mean lies in its cell";
     const testkit::AnalyticHit hit = hit_at(room.views[static_cast<std::size_t>(point.view)].camera, point.pixel);
-    EXPECT_EQ(point.cell, surface_cell(hit.point, pool.cell_m)) << "its pixel shows its cell";
-    for (const float c : point.color) {
-      EXPECT_GE(c, 0);
-      EXPECT_LE(c, 1);
+    EXPECT_EQ(pool.cells.near(hit.point), static_cast<std::int32_t>(i)) << "its pixel shows its cell";
+    for (int c = 0; c < 3; ++c) {
+      EXPECT_GE(point.color[c], 0);
+      EXPECT_LE(point.color[c], 1);
     }
     if (!point.interior) continue;
     ++with_normal;
@@ -110,7 +107,7 @@ TEST(SurfacePool, IsTheSameForAnyThreads) {
   set_thread_count(3);
   const SurfacePool three = make_surface_pool(room.views, room_limits(), 500);
   set_thread_count(0);
-  EXPECT_EQ(one.cell_m, three.cell_m);
+  EXPECT_EQ(one.cell_m(), three.cell_m());
   EXPECT_EQ(one.point_of_pixel, three.point_of_pixel);
   ASSERT_EQ(one.points.size(), three.points.size());
   for (std::size_t i = 0; i < one.points.size(); ++i) {

@@ -1,6 +1,6 @@
 // Places of the surface as cameras see them: the inverse of a ray, what is hidden, clicks of other views, the best
 // photograph.
-#include "serve/surface/surface_sight.h"
+#include "serve/surface_sight.h"
 
 #include <gtest/gtest.h>
 

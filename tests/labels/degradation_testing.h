@@ -9,27 +9,15 @@
 #include <vector>
 
 #include "compute/parallel.h"
-#include "config/config_tree.h"
-#include "config/params_read.h"
 #include "core/rng.h"
-#include "labels/label_steps.h"
+#include "tests/labels/label_plugins.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::testing_degrade {
 
 /// The step of a type with its keys as YAML ("{ratio: 0.5}"); every error is thrown.
 inline std::unique_ptr<Degradation> step(const std::string& type, const std::string& keys = "{}") {
-  for (const StepKind<Degradation>& kind : degradation_kinds()) {
-    if (kind.type != type) continue;
-    std::unique_ptr<Degradation> made = kind.make();
-    Diagnostics found;
-    read_params(
-        parse_config_text(keys, "step.yaml"), "step", [&](ParamVisitor& v) { made->describe(v); }, found);
-    made->validate(found);
-    found.throw_if_errors(ErrorKind::config, "the step:");
-    return made;
-  }
-  throw Error(ErrorKind::config, "no degradation '" + type + "'");
+  return testing_labels::make_degradation(type, keys);
 }
 
 struct Case {

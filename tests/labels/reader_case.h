@@ -5,29 +5,10 @@
 #include <string>
 #include <vector>
 
-#include "config/config_tree.h"
-#include "config/params_read.h"
-#include "labels/label_steps.h"
+#include "tests/labels/label_plugins.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::testing_labels {
-
-/// A reader of `type` with the parameters of a YAML map.
-inline std::unique_ptr<LabelReader> make_reader(const std::string& type, const std::string& yaml) {
-  for (const StepKind<LabelReader>& kind : label_reader_kinds()) {
-    if (kind.type != type) continue;
-    std::unique_ptr<LabelReader> reader = kind.make();
-    Diagnostics diagnostics;
-    read_params(
-        parse_config_text(yaml, "test.yaml"), "scene.labels.from",
-        [&](ParamVisitor& visit) { reader->describe(visit); }, diagnostics);
-    reader->validate(diagnostics);
-    diagnostics.throw_if_errors(ErrorKind::config, "parameters:");
-    return reader;
-  }
-  ADD_FAILURE() << "no reader '" << type << "'";
-  return nullptr;
-}
 
 inline FrameInfo frame_of(const std::string& name, int width = 4, int height = 3) {
   FrameInfo frame;
@@ -46,7 +27,7 @@ inline ClassTable room_table() {
                      {7, "table", {70, 80, 90}, false}});
 }
 
-/// Everything that open() reports, one a line.
+/// Everything that open() reports, one per line.
 inline std::string open_findings(LabelReader& reader, const ClassTable& known) {
   Diagnostics diagnostics;
   try {

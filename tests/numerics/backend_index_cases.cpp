@@ -206,7 +206,7 @@ void long_index(CaseRun& run) {
     mean += pixel.index / static_cast<double>(options.train.rays) / (1 << 28);
   }
   run.expect(inside, "every pixel drawn lies in a frame");
-  // 200 draws a frame: a binomial count is within 6 of its deviations of 13.7.
+  // 200 draws per frame: a binomial count is within 6 of its deviations of 13.7.
   for (const int count : drawn) run.measure(std::abs(count - 200), 6 * 13.7, "draws of a frame");
   run.measure(std::abs(mean - 0.5), 6 * 0.2887 / std::sqrt(3000.0), "mean place in a frame");
   frames.resize(17, frames[0]);

@@ -9,8 +9,7 @@
 #include "formats/png_codec.h"
 #include "input_parts.h"
 #include "loading/frame_source.h"
-#include "losses/loss_term.h"
-#include "tests/losses/loss_rays.h"
+#include "testkit/loss/loss_rays.h"
 #include "tests/scene/png_bytes.h"
 #include "tests/scene/room_files.h"
 
@@ -269,13 +268,14 @@ void special_depth(CaseRun& run) {
   run.expect(clean.scored_px() > 0 && clean.scored_px() == marked.scored_px(), "the same pixels are scored");
   run.measure(std::abs(*clean.rmse() - *marked.rmse()) + std::abs(*clean.abs_rel() - *marked.abs_rel()), 0, "metrics");
   // In the losses: a pixel of such depth counts for nothing and moves nothing.
-  for (const LossKind& kind : loss_kinds()) {
-    const auto term = kind.make();
-    if (!term->traits().reads_depth) continue;
-    testing::LossRays<float> sound({4, 4, 4, 4, 4}), spoilt = sound;
+  for (const PluginEntry* entry : run.registry().entries()) {
+    if (entry->kind != PluginKind::loss) continue;
+    const std::unique_ptr<Loss> term = entry->loss(*entry->new_params());
+    if (!term->traits().reads_target(channel::depth)) continue;
+    testkit::LossRays<float> sound({4, 4, 4, 4, 4}), spoilt = sound;
     sound.depth_target = {0, 0, 0, 0, 2};
     spoilt.depth_target = {0, -0.0F, std::numeric_limits<float>::quiet_NaN(), -1, 2};
-    const std::string name(kind.type);
+    const std::string& name = entry->name;
     run.expect(term->counted_rays(spoilt.targets(), 5) == 1, name + " counts one pixel");
     run.measure(std::abs(spoilt.add(*term, 1) - sound.add(*term, 1)), 0, name);
     run.expect(spoilt.d_depth == sound.d_depth && spoilt.d_weight == sound.d_weight, name + " has the same gradients");

@@ -48,8 +48,8 @@ void all_void(CaseRun& run) {
     }
   });
   run.row("fp32");
-  // Training on few labels: 4 rays a step and one labelled frame, so about half of the batches hold no label. In such a
-  // step the head is not touched: neither its values nor its moments, which an update with gradient 0 would move and
+  // Training on few labels: 4 rays per step and one labelled frame, so about half of the batches hold no label. In such
+  // a step the head is not touched: neither its values nor its moments, which an update with gradient 0 would move and
   // decay.
   TrainingBox box(run.registry(), small_config("scene: {type: box_room, labels: {frames: 1}}\n"
                                                "semantics: {hidden_width: 16, weight: 0.3}\n"
@@ -112,7 +112,7 @@ void label_range(CaseRun& run) {
     run.expect_error(ErrorKind::data, {"frame 'view_7'", "label.png", fmt::format("id {} ", bad), "x 3", "y 2"},
                      [&] { read_frame_files(frame, files, {}, classes, buffer); });
     FrameReadRules lenient;
-    lenient.unknown_labels_void = true;
+    lenient.unknown_labels = UnknownLabels::as_void;
     read_frame_files(frame, files, lenient, classes, buffer);
     run.expect(buffer.label[15] == kVoid && buffer.label[14] == 4, "unknown_labels: void makes it void, and it alone");
   }

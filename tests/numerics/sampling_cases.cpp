@@ -224,7 +224,7 @@ void cdf_end(CaseRun& run) {
         for (const Real t : bench->t)
           ++in_bin[std::min(kBins - 1, static_cast<std::size_t>(static_cast<double>(t) * kBins))];
         const auto [least, most] = std::minmax_element(in_bin.begin(), in_bin.end());
-        run.expect(*least >= 1 && *most <= 3, "two samples a bin, one more or less at its borders");
+        run.expect(*least >= 1 && *most <= 3, "two samples per bin, one more or less at its borders");
       }
     }
   });

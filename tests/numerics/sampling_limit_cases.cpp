@@ -183,8 +183,8 @@ struct Batch {
     batch.origin = {origin.data(), count, 3};
     batch.direction = {direction.data(), count, 3};
     batch.near_far = {near_far.data(), count, 2};
-    batch.target = {target.data(), count, 3};
-    batch.label = {label.data(), count, 1};
+    batch.targets.color = {target.data(), count, 3};
+    batch.targets.label = {label.data(), count, 1};
     return batch;
   }
   std::int64_t count;

@@ -28,6 +28,12 @@ def play(folder: Path, *words: Any, steps: int) -> str:
     return done.stdout
 
 
+def test_try_a_loss(tmp_path: Path) -> None:
+    said = play(tmp_path, EXAMPLES / "try_a_loss.py", steps=120)
+    scores = [float(part.split()[-1]) for part in said.split("half of the labels wrong: ")[1].split(",")]
+    assert len(scores) == 2 and min(scores) > 0.05, said
+
+
 def test_train_and_label(tmp_path: Path) -> None:
     said = play(tmp_path, EXAMPLES / "train_and_label.py", "out", steps=300)
     share = float(said.split("in the other 22, ")[1].split(" %")[0])

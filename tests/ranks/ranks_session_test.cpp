@@ -22,7 +22,7 @@ using testing::as_ranks;
 /// `body` gets the session of rank 0; the other ranks follow.
 void as_leader(int size, const std::string& yaml, const std::function<void(Session&)>& body) {
   as_ranks(size, [&](Ranks& ranks) {
-    Registry registry = make_registry();
+    Registry registry = make_channel_registry();
     if (ranks.rank() != 0) return follow(ranks, registry);
     {
       Session session = open_text(yaml, registry, {}, &ranks);
@@ -63,12 +63,18 @@ struct Shape {
 
 // Past the warm-up of the occupancy grid; two passes; tables of two passes; bf16; fewer lanes than ranks.
 TEST(RanksSession, TrainingHasTheBitsOfOneProcess) {
+  std::string labels_apart = hash_config(), albedo = hash_config("losses: [{type: albedo}]\n");
+  labels_apart.replace(labels_apart.find("train: {"), 8,
+                       "train: {ray_source: label_balanced, labelled_share: 0.3, label_rays_teach_color: false, ");
+  albedo.replace(albedo.find("{type: analytic_room"), 20, "{type: analytic_room, with_albedo: true");
   const Shape shapes[] = {
       {"hash grid", hash_config(), 60},
       {"two passes", two_pass_config(), 6},
       {"two tables", two_tables_config(), 6},
       {"bf16", hash_config("runtime: {precision: bf16}\n"), 20},
       {"two lanes", hash_config("runtime: {lanes: 2}\n"), 20},
+      {"labels apart", labels_apart, 12},
+      {"a channel of the dataset", albedo, 12},
       {"a term from step 8 on", hash_config("losses: [{type: distortion, from_step: 0.04}]\n"), 12}};
   for (const Shape& shape : shapes) {
     SCOPED_TRACE(shape.name);
@@ -249,7 +255,7 @@ TEST(RanksSession, TensorsThatDriftApartAreNoCheckpoint) {
   std::string message;
   as_ranks(3, [&](Ranks& inner) {
     Tampered ranks(inner);
-    Registry registry = make_registry();
+    Registry registry = make_channel_registry();
     if (ranks.rank() != 0) return follow(ranks, registry);
     {
       Session session = open_text(two_pass_config(), registry, {}, &ranks);

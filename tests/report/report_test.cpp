@@ -59,7 +59,7 @@ ReportRun sample_run(const std::string& name, double psnr_end, double tau_s, dou
   }
   run.config = "scene: {type: replica}\n# <script>alert(1)</script>\n";
   run.environment = {{"compiler", "g++ 12.2.0"}, {"cpu", "A & B"}, {"seed", "1"}, {"input_hash", ""}};
-  run.left_out = {{"depth loss", "no depth weight", "lambda_d = 0", "B", "4 B a pixel", ""}};
+  run.left_out = {{"depth loss", "no depth weight", "lambda_d = 0", "B", "4 B per pixel", ""}};
   return run;
 }
 

@@ -28,7 +28,7 @@ class RunSessionTest : public ::testing::Test {
     return load_run_config(dir_ / "config.yaml", set, registry_);
   }
   static void drive(RunSession& run, std::int64_t until) {
-    while (run.training().step() < until) run.advance(until - run.training().step(), [] { return false; });
+    while (run.training().step() < until) run.advance(until - run.training().step());
   }
   std::uint32_t whole_run(const std::vector<std::string>& set = {}) {
     TrainRequest request;
@@ -47,7 +47,12 @@ class RunSessionTest : public ::testing::Test {
 
   TempDir dir_;
   Registry registry_ = make_registry();
-  TrainingListener nobody_;
+  struct Listener final : RunListener {
+    int stop_signal() override { return stops ? 15 : 0; }
+    void row(const MetricsRow&) override { ++rows; }
+    bool stops = false;
+    int rows = 0;
+  } nobody_;
 };
 
 TEST_F(RunSessionTest, HasTheBitsAndTheRowsOfTheWholeRun) {
@@ -62,6 +67,7 @@ TEST_F(RunSessionTest, HasTheBitsAndTheRowsOfTheWholeRun) {
   std::erase_if(theirs, [](const MetricsRow& row) { return row.kind != "train"; });
   const std::vector<MetricsRow> mine = read_metrics(dir_ / "driven/metrics.jsonl");
   ASSERT_EQ(mine.size(), theirs.size());
+  EXPECT_EQ(std::ssize(mine), nobody_.rows);
   for (std::size_t i = 0; i < mine.size(); ++i) {
     EXPECT_EQ(mine[i].step, theirs[i].step);
     EXPECT_EQ(mine[i].get("loss"), theirs[i].get("loss"));
@@ -102,13 +108,42 @@ TEST_F(RunSessionTest, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRu
   RunSession run(config(set), registry_, {dir_ / "driven", false, {}}, nobody_);
   drive(run, 3);
   // A stop before the round leaves it due.
-  while (run.training().step() < 10) run.advance(10 - run.training().step(), [] { return false; });
-  EXPECT_TRUE(run.advance(5, [] { return true; }).empty());
+  while (run.training().step() < 10) run.advance(10 - run.training().step());
+  nobody_.stops = true;
+  EXPECT_TRUE(run.advance(5).empty());
+  nobody_.stops = false;
   EXPECT_EQ(run.training().step(), 10);
   drive(run, kSteps);
   run.save("");
   EXPECT_EQ(checkpoint_fingerprint(dir_ / "driven", kSteps), bits);
   EXPECT_EQ(parse_label_counts(read_text_file(dir_ / "driven/labels.json"), "labels.json").rounds.size(), 1U);
+}
+
+// What may happen between steps is the driver's to say: who waits for a disk writes rows and checkpoints when asked.
+TEST_F(RunSessionTest, ADriverSaysWhatHappensBetweenSteps) {
+  const auto advanced = [&](const std::string& folder, const RunLoopOptions& options) {
+    TrainRequest request;
+    request.out_dir = dir_ / folder;
+    RunLoop run(open_for_training(config({"report.checkpoint_every_s=1e-9", "report.eval_every_s=1e-9"}), registry_,
+                                  request, nobody_),
+                registry_, &nobody_, options);
+    while (run.training().step() < kSteps) run.advance(kSteps);
+    EXPECT_EQ(run.saved(), options.saves);
+    const std::vector<MetricsRow> before = read_metrics(dir_ / folder + "/metrics.jsonl");
+    run.save();
+    return std::pair(before, read_metrics(dir_ / folder + "/metrics.jsonl"));
+  };
+  const auto is_eval = [](const MetricsRow& row) { return row.kind == "eval"; };
+  const auto [waiting, saved] = advanced("waits", {.rounds = false, .rows_wait = true});
+  EXPECT_TRUE(waiting.empty());
+  EXPECT_FALSE(saved.empty());
+  EXPECT_FALSE(fs::exists(dir_ / "waits/labels.json"));
+  EXPECT_EQ(std::ranges::count_if(saved, is_eval), 0);
+  const auto [scored, ended] = advanced("scores", {.scores = true, .saves = true});
+  EXPECT_EQ(ended.size(), scored.size());
+  EXPECT_GT(std::ranges::count_if(scored, is_eval), 0);
+  EXPECT_EQ(checkpoint_fingerprint(dir_ / "scores", kSteps), checkpoint_fingerprint(dir_ / "waits", kSteps));
+  EXPECT_EQ(std::ssize(scored) - std::ranges::count_if(scored, is_eval), std::ssize(saved));
 }
 
 TEST_F(RunSessionTest, ClicksAreInTheFolderBeforeTheyCount) {

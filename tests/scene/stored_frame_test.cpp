@@ -112,7 +112,7 @@ TEST(StoredFrame, ParallelDecodingGivesTheBytesOfTheFiles) {
 
 TEST(StoredFrame, KeepsThreeBytesOfColourOneOfLabelAndTwoOfDepthAPixel) {
   const FileDataset files(fresh_folder("files"));
-  const std::size_t rows = 30;  // a decoded PNG may keep the room of its filter bytes, one a row
+  const std::size_t rows = 30;  // a decoded PNG may keep the room of its filter bytes, one per row
   for (const StoredFrame& frame : load_on(files, 2, DepthKept::all).frames) {
     EXPECT_GE(frame.bytes(), kPixels * (3 + 1 + 2));
     EXPECT_LE(frame.bytes(), kPixels * (3 + 1 + 2) + rows);

@@ -1,10 +1,11 @@
 // Where a run trains whose parts lack kernels for the device; the device itself is not needed.
+#include "settings/device_choice.h"
+
 #include <gtest/gtest.h>
 
 #include <filesystem>
 
 #include "config/compose.h"
-#include "settings/device_choice.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -66,15 +67,15 @@ TEST(DeviceForParts, APluginWithoutKernelsLeavesTheRunOnTheProcessorWithANote) {
   EXPECT_EQ(run.said.all()[0].text(), "runtime.device: encoder 'hash_grid'" + kStays);
 }
 
-TEST(DeviceForParts, ALossTermWithoutKernelsDoesTheSame) {
+TEST(DeviceForParts, ALossWithoutKernelsDoesTheSame) {
   PartsRun run("auto");
   run.config.losses[0].type = "glow";  // which the build has no kernels of
   const ChosenDevice chosen = run.choose();
   EXPECT_EQ(chosen.device.kind, Device::cpu);
-  EXPECT_EQ(chosen.no_cuda, "loss term 'glow' has no cuda kernels");
+  EXPECT_EQ(chosen.no_cuda, "loss 'glow' has no cuda kernels");
   ASSERT_EQ(run.said.all().size(), 1u);
   EXPECT_EQ(run.said.all()[0].severity, Severity::warning);
-  EXPECT_EQ(run.said.all()[0].text(), "runtime.device: loss term 'glow'" + kStays);
+  EXPECT_EQ(run.said.all()[0].text(), "runtime.device: loss 'glow'" + kStays);
 }
 
 TEST(DeviceForParts, CudaAskedForIsRefusedByNameWithARemedy) {
@@ -85,7 +86,7 @@ TEST(DeviceForParts, CudaAskedForIsRefusedByNameWithARemedy) {
   PartsRun term("cuda");
   term.config.losses[0].type = "glow";
   EXPECT_EQ(refusal_of(term),
-            "runtime.device: cuda: loss term 'glow' has no cuda kernels; set runtime.device: cpu, or auto, which "
+            "runtime.device: cuda: loss 'glow' has no cuda kernels; set runtime.device: cpu, or auto, which "
             "stays on the processor then");
 }
 

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <numeric>
 #include <string>
 #include <vector>
 
@@ -34,8 +35,9 @@ TEST(LabelRays, StandFirstInEveryTileAndAreCountedAlikeForAnyTiles) {
     SCOPED_TRACE(tile_rays);
     const std::string tiles = "runtime: {tile_rays: " + std::to_string(tile_rays) + "}\n";
     const Oracle apart(config_of(kApart, tiles), registry), together(config_of("labelled_share: 0.3", tiles), registry);
-    EXPECT_EQ(apart.batch.label_only_share, 0.3);
-    EXPECT_EQ(together.batch.label_only_share, 0);
+    const std::vector<std::int64_t>& apart_of_tile = apart.batch.label_only;
+    EXPECT_EQ(std::accumulate(apart_of_tile.begin(), apart_of_tile.end(), std::int64_t{0}), 7);
+    EXPECT_TRUE(together.batch.label_only.empty());
     std::int64_t labelled = 0;
     for (std::int64_t begin = 0; begin < 26; begin += tile_rays) {
       const std::int64_t end = std::min<std::int64_t>(begin + tile_rays, 26);

@@ -38,7 +38,9 @@ int lanes_of_preset(const std::string& name, const std::vector<std::string>& set
   manifest.train_frames = manifest.labelled_frames = 100;
   manifest.train_pixels = 1'000'000;
   manifest.train_class_pixels.assign(13, 70'000);
-  return lanes_of(config, registry, plan_build(manifest, build_request(config, registry), {}), extent);
+  std::unique_ptr<Sampler<float>> last = make_last_sampler(config, registry, extent);
+  const BuildPlan plan = plan_build(manifest, build_request(config, registry, last->traits()), {});
+  return make_parts<float>(config, registry, plan, extent, std::move(last)).options.lanes;
 }
 
 TEST(Lanes, AStepOf1024RaysHasWorkFor32AndMoreWhateverTheThreads) {

@@ -20,7 +20,7 @@ using namespace testing_train;
 
 const char* const kEveryTerm =
     "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
-    "0.1, from_step: 0, distance_m: 0.8}]\n";
+    "0.1, from_step: 0, distance_m: 0.8}, {type: generalised_cross_entropy, weight: 0.3}]\n";
 
 std::string errors_of(const std::string& losses) {
   Registry registry = make_registry();
@@ -37,15 +37,17 @@ void expect_says(const std::string& text, const std::vector<std::string>& parts)
 }
 
 TEST(LossConfig, MistakesAreNamedWithPlaceAndRemedy) {
-  expect_says(errors_of("losses: [{type: distorsion}]\n"),
-              {"room.yaml:", "losses.0: no type 'distorsion'; known: depth, distortion, near_density",
-               "did you mean 'distortion'?"});
+  expect_says(
+      errors_of("losses: [{type: distorsion}]\n"),
+      {"room.yaml:", "no loss named 'distorsion'; known: depth, distortion, generalised_cross_entropy, near_density",
+       "did you mean 'distortion'?"});
   expect_says(errors_of("losses: [{type: depth, weight: -1}]\n"),
               {"room.yaml:", "losses.0.weight: expected number in [0, 1000000], got -1"});
   expect_says(errors_of("losses: [{type: depth, from_step: 2000}]\n"),
               {"losses.0.from_step: expected number in [0, 1], got 2000"});
   expect_says(errors_of("losses: [{type: depth, wieght: 1}]\n"), {"unknown key 'wieght'", "did you mean 'weight'?"});
-  expect_says(errors_of("losses: [{weight: 1}]\n"), {"losses.0: expected a map with 'type', one of depth, distortion"});
+  expect_says(errors_of("losses: [{weight: 1}]\n"),
+              {"losses.0: key 'type' is missing", "choose one of depth, distortion"});
   expect_says(errors_of("losses: {type: depth}\n"), {"losses: expected a list of terms", "write losses: [{type:"});
   const std::string twice = errors_of("losses:\n  - {type: depth}\n  - {type: distortion}\n  - {type: depth}\n");
   expect_says(twice, {"losses.2: the term 'depth' stands at room.yaml:", "already", "keep one of them"});
@@ -118,7 +120,9 @@ TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
             "losses: the depth images of all 2 training frames have no valid pixel, so no term can read them; export "
             "z-depth that is finite and above 0, or set losses: []");
   BuildRequest request;
-  request.losses = {"depth", "distortion"};
+  LossTraits reads_depth;
+  reads_depth.targets = {channel::depth};
+  request.losses = {{"depth", "memory", true, reads_depth}, {"distortion", "walks", true, {}}};
   request.depth_frames = 2;
   request.depth_px = 0;
   const BuildPlan plan = plan_build({}, request, {});
@@ -173,6 +177,8 @@ TEST(LossConfig, LeaveOutSaysOfEachTermWhyItIsNotThere) {
   };
   EXPECT_EQ(rows(""), (std::vector<std::string>{kTrainingDepth, "loss_depth: `losses` names no term of type depth",
                                                 "loss_distortion: `losses` names no term of type distortion",
+                                                "loss_generalised_cross_entropy: `losses` names no term of type "
+                                                "generalised_cross_entropy",
                                                 "loss_near_density: `losses` names no term of type near_density"}));
   EXPECT_EQ(rows(kEveryTerm), std::vector<std::string>());
 }
@@ -182,24 +188,24 @@ TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {
   const Session session = open_text(hash_config(kEveryTerm), registry);
   BatchBuffers batch;
   session.make_ray_source()->fill(5, batch);
-  ASSERT_EQ(batch.depth.size(), batch.label.size());
+  ASSERT_EQ(batch.of(channel::depth).size(), batch.label.size());
   double largest_angle = 0;
-  for (std::size_t r = 0; r < batch.depth.size(); ++r) {
+  for (std::size_t r = 0; r < batch.of(channel::depth).size(); ++r) {
     const double* o = &batch.origin[3 * r];
     const double* d = &batch.direction[3 * r];
     const auto hit = testkit::intersect_analytic_room({o[0], o[1], o[2]}, {d[0], d[1], d[2]});
-    if (batch.depth[r] == 0) {  // the surface lies at the end of the ray, where the bounds cut it off
+    if (batch.of(channel::depth)[r] == 0) {  // the surface lies at the end of the ray, where the bounds cut it off
       EXPECT_NEAR(hit.t_m, batch.near_far[2 * r + 1], 0.02);
       continue;
     }
-    EXPECT_NEAR(batch.depth[r], hit.t_m, 2e-3) << "ray " << r;
+    EXPECT_NEAR(batch.of(channel::depth)[r], hit.t_m, 2e-3) << "ray " << r;
     largest_angle = std::max(largest_angle, std::abs(d[2]));
   }
   EXPECT_GT(largest_angle, 0.2) << "rays far from the axis tell z-depth from distance";
   const Session plain = open_text(hash_config(), registry);
   plain.make_ray_source()->fill(5, batch);
-  EXPECT_TRUE(batch.depth.empty()) << "no term asks for it";
-  EXPECT_TRUE(batch.view(true).depth.empty());
+  EXPECT_TRUE(batch.more.empty()) << "no term asks for it";
+  EXPECT_TRUE(batch.view(true).targets.more[channel::depth].empty());
 }
 
 TEST(RaySourceDepth, RaysThatAreThereForTheirLabelsTellNone) {
@@ -211,8 +217,9 @@ TEST(RaySourceDepth, RaysThatAreThereForTheirLabelsTellNone) {
   BatchBuffers batch;
   session.make_ray_source()->fill(5, batch);
   const auto tile = static_cast<std::size_t>(session.pipeline->tile_rays());
-  for (std::size_t r = 0; r < tile / 2; ++r) EXPECT_EQ(batch.depth[r], 0) << r;
-  EXPECT_TRUE(std::any_of(batch.depth.begin(), batch.depth.end(), [](float t) { return t > 0; }));
+  for (std::size_t r = 0; r < tile / 2; ++r) EXPECT_EQ(batch.of(channel::depth)[r], 0) << r;
+  const std::vector<float>& depth = batch.of(channel::depth);
+  EXPECT_TRUE(std::any_of(depth.begin(), depth.end(), [](float t) { return t > 0; }));
 }
 
 TEST(PipelineGradient, WithEveryTermOfTheLoss) {
@@ -241,6 +248,49 @@ TEST(Determinism, RunsWithTermsAreTheSameForAnyThreadCount) {
 TEST(LossTerms, OneThatHasNotBegunChangesNoBit) {
   const std::string late = "losses: [{type: distortion, from_step: 0.5}]\n";  // of 3000 steps or more
   EXPECT_EQ(train_fingerprint(hash_config(late), 2, 20), train_fingerprint(hash_config(), 2, 20));
+}
+
+// The head's own place is taken: no gradient of the cross-entropy is left, and its value is still reported.
+TEST(LossTerms, ALossOnLogitsStandsBesideTheCrossEntropyOrInItsPlace) {
+  Registry registry = make_registry();
+  const std::string term = "losses: [{type: generalised_cross_entropy, weight: 0.5}]\n";
+  const auto semantic_gradient = [&](const std::string& weight, const std::string& more) {
+    std::string yaml = two_pass_config(more);
+    yaml.replace(yaml.find("weight: 0.3"), 11, "weight: " + weight);
+    Oracle oracle(yaml, registry);
+    const StepLosses losses = oracle.gradients();
+    EXPECT_GT(losses.semantic, 0) << more;
+    std::vector<double> values;
+    for (const Tensor<double>& t : oracle.pipeline->store().all())
+      if (t.learned() && t.name.find("/semantic/") != std::string::npos)
+        values.insert(values.end(), t.grad.data(), t.grad.data() + t.size());
+    return values;
+  };
+  const std::vector<double> both = semantic_gradient("0.5", term);
+  const std::vector<double> entropy = semantic_gradient("0.5", "");
+  const std::vector<double> alone = semantic_gradient("0", term);
+  const std::vector<double> none = semantic_gradient("0", "");
+  ASSERT_GT(both.size(), 100u);
+  double largest = 0;
+  for (std::size_t i = 0; i < both.size(); ++i) {
+    largest = std::max(largest, std::abs(alone[i]));
+    EXPECT_EQ(none[i], 0);
+    ASSERT_NEAR(both[i], entropy[i] + alone[i], 1e-12);
+  }
+  EXPECT_GT(largest, 1e-4);
+}
+
+TEST(LossTerms, ALossOnLogitsIsLeftOutWithoutLabels) {
+  Registry registry = make_registry();
+  std::string yaml = hash_config("losses: [{type: generalised_cross_entropy}]\n");
+  yaml.replace(yaml.find("{type: analytic_room"), 20, "{type: analytic_room, labels: {frames: none}");
+  const Session s = open_text(yaml, registry);
+  EXPECT_TRUE(s.config.losses.empty());
+  const auto& rows = s.plan.left_out;
+  const auto row = std::find_if(rows.begin(), rows.end(),
+                                [](const LeftOut& r) { return r.component == "loss_generalised_cross_entropy"; });
+  ASSERT_NE(row, rows.end());
+  EXPECT_EQ(row->rule, "there are no semantics");
 }
 
 double abs_rel(const std::string& losses) {

@@ -22,7 +22,7 @@ TEST(MemoryPlan, TensorsArePredictedToTheByte) {
   Registry registry = make_registry();
   for (const std::string& config : {hash_config(), two_pass_config()}) {
     const Session s = open_text(config, registry);
-    const NetworkPlan plan = plan_network(s.config, registry, s.plan, s.extent, true);
+    const NetworkPlan plan = make_parts<float>(s.config, registry, s.plan, s.extent).plan(s.config, true);
     EXPECT_EQ(plan.tensors.total(), s.pipeline->store().bytes());
   }
 }
@@ -34,7 +34,7 @@ TEST(MemoryPlan, CheckpointIsPredictedToTheByte) {
   const Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
   std::size_t bytes = 0;
   for (const TensorRef& tensor : trainer.state()) bytes += tensor.bytes.size();
-  EXPECT_EQ(plan_network(s.config, registry, s.plan, s.extent, true).tensors.stored, bytes);
+  EXPECT_EQ(make_parts<float>(s.config, registry, s.plan, s.extent).plan(s.config, true).tensors.stored, bytes);
 }
 
 TEST(MemoryPlan, SettingsThatFitLeaveTheConfigurationAsItWas) {

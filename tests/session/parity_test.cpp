@@ -17,11 +17,12 @@ TEST(Parity, SoftRowsOfOneTrainAsHardLabels) {
   Oracle hard(two_pass_config(), registry), soft(two_pass_config(), registry);
   const std::int32_t logits = static_cast<std::int32_t>(soft.session.plan.class_of_logit.size());
   BatchBuffers& batch = soft.batch;
-  batch.soft_classes = logits;
-  batch.soft.assign(batch.label.size() * static_cast<std::size_t>(logits), 0.0F);
+  batch.more = {{std::string(channel::soft_label), logits, {}}};
+  batch.of(channel::soft_label).assign(batch.label.size() * static_cast<std::size_t>(logits), 0.0F);
   for (std::size_t r = 0; r < batch.label.size(); ++r) {
     if (batch.label[r] != kVoid)
-      batch.soft[r * static_cast<std::size_t>(logits) + static_cast<std::size_t>(batch.label[r])] = 1;
+      batch.of(channel::soft_label)[r * static_cast<std::size_t>(logits) + static_cast<std::size_t>(batch.label[r])] =
+          1;
   }
   const StepLosses a = hard.gradients(), b = soft.gradients();
   EXPECT_EQ(a.labelled, b.labelled);
@@ -35,7 +36,7 @@ TEST(Parity, SoftRowsOfOneTrainAsHardLabels) {
   // Half of each label moved to another class: another loss, another gradient.
   for (std::size_t r = 0; r < batch.label.size(); ++r) {
     if (batch.label[r] == kVoid) continue;
-    float* row = &batch.soft[r * static_cast<std::size_t>(logits)];
+    float* row = &batch.of(channel::soft_label)[r * static_cast<std::size_t>(logits)];
     row[batch.label[r]] = 0.5F;
     row[(batch.label[r] + 1) % logits] = 0.5F;
   }

@@ -180,7 +180,7 @@ TEST(RaySource, LabelsThatMayComeAreWaitedFor) {
   EXPECT_EQ(one.origin, two.origin) << "as all_images, to the bit";
   EXPECT_EQ(one.direction, two.direction);
   EXPECT_EQ(one.label, two.label);
-  EXPECT_EQ(two.label_only_share, 0);
+  EXPECT_TRUE(two.label_only.empty());
 
   std::vector<std::int16_t> labels(32, kVoid);
   labels[5] = 1;
@@ -189,7 +189,7 @@ TEST(RaySource, LabelsThatMayComeAreWaitedFor) {
   BatchBuffers three, always;
   source.fill(3, three);
   EXPECT_GE(std::count(three.label.begin(), three.label.end(), 1), 32) << "half of the rays, and chance hits";
-  EXPECT_EQ(three.label_only_share, 0.5);
+  EXPECT_EQ(three.label_only, (std::vector<std::int64_t>{16, 16}));
   options.labels_may_come = false;
   Fixture g;
   g.make(options).fill(3, always);
@@ -282,11 +282,11 @@ TEST(RaySource, SoftLabelsComeAsRowsOverLogits) {
   const RaySource source({{camera, &f.stored_a, &a}, {camera, &f.stored_b, &b}}, {0, kVoid, 1}, f.limits, options);
   BatchBuffers batch;
   source.fill(0, batch);
-  ASSERT_EQ(batch.soft_classes, 2);
-  ASSERT_EQ(batch.view(true).soft.rows, 3000);
+  ASSERT_EQ(batch.more.at(0).cols, 2);
+  ASSERT_EQ(batch.view(true).targets.more[channel::soft_label].rows, 3000);
   int soft_rows = 0, hard_rows = 0;
   for (std::size_t r = 0; r < 3000; ++r) {
-    const float p = batch.soft[2 * r], q = batch.soft[2 * r + 1];
+    const float p = batch.of(channel::soft_label)[2 * r], q = batch.of(channel::soft_label)[2 * r + 1];
     if (batch.label[r] == kVoid) {
       EXPECT_EQ(p + q, 0);
     } else if (batch.target[3 * r] == 0) {
@@ -353,13 +353,13 @@ TEST(RaySource, AddedLabelsBesideSoftOnesAreSure) {
   source.add_labels(added);
   BatchBuffers batch;
   source.fill(0, batch);
-  ASSERT_EQ(batch.soft_classes, 2);
+  ASSERT_EQ(batch.more.at(0).cols, 2);
   int sure = 0;
   for (std::size_t ray = 0; ray < 64; ++ray) {  // all are labelled, so rows keep the order of rays
     const TrainPixel pixel = batch.choices[ray].pixel;
     const bool own = pixel.frame == 0 && pixel.index == 5;
-    EXPECT_EQ(batch.soft[2 * ray], own ? 0.25F : 1);
-    EXPECT_EQ(batch.soft[2 * ray + 1], own ? 0.5F : 0);
+    EXPECT_EQ(batch.of(channel::soft_label)[2 * ray], own ? 0.25F : 1);
+    EXPECT_EQ(batch.of(channel::soft_label)[2 * ray + 1], own ? 0.5F : 0);
     sure += pixel.index == 7 ? 1 : 0;
   }
   EXPECT_GT(sure, 0);

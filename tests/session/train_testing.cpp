@@ -24,7 +24,8 @@ struct AnalyticRoomParams {
   bool with_labels = true;
   bool with_classes = true;  // a class table
   bool with_depth = true;
-  int absent_class = -1;  // of the table, but void in every frame
+  bool with_albedo = false;  // a channel `albedo` [H / 2, W, 3]: the colours of every other row
+  int absent_class = -1;     // of the table, but void in every frame
 };
 void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
   SEMFIELD_PARAM(visit, p, frames, "frames", {1, 1000});
@@ -33,6 +34,7 @@ void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
   SEMFIELD_PARAM(visit, p, with_labels, "with labels");
   SEMFIELD_PARAM(visit, p, with_classes, "with a class table");
   SEMFIELD_PARAM(visit, p, with_depth, "with depth");
+  SEMFIELD_PARAM(visit, p, with_albedo, "with the channel albedo");
   SEMFIELD_PARAM(visit, p, absent_class, "a class without pixels", {-1, 1000});
 }
 void validate(const AnalyticRoomParams&, Diagnostics&) {}
@@ -40,7 +42,10 @@ void validate(const AnalyticRoomParams&, Diagnostics&) {}
 class AnalyticRoom final : public Dataset {
  public:
   AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&)
-      : with_classes_(p.with_classes), with_depth_(p.with_depth), absent_class_(p.absent_class) {
+      : with_classes_(p.with_classes),
+        with_depth_(p.with_depth),
+        with_albedo_(p.with_albedo),
+        absent_class_(p.absent_class) {
     testkit::AnalyticSceneOptions options;
     options.frames = p.frames;
     options.width_px = p.width_px;
@@ -56,22 +61,70 @@ class AnalyticRoom final : public Dataset {
       info.bounds = Box();
       info.near_hint_m = info.far_hint_m = 0;
     }
+    for (FrameInfo& frame : info.frames)
+      if (with_albedo_) frame.channels = {{"albedo", frame.camera.height_px / 2, frame.camera.width_px, 3}};
     return info;
   }
   void read(int frame, FrameBuffer& out) const override {
+    const std::vector<std::string> wanted = out.wanted;
     inner_->read(frame, out);
     for (std::int16_t& label : out.label) {
       if (label == absent_class_) label = kVoid;
     }
+    for (const std::string& name : wanted) {
+      FrameChannel channel{name, out.height_px / 2, out.width_px, 3, {}};
+      const std::size_t row = 3 * static_cast<std::size_t>(out.width_px);
+      for (std::size_t y = 0; y < static_cast<std::size_t>(channel.height); ++y)
+        for (std::size_t i = 0; i < row; ++i)
+          channel.values.push_back(static_cast<float>(out.rgb[2 * y * row + i]) / 255.0F);
+      out.channels.push_back(std::move(channel));
+    }
   }
 
  private:
-  bool with_classes_, with_depth_;
+  bool with_classes_, with_depth_, with_albedo_;
   int absent_class_;
   std::unique_ptr<Dataset> inner_;
 };
 
+struct AlbedoParams : LossRule {
+  AlbedoParams() { weight = 1; }
+};
+void describe(ParamVisitor&, AlbedoParams&) {}
+
+/// The squared error of the colour against the channel albedo.
+class Albedo final : public LossOf<Albedo, AlbedoParams> {
+ public:
+  using LossOf::LossOf;
+  LossTraits traits() const override {
+    LossTraits traits;
+    traits.targets = {"albedo"};
+    traits.moves = {channel::color};
+    return traits;
+  }
+  template <class Real>
+  double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
+             const RayGradients<Real>& gradients) const {
+    const View<const float> albedo = targets.more["albedo"];
+    double sum = 0;
+    for (std::int64_t r = 0; r < albedo.rows; ++r) {
+      for (std::int32_t c = 0; c < 3; ++c) {
+        const double error = static_cast<double>(values.color(r, c)) - static_cast<double>(albedo(r, c));
+        sum += error * error;
+        gradients.color(r, c) += static_cast<Real>(2 * scale * error);
+      }
+    }
+    return sum;
+  }
+};
+
 namespace testing_train {
+
+Registry make_channel_registry() {
+  Registry registry = make_registry();
+  registry.add_loss<Albedo>("albedo", "the squared error against the channel albedo", "a sum per ray");
+  return registry;
+}
 
 Registry make_registry() {
   Registry registry;
@@ -153,7 +206,7 @@ std::string stratified_config(const std::string& scene, const std::string& pass_
 }
 
 std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64_t steps) {
-  Registry registry = make_registry();
+  Registry registry = make_channel_registry();
   Session s = open_text(yaml, registry);
   set_thread_count(threads);
   const auto rays = s.make_ray_source();

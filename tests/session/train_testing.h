@@ -14,6 +14,8 @@ namespace semfield::testing_train {
 
 /// Linked plugins and the dataset 'analytic_room'.
 Registry make_registry();
+/// The same, and the loss `albedo` against a channel that the dataset offers with `with_albedo: true`.
+Registry make_channel_registry();
 
 /// Hash grid behind an occupancy grid on the analytic room; `more` is YAML appended at the top level.
 std::string hash_config(const std::string& more = "");

@@ -4,7 +4,6 @@
 #include "app/verb.h"
 #include "config/schema.h"
 #include "settings/label_config.h"
-#include "settings/loss_config.h"
 #include "settings/run_config.h"
 #include "sweep/sweep_schema.h"
 
@@ -53,15 +52,13 @@ int run(const SchemaOptions& options, AppContext& context) {
   const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
   const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};
   sections.push_back({"passes[]", "one pass over the rays", {pass, like}});
-  std::vector<SchemaAlternative> readers, degradations;
-  for (const LabelStepDoc& doc : describe_label_steps())
-    (doc.key == "from" ? readers : degradations).push_back({doc.type, doc.sentence, doc.params});
-  std::vector<SchemaAlternative> losses;
-  for (const LossDoc& doc : describe_losses()) losses.push_back({doc.type, doc.sentence, doc.params});
   const std::vector<SchemaChoice> choices{
-      {"losses[]", "terms of the loss beside colour and semantics; each type once", losses},
-      {"scene.labels.from", "label files to train on instead of the dataset's own labels", readers},
-      {"scene.labels.degrade[]", "changes of the training labels, in order", degradations},
+      {"losses[]", "terms of the loss beside colour and semantics; each type once",
+       alternatives(context.registry, PluginKind::loss)},
+      {"scene.labels.from", "label files to train on instead of the dataset's own labels",
+       alternatives(context.registry, PluginKind::label_reader)},
+      {"scene.labels.degrade[]", "changes of the training labels, in order",
+       alternatives(context.registry, PluginKind::degradation)},
       {"scene", "where frames come from", alternatives(context.registry, PluginKind::dataset)},
       {"passes[].sampler", "where along a ray the field is evaluated",
        alternatives(context.registry, PluginKind::sampler)},

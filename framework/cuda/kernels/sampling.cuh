@@ -1,6 +1,8 @@
 // What samplers share on the device: limits of rays, places of ragged output, the unused rows behind it.
 #pragma once
 
+#include <limits>
+
 #include "cuda/kernels/device_code.cuh"
 #include "cuda/memory.h"
 #include "plugin/quadrature.h"
@@ -45,7 +47,7 @@ __device__ inline void fill_unused_rows(const Samples<float>& out, std::int64_t 
 // 1,024 itself, so that blocks wait for nobody: R / 1,024 loads a thread at most. Integers: the order does not matter.
 template <class CountOf>
 __global__ void __launch_bounds__(kOffsetThreads)
-    offsets_kernel(CountOf count_of, std::int64_t rays, View<std::int32_t> first, FaultKey* fault) {
+    offsets_kernel(CountOf count_of, std::int64_t rays, std::int32_t room, View<std::int32_t> first, FaultKey* fault) {
   __shared__ std::int32_t before_of_warp[kWarp], own_of_warp[kWarp];
   const int lane = static_cast<int>(threadIdx.x) % kWarp, warp = static_cast<int>(threadIdx.x) / kWarp;
   const std::int64_t tile = static_cast<std::int64_t>(blockIdx.x) * kOffsetThreads;
@@ -64,16 +66,19 @@ __global__ void __launch_bounds__(kOffsetThreads)
   __syncthreads();
   const std::int32_t lower_warps = lane < warp ? own_of_warp[lane] : 0;
   const std::int32_t base = warp_sum(before_of_warp[lane] + lower_warps);
-  if (ray < rays) *first.row(ray + 1) = base + up_to;
+  if (ray < rays) *first.row(ray + 1) = min(base + up_to, room);
+  if (ray == rays - 1 && base + up_to > room) note_fault(fault, Stage::room, ray);
   if (ray == 0) *first.row(0) = 0;
 }
 
 /// Fills `first` [R + 1] from `std::int32_t count_of(ray, fault)`, device code; what it notes goes to `fault`, which is
-/// null when a ray is looked at a second time. At least one ray.
+/// null when a ray is looked at a second time. At least one ray. More samples than `room` are a fault of Stage::room,
+/// and none of them is in `first`.
 template <class CountOf>
-void queue_offsets(const CountOf& count_of, std::int64_t rays, View<std::int32_t> first) {
-  offsets_kernel<<<blocks_of(rays, kOffsetThreads), kOffsetThreads, 0, launch().stream>>>(count_of, rays, first,
-                                                                                          launch().fault);
+void queue_offsets(const CountOf& count_of, std::int64_t rays, View<std::int32_t> first,
+                   std::int64_t room = std::numeric_limits<std::int32_t>::max()) {
+  offsets_kernel<<<blocks_of(rays, kOffsetThreads), kOffsetThreads, 0, launch().stream>>>(
+      count_of, rays, static_cast<std::int32_t>(room), first, launch().fault);
   check_launch("offsets of samples");
 }
 

@@ -1,31 +1,40 @@
-// Gradients of shards added on the device, in the order of the tree of cuda/ranks/shards.h.
+// What shards of a step leave, brought together on the device: gradients added as a tree, encoder rows joined.
 #pragma once
 
 #include <array>
 #include <cstdint>
 #include <span>
 
+#include "core/view.h"
 #include "cuda/ranks/shards.h"
 
 namespace semfield::cuda {
 
-/// What waits below a shard whose sums are complete: of each level, lowest first.
-struct CarriedSums {
-  std::array<const float*, kShardLevels> of_level{};
+/// A tensor's gradient: numbers [at, at + count) of every shard's block, a multiple of 4, and where their sum goes.
+/// Blocks and `to` start on 16 bytes.
+struct ShardTensor {
+  std::int64_t at = 0, count = 0;
+  float* to = nullptr;
+};
+/// Device memory, `longest`: the largest count.
+struct ShardTensors {
+  const ShardTensor* all = nullptr;
   int count = 0;
+  std::int64_t longest = 0;
 };
+/// to += ((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7)) for every tensor; block[s]: of shard s.
+void add_shards(const ShardTensors& tensors, const std::array<const float*, kShards>& block);
 
-/// to = carried[count - 1] + (... + (carried[0] + gradients)), and gradients = 0 unless they are `to` itself. Arrays of
-/// `gradients.size()` numbers, a multiple of 4, that start on 16 bytes.
-void carry_gradients(std::span<float> gradients, const CarriedSums& carried, float* to);
-
-/// Sums of subtrees by their first shard; null: none begins there.
-struct TreeSums {
-  std::array<const float*, kShards> node{};
-  std::array<int, kShards> level{};
+/// Rows of an encoder with the gradient at its outputs, contiguous; the first *count are in use, and *largest is the
+/// largest |dy| among them (kernels/largest.h). Device memory.
+struct EncoderRows {
+  View<double> x;                    ///< [N, 3]
+  View<float> dy;                    ///< [N, D]
+  std::int32_t* count = nullptr;     ///< null: all rows are in use
+  std::uint32_t* largest = nullptr;  ///< null: not known
 };
-
-/// gradients = the sum of the whole tree, whose shards the nodes make up. Arrays as above.
-void add_tree(const TreeSums& tree, std::span<float> gradients);
+/// to = the rows in use of all parts, in order, their number, and the largest of the parts that know theirs. At most
+/// kShards parts.
+void join_rows(std::span<const EncoderRows> parts, const EncoderRows& to);
 
 }  // namespace semfield::cuda

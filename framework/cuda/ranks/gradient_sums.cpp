@@ -4,8 +4,6 @@
 
 #include <algorithm>
 
-#include "cuda/kernels/shard_sums.h"
-
 namespace semfield::cuda {
 
 GradientSums::GradientSums(const DeviceOptions& options, std::span<float> gradients, std::vector<std::size_t> ends)
@@ -35,6 +33,17 @@ std::pair<int, int> GradientSums::own_of(int rank) const {
   return {static_cast<int>(begin), static_cast<int>(end)};
 }
 
+int GradientSums::slots_of(const DeviceOptions& options) {
+  const int ranks = options.ranks == nullptr ? 1 : options.ranks->size();
+  return options.trainable && options.deterministic ? ranks * most_shards_of(ranks) : 0;
+}
+
+int GradientSums::slot_of(int shard) const {
+  int rank = 0;
+  while (shard >= own_of(rank).second) ++rank;
+  return rank * most_shards_of(ranks()) + shard - own_of(rank).first;
+}
+
 void GradientSums::join() {
   if (ranks_ == nullptr || exchange_) return;
   if (ranks() > shards_) {
@@ -49,29 +58,19 @@ void GradientSums::join() {
     notes_.push_back("gradients meet in the host's memory, which takes longer than NCCL: " + why_not);
 }
 
-std::size_t GradientSums::most_nodes() const {
-  std::size_t most = 0;
-  for (int r = 0; r < ranks(); ++r) most = std::max(most, nodes_of(own_of(r).first, own_of(r).second).size());
-  return most;
-}
-
-void GradientSums::reserve() {
-  if (!deterministic_) {
-    std::size_t most = 0, begin = 0;
+void GradientSums::reserve(std::vector<Gathered> gathered) {
+  gathered_ = std::move(gathered);
+  if (!exchange_) return;
+  std::size_t most = 0, begin = 0;
+  if (deterministic_) {
+    for (const Gathered& one : gathered_) most = std::max(most, one.each);
+  } else {
     for (const std::size_t end : ends_) {
       most = std::max(most, end - begin);
       begin = end;
     }
-    if (exchange_) exchange_->reserve(most);
-    return;
   }
-  if (exchange_) exchange_->reserve(most_nodes() * gradients_.size());
-  int level = 0;
-  for (const ShardNode& node : nodes_of(own().first, own().second)) level = std::max(level, node.level);
-  const std::size_t carried = static_cast<std::size_t>(level) * gradients_.size();
-  if (carried_.size() != carried) carried_ = Buffer<float>(carried, "gradients of shards");
-  const std::size_t nodes = exchange_ ? static_cast<std::size_t>(ranks()) * most_nodes() * gradients_.size() : 0;
-  if (nodes_.size() != nodes) nodes_ = Buffer<float>(nodes, "gradients of all ranks' shards");
+  exchange_->reserve(most);
 }
 
 void GradientSums::agree(const std::function<void()>& work) {
@@ -116,25 +115,6 @@ void GradientSums::sum_pass(std::size_t pass, FaultKey* fault) {
   exchange_->sum(block, fault, between_);
 }
 
-float* GradientSums::gathered(int rank, std::size_t node) const {
-  return nodes_.data() + (static_cast<std::size_t>(rank) * most_nodes() + node) * gradients_.size();
-}
-
-void GradientSums::shard_done(int shard) {
-  if (!deterministic_) return;
-  const std::vector<ShardNode> nodes = nodes_of(own().first, own().second);
-  std::size_t n = 0;
-  while (shard >= nodes[n].first + (1 << nodes[n].level)) ++n;
-  const int number = shard - nodes[n].first, level = level_completed_by(number);
-  CarriedSums below;
-  below.count = level;
-  const auto carried = [&](int l) { return carried_.data() + static_cast<std::size_t>(l) * gradients_.size(); };
-  for (int l = 0; l < level; ++l) below.of_level[static_cast<std::size_t>(l)] = carried(l);
-  const bool node_done = level == nodes[n].level;
-  float* const of_node = exchange_ ? gathered(rank(), n) : gradients_.data();
-  carry_gradients(gradients_, below, node_done ? of_node : carried(level));
-}
-
 void GradientSums::meet(FaultKey* fault) {
   if (!exchange_) return;
   if (!deterministic_) {
@@ -142,21 +122,11 @@ void GradientSums::meet(FaultKey* fault) {
   } else {
     check(cudaEventRecord(walked_, launch().stream), "marking a step");
     check(cudaStreamWaitEvent(between_, walked_, 0), "waiting for a step");
-    exchange_->gather(nodes_.data(), most_nodes() * gradients_.size(), fault, between_);
+    for (std::size_t i = 0; i < gathered_.size(); ++i)
+      exchange_->gather(gathered_[i].blocks, gathered_[i].each, i + 1 == gathered_.size() ? fault : nullptr, between_);
   }
   check(cudaEventRecord(summed_, between_), "marking a sum");
   check(cudaStreamWaitEvent(launch().stream, summed_, 0), "waiting for a sum");
-  if (!deterministic_) return;
-  TreeSums tree;
-  for (int r = 0; r < ranks(); ++r) {
-    const std::vector<ShardNode> nodes = nodes_of(own_of(r).first, own_of(r).second);
-    for (std::size_t n = 0; n < nodes.size(); ++n) {
-      const auto first = static_cast<std::size_t>(nodes[n].first);
-      tree.node[first] = gathered(r, n);
-      tree.level[first] = nodes[n].level;
-    }
-  }
-  add_tree(tree, gradients_);
 }
 
 void GradientSums::wait() {

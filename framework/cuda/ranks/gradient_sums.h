@@ -10,7 +10,6 @@
 #include <vector>
 
 #include "core/error.h"
-#include "cuda/memory.h"
 #include "cuda/ranks/exchange.h"
 #include "cuda/ranks/shards.h"
 #include "cuda/staging.h"
@@ -20,8 +19,8 @@ namespace semfield::cuda {
 
 /// By default a rank has one shard of the batch, and gradients are summed pass by pass, each while the next pass is
 /// walked. With DeviceOptions::deterministic there are kShards shards, however many ranks there are; a rank has some in
-/// a row, walked one after the other, and gradients are added in the order of a tree (shards.h). Without ranks nothing
-/// is exchanged; launches are those of launch().
+/// a row, and what each leaves is gathered, a block of memory a rank. Without ranks nothing is exchanged; launches are
+/// those of launch().
 class GradientSums {
  public:
   /// Borrows `gradients`, in device memory, those of pass p behind those of the pass before, from ends[p - 1] to
@@ -36,6 +35,9 @@ class GradientSums {
   /// This rank's: [first, second).
   std::pair<int, int> own() const { return own_of(rank()); }
   std::pair<int, int> own_of(int rank) const;
+  /// Places of shards in what is gathered: [ranks, most_shards_of(ranks)]; none without DeviceOptions::deterministic.
+  static int slots_of(const DeviceOptions& options);
+  int slot_of(int shard) const;
   int rank() const { return ranks_ == nullptr ? 0 : ranks_->rank(); }
   int ranks() const { return ranks_ == nullptr ? 1 : ranks_->size(); }
 
@@ -43,13 +45,19 @@ class GradientSums {
   void join();
   /// What `join` has to tell, once.
   std::vector<std::string> take_notes() { return std::exchange(notes_, {}); }
-  /// Memory for the sums. Throws Error(unavailable).
-  void reserve();
+  /// Blocks [ranks, each] of device memory that `meet` fills with those of all ranks, with
+  /// DeviceOptions::deterministic.
+  struct Gathered {
+    float* blocks = nullptr;
+    std::size_t each = 0;
+  };
+  /// Memory for what meets. Throws Error(unavailable).
+  void reserve(std::vector<Gathered> gathered);
   /// Calls `work`, which may fail on one rank: then all throw.
   void agree(const std::function<void()>& work);
   /// Calls `work` when the other ranks rely on this one's step. With several ranks its error is thrown by the next
-  /// `agree`, and so on all of them; but where their devices may wait for this one's for ever, it is RankLost: when this
-  /// process ends, they notice.
+  /// `agree`, and so on all of them; but where their devices may wait for this one's for ever, it is RankLost: when
+  /// this process ends, they notice.
   void afterwards(const std::function<void()>& work);
   /// Whether `meet` waits for the other ranks, so that no graph may hold it.
   bool waits() const { return exchange_ && !exchange_->queues(); }
@@ -58,9 +66,8 @@ class GradientSums {
   void begin(bool overlapped);
   /// The gradients of pass p are complete, on launch().stream.
   void pass_done(std::size_t pass);
-  /// So are those of this rank's shard; what the next one adds to is zero.
-  void shard_done(int shard);
-  /// The gradients become those of the batch, and *fault the least of all ranks, for what launch().stream does next.
+  /// The gradients become those of the batch, or what is gathered that of all ranks, and *fault the least of all, for
+  /// what launch().stream does next.
   void meet(FaultKey* fault);
   /// Waits for launch().stream.
   void wait();
@@ -69,9 +76,7 @@ class GradientSums {
   std::vector<StepSums> of_all_ranks(std::span<const StepSums> mine) const;
 
  private:
-  std::size_t most_nodes() const;
   void sum_pass(std::size_t pass, FaultKey* fault);
-  float* gathered(int rank, std::size_t node) const;
 
   Ranks* ranks_;
   bool deterministic_;
@@ -85,9 +90,7 @@ class GradientSums {
   cudaEvent_t walked_ = nullptr, summed_ = nullptr;
   bool overlapped_ = false;
   std::size_t next_pass_ = 0;  // that is to be summed
-  // With deterministic_: sums of subtrees that wait for their other half, of each level below the largest node's, and
-  // nodes [ranks, most_nodes()] of all ranks; each `gradients_.size()` numbers.
-  Buffer<float> carried_, nodes_;
+  std::vector<Gathered> gathered_;
 };
 
 }  // namespace semfield::cuda

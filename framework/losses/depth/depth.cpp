@@ -1,6 +1,7 @@
 #include "losses/depth/depth.h"
 
 #include "losses/depth/depth_math.h"
+#include "plugin/module.h"
 
 namespace semfield {
 
@@ -19,15 +20,15 @@ void describe(ParamVisitor& visit, DepthLossParams& p) {
 
 LossTraits DepthLoss::traits() const {
   LossTraits traits;
-  traits.reads_depth = true;
-  traits.moves_depth = params.kind == DepthLossKind::expected;
-  traits.moves_weight = params.kind == DepthLossKind::line_of_sight;
+  traits.targets = {channel::depth};
+  traits.moves = {params.kind == DepthLossKind::expected ? channel::depth : channel::weight};
   return traits;
 }
 
 std::int64_t DepthLoss::counted_rays(const RayTargets& batch, std::int64_t) const {
   std::int64_t known = 0;
-  for (std::int64_t r = 0; r < batch.depth.rows; ++r) known += batch.depth(r, 0) > 0 ? 1 : 0;
+  const View<const float> depth = batch.more[channel::depth];
+  for (std::int64_t r = 0; r < depth.rows; ++r) known += depth(r, 0) > 0 ? 1 : 0;
   return known;
 }
 
@@ -35,8 +36,9 @@ template <class Real>
 double DepthLoss::sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
                       const RayGradients<Real>& gradients) const {
   double sum = 0;
-  for (std::int64_t r = 0; r < targets.depth.rows; ++r) {
-    const auto truth = static_cast<double>(targets.depth(r, 0));
+  const View<const float> depth = targets.more[channel::depth];
+  for (std::int64_t r = 0; r < depth.rows; ++r) {
+    const auto truth = static_cast<double>(depth(r, 0));
     if (!(truth > 0)) continue;
     if (params.kind == DepthLossKind::expected) {
       const LossValue loss = expected_depth_loss(static_cast<double>(values.depth(r, 0)), truth, params.truncate_m);
@@ -61,11 +63,13 @@ template double DepthLoss::sum<float>(const RayTargets&, const RayValues<float>&
 template double DepthLoss::sum<double>(const RayTargets&, const RayValues<double>&, double,
                                        const RayGradients<double>&) const;
 
-LossKind depth_loss();
-LossKind depth_loss() {
-  return {{"depth", "depth images of training frames; pixels without depth count for nothing",
-           [] { return std::unique_ptr<LossTerm>(new DepthLoss); }},
-          "depth of training frames in memory, two bytes per pixel, and its gradient"};
+namespace {
+void register_into(Registry& registry) {
+  registry.add_loss<DepthLoss>("depth", "depth images of training frames; pixels without depth count for nothing",
+                               "depth of training frames in memory, two bytes per pixel, and its gradient");
 }
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(depth, "1.0", register_into)
 
 }  // namespace semfield

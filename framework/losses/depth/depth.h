@@ -1,9 +1,9 @@
-// Loss term `depth`: what depth images say of where a ray's light comes from.
+// Loss `depth`: what depth images say of where a ray's light comes from.
 #pragma once
 
 #include <array>
 
-#include "losses/loss_term.h"
+#include "plugin/loss.h"
 
 namespace semfield {
 
@@ -15,7 +15,8 @@ struct ChoiceNames<DepthLossKind> {
   static constexpr std::array<std::string_view, 2> names{"expected", "line_of_sight"};
 };
 
-struct DepthLossParams {
+struct DepthLossParams : LossRule {
+  DepthLossParams() { weight = 0.1; }
   DepthLossKind kind = DepthLossKind::expected;
   double truncate_m = 0;
   double band_m = 0.1;
@@ -23,10 +24,9 @@ struct DepthLossParams {
 
 void describe(ParamVisitor& visit, DepthLossParams& params);
 
-class DepthLoss final : public LossTermOf<DepthLoss, DepthLossParams> {
+class DepthLoss final : public LossOf<DepthLoss, DepthLossParams> {
  public:
-  DepthLoss() { rule.weight = 0.1; }
-
+  using LossOf::LossOf;
   LossTraits traits() const override;
   std::int64_t counted_rays(const RayTargets& batch, std::int64_t rays) const override;
   template <class Real>

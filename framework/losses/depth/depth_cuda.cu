@@ -30,10 +30,10 @@ struct Body {
   }
 };
 
-void add(const LossTerm& term, const LossCall& call) {
+void add(const Loss& loss, const LossCall& call) {
   Body body;
-  body.params = static_cast<const DepthLoss&>(term).params;
-  body.truth = call.targets.depth;
+  body.params = static_cast<const DepthLoss&>(loss).params;
+  body.truth = call.targets.more[channel::depth];
   body.depth = call.values.depth;
   body.t = call.values.t;
   body.weight = call.values.weight;
@@ -42,9 +42,10 @@ void add(const LossTerm& term, const LossCall& call) {
   launch_over_rays(call, body, "depth loss");
 }
 
+const LossKernels<DepthLoss> kTable{add};
+
 }  // namespace
 
-LossKernel depth_loss_kernel();
-LossKernel depth_loss_kernel() { return add; }
+void depth_cuda_kernels(KernelTables& tables) { tables.add(Device::cuda, "loss 'depth'", &kTable); }
 
 }  // namespace semfield::cuda

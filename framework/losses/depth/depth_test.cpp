@@ -3,12 +3,12 @@
 
 #include <gtest/gtest.h>
 
-#include "tests/losses/loss_rays.h"
+#include "testkit/loss/loss_rays.h"
 
 namespace semfield {
 namespace {
 
-using testing::LossRays;
+using testkit::LossRays;
 
 struct Case {
   LossRays<double> rays{{3, 3}};

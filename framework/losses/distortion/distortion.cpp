@@ -1,6 +1,7 @@
 #include "losses/distortion/distortion.h"
 
 #include "losses/distortion/distortion_math.h"
+#include "plugin/module.h"
 
 namespace semfield {
 
@@ -10,7 +11,7 @@ void describe(ParamVisitor& visit, DistortionParams& p) {
 
 LossTraits DistortionLoss::traits() const {
   LossTraits traits;
-  traits.moves_weight = true;
+  traits.moves = {channel::weight};
   return traits;
 }
 
@@ -44,11 +45,14 @@ template double DistortionLoss::sum<float>(const RayTargets&, const RayValues<fl
 template double DistortionLoss::sum<double>(const RayTargets&, const RayValues<double>&, double,
                                             const RayGradients<double>&) const;
 
-LossKind distortion_loss();
-LossKind distortion_loss() {
-  return {{"distortion", "light of a ray comes from one place [Barron22, Eq. 15]; begun early it condenses fog",
-           [] { return std::unique_ptr<LossTerm>(new DistortionLoss); }},
-          "two walks along each ray and the gradient of its weights"};
+namespace {
+void register_into(Registry& registry) {
+  registry.add_loss<DistortionLoss>(
+      "distortion", "light of a ray comes from one place [Barron22, Eq. 15]; begun early it condenses fog",
+      "two walks along each ray and the gradient of its weights");
 }
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(distortion, "1.0", register_into)
 
 }  // namespace semfield

@@ -1,9 +1,9 @@
-// Loss term `distortion`: light of a ray comes from one place [Barron22, Eq. 15].
+// Loss `distortion`: light of a ray comes from one place [Barron22, Eq. 15].
 #pragma once
 
 #include <array>
 
-#include "losses/loss_term.h"
+#include "plugin/loss.h"
 
 namespace semfield {
 
@@ -16,19 +16,19 @@ struct ChoiceNames<DistortionSpace> {
   static constexpr std::array<std::string_view, 2> names{"linear", "disparity"};
 };
 
-struct DistortionParams {
+struct DistortionParams : LossRule {
+  DistortionParams() {
+    weight = 0.002;
+    from_step = 0.2;
+  }
   DistortionSpace space = DistortionSpace::linear;
 };
 
 void describe(ParamVisitor& visit, DistortionParams& params);
 
-class DistortionLoss final : public LossTermOf<DistortionLoss, DistortionParams> {
+class DistortionLoss final : public LossOf<DistortionLoss, DistortionParams> {
  public:
-  DistortionLoss() {
-    rule.weight = 0.002;
-    rule.from_step = 0.2;
-  }
-
+  using LossOf::LossOf;
   LossTraits traits() const override;
   template <class Real>
   double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,

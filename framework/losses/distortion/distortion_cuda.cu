@@ -57,9 +57,9 @@ struct Body {
   }
 };
 
-void add(const LossTerm& term, const LossCall& call) {
+void add(const Loss& loss, const LossCall& call) {
   Body body;
-  body.space = static_cast<const DistortionLoss&>(term).params.space;
+  body.space = static_cast<const DistortionLoss&>(loss).params.space;
   body.near_far = call.values.near_far;
   body.t = call.values.t;
   body.delta = call.values.delta;
@@ -68,9 +68,10 @@ void add(const LossTerm& term, const LossCall& call) {
   launch_over_rays(call, body, "distortion loss");
 }
 
+const LossKernels<DistortionLoss> kTable{add};
+
 }  // namespace
 
-LossKernel distortion_loss_kernel();
-LossKernel distortion_loss_kernel() { return add; }
+void distortion_cuda_kernels(KernelTables& tables) { tables.add(Device::cuda, "loss 'distortion'", &kTable); }
 
 }  // namespace semfield::cuda

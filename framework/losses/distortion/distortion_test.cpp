@@ -6,12 +6,12 @@
 #include <cmath>
 
 #include "losses/distortion/distortion_math.h"
-#include "tests/losses/loss_rays.h"
+#include "testkit/loss/loss_rays.h"
 
 namespace semfield {
 namespace {
 
-using testing::LossRays;
+using testkit::LossRays;
 
 // sum_ij w_i w_j |s_i - s_j| + 1/3 sum_i w_i^2 d_i as it stands [Barron22, Eq. 15], O(n^2).
 double as_written(LossRays<double>& rays, DistortionSpace space) {
@@ -36,7 +36,7 @@ double as_written(LossRays<double>& rays, DistortionSpace space) {
 
 TEST(DistortionLoss, IsTheDoubleSumOfThePaper) {
   for (const DistortionSpace space : {DistortionSpace::linear, DistortionSpace::disparity}) {
-    LossRays<double> rays(testing::awkward_ray_lengths());
+    LossRays<double> rays(testkit::awkward_ray_lengths());
     DistortionLoss loss;
     loss.params.space = space;
     const double want = as_written(rays, space);

@@ -1,6 +1,7 @@
 #include "losses/near_density/near_density.h"
 
 #include "losses/near_density/near_density_math.h"
+#include "plugin/module.h"
 
 namespace semfield {
 
@@ -10,7 +11,7 @@ void describe(ParamVisitor& visit, NearDensityParams& p) {
 
 LossTraits NearDensityLoss::traits() const {
   LossTraits traits;
-  traits.moves_sigma = true;
+  traits.moves = {channel::sigma};
   return traits;
 }
 
@@ -37,12 +38,15 @@ template double NearDensityLoss::sum<float>(const RayTargets&, const RayValues<f
 template double NearDensityLoss::sum<double>(const RayTargets&, const RayValues<double>&, double,
                                              const RayGradients<double>&) const;
 
-LossKind near_density_loss();
-LossKind near_density_loss() {
-  return {{"near_density",
-           "the first decimetres in front of a camera are empty [Yang23]; begun early it can end all density",
-           [] { return std::unique_ptr<LossTerm>(new NearDensityLoss); }},
-          "a gradient a sample"};
+namespace {
+void register_into(Registry& registry) {
+  registry.add_loss<NearDensityLoss>(
+      "near_density",
+      "the first decimetres in front of a camera are empty [Yang23]; begun early it can end all density",
+      "a gradient per sample");
 }
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(near_density, "1.0", register_into)
 
 }  // namespace semfield

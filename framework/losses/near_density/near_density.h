@@ -1,24 +1,24 @@
-// Loss term `near_density`: the first decimetres in front of a camera are empty [Yang23].
+// Loss `near_density`: the first decimetres in front of a camera are empty [Yang23].
 #pragma once
 
-#include "losses/loss_term.h"
+#include "plugin/loss.h"
 
 namespace semfield {
 
-struct NearDensityParams {
+struct NearDensityParams : LossRule {
+  /// Begun with the run, or strong, it can end the density of a whole network before colours hold any.
+  NearDensityParams() {
+    weight = 0.001;
+    from_step = 0.1;
+  }
   double distance_m = 0.3;
 };
 
 void describe(ParamVisitor& visit, NearDensityParams& params);
 
-class NearDensityLoss final : public LossTermOf<NearDensityLoss, NearDensityParams> {
+class NearDensityLoss final : public LossOf<NearDensityLoss, NearDensityParams> {
  public:
-  /// Begun with the run, or strong, it can end the density of a whole network before colours hold any.
-  NearDensityLoss() {
-    rule.weight = 0.001;
-    rule.from_step = 0.1;
-  }
-
+  using LossOf::LossOf;
   LossTraits traits() const override;
   template <class Real>
   double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,

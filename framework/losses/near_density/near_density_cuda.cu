@@ -23,15 +23,16 @@ struct Body {
   }
 };
 
-void add(const LossTerm& term, const LossCall& call) {
-  const Body body{static_cast<const NearDensityLoss&>(term).params.distance_m, call.values.t, call.values.delta,
+void add(const Loss& loss, const LossCall& call) {
+  const Body body{static_cast<const NearDensityLoss&>(loss).params.distance_m, call.values.t, call.values.delta,
                   call.values.sigma, call.gradients.sigma};
   launch_over_rays(call, body, "near-density loss");
 }
 
+const LossKernels<NearDensityLoss> kTable{add};
+
 }  // namespace
 
-LossKernel near_density_loss_kernel();
-LossKernel near_density_loss_kernel() { return add; }
+void near_density_cuda_kernels(KernelTables& tables) { tables.add(Device::cuda, "loss 'near_density'", &kTable); }
 
 }  // namespace semfield::cuda

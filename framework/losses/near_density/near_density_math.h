@@ -2,7 +2,7 @@
 #pragma once
 
 #include "core/host_device.h"
-#include "losses/loss_term.h"
+#include "plugin/loss.h"
 
 namespace semfield {
 

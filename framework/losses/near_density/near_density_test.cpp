@@ -5,12 +5,12 @@
 
 #include <cmath>
 
-#include "tests/losses/loss_rays.h"
+#include "testkit/loss/loss_rays.h"
 
 namespace semfield {
 namespace {
 
-using testing::LossRays;
+using testkit::LossRays;
 
 TEST(NearDensityLoss, IsTheOpticalDepthInFrontOfTheCamera) {
   NearDensityLoss loss;

@@ -2,7 +2,6 @@
 #include "datasets/colmap/colmap.h"
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <initializer_list>
@@ -44,15 +43,12 @@ bool holds_model(const fs::path& folder) {
   return fs::exists(folder / "cameras.bin", ignored) || fs::exists(folder / "cameras.txt", ignored);
 }
 
-// Whether a file directly in it has one of the extensions, in small letters.
-bool holds_files(const fs::path& folder, std::initializer_list<const char*> extensions) {
-  std::error_code unknown;
-  for (fs::directory_iterator it(folder, unknown), end; !unknown && it != end; it.increment(unknown)) {
-    std::string extension = it->path().extension().string();
-    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-    if (std::find(extensions.begin(), extensions.end(), extension) != extensions.end()) return true;
+bool holds_files(const fs::path& folder, std::initializer_list<std::string_view> extensions) {
+  try {
+    return !files_with(folder.string(), {extensions.begin(), extensions.size()}).empty();
+  } catch (const Error&) {  // a folder that cannot be read
+    return false;
   }
-  return false;
 }
 
 }  // namespace
@@ -219,9 +215,7 @@ void Colmap::extent_from_points(const ColmapModel& model) {
 
 void Colmap::read(int frame, FrameBuffer& out) const {
   const auto i = static_cast<std::size_t>(frame);
-  FrameReadRules rules;
-  rules.unknown_labels_void = params_.unknown_labels == UnknownLabels::as_void;
-  read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
+  read_frame_files(info_.frames.at(i), files_.at(i), {.unknown_labels = params_.unknown_labels}, info_.classes, out);
 }
 
 namespace {

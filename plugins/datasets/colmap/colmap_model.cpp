@@ -105,7 +105,7 @@ void read_cameras_text(const std::string& path, ColmapBuilder& out) {
   }
 }
 
-// Two lines an image; the second, its points, may be empty.
+// Two lines per image; the second, its points, may be empty.
 void read_images_text(const std::string& path, ColmapBuilder& out) {
   TextFile file(path);
   for (std::string_view line; file.record(line);) {

@@ -1,7 +1,6 @@
 // Photographs without camera poses: the commands that find poses for them.
 
 #include <algorithm>
-#include <cctype>
 #include <filesystem>
 #include <set>
 #include <utility>
@@ -11,6 +10,7 @@
 #include "core/text.h"
 #include "datasets/colmap/colmap.h"
 #include "formats/image_io.h"
+#include "loading/frame_files.h"
 #include "system/sorted_folder.h"
 
 namespace semfield {
@@ -21,20 +21,6 @@ namespace {
 
 constexpr std::size_t kFewest = 3;
 constexpr std::size_t kMostPairs = 300;  // photographs beyond which all pairs take hours
-
-std::vector<std::string> photographs_in(const fs::path& folder) {
-  std::vector<std::string> out;
-  std::error_code unknown;
-  if (!fs::is_directory(folder, unknown)) return out;
-  for (const fs::directory_entry& entry : sorted_folder(folder.string())) {
-    std::string extension = entry.path().extension().string();
-    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-    if (extension == ".jpg" || extension == ".jpeg" || extension == ".png" || extension == ".tif" ||
-        extension == ".tiff")
-      out.push_back(entry.path().string());
-  }
-  return out;
-}
 
 // Of one camera, as far as the sizes of some tell.
 bool have_one_size(const std::vector<std::string>& photographs) {
@@ -64,7 +50,7 @@ std::string preparation(const std::string& folder, const ColmapParams&) {
     }
   }
   for (const fs::path& place : places) {
-    std::vector<std::string> found = photographs_in(place);
+    std::vector<std::string> found = files_with(place.string(), kPhotographs);
     if (found.size() <= photographs.size()) continue;
     photographs = std::move(found);
     where = place;

@@ -2,7 +2,6 @@
 #include "datasets/llff/llff.h"
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <filesystem>
 
@@ -12,7 +11,6 @@
 #include "plugin/module.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
-#include "system/sorted_folder.h"
 
 namespace semfield {
 
@@ -59,15 +57,7 @@ std::vector<std::string> Llff::image_files() const {
   const fs::path folder = fs::path(root_) / params_.images;
   if (!fs::is_directory(folder))
     throw Error(ErrorKind::no_input, "folder '" + folder.string() + "' is missing", "check scene.images");
-  std::vector<std::string> out;
-  for (const fs::directory_entry& entry : sorted_folder(folder.string())) {
-    std::string extension = entry.path().extension().string();
-    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-    if (extension == ".jpg" || extension == ".jpeg" || extension == ".png" || extension == ".tif" ||
-        extension == ".tiff")
-      out.push_back(entry.path().string());
-  }
-  return out;
+  return files_with(folder.string(), kPhotographs);
 }
 
 SceneInfo Llff::open(Diagnostics& diagnostics) {
@@ -78,7 +68,7 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     throw Error(ErrorKind::no_input, "folder '" + root_ + "' is missing", "check scene.root");
   const NumpyArray poses = read_npy(path, [&](std::span<const std::int64_t> shape) {
     if (shape.size() == 2 && shape[0] > 0 && shape[1] == static_cast<std::int64_t>(kRow)) return;
-    throw Error(ErrorKind::data, "shape " + shape_text(shape) + " is not that of poses: 17 numbers a frame",
+    throw Error(ErrorKind::data, "shape " + shape_text(shape) + " is not that of poses: 17 numbers per frame",
                 "write 3 x 5 numbers of pose and size, near and far for each frame");
   });
   const std::vector<std::string> images = image_files();
@@ -150,9 +140,7 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
 
 void Llff::read(int frame, FrameBuffer& out) const {
   const auto i = static_cast<std::size_t>(frame);
-  FrameReadRules rules;
-  rules.unknown_labels_void = params_.unknown_labels == UnknownLabels::as_void;
-  read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
+  read_frame_files(info_.frames.at(i), files_.at(i), {.unknown_labels = params_.unknown_labels}, info_.classes, out);
 }
 
 namespace {

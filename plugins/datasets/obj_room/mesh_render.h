@@ -9,8 +9,8 @@
 #include "core/error.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/raycast.h"
-#include "scene/scene.h"
 #include "datasets/obj_room/texture.h"
+#include "scene/scene.h"
 
 namespace semfield {
 
@@ -29,7 +29,7 @@ struct RenderSettings {
   double occlusion_m = 1.0;  ///< hemisphere rays end here
   int occlusion_rays = 8;    ///< a pixel
   int shadow_rays = 2;       ///< a pixel and light
-  int supersample = 2;       ///< colour samples a pixel = its square
+  int supersample = 2;       ///< colour samples per pixel = its square
   float exposure = 1.0f;
   std::array<float, 3> background{0.75f, 0.85f, 0.95f};  ///< linear colour where no surface is hit
   std::uint64_t seed = 0;

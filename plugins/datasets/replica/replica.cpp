@@ -332,9 +332,7 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
 
 void Replica::read(int frame, FrameBuffer& out) const {
   const auto i = static_cast<std::size_t>(frame);
-  FrameReadRules rules;
-  rules.unknown_labels_void = params_.unknown_labels == UnknownLabels::as_void;
-  read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
+  read_frame_files(info_.frames.at(i), files_.at(i), {.unknown_labels = params_.unknown_labels}, info_.classes, out);
 }
 
 namespace {

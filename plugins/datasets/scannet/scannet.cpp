@@ -309,7 +309,7 @@ void Scannet::add_frame(const View& view, std::size_t rank, std::size_t views, F
 SceneInfo Scannet::open(Diagnostics& diagnostics) {
   info_ = {};
   files_.clear();
-  index_of_raw_.assign(kRawIds, kVoid);  // until the table is read: a table that fails is one error, not one a frame
+  index_of_raw_.assign(kRawIds, kVoid);  // until the table is read: a table that fails is one error, not one per frame
   const fs::path root(root_);
   FrameFileCheck check(params_.missing, "label_dir");
   const std::vector<View> views = list_views(check, diagnostics);

@@ -258,7 +258,7 @@ void TransformsJson::read(int frame, FrameBuffer& out) const {
   FrameReadRules rules;
   rules.depth_unit_m = depth_unit_m_;
   rules.alpha_background = params_.alpha_background;
-  rules.unknown_labels_void = params_.unknown_labels == UnknownLabels::as_void;
+  rules.unknown_labels = params_.unknown_labels;
   read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
 }
 

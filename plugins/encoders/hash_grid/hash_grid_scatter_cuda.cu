@@ -5,6 +5,7 @@
 #include <nv/target>
 
 #include "core/workspace.h"
+#include "cuda/kernels/largest.h"
 #include "encoders/hash_grid/hash_grid_cuda.cuh"
 
 namespace semfield::cuda {
@@ -195,24 +196,22 @@ __device__ inline void walk(WarpTables& tables, int segment, int v, unsigned row
   flush_run(run.entry != kNoEntry, level, l, sums, run);
 }
 
-/// A warp 32 rows and 8 columns of dy, 8 / F levels. Its 4 segments take 8 consecutive rows each: first lane i finds the
-/// vertices of the segment's row i, then lane v sums vertex v over the rows. Rows come along rays, so on coarse levels
-/// runs of them share a cell and cost one addition, which is what those levels' few entries can take; on fine levels
-/// neighbouring lanes' vertices are neighbours along x, whose additions fall into one 32-byte sector in 3 of 4 hashed
-/// cells. Groups of levels follow each other, finest first. A row: 24 bytes of x once in 8 columns, 4 L F of dy, and 5
-/// sectors of a table a fine level. Rows whose dy is zero cost their reading.
+/// A warp 32 rows and 8 columns of dy, 8 / F levels. Its 4 segments take 8 consecutive rows each: first lane i finds
+/// the vertices of the segment's row i, then lane v sums vertex v over the rows. Rows come along rays, so on coarse
+/// levels runs of them share a cell and cost one addition, which is what those levels' few entries can take; on fine
+/// levels neighbouring lanes' vertices are neighbours along x, whose additions fall into one 32-byte sector in 3 of 4
+/// hashed cells. Groups of levels follow each other, finest first. A row: 24 bytes of x once in 8 columns, 4 L F of dy,
+/// and 5 sectors of a table a fine level. Rows whose dy is zero cost their reading.
 template <int kF, Interpolation kI, class Sums>
-__global__ void __launch_bounds__(kThreads, 4)
-    scatter_kernel(const __grid_constant__ Grid grid, View<const double> x, View<const float> dy, int first_group,
-                   bool aligned, Sums sums, const std::int32_t* live_rows) {
+__device__ inline void scatter_rows(const Grid& grid, View<const double> x, View<const float> dy, int group,
+                                    bool aligned, Sums sums, const std::int32_t* live_rows, unsigned block) {
   __shared__ WarpTables shared[kWarps];
   const int warp = static_cast<int>(threadIdx.x) / kWarp, lane = static_cast<int>(threadIdx.x) % kWarp;
   const int segment = lane / kVertices, v = lane % kVertices;
   WarpTables& tables = shared[warp];
   const std::int64_t rows = live_count(live_rows, x.rows);
-  const std::int64_t begin = (static_cast<std::int64_t>(blockIdx.x) * kWarps + warp) * kWarpRows, row = begin + lane;
+  const std::int64_t begin = (static_cast<std::int64_t>(block) * kWarps + warp) * kWarpRows, row = begin + lane;
   if (begin >= rows) return;  // a whole warp; nothing here waits for the block
-  const int group = first_group + static_cast<int>(gridDim.y - 1 - blockIdx.y);
   constexpr int kLevels = kGroupCols / kF;
   sums.prepare();
   float d[kGroupCols] = {};
@@ -239,64 +238,44 @@ __global__ void __launch_bounds__(kThreads, 4)
   }
 }
 
-/// *largest = bits of the largest |dy|; those of a NaN are larger than any number's. A thread kCols columns of every
-/// n-th row: at most kThreads such pieces a row, with kCols of 4 on 16-byte boundaries.
-template <int kCols>
-__global__ void __launch_bounds__(kThreads)
-    largest_kernel(View<const float> dy, const std::int32_t* live_rows, std::uint32_t* largest) {
-  struct alignas(sizeof(float) * kCols) Piece {
-    float v[kCols];
-  };
-  const int pieces = dy.cols / kCols, rows_at_once = kThreads / pieces;
-  const int piece = static_cast<int>(threadIdx.x) % pieces, first = static_cast<int>(threadIdx.x) / pieces;
-  const std::int64_t rows = first < rows_at_once ? live_count(live_rows, dy.rows) : 0;
-  const std::int64_t step = static_cast<std::int64_t>(gridDim.x) * rows_at_once;
-  std::uint32_t most = 0;
-#pragma unroll 4
-  for (std::int64_t row = static_cast<std::int64_t>(blockIdx.x) * rows_at_once + first; row < rows; row += step) {
-    const Piece d = reinterpret_cast<const Piece*>(dy.row(row))[piece];
-#pragma unroll
-    for (int c = 0; c < kCols; ++c) most = max(most, __float_as_uint(fabsf(d.v[c])));
-  }
-  most = __reduce_max_sync(kFullMask, most);
-  if (threadIdx.x % kWarp == 0 && most != 0) atomicMax(largest, most);
+template <int kF, Interpolation kI>
+__global__ void __launch_bounds__(kThreads, 4)
+    scatter_kernel(const __grid_constant__ Grid grid, View<const double> x, View<const float> dy, bool aligned,
+                   const std::int32_t* live_rows) {
+  scatter_rows<kF, kI>(grid, x, dy, static_cast<int>(gridDim.y - 1 - blockIdx.y), aligned, FloatSums{}, live_rows,
+                       blockIdx.x);
 }
 
-/// Gradients of a group's levels += their sums; blockIdx.y is the level within the group, one thread two numbers at a
-/// time. Where dy is not finite sums mean nothing: every level's first gradient becomes NaN, which the check before the
-/// update finds. 16 bytes read a pair of numbers, 16 more where one is not 0.
+template <int kF, Interpolation kI>
+__global__ void __launch_bounds__(kThreads, 4)
+    scatter_fixed_kernel(const __grid_constant__ Grid grid, View<const double> x, View<const float> dy, int group,
+                         bool aligned, FixedSums sums, const std::int32_t* live_rows) {
+  scatter_rows<kF, kI>(grid, x, dy, group, aligned, sums, live_rows, blockIdx.x);
+}
+
+/// Gradients of a group's levels += their sums, which are 0 afterwards; blockIdx.y is the level within the group, one
+/// thread two numbers at a time. Where dy is not finite sums mean nothing: every level's first gradient becomes NaN,
+/// which the check before the update finds. 16 bytes read a pair of numbers, 32 more where one is not 0.
 __global__ void __launch_bounds__(kThreads) add_sums_kernel(const __grid_constant__ Grid grid, std::int32_t features,
                                                             int first_level, const __grid_constant__ FixedSums sums) {
   const int l = static_cast<int>(blockIdx.y);
   const GridLevel& level = grid.level[first_level + l];
   const auto unit = static_cast<double>(sums.power(-1));
   const bool finite = *sums.largest < 0x7F800000U;
-  if (!finite) {
-    if (blockIdx.x == 0 && threadIdx.x == 0) level.table[0] = __int_as_float(0x7FC00000);
-    return;
-  }
+  const std::int64_t thread = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  if (!finite && thread == 0) level.table[0] = __int_as_float(0x7FC00000);
   const std::int64_t pairs = (static_cast<std::int64_t>(level.entries) * features + 1) / 2;
-  const auto* const from = reinterpret_cast<const longlong2*>(sums.sums + sums.offset[l]);
+  auto* const from = reinterpret_cast<longlong2*>(sums.sums + sums.offset[l]);
   const std::int64_t step = static_cast<std::int64_t>(gridDim.x) * kThreads;
 #pragma unroll 4
-  for (std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x; i < pairs; i += step) {
-    const longlong2 sum = __ldg(from + i);  // asked for before the pair before is written
+  for (std::int64_t i = thread; i < pairs; i += step) {
+    const longlong2 sum = from[i];  // asked for before the pair before is written
+    if ((sum.x | sum.y) == 0) continue;
+    from[i] = longlong2{0, 0};
     float* const to = level.table + 2 * i;
-    if (sum.x != 0) to[0] += static_cast<float>(static_cast<double>(sum.x) * unit);
-    if (sum.y != 0) to[1] += static_cast<float>(static_cast<double>(sum.y) * unit);
+    if (finite && sum.x != 0) to[0] += static_cast<float>(static_cast<double>(sum.x) * unit);
+    if (finite && sum.y != 0) to[1] += static_cast<float>(static_cast<double>(sum.y) * unit);
   }
-}
-
-/// One launch for groups [first, first + count).
-template <class Sums>
-void scatter(const HashGridShape& shape, const Grid& grid, View<const double> x, View<const float> dy, int first_group,
-             unsigned groups, const Sums& sums) {
-  const dim3 blocks(blocks_of(x.rows, kBlockRows), groups);
-  with_kind(shape, [&]<int kF, Interpolation kI>() {
-    scatter_kernel<kF, kI><<<blocks, kThreads, 0, launch().stream>>>(grid, x, dy, first_group, rows_aligned(dy), sums,
-                                                                     launch().live_rows);
-  });
-  check_launch("hash grid scatter");
 }
 
 /// Group after group, so that 64-bit sums take 8 bytes an entry and feature of the largest group alone, and are still
@@ -313,20 +292,19 @@ void scatter_fixed(const HashGridShape& shape, const Grid& grid, View<const doub
     most = std::max(most, values);
   }
   const Workspace::Scope scope(workspace);
-  auto* const largest = workspace.take<std::uint32_t>(1, 1).data;
   FixedSums sums;
-  sums.largest = largest;
-  sums.sums = reinterpret_cast<unsigned long long*>(
-      workspace.take_bytes(static_cast<std::size_t>(most) * sizeof(unsigned long long)));
+  sums.largest = launch().largest;
+  const std::size_t bytes = static_cast<std::size_t>(most) * sizeof(unsigned long long);
+  sums.sums = reinterpret_cast<unsigned long long*>(workspace.take_bytes(bytes));
   sums.rows_log2 = std::bit_width(static_cast<std::uint64_t>(x.rows - 1));
   const cudaStream_t stream = launch().stream;
-  check(cudaMemsetAsync(largest, 0, sizeof *largest, stream), "hash grid: largest gradient");
-  static_assert(kHashGridMaxLevels * kGroupCols <= kThreads);  // at most 8 features
-  const bool by_four = rows_aligned(dy) && dy.cols % 4 == 0;
-  const auto find_largest = by_four ? largest_kernel<4> : largest_kernel<1>;
-  find_largest<<<std::min(blocks_of(x.rows, 4 * kWarps), 8U * static_cast<unsigned>(multiprocessors())), kThreads, 0,
-                 stream>>>(dy, launch().live_rows, largest);
-  check_launch("hash grid largest gradient");
+  if (sums.largest == nullptr) {
+    auto* const largest = workspace.take<std::uint32_t>(1, 1).data;
+    check(cudaMemsetAsync(largest, 0, sizeof *largest, stream), "hash grid: largest gradient");
+    find_largest(dy, largest);
+    sums.largest = largest;
+  }
+  check(cudaMemsetAsync(sums.sums, 0, bytes, stream), "hash grid: clearing sums");
   for (int begin = 0; begin < shape.levels; begin += group_levels) {
     const int levels = std::min(group_levels, shape.levels - begin);
     std::int64_t values = 0, largest_level = 0;
@@ -335,9 +313,11 @@ void scatter_fixed(const HashGridShape& shape, const Grid& grid, View<const doub
       values += padded(begin + l);
       largest_level = std::max(largest_level, padded(begin + l));
     }
-    check(cudaMemsetAsync(sums.sums, 0, static_cast<std::size_t>(values) * sizeof(unsigned long long), stream),
-          "hash grid: clearing sums");
-    scatter(shape, grid, x, dy, begin / group_levels, 1, sums);
+    with_kind(shape, [&]<int kF, Interpolation kI>() {
+      scatter_fixed_kernel<kF, kI><<<blocks_of(x.rows, kBlockRows), kThreads, 0, stream>>>(
+          grid, x, dy, begin / group_levels, rows_aligned(dy), sums, launch().live_rows);
+    });
+    check_launch("hash grid scatter");
     const dim3 blocks(std::min(blocks_of(largest_level, 2 * kThreads), 8U * static_cast<unsigned>(multiprocessors())),
                       static_cast<unsigned>(levels));
     add_sums_kernel<<<blocks, kThreads, 0, stream>>>(grid, shape.features, begin, sums);
@@ -354,7 +334,12 @@ void hash_grid_scatter(const HashGridShape& shape, const View<float>* grads, Vie
   if (launch().deterministic) {
     scatter_fixed(shape, grid, x, dy, workspace);
   } else {
-    scatter(shape, grid, x, dy, 0, blocks_of(dy.cols, kGroupCols), FloatSums{});
+    const dim3 blocks(blocks_of(x.rows, kBlockRows), blocks_of(dy.cols, kGroupCols));
+    with_kind(shape, [&]<int kF, Interpolation kI>() {
+      scatter_kernel<kF, kI>
+          <<<blocks, kThreads, 0, launch().stream>>>(grid, x, dy, rows_aligned(dy), launch().live_rows);
+    });
+    check_launch("hash grid scatter");
   }
 }
 

@@ -1,4 +1,4 @@
-// CPU kernels of the spherical harmonics encoder: one direction at a time (directions are encoded once a ray).
+// CPU kernels of the spherical harmonics encoder: one direction at a time (directions are encoded once per ray).
 #include <algorithm>
 #include <cmath>
 

@@ -1,5 +1,5 @@
-// CUDA kernels of the spherical harmonics encoder: one thread a direction (directions are encoded once a ray, so there
-// are few).
+// CUDA kernels of the spherical harmonics encoder: one thread per direction (directions are encoded once per ray, so
+// there are few).
 #include "cuda/kernels/device_code.cuh"
 #include "encoders/spherical_harmonics/spherical_harmonics_kernels.h"
 #include "plugin/kernels.h"
@@ -25,7 +25,7 @@ __device__ inline HarmonicFactors<float> factors_of(View<const double> x, std::i
   return f;
 }
 
-/// One thread a row: 24 bytes read, 4 degree^2 written.
+/// One thread per row: 24 bytes read, 4 degree^2 written.
 template <std::int32_t kDegree>
 __global__ void __launch_bounds__(kThreads)
     forward_kernel(HarmonicNorms<float> norms, View<const double> x, View<float> y, FaultKey* fault) {
@@ -35,7 +35,7 @@ __global__ void __launch_bounds__(kThreads)
   harmonics(norms, kDegree, f, y.row(row));
 }
 
-/// One thread a row: 24 + 4 degree^2 bytes read, 12 written.
+/// One thread per row: 24 + 4 degree^2 bytes read, 12 written.
 template <std::int32_t kDegree>
 __global__ void __launch_bounds__(kThreads)
     backward_kernel(HarmonicNorms<float> norms, View<const double> x, View<const float> dy, View<float> dx) {

@@ -209,7 +209,8 @@ void launch_in_clusters(void (*kernel)(Call), const Call& call, std::uint32_t sh
   cluster.val.clusterDim.y = 1;
   cluster.val.clusterDim.z = 1;
   cudaLaunchConfig_t config{};
-  config.gridDim = dim3(static_cast<unsigned>(std::min<std::int64_t>(tiles, multiprocessors() / kCluster)) * kCluster);
+  const int clusters = std::max(1, multiprocessors() / kCluster);
+  config.gridDim = dim3(static_cast<unsigned>(std::min<std::int64_t>(tiles, clusters)) * kCluster);
   config.blockDim = dim3(kThreads);
   config.dynamicSmemBytes = shared;
   config.stream = launch().stream;

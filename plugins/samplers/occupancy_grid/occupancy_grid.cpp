@@ -105,6 +105,7 @@ SamplerTraits OccupancyGrid<Real>::traits() const noexcept {
   SamplerTraits traits;
   traits.single_pass = true;
   traits.observes = true;
+  traits.keeps_to_room = true;
   traits.empty_space = params_.skip == SkipRule::certified   ? EmptySpace::certified
                        : params_.skip == SkipRule::threshold ? EmptySpace::threshold
                                                              : EmptySpace::sampled;

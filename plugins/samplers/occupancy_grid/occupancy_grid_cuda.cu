@@ -1,4 +1,5 @@
 // CUDA kernels of the occupancy-grid sampler: one warp marches along a ray, 32 steps of its lattice at a time.
+#include <algorithm>
 #include <cmath>
 
 #include "core/check.h"
@@ -188,7 +189,7 @@ __global__ void __launch_bounds__(kThreads)
       static_cast<std::int64_t>(blockIdx.x) * kRaysPerBlock + static_cast<int>(threadIdx.x) / kWarp;
   if (number < rays) {
     const std::int64_t begin = *out.first.row(number);
-    const std::int32_t count = marched.count[number];
+    const std::int32_t count = static_cast<std::int32_t>(*out.first.row(number + 1) - begin);
     const float step_m = marched.step_m[number];
     const std::int64_t slot = number * max_samples;
     for (std::int32_t k = lane; k < count; k += kWarp) {
@@ -203,12 +204,12 @@ __global__ void __launch_bounds__(kThreads)
 void sample(const OccupancySampleArgs& args, const OccupancyState<float>& state, const Rays<float>& rays,
             Samples<float>& out) {
   SEMFIELD_CHECK(args.workspace != nullptr, "the occupancy grid needs scratch memory");
-  const std::int64_t count = rays.near_far.rows;
-  out.count = count * args.max_samples;
+  const std::int64_t count = rays.near_far.rows, most = count * args.max_samples;
+  out.count = std::min(most, out.t.rows);
   if (count == 0) return;
   Workspace::Scope scope(*args.workspace);
-  const Slots slots{args.workspace->take<float>(out.count, 1).data,
-                    args.geometry.equal_m > 0 ? args.workspace->take<float>(out.count, 1).data : nullptr};
+  const Slots slots{args.workspace->take<float>(most, 1).data,
+                    args.geometry.equal_m > 0 ? args.workspace->take<float>(most, 1).data : nullptr};
   const Marched marched{slots, args.workspace->take<std::int32_t>(count, 1).data,
                         args.workspace->take<float>(count, 1).data};
   const Grid grid{args.geometry, state, std::isinf(args.skip_budget), args.keep_last};
@@ -216,7 +217,7 @@ void sample(const OccupancySampleArgs& args, const OccupancyState<float>& state,
   march_kernel<<<blocks, kThreads, 0, launch().stream>>>(args, grid, args.geometry.outer(), rays, marched,
                                                          launch().cell, launch().fault);
   check_launch("occupancy march");
-  queue_offsets(MarchedSamples{marched.count}, count, out.first);
+  queue_offsets(MarchedSamples{marched.count}, count, out.first, out.count);
   close_up_kernel<<<blocks, kThreads, 0, launch().stream>>>(args.max_samples, count, marched, out);
   check_launch("occupancy samples");
   throw_bad_limits(rays.near_far, args.first_ray);

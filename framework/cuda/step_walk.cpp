@@ -1,0 +1,230 @@
+// The walk of a step on the device: one shard of the batch on the step's stream, or several side by side, each on a
+// stream of its own.
+#include <algorithm>
+#include <optional>
+
+#include "cuda/kernels/largest.h"
+#include "cuda/stages.h"
+#include "cuda/stream_executor.h"
+#include "execution/train_rays.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+// Rows without gaps, as Stages::copy takes them.
+template <class T>
+auto as_bytes_of(View<T> rows) {
+  using Byte = std::conditional_t<std::is_const_v<T>, const std::byte, std::byte>;
+  const auto bytes = static_cast<std::int32_t>(sizeof(T)) * rows.cols;
+  return View<Byte>(reinterpret_cast<Byte*>(rows.data), rows.rows, bytes, bytes, rows.device);
+}
+
+}  // namespace
+
+// A shard on the device: sums go into those of the step, and semantic branches run on a stream of their own.
+class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
+ public:
+  ShardExecutor(StreamExecutor& owner, const Shape& shape, int shard, const StepContext& ctx)
+      : owner_(owner), shape_(shape), shard_(shard), ctx_(ctx) {}
+
+  void color_loss(std::size_t pass, Workspace& arena, View<const float> color, View<const float> target,
+                  View<float> d_color) override {
+    photometric_loss(arena, color, target, owner_.color_normaliser_, d_color, sums(pass));
+  }
+  void semantic_loss(std::size_t pass, Workspace& arena, View<const float> logits, const SemanticTargets& targets,
+                     View<float> d_logits) override {
+    const auto classes = static_cast<std::int32_t>(owner_.class_weight_.size());
+    semantic_cross_entropy(arena, logits, targets,
+                           classes == 0 ? View<const float>() : owner_.class_weight_.view(1, classes),
+                           owner_.host_.options().rules.semantics.weight, d_logits, sums(pass));
+  }
+  const LossList& losses() const override { return owner_.host_.options().losses; }
+  std::uint32_t active_losses() const override { return shape_.terms; }
+  void add_losses(std::size_t pass, Workspace& arena, std::uint32_t which, const RayTargets& targets,
+                  const RayValues<float>& values, const RayGradients<float>& gradients) override {
+    cuda::add_losses(arena, owner_.losses_, which, {targets, values, gradients}, sums(pass));
+  }
+  void count(std::size_t pass, const PassTrace<float>& trace) override {
+    count_samples(trace.samples.first, trace.sigma, sums(pass));
+  }
+  View<float> encoded_gradient(std::size_t pass, const PassTrace<float>& trace, Workspace& arena) override {
+    if (in_place(pass)) return place(pass, trace.encoded.rows).dy;
+    return arena.take<float>(trace.encoded.rows, trace.encoded.cols);
+  }
+  void use_encoded_gradient(std::size_t pass, const PassTrace<float>& trace, const StepContext& ctx,
+                            View<float> d_encoded) override {
+    if (owner_.tracks_.empty()) {
+      const LiveRows<float> live(stages(), trace.samples);
+      owner_.passes_[pass].scatter(ctx, trace.x, d_encoded);
+      return;
+    }
+    EncoderRowsOfPass& rows = owner_.rows_[pass];  // all shards' are scattered at once
+    const View<std::int32_t> first = trace.samples.first;
+    if (in_place(pass)) {
+      const View<double> x = place(pass, trace.encoded.rows).x;
+      stages().copy(as_bytes_of(trace.x), as_bytes_of(x));
+    } else {
+      rows.shard.push_back({trace.x, d_encoded, first.data + first.rows - 1, nullptr});
+    }
+    const LiveRows<float> live(stages(), trace.samples);
+    find_largest(d_encoded, rows.gathered->largest());
+  }
+  // Shards that run beside each other fill the device as it is.
+  StepContext begin_branch(const StepContext& ctx) override {
+    if (!owner_.tracks_.empty()) return ctx;
+    check(cudaEventRecord(owner_.forked_, owner_.stream_), "marking a step");
+    check(cudaStreamWaitEvent(owner_.beside_, owner_.forked_, 0), "waiting for a step");
+    Launch next = launch();
+    next.stream = owner_.beside_;
+    branch_.emplace(next);
+    StepContext beside = ctx;
+    beside.workspace = &owner_.beside_arena_;
+    return beside;
+  }
+  void end_branch() override { branch_.reset(); }
+  void join_branch() override {
+    if (!owner_.tracks_.empty()) return;
+    check(cudaEventRecord(owner_.joined_, owner_.beside_), "marking a semantic branch");
+    check(cudaStreamWaitEvent(owner_.stream_, owner_.joined_, 0), "waiting for a semantic branch");
+  }
+
+  void pass_done(std::size_t pass) override {
+    if (!owner_.tracks_.empty()) return;  // complete_gradients
+    owner_.passes_[pass].derive_backward(ctx_);
+    owner_.sums_->pass_done(pass);
+  }
+
+ private:
+  bool in_place(std::size_t pass) const {
+    return !owner_.tracks_.empty() && owner_.rows_[pass].gathered->size().in_place;
+  }
+  EncoderRows place(std::size_t pass, std::int64_t rows) const {
+    const std::int64_t first = (ctx_.first_ray - owner_.first_ray()) * owner_.host_.per_ray()[pass];
+    return owner_.rows_[pass].gathered->place(first, rows);
+  }
+  LossSums* sums(std::size_t pass) const { return &owner_.staging_->device_sums()->shard[shard_][pass]; }
+
+  StreamExecutor& owner_;
+  const Shape& shape_;
+  int shard_;
+  StepContext ctx_;
+  std::optional<LaunchScope> branch_;
+};
+
+void StreamExecutor::walk(const Shape& shape, const Shard& shard, std::int64_t step, Workspace& arena) {
+  StepContext ctx = context(step, true, arena);
+  ctx.first_ray = shard.first_ray;
+  const std::int64_t count = shard.batch.origin.rows;
+  TrainedRays rays;
+  rays.batch = shard.batch;
+  rays.lane = shard.lane;
+  rays.room = room_.rows();
+  rays.semantic_rays = std::min(shape.semantic_rays, count);
+  rays.first_color = shard.batch.without_color();
+  ShardExecutor executor(*this, shape, shard.number, ctx);
+  train_rays<float>(passes_, host_.per_ray(), rays, ctx, executor);
+}
+
+void StreamExecutor::backward(const Shape& shape, std::int64_t step, bool overlapped) {
+  StepSums* const sums = staging_->device_sums();
+  check(cudaMemsetAsync(sums->shard, 0, sizeof sums->shard, stream_), "clearing sums");
+  sums_->begin(overlapped);
+  store_->zero_derived_gradients();
+  walk_shards(shape, step, tile_rays(rays_));
+}
+
+std::int64_t StreamExecutor::first_ray() const { return shard_of(rays_, sums_->own().first, sums_->shards()).begin; }
+
+// The first `most` rays of each of this rank's shards.
+void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int64_t most) {
+  const auto [first, last] = sums_->own();
+  const std::int64_t begin = first_ray();
+  const RayBatch batch = staging_->batch();
+  const auto shard_at = [&](int s) {
+    const RayRange rays = shard_of(rays_, s, sums_->shards());
+    return Shard{batch.rows(rays.begin - begin, std::min(most, rays.count)), rays.begin, s - first, kMainGradient};
+  };
+  if (tracks_.empty()) {
+    const Workspace::Scope scope(train_arena_), beside(beside_arena_);
+    const Shard shard = shard_at(first);
+    if (shard.batch.origin.rows > 0) walk(shape, shard, step, train_arena_);
+    return;
+  }
+  for (EncoderRowsOfPass& pass : rows_) {
+    pass.shard.clear();
+    if (pass.gathered) pass.gathered->begin();
+  }
+  store_->clear_lanes(sums_->slot_of(first), last - first);
+  check(cudaEventRecord(forked_, stream_), "marking a step");
+  std::deque<Workspace::Scope> taken;  // until the rows of encoders are collected
+  for (int s = first; s < last; ++s) {
+    Track& track = tracks_[static_cast<std::size_t>(s - first)];
+    check(cudaStreamWaitEvent(track.stream, forked_, 0), "waiting for a step");
+    Launch next = launch();
+    next.stream = track.stream;
+    next.beside = kShards;  // whoever walks the others: grids of sums are part of the bits
+    const LaunchScope scope(next);
+    taken.emplace_back(track.arena);
+    Shard shard = shard_at(s);
+    shard.lane = sums_->slot_of(s);
+    if (shard.batch.origin.rows > 0) walk(shape, shard, step, track.arena);
+    check(cudaEventRecord(track.walked, track.stream), "marking a shard");
+  }
+  for (Track& track : tracks_) check(cudaStreamWaitEvent(stream_, track.walked, 0), "waiting for a shard");
+  for (EncoderRowsOfPass& pass : rows_) {
+    if (pass.gathered && !pass.gathered->size().in_place) pass.gathered->collect(pass.shard);
+  }
+}
+
+// What shards have left becomes the gradients of the batch.
+void StreamExecutor::complete_gradients(std::int64_t step) {
+  if (tracks_.empty()) return;
+  StepContext ctx = context(step, true, train_arena_);
+  for (std::size_t p = 0; p < passes_.size(); ++p) {
+    if (!rows_[p].gathered) continue;
+    const Workspace::Scope scope(train_arena_);
+    const EncoderRows rows = rows_[p].gathered->joined();
+    Launch next = launch();
+    next.live_rows = rows.count;
+    next.largest = rows.largest;
+    const LaunchScope known(next);
+    ctx.pass = passes_[p].parts().number;
+    passes_[p].scatter(ctx, rows.x, rows.dy);
+  }
+  std::array<int, kShards> lane_of_shard{};
+  for (int s = 0; s < kShards; ++s) lane_of_shard[static_cast<std::size_t>(s)] = sums_->slot_of(s);
+  store_->add_lanes(lane_of_shard);
+  for (const Pass<float>& pass : passes_) {
+    ctx.pass = pass.parts().number;
+    pass.derive_backward(ctx);
+  }
+}
+
+// Memory that a step of this batch needs beside the arenas, and what ranks exchange of it.
+void StreamExecutor::reserve_gradients() {
+  std::vector<GradientSums::Gathered> gathered;
+  if (!tracks_.empty()) {
+    rows_.resize(passes_.size());
+    for (std::size_t p = 0; p < passes_.size(); ++p) {
+      if (!passes_[p].scatters()) continue;
+      GatheredRows::Size size;
+      size.dims = passes_[p].encoded_dims();
+      for (int r = 0; r < sums_->ranks(); ++r) {
+        const auto [first, last] = sums_->own_of(r);
+        const RayRange end = shard_of(rays_, last - 1, kShards);
+        size.of_rank.push_back((end.begin + end.count - shard_of(rays_, first, kShards).begin) * host_.per_ray()[p]);
+      }
+      size.rank = sums_->rank();
+      size.in_place = !passes_[p].parts().sampler->traits().keeps_to_room;
+      std::unique_ptr<GatheredRows>& rows = rows_[p].gathered;
+      if (!rows || rows->size() != size) rows = std::make_unique<GatheredRows>(size);
+      gathered.push_back({rows->blocks(), rows->each()});
+    }
+    const auto of_rank = static_cast<std::size_t>(most_shards_of(sums_->ranks()));
+    gathered.push_back({store_->lane(0), of_rank * store_->lane_numbers()});
+  }
+  sums_->reserve(std::move(gathered));
+}
+
+}  // namespace semfield::cuda

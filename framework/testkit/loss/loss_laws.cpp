@@ -1,0 +1,233 @@
+// The laws of losses.
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+#include "testkit/compare.h"
+#include "testkit/gradient_check.h"
+#include "testkit/laws.h"
+#include "testkit/loss/loss_rays.h"
+
+namespace semfield::testkit {
+
+namespace {
+
+constexpr double kScale = 0.37;
+
+template <class Real>
+struct Gradient {
+  std::string_view channel;
+  std::vector<Real> LossRays<Real>::*value;
+  std::vector<Real> LossRays<Real>::*gradient;
+};
+
+template <class Real>
+std::vector<Gradient<Real>> gradients_of() {
+  using Rays = LossRays<Real>;
+  return {{channel::color, &Rays::color, &Rays::d_color},
+          {channel::depth, &Rays::depth, &Rays::d_depth},
+          {channel::weight, &Rays::weight, &Rays::d_weight},
+          {channel::sigma, &Rays::sigma, &Rays::d_sigma},
+          {channel::logits, &Rays::logits, &Rays::d_logits}};
+}
+
+template <class Real>
+View<const Real> column(const std::vector<Real>& v) {
+  return View<const Real>(v.data(), static_cast<std::int64_t>(v.size()), 1);
+}
+
+std::string about(std::string_view channel) { return "gradient of " + std::string(channel); }
+
+class LossLaws {
+ public:
+  LossLaws(const Loss& loss, const LawOptions& options, bool soft_labels)
+      : loss_(loss), options_(options), traits_(loss.traits()), soft_(soft_labels) {
+    lengths_ = awkward_ray_lengths();
+    if (options.many_rows < 4097)
+      for (int& length : lengths_) length = std::min(length, 9);  // one that is slow
+  }
+
+  Failures run() {
+    declared();
+    central_differences();
+    moves();
+    float_against_double();
+    accumulate();
+    rays_alone();
+    nothing();
+    without_targets();
+    unlabelled();
+    extremes();
+    return failures_;
+  }
+
+ private:
+  template <class Real>
+  LossRays<Real> rays(const std::vector<int>& counts) const {
+    return LossRays<Real>(counts, options_.seed, soft_);
+  }
+  void note(const std::string& law, const std::string& sentence) { note_failure(failures_, law, sentence); }
+  void require(bool holds, const std::string& law, const std::string& sentence) {
+    if (!holds) note(law, sentence);
+  }
+
+  void declared() {
+    require(loss_.rule().weight > 0, "traits", "the default weight is 0: a loss that is named works");
+    require(!traits_.moves.empty(), "traits", "it moves nothing");
+    LossRays<double> all = rays<double>(lengths_);
+    const std::int64_t counted = loss_.counted_rays(all.targets(), all.rays());
+    require(counted > 0 && counted <= all.rays(), "counted rays",
+            std::to_string(counted) + " of " + std::to_string(all.rays()));
+  }
+
+  // Of every value that a loss sees, moved by its traits or not: a slope that it does not give must be none.
+  void central_differences() {
+    LossRays<double> at = rays<double>({7, 0, 1, 12, 3, 5});
+    at.sum_opacity();
+    LossRays<double> moved = at;
+    moved.add(loss_, kScale);
+    const auto value = [&] {
+      LossRays<double> copy = at;
+      copy.sum_opacity();
+      return kScale * copy.add(loss_, 0);
+    };
+    const GradientCheck check{1e-6, 1e-6, 16 * options_.gradient_elements, options_.seed};
+    for (const Gradient<double>& one : gradients_of<double>())
+      note(about(one.channel),
+           check_gradient(value, LossRays<double>::mat(at.*one.value, 1), column(moved.*one.gradient), check));
+  }
+
+  void moves() {
+    LossRays<double> all = rays<double>(lengths_);
+    require(all.add(loss_, kScale) > 0, "traits", "random rays cost nothing");
+    for (const Gradient<double>& one : gradients_of<double>()) {
+      const std::vector<double>& gradient = all.*one.gradient;
+      const bool any = std::any_of(gradient.begin(), gradient.end(), [](double d) { return d != 0; });
+      require(any == traits_.does_move(one.channel), "traits",
+              std::string(any ? "moves " : "does not move ") + std::string(one.channel) + ", and says otherwise");
+    }
+  }
+
+  void float_against_double() {
+    LossRays<float> narrow = rays<float>(lengths_);
+    LossRays<double> wide = rays<double>(lengths_);
+    const double sum = wide.add(loss_, kScale), got = narrow.add(loss_, kScale);
+    require(std::abs(got - sum) <= options_.float_tolerance * std::abs(sum), "float against double, loss",
+            std::to_string(got) + ", not " + std::to_string(sum));
+    for (std::size_t i = 0; i < gradients_of<float>().size(); ++i) {
+      const Gradient<float> one = gradients_of<float>()[i];
+      note("float against double, " + about(one.channel),
+           compare(column(narrow.*one.gradient), column(wide.*gradients_of<double>()[i].gradient),
+                   options_.float_tolerance));
+    }
+  }
+
+  void accumulate() {
+    LossRays<double> once = rays<double>(lengths_), thrice = once;
+    const double sum = once.add(loss_, 1);
+    require(thrice.add(loss_, 1) == sum && thrice.add(loss_, 2) == sum, "the loss is before its scale",
+            "it is another for another scale, or another time");
+    for (const Gradient<double>& one : gradients_of<double>()) {
+      std::vector<double> wanted = once.*one.gradient;
+      for (double& d : wanted) d *= 3;
+      note("gradients accumulate, " + std::string(one.channel),
+           compare(column(thrice.*one.gradient), column(wanted), 1e-12));
+    }
+  }
+
+  void rays_alone() {
+    LossRays<float> whole = rays<float>(lengths_), parts = whole;
+    const double sum = whole.add(loss_, kScale);
+    double of_parts = 0;
+    for (std::int64_t r = 0; r < parts.rays(); r += 5) {
+      const std::int64_t count = std::min<std::int64_t>(5, parts.rays() - r);
+      of_parts += loss_.add(parts.targets(r, count), parts.values(r, count), kScale, parts.gradients(r, count));
+    }
+    require(std::abs(of_parts - sum) <= 1e-6 * std::abs(sum), "rays are independent, loss",
+            std::to_string(of_parts) + ", not " + std::to_string(sum));
+    for (const Gradient<float>& one : gradients_of<float>())
+      note("rays are independent, " + about(one.channel),
+           compare_bits(column(parts.*one.gradient), column(whole.*one.gradient)));
+  }
+
+  void nothing() {
+    LossRays<float> none = rays<float>({});
+    require(none.add(loss_, kScale) == 0, "no ray", "has a loss");
+    if (!traits_.does_move(channel::weight) && !traits_.does_move(channel::sigma)) return;
+    LossRays<float> empty = rays<float>({0, 0});
+    require(empty.add(loss_, kScale) == 0, "rays without a sample", "have a loss");
+  }
+
+  // Each target that it cannot do without, taken away.
+  void without_targets() {
+    for (const std::string_view name : traits_.targets) {
+      LossRays<float> all = rays<float>(lengths_);
+      RayTargets targets;
+      const RayTargets given = all.targets();
+      if (name != channel::color) targets.color = given.color;
+      if (name != channel::label) targets.label = given.label;
+      for (const auto& one : given.more)
+        if (one.name != name && name != channel::label) targets.more.set(one.name, one.view);
+      const std::string law = "without " + std::string(name);
+      require(loss_.counted_rays(targets, all.rays()) == 0, law, "rays are counted");
+      require(loss_.add(targets, all.values(), kScale, all.gradients()) == 0, law, "there is a loss");
+    }
+  }
+
+  void unlabelled() {
+    if (!traits_.reads_target(channel::label)) return;
+    LossRays<double> all = rays<double>(lengths_), other = all;
+    for (std::int64_t r = 0; r < all.semantic_rays; ++r) {
+      if (all.label[static_cast<std::size_t>(r)] >= 0) continue;
+      for (std::int32_t c = 0; c < all.kClasses; ++c) other.logits[static_cast<std::size_t>(r * all.kClasses + c)] += 1;
+    }
+    require(all.add(loss_, kScale) == other.add(loss_, kScale), "rays without a label", "have a loss");
+    for (std::int64_t r = 0; r < all.semantic_rays; ++r) {
+      if (all.label[static_cast<std::size_t>(r)] >= 0) continue;
+      for (std::int32_t c = 0; c < all.kClasses; ++c) {
+        if (all.d_logits[static_cast<std::size_t>(r * all.kClasses + c)] == 0) continue;
+        return note("rays without a label", "have a gradient of logits");
+      }
+    }
+  }
+
+  // An interval without an end, a near of 0, weights of 0 and logits far apart give finite numbers.
+  void extremes() {
+    LossRays<float> three = rays<float>({4, 3, 2});
+    for (std::size_t r = 0; r < 3; ++r) three.near_far[2 * r] = 0;
+    three.t = {0, 1, 1, 2, 0, 0, 0, 1e-30F, 3};
+    three.delta[3] = three.delta[8] = INFINITY;
+    three.weight = {0, 1, 0, 0, 0, 0, 0, 0.5F, 0.5F};
+    for (std::size_t i = 0; i < three.logits.size(); ++i) three.logits[i] = i % 2 == 0 ? 1e4F : -1e4F;
+    require(std::isfinite(three.add(loss_, kScale)), "extremes", "the loss is not finite");
+    for (const Gradient<float>& one : gradients_of<float>()) {
+      const std::vector<float>& gradient = three.*one.gradient;
+      require(std::all_of(gradient.begin(), gradient.end(), [](float d) { return std::isfinite(d); }), "extremes",
+              about(one.channel) + " is not finite");
+    }
+  }
+
+  const Loss& loss_;
+  LawOptions options_;
+  LossTraits traits_;
+  bool soft_;
+  std::vector<int> lengths_;
+  Failures failures_;
+};
+
+}  // namespace
+
+Failures loss_laws(const Loss& loss, const LawOptions& options) {
+  Failures failures = LossLaws(loss, options, false).run();
+  if (!loss.traits().reads_target(channel::label)) return failures;
+  for (const std::string& failure : LossLaws(loss, options, true).run()) failures.push_back("soft labels: " + failure);
+  return failures;
+}
+
+Failures loss_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                   const LawOptions& options) {
+  const PluginEntry& entry = registry.get(PluginKind::loss, name);
+  return loss_laws(*entry.loss(*make_params(entry, settings)), options);
+}
+
+}  // namespace semfield::testkit

@@ -1,0 +1,198 @@
+// Clicks: pixels that somebody has named, in a CSV file or a log of label events.
+#include <algorithm>
+#include <filesystem>
+#include <optional>
+
+#include "formats/image_io.h"
+#include "formats/text_rows.h"
+#include "labels/clicks/annotations.h"
+#include "labels/clicks/click_log.h"
+#include "labels/label_files.h"
+#include "labels/label_steps.h"
+#include "labels/outline_fill.h"
+#include "plugin/module.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+struct Click {
+  std::string place, label;
+  std::int64_t x = 0, y = 0;
+  double radius_px = 0;
+};
+
+const char* kRemedy = "write lines 'frame,x,y,class' or 'frame,x,y,class,radius'";
+
+Click click_of(const TextRow& row) {
+  const std::vector<std::string>& f = row.fields;
+  if (f.size() != 4 && f.size() != 5)
+    refuse_labels(row.place, "expected 4 or 5 columns, got " + std::to_string(f.size()), kRemedy);
+  Click click{row.place, f[3], 0, 0, 0};
+  if (f[0].empty()) refuse_labels(row.place, "no frame is named", kRemedy);
+  if (!parse_whole(f[1], click.x))
+    refuse_labels(row.place, "x: expected a whole number of pixels, got '" + f[1] + "'", kRemedy);
+  if (!parse_whole(f[2], click.y))
+    refuse_labels(row.place, "y: expected a whole number of pixels, got '" + f[2] + "'", kRemedy);
+  if (f[3].empty()) refuse_labels(row.place, "no class is named", kRemedy);
+  if (f.size() == 5 && !f[4].empty() &&
+      (!parse_real(f[4], click.radius_px) || click.radius_px < 0 || click.radius_px > kMaxCoordinate))
+    refuse_labels(row.place, "radius: expected pixels from 0 to a million, got '" + f[4] + "'", kRemedy);
+  return click;
+}
+
+// Size of the image that was clicked on: the stored one, or the frame's where the source is no image file.
+ImageSize clicked_size(const FrameInfo& frame) {
+  std::error_code ignored;
+  if (std::filesystem::is_regular_file(frame.source, ignored)) {
+    try {
+      return image_size(frame.source);
+    } catch (const Error&) {  // a packed scene, for one
+    }
+  }
+  return {frame.camera.width_px, frame.camera.height_px, 0, 0};
+}
+
+// By its extension, or by its first character: a CSV file begins with the name of a frame.
+bool holds_events(const std::string& path) {
+  if (std::filesystem::path(path).extension() == ".jsonl") return true;
+  const std::string start = read_file_start(path, 4096);
+  const std::size_t first = start.find_first_not_of(" \t\r\n");
+  return first != std::string::npos && start[first] == '{';
+}
+
+// Label events whose frames are known by what the events say of them.
+class EventFrames {
+ public:
+  EventFrames(std::string file, const ClassTable& known, Diagnostics& diagnostics)
+      : file_(std::move(file)), events_(read_click_log(file_, diagnostics)) {
+    scene_.classes = known;
+    for (const LabelEvent& event : events_) {
+      if (event.frame.empty() || !frame_of_.emplace(event.frame, static_cast<int>(scene_.frames.size())).second)
+        continue;
+      FrameInfo& frame = scene_.frames.emplace_back();
+      frame.name = event.frame;
+      frame.camera.width_px = event.width_px;
+      frame.camera.height_px = event.height_px;
+    }
+    const Annotations sum = replay(scene_, 0, events_, file_);
+    table_ = sum.named_table();
+    const std::vector<int> clicked = sum.frames_with_marks();
+    std::erase_if(frame_of_,
+                  [&](const auto& entry) { return !std::binary_search(clicked.begin(), clicked.end(), entry.second); });
+  }
+
+  const ClassTable& table() const { return table_; }
+  bool empty() const { return frame_of_.empty(); }
+  bool has(const FrameInfo& frame) const { return entry_of(frame_of_, frame) != nullptr; }
+
+  LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const {
+    const int* index = entry_of(frame_of_, frame);
+    if (index == nullptr) refuse_labels(file_, "no click in frame '" + frame.name + "'");
+    SceneInfo scene = scene_;
+    Camera& camera = scene.frames[static_cast<std::size_t>(*index)].camera;
+    camera.width_px = frame.camera.width_px;
+    camera.height_px = frame.camera.height_px;
+    const Annotations sum = replay(scene, 0, events_, file_);
+    LabelRaster raster{camera.width_px, camera.height_px, sum.paint(*index, {}), {}};
+    for (std::int16_t& label : raster.hard) {
+      if (label != kVoid) label = static_cast<std::int16_t>(classes.index_of(sum.classes().valid(label).id));
+    }
+    return raster;
+  }
+
+ private:
+  std::string file_;
+  std::vector<LabelEvent> events_;
+  SceneInfo scene_;
+  std::map<std::string, int> frame_of_;  // those with clicks
+  ClassTable table_;
+};
+
+class ClickReader : public LabelReader {
+ public:
+  void describe(ParamVisitor& visit) override {
+    SEMFIELD_PARAM(visit, *this, file,
+                   "CSV file of lines frame,x,y,class[,radius]: column and row of a pixel of the stored image, and the "
+                   "radius of a disc in pixels; or a log of the labelling page, clicks.jsonl");
+  }
+
+  ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
+    clicks_.clear();
+    events_.reset();
+    if (holds_events(file)) {
+      events_.emplace(file, known, diagnostics);
+      if (events_->empty()) diagnostics.error(file, "no clicks in it", "label the scene with `semfield serve`");
+      return events_->table();
+    }
+    const std::vector<TextRow> rows = read_text_rows(file, ',');
+    ProblemList problems(diagnostics);
+    std::map<std::string, std::string> place_of_name;
+    for (std::size_t r = 0; r < rows.size(); ++r) {
+      const std::vector<std::string>& f = rows[r].fields;
+      if (r == 0 && f.size() >= 4 && f[0] == "frame" && f[1] == "x") continue;  // the header
+      problems.collect([&] {
+        Click click = click_of(rows[r]);
+        place_of_name.emplace(click.label, click.place);
+        clicks_[f[0]].push_back(std::move(click));
+      });
+    }
+    if (clicks_.empty() && problems.count() == 0) problems.error(file, "no clicks in it", kRemedy);
+    return table_for(place_of_name, known, problems);
+  }
+
+  bool adds_classes() const override { return events_.has_value(); }
+
+  bool has(const FrameInfo& frame) const override {
+    return events_ ? events_->has(frame) : entry_of(clicks_, frame) != nullptr;
+  }
+
+  LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
+    if (events_) return events_->read(frame, classes);
+    const std::vector<Click>* clicks = entry_of(clicks_, frame);
+    if (clicks == nullptr) refuse_labels(file, "no click in frame '" + frame.name + "'");
+    // At the frame's own size: scaled as an image by the nearest pixel, a single pixel could get lost.
+    LabelRaster raster = void_raster(frame.camera.width_px, frame.camera.height_px);
+    const ImageSize size = clicked_size(frame);
+    const double scale_x = static_cast<double>(raster.width_px) / size.width_px,
+                 scale_y = static_cast<double>(raster.height_px) / size.height_px;
+    const ClassNames names(classes);
+    for (const Click& click : *clicks) {
+      if (click.x < 0 || click.y < 0 || click.x >= size.width_px || click.y >= size.height_px) {
+        refuse_labels(click.place,
+                      "pixel (" + std::to_string(click.x) + ", " + std::to_string(click.y) +
+                          ") lies outside the image of " + std::to_string(size.width_px) + " x " +
+                          std::to_string(size.height_px),
+                      "columns and rows are counted from 0");
+      }
+      const std::int16_t index = names.index_of(click.label, click.place);
+      const PixelPoint center{(static_cast<double>(click.x) + 0.5) * scale_x,
+                              (static_cast<double>(click.y) + 0.5) * scale_y};
+      paint(disc_runs(center, click.radius_px * scale_x, raster.width_px, raster.height_px), index, raster);
+      const auto x = static_cast<std::int32_t>(center.x), y = static_cast<std::int32_t>(center.y);
+      paint({{y, x, x + 1}}, index, raster);
+    }
+    return raster;
+  }
+
+  std::string file;
+
+ private:
+  std::map<std::string, std::vector<Click>> clicks_;  // by frame
+  std::optional<EventFrames> events_;                 // of a log
+};
+
+}  // namespace
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_label_reader<ClickReader>(
+      "clicks",
+      "single pixels or discs from a CSV file, or clicks and strokes of the labelling page; all else is void");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(clicks, "1.0", register_into)
+
+}  // namespace semfield
