@@ -34,15 +34,16 @@ std::string KernelTables::devices_of(std::string_view owner) const { return join
 
 std::vector<std::string> KernelTables::variants_of(std::string_view owner) const {
   std::vector<std::string> variants;
-  const auto append = [&](std::string_view of) {
+  const auto append = [&](std::string_view of, bool in_bf16) {
     const auto found = owners_.find(of);
     if (found == owners_.end()) return;
     for (const std::string& variant : found->second) {
+      if (!in_bf16 && variant.ends_with(precision_name(Precision::bf16))) continue;
       if (std::find(variants.begin(), variants.end(), variant) == variants.end()) variants.push_back(variant);
     }
   };
-  if (const auto block = blocks_.find(owner); block != blocks_.end()) append(block->second);
-  append(owner);
+  if (const auto block = blocks_.find(owner); block != blocks_.end()) append(block->second.name, block->second.in_bf16);
+  append(owner, true);
   return variants;
 }
 
@@ -59,7 +60,9 @@ void KernelTables::add_erased(const Key& key, std::string_view owner, const void
 
 const void* KernelTables::get_erased(const Key& key, std::string_view owner) const {
   const auto found = tables_.find(key);
-  if (found != tables_.end()) return found->second;
+  const auto block = blocks_.find(owner);
+  const bool refused = block != blocks_.end() && !block->second.in_bf16 && key.precision == Precision::bf16;
+  if (found != tables_.end() && !refused) return found->second;
   const std::string have = devices_of(owner);
   throw Error(ErrorKind::unavailable, std::string(owner) + " has no " + variant_name(key.device, key.precision) +
                                           " kernels in this build (has: " + (have.empty() ? "none" : have) + ")");

@@ -41,8 +41,10 @@ class KernelTables {
     const auto found = tables_.find({typeid(Table), device, precision});
     return found == tables_.end() ? nullptr : static_cast<const Table*>(found->second);
   }
-  /// `owner` is put together from the blocks of `block`: it has kernels where that has some.
-  void compose(std::string_view owner, std::string_view block) { blocks_[std::string(owner)] = block; }
+  /// `owner` is put together from the blocks of `block`: it has kernels where that has some, in bf16 if `in_bf16`.
+  void compose(std::string_view owner, std::string_view block, bool in_bf16) {
+    blocks_[std::string(owner)] = {std::string(block), in_bf16};
+  }
   /// True when `owner` has kernels for the device, in some precision or in this one.
   bool has(Device device, std::string_view owner) const;
   bool has(Device device, std::string_view owner, Precision precision) const;
@@ -61,7 +63,11 @@ class KernelTables {
   std::map<Key, const void*> tables_;
   std::vector<std::string> variants_of(std::string_view owner) const;
   std::map<std::string, std::vector<std::string>, std::less<>> owners_;
-  std::map<std::string, std::string, std::less<>> blocks_;
+  struct Block {
+    std::string name;
+    bool in_bf16 = true;
+  };
+  std::map<std::string, Block, std::less<>> blocks_;
 };
 
 }  // namespace semfield

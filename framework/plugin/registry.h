@@ -158,13 +158,18 @@ class Registry {
     e.encoder64 = maker<Encoder<double>, Impl<double>, Params, EncoderBuild>();
     add(std::move(e));
   }
+  /// The same for fields. A field of plugin/mlp/field.h whose function bf16 would spoil says
+  /// `static constexpr bool kInBf16 = false`.
   template <template <class> class Impl, class Params>
   void add_field(std::string name, std::string summary) {
     PluginEntry e = entry<Params>(PluginKind::field, std::move(name), std::move(summary));
     e.field32 = maker<Field<float>, Impl<float>, Params, FieldBuild>();
     e.field64 = maker<Field<double>, Impl<double>, Params, FieldBuild>();
-    if constexpr (std::is_base_of_v<MlpField<float>, Impl<float>>)
-      kernels_.compose("field '" + e.name + "'", kMlpOwner);
+    if constexpr (std::is_base_of_v<MlpField<float>, Impl<float>>) {
+      bool in_bf16 = true;
+      if constexpr (requires { Impl<float>::kInBf16; }) in_bf16 = Impl<float>::kInBf16;
+      kernels_.compose("field '" + e.name + "'", kMlpOwner, in_bf16);
+    }
     add(std::move(e));
   }
   template <template <class> class Impl, class Params>

@@ -23,6 +23,8 @@ void describe(ParamVisitor& visit, SirenParams& p) {
 template <class Real>
 class Siren final : public MlpField<Real> {
  public:
+  static constexpr bool kInBf16 = false;  // its 8 bits would be those of a phase of several turns
+
   Siren(const SirenParams& p, const FieldBuild& build, const KernelTables& kernels)
       : MlpField<Real>(build, kernels, "field 'siren'") {
     using enum LayerActivation;
