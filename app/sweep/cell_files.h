@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "sweep/sweep_results.h"
+#include "report/sweep/sweep_results.h"
 
 namespace semfield::app {
 

@@ -16,7 +16,7 @@
 
 #include "app/child_process.h"
 #include "app/signals.h"
-#include "sweep/host_share.h"
+#include "report/sweep/host_share.h"
 #include "system/files.h"
 #include "system/folder_lock.h"
 #include "system/memory_limit.h"

@@ -11,7 +11,7 @@
 
 #include "app/signals.h"
 #include "formats/text_rows.h"
-#include "sweep/sweep_tables.h"
+#include "report/sweep/sweep_tables.h"
 #include "system/files.h"
 
 namespace semfield::app {

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "app/sweep/cell_files.h"
-#include "sweep/sweep_cells.h"
+#include "report/sweep/sweep_cells.h"
 #include "system/folder_lock.h"
 
 namespace semfield::app {

@@ -15,8 +15,8 @@
 #include "config/params_read.h"
 #include "core/findings.h"
 #include "eval/image_output.h"
-#include "fuse/scene_fusion.h"
 #include "scene/output_names.h"
+#include "surface/fuse/scene_fusion.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -163,9 +163,9 @@ int run(const FuseOptions& options, AppContext& context) {
   const auto frames = static_cast<double>(s.scene.frames_of(Split::train).size());
   if (frames == 0) throw Error(ErrorKind::data, "the scene has no training frames", "see `semfield inspect`");
   ProgressLine progress(context, "rendered");
-  const FrameMaps maps =
-      run ? learned_depth(*run, s.scene, params.min_opacity, [&](int done) { progress.show(done, frames); })
-          : true_depth(s.scene);
+  const FrameMaps maps = run ? learned_depth({run->session, run->run_dir}, s.scene, params.min_opacity,
+                                             [&](int done) { progress.show(done, frames); })
+                             : true_depth(s.scene);
   progress.restart("fused");
   if (run && run->session.pipeline->has_semantics() && maps.label.front().empty())
     print_note(context, options.depth_from + ": another class table, so the field's own labels are not scored");

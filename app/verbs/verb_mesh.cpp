@@ -11,12 +11,12 @@
 #include "app/progress_line.h"
 #include "app/verb.h"
 #include "core/findings.h"
-#include "mesh/class_groups.h"
-#include "mesh/field_surface.h"
-#include "mesh/mesh_files.h"
-#include "mesh/point_cloud.h"
-#include "mesh/upright.h"
 #include "run/open_run.h"
+#include "surface/mesh/class_groups.h"
+#include "surface/mesh/field_surface.h"
+#include "surface/mesh/mesh_files.h"
+#include "surface/mesh/point_cloud.h"
+#include "surface/mesh/upright.h"
 
 namespace semfield::app {
 

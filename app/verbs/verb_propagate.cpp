@@ -9,7 +9,7 @@
 #include "app/scene/label_folder.h"
 #include "app/verb.h"
 #include "core/findings.h"
-#include "fuse/propagation.h"
+#include "surface/fuse/propagation.h"
 
 namespace semfield::app {
 
@@ -85,7 +85,8 @@ int run(const PropagateOptions& options, AppContext& context) {
   FrameMaps maps;
   {
     ProgressLine progress(context, "rendered");
-    maps = learned_depth(run, s.scene, params.min_opacity, [&](int done) { progress.show(done, frames); });
+    maps = learned_depth({run.session, run.run_dir}, s.scene, params.min_opacity,
+                         [&](int done) { progress.show(done, frames); });
   }
   TrainingLabels spread;
   {

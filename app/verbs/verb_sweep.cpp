@@ -19,7 +19,7 @@
 #include "core/device_id.h"
 #include "execution/device_library.h"
 #include "ranks/launcher.h"
-#include "sweep/host_share.h"
+#include "report/sweep/host_share.h"
 #include "system/cpu_quota.h"
 
 namespace semfield::app {

@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "report/sweep/sweep_tables.h"
 #include "studies/leave_out_side.h"
 #include "studies/step_bench.h"
-#include "sweep/sweep_tables.h"
 #include "system/sha256.h"
 
 namespace semfield {

@@ -46,8 +46,8 @@ struct Pose {
   std::array<std::array<double, 3>, 3> r{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
   Vec3d t;
 
-  Vec3d axis(int col) const { return {r[0][col], r[1][col], r[2][col]}; }
-  Vec3d rotate(Vec3d v) const {
+  SEMFIELD_HD Vec3d axis(int col) const { return {r[0][col], r[1][col], r[2][col]}; }
+  SEMFIELD_HD Vec3d rotate(Vec3d v) const {
     return {r[0][0] * v.x + r[0][1] * v.y + r[0][2] * v.z, r[1][0] * v.x + r[1][1] * v.y + r[1][2] * v.z,
             r[2][0] * v.x + r[2][1] * v.y + r[2][2] * v.z};
   }

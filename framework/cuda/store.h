@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "cuda/kernels/shard_sums.h"
+#include "cuda/ranks/shard_sums.h"
 #include "cuda/memory.h"
 #include "model/param_store.h"
 

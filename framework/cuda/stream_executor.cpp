@@ -175,14 +175,24 @@ StreamExecutor::Shape& StreamExecutor::known_shape(std::int64_t semantic_rays, s
 }
 
 void StreamExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
-  SEMFIELD_CHECK(std::ssize(queued_) < kSlots, "too many steps wait on the device");
   guard_rays<float>({batch.origin, batch.direction, batch.near_far}, batch.targets.color, 0);
+  queue_batch(step, batch, update, nullptr);
+}
+
+void StreamExecutor::queue_batch(std::int64_t step, const RayBatch& batch, const AdamStep& update,
+                                 const std::byte* drawn) {
+  SEMFIELD_CHECK(std::ssize(queued_) < kSlots, "too many steps wait on the device");
   const BatchScales scales = host_.scales_of(batch);
   const LaunchScope on_stream(render_launch());
   sums_->join();
+  StepCell cell;
+  cell.step = static_cast<std::uint64_t>(step);
+  cell.adam = update;
+  cell.semantic_normaliser = scales.semantic;
+  std::copy(scales.terms.scale.begin(), scales.terms.scale.end(), cell.loss_scale);
   const Shape& shape =
-      run_step(step, static_cast<int>(queued_.size()), [&]() -> Shape& { return stage(step, batch, update, scales); });
-  queued_.push_back({step, scales, shape.semantic_rays, shape.terms});
+      run_step(step, static_cast<int>(queued_.size()), [&]() -> Shape& { return stage(cell, batch, scales, drawn); });
+  queued_.push_back({step, scales, shape.semantic_rays, shape.terms, drawn != nullptr});
 }
 
 StreamExecutor::Shape& StreamExecutor::run_step(std::int64_t step, int slot, const std::function<Shape&()>& prepare) {
@@ -217,7 +227,8 @@ void StreamExecutor::run_again(std::span<const Queued> queued, std::size_t first
   forget_graphs();
   for (std::size_t slot = first; slot < queued.size(); ++slot) {
     (void)run_step(queued[slot].step, static_cast<int>(slot), [&]() -> Shape& {
-      staging_->send_again(static_cast<int>(slot));
+      if (queued[slot].drawn) drawer_->draw(queued[slot].step);
+      staging_->send_again(static_cast<int>(slot), queued[slot].drawn ? drawer_->batch(queued[slot].step) : nullptr);
       return known_shape(queued[slot].semantic_rays, queued[slot].terms);
     });
   }
@@ -231,8 +242,8 @@ void StreamExecutor::drop_gradients() {
 }
 
 // Memory for the step, and its way to the device.
-StreamExecutor::Shape& StreamExecutor::stage(std::int64_t step, const RayBatch& batch, const AdamStep& update,
-                                             const BatchScales& scales) {
+StreamExecutor::Shape& StreamExecutor::stage(const StepCell& of_step, const RayBatch& batch, const BatchScales& scales,
+                                             const std::byte* drawn) {
   const auto [first, last] = sums_->own();
   const std::int64_t begin = shard_of(batch.origin.rows, first, sums_->shards()).begin;
   const RayRange end = shard_of(batch.origin.rows, last - 1, sums_->shards());
@@ -250,13 +261,14 @@ StreamExecutor::Shape& StreamExecutor::stage(std::int64_t step, const RayBatch& 
   }
   reserve_gradients();
   const std::int64_t labelled = labelled_rays(batch);
-  StepCell cell;
-  cell.step = static_cast<std::uint64_t>(step);
-  cell.adam = update;
+  StepCell cell = of_step;
   cell.adam.labelled = labelled > 0;
-  cell.semantic_normaliser = scales.semantic;
-  std::copy(scales.terms.scale.begin(), scales.terms.scale.end(), cell.loss_scale);
-  staging_->send(static_cast<int>(queued_.size()), cell, own);
+  const int slot = static_cast<int>(queued_.size());
+  if (drawn == nullptr) {
+    staging_->send(slot, cell, own);
+  } else {
+    staging_->send(slot, cell, drawn);
+  }
   return shape_of(batch, labelled, scales.terms.active);
 }
 

@@ -12,8 +12,9 @@
 #include "cuda/memory.h"
 #include "cuda/ranks/gathered_rows.h"
 #include "cuda/ranks/gradient_sums.h"
-#include "cuda/sample_room.h"
-#include "cuda/staging.h"
+#include "cuda/steps/batch_drawer.h"
+#include "cuda/steps/sample_room.h"
+#include "cuda/steps/staging.h"
 #include "cuda/store.h"
 #include "execution/device_library.h"
 #include "execution/pipeline.h"
@@ -41,9 +42,11 @@ class StreamExecutor final : public Executor<float> {
   void download(std::int64_t step) override;
   std::int64_t tile_rays(std::int64_t rays) const override;
   void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) override;
+  bool hold(const PixelPool& pool) override;
+  void queue_drawn(std::int64_t step, std::uint32_t terms, const AdamStep& update) override;
   int most_queued() const override { return kSlots; }
   StepResults finish() override;
-  std::vector<std::string> take_notes() override { return sums_->take_notes(); }
+  std::vector<std::string> take_notes() override;
   void set_gradient_hook(GradientHook<float> hook) override;
   void render(const RenderJob<float>& job) override;
   void density(View<const double> positions, View<float> sigma) override;
@@ -86,6 +89,7 @@ class StreamExecutor final : public Executor<float> {
     BatchScales scales;
     std::int64_t semantic_rays;
     std::uint32_t terms;
+    bool drawn;
   };
   Launch step_launch() const;
   StepContext context(std::int64_t step, bool training, Workspace& arena) const;
@@ -97,7 +101,9 @@ class StreamExecutor final : public Executor<float> {
   Shape& run_step(std::int64_t step, int slot, const std::function<Shape&()>& prepare);
   /// The steps in slots from `first` on, with room for all samples.
   void run_again(std::span<const Queued> queued, std::size_t first);
-  Shape& stage(std::int64_t step, const RayBatch& batch, const AdamStep& update, const BatchScales& scales);
+  /// drawn: where the batch lies on the device; null: `batch` is all of it.
+  Shape& stage(const StepCell& cell, const RayBatch& batch, const BatchScales& scales, const std::byte* drawn);
+  void queue_batch(std::int64_t step, const RayBatch& batch, const AdamStep& update, const std::byte* drawn);
   /// The part of a step on which no other rank relies: backward, or the graphs that hold it.
   void begin_step(Shape& shape, std::int64_t step);
   void end_step(Shape& shape, std::int64_t step);
@@ -140,6 +146,9 @@ class StreamExecutor final : public Executor<float> {
   std::deque<Track> tracks_;  // of this rank's shards, with DeviceOptions::deterministic
   std::vector<EncoderRowsOfPass> rows_;
   SampleRoom room_;
+  std::unique_ptr<BatchDrawer> drawer_;
+  std::vector<std::string> notes_;
+  bool told_of_pixels_ = false;
   Workspace train_arena_, beside_arena_, render_arena_;
   std::int64_t chunk_rays_ = 16384;   // rendered at a time; halved where memory is short
   std::int64_t growths_ = 0;          // of a step's arenas when graphs were last forgotten

@@ -6,16 +6,9 @@
 #include "core/small_math.h"
 #include "core/view.h"
 #include "scene/camera.h"
+#include "scene/pixel_rays.h"
 
 namespace semfield {
-
-struct RayLimits {
-  double near_m = 0.05;
-  double far_m = 10;
-  bool z_depth = false;  ///< near and far are z-depths; false: distances along the ray
-  bool clip = false;     ///< clip to `bounds` (encoders whose domain is a cube)
-  Box bounds;
-};
 
 /// Pinhole camera at a pose, ready to cast. `undistort` false: the caller knows that there is no distortion.
 struct RayCamera {

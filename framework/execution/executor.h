@@ -10,6 +10,7 @@
 
 #include "core/device_id.h"
 #include "core/error.h"
+#include "execution/pixel_pool.h"
 #include "execution/ray_batch.h"
 #include "execution/render_rays.h"
 #include "optim/adam.h"
@@ -63,6 +64,13 @@ class Executor {
   /// before it returns. Nothing of the step may be relied on before finish(); at most most_queued() steps wait. An
   /// Error means that the step was not made, and no step may be queued behind it before finish().
   virtual void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) = 0;
+  /// Takes the pixels in, so that queue_drawn can draw steps from them; again after labels have changed. false: it does
+  /// not (take_notes may say why), and batches are to be given. Between steps.
+  virtual bool hold(const PixelPool&) { return false; }
+  /// As queue, of the batch that RaySource::fill makes of the held pixels; `terms`: RayBatch::terms.
+  virtual void queue_drawn(std::int64_t, std::uint32_t, const AdamStep&) {
+    throw Error(ErrorKind::internal, "this executor draws no batches");
+  }
   virtual int most_queued() const = 0;
   /// Waits for all queued steps.
   virtual StepResults finish() = 0;

@@ -204,15 +204,29 @@ std::string shape_text(std::span<const std::int64_t> shape) {
   return out;
 }
 
-NumpyArray read_npy(const std::string& path, const AcceptShape& accept) {
+namespace {
+// `use` gets the checked header; errors name the file.
+template <class Use>
+auto with_header(const std::string& path, const AcceptShape& accept, const Use& use) {
   try {
     const std::string start = read_file_start(path, kHeadBytes);
-    const ArrayHeader header = checked_header(start, std::filesystem::file_size(path), accept);
-    return array_of(header, read_text_file(path, kMaxArrayFileBytes));
+    return use(checked_header(start, std::filesystem::file_size(path), accept));
   } catch (const Error& e) {
     if (e.message().find(path) != std::string::npos) throw;
     throw Error(e.kind(), "'" + path + "': " + e.message(), e.remedy());
   }
+}
+}  // namespace
+
+NumpyArray read_npy(const std::string& path, const AcceptShape& accept) {
+  return with_header(path, accept, [&](const ArrayHeader& header) {
+    return array_of(header, read_text_file(path, kMaxArrayFileBytes));
+  });
+}
+
+std::vector<std::int64_t> npy_shape(const std::string& path) {
+  return with_header(
+      path, [](std::span<const std::int64_t>) {}, [](const ArrayHeader& header) { return header.shape; });
 }
 
 NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept) {

@@ -26,6 +26,8 @@ using AcceptShape = std::function<void(std::span<const std::int64_t> shape)>;
 /// no .npy, a header that cannot be read, another type, a shape that the bytes of the file do not fill exactly, what
 /// `accept` throws, and arrays over limits.image_bytes. Nothing is allocated on the word of a header.
 NumpyArray read_npy(const std::string& path, const AcceptShape& accept);
+/// The shape that the header tells; the same errors, and no value is read.
+std::vector<std::int64_t> npy_shape(const std::string& path);
 
 /// One array of an archive; `key` is its name without ".npy". Entries may be stored or deflated, with ZIP64 sizes.
 /// Throws Error naming file and entry: no archive, a directory or an entry that runs past the end, another compression,

@@ -1,6 +1,7 @@
 // Pinhole cameras with the OpenCV lens model, in house conventions.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 
 #include "core/small_math.h"
@@ -16,6 +17,9 @@ struct Camera {
   double k1 = 0, k2 = 0, k3 = 0, k4 = 0;  ///< radial: k1..k3 polynomial, k4 as the r^8 term
   double p1 = 0, p2 = 0;                  ///< tangential
 
+  bool has_finite_lens() const {
+    return std::isfinite(fx) && std::isfinite(fy) && std::isfinite(cx) && std::isfinite(cy);
+  }
   bool has_distortion() const { return k1 != 0 || k2 != 0 || k3 != 0 || k4 != 0 || p1 != 0 || p2 != 0; }
 
   /// Unit direction in camera axes through image point (u, v) pixels. Undistorts by Newton's method when the lens has

@@ -194,7 +194,7 @@ std::unique_ptr<Sampler<float>> make_last_sampler(const RunConfig& config, const
   return make_sampler<float>(config.passes.back().sampler, registry, extent, Device::cpu);
 }
 
-BuildRequest build_request(const RunConfig& config, const Registry&, const SamplerTraits& last_sampler) {
+BuildRequest build_request(const RunConfig& config, const Registry& registry, const SamplerTraits& last_sampler) {
   BuildRequest request;
   request.last_sampler_single_pass = last_sampler.single_pass;
   request.empty_space = last_sampler.empty_space;

@@ -65,6 +65,7 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
 }
 
 void RaySource::relabel() {
+  ++version_;
   soft_logits_ = 0;
   const bool soft = std::any_of(frames_.begin(), frames_.end(),
                                 [](const TrainFrame& f) { return f.labels != nullptr && !f.labels->soft.empty(); });
@@ -183,9 +184,49 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
 }
 
 void RaySource::add_labels(const std::vector<LabelMap>& labels) {
+  ++version_;
   SEMFIELD_CHECK(labels.size() == frames_.size(), "a map of labels a frame");
   for (std::size_t f = 0; f < frames_.size(); ++f) frames_[f].added = labels[f].empty() ? nullptr : &labels[f];
   if (options_.train.ray_source == RaySourceKind::label_balanced) index_labels();
+}
+
+std::optional<PixelPool> RaySource::pool() const {
+  PixelPool pool;
+  for (const Target& target : targets_) {
+    if (target.from != Target::From::depth) return std::nullopt;
+    pool.with_depth = true;
+  }
+  for (const TrainFrame& f : frames_) {
+    const bool labelled = !logit_of_class_.empty() && (f.labels != nullptr || f.added != nullptr);
+    pool.frames.push_back({f.camera.camera, f.camera.world_from_camera, f.camera.undistort, f.pixels, labelled});
+  }
+  pool.offsets = offsets_;
+  pool.limits = limits_;
+  pool.seed = options_.seed;
+  pool.rays = options_.train.rays;
+  pool.tile_rays = std::min(options_.tile_rays, options_.train.rays);
+  if (options_.train.ray_source == RaySourceKind::one_image) pool.choice = PixelChoice::one_image;
+  if (options_.train.ray_source == RaySourceKind::label_balanced && balanced()) {
+    pool.choice = PixelChoice::label_balanced;
+    pool.labelled_share = options_.train.labelled_share;
+    pool.labels_apart = !options_.train.label_rays_teach_color;
+    for (std::int64_t begin = 0; pool.labels_apart && begin < pool.rays; begin += pool.tile_rays)
+      pool.label_only.push_back(
+          label_only_rays(pool.labelled_share, begin, std::min(begin + pool.tile_rays, pool.rays)));
+    pool.block = kBlock;
+    pool.block_offsets = block_offsets_;
+    pool.ranks_before = ranks_before_;
+  }
+  pool.with_labels = !logit_of_class_.empty();
+  pool.read_labels = [this](std::size_t frame, std::span<std::int16_t> logit) {
+    constexpr std::int64_t kPart = 16384;
+    const std::int64_t pixels = std::ssize(logit);
+    parallel_for((pixels + kPart - 1) / kPart, [&](std::int64_t part) {
+      for (std::int64_t p = part * kPart; p < std::min(pixels, (part + 1) * kPart); ++p)
+        logit[static_cast<std::size_t>(p)] = label_of({static_cast<std::int32_t>(frame), static_cast<std::int32_t>(p)});
+    });
+  };
+  return pool;
 }
 
 std::int16_t RaySource::class_of(const Pixel& pixel) const {

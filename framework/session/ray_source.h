@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -95,6 +96,11 @@ class RaySource {
   /// the source then needs the labels of before, and another call.
   void relabel();
 
+  /// For executors that draw batches on a device; none where batches carry more than colour, hard labels and depth.
+  std::optional<PixelPool> pool() const;
+  /// Changes with the labels.
+  std::uint64_t version() const { return version_; }
+
   std::int64_t pixel_count() const { return offsets_.back(); }
   /// Frame and pixel of ray i of a step, before the tile's reordering; for messages and tests.
   using Pixel = TrainPixel;
@@ -136,6 +142,7 @@ class RaySource {
   bool balanced() const { return !ranks_before_.empty() && ranks_before_.back() > 0; }
   Pixel labelled_pixel(std::uint32_t rank) const;
 
+  std::uint64_t version_ = 0;
   std::vector<std::int64_t> offsets_;        // first global pixel of each frame, and the total
   std::vector<std::size_t> block_offsets_;   // first block of each frame, and the total
   std::vector<std::uint32_t> ranks_before_;  // [blocks + 1]; the last entry counts all

@@ -78,6 +78,7 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
   const WorkScope scope(pipeline_.options().work);
   const ComputeFloatMode mode;
   check_alive();
+  hold_pixels();
   Executor<float>& executor = pipeline_.executor();
   const std::int64_t count = std::min<std::int64_t>(most, executor.most_queued());
   std::optional<Error> refused;  // what stopped the step behind those that are made
@@ -86,9 +87,12 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
     const std::int64_t step = step_ + i;
     const double rate = adam_.learning_rate * schedule_factor(schedule_, step);
     try {
-      has_batch = false;
-      rays_.fill(step, batch_);
-      batch_.terms = terms_of(step);
+      has_batch = drawn_;
+      if (drawn_) {
+        executor.queue_drawn(step, terms_of(step), adam_step(adam_, rate, step));
+        continue;
+      }
+      fill(step);
       has_batch = true;
       executor.queue(step, batch_.view(pipeline_.has_semantics()), adam_step(adam_, rate, step));
     } catch (const RankLost&) {
@@ -104,6 +108,7 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
   if (refused && !has_batch) throw Error(*refused);
   if (refused) {
     collect();
+    if (drawn_) fill(step_);
     fail(*refused);
   }
   if (results.afterwards) {
@@ -114,11 +119,23 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
   return results.losses;
 }
 
+// Executors that cannot hold the pixels are given batches.
+void Trainer::hold_pixels() {
+  if (held_ == rays_.version()) return;
+  const std::optional<PixelPool> pool = rays_.pool();
+  drawn_ = pool && pool->with_labels == pipeline_.has_semantics() && pipeline_.executor().hold(*pool);
+  held_ = rays_.version();
+}
+
+void Trainer::fill(std::int64_t step) {
+  rays_.fill(step, batch_);
+  batch_.terms = terms_of(step);
+}
+
 // The processor makes the step again, from the same tensors: it names ray, pixel and tensor.
 void Trainer::explain_failed_step() {
   collect();
-  rays_.fill(step_, batch_);
-  batch_.terms = terms_of(step_);
+  fill(step_);
   try {
     (void)pipeline_.lanes().checked_gradients(step_, batch_.view(pipeline_.has_semantics()));
   } catch (const Error& error) {

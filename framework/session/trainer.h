@@ -60,6 +60,8 @@ class Trainer {
   void note_density(const StepLosses& losses);
   void check_alive() const;
   std::uint32_t terms_of(std::int64_t step) const;
+  void hold_pixels();
+  void fill(std::int64_t step);
 
   Pipeline<float>& pipeline_;
   const RaySource& rays_;
@@ -68,6 +70,8 @@ class Trainer {
   std::int64_t steps_ = 0;  // of the run
   std::int64_t step_ = 0;
   BatchBuffers batch_;
+  std::uint64_t held_ = 0;       // version of rays_ that the executor has looked at
+  bool drawn_ = false;           // by the executor
   std::int64_t dead_steps_ = 0;  // in a row
   std::size_t dead_pass_ = 0;
 };

@@ -1,4 +1,5 @@
-// The section `fuse`: how labels of several views are combined. Declared here, where sections are read; used in fuse/.
+// The section `fuse`: how labels of several views are combined. Declared here, where sections are read; used in
+// surface/fuse/.
 #pragma once
 
 #include <array>

@@ -1,5 +1,5 @@
 // The section `propagate`: how labels spread over a learned surface. Declared here, where sections are read; used in
-// fuse/.
+// surface/fuse/.
 #pragma once
 
 #include <array>

@@ -7,7 +7,7 @@
 #include <array>
 #include <mutex>
 
-#include "cuda/kernels/shard_sums.h"
+#include "cuda/ranks/shard_sums.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/ranks/thread_ranks.h"
 

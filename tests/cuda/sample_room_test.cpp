@@ -1,5 +1,5 @@
 // Room for samples on a device: how it follows what steps use, and that a step with too little of it is made again.
-#include "cuda/sample_room.h"
+#include "cuda/steps/sample_room.h"
 
 #include <gtest/gtest.h>
 
@@ -47,7 +47,7 @@ TEST(SampleRoom, OfASamplerThatUsesItAllIsNeverLess) {
 
 std::string roomy_config() {
   std::string yaml = hash_config();
-  return yaml.replace(yaml.find("max_samples: 96"), 15, "max_samples: 512, skip: threshold");
+  return yaml.replace(yaml.find("max_samples: 96"), 15, "max_samples: 512, step_m: 0.1");
 }
 
 struct Subject {

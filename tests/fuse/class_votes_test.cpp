@@ -1,5 +1,5 @@
 // Products and means of class probabilities against numbers worked out by hand.
-#include "fuse/class_votes.h"
+#include "surface/fuse/class_votes.h"
 
 #include <gtest/gtest.h>
 

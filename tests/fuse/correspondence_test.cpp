@@ -1,5 +1,5 @@
 // Reprojection: two views of a plane by hand, an independent matrix product, hidden surfaces, choice of views.
-#include "fuse/correspondence.h"
+#include "surface/fuse/correspondence.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // Whole frames fused: two views by hand, a box in front, windows, noise, threads.
-#include "fuse/fusion.h"
+#include "surface/fuse/fusion.h"
 
 #include <gtest/gtest.h>
 

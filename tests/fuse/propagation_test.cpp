@@ -1,5 +1,5 @@
 // Labels spread over surfaces: cells and normals, a painted wall, the analytic room, pooled votes by hand, refusals.
-#include "fuse/propagation.h"
+#include "surface/fuse/propagation.h"
 
 #include <gtest/gtest.h>
 

@@ -2,8 +2,8 @@
 #include <gtest/gtest.h>
 
 #include "datasets/replica/replica.h"
-#include "fuse/scene_fusion.h"
 #include "loading/frame_source.h"
+#include "surface/fuse/scene_fusion.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -3,8 +3,8 @@
 
 #include "config/compose.h"
 #include "config/config_tree.h"
+#include "report/sweep/sweep_file.h"
 #include "settings/run_config.h"
-#include "sweep/sweep_file.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
 

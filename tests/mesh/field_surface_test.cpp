@@ -1,5 +1,5 @@
 // Density through the pipeline against its float64 twin, and surfaces of fields against that twin and formulas.
-#include "mesh/field_surface.h"
+#include "surface/mesh/field_surface.h"
 
 #include <gtest/gtest.h>
 
@@ -8,8 +8,8 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "mesh/point_cloud.h"
 #include "session/trainer.h"
+#include "surface/mesh/point_cloud.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

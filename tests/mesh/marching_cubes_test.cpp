@@ -1,5 +1,5 @@
 // Surfaces of known solids: closed, oriented, accurate to second order; every sign pattern, random ones too.
-#include "mesh/marching_cubes.h"
+#include "surface/mesh/marching_cubes.h"
 
 #include <gtest/gtest.h>
 

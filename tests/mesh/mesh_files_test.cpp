@@ -1,5 +1,5 @@
 // Every format is read back by a program that shares no code with the writers.
-#include "mesh/mesh_files.h"
+#include "surface/mesh/mesh_files.h"
 
 #include <gtest/gtest.h>
 
@@ -12,10 +12,10 @@
 #include "core/text.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/raycast.h"
-#include "mesh/class_groups.h"
-#include "mesh/marching_cubes.h"
-#include "mesh/upright.h"
 #include "scene/camera_path.h"
+#include "surface/mesh/class_groups.h"
+#include "surface/mesh/marching_cubes.h"
+#include "surface/mesh/upright.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"
 

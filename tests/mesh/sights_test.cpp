@@ -1,5 +1,5 @@
 // What cameras see of surfaces whose shape is a formula.
-#include "mesh/sights.h"
+#include "surface/mesh/sights.h"
 
 #include <gtest/gtest.h>
 
@@ -8,8 +8,8 @@
 #include <functional>
 
 #include "compute/parallel.h"
-#include "mesh/marching_cubes.h"
 #include "scene/camera_path.h"
+#include "surface/mesh/marching_cubes.h"
 
 namespace semfield {
 namespace {

@@ -7,8 +7,8 @@
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/raycast.h"
 #include "geometry_parts.h"
-#include "mesh/marching_cubes.h"
-#include "mesh/mesh_files.h"
+#include "surface/mesh/marching_cubes.h"
+#include "surface/mesh/mesh_files.h"
 #include "tests/scene/room_files.h"
 
 namespace semfield::numerics {

@@ -1,5 +1,5 @@
 // What a process of a sweep takes of its host.
-#include "sweep/host_share.h"
+#include "report/sweep/host_share.h"
 
 #include <gtest/gtest.h>
 

@@ -8,9 +8,9 @@
 #include <sstream>
 
 #include "plugin/linked_plugins.h"
+#include "report/sweep/sweep_cells.h"
+#include "report/sweep/sweep_schema.h"
 #include "settings/run_config.h"
-#include "sweep/sweep_cells.h"
-#include "sweep/sweep_schema.h"
 #include "system/files.h"
 #include "system/shared_files.h"
 

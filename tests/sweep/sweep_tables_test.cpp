@@ -1,5 +1,5 @@
 // Statistics, tables and result files of a sweep, by hand.
-#include "sweep/sweep_tables.h"
+#include "report/sweep/sweep_tables.h"
 
 #include <gtest/gtest.h>
 #include <unistd.h>

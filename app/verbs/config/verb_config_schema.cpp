@@ -3,9 +3,9 @@
 
 #include "app/verb.h"
 #include "config/schema.h"
+#include "report/sweep/sweep_schema.h"
 #include "settings/label_config.h"
 #include "settings/run_config.h"
-#include "sweep/sweep_schema.h"
 
 namespace semfield::app {
 

@@ -5,8 +5,8 @@
 #include <span>
 #include <vector>
 
-#include "cuda/kernels/shard_sums.h"
 #include "cuda/memory.h"
+#include "cuda/ranks/shard_sums.h"
 
 namespace semfield::cuda {
 

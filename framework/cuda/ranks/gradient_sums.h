@@ -12,7 +12,7 @@
 #include "core/error.h"
 #include "cuda/ranks/exchange.h"
 #include "cuda/ranks/shards.h"
-#include "cuda/staging.h"
+#include "cuda/steps/staging.h"
 #include "execution/device_library.h"
 
 namespace semfield::cuda {

@@ -32,13 +32,14 @@ std::string with_extension(const fs::path& path) {
 
 class FileReader {
  public:
-  FileReader(std::string path, std::optional<Split> split, const std::string& label_key, TransformsIndex& out,
-             Diagnostics& diagnostics)
+  FileReader(std::string path, std::optional<Split> split, const std::string& label_key,
+             const std::vector<std::string>& channels, TransformsIndex& out, Diagnostics& diagnostics)
       : path_(std::move(path)),
         folder_(fs::path(path_).parent_path()),
         split_(split),
         label_key_(label_key),
-        keys_(label_key),
+        channels_(channels),
+        keys_(label_key, channels),
         out_(out),
         diagnostics_(diagnostics) {}
 
@@ -281,6 +282,9 @@ class FileReader {
     if (const std::string instance = path_of("instance_path"); !instance.empty())
       frame.files.instance = with_extension(folder_ / instance);
     frame.has_mask = !path_of("mask_path").empty();
+    for (const std::string& name : channels_)
+      if (const std::string file = path_of((name + "_path").c_str()); !file.empty())
+        frame.channels[name] = (folder_ / file).string();
     read_matrix(item, frame);
     return frame;
   }
@@ -347,6 +351,7 @@ class FileReader {
   fs::path folder_;
   std::optional<Split> split_;
   std::string label_key_;
+  std::vector<std::string> channels_;
   TransformsKeys keys_;
   TransformsIndex& out_;
   Diagnostics& diagnostics_;
@@ -354,11 +359,12 @@ class FileReader {
 
 }  // namespace
 
-TransformsIndex read_transforms(const std::string& root, const std::string& label_key, Diagnostics& diagnostics) {
+TransformsIndex read_transforms(const std::string& root, const std::string& label_key,
+                                const std::vector<std::string>& channels, Diagnostics& diagnostics) {
   TransformsIndex out;
   std::error_code ignored;
   const auto read = [&](const std::string& path, std::optional<Split> split) {
-    FileReader(path, split, label_key, out, diagnostics).read();
+    FileReader(path, split, label_key, channels, out, diagnostics).read();
   };
   const fs::path folder(root);
   if (fs::exists(root, ignored) && !fs::is_directory(root, ignored)) {

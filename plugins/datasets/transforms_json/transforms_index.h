@@ -1,6 +1,7 @@
 // The text of transforms.json files as plain structs; the only place of this plugin that knows JSON.
 #pragma once
 
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -26,6 +27,7 @@ struct TransformsFrame {
   std::vector<double> matrix;  ///< 16 numbers, row-major; empty when the file's was unusable (already reported)
   std::optional<Split> split;  ///< told by the file (Blender's file names, nerfstudio's *_filenames)
   bool has_mask = false;       ///< it names a 'mask_path'
+  std::map<std::string, std::string> channels;  ///< name to file, of those that it has
 };
 
 struct TransformsIndex {
@@ -37,8 +39,10 @@ struct TransformsIndex {
 };
 
 /// Reads `root`/transforms.json, or transforms_train/val/test.json, or `root` itself when it is a file; without a test
-/// file the validation frames are held out. `label_key` is the key of a frame that names its label image, "" for none.
+/// file the validation frames are held out. `label_key` is the key of a frame that names its label image, "" for none;
+/// NAME_path is that of each of `channels`.
 /// Problems of single frames go into `diagnostics`; throws Error when no index is there or it is not JSON.
-TransformsIndex read_transforms(const std::string& root, const std::string& label_key, Diagnostics& diagnostics);
+TransformsIndex read_transforms(const std::string& root, const std::string& label_key,
+                                const std::vector<std::string>& channels, Diagnostics& diagnostics);
 
 }  // namespace semfield

@@ -8,6 +8,7 @@
 
 #include "formats/image_io.h"
 #include "formats/input_limits.h"
+#include "formats/npz.h"
 #include "loading/camera_fit.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
@@ -16,6 +17,10 @@
 namespace semfield {
 
 namespace fs = std::filesystem;
+
+namespace {
+constexpr std::int64_t kMostChannelCells = 1 << 20;  // of one axis
+}
 
 void describe(ParamVisitor& visit, TransformsJsonParams& p) {
   SEMFIELD_PARAM(
@@ -33,6 +38,24 @@ void describe(ParamVisitor& visit, TransformsJsonParams& p) {
   SEMFIELD_PARAM(visit, p, alpha_background, "grey that shows through transparent pixels, 0 to 255; -1 = drop alpha",
                  {-1, 255});
   SEMFIELD_PARAM(visit, p, metric, "poses are in metres (they are taken to be when the scene has depth)");
+  SEMFIELD_PARAM(
+      visit, p, channels,
+      "further channels by name, which losses may read: the key NAME_path of a frame names a .npy of [h, w, k] "
+      "numbers, whose grid covers the image");
+}
+
+// Its grid; nothing but the header is read.
+FrameChannelInfo channel_info(const std::string& name, const std::string& file) {
+  const std::vector<std::int64_t> shape = npy_shape(file);
+  const bool fits = shape.size() == 3 && std::all_of(shape.begin(), shape.end(),
+                                                     [](std::int64_t n) { return n > 0 && n <= kMostChannelCells; });
+  if (!fits)
+    throw Error(
+        ErrorKind::data,
+        "'" + file + "': the shape of a channel is [height, width, numbers of a cell], got " + shape_text(shape),
+        "write a .npy with three axes");
+  return {name, static_cast<std::int32_t>(shape[0]), static_cast<std::int32_t>(shape[1]),
+          static_cast<std::int32_t>(shape[2])};
 }
 
 void validate(const TransformsJsonParams& p, Diagnostics& diagnostics) {
@@ -189,7 +212,8 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   info_ = {};
   info_.opengl_files = true;
   files_.clear();
-  const TransformsIndex index = read_transforms(root_, params_.label_key, diagnostics);
+  channels_.clear();
+  const TransformsIndex index = read_transforms(root_, params_.label_key, params_.channels, diagnostics);
   const fs::path canonical = fs::weakly_canonical(root_);
   info_.name = (fs::is_regular_file(canonical) ? canonical.parent_path() : canonical).filename().string();
   depth_unit_m_ = params_.depth_unit_m > 0 ? params_.depth_unit_m : index.depth_unit_m > 0 ? index.depth_unit_m : 0.001;
@@ -224,8 +248,16 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
     has_labels = has_labels || frame.has_labels;
     has_depth = has_depth || frame.has_depth;
     check.check_headers(frame, files, diagnostics);
+    for (const auto& [name, file] : in.channels) {
+      try {
+        frame.channels.push_back(channel_info(name, file));
+      } catch (const Error& error) {
+        diagnostics.error(place, error.message(), error.remedy());
+      }
+    }
     info_.frames.push_back(frame);
     files_.push_back(files);
+    channels_.push_back(in.channels);
   }
   check.report(root_, info_.frames.size(), diagnostics);
   sizes.report(root_, diagnostics);
@@ -255,11 +287,17 @@ void TransformsJson::load_classes(const TransformsIndex& index, bool has_labels,
 
 void TransformsJson::read(int frame, FrameBuffer& out) const {
   const auto i = static_cast<std::size_t>(frame);
+  const std::vector<std::string> wanted = out.wanted;
   FrameReadRules rules;
   rules.depth_unit_m = depth_unit_m_;
   rules.alpha_background = params_.alpha_background;
   rules.unknown_labels = params_.unknown_labels;
   read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
+  for (const FrameChannelInfo& told : info_.frames[i].channels) {
+    if (std::find(wanted.begin(), wanted.end(), told.name) == wanted.end()) continue;
+    NumpyArray array = read_npy(channels_[i].at(told.name), [](std::span<const std::int64_t>) {});
+    out.channels.push_back({told.name, told.height, told.width, told.cols, std::move(array.values)});
+  }
 }
 
 namespace {

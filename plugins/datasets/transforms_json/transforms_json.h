@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,7 @@ struct TransformsJsonParams {
   double depth_unit_m = 0;
   std::int32_t alpha_background = 255;
   bool metric = false;
+  std::vector<std::string> channels;
 };
 void describe(ParamVisitor& visit, TransformsJsonParams& params);
 void validate(const TransformsJsonParams& params, Diagnostics& diagnostics);
@@ -41,6 +43,7 @@ class TransformsJson final : public Dataset {
   std::string root_, class_file_;
   SceneInfo info_;
   std::vector<FrameFiles> files_;
+  std::vector<std::map<std::string, std::string>> channels_;  // of each frame: name to file
   double depth_unit_m_ = 0.001;
 };
 

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include "scene/stored_frame.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -72,6 +73,50 @@ TEST(TransformsJson, OwnLensDepthAndLabels) {
   EXPECT_EQ(out.label, (std::vector<std::int16_t>{kVoid, 0, 0, 0, kVoid, kVoid, kVoid, 0}));
 }
 
+TEST(TransformsJson, FurtherChannelsAreReadWhereTheyAreWanted) {
+  const std::string folder = fresh_folder("n");
+  write_image(folder + "/a.png");
+  write_image(folder + "/b.png");
+  write_npy(folder + "/n.npy", std::vector<std::int64_t>{1, 2, 3}, std::vector<float>{1, 2, 3, 4, 5, 6});
+  write_npy(folder + "/flat.npy", std::vector<std::int64_t>{2, 3}, std::vector<float>{1, 2, 3, 4, 5, 6});
+  const auto index = [&](const std::string& file) {
+    write_file_atomic(folder + "/transforms.json",
+                      "{\"fl_x\": 3, \"frames\": [{\"file_path\": \"a.png\", \"normal_path\": \"" + file + "\", " +
+                          kEye + "}, {\"file_path\": \"b.png\", " + kEye + "}]}");
+  };
+  TransformsJsonParams p;
+  p.root = folder;
+  p.test_every = 0;
+  p.channels = {"normal"};
+  index("n.npy");
+  TransformsJson scene(p, {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(info.frames.at(0).channels.size(), 1u);
+  EXPECT_EQ(info.frames[0].channels[0].width, 2);
+  EXPECT_EQ(info.frames[0].channels[0].cols, 3);
+  EXPECT_TRUE(info.frames.at(1).channels.empty());
+  FrameBuffer plain, with;
+  scene.read(0, plain);
+  EXPECT_TRUE(plain.channels.empty());
+  with.wanted = {"normal"};
+  scene.read(0, with);
+  ASSERT_EQ(with.channels.size(), 1u);
+  EXPECT_EQ(with.channels[0].values, (std::vector<float>{1, 2, 3, 4, 5, 6}));
+  const StoredFrame stored(with);
+  std::vector<float> cell(3);
+  stored.read_channel("normal", stored.width_px - 1, cell);
+  EXPECT_EQ(cell, (std::vector<float>{4, 5, 6})) << "the right half of the image";
+  for (const auto& [file, says] : {std::pair{"flat.npy", "got (2, 3)"}, std::pair{"gone.npy", "gone.npy"}}) {
+    index(file);
+    Diagnostics wrong;
+    TransformsJson(p, {}).open(wrong);
+    ASSERT_EQ(wrong.error_count(), 1) << file;
+    EXPECT_NE(wrong.all()[0].text().find(says), std::string::npos) << wrong.all()[0].text();
+  }
+}
+
 // nerfstudio's list has the coefficients in this order, and a frame's own takes the place of the file's.
 TEST(TransformsJson, DistortionParamsAreTheLens) {
   const std::string folder = fresh_folder("d");
@@ -83,7 +128,7 @@ TEST(TransformsJson, DistortionParamsAreTheLens) {
                         kEye + "}, {\"file_path\": \"b.png\", \"distortion_params\": [0.1, 0, 0, 0, 0, 0], " + kEye +
                         "}]}");
   Diagnostics d;
-  const TransformsIndex index = read_transforms(folder, "", d);
+  const TransformsIndex index = read_transforms(folder, "", {}, d);
   EXPECT_FALSE(d.has_errors());
   const TransformsLens& a = index.frames.at(0).lens;
   EXPECT_EQ((std::vector<double>{a.k1, a.k2, a.k3, a.k4, a.p1, a.p2}),
@@ -152,7 +197,7 @@ TEST(TransformsJson, AHundredThousandFramesOfListsAndOfOneName) {
   write_file_atomic(folder + "/transforms.json",
                     "{\"fl_x\":4,\"w\":4,\"h\":2,\"train_filenames\":[" + names + "],\"frames\":[" + frames + "]}");
   Diagnostics d;
-  const TransformsIndex index = read_transforms(folder, "label_path", d);
+  const TransformsIndex index = read_transforms(folder, "label_path", {}, d);
   ASSERT_EQ(index.frames.size(), 100'000u);
   EXPECT_EQ(index.frames.back().split, Split::train);
   FrameNames given;

@@ -41,11 +41,11 @@ const std::map<std::string, std::string> kOtherNames{{"fx", "fl_x"},
 // Keys of nerfstudio, instant-ngp and Blender that are near one of ours.
 const std::vector<std::string> kStrangers{"frame_id", "filenames"};
 
-std::string meant_key(const std::string& key, bool of_frame, const std::string& label_key) {
+std::string meant_key(const std::string& key, bool of_frame, const std::vector<std::string>& named) {
   std::vector<std::string> known = kLensKeys;
   const std::vector<std::string>& own = of_frame ? kFrameKeys : kFileKeys;
   known.insert(known.end(), own.begin(), own.end());
-  if (of_frame) known.push_back(label_key);
+  if (of_frame) known.insert(known.end(), named.begin(), named.end());
   const auto is_in = [&key](const std::vector<std::string>& list) {
     return std::find(list.begin(), list.end(), key) != list.end();
   };
@@ -64,7 +64,7 @@ std::string meant_key(const std::string& key, bool of_frame, const std::string& 
 
 const std::string& TransformsKeys::meant_by(const std::string& key, bool of_frame) {
   const auto [found, fresh] = meant_[of_frame ? 1 : 0].try_emplace(key);
-  if (fresh) found->second = meant_key(key, of_frame, label_key_);
+  if (fresh) found->second = meant_key(key, of_frame, named_);
   return found->second;
 }
 

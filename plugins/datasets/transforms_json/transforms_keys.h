@@ -4,20 +4,23 @@
 #include <map>
 #include <string>
 #include <utility>
+#include <vector>
 
 namespace semfield {
 
 class TransformsKeys {
  public:
-  /// `label_key` as in read_transforms.
-  explicit TransformsKeys(std::string label_key) : label_key_(std::move(label_key)) {}
+  /// As in read_transforms.
+  TransformsKeys(const std::string& label_key, const std::vector<std::string>& channels) : named_{label_key} {
+    for (const std::string& name : channels) named_.push_back(name + "_path");
+  }
 
   /// The key that is read, of a file or with `of_frame` of one of its frames, that `key` is near; "" for one that is
   /// read itself, is known from other programs, or is near none.
   const std::string& meant_by(const std::string& key, bool of_frame);
 
  private:
-  std::string label_key_;
+  std::vector<std::string> named_;               // keys of frames that the configuration names
   std::map<std::string, std::string> meant_[2];  // of a file, of a frame: keys met -> what they look like, or ""
 };
 

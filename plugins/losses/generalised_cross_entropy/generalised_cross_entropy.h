@@ -6,8 +6,8 @@
 namespace semfield {
 
 struct GeneralisedCrossEntropyParams : LossRule {
-  GeneralisedCrossEntropyParams() { weight = 0.04; }
-  double q = 0.7;
+  GeneralisedCrossEntropyParams() { weight = 0.08; }
+  double q = 0.3;
 };
 void describe(ParamVisitor& visit, GeneralisedCrossEntropyParams& p);
 

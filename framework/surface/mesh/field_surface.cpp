@@ -1,0 +1,265 @@
+#include "surface/mesh/field_surface.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "compute/parallel.h"
+
+namespace semfield {
+
+namespace {
+constexpr std::int64_t kBatch = std::int64_t{1} << 16;  // points, or rays, asked for at once
+constexpr float kLeastOpacity = 1e-3F;                  // below it a colour is rounding alone
+constexpr std::size_t kLevels = 19;
+constexpr double kMostCellsOff = 8;
+
+double candidate(double spacing, std::size_t k) {
+  return half_opaque_density(spacing) * std::exp2(-0.5 * static_cast<double>(k));
+}
+
+// body(i) for every i in [0, count), a piece of them in a thread.
+template <class Body>
+void for_points(std::int64_t count, const Body& body) {
+  constexpr std::int64_t kPiece = 2048;
+  parallel_for((count + kPiece - 1) / kPiece, [&](std::int64_t piece) {
+    for (std::int64_t i = piece * kPiece; i < std::min(count, (piece + 1) * kPiece); ++i) body(i);
+  });
+}
+
+void close_border(const VoxelGrid& grid, std::int64_t z, std::span<double> values) {
+  for (std::int64_t i = 0; i < grid.layer_points(); ++i) {
+    const std::int64_t x = i % grid.nx, y = i / grid.nx;
+    const bool border = x == 0 || y == 0 || z == 0 || x == grid.nx - 1 || y == grid.ny - 1 || z == grid.nz - 1;
+    if (border) values[static_cast<std::size_t>(i)] = 1;
+  }
+}
+
+}  // namespace
+
+double half_opaque_density(double spacing) { return std::log(2.0) / spacing; }
+
+Surface density_surface(const Pipeline<float>& pipeline, const SurfaceRequest& request) {
+  const VoxelGrid& grid = request.grid;
+  std::vector<double> position(static_cast<std::size_t>(3 * kBatch));
+  std::vector<float> sigma(static_cast<std::size_t>(kBatch));
+  Surface surface = marching_cubes(grid, 0.5, [&](std::int64_t z, std::span<double> values) {
+    for (std::int64_t begin = 0; begin < grid.layer_points(); begin += kBatch) {
+      const std::int64_t count = std::min(kBatch, grid.layer_points() - begin);
+      for_points(count, [&](std::int64_t i) {
+        const Vec3d p = grid.world({static_cast<double>((begin + i) % grid.nx),
+                                    static_cast<double>((begin + i) / grid.nx), static_cast<double>(z)});
+        for (int axis = 0; axis < 3; ++axis) position[static_cast<std::size_t>(3 * i + axis)] = p[axis];
+      });
+      pipeline.density({position.data(), count, 3}, {sigma.data(), count, 1});
+      for_points(count, [&](std::int64_t i) {
+        const auto density = static_cast<double>(sigma[static_cast<std::size_t>(i)]);
+        values[static_cast<std::size_t>(begin + i)] = 1 - std::exp2(-density / request.level_per_m);
+      });
+    }
+    if (request.opaque_border) close_border(grid, z, values);
+  });
+  set_vertex_normals(surface);
+  return surface;
+}
+
+SightLines look(Pipeline<float>& pipeline, std::span<const RayCamera> cameras, const RayLimits& limits, int rays) {
+  SightLines lines;
+  std::vector<double> origin, direction, near_far;
+  const auto each = std::max<std::int64_t>(1, rays / std::max<std::int64_t>(1, std::ssize(cameras)));
+  for (const RayCamera& camera : cameras) {
+    const auto pixels = std::int64_t{camera.camera.width_px} * camera.camera.height_px;
+    for (std::int64_t k = 0; k < std::min(each, pixels); ++k) {
+      // The golden ratio spreads any number of pixels evenly, and differently for every camera.
+      const double turn = (static_cast<double>(k) + 0.5) / static_cast<double>(each);
+      const auto row = static_cast<std::int32_t>(turn * camera.camera.height_px);
+      const double across = 0.6180339887498949 * static_cast<double>(k + std::ssize(origin));
+      const auto column = static_cast<std::int32_t>((across - std::floor(across)) * camera.camera.width_px);
+      const std::size_t at = near_far.size() / 2;
+      origin.resize(3 * at + 3);
+      direction.resize(3 * at + 3);
+      near_far.resize(2 * at + 2);
+      cast_ray(camera, limits, column, row, &origin[3 * at], &direction[3 * at], &near_far[2 * at]);
+    }
+  }
+  const auto count = static_cast<std::int64_t>(near_far.size() / 2);
+  std::vector<float> depth(static_cast<std::size_t>(count)), opacity(depth.size());
+  RenderJob<float> job;
+  job.origin = {origin.data(), count, 3};
+  job.direction = {direction.data(), count, 3};
+  job.near_far = {near_far.data(), count, 2};
+  job.depth = {depth.data(), count, 1};
+  job.opacity = {opacity.data(), count, 1};
+  if (count > 0) pipeline.render(job);
+  for (std::size_t r = 0; r < depth.size(); ++r) {
+    if (!(opacity[r] >= 0.5F)) continue;
+    lines.origin.push_back({origin[3 * r], origin[3 * r + 1], origin[3 * r + 2]});
+    lines.direction.push_back({direction[3 * r], direction[3 * r + 1], direction[3 * r + 2]});
+    lines.near.push_back(near_far[2 * r]);
+    lines.surface.push_back(static_cast<double>(depth[r]) / static_cast<double>(opacity[r]));
+  }
+  return lines;
+}
+
+double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& request, const SightLines& lines) {
+  const double spacing = request.grid.spacing, most = kMostCellsOff * spacing;
+  const Vec3d last{static_cast<double>(request.grid.nx - 1), static_cast<double>(request.grid.ny - 1),
+                   static_cast<double>(request.grid.nz - 1)};
+  const Box box{request.grid.world({0, 0, 0}), request.grid.world(last)};
+  std::array<double, kLevels> off{};
+  struct Line {
+    std::size_t number;  // of lines
+    double from, to;
+    bool ends_at_border;
+    std::size_t begin, end;  // of its points
+  };
+  std::vector<Line> asked;
+  std::vector<double> position;
+  std::vector<float> sigma;
+  const auto compare = [&] {  // with the densities of the lines asked, which are then done
+    sigma.resize(position.size() / 3);
+    const auto points = std::ssize(sigma);
+    pipeline.density({position.data(), points, 3}, {sigma.data(), points, 1});
+    for (const Line& line : asked) {
+      const std::span<const float> densities(sigma.data() + line.begin, line.end - line.begin);
+      const double surface = lines.surface[line.number];
+      for (std::size_t k = 0; k < kLevels; ++k) {
+        const double level = candidate(spacing, k);
+        const auto first =
+            std::find_if(densities.begin(), densities.end(), [&](float s) { return static_cast<double>(s) > level; });
+        double at = line.from + static_cast<double>(first - densities.begin()) * spacing;
+        if (first == densities.end()) at = line.ends_at_border ? line.to : surface + most;
+        off[k] += std::min(most, std::abs(at - surface));
+      }
+    }
+    asked.clear();
+    position.clear();
+  };
+  for (std::size_t r = 0; r < lines.surface.size(); ++r) {
+    // Beyond the surface by more than counts, nothing is learned; a border that is opaque ends every line.
+    double enter = 0, leave = 0;
+    if (!intersect(box, lines.origin[r], lines.direction[r], enter, leave)) continue;
+    const double from = std::max(lines.near[r], enter), to = std::min(lines.surface[r] + most, leave);
+    const auto steps = static_cast<std::int64_t>(std::max(0.0, (to - from) / spacing)) + 1;
+    const std::size_t begin = position.size() / 3;
+    asked.push_back(
+        {r, from, to, request.opaque_border && to == leave, begin, begin + static_cast<std::size_t>(steps)});
+    for (std::int64_t i = 0; i < steps; ++i) {
+      const Vec3d p = lines.origin[r] + lines.direction[r] * (from + static_cast<double>(i) * spacing);
+      for (int axis = 0; axis < 3; ++axis) position.push_back(p[axis]);
+    }
+    if (std::ssize(position) >= 3 * kBatch) compare();
+  }
+  if (!asked.empty()) compare();
+  const auto best = std::min_element(off.begin(), off.end()) - off.begin();
+  return candidate(spacing, static_cast<std::size_t>(best));
+}
+
+namespace {
+
+// Short rays at some vertices, `rays` of them for each.
+struct ShortRays {
+  explicit ShortRays(std::size_t rows)
+      : origin(3 * rows),
+        direction(3 * rows),
+        near_far(2 * rows),
+        color(3 * rows),
+        opacity(rows),
+        entropy(rows),
+        label(rows) {}
+
+  void set(std::size_t r, Vec3d point, Vec3d along, double offset, const RayLimits& limits) {
+    const Vec3d o = point - along * offset;
+    double enter = 0, leave = 2 * offset;
+    if (limits.clip) {
+      double in = 0, past = 0;
+      const bool meets = intersect(limits.bounds, o, along, in, past);
+      enter = meets ? std::min(in, leave) : 0;
+      leave = meets ? std::max(enter, std::min(past, leave)) : 0;
+    }
+    near_far[2 * r] = enter;
+    near_far[2 * r + 1] = leave;
+    for (int axis = 0; axis < 3; ++axis) {
+      origin[3 * r + static_cast<std::size_t>(axis)] = o[axis];
+      direction[3 * r + static_cast<std::size_t>(axis)] = along[axis];
+    }
+  }
+  RenderJob<float> job(std::int64_t count, bool semantics) {
+    RenderJob<float> job;
+    job.origin = {origin.data(), count, 3};
+    job.direction = {direction.data(), count, 3};
+    job.near_far = {near_far.data(), count, 2};
+    job.color = {color.data(), count, 3};
+    job.opacity = {opacity.data(), count, 1};
+    if (!semantics) return job;
+    job.label = {label.data(), count, 1};
+    job.entropy = {entropy.data(), count, 1};
+    return job;
+  }
+
+  std::vector<double> origin, direction, near_far;
+  std::vector<float> color, opacity, entropy;
+  std::vector<std::int16_t> label;
+};
+
+}  // namespace
+
+PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surface, const Watch& watch, double offset,
+                                  const RayLimits& limits, const ClassOfLogit& class_of_logit) {
+  const bool semantics = pipeline.has_semantics();
+  const std::size_t points = surface.positions.size();
+  PointAttributes out;
+  out.color.resize(points);
+  if (semantics) {
+    out.label.resize(points);
+    out.entropy.resize(points);
+  }
+  constexpr std::size_t kPoints = kBatch / Sights::kMost;
+  std::vector<Looks> looks(std::min(points, kPoints));
+  std::vector<std::size_t> first(looks.size() + 1);
+  ShortRays rays(looks.size() * Sights::kMost);
+  const std::array<double, 3> background = pipeline.options().rules.background();
+  for (std::size_t begin = 0; begin < points; begin += kPoints) {
+    const std::size_t count = std::min(kPoints, points - begin);
+    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
+      const std::size_t i = begin + static_cast<std::size_t>(at);
+      looks[static_cast<std::size_t>(at)] = looks_at(surface.positions[i], surface.normals[i],
+                                                     watch.sights.empty() ? Sights{} : watch.sights[i], watch.cameras);
+    });
+    for (std::size_t i = 0; i < count; ++i) first[i + 1] = first[i] + looks[i].count;
+    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
+      const auto i = static_cast<std::size_t>(at);
+      for (std::size_t k = 0; k < looks[i].count; ++k)
+        rays.set(first[i] + k, surface.positions[begin + i], looks[i].direction[k], offset, limits);
+    });
+    pipeline.render(rays.job(static_cast<std::int64_t>(first[count]), semantics));
+    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
+      const auto i = static_cast<std::size_t>(at);
+      std::array<double, 3> sum{};
+      double met = 0;
+      std::size_t surest = first[i];
+      bool any = false;
+      for (std::size_t k = 0; k < looks[i].count; ++k) {
+        const std::size_t r = first[i] + k;
+        if (!(rays.opacity[r] > kLeastOpacity)) continue;
+        if (!any || rays.entropy[r] < rays.entropy[surest]) surest = r;
+        any = true;
+        met += looks[i].weight[k];
+        for (std::size_t c = 0; c < 3; ++c) {
+          const double behind = (1 - static_cast<double>(rays.opacity[r])) * background[c];
+          const double value =
+              (static_cast<double>(rays.color[3 * r + c]) - behind) / static_cast<double>(rays.opacity[r]);
+          sum[c] += looks[i].weight[k] * std::clamp(value, 0.0, 1.0);
+        }
+      }
+      for (std::size_t c = 0; c < 3 && any; ++c)
+        out.color[begin + i][c] = static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, sum[c] / met)));
+      if (!semantics) return;
+      out.label[begin + i] =
+          any ? static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(rays.label[surest])]) : kVoid;
+      out.entropy[begin + i] = rays.entropy[surest];
+    });
+  }
+  return out;
+}
+
+}  // namespace semfield

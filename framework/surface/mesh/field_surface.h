@@ -1,0 +1,56 @@
+// From a trained field to a surface: density on a grid, its level set, and what rendering tells of every vertex.
+#pragma once
+
+#include <span>
+
+#include "eval/evaluator.h"
+#include "surface/mesh/marching_cubes.h"
+#include "surface/mesh/sights.h"
+
+namespace semfield {
+
+/// The density at which a cell's edge lets half of the light through: ln 2 / spacing, in 1/m.
+double half_opaque_density(double spacing);
+
+/// Where a surface is looked for, and at which density.
+struct SurfaceRequest {
+  VoxelGrid grid;
+  double level_per_m = 0;
+  /// Points on the grid's border are dense, whatever the field says: where rays end at the bounds and their last sample
+  /// takes the rest (FarMode::background), rendering shows a wall there.
+  bool opaque_border = false;
+};
+
+/// The level set of the density of the pipeline's last pass. Between points the opacity that the density gives a length
+/// of ln 2 / level is interpolated, not the density itself: the same surface, but a wall of 1,000 / m does not draw it
+/// to its empty neighbour. Triangles face the empty side; normals are set.
+Surface density_surface(const Pipeline<float>& pipeline, const SurfaceRequest& request);
+
+/// Rays [R] from cameras and the distances along them at which rendering puts the surface, for choose_level.
+struct SightLines {
+  std::vector<Vec3d> origin, direction;  ///< unit directions
+  std::vector<double> near, surface;     ///< along the ray
+};
+
+/// Up to about `rays` sight lines spread over the cameras' pixels; rays with an opacity under 1/2 are left out.
+SightLines look(Pipeline<float>& pipeline, std::span<const RayCamera> cameras, const RayLimits& limits, int rays);
+
+/// The density whose first crossing along the sight lines lies nearest to where rendering puts the surface: the mean
+/// distance, at most eight cells per line, is least among half_opaque_density(spacing) * 2^(-k/2), k = 0..18. A field
+/// that was trained briefly is soft: one fixed level would lose its walls or inflate its objects.
+double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& request, const SightLines& lines);
+
+/// Who looks at the vertices of a surface; without sights everybody looks along the negative normal.
+struct Watch {
+  std::span<const RayCamera> cameras;
+  std::span<const Sights> sights;  ///< per vertex, numbers of `cameras`
+};
+
+/// Colour, class and entropy of the vertices: short rays in the directions of looks_at, from `offset` before the
+/// surface to `offset` behind it [Zhi21, Sec. 4]. In a direction that no camera had, a field's colour is a guess, and
+/// on real photographs a wild one. Colour is that of what a ray met, divided by its opacity, and the weighted mean of
+/// the rays; class and entropy are those of the surest. Where no ray meets anything: black and kVoid.
+PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surface, const Watch& watch, double offset,
+                                  const RayLimits& limits, const ClassOfLogit& class_of_logit);
+
+}  // namespace semfield

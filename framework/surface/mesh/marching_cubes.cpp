@@ -1,0 +1,223 @@
+#include "surface/mesh/marching_cubes.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "compute/parallel.h"
+#include "core/error.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr double kMostPoints = 4096;  // along an axis: layers then take 640 MiB
+constexpr std::uint32_t kNone = 0xFFFFFFFFU;
+
+// Vertices on the edges of a layer that run along x and y, and on those that rise from it along z.
+struct LayerEdges {
+  explicit LayerEdges(std::int64_t points) {
+    for (auto& axis : vertex) axis.assign(static_cast<std::size_t>(points), kNone);
+  }
+  std::array<std::vector<std::uint32_t>, 3> vertex;
+};
+
+// Rows of a layer that a thread takes, and what it finds there: the vertices of a layer are numbered in the order of
+// its points, whoever found them.
+struct Strip {
+  std::int64_t first_row = 0, end_row = 0;
+  std::vector<Vec3d> level, rising;  // vertices on edges in the upper layer, and on those that rise to it
+  std::vector<std::array<std::uint32_t, 3>> triangles;
+  std::size_t first_level = 0, first_rising = 0;  // their numbers
+  bool all_numbers = true;
+};
+
+class Marcher {
+ public:
+  Marcher(const VoxelGrid& grid, double level) : grid_(grid), level_(level) {
+    constexpr std::int64_t kStripPoints = 4096;
+    const std::int64_t rows = std::max<std::int64_t>(1, kStripPoints / grid.nx);
+    for (std::int64_t row = 0; row < grid.ny; row += rows) {
+      strips_.emplace_back();
+      strips_.back().first_row = row;
+      strips_.back().end_row = std::min(row + rows, grid.ny);
+    }
+  }
+
+  Surface run(const GridLayer& layer) {
+    const std::int64_t points = grid_.layer_points();
+    std::vector<double> below(static_cast<std::size_t>(points)), above(below.size());
+    LayerEdges lower(points), upper(points);
+    for (std::int64_t z = 0; z < grid_.nz; ++z) {
+      layer(z, above);
+      for_strips([&](Strip& strip) {
+        level_edges(strip, above, z, upper);
+        if (z > 0) rising_edges(strip, below, above, z - 1, lower);
+      });
+      check(above, z);
+      number_vertices();
+      for_strips([&](const Strip& strip) { keep_vertices(strip, lower, upper); });
+      if (z > 0) {
+        for_strips([&](Strip& strip) { cells(strip, below, above, lower, upper); });
+        for (const Strip& strip : strips_)
+          surface_.triangles.insert(surface_.triangles.end(), strip.triangles.begin(), strip.triangles.end());
+      }
+      std::swap(below, above);
+      std::swap(lower, upper);
+    }
+    return std::move(surface_);
+  }
+
+ private:
+  bool dense(double value) const { return value > level_; }
+
+  template <class Body>
+  void for_strips(const Body& body) {
+    parallel_for(std::ssize(strips_), [&](std::int64_t i) { body(strips_[static_cast<std::size_t>(i)]); });
+  }
+
+  void check(const std::vector<double>& values, std::int64_t z) const {
+    if (std::all_of(strips_.begin(), strips_.end(), [](const Strip& strip) { return strip.all_numbers; })) return;
+    const auto bad = std::find_if(values.begin(), values.end(), [](double value) { return std::isnan(value); });
+    const std::int64_t at = bad - values.begin();
+    const Vec3d p =
+        grid_.world({static_cast<double>(at % grid_.nx), static_cast<double>(at / grid_.nx), static_cast<double>(z)});
+    throw Error(ErrorKind::data,
+                "the density at (" + std::to_string(p.x) + ", " + std::to_string(p.y) + ", " + std::to_string(p.z) +
+                    ") is not a number",
+                "train again, or use an earlier checkpoint");
+  }
+
+  // Number in `vertices` of the one on the edge from `at` along `axis`.
+  std::uint32_t cross_edge(double a, double b, Vec3d at, int axis, std::vector<Vec3d>& vertices) const {
+    if (dense(a) == dense(b)) return kNone;
+    // Both infinite, or one: halfway and the far end are what interpolation tends to.
+    double share = (level_ - a) / (b - a);
+    if (std::isnan(share)) share = 0.5;
+    at[axis] += std::clamp(share, 0.0, 1.0);
+    vertices.push_back(grid_.world(at));
+    return static_cast<std::uint32_t>(vertices.size() - 1);
+  }
+
+  template <class Body>
+  void each_point(const Strip& strip, Body body) const {
+    auto i = static_cast<std::size_t>(strip.first_row * grid_.nx);
+    for (std::int64_t y = strip.first_row; y < strip.end_row; ++y) {
+      for (std::int64_t x = 0; x < grid_.nx; ++x, ++i) body(i, x, y);
+    }
+  }
+
+  void level_edges(Strip& strip, const std::vector<double>& values, std::int64_t z, LayerEdges& edges) const {
+    const auto row = static_cast<std::size_t>(grid_.nx);
+    strip.level.clear();
+    strip.rising.clear();
+    strip.all_numbers = true;
+    each_point(strip, [&](std::size_t i, std::int64_t x, std::int64_t y) {
+      const Vec3d at{static_cast<double>(x), static_cast<double>(y), static_cast<double>(z)};
+      if (std::isnan(values[i])) strip.all_numbers = false;
+      edges.vertex[0][i] = x + 1 < grid_.nx ? cross_edge(values[i], values[i + 1], at, 0, strip.level) : kNone;
+      edges.vertex[1][i] = y + 1 < grid_.ny ? cross_edge(values[i], values[i + row], at, 1, strip.level) : kNone;
+    });
+  }
+
+  void rising_edges(Strip& strip, const std::vector<double>& below, const std::vector<double>& above, std::int64_t z,
+                    LayerEdges& edges) const {
+    each_point(strip, [&](std::size_t i, std::int64_t x, std::int64_t y) {
+      const Vec3d at{static_cast<double>(x), static_cast<double>(y), static_cast<double>(z)};
+      edges.vertex[2][i] = cross_edge(below[i], above[i], at, 2, strip.rising);
+    });
+  }
+
+  void number_vertices() {
+    std::size_t next = surface_.positions.size();
+    for (Strip& strip : strips_) {
+      strip.first_level = next;
+      next += strip.level.size();
+    }
+    for (Strip& strip : strips_) {
+      strip.first_rising = next;
+      next += strip.rising.size();
+    }
+    if (next >= kNone) {
+      throw Error(ErrorKind::data, "the surface has more vertices than 32 bits can number", "choose a larger --voxel");
+    }
+    surface_.positions.resize(next);
+  }
+
+  void keep_vertices(const Strip& strip, LayerEdges& lower, LayerEdges& upper) {
+    std::copy(strip.level.begin(), strip.level.end(), surface_.positions.data() + strip.first_level);
+    std::copy(strip.rising.begin(), strip.rising.end(), surface_.positions.data() + strip.first_rising);
+    const auto begin = static_cast<std::size_t>(strip.first_row * grid_.nx);
+    const auto end = static_cast<std::size_t>(strip.end_row * grid_.nx);
+    const auto number = [&](std::vector<std::uint32_t>& vertices, std::size_t first) {
+      for (std::size_t i = begin; i < end; ++i) {
+        if (vertices[i] != kNone) vertices[i] += static_cast<std::uint32_t>(first);
+      }
+    };
+    number(upper.vertex[0], strip.first_level);
+    number(upper.vertex[1], strip.first_level);
+    if (!strip.rising.empty()) number(lower.vertex[2], strip.first_rising);
+  }
+
+  void cells(Strip& strip, const std::vector<double>& below, const std::vector<double>& above, const LayerEdges& lower,
+             const LayerEdges& upper) const {
+    const std::vector<CubeCase>& cases = cube_cases();
+    const auto row = static_cast<std::size_t>(grid_.nx);
+    strip.triangles.clear();
+    each_point(strip, [&](std::size_t i, std::int64_t x, std::int64_t y) {
+      if (x + 1 >= grid_.nx || y + 1 >= grid_.ny) return;
+      const std::array<double, 8> corner{below[i], below[i + 1], below[i + row], below[i + row + 1],
+                                         above[i], above[i + 1], above[i + row], above[i + row + 1]};
+      unsigned pattern = 0;
+      for (unsigned c = 0; c < 8; ++c) pattern |= dense(corner[c]) ? 1U << c : 0U;
+      if (pattern == 0 || pattern == 255) return;
+      const auto vertex = [&](unsigned edge) {
+        const unsigned u = edge & 1, v = edge >> 1 & 1;
+        switch (edge / 4) {
+          case 0:
+            return (v != 0 ? upper : lower).vertex[0][i + u * row];  // u along y, v along z
+          case 1:
+            return (u != 0 ? upper : lower).vertex[1][i + v];  // u along z, v along x
+          default:
+            return lower.vertex[2][i + u + v * row];  // u along x, v along y
+        }
+      };
+      for (const auto& t : cases[pattern].triangles)
+        strip.triangles.push_back({vertex(t[0]), vertex(t[1]), vertex(t[2])});
+    });
+  }
+
+  const VoxelGrid& grid_;
+  double level_;
+  std::vector<Strip> strips_;
+  Surface surface_;
+};
+
+}  // namespace
+
+VoxelGrid VoxelGrid::covering(const Box& bounds, double spacing) {
+  if (bounds.empty()) throw Error(ErrorKind::usage, "the scene's bounds are empty", "set scene.load.bounds");
+  if (!(spacing > 0) || !std::isfinite(spacing))
+    throw Error(ErrorKind::usage, "a voxel of " + std::to_string(spacing), "give a positive edge length");
+  VoxelGrid grid;
+  grid.spacing = spacing;
+  const Vec3d size = bounds.size();
+  std::int64_t* const counts[3] = {&grid.nx, &grid.ny, &grid.nz};
+  for (int axis = 0; axis < 3; ++axis) {
+    // The slack absorbs rounding when the spacing is a fraction of the side itself.
+    const double cells = std::max(1.0, std::ceil(size[axis] / spacing - 1e-9));
+    if (!(cells < kMostPoints)) {
+      throw Error(ErrorKind::usage, "voxels of " + std::to_string(spacing) + " would be more than 4095 along an axis",
+                  "choose a larger --voxel or a smaller --resolution");
+    }
+    *counts[axis] = static_cast<std::int64_t>(cells) + 1;
+    grid.origin[axis] = bounds.center()[axis] - 0.5 * cells * spacing;
+  }
+  return grid;
+}
+
+Surface marching_cubes(const VoxelGrid& grid, double level, const GridLayer& layer) {
+  return Marcher(grid, level).run(layer);
+}
+
+}  // namespace semfield

@@ -1,0 +1,95 @@
+// PLY and OBJ.
+#include "surface/mesh/mesh_files.h"
+
+#include <fmt/format.h>
+
+#include <filesystem>
+
+#include "surface/mesh/buffered_file.h"
+#include "surface/mesh/class_groups.h"
+
+namespace semfield {
+
+namespace {
+
+std::string ply_header(std::size_t vertices, std::size_t faces, bool normals, bool labels) {
+  std::string header = "ply\nformat binary_little_endian 1.0\ncomment Semfield: world frame and scale of the input\n";
+  header += fmt::format("element vertex {}\n", vertices);
+  header += "property double x\nproperty double y\nproperty double z\n";
+  if (normals) header += "property float nx\nproperty float ny\nproperty float nz\n";
+  header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
+  if (labels) header += "property int label\nproperty float scalar_label\nproperty float entropy\n";
+  if (faces > 0) header += fmt::format("element face {}\nproperty list uchar uint vertex_indices\n", faces);
+  return header + "end_header\n";
+}
+
+void write_vertices(BufferedFile& file, std::span<const Vec3d> positions, std::span<const Vec3d> normals,
+                    const PointAttributes& attributes, const ClassTable& classes) {
+  for (std::size_t v = 0; v < positions.size(); ++v) {
+    for (int axis = 0; axis < 3; ++axis) file.value(positions[v][axis]);
+    for (int axis = 0; axis < 3 && !normals.empty(); ++axis) file.value(static_cast<float>(normals[v][axis]));
+    for (const std::uint8_t c : attributes.color[v]) file.value(c);
+    if (!attributes.has_labels()) continue;
+    const std::int32_t id = classes.id_of(attributes.label[v]);
+    file.value(id);
+    file.value(static_cast<float>(id));
+    file.value(attributes.entropy[v]);
+  }
+}
+
+void write_mtl(const std::string& path, const std::vector<ClassGroup>& groups) {
+  std::string text = "# Semfield: a material per class; Kd in linear light\n";
+  for (const ClassGroup& g : groups) {
+    text += fmt::format("\nnewmtl {}\n", g.name);
+    if (g.id >= 0) text += fmt::format("# class id {}\n", g.id);
+    text += fmt::format("Kd {:.6f} {:.6f} {:.6f}\nd 1\nillum 1\n", linear_light(g.color[0]), linear_light(g.color[1]),
+                        linear_light(g.color[2]));
+  }
+  write_file_atomic(path, text);
+}
+
+}  // namespace
+
+void write_ply(const std::string& path, const Surface& surface, const ClassTable& classes) {
+  BufferedFile file(path);
+  file.text(ply_header(surface.positions.size(), surface.triangles.size(), true, surface.attributes.has_labels()));
+  write_vertices(file, surface.positions, surface.normals, surface.attributes, classes);
+  for (const Triangle& t : surface.triangles) {
+    file.value(std::uint8_t{3});
+    for (const std::uint32_t v : t) file.value(v);
+  }
+  file.commit();
+}
+
+void write_ply(const std::string& path, const PointSet& points, const ClassTable& classes) {
+  BufferedFile file(path);
+  file.text(ply_header(points.positions.size(), 0, false, points.attributes.has_labels()));
+  write_vertices(file, points.positions, {}, points.attributes, classes);
+  file.commit();
+}
+
+void write_obj(const std::string& path, const Surface& surface, const ClassTable& classes) {
+  const std::vector<ClassGroup> groups = class_groups(surface, classes);
+  const std::filesystem::path mtl = std::filesystem::path(path).replace_extension(".mtl");
+  write_mtl(mtl.string(), groups);
+  BufferedFile file(path);
+  file.text(fmt::format("# Semfield: world frame and scale of the input; colours follow the coordinates\nmtllib {}\n",
+                        mtl.filename().string()));
+  for (std::size_t v = 0; v < surface.positions.size(); ++v) {
+    const Vec3d& p = surface.positions[v];
+    const auto& c = surface.attributes.color[v];
+    file.text(fmt::format("v {:.12g} {:.12g} {:.12g} {:.4f} {:.4f} {:.4f}\n", p.x, p.y, p.z, c[0] / 255.0, c[1] / 255.0,
+                          c[2] / 255.0));
+  }
+  for (const Vec3d& n : surface.normals) file.text(fmt::format("vn {:.5f} {:.5f} {:.5f}\n", n.x, n.y, n.z));
+  for (const ClassGroup& g : groups) {
+    file.text(fmt::format("g {}\nusemtl {}\n", g.name, g.name));
+    for (const std::uint32_t i : g.triangles) {
+      const Triangle& t = surface.triangles[i];
+      file.text(fmt::format("f {0}//{0} {1}//{1} {2}//{2}\n", t[0] + 1ULL, t[1] + 1ULL, t[2] + 1ULL));
+    }
+  }
+  file.commit();
+}
+
+}  // namespace semfield

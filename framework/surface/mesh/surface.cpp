@@ -1,0 +1,106 @@
+#include "surface/mesh/surface.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "classes/class_table.h"
+#include "core/check.h"
+
+namespace semfield {
+
+void set_vertex_normals(Surface& surface) {
+  surface.normals.assign(surface.positions.size(), Vec3d{});
+  for (const Triangle& t : surface.triangles) {
+    const Vec3d &a = surface.positions[t[0]], &b = surface.positions[t[1]], &c = surface.positions[t[2]];
+    const Vec3d area = cross(b - a, c - a);
+    for (const std::uint32_t v : t) surface.normals[v] = surface.normals[v] + area;
+  }
+  for (Vec3d& n : surface.normals) {
+    const double size = length(n);
+    n = size > 0 ? n * (1 / size) : Vec3d{0, 0, 1};
+  }
+}
+
+Components components_of(const Surface& surface) {
+  // Union by the smaller number, paths halved: numbers come out the same whatever the order of triangles.
+  std::vector<std::uint32_t> parent(surface.positions.size());
+  std::iota(parent.begin(), parent.end(), 0U);
+  const auto root = [&](std::uint32_t v) {
+    while (parent[v] != v) v = parent[v] = parent[parent[v]];
+    return v;
+  };
+  for (const Triangle& t : surface.triangles) {
+    for (int corner = 1; corner < 3; ++corner) {
+      const std::uint32_t a = root(t[0]), b = root(t[static_cast<std::size_t>(corner)]);
+      parent[std::max(a, b)] = std::min(a, b);
+    }
+  }
+  Components out;
+  out.of_vertex.resize(parent.size());
+  for (std::uint32_t v = 0; v < parent.size(); ++v) {
+    const std::uint32_t r = root(v);
+    if (r == v) {
+      out.of_vertex[v] = static_cast<std::uint32_t>(out.faces.size());
+      out.faces.push_back(0);
+    } else {
+      out.of_vertex[v] = out.of_vertex[r];  // r < v: already numbered
+    }
+  }
+  for (const Triangle& t : surface.triangles) ++out.faces[out.of_vertex[t[0]]];
+  return out;
+}
+
+std::int64_t drop_small_components(Surface& surface, double min_share) {
+  const Components parts = components_of(surface);
+  const double least = min_share * static_cast<double>(surface.triangles.size());
+  std::int64_t kept = 0;
+  for (const std::int64_t faces : parts.faces) kept += faces > 0 && static_cast<double>(faces) >= least ? 1 : 0;
+  std::vector<char> keep(surface.triangles.size());
+  for (std::size_t i = 0; i < keep.size(); ++i) {
+    const std::int64_t faces = parts.faces[parts.of_vertex[surface.triangles[i][0]]];
+    keep[i] = static_cast<double>(faces) >= least ? 1 : 0;
+  }
+  keep_triangles(surface, keep);
+  return kept;
+}
+
+void keep_triangles(Surface& surface, const std::vector<char>& keep) {
+  SEMFIELD_CHECK(keep.size() == surface.triangles.size() && surface.attributes.color.empty(),
+                 "one flag a triangle, before texturing");
+  constexpr std::uint32_t kUnused = 0xFFFFFFFFU;
+  std::vector<std::uint32_t> number(surface.positions.size(), kUnused);
+  std::size_t triangles = 0;
+  for (std::size_t i = 0; i < keep.size(); ++i) {
+    if (keep[i] == 0) continue;
+    for (const std::uint32_t v : surface.triangles[i]) number[v] = 0;
+    surface.triangles[triangles++] = surface.triangles[i];
+  }
+  surface.triangles.resize(triangles);
+  std::uint32_t vertices = 0;
+  for (std::size_t v = 0; v < number.size(); ++v) {
+    if (number[v] == kUnused) continue;
+    surface.positions[vertices] = surface.positions[v];
+    if (!surface.normals.empty()) surface.normals[vertices] = surface.normals[v];
+    number[v] = vertices++;
+  }
+  surface.positions.resize(vertices);
+  if (!surface.normals.empty()) surface.normals.resize(vertices);
+  for (Triangle& t : surface.triangles) {
+    for (std::uint32_t& v : t) v = number[v];
+  }
+}
+
+std::int16_t triangle_label(const PointAttributes& attributes, const Triangle& t) {
+  if (!attributes.has_labels()) return kVoid;
+  const auto& label = attributes.label;
+  if (label[t[0]] == label[t[1]] || label[t[0]] == label[t[2]]) return label[t[0]];
+  if (label[t[1]] == label[t[2]]) return label[t[1]];
+  std::uint32_t surest = t[0];
+  for (const std::uint32_t v : t) {
+    if (attributes.entropy[v] < attributes.entropy[surest]) surest = v;
+  }
+  return label[surest];
+}
+
+}  // namespace semfield
