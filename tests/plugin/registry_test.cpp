@@ -59,6 +59,26 @@ struct TableB {
   int value;
 };
 
+// What is put together from blocks has their kernels, in bf16 only where it takes that.
+TEST(KernelTables, AComposedOwnerHasTheKernelsOfItsBlock) {
+  struct BlockTable {};
+  static const BlockTable table;
+  KernelTables tables;
+  tables.add(Device::cpu, "block", &table);
+  tables.add(Device::cpu, "block", &table, Precision::bf16);
+  tables.compose("field 'any'", "block", true);
+  tables.compose("field 'exact'", "block", false);
+  EXPECT_EQ(tables.devices_of("field 'any'"), "cpu, cpu bf16");
+  EXPECT_EQ(tables.devices_of("field 'exact'"), "cpu");
+  EXPECT_TRUE(tables.has(Device::cpu, "field 'exact'"));
+  EXPECT_FALSE(tables.has(Device::cpu, "field 'exact'", Precision::bf16));
+  EXPECT_FALSE(tables.has(Device::cuda, "field 'any'"));
+  EXPECT_EQ(&tables.get<BlockTable>(Device::cpu, "field 'any'", Precision::bf16), &table);
+  EXPECT_EQ(&tables.get<BlockTable>(Device::cpu, "field 'exact'"), &table);
+  EXPECT_THROW(tables.get<BlockTable>(Device::cpu, "field 'exact'", Precision::bf16), Error);
+  EXPECT_EQ(tables.find<BlockTable>(Device::cuda), nullptr);
+}
+
 TEST(KernelTables, AMissingPairIsASentence) {
   static const TableA cpu_table{7};
   KernelTables tables;

@@ -275,7 +275,8 @@ TEST(LeaveOut, KeepKnowsEveryRowOfARunsList) {
   Registry registry = make_registry();
   const Session s = open_text(hash_config(), registry);
   BuildRequest request;
-  request.losses = build_request(s.config, registry).losses;
+  const SamplerTraits sampler = make_last_sampler(s.config, registry, s.extent)->traits();
+  request.losses = build_request(s.config, registry, sampler).losses;
   std::set<std::string> listed;
   for (const LeftOut& row : s.plan.left_out) {
     listed.insert(row.component);
