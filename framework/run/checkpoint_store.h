@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "core/error.h"
-#include "session/safetensors.h"
+#include "formats/safetensors.h"
 
 namespace semfield {
 

@@ -4,8 +4,8 @@
 #include <optional>
 #include <string>
 
+#include "formats/safetensors.h"
 #include "model/leave_out.h"
-#include "session/safetensors.h"
 
 namespace semfield {
 

@@ -8,7 +8,7 @@
 #include <filesystem>
 
 #include "compute/parallel.h"
-#include "session/safetensors.h"
+#include "formats/safetensors.h"
 #include "system/checksum.h"
 #include "system/files.h"
 #include "system/sorted_folder.h"

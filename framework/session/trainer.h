@@ -7,10 +7,10 @@
 #include <vector>
 
 #include "execution/pipeline.h"
+#include "formats/safetensors.h"
 #include "optim/adam.h"
 #include "optim/schedule.h"
 #include "session/ray_source.h"
-#include "session/safetensors.h"
 
 namespace semfield {
 

@@ -189,5 +189,25 @@ TEST(CudaBatchDrawer, WhatAHostMustSayIsLeftToIt) {
   EXPECT_FALSE(executor.hold(bad_label));
 }
 
+TEST(CudaBatchDrawer, PixelsThatDoNotFitStayOnTheHostWhichIsSaidOnce) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  const Session session = open_text(hash_config() + "runtime: {device: cuda}\n", registry);
+  const std::unique_ptr<RaySource> rays = session.make_ray_source();
+  Executor<float>& executor = session.pipeline->executor();
+  std::optional<PixelPool> pool = rays->pool();
+  ASSERT_TRUE(pool);
+  std::vector<std::int64_t> offsets(pool->offsets.begin(), pool->offsets.end());
+  offsets.back() = std::int64_t{1} << 40;
+  pool->offsets = offsets;
+  (void)executor.take_notes();
+  EXPECT_FALSE(executor.hold(*pool));
+  const std::vector<std::string> notes = executor.take_notes();
+  ASSERT_EQ(notes.size(), 1u);
+  EXPECT_NE(notes[0].find("pixels stay in the host's memory"), std::string::npos) << notes[0];
+  EXPECT_FALSE(executor.hold(*pool));
+  EXPECT_TRUE(executor.take_notes().empty());
+}
+
 }  // namespace
 }  // namespace semfield

@@ -1,9 +1,9 @@
 // What a run left behind: checkpoints and metrics.
 #include <string>
 
-#include "session/checkpoint_facts.h"
+#include "formats/safetensors.h"
 #include "run/metrics_log.h"
-#include "session/safetensors.h"
+#include "session/checkpoint_facts.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
 

@@ -6,9 +6,9 @@
 #include <cstring>
 #include <limits>
 
+#include "formats/safetensors.h"
 #include "optim/adam.h"
 #include "optimiser_cases.h"
-#include "session/safetensors.h"
 #include "training_box.h"
 
 namespace semfield::numerics {

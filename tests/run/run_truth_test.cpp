@@ -5,9 +5,9 @@
 #include <functional>
 #include <regex>
 
+#include "formats/safetensors.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
-#include "session/safetensors.h"
 #include "system/files.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"

@@ -12,9 +12,9 @@
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
+#include "formats/safetensors.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
-#include "session/safetensors.h"
 #include "system/checksum.h"
 #include "system/files.h"
 

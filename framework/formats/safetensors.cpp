@@ -1,5 +1,5 @@
 // Writer and strict reader of the safetensors layout.
-#include "session/safetensors.h"
+#include "formats/safetensors.h"
 
 #include <fmt/format.h>
 
