@@ -13,7 +13,8 @@ namespace semfield::architecture {
 namespace {
 
 // English words too: they count where they stand for the plugin, as the whole of a text or behind `type:`.
-const std::set<std::string> kWords{"frequency", "identity", "importance", "packed", "stratified"};
+const std::set<std::string> kWords{"clicks", "depth", "distortion", "frequency", "identity", "images",
+                                   "importance", "packed", "propagation", "stratified"};
 
 // Files that may name plugins, and why.
 const std::set<std::string> kMayName{

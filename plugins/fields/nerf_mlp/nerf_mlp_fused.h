@@ -2,11 +2,10 @@
 #pragma once
 
 #include "fields/nerf_mlp/nerf_mlp_kernels.h"
-#include "plugin/mlp/fused_field.h"
 
 namespace semfield::cuda {
 
-/// Same function and tensors as the layers in bf16, for the shapes that `serves` names.
+/// Same function and tensors as LayeredNerfMlp<__nv_bfloat16>, for the shapes that `serves` names.
 struct FusedNerfMlp {
   /// Whether shape and processor have these kernels: bf16, 256 wide, view layer 128 wide, encoded position of at most
   /// 64 numbers, depth 2 to 15, direction once a ray and feature layer folded (or no direction); compute

@@ -1,4 +1,4 @@
-// Shape and tensor numbering of the NeRF network, as its fused kernels know them.
+// Shape, tensor numbering and kernel table of the NeRF network.
 #pragma once
 
 #include <cstdint>
@@ -6,14 +6,19 @@
 #include <vector>
 
 #include "plugin/field.h"
+#include "plugin/layer_weights.h"
 
 namespace semfield {
+
+class KernelTables;
 
 /// A layer's tensors; -1 = there is none.
 struct NerfMlpLayer {
   int weight = -1, bias = -1;
+  LayerWeight position, activation;  ///< on a processor, the rows that read each
 };
 
+/// What the kernels know. The widths of the tensors follow from it.
 struct NerfMlpShape {
   std::int32_t position_dims = 0;
   std::int32_t direction_dims = 0;
@@ -42,5 +47,25 @@ inline bool fused_takes(const NerfMlpShape& s) {
 }
 /// Why a GPU computes the network layer by layer, where it does.
 std::string layer_by_layer(const NerfMlpShape& shape);
+
+template <class Real>
+struct NerfMlpKernels {
+  void (*forward)(const NerfMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
+                  const FieldIn<Real>& in, const FieldOut<Real>& out, Saved saved) = nullptr;
+  void (*backward)(const NerfMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
+                   const FieldIn<Real>& in, const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved,
+                   View<Real> d_position) = nullptr;
+  void (*derive)(const NerfMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
+  void (*derive_backward)(const NerfMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
+  std::size_t (*saved_bytes)(const NerfMlpShape& shape, std::int64_t samples) = nullptr;
+  /// Null: FeatureForm::full.
+  FeatureForm (*feature_form)(const NerfMlpShape& shape, std::int32_t hidden_width) = nullptr;
+  /// Null: not planned ahead on this device.
+  std::size_t (*scratch_bytes)(const NerfMlpShape& shape, std::int64_t samples, std::int64_t rays) = nullptr;
+  /// Whether there are faster kernels, which do not take this shape. Null: never.
+  bool (*slow)(const NerfMlpShape& shape) = nullptr;
+};
+
+void nerf_mlp_kernels(KernelTables& tables);
 
 }  // namespace semfield

@@ -24,7 +24,7 @@ using testkit::LawOptions;
 const KernelTables& tables() {
   static const KernelTables tables = [] {
     KernelTables t;
-    mlp_kernels(t);
+    nerf_mlp_kernels(t);
     return t;
   }();
   return tables;
@@ -215,16 +215,14 @@ TEST(NerfMlp, SaysWhenADeviceHasNoKernels) {
 
 TEST(NerfMlp, SaysWhereAGpuComputesItLayerByLayer) {
   const auto said = [](const NerfMlpParams& params, bool hopper = true, bool fold = true) {
-    MlpKernels<float> layers;
-    FusedFieldKernels<NerfMlpShape> fused;
-    fused.serves = fused_takes;
-    if (!hopper) fused.serves = [](const NerfMlpShape&) { return false; };
+    NerfMlpKernels<float> table;
+    table.slow = [](const NerfMlpShape& s) { return !fused_takes(s); };
+    if (!hopper) table.slow = [](const NerfMlpShape&) { return true; };
     FieldBuild build = build_of(63, 27, fold);
     build.device = Device::cuda;
     build.precision = Precision::bf16;
     KernelTables t;
-    t.add(Device::cuda, kMlpOwner, &layers, build.precision);
-    t.add(Device::cuda, "field 'nerf_mlp'", &fused, build.precision);
+    t.add(Device::cuda, "field 'nerf_mlp'", &table, build.precision);
     return NerfMlp<float>(params, build, t).slow_path();
   };
   const std::string slow = "field 'nerf_mlp' runs layer by layer here, which is slower than its fused kernels: ";

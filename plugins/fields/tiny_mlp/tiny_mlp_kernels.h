@@ -1,4 +1,4 @@
-// Shape and tensor numbering of the small network, as its fused kernels know them.
+// Shape, tensor numbering and kernel table of the small network.
 #pragma once
 
 #include <cstdint>
@@ -6,8 +6,11 @@
 #include <vector>
 
 #include "plugin/field.h"
+#include "plugin/layer_weights.h"
 
 namespace semfield {
+
+class KernelTables;
 
 /// What the semantic head reads.
 enum class TinyFeature : std::uint8_t { hidden, geometry };
@@ -15,6 +18,7 @@ enum class TinyFeature : std::uint8_t { hidden, geometry };
 /// A layer's tensors; -1 = there is none.
 struct TinyMlpLayer {
   int weight = -1, bias = -1;
+  LayerWeight rows;  ///< on a processor, those of what the samples bring: all but the direction's
 };
 
 struct TinyMlpShape {
@@ -56,5 +60,24 @@ inline bool fused_takes_feature(const TinyMlpShape& s) {
 }
 /// Why a GPU computes the network layer by layer, where it does.
 std::string layer_by_layer(const TinyMlpShape& shape);
+
+template <class Real>
+struct TinyMlpKernels {
+  void (*forward)(const TinyMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
+                  const FieldIn<Real>& in, const FieldOut<Real>& out, Saved saved) = nullptr;
+  void (*backward)(const TinyMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
+                   const FieldIn<Real>& in, const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved,
+                   View<Real> d_position) = nullptr;
+  void (*derive)(const TinyMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
+  std::size_t (*saved_bytes)(const TinyMlpShape& shape, std::int64_t samples) = nullptr;
+  /// Null: FeatureForm::full.
+  FeatureForm (*feature_form)(const TinyMlpShape& shape, std::int32_t hidden_width) = nullptr;
+  /// Null: not planned ahead on this device.
+  std::size_t (*scratch_bytes)(const TinyMlpShape& shape, std::int64_t samples, std::int64_t rays) = nullptr;
+  /// Whether there are faster kernels, which do not take this shape. Null: never.
+  bool (*slow)(const TinyMlpShape& shape) = nullptr;
+};
+
+void tiny_mlp_kernels(KernelTables& tables);
 
 }  // namespace semfield

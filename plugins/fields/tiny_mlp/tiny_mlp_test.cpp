@@ -23,7 +23,7 @@ using testkit::LawOptions;
 const KernelTables& tables() {
   static const KernelTables tables = [] {
     KernelTables t;
-    mlp_kernels(t);
+    tiny_mlp_kernels(t);
     return t;
   }();
   return tables;
@@ -31,22 +31,21 @@ const KernelTables& tables() {
 
 // A device's table, as far as it says what is slow.
 std::string slow_path_of(const TinyMlpParams& params, FieldBuild build, bool shared_memory = true) {
-  static const MlpKernels<float> layers;
-  static const FusedFieldKernels<TinyMlpShape> enough = [] {
-    FusedFieldKernels<TinyMlpShape> t;
-    t.serves = [](const TinyMlpShape& s) { return fused_takes(s) || fused_takes_feature(s); };
+  static const TinyMlpKernels<float> enough = [] {
+    TinyMlpKernels<float> t;
+    t.slow = [](const TinyMlpShape& s) {
+      return s.precision == Precision::bf16 && !fused_takes(s) && !fused_takes_feature(s);
+    };
     return t;
   }();
-  static const FusedFieldKernels<TinyMlpShape> too_little = [] {
-    FusedFieldKernels<TinyMlpShape> t;
-    t.serves = [](const TinyMlpShape&) { return false; };
+  static const TinyMlpKernels<float> too_little = [] {
+    TinyMlpKernels<float> t;
+    t.slow = [](const TinyMlpShape&) { return true; };
     return t;
   }();
   build.device = Device::cuda;
   KernelTables t;
-  t.add(Device::cuda, kMlpOwner, &layers, build.precision);
-  if (build.precision == Precision::bf16)
-    t.add(Device::cuda, "field 'tiny_mlp'", shared_memory ? &enough : &too_little, build.precision);
+  t.add(Device::cuda, "field 'tiny_mlp'", shared_memory ? &enough : &too_little, build.precision);
   return TinyMlp<float>(params, build, t).slow_path();
 }
 

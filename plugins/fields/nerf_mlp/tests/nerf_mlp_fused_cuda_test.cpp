@@ -19,7 +19,7 @@ using testkit::FieldBench;
 using testkit::Wanted;
 
 const KernelTables& cpu_tables() {
-  static const KernelTables tables = testing::tables_of({mlp_kernels});
+  static const KernelTables tables = testing::tables_of({nerf_mlp_kernels});
   return tables;
 }
 const KernelTables& device_tables() {

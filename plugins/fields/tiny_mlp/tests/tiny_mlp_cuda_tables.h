@@ -6,13 +6,14 @@
 
 #include "cuda/kernel_tables.h"
 #include "fields/tiny_mlp/tiny_mlp.h"
+#include "fields/tiny_mlp/tiny_mlp_layers.cuh"
 #include "tests/cuda/device_field.h"
 
 namespace semfield::testing {
 
 namespace tiny {
 inline const KernelTables& cpu_tables() {
-  static const KernelTables tables = tables_of({mlp_kernels});
+  static const KernelTables tables = tables_of({tiny_mlp_kernels});
   return tables;
 }
 inline const KernelTables& device_tables() {
@@ -21,7 +22,15 @@ inline const KernelTables& device_tables() {
 }
 /// Layer by layer whatever the widths.
 inline const KernelTables& layer_tables() {
-  static const KernelTables tables = tables_of({cuda::add_mlp_kernels});
+  static const TinyMlpKernels<float> table{cuda::tiny::layers_forward, cuda::tiny::layers_backward,
+                                           [](const TinyMlpShape&, const Tensors<float>&) {},
+                                           cuda::tiny::layers_saved_bytes};
+  static const KernelTables tables = [] {
+    KernelTables t;
+    t.add(Device::cuda, "field 'tiny_mlp'", &table);
+    t.add(Device::cuda, "field 'tiny_mlp'", &table, Precision::bf16);
+    return t;
+  }();
   return tables;
 }
 
