@@ -57,7 +57,7 @@ std::string step_names(const LabelCounts& labels) {
   return join(names, ", ");
 }
 
-// A paragraph a step: "noisy, pixel_noise: pixels changed 12345, pixels drawn 20000."
+// A paragraph per step: "RUN, DEGRADATION: pixels changed 12345, pixels drawn 20000."
 std::string step_facts(const ReportInput& input) {
   std::string out;
   for (const ReportRun& run : input.runs) {
