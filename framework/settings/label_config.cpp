@@ -42,9 +42,9 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, const R
   const ConfigNode* list = labels.find("degrade");
   if (list == nullptr || list->is_null()) return;
   if (!list->is_list()) {
-    diagnostics.error(list->location().text(), "scene.labels.degrade: expected a list of steps {type, ...}",
-                      "write degrade: [{type: TYPE, ...}], TYPE one of " +
-                          join(registry.names(PluginKind::degradation)));
+    diagnostics.error(
+        list->location().text(), "scene.labels.degrade: expected a list of steps {type, ...}",
+        "write degrade: [{type: TYPE, ...}], TYPE one of " + join(registry.names(PluginKind::degradation)));
     return;
   }
   for (const ConfigNode& item : list->items()) {
