@@ -1,8 +1,10 @@
 // The real program with a small room: clicks over HTTP, kills, signals, exports by its own verbs.
+#include <fcntl.h>
 #include <gtest/gtest.h>
 
 #include <chrono>
 #include <csignal>
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -216,8 +218,10 @@ TEST(ServeVerb, WhatCannotBeWrittenIsToldAndEndsWithItsOwnExitCode) {
   EXPECT_EQ(served.ask("POST", "event", kChair).status, 200);
   for (int turn = 0; turn < 600 && !std::filesystem::exists(room + "/checkpoints/latest"); ++turn)
     std::this_thread::sleep_for(std::chrono::milliseconds(100));
-  std::filesystem::remove_all(room + "/checkpoints");
-  write_file_atomic(room + "/checkpoints", "");
+  // One exchange, because the program goes on writing into the folder.
+  write_file_atomic(room + "/file", "");
+  ASSERT_EQ(renameat2(AT_FDCWD, (room + "/file").c_str(), AT_FDCWD, (room + "/checkpoints").c_str(), RENAME_EXCHANGE),
+            0);
   Json s = served.state();
   const auto end = std::chrono::steady_clock::now() + std::chrono::minutes(2);
   while (s["trouble"] == "" && std::chrono::steady_clock::now() < end) s = served.state(s["revision"].dump());
