@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "app/render/channel_output.h"
 #include "scene/camera_set.h"
 #include "session/session.h"
 
@@ -17,6 +18,7 @@ struct RenderOptions {
   std::string out;         ///< default: render/<split> of the run, or render/<split>.mp4
   bool npy = false;
   bool probability = false;
+  ChannelWishes channels;
   bool video = false;
   std::vector<std::string> panels;  ///< of the video; none: all that the run has
   double fps = 24;

@@ -21,7 +21,7 @@ struct FolderScene {
   std::vector<std::string> others;  ///< of those that could, too
   ConfigNode section;               ///< `scene` with absolute paths: the dataset, and what is not its default
   std::int32_t train_frames = 0, test_frames = 0;
-  bool labels = false;  ///< of any frame
+  bool labels = false;                       ///< of any frame
   std::int32_t width_px = 0, height_px = 0;  ///< of its largest frame, as stored
 };
 

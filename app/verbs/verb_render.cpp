@@ -88,8 +88,8 @@ struct Rendered {
 };
 
 // Seconds per frame. A frame's files are compressed and written while the next is rendered.
-double render_all(const Session& s, const std::vector<NamedView>& views, bool probability, const FrameSink& sink,
-                  const AppContext& context) {
+double render_all(const Session& s, const std::vector<NamedView>& views, const FrameOptions& wanted,
+                  const FrameSink& sink, const AppContext& context) {
   const auto begin = std::chrono::steady_clock::now();
   std::future<void> written;
   ProgressLine progress(context, "rendered");
@@ -97,9 +97,12 @@ double render_all(const Session& s, const std::vector<NamedView>& views, bool pr
   const auto part_done = [&](double share) {
     progress.show(static_cast<double>(done) + share, static_cast<double>(views.size()));
   };
+  FrameOptions options = wanted;
+  options.progress = part_done;
+  options.classes = s.classes();
   for (const NamedView& view : views) {
-    RenderedFrame frame = render_named_frame(*s.pipeline, view.name, view.camera, view.limits, s.plan.class_of_logit,
-                                             {}, {1, part_done, probability, s.classes()});
+    RenderedFrame frame =
+        render_named_frame(*s.pipeline, view.name, view.camera, view.limits, s.plan.class_of_logit, {}, options);
     if (view.frame >= 0 && !frame.label.empty() && s.config.labels.clicks)
       s.config.labels.clicks->clear_ignored(view.frame, frame.width_px, frame.height_px, frame.label);
     if (written.valid()) written.get();
@@ -116,13 +119,20 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
   const fs::path folder =
       options.out.empty() ? fs::path(options.run) / "render" / render_name(options) : fs::path(options.out);
   if (options.probability) check_probability(options, s, views, context);
+  const ChannelOutput channels(options.channels, s);
   create_folder(folder);
+  channels.write_axes(folder.string());
   write_cameras((folder / "cameras.json").string(), cameras_of(views));
   if (options.probability) write_class_order((folder / "classes.json").string(), s.scene.info.classes);
+  FrameOptions wanted;
+  wanted.probability = options.probability;
+  wanted.channels = channels.channels();
   const double seconds = render_all(
-      s, views, options.probability,
+      s, views, wanted,
       [&](const NamedView& view, const RenderedFrame& frame) {
-        write_frame((folder / view.file_name()).string(), frame, s, options.npy);
+        const std::string base = (folder / view.file_name()).string();
+        write_frame(base, frame, s, options.npy);
+        channels.write(base, frame);
       },
       context);
   const Camera& first = views.front().camera.camera;
@@ -151,7 +161,7 @@ Rendered render_video(const RenderOptions& options, const std::string& ffmpeg, c
   const std::int32_t width_px = first.width_px * static_cast<std::int32_t>(panels.size());
   VideoWriter video(ffmpeg, file.string(), width_px, first.height_px, options.fps);
   const double seconds = render_all(
-      s, views, false, [&](const NamedView&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); },
+      s, views, {}, [&](const NamedView&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); },
       context);
   video.finish();
   return {views.size(), seconds, width_px, first.height_px, "file", file.string()};
@@ -208,6 +218,14 @@ void words(VerbWords& verb, RenderOptions& options) {
   verb.flag("--probability", options.probability,
             "also write the probability of every class as float32 .npy [height, width, classes]");
   verb.excludes("--probability", "--video");
+  verb.value("--channel NAME", options.channels.channel,
+             "also write this channel of a head as float32 .npy [height, width, columns]");
+  verb.excludes("--channel", "--video");
+  verb.value(
+      "--query FILE", options.channels.query,
+      "also write how well a head's channel agrees with each vector of this file, as cosines and pictures: .json, "
+      "a map from words to vectors, or .npy");
+  verb.excludes("--query", "--video");
   verb.run_settings(options.set);
 }
 

@@ -62,17 +62,18 @@ Picture picture_of(const LeaveOutSide& side, const FrameInfo& info) {
     take(out.opacity, trace.opacity);
     // A colour is in (0, 1): the zeros of samples that were passed over tell them apart.
     for (std::int64_t m = 0; m < trace.samples.count; ++m) out.evaluated += trace.out.rgb(m, 0) != 0 ? 1 : 0;
-    if (trace.logits.empty()) continue;
-    take(out.logits, trace.logits);
-    const SemanticHead<float>& head = *passes.back().parts().head;
-    const View<float> each = arena.take<float>(trace.semantic_samples, head.classes());
+    if (trace.semantic.rows.empty()) continue;
+    take(out.logits, trace.semantic.rows);
+    const Head<float>& head = *passes.back().parts().head;
+    const View<float> each = arena.take<float>(trace.semantic_samples, head.width());
     const Tensor<float>& weight = *side.pipeline().store().find(passes.back().parts().name + "/semantic/class/weight");
     const Tensor<float>& bias = *side.pipeline().store().find(passes.back().parts().name + "/semantic/class/bias");
     for (std::int64_t m = 0; m < each.rows; ++m) {
       for (std::int32_t c = 0; c < each.cols; ++c) {
         double s = static_cast<double>(bias.value.data()[c]);
-        for (std::int32_t h = 0; h < trace.hidden.cols; ++h)
-          s += static_cast<double>(trace.hidden(m, h)) * static_cast<double>(weight.value.data()[h * each.cols + c]);
+        for (std::int32_t h = 0; h < trace.semantic.hidden.cols; ++h)
+          s += static_cast<double>(trace.semantic.hidden(m, h)) *
+               static_cast<double>(weight.value.data()[h * each.cols + c]);
         out.largest_logit = std::max(out.largest_logit, std::abs(s));
       }
     }

@@ -1,4 +1,5 @@
-// What `semfield-study scale` measures: steps of the presets on 1, 2, ... ranks, whether their bits agree, and a sweep by two.
+// What `semfield-study scale` measures: steps of the presets on 1, 2, ... ranks, whether their bits agree, and a sweep
+// by two.
 #pragma once
 
 #include <functional>

@@ -32,7 +32,7 @@ std::vector<LayerWork> pass_work(const PassParts<float>& parts, std::int64_t ray
     for (LayerWork& layer : field_work(*parts.branch->field, rays, samples, false)) work.push_back(std::move(layer));
     feature = parts.branch->field->traits().feature_dims;
   }
-  const double hidden = parts.head->hidden_width(), classes = parts.head->classes();
+  const double hidden = parts.head->hidden_width(), classes = parts.head->width();
   work.push_back({"semantic hidden", static_cast<double>(samples), feature, hidden});
   work.push_back({"semantic class", static_cast<double>(deferred_class_layer ? rays : samples), hidden, classes});
   return work;

@@ -116,15 +116,15 @@ void large_product(const HeadShape& shape, const Matrix& a, const Matrix& b, Vie
   product(p);
 }
 
-void class_forward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> h,
-                   View<const float> share, View<float> logits) {
-  const View<const float> weight = tensors.value[kClassWeight], bias = tensors.value[kClassBias];
+void output_forward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> h,
+                    View<const float> share, View<float> logits) {
+  const View<const float> weight = tensors.value[kOutputWeight], bias = tensors.value[kOutputBias];
   if (share.empty()) {
     layer<float, float>(h, weight, bias, logits);
     return;
   }
   // The bias enters as share times its row.
-  if (shape.classes > kMostSmallClasses) {
+  if (shape.width > kMostSmallClasses) {
     shared_bias_forward(share, bias, logits);
     large_product(shape, Matrix(h), Matrix(weight), logits, true);
     return;
@@ -135,10 +135,10 @@ void class_forward(const HeadShape& shape, Workspace& arena, const Tensors<float
   small_products({&product, 1}, &arena);
 }
 
-void class_backward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> h,
-                    View<const float> share, View<const float> d_logits, View<float> d_h, View<float> d_share) {
-  const View<const float> weight = tensors.value[kClassWeight], bias = tensors.value[kClassBias];
-  const View<float> d_weight = tensors.grad[kClassWeight], d_bias = tensors.grad[kClassBias];
+void output_backward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> h,
+                     View<const float> share, View<const float> d_logits, View<float> d_h, View<float> d_share) {
+  const View<const float> weight = tensors.value[kOutputWeight], bias = tensors.value[kOutputBias];
+  const View<float> d_weight = tensors.grad[kOutputWeight], d_bias = tensors.grad[kOutputBias];
   if (share.empty()) {
     LinearBackward<float, float> call;
     call.x = h;
@@ -150,7 +150,7 @@ void class_backward(const HeadShape& shape, Workspace& arena, const Tensors<floa
     linear_backward<float, float>(call, arena);
     return;
   }
-  if (shape.classes > kMostSmallClasses) {
+  if (shape.width > kMostSmallClasses) {
     const Workspace::Scope scope(arena);
     if (d_share.empty()) d_share = arena.take<float>(share.rows, 1);
     shared_bias_backward({share, bias, d_logits, d_share, d_bias}, arena);
@@ -169,8 +169,8 @@ void class_backward(const HeadShape& shape, Workspace& arena, const Tensors<floa
 
 const HeadKernels<float>& head_kernels() {
   static constexpr HeadKernels<float> kernels{
-      nullptr,        hidden_forward,         hidden_backward,        class_forward,
-      class_backward, rounded_hidden_forward, rounded_hidden_backward};
+      nullptr,         hidden_forward,         hidden_backward,        output_forward,
+      output_backward, rounded_hidden_forward, rounded_hidden_backward};
   return kernels;
 }
 

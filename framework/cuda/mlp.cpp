@@ -1,5 +1,5 @@
-// Networks on the device: the walk of plugin/mlp over cuBLASLt's products. Everything is queued on launch().stream. Only
-// fp32 is offered: gradients through sines in bf16 are a third off those in float64.
+// Networks on the device: the walk of plugin/mlp over cuBLASLt's products. Everything is queued on launch().stream.
+// Only fp32 is offered: gradients through sines in bf16 are a third off those in float64.
 #include <array>
 #include <type_traits>
 
@@ -306,8 +306,6 @@ constexpr MlpKernels<float> kTable{
 
 }  // namespace
 
-void add_mlp_kernels(KernelTables& tables) {
-  tables.add(Device::cuda, kMlpOwner, &kTable<float>);
-}
+void add_mlp_kernels(KernelTables& tables) { tables.add(Device::cuda, kMlpOwner, &kTable<float>); }
 
 }  // namespace semfield::cuda

@@ -6,7 +6,7 @@
 #include "cuda/kernels/layers.h"
 #include "cuda/kernels/losses.h"
 #include "cuda/kernels/rendering.h"
-#include "model/semantic_branch.h"
+#include "model/head_branch.h"
 
 namespace semfield::cuda {
 
@@ -39,7 +39,7 @@ void locate_samples(const GuardPlace<float>& place, const Rays<float>& rays, con
 }
 
 void keep(Workspace& arena, const Samples<float>& samples, View<const float> weight, float least, std::int64_t most,
-          SemanticBranchTrace<float>& trace) {
+          BranchTrace<float>& trace) {
   trace.samples.t = arena.take<float>(most, 1);
   trace.samples.delta = arena.take<float>(most, 1);
   trace.samples.ray_of_sample = arena.take<std::int32_t>(most, 1);

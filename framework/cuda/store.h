@@ -6,8 +6,8 @@
 #include <span>
 #include <vector>
 
-#include "cuda/ranks/shard_sums.h"
 #include "cuda/memory.h"
+#include "cuda/ranks/shard_sums.h"
 #include "model/param_store.h"
 
 namespace semfield::cuda {

@@ -51,6 +51,13 @@ std::optional<double> value_of(const std::optional<Auroc>& found) {
   return found ? std::optional(found->value) : std::nullopt;
 }
 
+std::int32_t columns_of(const Pipeline<float>& pipeline, const std::string& channel) {
+  for (const HeadParts<float>& head : pipeline.passes().back().parts().heads)
+    if (head.channel == channel) return head.head->width();
+  throw Error(ErrorKind::usage, "the run has no head that makes a channel '" + channel + "'",
+              "see the list `heads` of its run.yaml");
+}
+
 // Labels that a frame trained with, at the pixels scored; empty for a frame without any.
 std::vector<std::int16_t> given_labels(const EvalJob& job, int frame) {
   const TrainingLabels::Frame& labels = job.given->frames[static_cast<std::size_t>(frame)];
@@ -98,6 +105,11 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
   SEMFIELD_CHECK(logits <= classes,
                  "FrameOptions::classes counts the scene's classes where probabilities are asked for");
   if (logits > 0) frame.probability.resize(classes * size);
+  for (const std::string& name : options.channels) {
+    const std::int32_t cols = columns_of(pipeline, name);
+    frame.channels.push_back({name, frame.height_px, frame.width_px, cols, {}});
+    frame.channels.back().values.resize(static_cast<std::size_t>(cols) * size);
+  }
   in_chunks(pixels, logits, [&](std::int64_t begin, std::int64_t end, RayBuffers& rays) {
     const std::int64_t count = end - begin;
     for (std::int64_t i = 0; i < count; ++i) {
@@ -125,6 +137,8 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
       }
       if (logits > 0) job.probability = {rays.probability.data(), count, static_cast<std::int32_t>(logits)};
     }
+    for (FrameChannel& one : frame.channels)
+      job.heads.set(one.name, {one.values.data() + begin * one.cols, count, one.cols});
     try {
       pipeline.render(job);
     } catch (const RayFault& fault) {
@@ -231,8 +245,11 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     const RayCamera camera{info.camera, info.world_from_camera, job.undistort};
     const std::int32_t width = info.camera.width_px, height = info.camera.height_px;
     const std::vector<std::int16_t> truth = strided(stored.label.expand(), width, height, 1, job.stride);
+    FrameOptions options;
+    options.stride = job.stride;
+    options.progress = part_done;
     const RenderedFrame frame =
-        render_named_frame(pipeline, info.name, camera, limits, class_of_logit, truth, {job.stride, part_done});
+        render_named_frame(pipeline, info.name, camera, limits, class_of_logit, truth, options);
     const std::vector<std::uint8_t> stored_rgb = strided(stored.rgb, width, height, 3, job.stride);
     std::vector<float> truth_rgb(stored_rgb.size());
     for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(stored_rgb[i]) / 255.0F;

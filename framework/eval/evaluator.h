@@ -41,6 +41,7 @@ struct RenderedFrame {
   std::vector<float> confidence;         ///< [H * W]
   std::vector<float> truth_probability;  ///< [H * W], when truth was given
   std::vector<float> probability;        ///< [H * W * C] by class index, 0 without a logit; FrameOptions::probability
+  std::vector<FrameChannel> channels;    ///< FrameOptions::channels, in their order
   OpacityCounts resolution;
 };
 
@@ -52,6 +53,7 @@ struct FrameOptions {
   std::function<void(double)> progress;  ///< share of the pixels that are done, 0 to 1; may be null
   bool probability = false;              ///< fill RenderedFrame::probability, 4 C bytes per pixel
   int classes = 0;                       ///< C of the scene; read for `probability` alone
+  std::vector<std::string> channels{};   ///< of heads beside that of class logits, which the pipeline has
   bool color = true;                     ///< fill RenderedFrame::rgb; without it colour is not computed
 };
 

@@ -39,10 +39,32 @@ TensorBytes declared_by(const PassParts<Real>& parts, int lanes, bool trainable)
   sum += declared_bytes<Real>(*parts.field, lanes, trainable);
   if (parts.direction) sum += declared_bytes<Real>(*parts.direction, lanes, trainable);
   if (parts.head) sum += declared_bytes<Real>(*parts.head, lanes, trainable);
-  if (!parts.branch) return sum;
-  sum += declared_bytes<Real>(*parts.branch->position, lanes, trainable);
-  sum += declared_bytes<Real>(*parts.branch->field, lanes, trainable);
+  const auto add_branch = [&](const BranchParts<Real>& branch) {
+    sum += declared_bytes<Real>(*branch.position, lanes, trainable);
+    sum += declared_bytes<Real>(*branch.field, lanes, trainable);
+  };
+  if (parts.branch) add_branch(*parts.branch);
+  for (const HeadParts<Real>& one : parts.heads) {
+    sum += declared_bytes<Real>(*one.head, lanes, trainable);
+    if (one.source_width > 0)
+      sum += declared_bytes<Real>(ChannelAxes<Real>(one.source_width, one.head->width()), lanes, trainable);
+    add_branch(*one.branch);
+  }
   return sum;
+}
+
+/// A branch and its head on the samples that are kept of a tile.
+struct BranchBytes {
+  std::size_t traces = 0, backward = 0;
+};
+template <class Real>
+BranchBytes branch_bytes(const BranchParts<Real>& branch, const Head<Real>& head, std::int64_t kept,
+                         std::int64_t tile_rays, std::size_t field_feature) {
+  const std::size_t out = size(branch.field->traits().feature_dims) + size(head.hidden_width());
+  const std::size_t in =
+      size(branch.position->traits().out_dims) + (branch.rules.reads_feature ? field_feature : std::size_t{0});
+  return {size(kept) * (2 * in + out) * sizeof(Real) + branch.field->saved_bytes(kept, tile_rays),
+          size(kept) * out * sizeof(Real) + branch.field->scratch_bytes(kept, tile_rays)};
 }
 
 }  // namespace
@@ -92,7 +114,9 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
     const bool ahead = passes.size() == 1 && learned_position;
     const std::size_t samples = size(parts.sampler->capacity(tile_rays, p == 0 ? 0 : per_ray[p - 1]));
     const std::size_t encoded = size(parts.position->traits().out_dims);
-    const bool reads = parts.head && (!parts.branch || parts.branch->rules.reads_feature);
+    const bool reads =
+        (parts.head && (!parts.branch || parts.branch->rules.reads_feature)) ||
+        std::any_of(parts.heads.begin(), parts.heads.end(), [](auto& one) { return one.branch->rules.reads_feature; });
     const std::size_t feature = reads ? size(parts.field->traits().feature_dims) : 0;
     const std::size_t hidden = parts.head && !parts.branch ? size(parts.head->hidden_width()) : 0;
     const std::size_t saved = parts.field->saved_bytes(static_cast<std::int64_t>(samples), tile_rays);
@@ -105,19 +129,21 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
     traces += size(tile_rays) * (direction + 2 * (5 + hidden)) * sizeof(Real);
     backward = std::max(backward, (samples * (4 + terms + feature) + semantic) * sizeof(Real) +
                                       parts.field->scratch_bytes(static_cast<std::int64_t>(samples), tile_rays));
-    if (parts.branch) {
-      const auto kept = static_cast<std::int64_t>(kKeptShare * static_cast<double>(samples));
-      const std::size_t branch_saved = parts.branch->field->saved_bytes(kept, tile_rays);
-      const std::size_t out = size(parts.branch->field->traits().feature_dims) + size(parts.head->hidden_width());
-      const std::size_t in = size(parts.branch->position->traits().out_dims) + feature;
-      traces += size(kept) * (2 * in + out) * sizeof(Real) + branch_saved;
-      // Its backward is done before that of the pass begins.
-      backward =
-          std::max(backward, size(kept) * out * sizeof(Real) + parts.branch->field->scratch_bytes(kept, tile_rays));
+    // What stands behind branches is done with its backward before that of the pass begins.
+    const auto kept = static_cast<std::int64_t>(kKeptShare * static_cast<double>(samples));
+    const auto add_branch = [&](const BranchParts<Real>& branch, const Head<Real>& head) {
+      const BranchBytes bytes = branch_bytes(branch, head, kept, tile_rays, feature);
+      traces += bytes.traces;
+      backward = std::max(backward, bytes.backward);
+    };
+    if (parts.branch) add_branch(*parts.branch, *parts.head);
+    for (const HeadParts<Real>& one : parts.heads) {
+      add_branch(*one.branch, *one.head);
+      traces += size(tile_rays) * 2 * (size(one.head->hidden_width()) + size(one.head->width())) * sizeof(Real);
     }
     if (parts.head) {
       const std::size_t rows = options.rules.deferred_class_layer ? size(tile_rays) : samples;
-      logits += 2 * rows * size(parts.head->classes()) * sizeof(Real);
+      logits += 2 * rows * size(parts.head->width()) * sizeof(Real);
     }
     if (learned_position) {
       const std::size_t all = size(parts.sampler->capacity(rays, p == 0 ? 0 : per_ray[p - 1]));

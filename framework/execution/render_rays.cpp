@@ -30,8 +30,8 @@ struct HostEnds {
   View<T> room_for(View<T> wanted) const {
     return wanted.empty() || stages.host_memory ? wanted : arena.take<T>(wanted.rows, wanted.cols);
   }
-  template <class T>
-  void fetch(View<T> from, View<T> wanted) const {
+  template <class From, class T>
+  void fetch(View<From> from, View<T> wanted) const {
     if (!wanted.empty() && wanted.data != from.data) stages.copy(bytes_of(View<const T>(from)), bytes_of(wanted));
   }
 };
@@ -44,6 +44,7 @@ RenderJob<Real> RenderJob<Real>::rows(std::int64_t begin, std::int64_t count) co
   const auto cut = [&](auto&... views) { ((views = views.row_range(begin, count)), ...); };
   cut(part.origin, part.direction, part.near_far, part.truth, part.color, part.depth, part.opacity, part.label,
       part.entropy, part.confidence, part.truth_probability, part.probability, part.resolution);
+  part.heads = heads.row_range(begin, count);
   return part;
 }
 
@@ -57,6 +58,7 @@ void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::i
   const Rays<Real> rays{ends.sent(job.origin), ends.sent(job.direction), ends.sent(job.near_far)};
   const bool classes =
       parts.head && !(job.label.empty() && job.entropy.empty() && job.confidence.empty() && job.probability.empty());
+  const bool heads = job.heads.size() > 0;
   Proposal<Real> proposal;
   PassTrace<Real> trace;
   for (std::size_t p = 0; p < passes.size(); ++p) {
@@ -64,7 +66,7 @@ void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::i
     const bool last = p + 1 == passes.size();
     const PassTrace<Real> next =
         passes[p].forward(ctx, kMainGradient, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray[p - 1],
-                          {last && classes ? job.origin.rows : 0, last});
+                          {last && classes ? job.origin.rows : 0, last, last && heads});
     trace = next;
     proposal.samples = &trace.samples;
     proposal.weight = trace.weight.row_range(0, trace.samples.count);
@@ -72,6 +74,11 @@ void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::i
   ends.fetch(trace.color, job.color);
   ends.fetch(trace.depth, job.depth);
   ends.fetch(trace.opacity, job.opacity);
+  for (const auto& channel : job.heads) {
+    const View<const Real> rows = passes.back().values_of({}, trace).heads[channel.name];
+    SEMFIELD_CHECK(rows.cols == channel.view.cols, "a channel of the pass, with its columns");
+    ends.fetch(rows, channel.view);
+  }
   if (!job.resolution.empty()) {
     const View<OpacityResolution> found = ends.room_for(job.resolution);
     stages.opacity_resolutions(trace.samples, trace.weight, passes.back().rules().rendering.far, job.footprint_per_m,
@@ -79,7 +86,7 @@ void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::i
     ends.fetch(found, job.resolution);
   }
   if (!classes) return;
-  SEMFIELD_CHECK(job.probability.empty() || job.probability.cols == trace.logits.cols,
+  SEMFIELD_CHECK(job.probability.empty() || job.probability.cols == trace.semantic.rows.cols,
                  "probabilities of rays have a column a logit");
   ClassResults<Real> results;
   results.truth = ends.sent(job.truth);
@@ -88,7 +95,7 @@ void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::i
   results.confidence = ends.room_for(job.confidence);
   results.truth_probability = ends.room_for(job.truth_probability);
   results.probability = ends.room_for(job.probability);
-  stages.class_results(trace.logits, results);
+  stages.class_results(trace.semantic.rows, results);
   ends.fetch(results.label, job.label);
   ends.fetch(results.entropy, job.entropy);
   ends.fetch(results.confidence, job.confidence);

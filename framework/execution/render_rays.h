@@ -22,6 +22,7 @@ struct RenderJob {
   View<Real> truth_probability;        ///< [R, 1] of the true class; 0 where void
   View<Real> probability;              ///< [R, K] of each of the K logits, softmax of the composited ones
   View<OpacityResolution> resolution;  ///< [R, 1]
+  ChannelTable<Real> heads;            ///< [R, C] each, by the channel of a head beside that of class logits
   double footprint_per_m = 0;          ///< width of a pixel at a distance of 1 m, metres; for `resolution`
 
   RenderJob rows(std::int64_t begin, std::int64_t count) const;

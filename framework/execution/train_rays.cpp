@@ -4,20 +4,44 @@ namespace semfield {
 
 namespace {
 
-// Of the cross-entropy, and of the losses of the list that move logits.
+// One pass of the rays, and what becomes of it.
 template <class Real>
-View<Real> semantic_gradient(std::size_t pass, const TrainedRays& rays, const PassTrace<Real>& trace, Workspace& arena,
-                             StepExecutor<Real>& executor) {
-  const View<Real> d_logits = arena.take<Real>(trace.semantic_rays, trace.logits.cols);
-  executor.semantic_loss(pass, arena, trace.logits, semantic_targets(rays.batch.targets, trace.semantic_rays),
-                         d_logits);
-  if (const std::uint32_t which = executor.active_losses() & executor.losses().of_heads(); which != 0) {
+struct PassWalk {
+  const Pass<Real>& pass;
+  std::size_t number;
+  const TrainedRays& rays;
+  StepExecutor<Real>& executor;
+
+  void add_losses(std::uint32_t which, const PassTrace<Real>& trace, Workspace& arena,
+                  const RayGradients<Real>& d) const {
+    if (which == 0) return;
+    const RayBatch& batch = rays.batch;
+    executor.add_losses(number, arena, which, batch.targets, pass.values_of(batch.near_far, trace), d);
+  }
+
+  // Of the cross-entropy, and of the losses of the list that move logits.
+  View<Real> semantic_gradient(const PassTrace<Real>& trace, Workspace& arena) const {
+    const View<Real> d_logits = arena.take<Real>(trace.semantic_rays, trace.semantic.rows.cols);
+    executor.semantic_loss(number, arena, trace.semantic.rows,
+                           semantic_targets(rays.batch.targets, trace.semantic_rays), d_logits);
     RayGradients<Real> d;
     d.heads.set(channel::logits, d_logits);
-    executor.add_losses(pass, arena, which, rays.batch.targets, values_of<Real>(rays.batch.near_far, trace), d);
+    add_losses(executor.active_losses() & executor.losses().on_logits(), trace, arena, d);
+    return d_logits;
   }
-  return d_logits;
-}
+
+  // Of the losses that move channels of the other heads.
+  ChannelTable<Real> head_gradients(const PassTrace<Real>& trace, Workspace& arena) const {
+    RayGradients<Real> d;
+    for (const HeadParts<Real>& head : pass.parts().heads) {
+      const View<Real> rows = arena.take<Real>(rays.batch.origin.rows, head.head->width());
+      pass.parts().stages->fill(rows, Real(0));
+      d.heads.set(head.channel, rows);
+    }
+    add_losses(executor.active_losses() & executor.losses().on_heads(), trace, arena, d);
+    return d.heads;
+  }
+};
 
 }  // namespace
 
@@ -44,15 +68,26 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
   for (std::size_t p = 0; p < passes.size(); ++p) {
     const Pass<Real>& pass = passes[p];
     ctx.pass = pass.parts().number;
+    const std::uint32_t active = executor.active_losses();
+    const LossList& losses = executor.losses();
+    const std::uint32_t of_heads = pass.parts().heads.empty() ? 0 : active & losses.reading_heads();
+    request.heads = of_heads != 0;
     PassTrace<Real> trace =
         executor.drawn() != nullptr
             ? pass.forward(ctx, call.lane, rays, *executor.drawn(), request)
             : pass.forward(ctx, call.lane, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray[p - 1], request);
-    const bool branched = pass.has_branch() && trace.semantic_rays > 0;
-    if (branched) {  // it needs nothing of what follows
+    const PassWalk<Real> walk{pass, p, call, executor};
+    const bool branched = pass.has_branch() && trace.semantic_rays > 0, apart = branched || trace.with_heads;
+    if (apart) {  // it needs nothing of what follows
       const StepContext beside = executor.begin_branch(ctx);
-      pass.branch_forward(beside, call.lane, rays, trace);
-      pass.branch_backward(beside, call.lane, trace, semantic_gradient(p, call, trace, *beside.workspace, executor));
+      if (branched) {
+        pass.branch_forward(beside, call.lane, rays, trace);
+        pass.branch_backward(beside, call.lane, trace, walk.semantic_gradient(trace, *beside.workspace));
+      }
+      if (trace.with_heads) {
+        pass.heads_forward(beside, call.lane, rays, trace);
+        pass.heads_backward(beside, call.lane, trace, walk.head_gradients(trace, *beside.workspace));
+      }
       executor.end_branch();
     }
     RayGradients<Real> d;
@@ -62,20 +97,20 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
                         colored(d.color));
     executor.count(p, trace);
     View<Real> d_logits;
-    if (trace.semantic_rays > 0 && !branched) d_logits = semantic_gradient(p, call, trace, arena, executor);
-    const LossList& losses = executor.losses();
-    if (const std::uint32_t which = executor.active_losses() & ~losses.of_heads(); which != 0) {
+    if (trace.semantic_rays > 0 && !branched) d_logits = walk.semantic_gradient(trace, arena);
+    const std::uint32_t apart_losses = losses.on_logits() | losses.on_heads() | (losses.reading_heads() & ~of_heads);
+    if (const std::uint32_t which = active & ~apart_losses; which != 0) {
       const auto moved = [&](std::string_view channel) { return (which & losses.moving(channel)) != 0; };
       d.depth = zeroed(moved(channel::depth), count);
       d.weight = zeroed(moved(channel::weight), trace.samples.count);
       d.sigma = zeroed(moved(channel::sigma), trace.samples.count);
-      executor.add_losses(p, arena, which, batch.targets, values_of<Real>(batch.near_far, trace), d);
+      walk.add_losses(which, trace, arena, d);
     }
     View<Real> d_encoded;
     if (pass.scatters()) d_encoded = executor.encoded_gradient(p, trace, arena);
     pass.backward(ctx, call.lane, trace, d, d_logits, d_encoded);
     if (pass.scatters()) executor.use_encoded_gradient(p, trace, ctx, d_encoded);
-    if (branched) executor.join_branch();
+    if (apart) executor.join_branch();
     executor.pass_done(p);
     previous = trace;
     proposal.samples = &previous.samples;

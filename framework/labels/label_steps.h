@@ -28,8 +28,8 @@ using LabelSet = std::vector<FrameLabels>;
 /// Facts of a step for the manifest, in the order of writing: ("pixels changed", "12345").
 using StepFacts = std::vector<std::pair<std::string, std::string>>;
 
-/// What both kinds are: an object that holds its own parameters, so it needs no parameter struct beside it. A copy of an
-/// object that nobody has used is what Registry::add_label_reader and add_degradation make.
+/// What both kinds are: an object that holds its own parameters, so it needs no parameter struct beside it. A copy of
+/// an object that nobody has used is what Registry::add_label_reader and add_degradation make.
 class LabelStep {
  public:
   virtual ~LabelStep() = default;

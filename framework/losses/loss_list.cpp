@@ -18,13 +18,20 @@ LossList::LossList(std::vector<LossEntry> entries) : entries_(std::move(entries)
   SEMFIELD_CHECK(entries_.size() <= kMostLossTerms, "too many losses");
   for (std::size_t i = 0; i < entries_.size(); ++i) {
     const LossTraits& traits = traits_.emplace_back(entries_[i].loss->traits());
-    const auto heads =
-        std::count_if(traits.moves.begin(), traits.moves.end(), [](auto name) { return !of_pass(name); });
-    if (heads > 0) of_heads_ |= 1U << i;
-    if (heads > 0 && heads < std::ssize(traits.moves))
-      throw Error(ErrorKind::config,
-                  "losses: '" + entries_[i].type + "' moves a channel of a head and one of the pass itself",
-                  "make two losses of it");
+    const auto own = std::count_if(traits.moves.begin(), traits.moves.end(), of_pass);
+    const bool logits = traits.does_move(channel::logits), one_kind = own == 0 || own == std::ssize(traits.moves);
+    if (!one_kind || (logits && traits.moves.size() > 1))
+      throw Error(
+          ErrorKind::config,
+          "losses: '" + entries_[i].type +
+              "' moves channels whose gradients are made apart: class logits, channels of other heads, and those "
+              "of the pass itself",
+          "make a loss for each of them");
+    if (logits) on_logits_ |= 1U << i;
+    if (own == 0 && !logits) on_heads_ |= 1U << i;
+    const bool reads =
+        std::any_of(traits.heads.begin(), traits.heads.end(), [](auto name) { return name != channel::logits; });
+    if (reads) reading_heads_ |= 1U << i;
   }
 }
 

@@ -34,15 +34,18 @@ struct LossScales {
 class LossList {
  public:
   LossList() = default;
-  /// Throws Error(config) for a loss that moves a channel of a head and another one.
+  /// Throws Error(config) for a loss that moves logits and another channel, or a channel of a head and one of the pass.
   explicit LossList(std::vector<LossEntry> entries);
 
   const std::vector<LossEntry>& entries() const { return entries_; }
   bool empty() const { return entries_.empty(); }
   /// Bits of the losses that move the channel.
   std::uint32_t moving(std::string_view channel) const;
-  /// Bits of the losses that move channels of heads.
-  std::uint32_t of_heads() const { return of_heads_; }
+  /// Bits of the losses that move the logits, and of those that move channels of other heads.
+  std::uint32_t on_logits() const { return on_logits_; }
+  std::uint32_t on_heads() const { return on_heads_; }
+  /// Bits of the losses that read channels of other heads than that of the logits.
+  std::uint32_t reading_heads() const { return reading_heads_; }
   LossScales scales(std::uint32_t active, const RayTargets& batch, std::int64_t rays) const;
   /// Adds the gradients of the losses whose bit is set in `which`; `sums` gets each one's sum, before weight and
   /// division, added.
@@ -55,7 +58,7 @@ class LossList {
  private:
   std::vector<LossEntry> entries_;
   std::vector<LossTraits> traits_;
-  std::uint32_t of_heads_ = 0;
+  std::uint32_t on_logits_ = 0, on_heads_ = 0, reading_heads_ = 0;
 };
 
 }  // namespace semfield

@@ -165,6 +165,27 @@ void plan_losses(const BuildRequest& request, Planner& planner, BuildPlan& plan)
   }
 }
 
+// A head whose channel no loss reads learns nothing.
+void plan_heads(const BuildRequest& request, Planner& planner, BuildPlan& plan) {
+  const auto reads = [&](const std::string& channel) {
+    return std::any_of(request.losses.begin(), request.losses.end(), [&](const LossRequest& loss) {
+      const bool built =
+          loss.named && std::find(plan.no_losses.begin(), plan.no_losses.end(), loss.name) == plan.no_losses.end();
+      return built && loss.traits.reads_head(channel);
+    });
+  };
+  planner.leave(request.heads.empty(),
+                {"heads", "not asked for", "the list `heads` is empty", ProofClass::bitwise,
+                 "a branch and a head on the samples that weigh", "add a head to the list `heads`", ""});
+  for (const std::string& channel : request.heads) {
+    const bool idle = !request.trained && !reads(channel);
+    if (planner.leave(idle, {"head_" + channel, "no loss that works reads its channel",
+                             fmt::format("no loss of the list `losses` that works reads '{}'", channel),
+                             ProofClass::bitwise, "a branch and a head on the samples that weigh", "", ""}))
+      plan.no_heads.push_back(channel);
+  }
+}
+
 struct BuiltRow {
   bool fires = false;
   LeftOut row;
@@ -223,6 +244,7 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
        fmt::format("no loss reads it: {} training pixels with depth", request.training_depth_px), ProofClass::bitwise,
        fmt::format("2 bytes a pixel: {:.1f} MB", depth_mb), "", fmt::format("{:.1f} MB not held", depth_mb)});
   plan_losses(request, planner, plan);
+  plan_heads(request, planner, plan);
   planner.leave(request.density_noise == 0,
                 {"density_noise", "its deviation is 0", "rendering.density_noise is 0", ProofClass::bitwise,
                  "one normal variate for each sample", "set rendering.density_noise", ""});

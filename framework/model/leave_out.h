@@ -42,6 +42,8 @@ struct BuildRequest {
   EmptySpace empty_space = EmptySpace::sampled;  ///< of the last pass's sampler
   bool direction_encoder = true;                 ///< the last pass names one
   std::vector<LossRequest> losses;               ///< every loss that the list `losses` might name
+  std::vector<std::string> heads;                ///< channels that heads of the list `heads` make
+  bool trained = false;                          ///< the network is another session's, so all its heads are built
   std::set<std::string> channels;                ///< further channels that training frames offer
   double density_noise = 0;
   double early_stop = 0;
@@ -77,6 +79,7 @@ struct BuildPlan {
   bool depth_metrics = true;
   bool late_samples = false;           ///< rendering evaluates samples behind an opaque surface too
   std::vector<std::string> no_losses;  ///< types of the list `losses` that are not built
+  std::vector<std::string> no_heads;   ///< channels of heads that are not built
   std::vector<int> class_of_logit;     ///< logit -> class; absent classes have none
   std::vector<LeftOut> left_out;       ///< what is not built
   std::vector<std::string> kept;       ///< forced back by name

@@ -1,8 +1,6 @@
 #include "model/pass.h"
 
 #include <algorithm>
-#include <cmath>
-#include <cstring>
 
 #include "core/check.h"
 #include "core/error.h"
@@ -25,9 +23,19 @@ Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, TensorStore<Re
   position_ = store.add(name + "/position", *parts_.position);
   if (parts_.direction) direction_ = store.add(name + "/direction", *parts_.direction);
   field_ = store.add(name + "/field", *parts_.field);
-  const LearningRule rule = parts_.branch ? parts_.branch->rules.learning() : LearningRule{1, 0, true};
-  if (parts_.head) head_ = store.add(name + "/semantic", *parts_.head, rule);
-  if (parts_.head && parts_.branch) branch_.emplace(*parts_.branch, name, store, *stages_);
+  if (parts_.head && parts_.branch) {
+    branched_.emplace(*parts_.head, *parts_.branch, BranchPlace{name + "/semantic", name, true},
+                      rules_.deferred_class_layer, store, *stages_);
+  } else if (parts_.head) {
+    head_ = store.add(name + "/semantic", *parts_.head, LearningRule{1, 0, true});
+  }
+  SEMFIELD_CHECK(parts_.heads.size() <= kMostHeads, "too many heads");
+  for (const HeadParts<Real>& one : parts_.heads) {
+    const std::string prefix = name + "/heads/" + one.channel;
+    heads_.emplace_back(*one.head, *one.branch, BranchPlace{prefix, name}, true, store, *stages_);
+    axes_.push_back(one.source_width > 0 ? store.add(prefix, ChannelAxes<Real>(one.source_width, one.head->width()))
+                                         : -1);
+  }
 }
 
 template <class Real>
@@ -35,16 +43,18 @@ void Pass<Real>::derive(const StepContext& ctx) const {
   parts_.sampler->derive(ctx, store_->tensors(sampler_));
   parts_.position->derive(ctx, store_->tensors(position_));
   parts_.field->derive(ctx, store_->tensors(field_));
-  if (parts_.head) parts_.head->derive(ctx, store_->tensors(head_));
-  if (branch_) branch_->derive(ctx);
+  if (head_ >= 0) parts_.head->derive(ctx, store_->tensors(head_));
+  if (branched_) branched_->derive(ctx);
+  for (const BranchedHead<Real>& head : heads_) head.derive(ctx);
 }
 
 template <class Real>
 void Pass<Real>::derive_backward(const StepContext& ctx) const {
   parts_.position->derive_backward(ctx, store_->tensors(position_));
   parts_.field->derive_backward(ctx, store_->tensors(field_));
-  if (parts_.head) parts_.head->derive_backward(ctx, store_->tensors(head_));
-  if (branch_) branch_->derive_backward(ctx);
+  if (head_ >= 0) parts_.head->derive_backward(ctx, store_->tensors(head_));
+  if (branched_) branched_->derive_backward(ctx);
+  for (const BranchedHead<Real>& head : heads_) head.derive_backward(ctx);
 }
 
 template <class Real>
@@ -77,8 +87,9 @@ DensityRule Pass<Real>::density_rule(const StepContext& ctx) const {
 }
 
 template <class Real>
-FeatureForm Pass<Real>::feature_form() const {
-  const bool rounded = parts_.head && !branch_ && parts_.head->takes_rounded() && rules_.deferred_class_layer;
+FeatureForm Pass<Real>::feature_form(const PassTrace<Real>& trace) const {
+  if (trace.semantic_rays == 0 || (trace.with_heads && heads_want_feature())) return FeatureForm::full;
+  const bool rounded = parts_.head && !branched_ && parts_.head->takes_rounded() && rules_.deferred_class_layer;
   return rounded ? parts_.field->feature_form(parts_.head->hidden_width()) : FeatureForm::full;
 }
 
@@ -114,6 +125,7 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
   trace.x = tile.x;
   trace.encoded = tile.encoded;
   trace.semantic_rays = parts_.head ? request.semantic_rays : 0;
+  trace.with_heads = request.heads && !heads_.empty();
   trace.semantic_samples = stages_->host_memory ? trace.samples.first(trace.semantic_rays, 0)
                                                 : std::min(count, trace.semantic_rays * tile.per_ray);
   if (parts_.direction) {
@@ -126,13 +138,14 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
   trace.weight = arena.take<Real>(count, 1);
   trace.out.sigma = arena.take<Real>(count, 1);
   if (request.colors) trace.out.rgb = arena.take<Real>(count, 3);
-  if (trace.semantic_rays > 0) {
-    trace.ray_hidden = arena.take<Real>(trace.semantic_rays, parts_.head->hidden_width());
-    trace.logits = arena.take<Real>(trace.semantic_rays, parts_.head->classes());
-    if (!branch_ && feature_form() == FeatureForm::full)
-      trace.hidden = arena.take<Real>(trace.semantic_samples, parts_.head->hidden_width());
-    if (!branch_ && !rules_.deferred_class_layer)
-      trace.sample_logits = arena.take<Real>(trace.semantic_samples, parts_.head->classes());
+  if (trace.semantic_rays > 0 && !branched_) {
+    HeadTrace<Real>& semantic = trace.semantic;
+    semantic.ray_hidden = arena.take<Real>(trace.semantic_rays, parts_.head->hidden_width());
+    semantic.rows = arena.take<Real>(trace.semantic_rays, parts_.head->width());
+    if (feature_form(trace) == FeatureForm::full)
+      semantic.hidden = arena.take<Real>(trace.semantic_samples, parts_.head->hidden_width());
+    if (!rules_.deferred_class_layer)
+      semantic.sample_rows = arena.take<Real>(trace.semantic_samples, parts_.head->width());
   }
   if (request.colors) trace.color = arena.take<Real>(ray_count, 3);
   trace.depth = arena.take<Real>(ray_count, 1);
@@ -143,7 +156,9 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
     evaluate(ctx, lane, trace, request.colors);
   }
   composite(ctx, lane, trace);
-  if (branch_ && trace.semantic_rays > 0 && !ctx.training) branch_forward(ctx, lane, rays, trace);
+  if (ctx.training) return trace;
+  if (branched_ && trace.semantic_rays > 0) branch_forward(ctx, lane, rays, trace);
+  if (trace.with_heads) heads_forward(ctx, lane, rays, trace);
   return trace;
 }
 
@@ -159,14 +174,14 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
   stages_->guard(here, Guarded::encoded_position, trace.encoded);
   const std::int32_t width = parts_.field->traits().feature_dims;
   const bool semantic = trace.semantic_rays > 0;
-  const FeatureForm form = semantic ? feature_form() : FeatureForm::full;
+  const FeatureForm form = feature_form(trace);
   if (form == FeatureForm::hidden_layer) {
     trace.out.layer = parts_.head->hidden_layer(head_tensors(lane));
     trace.out.hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
     trace.rounded_hidden = trace.out.hidden;
   } else if (form == FeatureForm::rounded) {
     trace.out.rounded_feature = arena.take<Bf16>(count, width);
-  } else if (semantic && wants_feature()) {
+  } else if (wants_feature(trace)) {
     trace.out.feature = arena.take<Real>(count, width);
   }
   if (ctx.training) {
@@ -178,91 +193,19 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
                         trace.saved);
   stages_->guard(here, Guarded::raw_density, trace.out.sigma);
   if (colors) stages_->guard(here, Guarded::sample_color, trace.out.rgb);
-  if (!trace.out.feature.empty())
-    stages_->guard(here, Guarded::feature, trace.out.feature.row_range(0, trace.semantic_samples));
+  if (!trace.out.feature.empty()) {
+    const bool of_all = trace.with_heads && heads_want_feature();
+    stages_->guard(here, Guarded::feature, trace.out.feature.row_range(0, of_all ? count : trace.semantic_samples));
+  }
   stages_->density_forward(density_rule(ctx), &trace.samples, trace.out.sigma, trace.sigma);
-  if (!semantic || branch_) return;
+  if (!semantic || branched_) return;
   if (form == FeatureForm::rounded) {
     trace.rounded_hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
     parts_.head->rounded_hidden_forward(
         ctx, head_tensors(lane), trace.out.rounded_feature.row_range(0, trace.semantic_samples), trace.rounded_hidden);
   } else if (form == FeatureForm::full) {
     parts_.head->hidden_forward(ctx, head_tensors(lane), trace.out.feature.row_range(0, trace.semantic_samples),
-                                trace.hidden);
-  }
-}
-
-// Front to back in rounds of kRoundSamples samples a ray; a ray whose transmittance fell below early_stop asks no
-// further. Samples that were not evaluated keep sigma = 0, so they take no weight: |error| <= early_stop * max|value|
-// (numerics: certified). Under far: background the last sample takes the rest, black and with the logits of no feature,
-// which count as values too.
-template <class Real>
-void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const {
-  Workspace& arena = *ctx.workspace;
-  const std::int64_t ray_count = trace.samples.first.rows - 1;
-  View<std::int32_t> next = arena.take<std::int32_t>(ray_count, 1);
-  View<Real> tau = arena.take<Real>(ray_count, 1);
-  for (std::int64_t r = 0; r < ray_count; ++r) next(r, 0) = trace.samples.first(r, 0);
-  stages_->fill(tau, Real(0));
-  stages_->fill(trace.sigma, Real(0));
-  if (colors) stages_->fill(trace.out.rgb, Real(0));
-  const bool semantic = trace.semantic_rays > 0;
-  const bool fills_hidden = semantic && !branch_, fills_feature = semantic && branch_ && wants_feature();
-  const bool in_bf16 = fills_hidden && feature_form() != FeatureForm::full;
-  if (in_bf16) {
-    trace.rounded_hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
-    std::fill_n(trace.rounded_hidden.data, trace.rounded_hidden.size(), Bf16{0});
-  } else if (fills_hidden) {
-    stages_->fill(trace.hidden, Real(0));
-  }
-  if (fills_feature) {
-    trace.out.feature = arena.take<Real>(trace.samples.count, parts_.field->traits().feature_dims);
-    stages_->fill(trace.out.feature, Real(0));
-  }
-  const double tau_stop = -std::log(rules_.rendering.early_stop);
-  View<std::int32_t> source = arena.take<std::int32_t>(ray_count * kRoundSamples, 1);
-  for (;;) {
-    const Workspace::Scope scope(arena);
-    PassTrace<Real> round;
-    round.samples.ray_of_sample = arena.take<std::int32_t>(ray_count * kRoundSamples, 1);
-    round.samples.first = trace.samples.first;  // only its row count is read
-    std::int64_t rows = 0, semantic_rows = 0;
-    for (std::int64_t r = 0; r < ray_count; ++r) {
-      const std::int32_t end = trace.samples.first(r + 1, 0);
-      if (static_cast<double>(tau(r, 0)) > tau_stop) next(r, 0) = end;
-      const std::int32_t stop = std::min<std::int32_t>(end, next(r, 0) + static_cast<std::int32_t>(kRoundSamples));
-      for (std::int32_t m = next(r, 0); m < stop; ++m, ++rows) {
-        source(rows, 0) = m;
-        round.samples.ray_of_sample(rows, 0) = static_cast<std::int32_t>(r);
-      }
-      if (r < trace.semantic_rays) semantic_rows = rows;
-    }
-    if (rows == 0) break;
-    round.samples.count = rows;
-    round.semantic_rays = trace.semantic_rays;
-    round.semantic_samples = semantic_rows;
-    round.x = arena.take<double>(rows, 3);
-    round.direction = trace.direction;
-    round.sigma = arena.take<Real>(rows, 1);
-    round.out.sigma = arena.take<Real>(rows, 1);
-    if (colors) round.out.rgb = arena.take<Real>(rows, 3);
-    if (fills_hidden && !in_bf16) round.hidden = arena.take<Real>(semantic_rows, parts_.head->hidden_width());
-    for (std::int64_t i = 0; i < rows; ++i) std::memcpy(round.x.row(i), trace.x.row(source(i, 0)), 3 * sizeof(double));
-    evaluate(ctx, lane, round, colors);
-    for (std::int64_t i = 0; i < rows; ++i) {
-      const std::int64_t m = source(i, 0);
-      const std::int64_t r = round.samples.ray_of_sample(i, 0);
-      trace.sigma(m, 0) = round.sigma(i, 0);
-      tau(r, 0) += round.sigma(i, 0) * trace.samples.delta(m, 0);
-      if (colors) std::copy_n(round.out.rgb.row(i), 3, trace.out.rgb.row(m));
-      if (in_bf16 && i < semantic_rows) {
-        std::copy_n(round.rounded_hidden.row(i), round.rounded_hidden.cols, trace.rounded_hidden.row(m));
-      } else if (fills_hidden && i < semantic_rows) {
-        std::copy_n(round.hidden.row(i), round.hidden.cols, trace.hidden.row(m));
-      }
-      if (fills_feature) std::copy_n(round.out.feature.row(i), trace.out.feature.cols, trace.out.feature.row(m));
-      next(r, 0) = static_cast<std::int32_t>(m + 1);
-    }
+                                trace.semantic.hidden);
   }
 }
 
@@ -287,23 +230,25 @@ void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& tr
   out.depth = trace.depth;
   out.opacity = trace.opacity;
   out.weight = trace.weight;
-  const bool semantic = trace.semantic_rays > 0 && !branch_;  // a branch follows the weights
+  const bool semantic = trace.semantic_rays > 0 && !branched_;  // a branch follows the weights
   const bool deferred = rules_.deferred_class_layer, rounded = !trace.rounded_hidden.empty();
   if (semantic && !rounded) {
-    if (!deferred) parts_.head->class_forward(ctx, head_tensors(lane), trace.hidden, {}, trace.sample_logits);
-    in.hidden = deferred ? trace.hidden : trace.sample_logits;
-    out.hidden = deferred ? trace.ray_hidden : trace.logits;
+    if (!deferred)
+      parts_.head->output_forward(ctx, head_tensors(lane), trace.semantic.hidden, {}, trace.semantic.sample_rows);
+    in.hidden = deferred ? trace.semantic.hidden : trace.semantic.sample_rows;
+    out.hidden = deferred ? trace.semantic.ray_hidden : trace.semantic.rows;
   }
   stages_->composite_forward(in, out);
-  if (semantic && rounded) stages_->rounded_sum(trace.samples, trace.weight, trace.rounded_hidden, trace.ray_hidden);
+  if (semantic && rounded)
+    stages_->rounded_sum(trace.samples, trace.weight, trace.rounded_hidden, trace.semantic.ray_hidden);
   if (semantic && deferred) {
-    parts_.head->class_forward(ctx, head_tensors(lane), trace.ray_hidden,
-                               trace.opacity.row_range(0, trace.semantic_rays), trace.logits);
+    parts_.head->output_forward(ctx, head_tensors(lane), trace.semantic.ray_hidden,
+                                trace.opacity.row_range(0, trace.semantic_rays), trace.semantic.rows);
   }
   stages_->guard(here, Guarded::color, trace.color);
   stages_->guard(here, Guarded::depth, trace.depth);
   stages_->guard(here, Guarded::opacity, trace.opacity);
-  if (semantic) stages_->guard(here, Guarded::logits, trace.logits);
+  if (semantic) stages_->guard(here, Guarded::logits, trace.semantic.rows);
 }
 
 template <class Real>
@@ -315,7 +260,7 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   if (count == 0) return;
   const LiveRows<Real> live(*stages_, trace.samples);
   const bool semantic = trace.semantic_rays > 0 && !d_logits.empty();
-  SEMFIELD_CHECK(!semantic || !branch_, "gradients of a branch are branch_backward's");
+  SEMFIELD_CHECK(!semantic || !branched_, "gradients of a branch are branch_backward's");
   const bool deferred = rules_.deferred_class_layer, rounded = !trace.rounded_hidden.empty();
   const bool moves_density = !rules_.semantics.stop_gradient_to_density;
   const View<Real> d_sigma = arena.take<Real>(count, 1), d_rgb = arena.take<Real>(count, 3);
@@ -333,8 +278,8 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
     if (deferred) {
       const View<Real> d_ray_hidden = arena.take<Real>(trace.semantic_rays, parts_.head->hidden_width());
       const View<Real> d_opacity = arena.take<Real>(trace.semantic_rays, 1);
-      parts_.head->class_backward(ctx, head_tensors(lane), trace.ray_hidden,
-                                  trace.opacity.row_range(0, trace.semantic_rays), d_logits, d_ray_hidden, d_opacity);
+      parts_.head->output_backward(ctx, head_tensors(lane), trace.semantic.ray_hidden,
+                                   trace.opacity.row_range(0, trace.semantic_rays), d_logits, d_ray_hidden, d_opacity);
       grad.hidden = d_ray_hidden;
       if (moves_density) grad.opacity = d_opacity;
     }
@@ -347,7 +292,7 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
       grad.dots = dots;
       grad.hidden = {};
     } else {
-      in.hidden = deferred ? trace.hidden : trace.sample_logits;
+      in.hidden = deferred ? trace.semantic.hidden : trace.semantic.sample_rows;
       d_per_sample = arena.take<Real>(trace.semantic_samples, in.hidden.cols);
     }
   }
@@ -371,12 +316,12 @@ void Pass<Real>::hidden_backward(const StepContext& ctx, int lane, const PassTra
   View<Real> d_hidden = d_per_sample;
   if (!rules_.deferred_class_layer) {
     d_hidden = arena.take<Real>(rows, parts_.head->hidden_width());
-    parts_.head->class_backward(ctx, head_tensors(lane), trace.hidden, {}, d_per_sample, d_hidden, {});
+    parts_.head->output_backward(ctx, head_tensors(lane), trace.semantic.hidden, {}, d_per_sample, d_hidden, {});
   }
   const View<Real> d_feature = arena.take<Real>(count, parts_.field->traits().feature_dims);
   stages_->fill(d_feature.row_range(rows, count - rows), Real(0));
-  parts_.head->hidden_backward(ctx, head_tensors(lane), trace.out.feature.row_range(0, rows), trace.hidden, d_hidden,
-                               d_feature.row_range(0, rows));
+  parts_.head->hidden_backward(ctx, head_tensors(lane), trace.out.feature.row_range(0, rows), trace.semantic.hidden,
+                               d_hidden, d_feature.row_range(0, rows));
   grad.feature = d_feature;
 }
 

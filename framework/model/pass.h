@@ -9,12 +9,11 @@
 #include <vector>
 
 #include "core/workspace_pool.h"
+#include "model/branched_head.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
 #include "model/domain_map.h"
 #include "model/render_rules.h"
-#include "model/semantic_branch.h"
-#include "model/semantic_head.h"
 #include "model/stages.h"
 #include "model/tensor_store.h"
 #include "plugin/encoder.h"
@@ -24,6 +23,18 @@
 
 namespace semfield {
 
+/// Most heads of a pass beside that of class logits.
+inline constexpr std::size_t kMostHeads = 4;
+
+/// A head beside that of class logits.
+template <class Real>
+struct HeadParts {
+  std::string channel;            ///< that it makes
+  std::int32_t source_width = 0;  ///< columns of the dataset's channel, of which it makes principal axes; 0: the same
+  std::unique_ptr<Head<Real>> head;
+  std::unique_ptr<BranchParts<Real>> branch;
+};
+
 template <class Real>
 struct PassParts {
   std::string name;
@@ -32,8 +43,9 @@ struct PassParts {
   std::unique_ptr<Encoder<Real>> position;
   std::unique_ptr<Encoder<Real>> direction;  ///< null: the view branch is left out
   std::unique_ptr<Field<Real>> field;
-  std::unique_ptr<SemanticHead<Real>> head;           ///< null: no semantics
-  std::unique_ptr<SemanticBranchParts<Real>> branch;  ///< null: the head reads the field's feature
+  std::unique_ptr<Head<Real>> head;           ///< of class logits; null: no semantics
+  std::unique_ptr<BranchParts<Real>> branch;  ///< null: that head reads the field's feature
+  std::vector<HeadParts<Real>> heads;         ///< others
   DomainMap domain;
   const Stages<Real>* stages = &processor_stages<Real>();  ///< of the device that all parts were built for
 };
@@ -51,24 +63,23 @@ struct PassTrace {
   Saved saved;
   std::int64_t semantic_rays = 0;     ///< rays 0..n-1 carry semantics
   std::int64_t semantic_samples = 0;  ///< their samples come first
-  SemanticBranchTrace<Real> branch;  ///< of a pass with a branch: its kept samples stand for the semantic samples below
-  View<Real> hidden;                 ///< [semantic_samples, H]
-  View<Bf16> rounded_hidden;         ///< the same in bf16, in its place, where head and field exchange such numbers
-  View<Real> sample_logits;          ///< [semantic_samples, C]; only with the deferral switched off
-  View<Real> ray_hidden;             ///< [semantic_rays, H]
-  // Results a ray.
+  bool with_heads = false;            ///< PassRequest::heads
+  /// Of class logits, the rows; without a branch its samples are the semantic samples.
+  HeadTrace<Real> semantic;
+  View<Bf16> rounded_hidden;  ///< semantic.hidden in bf16, in its place, where head and field exchange such numbers
+  std::array<HeadTrace<Real>, kMostHeads> heads;  ///< of PassParts::heads, where they are wanted
+  // Results per ray.
   View<Real> color;    ///< [R, 3]
   View<Real> depth;    ///< [R, 1] metres along the ray
   View<Real> opacity;  ///< [R, 1]
-  View<Real> logits;   ///< [semantic_rays, C]
 };
 
 /// What Pass::point_forward leaves for point_backward.
 template <class Real>
 struct PointTrace {
-  SemanticBranchTrace<Real> branch;  ///< of a pass with a branch
-  View<const Real> feature;          ///< [N, F] that the head read
-  View<Real> hidden;                 ///< [N, H]
+  BranchTrace<Real> branch;  ///< of a pass with a branch
+  View<const Real> feature;  ///< [N, F] that the head read
+  View<Real> hidden;         ///< [N, H]
 };
 
 /// Coordinates and gradients at encoder outputs that a lane's tiles leave for the scatter after them.
@@ -96,25 +107,9 @@ struct SampledTile {
 struct PassRequest {
   std::int64_t semantic_rays = 0;  ///< the first rays of the call, which get logits
   bool colors = true;              ///< false: weights alone are wanted, for a later pass
+  bool heads = false;              ///< channels of PassParts::heads are wanted, of every ray
   std::int64_t room = 0;  ///< for samples, on a device (SamplerTraits::keeps_to_room); 0: for as many as there can be
 };
-
-/// What losses see of a pass.
-template <class Real>
-RayValues<Real> values_of(View<const double> near_far, const PassTrace<Real>& trace) {
-  RayValues<Real> values;
-  values.near_far = near_far;
-  values.first = trace.samples.first;
-  values.t = trace.samples.t;
-  values.delta = trace.samples.delta;
-  values.sigma = trace.sigma;
-  values.weight = trace.weight;
-  values.color = trace.color;
-  values.depth = trace.depth;
-  values.opacity = trace.opacity;
-  if (!trace.logits.empty()) values.heads.set(channel::logits, trace.logits);
-  return values;
-}
 
 /// Samples that a ray advances in rendering before early stop is tested.
 inline constexpr std::int64_t kRoundSamples = 8;
@@ -132,11 +127,13 @@ class Pass {
     return parts_.sampler->capacity(1, previous_per_ray);
   }
   bool scatters() const { return encoder_learns_; }
-  bool has_branch() const { return branch_.has_value(); }
+  bool has_branch() const { return branched_.has_value(); }
+  /// What losses see of it; channels of heads are those that were computed.
+  RayValues<Real> values_of(View<const double> near_far, const PassTrace<Real>& trace) const;
 
   /// Everything of the rays, in ctx.workspace (the caller's scope keeps it until backward is done). A value of a stage
-  /// that is not finite is a fault: RayFault on a processor (model/ray_guard.h). In training a pass with a branch
-  /// leaves the logits to branch_forward.
+  /// that is not finite is a fault: RayFault on a CPU (model/ray_guard.h). In training a pass leaves what stands behind
+  /// branches to branch_forward and heads_forward.
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const Proposal<Real>* previous,
                           std::int64_t previous_per_ray, const PassRequest& request) const;
 
@@ -161,6 +158,13 @@ class Pass {
   /// so both may run beside it, with a workspace of their own.
   void branch_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const;
   void branch_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_logits) const;
+  /// The same of the other heads, of every ray: d_heads has a view [R, C] per head, by its channel.
+  void heads_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const;
+  void heads_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
+                      const ChannelTable<const Real>& d_heads) const;
+
+  /// [source_width, C] of a head that makes principal axes of a channel: state, which the framework fills; else empty.
+  View<Real> axes(std::string_view channel) const;
 
   /// Encoder scatter of gradients dy [N, Dp] at coordinates x [N, 3]; outside parallel regions.
   void scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const;
@@ -200,19 +204,28 @@ class Pass {
                        FieldGrad<Real>& grad) const;
   void rounded_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_ray_hidden,
                         View<Real> dots, FieldGrad<Real>& grad) const;
-  /// True when the field's feature is wanted of every sample.
-  bool wants_feature() const { return parts_.head && (!branch_ || branch_->rules().reads_feature); }
+  /// True when the field's feature is wanted of every sample of the rays with semantics, or of all rays.
+  bool wants_feature() const { return parts_.head && (!branched_ || branched_->branch().rules().reads_feature); }
+  bool heads_want_feature() const;
+  bool wants_feature(const PassTrace<Real>& trace) const {
+    return (trace.semantic_rays > 0 && wants_feature()) || (trace.with_heads && heads_want_feature());
+  }
+  BranchCall<Real> branch_call(const Rays<Real>& rays, const PassTrace<Real>& trace, std::int64_t count) const;
   /// How field and head exchange it in training and rendering, without a branch.
-  FeatureForm feature_form() const;
+  FeatureForm feature_form(const PassTrace<Real>& trace) const;
   CompositeIn<Real> composite_in(const PassTrace<Real>& trace) const;
   DensityRule density_rule(const StepContext& ctx) const;
   GuardPlace<Real> place(const StepContext& ctx, const Samples<Real>& samples) const {
     return {parts_.name, ctx.first_ray, &samples};
   }
-  Tensors<Real> head_tensors(int lane) const { return store_->tensors(head_, lane); }
+  Tensors<Real> head_tensors(int lane) const {
+    return branched_ ? branched_->tensors(lane) : store_->tensors(head_, lane);
+  }
 
   PassParts<Real> parts_;
-  std::optional<SemanticBranch<Real>> branch_;
+  std::optional<BranchedHead<Real>> branched_;  // of class logits
+  std::vector<BranchedHead<Real>> heads_;       // of PassParts::heads, in their order
+  std::vector<int> axes_;                       // of each; -1: none
   RenderRules rules_;
   TensorStore<Real>* store_;
   const Stages<Real>* stages_;

@@ -74,7 +74,7 @@ void Pass<Real>::point_colors(const StepContext& ctx, View<const double> positio
 template <class Real>
 std::int32_t Pass<Real>::point_dims() const {
   const std::int32_t feature = parts_.field->traits().feature_dims;
-  return branch_ ? branch_->input_dims(feature) : feature;
+  return branched_ ? branched_->branch().input_dims(feature) : feature;
 }
 
 template <class Real>
@@ -84,10 +84,10 @@ void Pass<Real>::point_rows(const StepContext& ctx, View<const double> positions
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
   std::int32_t of_position = 0;
-  if (branch_) {
-    of_position = branch_->input_dims(0);
-    branch_->encode_points(ctx, positions, rows);
-    if (!branch_->rules().reads_feature) return;
+  if (branched_) {
+    of_position = branched_->branch().input_dims(0);
+    branched_->branch().encode_points(ctx, positions, rows);
+    if (!branched_->branch().rules().reads_feature) return;
   }
   const View<double> x = arena.take<double>(positions.rows, 3);
   stages_->map_positions(positions, parts_.domain, x);
@@ -106,8 +106,8 @@ void Pass<Real>::point_rows(const StepContext& ctx, View<const double> positions
 template <class Real>
 PointTrace<Real> Pass<Real>::point_forward(const StepContext& ctx, int lane, View<Real> rows, View<Real> logits) const {
   PointTrace<Real> trace;
-  if (branch_) {
-    trace.branch = branch_->forward_points(ctx, lane, rows);
+  if (branched_) {
+    trace.branch = branched_->branch().forward_points(ctx, lane, rows);
     trace.feature = trace.branch.feature;
   } else {
     trace.feature = rows;
@@ -115,7 +115,7 @@ PointTrace<Real> Pass<Real>::point_forward(const StepContext& ctx, int lane, Vie
   const Tensors<Real> head = head_tensors(lane);
   trace.hidden = ctx.workspace->take<Real>(rows.rows, parts_.head->hidden_width());
   parts_.head->hidden_forward(ctx, head, trace.feature, trace.hidden);
-  parts_.head->class_forward(ctx, head, trace.hidden, {}, logits);
+  parts_.head->output_forward(ctx, head, trace.hidden, {}, logits);
   return trace;
 }
 
@@ -127,9 +127,9 @@ void Pass<Real>::point_backward(const StepContext& ctx, int lane, const PointTra
   const Tensors<Real> head = head_tensors(lane);
   const View<Real> d_hidden = arena.take<Real>(d_logits.rows, trace.hidden.cols);
   const View<Real> d_feature = arena.take<Real>(d_logits.rows, trace.feature.cols);
-  parts_.head->class_backward(ctx, head, trace.hidden, {}, d_logits, d_hidden, {});
+  parts_.head->output_backward(ctx, head, trace.hidden, {}, d_logits, d_hidden, {});
   parts_.head->hidden_backward(ctx, head, trace.feature, trace.hidden, d_hidden, d_feature);
-  if (branch_) branch_->backward(ctx, lane, trace.branch, d_feature);
+  if (branched_) branched_->branch().backward(ctx, lane, trace.branch, d_feature);
 }
 
 #define SEMFIELD_INSTANTIATE(Real)                                                                               \

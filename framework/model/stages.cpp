@@ -11,8 +11,8 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "losses/semantic_cross_entropy.h"
+#include "model/head_branch.h"
 #include "model/ray_guard.h"
-#include "model/semantic_branch.h"
 
 namespace semfield {
 
@@ -59,7 +59,7 @@ void add(View<const Real> from, View<Real> to) {
 
 template <class Real>
 void keep(Workspace& arena, const Samples<Real>& samples, View<const Real> weight, Real least, std::int64_t,
-          SemanticBranchTrace<Real>& trace) {
+          BranchTrace<Real>& trace) {
   const std::int64_t rays = trace.share.rows;
   const std::int32_t all = samples.first(rays, 0);
   Samples<Real>& kept = trace.samples;
@@ -90,7 +90,7 @@ void keep(Workspace& arena, const Samples<Real>& samples, View<const Real> weigh
 }
 
 template <class Real>
-void join(const SemanticBranchTrace<Real>& trace, View<const Real> position, View<const Real> feature) {
+void join(const BranchTrace<Real>& trace, View<const Real> position, View<const Real> feature) {
   for (std::int64_t k = 0; k < trace.samples.count; ++k) {
     std::copy_n(position.row(k), position.cols, trace.input.row(k));
     if (!feature.empty())
@@ -222,7 +222,7 @@ void guard_density_at(View<const double> positions, View<const Real> raw, View<c
 template <class Real>
 Stages<Real> make_stages() {
   Stages<Real> s;
-  s.head = &processor_head_kernels<Real>();
+  s.head = &cpu_head_kernels<Real>();
   s.density_batch = kDensityBatch;
   s.copy = copy;
   s.locate = locate<Real>;

@@ -8,15 +8,15 @@
 #include "model/compositor.h"
 #include "model/density_activation.h"
 #include "model/domain_map.h"
-#include "model/head_kernels.h"
 #include "model/opacity_resolution.h"
 #include "optim/adam.h"
+#include "plugin/head/head_kernels.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
 
 template <class Real>
-struct SemanticBranchTrace;
+struct BranchTrace;
 
 /// Values that the end of a stage looks at.
 enum class Guarded : std::uint8_t {
@@ -103,9 +103,9 @@ struct Stages {
   /// Of the semantic branch. keep: samples of the first trace.share.rows rays with weight >= least and > 0, in order,
   /// at most `most`; fills trace.samples, source, weight and share in `arena`.
   void (*keep)(Workspace& arena, const Samples<Real>& samples, View<const Real> weight, Real least, std::int64_t most,
-               SemanticBranchTrace<Real>& trace) = nullptr;
+               BranchTrace<Real>& trace) = nullptr;
   /// trace.input = [position, row `source` of feature]; feature may be empty.
-  void (*join)(const SemanticBranchTrace<Real>& trace, View<const Real> position, View<const Real> feature) = nullptr;
+  void (*join)(const BranchTrace<Real>& trace, View<const Real> position, View<const Real> feature) = nullptr;
   /// to = from with a share of its values set to 0 and the others divided by 1 - share (dropout_factors).
   void (*drop_out)(const Dropout& rule, const Samples<Real>& samples, View<const Real> from, View<Real> to) = nullptr;
   /// out [R, H] = sum over each ray's samples of weight [K, 1] times values [K, H].
@@ -115,7 +115,7 @@ struct Stages {
   void (*sum_by_weight_backward)(const Samples<Real>& samples, View<const Real> weight, View<const Real> d_out,
                                  View<Real> d_values) = nullptr;
 
-  /// Of heads that take activations in bf16 (SemanticHead::takes_rounded); else null.
+  /// Of heads that take activations in bf16 (Head::takes_rounded); else null.
   void (*rounded_sum)(const Samples<Real>& samples, View<const Real> weight, View<const Bf16> hidden,
                       View<Real> out) = nullptr;
   void (*rounded_sum_backward)(const Samples<Real>& samples, const RoundedSumBackward<Real>& call) = nullptr;

@@ -20,6 +20,8 @@ std::string_view precision_name(Precision precision);
 
 /// Owner of the kernels of plugin/mlp.
 inline constexpr std::string_view kMlpOwner = "network 'mlp'";
+/// Owner of those of plugin/head.
+inline constexpr std::string_view kHeadOwner = "network 'head'";
 
 /// Tables are keyed by their own type (e.g. WavesKernels<float>), device and precision; a plugin's `*_cpu.cpp` adds
 /// the CPU ones, its `*_cuda.cu`, when built, the CUDA ones. Kernels without matrix products have fp32 tables alone.

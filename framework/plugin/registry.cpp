@@ -15,6 +15,8 @@ std::string_view kind_name(PluginKind kind) {
       return "sampler";
     case PluginKind::dataset:
       return "dataset";
+    case PluginKind::head:
+      return "head";
     case PluginKind::loss:
       return "loss";
     case PluginKind::label_reader:
@@ -35,6 +37,8 @@ std::string_view kind_folder(PluginKind kind) {
       return "samplers";
     case PluginKind::dataset:
       return "datasets";
+    case PluginKind::head:
+      return "heads";
     case PluginKind::loss:
       return "losses";
     case PluginKind::label_reader:
@@ -45,7 +49,11 @@ std::string_view kind_folder(PluginKind kind) {
   return "plugins";
 }
 
-Registry::Registry() { mlp_kernels(kernels_); }
+Registry::Registry() {
+  mlp_kernels(kernels_);
+  kernels_.add(Device::cpu, kHeadOwner, &cpu_head_kernels<float>());
+  kernels_.add(Device::cpu, kHeadOwner, &cpu_head_kernels<double>());
+}
 
 void Registry::add(PluginEntry entry) {
   entry.module = current_module_;

@@ -16,6 +16,7 @@
 #include "plugin/dataset.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
+#include "plugin/head/one_layer_head.h"
 #include "plugin/kernels.h"
 #include "plugin/loss.h"
 #include "plugin/sampler.h"
@@ -27,11 +28,11 @@ class Degradation;
 template <class Real>
 class MlpField;
 
-enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset, loss, label_reader, degradation };
+enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset, head, loss, label_reader, degradation };
 /// In the order of documents.
-inline constexpr std::array kPluginKinds{PluginKind::encoder,    PluginKind::field, PluginKind::sampler,
-                                         PluginKind::dataset,    PluginKind::loss,  PluginKind::label_reader,
-                                         PluginKind::degradation};
+inline constexpr std::array kPluginKinds{PluginKind::encoder,      PluginKind::field,      PluginKind::sampler,
+                                         PluginKind::dataset,      PluginKind::head,       PluginKind::loss,
+                                         PluginKind::label_reader, PluginKind::degradation};
 std::string_view kind_name(PluginKind kind);
 /// "encoders", as the folder of its plugins is named.
 std::string_view kind_folder(PluginKind kind);
@@ -133,6 +134,8 @@ struct PluginEntry {
       sampler32;
   std::function<std::unique_ptr<Sampler<double>>(const PluginParams&, const SamplerBuild&, const KernelTables&)>
       sampler64;
+  std::function<std::unique_ptr<Head<float>>(const PluginParams&, const HeadBuild&, const KernelTables&)> head32;
+  std::function<std::unique_ptr<Head<double>>(const PluginParams&, const HeadBuild&, const KernelTables&)> head64;
   std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
   std::function<std::unique_ptr<Loss>(const PluginParams&)> loss;
   std::function<std::unique_ptr<LabelReader>(const PluginParams&)> label_reader;
@@ -177,6 +180,16 @@ class Registry {
     PluginEntry e = entry<Params>(PluginKind::sampler, std::move(name), std::move(summary));
     e.sampler32 = maker<Sampler<float>, Impl<float>, Params, SamplerBuild>();
     e.sampler64 = maker<Sampler<double>, Impl<double>, Params, SamplerBuild>();
+    add(std::move(e));
+  }
+  /// The same for heads. One that is a OneLayerHead has kernels where that has some.
+  template <template <class> class Impl, class Params>
+  void add_head(std::string name, std::string summary) {
+    PluginEntry e = entry<Params>(PluginKind::head, std::move(name), std::move(summary));
+    e.head32 = maker<Head<float>, Impl<float>, Params, HeadBuild>();
+    e.head64 = maker<Head<double>, Impl<double>, Params, HeadBuild>();
+    if constexpr (std::is_base_of_v<OneLayerHead<float>, Impl<float>>)
+      kernels_.compose("head '" + e.name + "'", kHeadOwner, false);
     add(std::move(e));
   }
   /// Impl(const Params&, const DatasetBuild&).

@@ -12,9 +12,9 @@
 #include "serve/named_places.h"
 #include "serve/point_learner.h"
 #include "serve/proposals.h"
+#include "session/training.h"
 #include "surface/surface_graph.h"
 #include "surface/surface_pool.h"
-#include "session/training.h"
 
 namespace semfield {
 

@@ -73,7 +73,7 @@ struct PointLearner::Batch {
 
 PointLearner::PointLearner(Pipeline<float>& pipeline) : pipeline_(pipeline) {
   SEMFIELD_CHECK(pipeline.has_semantics(), "points are learned by a network with semantics");
-  classes_ = pass().parts().head->classes();
+  classes_ = pass().parts().head->width();
   for (Tensor<float>& tensor : pipeline.store().all())
     if (tensor.rule.semantic && tensor.grad.size() > 0) tensors_.push_back(&tensor);
 }

@@ -68,29 +68,56 @@ std::vector<std::string> smooth_encoders(const Registry& registry) {
   return names;
 }
 
+// What the parts of a pass are made for.
+struct PassBuild {
+  const RunConfig& config;
+  const Registry& registry;
+  const BuildPlan& plan;
+  const SceneExtent& extent;
+  Device device;
+};
+
+// The plugins of a branch, which are below `key` in the configuration.
+struct BranchSlots {
+  std::string key;
+  const PluginSlot& position;
+  const PluginSlot& field;
+  const BranchRules& rules;
+};
+
 template <class Real>
-std::unique_ptr<SemanticBranchParts<Real>> make_branch(const PassConfig& pass, const RunConfig& config,
-                                                       const Registry& registry, const SceneExtent& extent,
-                                                       Device device, std::int32_t feature_dims) {
-  const SemanticBranchConfig& branch = *pass.branch();
-  auto parts = std::make_unique<SemanticBranchParts<Real>>();
+std::unique_ptr<BranchParts<Real>> make_branch(const BranchSlots& branch, const PassBuild& build,
+                                               std::int32_t feature_dims) {
+  auto parts = std::make_unique<BranchParts<Real>>();
   parts->rules = branch.rules;
   parts->position =
-      make_encoder<Real>(branch.position, registry, extent, false, device, pass.key + "." + branch.key + ".position");
+      make_encoder<Real>(branch.position, build.registry, build.extent, false, build.device, branch.key + ".position");
   if (declared_bytes<Real>(*parts->position, 1, true).learns) {
     throw Error(ErrorKind::config,
-                pass.key + "." + branch.key + ".position: '" + branch.position.entry->name +
+                branch.key + ".position: '" + branch.position.entry->name +
                     "' has learned tensors, and the branch is to be smoother than such tables",
-                "choose an encoder without learned tensors: " + join(smooth_encoders(registry)));
+                "choose an encoder without learned tensors: " + join(smooth_encoders(build.registry)));
   }
-  parts->domain =
-      DomainMap::make(parts->position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
-  FieldBuild build;
-  build.device = device;
-  build.position_dims = parts->position->traits().out_dims + (branch.rules.reads_feature ? feature_dims : 0);
-  build.feature_only = true;
-  build.precision = config.runtime.precision;
-  parts->field = make<Real>(branch.field.entry->field32, branch.field.entry->field64, branch.field, build, registry);
+  parts->domain = DomainMap::make(parts->position->traits().domain, build.extent.bounds,
+                                  build.config.rendering.scene_scale, build.extent.contracted);
+  FieldBuild field;
+  field.device = build.device;
+  field.position_dims = parts->position->traits().out_dims + (branch.rules.reads_feature ? feature_dims : 0);
+  field.feature_only = true;
+  field.precision = build.config.runtime.precision;
+  parts->field =
+      make<Real>(branch.field.entry->field32, branch.field.entry->field64, branch.field, field, build.registry);
+  return parts;
+}
+
+template <class Real>
+HeadParts<Real> make_head(const HeadConfig& head, const PassBuild& build, std::int32_t feature_dims) {
+  HeadParts<Real> parts;
+  parts.channel = head.channel;
+  parts.source_width = head.source_width;
+  parts.branch = make_branch<Real>({head.key + ".branch", head.position, head.field, head.rules}, build, feature_dims);
+  const HeadBuild own{build.device, parts.branch->field->traits().feature_dims, head.width};
+  parts.head = make<Real>(head.head.entry->head32, head.head.entry->head64, head.head, own, build.registry);
   return parts;
 }
 
@@ -107,37 +134,50 @@ std::unique_ptr<Sampler<Real>> make_sampler(const PluginSlot& slot, const Regist
 
 // `sampler` as in make_parts, null for the earlier passes.
 template <class Real>
-PassParts<Real> make_pass(const PassConfig& pass, const RunConfig& config, const Registry& registry,
-                          const BuildPlan& plan, const SceneExtent& extent, Device device,
-                          std::unique_ptr<Sampler<Real>> sampler) {
+PassParts<Real> make_pass(std::size_t number, const PassBuild& build, std::unique_ptr<Sampler<Real>> sampler) {
+  const RunConfig& config = build.config;
+  const Registry& registry = build.registry;
+  const PassConfig& pass = config.passes[number];
+  const SceneExtent& extent = build.extent;
+  const bool last = number + 1 == config.passes.size(), semantics = build.plan.semantics;
   PassParts<Real> parts;
   parts.name = pass.name;
-  parts.stages = &stages_of<Real>(device);
-  parts.sampler = sampler ? std::move(sampler) : make_sampler<Real>(pass.sampler, registry, extent, device);
-  parts.position = make_encoder<Real>(pass.position, registry, extent, false, device, pass.key + ".position");
+  parts.number = static_cast<std::uint32_t>(number);
+  parts.stages = &stages_of<Real>(build.device);
+  parts.sampler = sampler ? std::move(sampler) : make_sampler<Real>(pass.sampler, registry, extent, build.device);
+  parts.position = make_encoder<Real>(pass.position, registry, extent, false, build.device, pass.key + ".position");
   parts.domain =
       DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
   FieldBuild field_build;
-  field_build.device = device;
+  field_build.device = build.device;
   field_build.position_dims = parts.position->traits().out_dims;
-  if (plan.view_branch && pass.direction.entry != nullptr) {
-    parts.direction = make_encoder<Real>(pass.direction, registry, extent, true, device, pass.key + ".direction");
+  if (build.plan.view_branch && pass.direction.entry != nullptr) {
+    parts.direction = make_encoder<Real>(pass.direction, registry, extent, true, build.device, pass.key + ".direction");
     field_build.direction_dims = parts.direction->traits().out_dims;
   }
-  const bool by_branch = plan.semantics && pass.branch() != nullptr;
-  field_build.wants_feature = plan.semantics && (!by_branch || pass.branch()->rules.reads_feature);
+  const bool by_branch = semantics && pass.branch() != nullptr;
+  const bool heads_read = last && std::any_of(config.heads.begin(), config.heads.end(),
+                                              [](const HeadConfig& head) { return head.rules.reads_feature; });
+  field_build.wants_feature = heads_read || (semantics && (!by_branch || pass.branch()->rules.reads_feature));
   field_build.savings = {config.runtime.fold_feature_layer, config.runtime.direction_once_per_ray,
                          config.runtime.deferred_class_layer};
   field_build.precision = config.runtime.precision;
   parts.field = make<Real>(pass.field.entry->field32, pass.field.entry->field64, pass.field, field_build, registry);
-  if (!plan.semantics) return parts;
+  const std::int32_t feature_dims = parts.field->traits().feature_dims;
+  for (std::size_t h = 0; last && h < config.heads.size(); ++h)
+    parts.heads.push_back(make_head<Real>(config.heads[h], build, feature_dims));
+  if (!semantics) return parts;
   const Field<Real>* read = parts.field.get();
   if (by_branch) {
-    parts.branch = make_branch<Real>(pass, config, registry, extent, device, read->traits().feature_dims);
+    const SemanticBranchConfig& branch = *pass.branch();
+    parts.branch = make_branch<Real>({pass.key + "." + branch.key, branch.position, branch.field, branch.rules}, build,
+                                     feature_dims);
     read = parts.branch->field.get();
   }
-  const HeadShape shape{read->traits().feature_dims, config.semantics.hidden_width,
-                        static_cast<std::int32_t>(plan.class_of_logit.size()), config.runtime.precision};
+  const HeadShape shape{.feature = read->traits().feature_dims,
+                        .hidden = config.semantics.hidden_width,
+                        .width = static_cast<std::int32_t>(build.plan.class_of_logit.size()),
+                        .precision = config.runtime.precision};
   parts.head = std::make_unique<OneLayerHead<Real>>(shape, *parts.stages->head);
   return parts;
 }
@@ -146,13 +186,13 @@ template <class Real>
 std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                                          const SceneExtent& extent, Device device,
                                          std::unique_ptr<Sampler<Real>> last = {}) {
+  const PassBuild build{config, registry, plan, extent, device};
   std::vector<PassParts<Real>> passes;
   for (std::size_t p = static_cast<std::size_t>(plan.first_pass); p < config.passes.size(); ++p) {
     const PassConfig& pass = config.passes[p];
     std::unique_ptr<Sampler<Real>> sampler;
     if (p + 1 == config.passes.size()) sampler = std::move(last);
-    passes.push_back(make_pass<Real>(pass, config, registry, plan, extent, device, std::move(sampler)));
-    passes.back().number = static_cast<std::uint32_t>(p);
+    passes.push_back(make_pass<Real>(p, build, std::move(sampler)));
     if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
       throw Error(ErrorKind::config,
                   pass.key + ".sampler: '" + pass.sampler.entry->name +
@@ -210,6 +250,7 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry, co
     const bool is_named = named != config.losses.end();
     request.losses.push_back({entry->name, entry->saves, is_named, is_named ? named->loss->traits() : LossTraits{}});
   }
+  for (const HeadConfig& head : config.heads) request.heads.push_back(head.channel);
   request.balance_classes = config.semantics.balance_classes;
   request.mixed_precision = config.runtime.precision != Precision::fp32;
   request.periodic_evaluation = config.report.eval_every_s > 0;
@@ -248,6 +289,11 @@ std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent&
     pass.branch()->position.params->choose(build, chosen);
     for (const std::string& sentence : chosen)
       lines.push_back(pass.key + "." + pass.branch()->key + ".position: " + sentence);
+  }
+  for (HeadConfig& head : config.heads) {
+    std::vector<std::string> chosen;
+    head.position.params->choose(build, chosen);
+    for (const std::string& sentence : chosen) lines.push_back(head.key + ".branch.position: " + sentence);
   }
   return lines;
 }

@@ -42,9 +42,13 @@ std::string describe_session(const Session& s) {
                    p.branch()->field.entry->name;
         }
       }
-      add(fmt::format(
-          "pass      {}: {}{}", pass.parts().name, slots,
-          pass.parts().head ? fmt::format(", {} classes", pass.parts().head->classes()) : ", no semantics"));
+      add(fmt::format("pass      {}: {}{}", pass.parts().name, slots,
+                      pass.parts().head ? fmt::format(", {} classes", pass.parts().head->width()) : ", no semantics"));
+    }
+    for (const HeadConfig& head : s.config.heads) {
+      add(fmt::format("head      {}: {} columns{}, by {}, {} and {}", head.channel, head.width,
+                      head.source_width > 0 ? fmt::format(" (principal axes of {})", head.source_width) : "",
+                      head.head.entry->name, head.position.entry->name, head.field.entry->name));
     }
     add(fmt::format("learned   {} parameters; {} of {} rays, tiles of {}, {} lanes, {} threads",
                     s.pipeline->store().learned_count(),

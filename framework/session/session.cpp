@@ -12,8 +12,10 @@
 #include "formats/image_formats.h"
 #include "formats/image_io.h"
 #include "session/bounds_probe.h"
+#include "session/channel_axes.h"
 #include "session/ranks_session.h"
 #include "session/trained_classes.h"
+#include "settings/head_config.h"
 #include "settings/label_choices.h"
 #include "settings/loss_config.h"
 #include "settings/run_length.h"
@@ -120,10 +122,14 @@ void keep_components(RunConfig& config, const std::vector<std::string>& componen
 
 namespace {
 
-// What the plan leaves out stands in the configuration no more, so that a resume trains with the same terms.
-void drop_losses(Session& s) {
+// What the plan leaves out stands in the configuration no more, so that a resume trains the same heads by the same
+// terms.
+void drop_idle(Session& s) {
   std::erase_if(s.config.losses, [&](const LossEntry& entry) {
     return std::find(s.plan.no_losses.begin(), s.plan.no_losses.end(), entry.type) != s.plan.no_losses.end();
+  });
+  std::erase_if(s.config.heads, [&](const HeadConfig& head) {
+    return std::find(s.plan.no_heads.begin(), s.plan.no_heads.end(), head.channel) != s.plan.no_heads.end();
   });
 }
 
@@ -189,8 +195,10 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   for (const int f : s.scene.frames_of(Split::train))
     for (const FrameChannelInfo& one : s.scene.info.frames[static_cast<std::size_t>(f)].channels)
       request.channels.insert(one.name);
+  request.trained = options.known.has_value();
   s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
-  drop_losses(s);
+  drop_idle(s);
+  settle_heads(s.config, s.scene.info);
   choose_by_labels(s, make_labels, options.trainable, diagnostics);
   return s;
 }
@@ -231,6 +239,7 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
     class_weight = inverse_log_frequency_weights(pixels);
   }
   s.pipeline = assemble(std::move(parts), std::move(class_weight), options.trainable);
+  if (options.trainable) settle_axes(s);
   add_built_rows(built_parts(s, options.ranks), s.plan);
   if (options.ranks != nullptr) {
     lead(*options.ranks, s, registry, how);

@@ -8,6 +8,7 @@
 
 #include "core/findings.h"
 #include "plugin/check/module_file.h"
+#include "session/channel_axes.h"
 #include "session/trained_classes.h"
 #include "settings/run_identity.h"
 #include "system/checksum.h"
@@ -306,7 +307,9 @@ void Training::load(const std::string& path) {
                             path),
                 "call set_labels with the same labels before load");
   }
+  const std::vector<std::vector<float>> axes = axes_of(session_);
   trainer_.load(file, facts.step);
+  follow_axes(session_, axes);
   train_s_ = facts.train_s;
   start_pace();
 }

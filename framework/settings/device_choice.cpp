@@ -31,6 +31,11 @@ std::string part_without_kernels(const RunConfig& config, const Registry& regist
       if (!registry.kernels().has(device, owner)) return owner;
     }
   }
+  for (const HeadConfig& head : config.heads) {
+    for (const PluginSlot* slot : {&head.head, &head.position, &head.field})
+      if (std::string owner = owner_of(*slot); device != Device::cpu && !registry.kernels().has(device, owner))
+        return owner;
+  }
   for (const LossEntry& entry : config.losses) {
     std::string owner = "loss '" + entry.type + "'";
     if (device != Device::cpu && !registry.kernels().has(device, owner)) return owner;

@@ -7,12 +7,7 @@
 
 namespace semfield {
 
-void describe(ParamVisitor& visit, SemanticBranchConfig& branch) {
-  SEMFIELD_PARAM(
-      visit, branch, labels,
-      "in a list, the labels that this branch is for; noisy: neighbouring labels often differ; few: fewer than one "
-      "training pixel in 500 has a label; many: all others; any: every kind");
-  SemanticBranchRules& p = branch.rules;
+void describe(ParamVisitor& visit, BranchRules& p) {
   SEMFIELD_PARAM(visit, p, reads_feature,
                  "the branch reads the field's feature beside the position; no gradient goes back into the field");
   SEMFIELD_PARAM(
@@ -22,12 +17,20 @@ void describe(ParamVisitor& visit, SemanticBranchConfig& branch) {
       {0, 0.1});
   SEMFIELD_PARAM(visit, p, dropout, "share of the branch's feature set to 0 in a training step [Srivastava14]",
                  {0, 0.9});
-  SEMFIELD_PARAM(visit, p, learning_rate,
-                 "learning rate of branch and semantic head, as a factor of train.adam.learning_rate", {0, 1e3});
+  SEMFIELD_PARAM(visit, p, learning_rate, "learning rate of branch and head, as a factor of train.adam.learning_rate",
+                 {0, 1e3});
   SEMFIELD_PARAM(visit, p, weight_decay,
-                 "weight decay of branch and semantic head: a step subtracts the learning rate times this share of a "
+                 "weight decay of branch and head: a step subtracts the learning rate times this share of a "
                  "value [Loshchilov19]",
                  {0, 10});
+}
+
+void describe(ParamVisitor& visit, SemanticBranchConfig& branch) {
+  SEMFIELD_PARAM(
+      visit, branch, labels,
+      "in a list, the labels that this branch is for; noisy: neighbouring labels often differ; few: fewer than one "
+      "training pixel in 500 has a label; many: all others; any: every kind");
+  describe(visit, branch.rules);
 }
 
 PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,
@@ -71,15 +74,11 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
   return slot;
 }
 
-namespace {
-
-// {position, field} and the branch's own parameters.
-SemanticBranchConfig read_branch(const ConfigNode& node, const std::string& path, const Registry& registry,
-                                 Diagnostics& diagnostics) {
-  SemanticBranchConfig branch;
+bool read_branch_slots(const ConfigNode& node, const std::string& path, const Registry& registry, PluginSlot& position,
+                       PluginSlot& field, Diagnostics& diagnostics) {
   if (!node.is_map()) {
-    diagnostics.error(node.location().text(), path + ": expected a map {position, field, ...}, or a list of them");
-    return branch;
+    diagnostics.error(node.location().text(), path + ": expected a map {position, field, ...}");
+    return false;
   }
   const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out) {
     const ConfigNode* plugin = node.find(key);
@@ -89,9 +88,19 @@ SemanticBranchConfig read_branch(const ConfigNode& node, const std::string& path
     }
     out = read_slot(kind, *plugin, path + "." + key, registry, diagnostics);
   };
-  slot("position", PluginKind::encoder, branch.position);
-  slot("field", PluginKind::field, branch.field);
-  read_params(node, path, [&](ParamVisitor& visit) { describe(visit, branch); }, diagnostics, {"position", "field"});
+  slot("position", PluginKind::encoder, position);
+  slot("field", PluginKind::field, field);
+  return true;
+}
+
+namespace {
+
+// {position, field} and the branch's own parameters.
+SemanticBranchConfig read_branch(const ConfigNode& node, const std::string& path, const Registry& registry,
+                                 Diagnostics& diagnostics) {
+  SemanticBranchConfig branch;
+  if (read_branch_slots(node, path, registry, branch.position, branch.field, diagnostics))
+    read_params(node, path, [&](ParamVisitor& visit) { describe(visit, branch); }, diagnostics, {"position", "field"});
   return branch;
 }
 

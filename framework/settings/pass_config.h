@@ -12,6 +12,9 @@ namespace semfield {
 /// go to `diagnostics`, and the slot is then of no use.
 PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,
                      Diagnostics& diagnostics, const std::vector<std::string>& other_keys = {});
+/// The keys `position` and `field` of a branch; false where `node` is no map.
+bool read_branch_slots(const ConfigNode& node, const std::string& path, const Registry& registry, PluginSlot& position,
+                       PluginSlot& field, Diagnostics& diagnostics);
 /// The section `passes`.
 void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics);
 

@@ -9,6 +9,7 @@
 #include "core/device_id.h"
 #include "core/spelling.h"
 #include "plugin/loader.h"
+#include "settings/head_config.h"
 #include "settings/label_config.h"
 #include "settings/loss_config.h"
 #include "settings/pass_config.h"
@@ -150,7 +151,7 @@ std::vector<std::string> top_keys() {
     std::string key(path.substr(0, path.find('.')));
     if (std::find(keys.begin(), keys.end(), key) == keys.end()) keys.push_back(std::move(key));
   });
-  keys.insert(keys.end(), {"losses", "passes", "plugins", "name", "base_dir"});
+  keys.insert(keys.end(), {"heads", "losses", "passes", "plugins", "name", "base_dir"});
   return keys;
 }
 
@@ -300,7 +301,9 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
   validate_section(tree, "runtime", config.runtime, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);
   validate_section(tree, "propagate", config.propagate, diagnostics);
+  config.heads = read_heads(tree, registry, diagnostics);
   config.losses = read_losses(tree, registry, diagnostics);
+  check_heads_of_losses(config, diagnostics);
   read_passes(tree, registry, config, diagnostics);
   config.load.contracted = config.rendering.outside == Outside::contracted;
   return config;
@@ -333,6 +336,7 @@ ConfigNode resolved_config(const RunConfig& config) {
     tree = with_path(tree, path, section);
   });
   if (!config.schedule.legs.empty()) tree = with_path(tree, "train.schedule.legs", legs_config(config.schedule.legs));
+  if (!config.heads.empty()) tree = tree.with("heads", heads_config(config.heads));
   if (!config.losses.empty()) tree = tree.with("losses", losses_config(config.losses));
   std::vector<ConfigNode> passes;
   for (const PassConfig& pass : config.passes) passes.push_back(pass_config(pass));
@@ -361,6 +365,11 @@ std::vector<SectionDoc> describe_sections() {
                   "a network of its own for semantics, beside its plugins `position` and `field`, or a list of them "
                   "from which the training labels choose; without this section the head reads the pass's field",
                   describe_params([&](ParamVisitor& visit) { describe(visit, branch); }), true});
+  HeadConfig head;
+  docs.push_back({"heads[]", "heads beside that of class logits: each makes a channel that losses and renderings read",
+                  describe_params([&](ParamVisitor& visit) { describe(visit, head); })});
+  docs.push_back({"heads[].branch", "the head's own network, beside its plugins `position` and `field`",
+                  describe_params([&](ParamVisitor& visit) { describe(visit, head.rules); })});
   return docs;
 }
 

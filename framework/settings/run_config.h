@@ -15,8 +15,8 @@
 #include "labels/training_labels.h"
 #include "loading/frame_source.h"
 #include "losses/loss_list.h"
+#include "model/head_branch.h"
 #include "model/render_rules.h"
-#include "model/semantic_branch.h"
 #include "optim/adam.h"
 #include "optim/schedule.h"
 #include "plugin/registry.h"
@@ -100,12 +100,12 @@ struct ChoiceNames<LabelKind> {
   static constexpr std::array<std::string_view, 4> names{"any", "few", "noisy", "many"};
 };
 
-/// What a pass's semantic branch is beside its plugins (model/semantic_branch.h).
+/// What a pass's semantic branch is beside its plugins (model/head_branch.h).
 struct SemanticBranchConfig {
   std::string key = "semantic";  ///< below its pass: "semantic.few" when it is one of several
   LabelKind labels = LabelKind::any;
   PluginSlot position, field;
-  SemanticBranchRules rules;
+  BranchRules rules;
 };
 /// All but the plugins.
 void describe(ParamVisitor& visit, SemanticBranchConfig& branch);
@@ -119,6 +119,22 @@ struct PassConfig {
   const SemanticBranchConfig* branch() const { return semantic.empty() ? nullptr : &semantic.front(); }
 };
 
+/// A head beside that of class logits, behind a branch of the last pass.
+struct HeadConfig {
+  HeadConfig() { rules.reads_feature = false; }  // a field's feature is sharper than what heads are to learn
+  std::string key;       ///< as `--set` takes it: "heads.0"
+  std::string channel;   ///< that it makes; a dataset's channel of this name is what losses compare it with
+  int width = 0;         ///< its columns; 0 until the scene is known
+  int source_width = 0;  ///< columns of the dataset's channel, of which it learns principal axes; 0: those it has
+  PluginSlot head;
+  PluginSlot position, field;  ///< of its branch
+  BranchRules rules;
+};
+/// All but the plugins and the branch.
+void describe(ParamVisitor& visit, HeadConfig& head);
+/// Of any branch.
+void describe(ParamVisitor& visit, BranchRules& rules);
+
 struct RunConfig {
   std::string name;
   std::string base_dir;  ///< where relative paths of plugins start that no file anchors; absolute
@@ -126,6 +142,7 @@ struct RunConfig {
   LabelConfig labels;
   SceneLoadOptions load;
   SemanticsParams semantics;
+  std::vector<HeadConfig> heads;
   std::vector<LossEntry> losses;
   RenderingParams rendering;
   std::vector<PassConfig> passes;

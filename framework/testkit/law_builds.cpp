@@ -47,6 +47,8 @@ SamplerBuild sampler_build(Device device) {
   return build;
 }
 
+std::vector<HeadBuild> head_builds(Device device) { return {{device, 24, 7}, {device, 5, 1}}; }
+
 std::string text_of(const EncoderBuild& build) { return build.is_direction ? "directions" : "positions"; }
 
 std::string text_of(const FieldBuild& build) {
@@ -60,6 +62,8 @@ std::string text_of(const FieldBuild& build) {
 }
 
 std::string text_of(const SamplerBuild&) { return {}; }
+
+std::string text_of(const HeadBuild& build) { return build.width == 1 ? "one column" : "several columns"; }
 
 Twins<Encoder<float>, Encoder<double>> make_twins(const Registry& registry, const std::string& name,
                                                   const Settings& settings, const EncoderBuild& build) {
@@ -87,6 +91,15 @@ Twins<Sampler<float>, Sampler<double>> make_twins(const Registry& registry, cons
   SamplerBuild on_cpu = build;
   on_cpu.device = Device::cpu;
   return {entry.sampler32(*params, build, registry.kernels()), entry.sampler64(*params, on_cpu, registry.kernels())};
+}
+
+Twins<Head<float>, Head<double>> make_twins(const Registry& registry, const std::string& name, const Settings& settings,
+                                            const HeadBuild& build) {
+  const PluginEntry& entry = registry.get(PluginKind::head, name);
+  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
+  HeadBuild on_cpu = build;
+  on_cpu.device = Device::cpu;
+  return {entry.head32(*params, build, registry.kernels()), entry.head64(*params, on_cpu, registry.kernels())};
 }
 
 }  // namespace semfield::testkit

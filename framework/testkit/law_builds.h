@@ -22,11 +22,14 @@ std::vector<EncoderBuild> encoder_builds(Device device);
 /// kernels for the device.
 std::vector<FieldBuild> field_builds(const Registry& registry, const std::string& name, Device device);
 SamplerBuild sampler_build(Device device);
+/// Of one column and of many.
+std::vector<HeadBuild> head_builds(Device device);
 
 /// "directions", "bf16, no feature", "".
 std::string text_of(const EncoderBuild& build);
 std::string text_of(const FieldBuild& build);
 std::string text_of(const SamplerBuild& build);
+std::string text_of(const HeadBuild& build);
 
 /// Throws what factories throw; a refusal is an Error.
 Twins<Encoder<float>, Encoder<double>> make_twins(const Registry& registry, const std::string& name,
@@ -35,5 +38,7 @@ Twins<Field<float>, Field<double>> make_twins(const Registry& registry, const st
                                               const Settings& settings, const FieldBuild& build);
 Twins<Sampler<float>, Sampler<double>> make_twins(const Registry& registry, const std::string& name,
                                                   const Settings& settings, const SamplerBuild& build);
+Twins<Head<float>, Head<double>> make_twins(const Registry& registry, const std::string& name, const Settings& settings,
+                                            const HeadBuild& build);
 
 }  // namespace semfield::testkit

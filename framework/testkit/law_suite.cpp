@@ -31,6 +31,11 @@ Failures laws_of(const PluginEntry& entry, const Sampler<float>& single, const S
   return sampler_laws(single, oracle, build, options_of(entry, 24));
 }
 
+Failures laws_of(const PluginEntry& entry, const Head<float>& single, const Head<double>& oracle,
+                 const HeadBuild& build) {
+  return head_laws(single, oracle, build, options_of(entry, 12));
+}
+
 std::string text_of(const Settings& settings) {
   std::string text;
   for (const auto& [name, value] : settings) text += (text.empty() ? "" : " ") + name + "=" + value;
@@ -66,6 +71,7 @@ class Suite {
         if (entry->kind == PluginKind::field)
           check(*entry, settings, field_builds(registry_, entry->name, Device::cpu));
         if (entry->kind == PluginKind::sampler) check(*entry, settings, std::vector{sampler_build(Device::cpu)});
+        if (entry->kind == PluginKind::head) check(*entry, settings, head_builds(Device::cpu));
         if (entry->kind == PluginKind::dataset) check_dataset(*entry, settings);
         if (entry->kind == PluginKind::loss) check_loss(*entry, settings);
       }

@@ -71,6 +71,11 @@ Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sa
 Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings,
                       const SamplerBuild& build, const LawOptions& options = {});
 
+/// Every element written; the output linear in (activations, opacity), and without an opacity that of 1; gradients
+/// against central differences; gradients accumulate; rows independent (same bits); float agrees with double.
+Failures head_laws(const Head<float>& head32, const Head<double>& head64, const HeadBuild& build,
+                   const LawOptions& options = {});
+
 /// Of hard labels and, for a loss that reads labels, of soft ones: gradients against central differences of every value
 /// that it sees; moves what its traits say and nothing else; float agrees with double; gradients accumulate and have
 /// the scale, the loss has not; rays independent (same bits of gradients); no ray, no loss; without a target that it

@@ -12,8 +12,10 @@
 #include "python/core/arrays.h"
 #include "python/core/errors.h"
 #include "python/core/plugin_calls.h"
+#include "python/core/plugin_head.h"
 #include "python/core/plugin_loss.h"
 #include "python/core/plugin_params.h"
+#include "python/core/plugin_tensors.h"
 #include "python/core/scene_values.h"
 
 namespace semfield::python {
@@ -43,72 +45,33 @@ class PythonEncoder final : public Encoder<Real> {
       traits_.in_dims = build.in_dims;
       traits_.out_dims = made.attr("out_dims").template cast<std::int32_t>();
       traits_.domain = domain_of(made.attr("domain").template cast<std::string>(), owner_);
-      for (const auto& [tensor, spec] : made.attr("tensors").template cast<py::dict>()) {
-        TensorSpec declared;
-        declared.name = py::str(tensor).cast<std::string>();
-        declared.rows = spec.attr("rows").template cast<std::int64_t>();
-        declared.cols = spec.attr("cols").template cast<std::int32_t>();
-        declared.init = {spec.attr("low").template cast<double>(), spec.attr("high").template cast<double>()};
-        tensors_.push_back(std::move(declared));
-      }
+      tensors_ = PythonTensors<Real>(made);
       instance_ = hold(made);
     });
     if (traits_.out_dims <= 0) throw Error(ErrorKind::usage, owner_ + ": setup must set out_dims above 0");
   }
 
   EncoderTraits traits() const noexcept override { return traits_; }
-  void declare(ParamDeclarer& declarer) const override {
-    for (const TensorSpec& spec : tensors_) declarer.tensor(spec);
-  }
+  void declare(ParamDeclarer& declarer) const override { tensors_.declare(declarer); }
 
  protected:
   void do_forward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const override {
-    called(owner_ + ".forward", [&] {
-      const py::object answer = instance_->attr("forward")(borrowed(x), arrays(tensors.value));
-      take(answer, y, "forward");
-    });
+    called(owner_ + ".forward",
+           [&] { take(owner_ + ".forward", instance_->attr("forward")(borrowed(x), tensors_.values(tensors)), y); });
   }
   void do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
                    View<Real> dx) const override {
     called(owner_ + ".backward", [&] {
       const py::object answer =
-          instance_->attr("backward")(borrowed(x), borrowed(dy), arrays(tensors.value), gradients(tensors.grad));
-      if (!dx.empty()) take(answer, dx, "backward");
+          instance_->attr("backward")(borrowed(x), borrowed(dy), tensors_.values(tensors), tensors_.gradients(tensors));
+      if (!dx.empty()) take(owner_ + ".backward", answer, dx);
     });
   }
 
  private:
-  py::dict arrays(std::span<const View<Real>> views) const {
-    py::dict out;
-    for (std::size_t i = 0; i < tensors_.size(); ++i)
-      out[py::str(tensors_[i].name)] = borrowed(View<const Real>(views[i]));
-    return out;
-  }
-  py::dict gradients(std::span<const View<Real>> views) const {
-    py::dict out;
-    for (std::size_t i = 0; i < tensors_.size() && i < views.size(); ++i)
-      out[py::str(tensors_[i].name)] = borrowed(views[i]);
-    return out;
-  }
-  void take(const py::object& answer, View<Real> to, const char* what) const {
-    const py::array given = py::array::ensure(answer);
-    if (!given || given.ndim() != 2 || given.shape(0) != to.rows || given.shape(1) != to.cols) {
-      PyErr_Clear();
-      const std::string got =
-          given ? py::str(given.attr("shape")).cast<std::string>() : py::repr(answer.get_type()).cast<std::string>();
-      throw Error(ErrorKind::failure, owner_ + "." + what + ": expected an array of the shape (" +
-                                          std::to_string(to.rows) + ", " + std::to_string(to.cols) + "), got " + got);
-    }
-    if (std::string_view("fiub").find(given.dtype().kind()) == std::string_view::npos)
-      throw Error(ErrorKind::failure,
-                  owner_ + "." + what + ": expected real numbers, got " + py::str(given.dtype()).cast<std::string>());
-    py::array target = borrowed(to);
-    target[py::ellipsis()] = given;
-  }
-
   std::string owner_;
   EncoderTraits traits_;
-  std::vector<TensorSpec> tensors_;
+  PythonTensors<Real> tensors_;
   Held instance_;
 };
 
@@ -236,6 +199,18 @@ void add_dataset(const py::dict& declared) {
   add(std::move(entry));
 }
 
+void add_head(const py::dict& declared) {
+  PluginEntry entry = entry_of(declared, PluginKind::head);
+  const Held type = hold(declared["class"]);
+  entry.head32 = [type, name = entry.name](const PluginParams& p, const HeadBuild& build, const KernelTables&) {
+    return make_python_head<float>(name, *type, static_cast<const PythonParams&>(p), build);
+  };
+  entry.head64 = [type, name = entry.name](const PluginParams& p, const HeadBuild& build, const KernelTables&) {
+    return make_python_head<double>(name, *type, static_cast<const PythonParams&>(p), build);
+  };
+  add(std::move(entry));
+}
+
 void add_loss(const py::dict& declared) {
   PluginEntry entry = entry_of(declared, PluginKind::loss);
   entry.saves = "calls of Python";
@@ -262,9 +237,8 @@ void load_python_file(Registry& registry, const std::string& path) {
   }
   b.loading = outer;
   if (trial.entries().size() == before)
-    throw Error(
-        ErrorKind::unavailable, doing + ": it defines no plugin",
-        "decorate a class with @semfield.encoder(\"name\"), @semfield.dataset(\"name\") or @semfield.loss(\"name\")");
+    throw Error(ErrorKind::unavailable, doing + ": it defines no plugin",
+                "decorate a class with @semfield.encoder(\"name\"), .dataset, .head or .loss");
   trial.set_current_module({});
   trial.add_module_file(path);
   registry = std::move(trial);
@@ -287,6 +261,7 @@ RunConfig session_config_of(const ConfigNode& tree, Registry& registry) {
 void define_plugins(py::module_& module) {
   module.def("add_encoder", add_encoder);
   module.def("add_dataset", add_dataset);
+  module.def("add_head", add_head);
   module.def("add_loss", add_loss);
   module.def("load_plugin", [](const std::string& path) {
     Base& b = base();

@@ -280,7 +280,14 @@ py::dict PySession::annotations() const {
   return out;
 }
 
-py::dict PySession::render(const py::dict& camera, const py::object& pose, int stride, bool probability, int ordinal) {
+py::object PySession::channel_axes(const std::string& channel) {
+  const View<const float> axes = session().pipeline->passes().back().axes(channel);
+  if (axes.empty()) return py::none();
+  return array_of(std::vector<float>(axes.data, axes.data + axes.size()), {axes.rows, axes.cols});
+}
+
+py::dict PySession::render(const py::dict& camera, const py::object& pose, int stride, bool probability,
+                           const std::vector<std::string>& channels, int ordinal) {
   const RayCamera view{camera_of(camera), pose_of(pose, "render"), true};
   Diagnostics found;
   check_camera(view.camera, "render", found);
@@ -291,6 +298,7 @@ py::dict PySession::render(const py::dict& camera, const py::object& pose, int s
   options.stride = stride;
   options.probability = probability;
   options.classes = session().classes();
+  options.channels = channels;
   Interrupt interrupt;
   options.progress = [&](double) {
     if (interrupt.came()) interrupt.raise();
@@ -311,6 +319,10 @@ py::dict PySession::render(const py::dict& camera, const py::object& pose, int s
     out["confidence"] = array_of(std::move(frame.confidence), {height, width});
     if (probability)
       out["probability"] = array_of(std::move(frame.probability), {height, width, classes.valid_count()});
+  }
+  for (FrameChannel& one : frame.channels) {
+    const py::ssize_t cols = one.cols;
+    out[py::str("channel " + one.name)] = array_of(std::move(one.values), {height, width, cols});
   }
   if (ordinal >= 0)
     for (const auto& item : py::dict(out)) out[item.first] = on_device(item.second.cast<py::array>(), ordinal);

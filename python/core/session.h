@@ -72,7 +72,10 @@ class PySession {
   py::dict annotations() const;
 
   /// Maps of a camera, NumPy arrays; with `ordinal` >= 0 DLPack of that CUDA device.
-  py::dict render(const py::dict& camera, const py::object& pose, int stride, bool probability, int ordinal);
+  py::dict render(const py::dict& camera, const py::object& pose, int stride, bool probability,
+                  const std::vector<std::string>& channels, int ordinal);
+  /// [D, C] of a channel that is learned by its principal axes, else None.
+  py::object channel_axes(const std::string& channel);
   /// A name and value each, and the JSON of final_eval.json.
   py::tuple evaluate(const std::string& split, const std::vector<int>& frames);
   py::dict query(const py::object& positions, const py::object& directions);

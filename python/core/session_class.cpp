@@ -116,6 +116,7 @@ void define_session(py::module_& module) {
       .def("apply", &PySession::apply)
       .def("annotations", &PySession::annotations)
       .def("render", &PySession::render)
+      .def("channel_axes", &PySession::channel_axes)
       .def("evaluate", &PySession::evaluate)
       .def("query", &PySession::query)
       .def("frames", frames_of)

@@ -31,7 +31,7 @@ from ._core import DeviceArray, __version__
 from .devices import to_device
 from .errors import ConfigError, DataError, Error, Finding, InputError, UnavailableError, UsageError, WriteError
 from .labels import Labels
-from .plugins import Dataset, Encoder, Loss, Tensor, dataset, encoder, load_plugin, loss, param, plugins
+from .plugins import Dataset, Encoder, Head, Loss, Tensor, dataset, encoder, head, load_plugin, loss, param, plugins
 from .program import CommandError, command
 from .results import Outcome, Points, Score, Step, View
 from .runs import Run, Training, load, open, resolved, resume, train
@@ -40,8 +40,8 @@ from .sweeps import Sweep, sweep
 
 __all__ = [
     "Camera", "ClassEntry", "CommandError", "ConfigError", "DataError", "Dataset", "DeviceArray", "Encoder", "Error",
-    "Finding", "Frame", "InputError", "Labels", "Loss", "Outcome", "Points", "Run", "Scene", "Score", "Step", "Sweep",
+    "Finding", "Frame", "Head", "InputError", "Labels", "Loss", "Outcome", "Points", "Run", "Scene", "Score", "Step", "Sweep",
     "Tensor", "Training", "UnavailableError", "UsageError", "View", "WriteError", "command", "dataset", "encoder", "errors",
-    "load", "load_plugin", "loss", "open", "param", "plugins", "resolved", "resume", "sweep", "to_device", "train",
+    "head", "load", "load_plugin", "loss", "open", "param", "plugins", "resolved", "resume", "sweep", "to_device", "train",
     "__version__",
 ]

@@ -1,4 +1,4 @@
-"""Encoders, losses and datasets in Python, for trying ideas: NumPy in, NumPy out, one batch per call.
+"""Encoders, heads, losses and datasets in Python, for trying ideas: NumPy in, NumPy out, one batch per call.
 
 They are held to the same laws as plugins in C++ (``semfield plugins check FILE``), and they are slow: a call takes the
 interpreter's lock, so one thread at a time is in them.
@@ -143,6 +143,61 @@ class Encoder(_Plugin):
         return made
 
 
+class Head(_Plugin):
+    """A channel beside class logits: ``heads: [{type: NAME, channel: CHANNEL, branch: {...}}]``.
+
+    A subclass has parameters (`param`), `setup` and the four calls below. Compositing stands between `hidden`, per sample,
+    and `output`, per ray, so `output` is linear in (h, opacity). Arrays are views of the framework's memory, float32 or, as
+    the oracle of the laws, float64: keep none of them beyond the call. On a GPU it is refused.
+
+    Attributes:
+        feature_dims: F, numbers of a feature.
+        width: C, columns of the channel.
+        hidden_width: H, numbers of an activation; `setup` sets it.
+        tensors: learned numbers by name; `setup` sets them.
+    """
+
+    feature_dims: int = 0
+    width: int = 0
+    hidden_width: int = 0
+    tensors: Dict[str, Tensor]
+
+    def setup(self) -> None:
+        """Sets hidden_width and tensors."""
+        raise NotImplementedError("setup")
+
+    def hidden(self, feature: np.ndarray[Any, Any], params: Dict[str, np.ndarray[Any, Any]]) -> np.ndarray[Any, Any]:
+        """Activations [M, H] of features [M, F]."""
+        raise NotImplementedError("hidden")
+
+    def hidden_backward(
+        self, feature: np.ndarray[Any, Any], hidden: np.ndarray[Any, Any], d_hidden: np.ndarray[Any, Any],
+        params: Dict[str, np.ndarray[Any, Any]], grads: Dict[str, np.ndarray[Any, Any]]
+    ) -> np.ndarray[Any, Any]:
+        """dL/d(feature) [M, F] from dL/d(hidden) [M, H]; adds dL/d(tensor) to `grads` in place."""
+        raise NotImplementedError("hidden_backward")
+
+    def output(
+        self, h: np.ndarray[Any, Any], opacity: Optional[np.ndarray[Any, Any]], params: Dict[str, np.ndarray[Any, Any]]
+    ) -> np.ndarray[Any, Any]:
+        """Rows of the channel [N, C] from h [N, H] and opacity [N, 1]; None: 1 for every row."""
+        raise NotImplementedError("output")
+
+    def output_backward(
+        self, h: np.ndarray[Any, Any], opacity: Optional[np.ndarray[Any, Any]], d_rows: np.ndarray[Any, Any],
+        params: Dict[str, np.ndarray[Any, Any]], grads: Dict[str, np.ndarray[Any, Any]]
+    ) -> Tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+        """dL/dh [N, H] and dL/d(opacity) [N, 1] from dL/d(rows) [N, C]; adds dL/d(tensor) to `grads` in place."""
+        raise NotImplementedError("output_backward")
+
+    @classmethod
+    def _made(cls, values: Mapping[str, Any], feature_dims: int, width: int) -> "Head":
+        made: Head = cls._with(values)
+        made.feature_dims, made.width, made.tensors = feature_dims, width, {}
+        made.setup()
+        return made
+
+
 class Loss(_Plugin):
     """A term of the loss beside colour and cross-entropy: ``losses: [{type: NAME}]``.
 
@@ -151,9 +206,11 @@ class Loss(_Plugin):
 
     Attributes:
         weight, from_step: of every loss; a subclass may give others: ``weight = sf.param(0.1, sf.Loss.weight.help, low=0)``.
-        targets: names of the targets that it cannot do without: "color", "label", "soft_label", "depth".
-        heads: names of what heads make that it reads: "logits".
-        moves: names of what it has gradients of: "color", "depth", "weight" and "sigma", or "logits" alone.
+        targets: names of the targets that it cannot do without: "color", "label", "soft_label", "depth", or a channel of the
+            dataset.
+        heads: names of what heads make that it reads: "logits", or the channel of a head.
+        moves: names of what it has gradients of: "color", "depth", "weight" and "sigma", or "logits" alone, or channels of
+            heads alone.
     """
 
     weight: Any = param(1.0, "factor of the term beside the colour loss", low=0, high=1e6)
@@ -253,6 +310,7 @@ class Dataset(_Plugin):
 
 E_ = TypeVar("E_", bound=Type[Encoder])
 D_ = TypeVar("D_", bound=Type[Dataset])
+H_ = TypeVar("H_", bound=Type[Head])
 L_ = TypeVar("L_", bound=Type[Loss])
 
 
@@ -280,6 +338,16 @@ def dataset(name: str, summary: str = "") -> Callable[[D_], D_]:
 
     def add(cls: D_) -> D_:
         _core.add_dataset({"name": name, "summary": _summary(cls, Dataset, summary), "class": cls, "params": cls._params()})
+        return cls
+
+    return add
+
+
+def head(name: str, summary: str = "") -> Callable[[H_], H_]:
+    """Makes a subclass of Head a plugin: ``heads: [{type: NAME, ...}]``. Defined again, the last one counts."""
+
+    def add(cls: H_) -> H_:
+        _core.add_head({"name": name, "summary": _summary(cls, Head, summary), "class": cls, "params": cls._params()})
         return cls
 
     return add

@@ -50,6 +50,7 @@ class View(_Arrays):
         probability: [H, W, C] float32, in the order of `Run.classes`; None where it was not asked for.
         camera: what was rendered; with `stride` n the maps have every n-th of its pixels.
         pose: [4, 4] float64, camera to world.
+        channels: [H, W, C] float32 each, by name: those of heads that were asked for.
     """
 
     rgb: Array
@@ -61,6 +62,7 @@ class View(_Arrays):
     probability: Optional[Array]
     camera: Camera
     pose: np.ndarray[Any, Any]
+    channels: Dict[str, Array] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

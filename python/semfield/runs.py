@@ -257,6 +257,7 @@ class Run:
         stride: int = 1,
         probability: bool = False,
         device: str = "cpu",
+        channels: Sequence[str] = (),
     ) -> View:
         """What a camera sees.
 
@@ -268,6 +269,7 @@ class Run:
             stride: every n-th pixel and row.
             probability: also the probability of every class.
             device: "cpu": NumPy arrays; "cuda" or "cuda:1": arrays for DLPack on that device.
+            channels: of heads beside that of class logits, by name.
         """
         if frame is None and pose is None:
             raise UsageError("render: give a pose, or the frame that is meant")
@@ -281,11 +283,21 @@ class Run:
             if height is None:
                 height = max(1, round(camera.height * _pixels("render: width", width) / camera.width))
             camera = camera.resized(width, height)
-        maps = self._session.render(camera._dict(), at, _whole("stride", stride), bool(probability), ordinal_of(device))
+        maps = self._session.render(camera._dict(), at, _whole("stride", stride), bool(probability), list(channels),
+                                    ordinal_of(device))
         whole = np.eye(4)
         whole[:3] = at[:3]
         return View(maps["rgb"], maps["depth_m"], maps["opacity"], maps.get("label"), maps.get("entropy"),
-                    maps.get("confidence"), maps.get("probability"), camera, whole)
+                    maps.get("confidence"), maps.get("probability"), camera, whole,
+                    {name: maps[f"channel {name}"] for name in channels})
+
+    def channel_axes(self, channel: str) -> Optional[np.ndarray[Any, Any]]:
+        """The principal axes [D, C] of a dataset's channel of D columns that a head learns in C; None: it learns all of them.
+
+        A vector of D numbers, such as a word that the channel's model encoded, lies at ``vector @ run.channel_axes(name)``.
+        """
+        axes: Optional[np.ndarray[Any, Any]] = self._session.channel_axes(channel)
+        return axes
 
     def evaluate(self, split: str = "test", frames: Optional[Sequence[FrameId]] = None) -> Score:
         """Scores of a split, or of some frames, against what the scene knows."""

@@ -77,7 +77,7 @@ TEST(PluginNames, FrameworkProgramAndBenchNameNoPlugin) {
   for (const SourceFile& file : files) {
     for (const PluginEntry* entry : registry.entries()) {
       const std::string own = "framework/" + std::string(kind_folder(entry->kind)) + "/" + entry->name;
-      if (!files_under(own, {".cpp"}).empty()) continue;  // it comes with the framework
+      if (!files_under(own, {".cpp"}).empty()) continue;      // it comes with the framework
       if (entry->kind == PluginKind::label_reader) continue;  // named as the file format, which others write
       for (const int line : lines_naming(file.text, entry->name)) {
         named.insert(file.path);

@@ -25,7 +25,8 @@ struct Case {
   std::string words;  ///< of the command line
   int code = -1;
   long most_mib = 256;             ///< at its peak
-  std::vector<std::string> says;   ///< parts of what is written to stderr or stdout; ROOT stands for the case's folder, SHARE for that of shipped files
+  std::vector<std::string> says;   ///< parts of what is written to stderr or stdout; ROOT stands for the case's folder,
+                                   ///< SHARE for that of shipped files
   std::vector<std::string> never;  ///< what may not be said
 };
 

@@ -1,4 +1,5 @@
-// Rules of the rendering integral: references, the orders and constants that theory predicts, and `semfield-study quadrature`.
+// Rules of the rendering integral: references, the orders and constants that theory predicts, and `semfield-study
+// quadrature`.
 #include <gtest/gtest.h>
 #include <unistd.h>
 

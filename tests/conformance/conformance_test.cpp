@@ -1,4 +1,4 @@
-// The laws of its kind for every registered encoder, field, sampler and loss on the CPU.
+// The laws of its kind for every registered encoder, field, sampler, head and loss on the CPU.
 #include <gtest/gtest.h>
 
 #include <set>
@@ -38,6 +38,23 @@ TEST_P(SamplerConformance, Laws) {
                         });
 }
 
+class HeadConformance : public testing::TestWithParam<Row> {};
+TEST_P(HeadConformance, Laws) {
+  hold_for_any_accepted(linked_registry(), GetParam(), head_builds(Device::cpu),
+                        [](const Head<float>& single, const Head<double>& oracle, const HeadBuild& build) {
+                          return head_laws(single, oracle, build);
+                        });
+}
+
+// The head of class logits is no plugin.
+TEST(HeadOfLogits, KeepsTheLaws) {
+  for (const HeadBuild& build : head_builds(Device::cpu)) {
+    const HeadShape shape{.feature = build.feature_dims, .hidden = 16, .width = build.width};
+    const Failures failures = head_laws(OneLayerHead<float>(shape), OneLayerHead<double>(shape), build);
+    EXPECT_TRUE(failures.empty()) << to_text(failures);
+  }
+}
+
 class LossConformance : public testing::TestWithParam<Row> {};
 TEST_P(LossConformance, Laws) {
   const Failures failures = loss_laws(linked_registry(), GetParam().name, GetParam().settings);
@@ -47,6 +64,7 @@ TEST_P(LossConformance, Laws) {
 INSTANTIATE_TEST_SUITE_P(Linked, EncoderConformance, testing::ValuesIn(rows_of(PluginKind::encoder)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, FieldConformance, testing::ValuesIn(rows_of(PluginKind::field)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, SamplerConformance, testing::ValuesIn(rows_of(PluginKind::sampler)), name_of);
+INSTANTIATE_TEST_SUITE_P(Linked, HeadConformance, testing::ValuesIn(rows_of(PluginKind::head)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, LossConformance, testing::ValuesIn(rows_of(PluginKind::loss)), name_of);
 
 // Zero cases, or a plugin without a row, is a failure and not a pass.

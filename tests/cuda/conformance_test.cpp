@@ -105,7 +105,8 @@ std::set<std::string> plugins_with_cuda_sources() {
 }
 
 // Zero cases, a plugin without a row, or one whose CUDA sources gave no kernels is a failure and not a pass. A plugin
-// without such sources is named, unless it is a field whose layers are the framework's. Needs no device: the library is loaded for its tables.
+// without such sources is named, unless it is a field whose layers are the framework's. Needs no device: the library is
+// loaded for its tables.
 TEST(CudaConformance, EveryRegisteredPluginHasKernelsAndARow) {
   for (const PluginKind kind : {PluginKind::encoder, PluginKind::field, PluginKind::sampler, PluginKind::loss}) {
     std::set<std::string> with_row;

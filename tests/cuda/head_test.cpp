@@ -4,7 +4,7 @@
 
 #include "cuda/stages.h"
 #include "device_fixture.h"
-#include "model/semantic_head.h"
+#include "plugin/head/one_layer_head.h"
 #include "testkit/compare.h"
 
 namespace semfield {
@@ -71,8 +71,8 @@ TEST(CudaHead, ClassLayerAndItsGradients) {
     const std::vector<View<float>> values{hidden_weight.view(), hidden_bias.view(), d_w.view(), d_b.view()};
     const std::vector<View<float>> grads{hidden_weight.view(), hidden_bias.view(), grad_w.view(), grad_b.view()};
     const Tensors<float> tensors{values, grads};
-    head.class_forward(ctx, tensors, d_h.view(), d_share.view(), logits.view());
-    head.class_backward(ctx, tensors, d_h.view(), d_share.view(), d_g.view(), of_h.view(), of_share.view());
+    head.output_forward(ctx, tensors, d_h.view(), d_share.view(), logits.view());
+    head.output_backward(ctx, tensors, d_h.view(), d_share.view(), d_g.view(), of_h.view(), of_share.view());
 
     std::vector<double> want = product(h, w, s.rays, s.hidden, s.classes, false, false);
     for (std::size_t i = 0; i < want.size(); ++i) {

@@ -31,12 +31,17 @@ Keys::Keys() {
       add("losses.N", params);
       continue;
     }
+    if (entry->kind == PluginKind::head) {
+      add("heads.N", params);
+      continue;
+    }
     if (entry->kind == PluginKind::label_reader || entry->kind == PluginKind::degradation) {
       add(entry->kind == PluginKind::degradation ? "scene.labels.degrade.N" : "scene.labels.from", params);
       continue;
     }
     for (const char* slot : {"sampler", "position", "direction", "field", "semantic.position", "semantic.field"})
       add("passes.N." + std::string(slot), params);
+    for (const char* slot : {"position", "field"}) add("heads.N.branch." + std::string(slot), params);
   }
 }
 

@@ -64,7 +64,7 @@ std::vector<Real> logits_of(const Pass<Real>& pass, std::vector<Real> rows, cons
   ctx.step = asking.step;
   ctx.first_ray = asking.first;
   const std::int64_t count = std::ssize(rows) / pass.point_dims();
-  const std::int32_t classes = pass.parts().head->classes();
+  const std::int32_t classes = pass.parts().head->width();
   std::vector<Real> logits(static_cast<std::size_t>(count * classes));
   (void)pass.point_forward(ctx, 0, {rows.data(), count, pass.point_dims()}, {logits.data(), count, classes});
   return logits;
@@ -87,11 +87,11 @@ TEST(PointPass, LogitsAreThoseOfASampleOfWeightOne) {
     const RayBatch batch = oracle.batch.view(true);
     const PassTrace<double> trace =
         pass.forward(ctx, 0, {batch.origin, batch.direction, batch.near_far}, nullptr, 0, {batch.origin.rows});
-    const std::int64_t count = trace.sample_logits.rows;
+    const std::int64_t count = trace.semantic.sample_rows.rows;
     ASSERT_GT(count, 100);
     std::vector<double> at;
     for (std::int64_t k = 0; k < count; ++k) {
-      const std::int64_t sample = form.empty() ? k : trace.branch.source(k, 0);
+      const std::int64_t sample = form.empty() ? k : trace.semantic.branch.source(k, 0);
       const std::int32_t ray = trace.samples.ray_of_sample(sample, 0);
       for (int axis = 0; axis < 3; ++axis)
         at.push_back(batch.origin(ray, axis) + trace.samples.t(sample, 0) * batch.direction(ray, axis));
@@ -99,10 +99,10 @@ TEST(PointPass, LogitsAreThoseOfASampleOfWeightOne) {
     const std::vector<double> logits = logits_of(pass, rows_of(pass, at));
     double largest = 0;
     for (std::int64_t k = 0; k < count; ++k) {
-      for (std::int32_t c = 0; c < trace.sample_logits.cols; ++c) {
-        const double expected = trace.sample_logits(k, c);
+      for (std::int32_t c = 0; c < trace.semantic.sample_rows.cols; ++c) {
+        const double expected = trace.semantic.sample_rows(k, c);
         largest = std::max(largest, std::abs(expected));
-        ASSERT_NEAR(logits[static_cast<std::size_t>(k * trace.sample_logits.cols + c)], expected, 1e-9) << k;
+        ASSERT_NEAR(logits[static_cast<std::size_t>(k * trace.semantic.sample_rows.cols + c)], expected, 1e-9) << k;
       }
     }
     EXPECT_GT(largest, 1e-3);
@@ -118,7 +118,7 @@ TEST(PointPass, GradientsAreThoseOfFiniteDifferencesAndNoneReachesTheField) {
     ParamStore<double>& store = oracle.pipeline->store();
     oracle.pipeline->derive(0);
     std::vector<double> rows = rows_of(pass, places(40));
-    const std::int32_t classes = pass.parts().head->classes();
+    const std::int32_t classes = pass.parts().head->width();
     std::vector<double> d(static_cast<std::size_t>(40 * classes)), logits(d.size());
     for (std::size_t i = 0; i < d.size(); ++i) d[i] = std::sin(1.7 * static_cast<double>(i));
     const View<double> all(rows.data(), 40, pass.point_dims());

@@ -43,7 +43,7 @@ TEST(LossList, ActiveLossesAreMeansOverTheRaysThatCount) {
   EXPECT_EQ(late.scale[1], 0.25 / 3);
   EXPECT_EQ(list.moving(channel::depth), 2u);
   EXPECT_EQ(list.moving(channel::weight), 1u);
-  EXPECT_EQ(list.of_heads(), 0u);
+  EXPECT_EQ(list.on_logits() | list.on_heads() | list.reading_heads(), 0u);
   LossNumbers sums{};
   list.add(late.active, late, rays.targets(), rays.values(), rays.gradients(), sums);
   LossRays<double> alone(kCounts);
@@ -62,6 +62,13 @@ TEST(LossList, ABatchWithoutDepthIsNoLossAndNoDivisionByZero) {
   EXPECT_EQ(list.finish(scales, sums), 0);
   EXPECT_EQ(sums[0], 0);
   for (const double d : rays.d_depth) EXPECT_EQ(d, 0);
+}
+
+TEST(LossList, LossesOnLogitsAndOnOtherHeadsAreApart) {
+  const LossList list = list_of({{"distortion", {}}, {"cosine_distance", {}}, {"generalised_cross_entropy", {}}});
+  EXPECT_EQ(list.on_heads(), 2u);
+  EXPECT_EQ(list.reading_heads(), 2u);
+  EXPECT_EQ(list.on_logits(), 4u);
 }
 
 struct BothParams : LossRule {};

@@ -6,7 +6,7 @@
 #include "encoder_box.h"
 #include "loss_cases.h"
 #include "losses/semantic_cross_entropy.h"
-#include "model/semantic_head.h"
+#include "plugin/head/one_layer_head.h"
 #include "tests/model_compositor/rays_of_slabs.h"
 #include "training_box.h"
 
@@ -37,17 +37,17 @@ struct SemanticRay {
 
   double loss() {
     rays.forward();
-    head.class_forward(ctx, box.tensors(), {rays.out_hidden.data(), 1, kHidden}, {rays.opacity.data(), 1, 1},
-                       row_of(logits));
+    head.output_forward(ctx, box.tensors(), {rays.out_hidden.data(), 1, kHidden}, {rays.opacity.data(), 1, 1},
+                        row_of(logits));
     SemanticTargets targets;
     targets.hard = {&kLabel, 1, 1};
     return semantic_cross_entropy<Real>(row_of(std::as_const(logits)), targets, {}, 1.0, 1.0, row_of(slope)).sum;
   }
   void backward() {
     std::fill(rays.g_color.begin(), rays.g_color.end(), Real(0));
-    head.class_backward(ctx, box.tensors(), {rays.out_hidden.data(), 1, kHidden}, {rays.opacity.data(), 1, 1},
-                        row_of(std::as_const(slope)), {rays.g_hidden.data(), 1, kHidden},
-                        {rays.g_opacity.data(), 1, 1});
+    head.output_backward(ctx, box.tensors(), {rays.out_hidden.data(), 1, kHidden}, {rays.opacity.data(), 1, 1},
+                         row_of(std::as_const(slope)), {rays.g_hidden.data(), 1, kHidden},
+                         {rays.g_opacity.data(), 1, 1});
     rays.backward();
   }
 

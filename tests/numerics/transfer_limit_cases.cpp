@@ -47,7 +47,7 @@ void measure_early_stop(CaseRun& run, FarMode far) {
   const PassTrace<Real> full = whole.forward(false), part = cut.forward(false),
                         single = sample_by_sample.forward(false);
   const Tensor<Real>* bias = cut.store.find("main/semantic/class/bias");
-  run.expect(bias != nullptr && bias->size() == full.logits.cols, "the class layer has a bias a class");
+  run.expect(bias != nullptr && bias->size() == full.semantic.rows.cols, "the class layer has a bias a class");
   if (bias == nullptr) return;
   std::int64_t skipped = 0;
   for (std::int64_t m = 0; m < full.samples.count; ++m)
@@ -60,11 +60,11 @@ void measure_early_stop(CaseRun& run, FarMode far) {
       run.measure(error, kCut + rounding, "colour");  // no colour exceeds 1
       worst_colour = std::max(worst_colour, error);
     }
-    for (std::int32_t c = 0; c < full.logits.cols; ++c) {
+    for (std::int32_t c = 0; c < full.semantic.rows.cols; ++c) {
       double largest = 0;
       for (std::int32_t m = single.samples.first(r, 0); m < single.samples.first(r + 1, 0); ++m)
-        largest = std::max(largest, std::abs(static_cast<double>(single.sample_logits(m, c))));
-      const double error = std::abs(static_cast<double>(full.logits(r, c)) - static_cast<double>(part.logits(r, c)));
+        largest = std::max(largest, std::abs(static_cast<double>(single.semantic.sample_rows(m, c))));
+      const double error = std::abs(static_cast<double>(full.semantic.rows(r, c)) - static_cast<double>(part.semantic.rows(r, c)));
       const double rest = far == FarMode::background ? std::abs(static_cast<double>(bias->value.data()[c])) : 0.0;
       run.measure(error, (kCut + rounding) * (largest + rest), "logit");
       worst_logit = std::max(worst_logit, error / largest);
@@ -84,7 +84,7 @@ void measure_early_stop(CaseRun& run, FarMode far) {
   }
   const PassTrace<Real> trained = whole.forward(true), also = cut.forward(true);
   run.expect(same_bits(trained.color, also.color) && same_bits(trained.opacity, also.opacity) &&
-                 same_bits(trained.logits, also.logits) && same_bits(trained.weight, also.weight),
+                 same_bits(trained.semantic.rows, also.semantic.rows) && same_bits(trained.weight, also.weight),
              "training knows no early stop");
 }
 

@@ -34,6 +34,12 @@ def test_try_a_loss(tmp_path: Path) -> None:
     assert len(scores) == 2 and 0 < min(scores) and max(scores) < 1, said
 
 
+def test_ask_by_words(tmp_path: Path) -> None:
+    said = play(tmp_path, EXAMPLES / "ask_by_words.py", steps=200)
+    share, of_maps = (float(part.split(" ")[-1]) for part in said.strip().splitlines()[-1].split(";"))
+    assert 0.3 < share < 1 and 0.3 < of_maps <= 1, said
+
+
 def test_train_and_label(tmp_path: Path) -> None:
     said = play(tmp_path, EXAMPLES / "train_and_label.py", "out", steps=300)
     share = float(said.split("in the other 22, ")[1].split(" %")[0])

@@ -22,9 +22,10 @@ TEST(ScoreLines, ASampleHasNamesOfItsOwn) {
   EXPECT_EQ(cut.out.find("train: sample=1/3 sample_miou_present=0."), 0u) << cut.out;
   for (const char* name : {" miou_present=", " total_accuracy=", " psnr=", " absrel="})
     EXPECT_EQ(cut.out.find(name), std::string::npos) << name;
-  EXPECT_NE(cut.err.find("the last evaluation scores 1 of 3 frames to end near the time asked for (report.eval_share 0.1); "
-                         "`semfield eval cut` scores all\n"),
-            std::string::npos)
+  EXPECT_NE(
+      cut.err.find("the last evaluation scores 1 of 3 frames to end near the time asked for (report.eval_share 0.1); "
+                   "`semfield eval cut` scores all\n"),
+      std::string::npos)
       << cut.err;
   const Result eval = semfield_run("eval cut", dir.path());
   EXPECT_EQ(eval.out.find("cut: 3 test frames, step "), 0u) << eval.out;

@@ -42,7 +42,8 @@ struct PartsRun {
 };
 
 const std::string kStays =
-    " has no cuda kernels, so the run stays on the CPU, which is tens to hundreds of times slower than a GPU; use parts "
+    " has no cuda kernels, so the run stays on the CPU, which is tens to hundreds of times slower than a GPU; use "
+    "parts "
     "that have kernels for it: `semfield plugins list --devices` lists them";
 
 std::string refusal_of(PartsRun& run) {

@@ -146,7 +146,7 @@ TEST(LeaveOut, AbsentClassesGetNoLogit) {
   for (const std::int64_t pixels : s.manifest.train_class_pixels) present += pixels > 0 ? 1 : 0;
   EXPECT_LT(present, s.classes());
   EXPECT_EQ(static_cast<int>(s.plan.class_of_logit.size()), present);
-  EXPECT_EQ(s.pipeline->passes().back().parts().head->classes(), present);
+  EXPECT_EQ(s.pipeline->passes().back().parts().head->width(), present);
 }
 
 // The other model of the same claim: all classes, those without a pixel masked by a bias that no exponential survives.

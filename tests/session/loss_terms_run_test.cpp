@@ -37,17 +37,18 @@ void expect_says(const std::string& text, const std::vector<std::string>& parts)
 }
 
 TEST(LossConfig, MistakesAreNamedWithPlaceAndRemedy) {
-  expect_says(
-      errors_of("losses: [{type: distorsion}]\n"),
-      {"room.yaml:", "no loss named 'distorsion'; known: depth, distortion, generalised_cross_entropy, near_density",
-       "did you mean 'distortion'?"});
+  expect_says(errors_of("losses: [{type: distorsion}]\n"),
+              {"room.yaml:",
+               "no loss named 'distorsion'; known: cosine_distance, depth, distortion, generalised_cross_entropy, "
+               "near_density",
+               "did you mean 'distortion'?"});
   expect_says(errors_of("losses: [{type: depth, weight: -1}]\n"),
               {"room.yaml:", "losses.0.weight: expected number in [0, 1000000], got -1"});
   expect_says(errors_of("losses: [{type: depth, from_step: 2000}]\n"),
               {"losses.0.from_step: expected number in [0, 1], got 2000"});
   expect_says(errors_of("losses: [{type: depth, wieght: 1}]\n"), {"unknown key 'wieght'", "did you mean 'weight'?"});
   expect_says(errors_of("losses: [{weight: 1}]\n"),
-              {"losses.0: key 'type' is missing", "choose one of depth, distortion"});
+              {"losses.0: key 'type' is missing", "choose one of cosine_distance, depth, distortion"});
   expect_says(errors_of("losses: {type: depth}\n"), {"losses: expected a list of terms", "write losses: [{type:"});
   const std::string twice = errors_of("losses:\n  - {type: depth}\n  - {type: distortion}\n  - {type: depth}\n");
   expect_says(twice, {"losses.2: the term 'depth' stands at room.yaml:", "already", "keep one of them"});
@@ -175,12 +176,14 @@ TEST(LossConfig, LeaveOutSaysOfEachTermWhyItIsNotThere) {
     }
     return found;
   };
-  EXPECT_EQ(rows(""), (std::vector<std::string>{kTrainingDepth, "loss_depth: `losses` names no term of type depth",
-                                                "loss_distortion: `losses` names no term of type distortion",
-                                                "loss_generalised_cross_entropy: `losses` names no term of type "
-                                                "generalised_cross_entropy",
-                                                "loss_near_density: `losses` names no term of type near_density"}));
-  EXPECT_EQ(rows(kEveryTerm), std::vector<std::string>());
+  const std::string no_channel = "loss_cosine_distance: `losses` names no term of type cosine_distance";
+  EXPECT_EQ(rows(""),
+            (std::vector<std::string>{kTrainingDepth, no_channel, "loss_depth: `losses` names no term of type depth",
+                                      "loss_distortion: `losses` names no term of type distortion",
+                                      "loss_generalised_cross_entropy: `losses` names no term of type "
+                                      "generalised_cross_entropy",
+                                      "loss_near_density: `losses` names no term of type near_density"}));
+  EXPECT_EQ(rows(kEveryTerm), std::vector<std::string>{no_channel});
 }
 
 TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {

@@ -59,9 +59,9 @@ inline void expect_same_gradients(const std::string& yaml, const std::string& ot
   EXPECT_GT(compared, 10);
 }
 
-/// Central differences of the total loss in a few elements of every learned tensor, or of the semantic ones alone, at
-/// least `fewest` in all.
-inline void expect_finite_differences(Oracle& oracle, double tolerance, bool semantic_alone = false, int fewest = 16) {
+/// Central differences of the total loss in a few elements of every learned tensor whose name contains `part`, at least
+/// `fewest` in all.
+inline void expect_finite_differences(Oracle& oracle, double tolerance, const std::string& part = "", int fewest = 16) {
   oracle.gradients();
   std::map<std::string, std::vector<double>> analytic;
   for (const Tensor<double>& t : oracle.pipeline->store().all()) {
@@ -69,7 +69,7 @@ inline void expect_finite_differences(Oracle& oracle, double tolerance, bool sem
   }
   int checked = 0;
   for (Tensor<double>& t : oracle.pipeline->store().all()) {
-    if (!t.learned() || (semantic_alone && !t.rule.semantic)) continue;
+    if (!t.learned() || t.name.find(part) == std::string::npos) continue;
     const std::vector<double>& gradient = analytic[t.name];
     // The largest gradient of the tensor and two more: an element that does nothing shows nothing.
     const auto largest =
@@ -93,11 +93,11 @@ inline void expect_finite_differences(Oracle& oracle, double tolerance, bool sem
   }
   EXPECT_GE(checked, fewest);
 }
-inline void expect_finite_differences(const std::string& yaml, double tolerance, bool semantic_alone = false,
+inline void expect_finite_differences(const std::string& yaml, double tolerance, const std::string& part = "",
                                       int fewest = 16) {
   Registry registry = make_registry();
   Oracle oracle(yaml, registry);
-  expect_finite_differences(oracle, tolerance, semantic_alone, fewest);
+  expect_finite_differences(oracle, tolerance, part, fewest);
 }
 
 }  // namespace semfield::testing_train

@@ -158,7 +158,7 @@ std::vector<float> rendered(Session& session, const BatchBuffers& batch) {
   const PassTrace<float> trace =
       pass.forward(ctx, kMainGradient, {rows.origin, rows.direction, rows.near_far}, nullptr, 0, {rows.origin.rows});
   std::vector<float> values(trace.color.data, trace.color.data + trace.color.size());
-  values.insert(values.end(), trace.logits.data, trace.logits.data + trace.logits.size());
+  values.insert(values.end(), trace.semantic.rows.data, trace.semantic.rows.data + trace.semantic.rows.size());
   return values;
 }
 

@@ -25,14 +25,14 @@ const std::string kPlugins =
     "position: {type: frequency, frequencies: 3}, field: {type: tiny_mlp, hidden_width: 12, hidden_layers: 2}";
 
 // Of the tensors of branch and head: weights are constants to them, and so is which samples are left out.
-TEST(SemanticBranch, GradientsAreThoseOfFiniteDifferences) {
+TEST(HeadBranch, GradientsAreThoseOfFiniteDifferences) {
   for (const char* more : {"", ", reads_feature: false", ", dropout: 0.3", ", least_weight: 0.02"}) {
     SCOPED_TRACE(more);
-    expect_finite_differences(config_of(kPlugins + more), 2e-4, true, 8 * 3);  // two layers of branch and of head
+    expect_finite_differences(config_of(kPlugins + more), 2e-4, "/semantic", 8 * 3);  // two layers of branch and of head
   }
 }
 
-TEST(SemanticBranch, TilesLanesAndTheDeferredClassLayerChangeNoGradient) {
+TEST(HeadBranch, TilesLanesAndTheDeferredClassLayerChangeNoGradient) {
   for (const char* more : {"", ", dropout: 0.25", ", least_weight: 0.05"}) {
     expect_same_gradients(config_of(kPlugins + more, "runtime: {lanes: 1, tile_rays: 24}\n"),
                           config_of(kPlugins + more, "runtime: {lanes: 3, tile_rays: 4}\n"));
@@ -42,7 +42,7 @@ TEST(SemanticBranch, TilesLanesAndTheDeferredClassLayerChangeNoGradient) {
 }
 
 // Colour and geometry learn as they do in a scene without labels, to the last bit.
-TEST(SemanticBranch, LabelsDoNotShapeTheField) {
+TEST(HeadBranch, LabelsDoNotShapeTheField) {
   Registry registry = make_registry();
   Oracle labelled(config_of(kPlugins), registry);
   std::string none = config_of(kPlugins);
@@ -64,7 +64,7 @@ TEST(SemanticBranch, LabelsDoNotShapeTheField) {
 }
 
 // |change of a logit| <= sum of the weights left out times the largest logit of a sample.
-TEST(SemanticBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
+TEST(HeadBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
   Registry registry = make_registry();
   const std::string off = "runtime: {deferred_class_layer: false, tile_rays: 24, lanes: 1}\n";
   Oracle all(config_of(kPlugins + ", least_weight: 0", off), registry);
@@ -87,30 +87,30 @@ TEST(SemanticBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
     Workspace arena_some;
     const PassTrace<double> b = trace_of(some, arena_some);
     double largest = 0;
-    for (std::int64_t k = 0; k < a.sample_logits.rows; ++k) {
-      for (std::int32_t c = 0; c < a.sample_logits.cols; ++c)
-        largest = std::max(largest, std::abs(a.sample_logits(k, c)));
+    for (std::int64_t k = 0; k < a.semantic.sample_rows.rows; ++k) {
+      for (std::int32_t c = 0; c < a.semantic.sample_rows.cols; ++c)
+        largest = std::max(largest, std::abs(a.semantic.sample_rows(k, c)));
     }
     double moved = 0;
-    for (std::int64_t r = 0; r < a.logits.rows; ++r) {
-      const double left_out = a.branch.share(r, 0) - b.branch.share(r, 0);
+    for (std::int64_t r = 0; r < a.semantic.rows.rows; ++r) {
+      const double left_out = a.semantic.branch.share(r, 0) - b.semantic.branch.share(r, 0);
       EXPECT_GE(left_out, -1e-15);
-      for (std::int32_t c = 0; c < a.logits.cols; ++c) {
-        const double change = std::abs(a.logits(r, c) - b.logits(r, c));
+      for (std::int32_t c = 0; c < a.semantic.rows.cols; ++c) {
+        const double change = std::abs(a.semantic.rows(r, c) - b.semantic.rows(r, c));
         EXPECT_LE(change, left_out * largest + 1e-12);
         moved = std::max(moved, change);
       }
     }
     EXPECT_GT(moved, 0);
-    const std::int64_t left = a.branch.samples.count - b.branch.samples.count;
+    const std::int64_t left = a.semantic.branch.samples.count - b.semantic.branch.samples.count;
     EXPECT_GT(left, before) << "samples of weight below " << least;
     before = left;
-    EXPECT_GT(b.branch.samples.count, 0);
+    EXPECT_GT(b.semantic.branch.samples.count, 0);
   }
 }
 
 // One step from the same values: its tensors move by the factor, and lose their share first; all others move alike.
-TEST(SemanticBranch, ItsRateAndDecayHoldForBranchAndHeadAlone) {
+TEST(HeadBranch, ItsRateAndDecayHoldForBranchAndHeadAlone) {
   const auto stepped = [](const std::string& more, std::vector<float>& before, std::vector<float>& after,
                           std::vector<bool>& semantic) {
     Registry registry = make_registry();
@@ -149,7 +149,7 @@ TEST(SemanticBranch, ItsRateAndDecayHoldForBranchAndHeadAlone) {
   EXPECT_GT(moved, 100);
 }
 
-TEST(SemanticBranch, RunsHaveTheSameBitsForAnyThreadsAndLearn) {
+TEST(HeadBranch, RunsHaveTheSameBitsForAnyThreadsAndLearn) {
   const std::string yaml =
       hash_config().insert(hash_config().find("train: "), "    semantic: {" + kPlugins +
                                                               ", dropout: 0.1, "
@@ -171,7 +171,7 @@ TEST(SemanticBranch, RunsHaveTheSameBitsForAnyThreadsAndLearn) {
 }
 
 // What is wrong in the section is said with the key that is wrong.
-TEST(SemanticBranch, WrongSettingsAreNamed) {
+TEST(HeadBranch, WrongSettingsAreNamed) {
   const auto refusal = [](const std::string& branch) {
     Registry registry = make_registry();
     try {
@@ -193,7 +193,7 @@ TEST(SemanticBranch, WrongSettingsAreNamed) {
 }
 
 // run.yaml says what was trained.
-TEST(SemanticBranch, TheResolvedConfigurationHoldsIt) {
+TEST(HeadBranch, TheResolvedConfigurationHoldsIt) {
   Registry registry = make_registry();
   const Session s = open_text(config_of(kPlugins + ", learning_rate: 0.3, weight_decay: 0.02, dropout: 0.1"), registry);
   Diagnostics diagnostics;

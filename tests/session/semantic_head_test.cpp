@@ -1,10 +1,9 @@
 // A pass trains with any head: one that is not the program's own needs its class alone.
-#include "model/semantic_head.h"
-
 #include <gtest/gtest.h>
 
 #include "compute/gemm.h"
 #include "compute/row_loops.h"
+#include "plugin/head/one_layer_head.h"
 #include "testkit/settings.h"
 #include "tests/session/oracle.h"
 
@@ -14,11 +13,11 @@ namespace {
 using namespace testing_train;
 
 /// logits = feature W: no hidden layer and no bias.
-class LinearHead final : public SemanticHead<double> {
+class LinearHead final : public Head<double> {
  public:
   LinearHead(std::int32_t feature, std::int32_t classes) : feature_(feature), classes_(classes) {}
   std::int32_t hidden_width() const override { return feature_; }
-  std::int32_t classes() const override { return classes_; }
+  std::int32_t width() const override { return classes_; }
   void declare(ParamDeclarer& declarer) const override {
     declarer.tensor({"weight", feature_, classes_, Init::uniform(0.5)});
     declarer.tensor({"weight_t", classes_, feature_, {}, TensorRole::derived});
@@ -34,12 +33,12 @@ class LinearHead final : public SemanticHead<double> {
                        View<double> d_hidden, View<double> d_feature) const override {
     copy_rows<double>(d_hidden, d_feature);
   }
-  void class_forward(const StepContext&, const Tensors<double>& t, View<const double> h, View<const double>,
-                     View<double> logits) const override {
+  void output_forward(const StepContext&, const Tensors<double>& t, View<const double> h, View<const double>,
+                      View<double> logits) const override {
     gemm<double>(h, t.value[0], logits);
   }
-  void class_backward(const StepContext&, const Tensors<double>& t, View<const double> h, View<const double>,
-                      View<const double> d_logits, View<double> d_h, View<double> d_share) const override {
+  void output_backward(const StepContext&, const Tensors<double>& t, View<const double> h, View<const double>,
+                       View<const double> d_logits, View<double> d_h, View<double> d_share) const override {
     gemm_at_b_add<double>(h, d_logits, t.grad[0]);
     gemm<double>(d_logits, t.value[1], d_h);
     if (!d_share.empty()) fill(d_share, 0.0);
@@ -97,7 +96,7 @@ TEST(SemanticHeads, RefuseBf16ThatTheyDoNotTake) {
   const LinearHead head(3, 2);
   EXPECT_FALSE(head.takes_rounded());
   EXPECT_THROW((void)head.hidden_layer({}), Error);
-  const SemanticHead<double>& base = head;
+  const Head<double>& base = head;
   EXPECT_THROW(base.rounded_hidden_forward({}, {}, View<const Bf16>(), View<Bf16>()), Error);
 }
 

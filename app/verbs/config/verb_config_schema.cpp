@@ -55,6 +55,10 @@ int run(const SchemaOptions& options, AppContext& context) {
   const std::vector<SchemaChoice> choices{
       {"losses[]", "terms of the loss beside colour and semantics; each type once",
        alternatives(context.registry, PluginKind::loss)},
+      {"heads[]", "heads beside that of class logits", alternatives(context.registry, PluginKind::head)},
+      {"heads[].branch.position", "position encoder of the head's branch",
+       alternatives(context.registry, PluginKind::encoder)},
+      {"heads[].branch.field", "network of the head's branch", alternatives(context.registry, PluginKind::field)},
       {"scene.labels.from", "label files to train on instead of the dataset's own labels",
        alternatives(context.registry, PluginKind::label_reader)},
       {"scene.labels.degrade[]", "changes of the training labels, in order",

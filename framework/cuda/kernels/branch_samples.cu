@@ -2,7 +2,7 @@
 #include "cuda/kernels/ray_scan.cuh"
 #include "cuda/kernels/sampling.cuh"
 #include "cuda/stages.h"
-#include "model/semantic_branch.h"
+#include "model/head_branch.h"
 
 namespace semfield::cuda {
 
@@ -26,7 +26,7 @@ struct CountKept {
 
 // A warp a ray: 4 B read a sample, 24 B moved a kept one. The sum of weights in a fixed tree.
 __global__ void __launch_bounds__(kRayThreads)
-    keep_kernel(Samples<float> samples, View<const float> weight, float least, SemanticBranchTrace<float> kept) {
+    keep_kernel(Samples<float> samples, View<const float> weight, float least, BranchTrace<float> kept) {
   fill_unused_rows(kept.samples, kept.share.rows);
   const std::int64_t thread = static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   const std::int64_t threads = static_cast<std::int64_t>(gridDim.x) * blockDim.x;
@@ -60,7 +60,7 @@ __global__ void __launch_bounds__(kRayThreads)
 
 // A warp a row of the input, 8 B a value.
 __global__ void __launch_bounds__(kThreads)
-    join_kernel(SemanticBranchTrace<float> trace, View<const float> position, View<const float> feature) {
+    join_kernel(BranchTrace<float> trace, View<const float> position, View<const float> feature) {
   const std::int64_t k = (static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x) / kWarp;
   if (k >= trace.input.rows) return;
   const bool live = k < trace.samples.first(trace.share.rows, 0);
@@ -95,7 +95,7 @@ __global__ void __launch_bounds__(kThreads)
 }  // namespace
 
 void keep_samples(const Samples<float>& samples, View<const float> weight, float least,
-                  const SemanticBranchTrace<float>& kept) {
+                  const BranchTrace<float>& kept) {
   const std::int64_t rays = kept.share.rows;
   if (rays == 0) return;
   queue_offsets(CountKept{samples.first, weight, least}, rays, kept.samples.first);
@@ -103,7 +103,7 @@ void keep_samples(const Samples<float>& samples, View<const float> weight, float
   check_launch("samples of a semantic branch");
 }
 
-void join_inputs(const SemanticBranchTrace<float>& trace, View<const float> position, View<const float> feature) {
+void join_inputs(const BranchTrace<float>& trace, View<const float> position, View<const float> feature) {
   if (trace.input.size() == 0) return;
   join_kernel<<<blocks_of(trace.input.rows * kWarp, kThreads), kThreads, 0, launch().stream>>>(trace, position,
                                                                                                feature);

@@ -22,13 +22,15 @@ struct Gradient {
 };
 
 template <class Real>
-std::vector<Gradient<Real>> gradients_of() {
+std::vector<Gradient<Real>> every_gradient(const std::string& head) {
   using Rays = LossRays<Real>;
-  return {{channel::color, &Rays::color, &Rays::d_color},
-          {channel::depth, &Rays::depth, &Rays::d_depth},
-          {channel::weight, &Rays::weight, &Rays::d_weight},
-          {channel::sigma, &Rays::sigma, &Rays::d_sigma},
-          {channel::logits, &Rays::logits, &Rays::d_logits}};
+  std::vector<Gradient<Real>> all{{channel::color, &Rays::color, &Rays::d_color},
+                                  {channel::depth, &Rays::depth, &Rays::d_depth},
+                                  {channel::weight, &Rays::weight, &Rays::d_weight},
+                                  {channel::sigma, &Rays::sigma, &Rays::d_sigma},
+                                  {channel::logits, &Rays::logits, &Rays::d_logits}};
+  if (!head.empty()) all.push_back({head, &Rays::made, &Rays::d_made});
+  return all;
 }
 
 template <class Real>
@@ -41,7 +43,7 @@ std::string about(std::string_view channel) { return "gradient of " + std::strin
 class LossLaws {
  public:
   LossLaws(const Loss& loss, const LawOptions& options, bool soft_labels)
-      : loss_(loss), options_(options), traits_(loss.traits()), soft_(soft_labels) {
+      : loss_(loss), options_(options), traits_(loss.traits()), further_(traits_), soft_(soft_labels) {
     lengths_ = awkward_ray_lengths();
     if (options.many_rows < 4097)
       for (int& length : lengths_) length = std::min(length, 9);  // one that is slow
@@ -64,7 +66,11 @@ class LossLaws {
  private:
   template <class Real>
   LossRays<Real> rays(const std::vector<int>& counts) const {
-    return LossRays<Real>(counts, options_.seed, soft_);
+    return LossRays<Real>(counts, options_.seed, soft_, further_);
+  }
+  template <class Real>
+  std::vector<Gradient<Real>> gradients() const {
+    return every_gradient<Real>(further_.head);
   }
   void note(const std::string& law, const std::string& sentence) { note_failure(failures_, law, sentence); }
   void require(bool holds, const std::string& law, const std::string& sentence) {
@@ -92,7 +98,7 @@ class LossLaws {
       return kScale * copy.add(loss_, 0);
     };
     const GradientCheck check{1e-6, 1e-6, 16 * options_.gradient_elements, options_.seed};
-    for (const Gradient<double>& one : gradients_of<double>())
+    for (const Gradient<double>& one : gradients<double>())
       note(about(one.channel),
            check_gradient(value, LossRays<double>::mat(at.*one.value, 1), column(moved.*one.gradient), check));
   }
@@ -100,7 +106,7 @@ class LossLaws {
   void moves() {
     LossRays<double> all = rays<double>(lengths_);
     require(all.add(loss_, kScale) > 0, "traits", "random rays cost nothing");
-    for (const Gradient<double>& one : gradients_of<double>()) {
+    for (const Gradient<double>& one : gradients<double>()) {
       const std::vector<double>& gradient = all.*one.gradient;
       const bool any = std::any_of(gradient.begin(), gradient.end(), [](double d) { return d != 0; });
       require(any == traits_.does_move(one.channel), "traits",
@@ -114,10 +120,10 @@ class LossLaws {
     const double sum = wide.add(loss_, kScale), got = narrow.add(loss_, kScale);
     require(std::abs(got - sum) <= options_.float_tolerance * std::abs(sum), "float against double, loss",
             std::to_string(got) + ", not " + std::to_string(sum));
-    for (std::size_t i = 0; i < gradients_of<float>().size(); ++i) {
-      const Gradient<float> one = gradients_of<float>()[i];
+    for (std::size_t i = 0; i < gradients<float>().size(); ++i) {
+      const Gradient<float> one = gradients<float>()[i];
       note("float against double, " + about(one.channel),
-           compare(column(narrow.*one.gradient), column(wide.*gradients_of<double>()[i].gradient),
+           compare(column(narrow.*one.gradient), column(wide.*gradients<double>()[i].gradient),
                    options_.float_tolerance));
     }
   }
@@ -127,7 +133,7 @@ class LossLaws {
     const double sum = once.add(loss_, 1);
     require(thrice.add(loss_, 1) == sum && thrice.add(loss_, 2) == sum, "the loss is before its scale",
             "it is another for another scale, or another time");
-    for (const Gradient<double>& one : gradients_of<double>()) {
+    for (const Gradient<double>& one : gradients<double>()) {
       std::vector<double> wanted = once.*one.gradient;
       for (double& d : wanted) d *= 3;
       note("gradients accumulate, " + std::string(one.channel),
@@ -145,7 +151,7 @@ class LossLaws {
     }
     require(std::abs(of_parts - sum) <= 1e-6 * std::abs(sum), "rays are independent, loss",
             std::to_string(of_parts) + ", not " + std::to_string(sum));
-    for (const Gradient<float>& one : gradients_of<float>())
+    for (const Gradient<float>& one : gradients<float>())
       note("rays are independent, " + about(one.channel),
            compare_bits(column(parts.*one.gradient), column(whole.*one.gradient)));
   }
@@ -199,8 +205,9 @@ class LossLaws {
     three.delta[3] = three.delta[8] = INFINITY;
     three.weight = {0, 1, 0, 0, 0, 0, 0, 0.5F, 0.5F};
     for (std::size_t i = 0; i < three.logits.size(); ++i) three.logits[i] = i % 2 == 0 ? 1e4F : -1e4F;
+    for (std::size_t i = 0; i < three.made.size(); ++i) three.made[i] = i < three.made.size() / 2 ? 0 : 1e18F;
     require(std::isfinite(three.add(loss_, kScale)), "extremes", "the loss is not finite");
-    for (const Gradient<float>& one : gradients_of<float>()) {
+    for (const Gradient<float>& one : gradients<float>()) {
       const std::vector<float>& gradient = three.*one.gradient;
       require(std::all_of(gradient.begin(), gradient.end(), [](float d) { return std::isfinite(d); }), "extremes",
               about(one.channel) + " is not finite");
@@ -210,6 +217,7 @@ class LossLaws {
   const Loss& loss_;
   LawOptions options_;
   LossTraits traits_;
+  FurtherChannels further_;
   bool soft_;
   std::vector<int> lengths_;
   Failures failures_;

@@ -2,6 +2,8 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
+#include <string>
 #include <vector>
 
 #include "core/rng.h"
@@ -9,11 +11,28 @@
 
 namespace semfield::testkit {
 
+/// Channels that a loss reads beside those of every run.
+struct FurtherChannels {
+  std::string target, head;  ///< of the dataset, and of a head; "": none
+
+  FurtherChannels() = default;
+  explicit FurtherChannels(const LossTraits& traits) {
+    constexpr std::array known{channel::color, channel::label, channel::soft_label, channel::depth};
+    for (const std::string_view name : traits.targets)
+      if (std::find(known.begin(), known.end(), name) == known.end()) target = name;
+    for (const std::string_view name : traits.heads)
+      if (name != channel::logits) head = name;
+  }
+};
+
 /// Random rays of given sample counts. Every third ray has no known depth; labels are hard or soft, one in four rays of
-/// the first half has none, and those of the second half have neither label nor logits.
+/// the first half has none, and those of the second half have neither label nor logits. Of a further target every fifth
+/// ray has none, a row of zeros.
 template <class Real>
 struct LossRays {
-  explicit LossRays(const std::vector<int>& counts, std::uint64_t seed = 1, bool soft_labels = false) {
+  explicit LossRays(const std::vector<int>& counts, std::uint64_t seed = 1, bool soft_labels = false,
+                    const FurtherChannels& further_channels = {})
+      : further(further_channels) {
     auto uniform = [&, next = std::uint64_t{0}](double low, double high) mutable {
       // As float: the same numbers in every precision.
       return static_cast<float>(low + (high - low) * static_cast<double>(uniform01({seed, 0, 0x10557}, next++)));
@@ -53,13 +72,20 @@ struct LossRays {
       }
     }
     if (!soft_labels) soft.clear();
+    for (std::int64_t r = 0; r < rays(); ++r) {
+      for (std::int32_t c = 0; c < kColumns; ++c) {
+        if (!further.target.empty()) further_target.push_back(r % 5 == 4 ? 0.0F : uniform(-1, 1));
+        if (!further.head.empty()) made.push_back(uniform(-1, 1));
+      }
+    }
+    d_made.assign(made.size(), Real(0));
     d_color.assign(color.size(), Real(0));
     d_depth.assign(depth.size(), Real(0));
     d_weight.assign(t.size(), Real(0));
     d_sigma.assign(t.size(), Real(0));
     d_logits.assign(logits.size(), Real(0));
   }
-  static constexpr std::int32_t kClasses = 5;
+  static constexpr std::int32_t kClasses = 5, kColumns = 7;
   std::int64_t rays() const { return static_cast<std::int64_t>(first.size()) - 1; }
   template <class T>
   static View<T> mat(std::vector<T>& v, std::int32_t cols) {
@@ -72,6 +98,7 @@ struct LossRays {
     out.label = mat(label, 1).row_range(begin, n);
     out.more.set(channel::depth, mat(depth_target, 1).row_range(begin, n));
     if (!soft.empty()) out.more.set(channel::soft_label, mat(soft, kClasses).row_range(begin, n));
+    if (!further.target.empty()) out.more.set(further.target, mat(further_target, kColumns).row_range(begin, n));
     return out;
   }
   /// Rays [begin, begin + count); sample arrays stay whole.
@@ -89,6 +116,7 @@ struct LossRays {
     out.opacity = mat(opacity, 1).row_range(begin, n);
     const auto [from, rows] = semantic_rows(begin, n);
     out.heads.set(channel::logits, mat(logits, kClasses).row_range(from, rows));
+    if (!further.head.empty()) out.heads.set(further.head, mat(made, kColumns).row_range(begin, n));
     return out;
   }
   RayGradients<Real> gradients(std::int64_t begin = 0, std::int64_t count = -1) {
@@ -100,6 +128,7 @@ struct LossRays {
                            mat(d_sigma, 1),
                            {}};
     out.heads.set(channel::logits, mat(d_logits, kClasses).row_range(from, rows));
+    if (!further.head.empty()) out.heads.set(further.head, mat(d_made, kColumns).row_range(begin, n));
     return out;
   }
   /// Opacity has no gradient of its own: it follows the weights.
@@ -115,9 +144,10 @@ struct LossRays {
   std::vector<std::int32_t> first;
   std::vector<std::int16_t> label;
   std::vector<double> near_far;
-  std::vector<float> color_target, depth_target, soft;
-  std::vector<Real> t, delta, sigma, weight, color, depth, opacity, logits;
-  std::vector<Real> d_color, d_depth, d_weight, d_sigma, d_logits;
+  FurtherChannels further;
+  std::vector<float> color_target, depth_target, soft, further_target;
+  std::vector<Real> t, delta, sigma, weight, color, depth, opacity, logits, made;
+  std::vector<Real> d_color, d_depth, d_weight, d_sigma, d_logits, d_made;
 
  private:
   std::pair<std::int64_t, std::int64_t> semantic_rows(std::int64_t begin, std::int64_t count) const {

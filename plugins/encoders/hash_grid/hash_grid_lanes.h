@@ -68,8 +68,8 @@ inline void find_cells_avx512(const HashGridLevel& level, const double* x, AxisC
       places[h] = _mm512_cvtpd_ps(_mm512_sub_pd(p, at));
     }
     cell[k] = _mm512_inserti64x4(_mm512_castsi256_si512(cells[0]), cells[1], 1);
-    place[k] = _mm512_castpd_ps(_mm512_insertf64x4(_mm512_castps_pd(_mm512_castps256_ps512(places[0])),
-                                                   _mm256_castps_pd(places[1]), 1));
+    place[k] = _mm512_castpd_ps(
+        _mm512_insertf64x4(_mm512_castps_pd(_mm512_castps256_ps512(places[0])), _mm256_castps_pd(places[1]), 1));
   }
   // Sample i's coordinate d is element 3 i + d of the 48. The first two registers hold samples up to 10 (d = 0, 1: 31 /
   // 3) or 9 (d = 2), the third the rest.
@@ -82,8 +82,7 @@ inline void find_cells_avx512(const HashGridLevel& level, const double* x, AxisC
     _mm512_store_si512(out.cell[d], _mm512_mask_permutexvar_epi32(c, in_third, place_of, cell[2]));
     __m512 far = _mm512_mask_permutexvar_ps(w, in_third, place_of, place[2]);
     if constexpr (kInterpolation == Interpolation::smoothstep) {
-      far = _mm512_mul_ps(_mm512_mul_ps(far, far),
-                          _mm512_fnmadd_ps(_mm512_set1_ps(2.f), far, _mm512_set1_ps(3.f)));
+      far = _mm512_mul_ps(_mm512_mul_ps(far, far), _mm512_fnmadd_ps(_mm512_set1_ps(2.f), far, _mm512_set1_ps(3.f)));
     }
     _mm512_store_ps(out.far[d], far);
   }
@@ -181,7 +180,8 @@ inline void interpolate(const Edges<Real>& edges, const Real* table, Real* out) 
         far[f] += w * b[f];
       }
     }
-    for (std::int32_t f = 0; f < kFeatures; ++f) out[i * kFeatures + f] = near[f] + edges.far_weight[i] * (far[f] - near[f]);
+    for (std::int32_t f = 0; f < kFeatures; ++f)
+      out[i * kFeatures + f] = near[f] + edges.far_weight[i] * (far[f] - near[f]);
   }
 }
 
@@ -196,9 +196,8 @@ inline void scatter(const Edges<Real>& edges, Real* grad, std::int64_t n, const 
       const __m128 both = _mm_shuffle_ps(_mm_sub_ps(d, far), far, _MM_SHUFFLE(1, 0, 1, 0));
 #pragma GCC unroll 4
       for (int e = 0; e < 4; ++e) {
-        store_edge<kDense>(
-            grad, edges, e, i,
-            _mm_fmadd_ps(_mm_set1_ps(edges.weight[e][i]), both, load_edge<kDense>(grad, edges, e, i)));
+        store_edge<kDense>(grad, edges, e, i,
+                           _mm_fmadd_ps(_mm_set1_ps(edges.weight[e][i]), both, load_edge<kDense>(grad, edges, e, i)));
       }
     }
     return;

@@ -3,9 +3,9 @@
 
 #include "app/scene/capture_replica.h"
 #include "datasets/obj_room/obj_room.h"
+#include "datasets/obj_room/tests/obj_testing.h"
 #include "datasets/replica/replica.h"
 #include "plugin/linked_plugins.h"
-#include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {
 namespace {

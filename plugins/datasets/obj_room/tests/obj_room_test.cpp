@@ -7,8 +7,8 @@
 #include <set>
 
 #include "datasets/obj_room/class_rules.h"
-#include "tests/datasets/rewritten_poses.h"
 #include "datasets/obj_room/tests/obj_testing.h"
+#include "tests/datasets/rewritten_poses.h"
 
 namespace semfield {
 namespace {

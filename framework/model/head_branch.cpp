@@ -1,4 +1,4 @@
-#include "model/semantic_branch.h"
+#include "model/head_branch.h"
 
 #include "core/error.h"
 #include "model/param_store.h"
@@ -6,34 +6,34 @@
 namespace semfield {
 
 template <class Real>
-SemanticBranch<Real>::SemanticBranch(const SemanticBranchParts<Real>& parts, const std::string& pass,
-                                     TensorStore<Real>& store, const Stages<Real>& stages)
-    : parts_(&parts), pass_(pass), store_(&store), stages_(&stages) {
+HeadBranch<Real>::HeadBranch(const BranchParts<Real>& parts, const BranchPlace& place, TensorStore<Real>& store,
+                             const Stages<Real>& stages)
+    : parts_(&parts), place_(place), store_(&store), stages_(&stages) {
   if (declared_bytes<Real>(*parts_->position, 1, true).learns) {
     throw Error(ErrorKind::config,
-                "pass '" + pass +
-                    "': the position encoder of its semantic branch has learned tensors, and the branch is to be "
-                    "smoother than such tables",
+                "pass '" + place.pass + "': the position encoder of the branch '" + place.prefix +
+                    "' has learned tensors, and the branch is to be smoother than such tables",
                 "choose an encoder without learned tensors");
   }
-  position_ = store.add(pass + "/semantic/position", *parts_->position, parts_->rules.learning());
-  field_ = store.add(pass + "/semantic/field", *parts_->field, parts_->rules.learning());
+  const LearningRule rule = parts_->rules.learning(place.semantic);
+  position_ = store.add(place.prefix + "/position", *parts_->position, rule);
+  field_ = store.add(place.prefix + "/field", *parts_->field, rule);
 }
 
 template <class Real>
-void SemanticBranch<Real>::derive(const StepContext& ctx) const {
+void HeadBranch<Real>::derive(const StepContext& ctx) const {
   parts_->position->derive(ctx, store_->tensors(position_));
   parts_->field->derive(ctx, store_->tensors(field_));
 }
 
 template <class Real>
-void SemanticBranch<Real>::derive_backward(const StepContext& ctx) const {
+void HeadBranch<Real>::derive_backward(const StepContext& ctx) const {
   parts_->position->derive_backward(ctx, store_->tensors(position_));
   parts_->field->derive_backward(ctx, store_->tensors(field_));
 }
 
 template <class Real>
-FieldIn<Real> SemanticBranch<Real>::field_in(const SemanticBranchTrace<Real>& trace) const {
+FieldIn<Real> HeadBranch<Real>::field_in(const BranchTrace<Real>& trace) const {
   FieldIn<Real> in;
   in.position = trace.input;
   in.ray_of_sample = trace.samples.ray_of_sample;
@@ -41,32 +41,30 @@ FieldIn<Real> SemanticBranch<Real>::field_in(const SemanticBranchTrace<Real>& tr
 }
 
 template <class Real>
-Dropout SemanticBranch<Real>::dropout(const StepContext& ctx) const {
-  return {ctx.random(kBranchDropout), ctx.first_ray, parts_->rules.dropout};
+Dropout HeadBranch<Real>::dropout(const StepContext& ctx) const {
+  const std::string name = place_.semantic ? kBranchDropout : place_.prefix + "/" + kBranchDropout;
+  return {ctx.random(name), ctx.first_ray, parts_->rules.dropout};
 }
 
 template <class Real>
-SemanticBranchTrace<Real> SemanticBranch<Real>::forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
-                                                        const Samples<Real>& samples, View<const Real> weight,
-                                                        View<const Real> feature, std::int64_t semantic_rays,
-                                                        std::int64_t most) const {
+BranchTrace<Real> HeadBranch<Real>::forward(const StepContext& ctx, int lane, const BranchCall<Real>& call) const {
   Workspace& arena = *ctx.workspace;
-  SemanticBranchTrace<Real> trace;
-  trace.samples.first = arena.take<std::int32_t>(semantic_rays + 1, 1);
-  trace.share = arena.take<Real>(semantic_rays, 1);
-  stages_->keep(arena, samples, weight, static_cast<Real>(parts_->rules.least_weight), most, trace);
+  BranchTrace<Real> trace;
+  trace.samples.first = arena.take<std::int32_t>(call.count + 1, 1);
+  trace.share = arena.take<Real>(call.count, 1);
+  stages_->keep(arena, *call.samples, call.weight, static_cast<Real>(parts_->rules.least_weight), call.most, trace);
   const std::int64_t kept = trace.samples.count;
   const LiveRows<Real> live(*stages_, trace.samples);
   const std::int32_t encoded = parts_->position->traits().out_dims;
-  const View<const Real> read = parts_->rules.reads_feature ? feature : View<const Real>();
+  const View<const Real> read = parts_->rules.reads_feature ? call.feature : View<const Real>();
   trace.input = arena.take<Real>(kept, encoded + (read.empty() ? 0 : read.cols));
-  take_outputs(ctx, kept, semantic_rays, trace);
+  take_outputs(ctx, kept, call.count, trace);
   if (kept == 0) return trace;
   const Workspace::Scope scope(arena);
   const View<double> x = arena.take<double>(kept, 3);
-  const Rays<Real> seen{rays.origin.row_range(0, semantic_rays), rays.direction.row_range(0, semantic_rays),
-                        rays.near_far.row_range(0, semantic_rays)};
-  stages_->locate({pass_, ctx.first_ray, &trace.samples}, seen, parts_->domain, x);
+  const Rays<Real> seen{call.rays->origin.row_range(0, call.count), call.rays->direction.row_range(0, call.count),
+                        call.rays->near_far.row_range(0, call.count)};
+  stages_->locate({place_.pass, ctx.first_ray, &trace.samples}, seen, parts_->domain, x);
   const View<Real> position = arena.take<Real>(kept, encoded);
   parts_->position->forward(ctx, store_->tensors(position_, lane), x, position);
   stages_->join(trace, position, read);
@@ -75,8 +73,8 @@ SemanticBranchTrace<Real> SemanticBranch<Real>::forward(const StepContext& ctx, 
 }
 
 template <class Real>
-void SemanticBranch<Real>::take_outputs(const StepContext& ctx, std::int64_t rows, std::int64_t rays,
-                                        SemanticBranchTrace<Real>& trace) const {
+void HeadBranch<Real>::take_outputs(const StepContext& ctx, std::int64_t rows, std::int64_t rays,
+                                    BranchTrace<Real>& trace) const {
   Workspace& arena = *ctx.workspace;
   trace.out.feature = trace.feature = arena.take<Real>(rows, feature_dims());
   if (!ctx.training) return;
@@ -86,13 +84,13 @@ void SemanticBranch<Real>::take_outputs(const StepContext& ctx, std::int64_t row
 }
 
 template <class Real>
-void SemanticBranch<Real>::run_network(const StepContext& ctx, int lane, SemanticBranchTrace<Real>& trace) const {
+void HeadBranch<Real>::run_network(const StepContext& ctx, int lane, BranchTrace<Real>& trace) const {
   parts_->field->forward(ctx, store_->tensors(field_, lane), field_in(trace), trace.out, trace.saved);
   if (drops_out(trace)) stages_->drop_out(dropout(ctx), trace.samples, trace.out.feature, trace.feature);
 }
 
 template <class Real>
-void SemanticBranch<Real>::encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const {
+void HeadBranch<Real>::encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const {
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
   const View<double> x = arena.take<double>(positions.rows, 3);
@@ -102,10 +100,9 @@ void SemanticBranch<Real>::encode_points(const StepContext& ctx, View<const doub
 }
 
 template <class Real>
-SemanticBranchTrace<Real> SemanticBranch<Real>::forward_points(const StepContext& ctx, int lane,
-                                                               View<Real> input) const {
+BranchTrace<Real> HeadBranch<Real>::forward_points(const StepContext& ctx, int lane, View<Real> input) const {
   Workspace& arena = *ctx.workspace;
-  SemanticBranchTrace<Real> trace;
+  BranchTrace<Real> trace;
   trace.input = input;
   trace.samples.count = input.rows;
   trace.samples.first = arena.take<std::int32_t>(input.rows + 1, 1);
@@ -118,8 +115,8 @@ SemanticBranchTrace<Real> SemanticBranch<Real>::forward_points(const StepContext
 }
 
 template <class Real>
-void SemanticBranch<Real>::backward(const StepContext& ctx, int lane, const SemanticBranchTrace<Real>& trace,
-                                    View<Real> d_feature) const {
+void HeadBranch<Real>::backward(const StepContext& ctx, int lane, const BranchTrace<Real>& trace,
+                                View<Real> d_feature) const {
   if (trace.samples.count == 0) return;
   const LiveRows<Real> live(*stages_, trace.samples);
   if (drops_out(trace)) stages_->drop_out(dropout(ctx), trace.samples, d_feature, d_feature);
@@ -128,7 +125,7 @@ void SemanticBranch<Real>::backward(const StepContext& ctx, int lane, const Sema
   parts_->field->backward(ctx, store_->tensors(field_, lane), field_in(trace), trace.out, grad, trace.saved, {});
 }
 
-template class SemanticBranch<float>;
-template class SemanticBranch<double>;
+template class HeadBranch<float>;
+template class HeadBranch<double>;
 
 }  // namespace semfield

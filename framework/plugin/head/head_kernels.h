@@ -1,5 +1,7 @@
-// What a device computes for the semantic head.
+// What a device computes for a head of one hidden layer.
 #pragma once
+
+#include <string>
 
 #include "compute/precision.h"
 #include "core/bf16.h"
@@ -9,15 +11,16 @@
 namespace semfield {
 
 struct HeadShape {
-  std::int32_t feature = 0, hidden = 0, classes = 0;
-  Precision precision = Precision::fp32;        ///< of the hidden layer, a product a sample; the class layer stays fp32
-  LayerWeight hidden_weight{}, class_weight{};  ///< on a processor
+  std::int32_t feature = 0, hidden = 0, width = 0;
+  Precision precision = Precision::fp32;         ///< of the hidden layer, a product per sample; the output stays fp32
+  std::string output = "class";                  ///< name of the output layer's tensors
+  LayerWeight hidden_weight{}, output_weight{};  ///< on a CPU
 };
 
 /// The head's learned tensors, in this order.
-enum HeadTensor : std::size_t { kHiddenWeight, kHiddenBias, kClassWeight, kClassBias };
+enum HeadTensor : std::size_t { kHiddenWeight, kHiddenBias, kOutputWeight, kOutputBias };
 
-/// Shapes and meaning are those of SemanticHead's calls. A null entry is work that the device has no use for.
+/// Shapes and meaning are those of Head's calls. A null entry is work that the device has no use for.
 template <class Real>
 struct HeadKernels {
   /// Of the rearranged tensors, which a device that needs none does not have.
@@ -27,11 +30,11 @@ struct HeadKernels {
   void (*hidden_backward)(const HeadShape& shape, Workspace& arena, const Tensors<Real>& tensors,
                           View<const Real> feature, View<const Real> hidden, View<Real> d_hidden,
                           View<Real> d_feature) = nullptr;
-  void (*class_forward)(const HeadShape& shape, Workspace& arena, const Tensors<Real>& tensors, View<const Real> h,
-                        View<const Real> share, View<Real> logits) = nullptr;
-  void (*class_backward)(const HeadShape& shape, Workspace& arena, const Tensors<Real>& tensors, View<const Real> h,
-                         View<const Real> share, View<const Real> d_logits, View<Real> d_h,
-                         View<Real> d_share) = nullptr;
+  void (*output_forward)(const HeadShape& shape, Workspace& arena, const Tensors<Real>& tensors, View<const Real> h,
+                         View<const Real> opacity, View<Real> rows) = nullptr;
+  void (*output_backward)(const HeadShape& shape, Workspace& arena, const Tensors<Real>& tensors, View<const Real> h,
+                          View<const Real> opacity, View<const Real> d_rows, View<Real> d_h,
+                          View<Real> d_opacity) = nullptr;
   /// The hidden layer with feature and activations in bf16; d_hidden is already the gradient before the ReLU. Null
   /// where the device's activations are never bf16.
   void (*rounded_hidden_forward)(const HeadShape& shape, Workspace& arena, const Tensors<Real>& tensors,
@@ -40,8 +43,8 @@ struct HeadKernels {
                                   View<const Bf16> feature, View<const Bf16> d_hidden, View<Bf16> d_feature) = nullptr;
 };
 
-/// Those of the processor.
+/// Those of the CPU.
 template <class Real>
-const HeadKernels<Real>& processor_head_kernels();
+const HeadKernels<Real>& cpu_head_kernels();
 
 }  // namespace semfield

@@ -1,5 +1,5 @@
-// The semantic head on the processor.
-#include "model/head_kernels.h"
+// A head of one hidden layer on the CPU.
+#include "plugin/head/head_kernels.h"
 
 #include <type_traits>
 
@@ -25,7 +25,7 @@ void with_activation(const HeadShape& shape, const Body& body) {
 template <class Real>
 void derive(const HeadShape& shape, const Tensors<Real>& tensors) {
   with_activation<Real>(shape, [&]<class Act>() { rearrange<Act>(shape.hidden_weight, tensors); });
-  rearrange<Real>(shape.class_weight, tensors);
+  rearrange<Real>(shape.output_weight, tensors);
 }
 
 /// h = relu(feature W1 + b1), to be given its result.
@@ -84,35 +84,35 @@ void rounded_hidden_backward(const HeadShape& shape, Workspace&, const Tensors<f
 }
 
 template <class Real>
-void class_forward(const HeadShape&, Workspace&, const Tensors<Real>& tensors, View<const Real> h,
-                   View<const Real> share, View<Real> logits) {
-  Layer<Real> layer{.x = h, .weight = tensors.value[kClassWeight], .start = tensors.value[kClassBias], .exact = logits};
-  if (!share.empty()) {
-    gemm<Real>(share, tensors.value[kClassBias], logits);
-    layer.start = logits;
+void output_forward(const HeadShape&, Workspace&, const Tensors<Real>& tensors, View<const Real> h,
+                    View<const Real> opacity, View<Real> rows) {
+  Layer<Real> layer{.x = h, .weight = tensors.value[kOutputWeight], .start = tensors.value[kOutputBias], .exact = rows};
+  if (!opacity.empty()) {
+    gemm<Real>(opacity, tensors.value[kOutputBias], rows);
+    layer.start = rows;
   }
   apply(layer);
 }
 
 template <class Real>
-void class_backward(const HeadShape& shape, Workspace&, const Tensors<Real>& tensors, View<const Real> h,
-                    View<const Real> share, View<const Real> d_logits, View<Real> d_h, View<Real> d_share) {
-  weight_gradient(h, d_logits, tensors.grad[kClassWeight], share.empty() ? tensors.grad[kClassBias] : View<Real>());
-  apply(Layer<Real>{.x = d_logits, .weight = backward_weight<Real>(shape.class_weight, tensors), .exact = d_h});
-  if (share.empty()) return;
-  gemm_at_b_add<Real>(share, d_logits, tensors.grad[kClassBias]);
-  if (d_share.empty()) return;
-  const View<Real> bias = tensors.value[kClassBias];
-  gemm<Real>(d_logits, View<const Real>(bias.data, shape.classes, 1), d_share);
+void output_backward(const HeadShape& shape, Workspace&, const Tensors<Real>& tensors, View<const Real> h,
+                     View<const Real> opacity, View<const Real> d_rows, View<Real> d_h, View<Real> d_opacity) {
+  weight_gradient(h, d_rows, tensors.grad[kOutputWeight], opacity.empty() ? tensors.grad[kOutputBias] : View<Real>());
+  apply(Layer<Real>{.x = d_rows, .weight = backward_weight<Real>(shape.output_weight, tensors), .exact = d_h});
+  if (opacity.empty()) return;
+  gemm_at_b_add<Real>(opacity, d_rows, tensors.grad[kOutputBias]);
+  if (d_opacity.empty()) return;
+  const View<Real> bias = tensors.value[kOutputBias];
+  gemm<Real>(d_rows, View<const Real>(bias.data, shape.width, 1), d_opacity);
 }
 
 }  // namespace
 
 template <class Real>
-const HeadKernels<Real>& processor_head_kernels() {
+const HeadKernels<Real>& cpu_head_kernels() {
   static constexpr HeadKernels<Real> kernels = [] {
-    HeadKernels<Real> table{derive<Real>, hidden_forward<Real>, hidden_backward<Real>, class_forward<Real>,
-                            class_backward<Real>};
+    HeadKernels<Real> table{derive<Real>, hidden_forward<Real>, hidden_backward<Real>, output_forward<Real>,
+                            output_backward<Real>};
     if constexpr (std::is_same_v<Real, float>) {
       table.rounded_hidden_forward = rounded_hidden_forward;
       table.rounded_hidden_backward = rounded_hidden_backward;
@@ -122,7 +122,7 @@ const HeadKernels<Real>& processor_head_kernels() {
   return kernels;
 }
 
-template const HeadKernels<float>& processor_head_kernels<float>();
-template const HeadKernels<double>& processor_head_kernels<double>();
+template const HeadKernels<float>& cpu_head_kernels<float>();
+template const HeadKernels<double>& cpu_head_kernels<double>();
 
 }  // namespace semfield

@@ -1,41 +1,21 @@
-#include "model/semantic_head.h"
+#include "plugin/head/one_layer_head.h"
 
 #include <cmath>
 
-#include "core/check.h"
-
 namespace semfield {
-
-template <class Real>
-HiddenLayer<Real> SemanticHead<Real>::hidden_layer(const Tensors<Real>&) const {
-  SEMFIELD_CHECK(takes_rounded(), "a head without bf16 activations was asked for its hidden layer");
-  return {};
-}
-
-template <class Real>
-void SemanticHead<Real>::rounded_hidden_forward(const StepContext&, const Tensors<Real>&, View<const Bf16>,
-                                                View<Bf16>) const {
-  SEMFIELD_CHECK(takes_rounded(), "a head without bf16 activations was given some");
-}
-
-template <class Real>
-void SemanticHead<Real>::rounded_hidden_backward(const StepContext&, const Tensors<Real>&, View<const Bf16>,
-                                                 View<const Bf16>, View<Bf16>) const {
-  SEMFIELD_CHECK(takes_rounded(), "a head without bf16 activations was given gradients of some");
-}
 
 template <class Real>
 OneLayerHead<Real>::OneLayerHead(const HeadShape& shape, const HeadKernels<Real>& kernels)
     : shape_(shape), kernels_(&kernels) {
   const Init hidden_init = Init::uniform(1 / std::sqrt(static_cast<double>(shape.feature)));
-  const Init class_init = Init::uniform(1 / std::sqrt(static_cast<double>(shape.hidden)));
+  const Init output_init = Init::uniform(1 / std::sqrt(static_cast<double>(shape.hidden)));
   specs_.push_back({"hidden/weight", shape.feature, shape.hidden, hidden_init, TensorRole::dense});
   specs_.push_back({"hidden/bias", 1, shape.hidden, hidden_init, TensorRole::dense});
-  specs_.push_back({"class/weight", shape.hidden, shape.classes, class_init, TensorRole::dense});
-  specs_.push_back({"class/bias", 1, shape.classes, class_init, TensorRole::dense});
+  specs_.push_back({shape.output + "/weight", shape.hidden, shape.width, output_init, TensorRole::dense});
+  specs_.push_back({shape.output + "/bias", 1, shape.width, output_init, TensorRole::dense});
   if (kernels.derive == nullptr) return;
   shape_.hidden_weight = rearranged_weight(specs_, kHiddenWeight, 0, shape.feature, shape.precision);
-  shape_.class_weight = rearranged_weight(specs_, kClassWeight, 0, shape.hidden, Precision::fp32);
+  shape_.output_weight = rearranged_weight(specs_, kOutputWeight, 0, shape.hidden, Precision::fp32);
 }
 
 template <class Real>
@@ -87,20 +67,18 @@ void OneLayerHead<Real>::rounded_hidden_backward(const StepContext& ctx, const T
 }
 
 template <class Real>
-void OneLayerHead<Real>::class_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
-                                       View<const Real> share, View<Real> logits) const {
-  if (h.rows > 0) kernels_->class_forward(shape_, *ctx.workspace, tensors, h, share, logits);
+void OneLayerHead<Real>::output_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
+                                        View<const Real> opacity, View<Real> rows) const {
+  if (h.rows > 0) kernels_->output_forward(shape_, *ctx.workspace, tensors, h, opacity, rows);
 }
 
 template <class Real>
-void OneLayerHead<Real>::class_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
-                                        View<const Real> share, View<const Real> d_logits, View<Real> d_h,
-                                        View<Real> d_share) const {
-  if (h.rows > 0) kernels_->class_backward(shape_, *ctx.workspace, tensors, h, share, d_logits, d_h, d_share);
+void OneLayerHead<Real>::output_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
+                                         View<const Real> opacity, View<const Real> d_rows, View<Real> d_h,
+                                         View<Real> d_opacity) const {
+  if (h.rows > 0) kernels_->output_backward(shape_, *ctx.workspace, tensors, h, opacity, d_rows, d_h, d_opacity);
 }
 
-template class SemanticHead<float>;
-template class SemanticHead<double>;
 template class OneLayerHead<float>;
 template class OneLayerHead<double>;
 

@@ -1,5 +1,5 @@
-// A network of its own for what the semantic head reads: smooth where the pass's field is sharp, and run on the samples
-// that weigh alone.
+// A network of its own for what a head reads: smooth where the pass's field is sharp, and run on the samples that weigh
+// alone.
 #pragma once
 
 #include <memory>
@@ -17,26 +17,43 @@
 
 namespace semfield {
 
-struct SemanticBranchRules {
+struct BranchRules {
   bool reads_feature = true;   ///< the field's feature beside the position; no gradient goes back into the field
   double least_weight = 1e-3;  ///< samples of a smaller compositing weight are left out
   double dropout = 0;          ///< share of feature values that a training step sets to 0 [Srivastava14]
   double learning_rate = 1;    ///< of branch and head, as a factor to the run's
   double weight_decay = 0;     ///< of branch and head: share of a value times the learning rate [Loshchilov19]
-  LearningRule learning() const { return {learning_rate, weight_decay, true}; }
+  LearningRule learning(bool semantic) const { return {learning_rate, weight_decay, semantic}; }
 };
 
 template <class Real>
-struct SemanticBranchParts {
+struct BranchParts {
   std::unique_ptr<Encoder<Real>> position;  ///< without learned tensors
   std::unique_ptr<Field<Real>> field;       ///< asked for its feature alone, and given no direction
   DomainMap domain;
-  SemanticBranchRules rules;
+  BranchRules rules;
+};
+
+/// Where the tensors of a branch and its head lie, and whose they are.
+struct BranchPlace {
+  std::string prefix;     ///< of their names: "PASS/semantic" or "PASS/heads/CHANNEL"
+  std::string pass;       ///< for messages
+  bool semantic = false;  ///< they stay as they are in a step without labels
+};
+
+/// The samples of a pass that a branch is to read: those of its first `count` rays, which have at most `most`.
+template <class Real>
+struct BranchCall {
+  const Rays<Real>* rays = nullptr;
+  const Samples<Real>* samples = nullptr;
+  View<const Real> weight;   ///< [M, 1] compositing weights
+  View<const Real> feature;  ///< [M, F] of the field; empty unless the branch reads it
+  std::int64_t count = 0, most = 0;
 };
 
 /// K kept samples of the first R rays; lives in the tile's workspace.
 template <class Real>
-struct SemanticBranchTrace {
+struct BranchTrace {
   Samples<Real> samples;
   View<std::int32_t> source;  ///< [K, 1] number of the sample in the pass
   View<Real> weight;          ///< [K, 1] compositing weight, a constant here
@@ -47,28 +64,24 @@ struct SemanticBranchTrace {
   Saved saved;
 };
 
-/// Semantics of a ray = sum over its kept samples of weight times what the head makes of the branch's feature. Weights
-/// are constants: labels do not shape density. Leaving out samples of weight below w changes a logit by at most the
-/// sum of the weights left out times the largest logit of a sample.
+/// A head's row of a ray = sum over its kept samples of weight times what the head makes of the branch's feature.
+/// Weights are constants: labels do not shape density. Leaving out samples of weight below w changes a value by at most
+/// the sum of the weights left out times the largest value of a sample.
 template <class Real>
-class SemanticBranch {
+class HeadBranch {
  public:
-  /// Adds the parts' tensors to `store` under "PASS/semantic/...". Throws Error(config) where the encoder learns.
-  /// Borrows all.
-  SemanticBranch(const SemanticBranchParts<Real>& parts, const std::string& pass, TensorStore<Real>& store,
-                 const Stages<Real>& stages);
+  /// Adds the parts' tensors to `store`. Throws Error(config) where the encoder learns. Borrows parts, store and
+  /// stages.
+  HeadBranch(const BranchParts<Real>& parts, const BranchPlace& place, TensorStore<Real>& store,
+             const Stages<Real>& stages);
 
   std::int32_t feature_dims() const { return parts_->field->traits().feature_dims; }
-  const SemanticBranchRules& rules() const { return parts_->rules; }
+  const BranchRules& rules() const { return parts_->rules; }
 
-  /// Of the first `semantic_rays` rays: keeps the samples that weigh, encodes them and runs the network, in
-  /// ctx.workspace. weight [M, 1] and feature [M, F] of the pass (feature empty unless it is read); these rays have at
-  /// most `most` samples.
-  SemanticBranchTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
-                                    const Samples<Real>& samples, View<const Real> weight, View<const Real> feature,
-                                    std::int64_t semantic_rays, std::int64_t most) const;
+  /// Keeps the samples of the call that weigh, encodes them and runs the network, in ctx.workspace.
+  BranchTrace<Real> forward(const StepContext& ctx, int lane, const BranchCall<Real>& call) const;
   /// The same of single samples, whose inputs are known: input [K, input_dims], each sample a ray of its own.
-  SemanticBranchTrace<Real> forward_points(const StepContext& ctx, int lane, View<Real> input) const;
+  BranchTrace<Real> forward_points(const StepContext& ctx, int lane, View<Real> input) const;
   /// Columns of the input: the encoded position, and behind it `feature_dims` of the field's feature where it is read.
   std::int32_t input_dims(std::int32_t feature_dims) const {
     return parts_->position->traits().out_dims + (parts_->rules.reads_feature ? feature_dims : 0);
@@ -76,27 +89,26 @@ class SemanticBranch {
   /// The first columns of input [N, input_dims] at world positions [N, 3].
   void encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const;
   /// d_feature [K, B] of trace.feature; it is changed (dropout). Gradients go into the lane's.
-  void backward(const StepContext& ctx, int lane, const SemanticBranchTrace<Real>& trace, View<Real> d_feature) const;
+  void backward(const StepContext& ctx, int lane, const BranchTrace<Real>& trace, View<Real> d_feature) const;
 
   void derive(const StepContext& ctx) const;
   void derive_backward(const StepContext& ctx) const;
 
  private:
-  void run_network(const StepContext& ctx, int lane, SemanticBranchTrace<Real>& trace) const;
-  void take_outputs(const StepContext& ctx, std::int64_t rows, std::int64_t rays,
-                    SemanticBranchTrace<Real>& trace) const;
-  FieldIn<Real> field_in(const SemanticBranchTrace<Real>& trace) const;
-  bool drops_out(const SemanticBranchTrace<Real>& trace) const { return trace.feature.data != trace.out.feature.data; }
+  void run_network(const StepContext& ctx, int lane, BranchTrace<Real>& trace) const;
+  void take_outputs(const StepContext& ctx, std::int64_t rows, std::int64_t rays, BranchTrace<Real>& trace) const;
+  FieldIn<Real> field_in(const BranchTrace<Real>& trace) const;
+  bool drops_out(const BranchTrace<Real>& trace) const { return trace.feature.data != trace.out.feature.data; }
   Dropout dropout(const StepContext& ctx) const;
 
-  const SemanticBranchParts<Real>* parts_;
-  std::string pass_;
+  const BranchParts<Real>* parts_;
+  BranchPlace place_;
   TensorStore<Real>* store_;
   const Stages<Real>* stages_;
   int position_ = 0, field_ = 0;
 };
 
-/// Address of the dropout's random values.
+/// Address of the dropout's random values; that of other heads also has their prefix in front.
 inline constexpr const char* kBranchDropout = "semantic_branch/dropout";
 /// Columns that share a block of random numbers.
 inline constexpr std::int32_t kDropoutGroup = 4;
@@ -118,7 +130,7 @@ SEMFIELD_HD inline DropoutFactors dropout_factors(const RandomAddress& address, 
   return factors;
 }
 
-extern template class SemanticBranch<float>;
-extern template class SemanticBranch<double>;
+extern template class HeadBranch<float>;
+extern template class HeadBranch<double>;
 
 }  // namespace semfield

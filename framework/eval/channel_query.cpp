@@ -1,0 +1,124 @@
+#include "eval/channel_query.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "compute/parallel.h"
+#include "core/error.h"
+#include "formats/npz.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr const char* kRemedy = "encode the words with the model that made the dataset's channel";
+
+std::string file_name(const std::string& word) {
+  std::string name = word;
+  for (char& c : name) {
+    const bool kept = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
+    if (!kept) c = '_';
+  }
+  return name;
+}
+
+void require_sound(const std::string& path, const QueryVector& query, std::int32_t length) {
+  const std::string place = fmt::format("'{}': vector '{}'", path, query.name);
+  if (std::ssize(query.values) != length)
+    throw Error(ErrorKind::data,
+                fmt::format("{} has {} numbers, and the channel {}", place, query.values.size(), length), kRemedy);
+  double square = 0;
+  for (const float value : query.values) square += static_cast<double>(value) * static_cast<double>(value);
+  if (!std::isfinite(square)) throw Error(ErrorKind::data, place + " has a number that is not finite", kRemedy);
+  if (square == 0) throw Error(ErrorKind::data, place + " is zero, which has no direction", kRemedy);
+}
+
+std::vector<QueryVector> read_json(const std::string& path) {
+  nlohmann::json words;
+  try {
+    words = nlohmann::json::parse(read_text_file(path));
+  } catch (const nlohmann::json::exception& error) {
+    throw Error(ErrorKind::data, fmt::format("'{}' is no JSON: {}", path, error.what()),
+                "write a map from words to lists of numbers");
+  }
+  std::vector<QueryVector> queries;
+  const auto refuse = [&](const std::string& what) {
+    throw Error(ErrorKind::data, fmt::format("'{}': {}", path, what),
+                "write a map from words to lists of numbers: {\"chair\": [0.1, ...]}");
+  };
+  if (!words.is_object() || words.empty()) refuse("expected a map from words to vectors");
+  for (const auto& [word, numbers] : words.items()) {
+    QueryVector query{file_name(word), {}};
+    if (!numbers.is_array()) refuse("'" + word + "' is no list of numbers");
+    for (const auto& number : numbers) {
+      if (!number.is_number()) refuse("'" + word + "' holds something that is no number");
+      query.values.push_back(number.get<float>());
+    }
+    queries.push_back(std::move(query));
+  }
+  return queries;
+}
+
+std::vector<QueryVector> read_array(const std::string& path) {
+  const NumpyArray array = read_npy(path, [&](std::span<const std::int64_t> shape) {
+    if (shape.size() == 1 || shape.size() == 2) return;
+    throw Error(ErrorKind::data, fmt::format("'{}' has the shape {}", path, shape_text(shape)),
+                "write one vector [D] or several [N, D]");
+  });
+  const std::string stem = file_name(std::filesystem::path(path).stem().string());
+  if (array.shape.size() == 1) return {{stem, array.values}};
+  std::vector<QueryVector> queries;
+  for (std::int64_t i = 0; i < array.shape[0]; ++i) {
+    const auto row = array.values.begin() + i * array.shape[1];
+    queries.push_back({fmt::format("{}_{}", stem, i), {row, row + array.shape[1]}});
+  }
+  return queries;
+}
+
+}  // namespace
+
+std::vector<QueryVector> read_queries(const std::string& path, std::int32_t length) {
+  std::vector<QueryVector> queries = path.ends_with(".json") ? read_json(path) : read_array(path);
+  for (const QueryVector& query : queries) {
+    require_sound(path, query, length);
+    if (std::count_if(queries.begin(), queries.end(), [&](const auto& other) { return other.name == query.name; }) > 1)
+      throw Error(ErrorKind::data, fmt::format("'{}': two vectors would be written as '{}'", path, query.name),
+                  "give them names that differ in letters or digits");
+  }
+  return queries;
+}
+
+std::vector<float> cosine_map(const FrameChannel& map, const std::vector<float>& vector, View<const float> axes) {
+  std::vector<double> along(static_cast<std::size_t>(map.cols));
+  double square = 0;
+  for (std::size_t d = 0; d < vector.size(); ++d) {
+    const auto value = static_cast<double>(vector[d]);
+    square += value * value;
+    if (axes.empty()) along[d] = value;
+    for (std::int32_t k = 0; !axes.empty() && k < map.cols; ++k)
+      along[static_cast<std::size_t>(k)] += value * static_cast<double>(axes(static_cast<std::int64_t>(d), k));
+  }
+  const double length = std::sqrt(square);
+  std::vector<float> cosines(static_cast<std::size_t>(map.height) * static_cast<std::size_t>(map.width));
+  parallel_for(map.height, [&](std::int64_t y) {
+    for (std::int64_t cell = y * map.width; cell < (y + 1) * map.width; ++cell) {
+      const float* const row = map.values.data() + cell * map.cols;
+      double dot = 0, own = 0;
+      for (std::int32_t k = 0; k < map.cols; ++k) {
+        const auto value = static_cast<double>(row[k]);
+        dot += value * along[static_cast<std::size_t>(k)];
+        own += value * value;
+      }
+      cosines[static_cast<std::size_t>(cell)] =
+          own > 0 ? static_cast<float>(std::clamp(dot / (std::sqrt(own) * length), -1.0, 1.0)) : 0.0F;
+    }
+  });
+  return cosines;
+}
+
+}  // namespace semfield

@@ -1,0 +1,54 @@
+// Head: a feature per sample to activations, and per ray, after compositing, to a row of the channel that it makes.
+#pragma once
+
+#include "plugin/field.h"
+
+namespace semfield {
+
+/// A feature of the position becomes activations h per sample, and h becomes a row of the channel by a layer that is
+/// linear, so that compositing may stand between them: y(r) = output(sum_k w_k h_k) [Zhi21, Eq. 6 with linearity]. A
+/// head sees no view direction.
+template <class Real>
+class Head : public Parametric<Real> {
+ public:
+  virtual std::int32_t hidden_width() const = 0;  ///< H, numbers of an activation
+  virtual std::int32_t width() const = 0;         ///< C, columns of the channel: of class logits, the classes
+
+  /// hidden [M, H] from feature [M, F].
+  virtual void hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
+                              View<Real> hidden) const = 0;
+  /// d_hidden [M, H] may be overwritten; d_feature [M, F] = dL/dfeature.
+  virtual void hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
+                               View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const = 0;
+
+  /// rows [N, C] from h [N, H], linear in (h, opacity). Once per ray: h composited, opacity [N, 1] the sum of its
+  /// weights. Once per sample (the deferral switched off): h the activations, opacity empty (taken as 1).
+  virtual void output_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
+                              View<const Real> opacity, View<Real> rows) const = 0;
+  /// d_h [N, H] and, when not empty, d_opacity [N, 1].
+  virtual void output_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
+                               View<const Real> opacity, View<const Real> d_rows, View<Real> d_h,
+                               View<Real> d_opacity) const = 0;
+
+  /// Whether it takes a feature in bf16, or the activations of a field that computes its one hidden layer.
+  virtual bool takes_rounded() const { return false; }
+  /// Only where takes_rounded(): the hidden layer relu(feature W + b) for a field that computes it, with gradients
+  /// where the tensors have them; and the calls above in bf16 from end to end, d_hidden already before the ReLU.
+  virtual HiddenLayer<Real> hidden_layer(const Tensors<Real>& tensors) const;
+  virtual void rounded_hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Bf16> feature,
+                                      View<Bf16> hidden) const;
+  virtual void rounded_hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Bf16> feature,
+                                       View<const Bf16> d_hidden, View<Bf16> d_feature) const;
+};
+
+/// What a head that is built knows. The head that makes class logits is the framework's own.
+struct HeadBuild {
+  Device device = Device::cpu;
+  std::int32_t feature_dims = 0;  ///< F
+  std::int32_t width = 0;         ///< C
+};
+
+extern template class Head<float>;
+extern template class Head<double>;
+
+}  // namespace semfield

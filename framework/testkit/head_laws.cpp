@@ -1,0 +1,203 @@
+// The laws of heads.
+#include <algorithm>
+#include <cmath>
+
+#include "core/rng.h"
+#include "testkit/compare.h"
+#include "testkit/gradient_check.h"
+#include "testkit/guarded.h"
+#include "testkit/laws.h"
+#include "testkit/tensor_box.h"
+
+namespace semfield::testkit {
+
+namespace {
+
+constexpr std::int64_t kFew = 33;
+
+// The same numbers in every precision.
+template <class Real>
+void fill(View<Real> view, std::uint64_t seed, std::string_view stream) {
+  const RandomAddress address{seed, 0, stream_id(stream)};
+  for (std::int64_t r = 0; r < view.rows; ++r) {
+    for (std::int32_t c = 0; c < view.cols; ++c) {
+      const auto index = static_cast<std::uint64_t>(r * view.cols + c);
+      view(r, c) = static_cast<Real>(static_cast<float>(2 * uniform01(address, index) - 1));
+    }
+  }
+}
+
+// A head with tensors, inputs of `rows` rows and guarded outputs: per sample, then the output layer on the same rows as
+// if each were a ray.
+template <class Real>
+struct HeadBench {
+  HeadBench(const Head<Real>& head_in, const HeadBuild& build, std::int64_t rows, std::int32_t padding,
+            std::uint64_t seed)
+      : head(head_in),
+        box(head_in, seed),
+        feature(rows, build.feature_dims, padding),
+        hidden(rows, head.hidden_width(), padding),
+        out(rows, head.width(), padding),
+        d_out(rows, head.width(), padding),
+        d_hidden(rows, head.hidden_width(), padding),
+        d_feature(rows, build.feature_dims, padding),
+        opacity(rows, 1),
+        d_opacity(rows, 1) {
+    ctx.seed = seed;
+    ctx.workspace = &workspace;
+    fill(feature.view(), seed, "testkit/head_feature");
+    fill(d_out.view(), seed, "testkit/head_output_weights");
+    fill(opacity.view(), seed, "testkit/head_opacity");
+    for (std::int64_t r = 0; r < rows; ++r) opacity(r, 0) = std::abs(opacity(r, 0));
+    head.derive(ctx, box.tensors());
+  }
+  void forward() {
+    head.hidden_forward(ctx, box.tensors(), feature.view(), hidden.view());
+    head.output_forward(ctx, box.tensors(), hidden.view(), opacity.view(), out.view());
+  }
+  void backward() {
+    head.output_backward(ctx, box.tensors(), hidden.view(), opacity.view(), d_out.view(), d_hidden.view(),
+                         d_opacity.view());
+    head.hidden_backward(ctx, box.tensors(), feature.view(), hidden.view(), d_hidden.view(), d_feature.view());
+    head.derive_backward(ctx, box.tensors());
+  }
+  double loss() {
+    head.derive(ctx, box.tensors());
+    forward();
+    double sum = 0;
+    for (std::int64_t r = 0; r < out.rows(); ++r)
+      for (std::int32_t c = 0; c < out.cols(); ++c)
+        sum += static_cast<double>(out(r, c)) * static_cast<double>(d_out(r, c));
+    return sum;
+  }
+
+  const Head<Real>& head;
+  Workspace workspace;
+  StepContext ctx;
+  TensorBox<Real> box;
+  Guarded<Real> feature, hidden, out, d_out, d_hidden, d_feature, opacity, d_opacity;
+};
+
+template <class Real>
+void check_written(const Head<Real>& head, const HeadBuild& build, std::uint64_t seed, Failures& failures) {
+  for (const std::int64_t rows : {std::int64_t{0}, std::int64_t{1}, std::int64_t{31}, kFew}) {
+    HeadBench<Real> bench(head, build, rows, 3, seed);
+    bench.forward();
+    bench.backward();
+    const std::string law = std::to_string(rows) + " rows, padded";
+    for (const Guarded<Real>* each : {&bench.hidden, &bench.out, &bench.d_hidden, &bench.d_feature, &bench.d_opacity}) {
+      note_failure(failures, law + ", every element written", each->unwritten());
+      note_failure(failures, law + ", outputs stay inside", each->broken_guard());
+    }
+  }
+}
+
+// Compositing stands between the activations and the output layer, which must therefore be linear.
+void check_linear(const Head<double>& head, const HeadBuild& build, std::uint64_t seed, Failures& failures) {
+  HeadBench<double> a(head, build, kFew, 0, seed), b(head, build, kFew, 0, seed), sum(head, build, kFew, 0, seed);
+  fill(a.hidden.view(), seed, "testkit/head_h_1");
+  fill(b.hidden.view(), seed, "testkit/head_h_2");
+  fill(b.opacity.view(), seed, "testkit/head_opacity_2");
+  const auto output = [&](HeadBench<double>& of) {
+    head.output_forward(of.ctx, of.box.tensors(), of.hidden.view(), of.opacity.view(), of.out.view());
+  };
+  for (std::int64_t r = 0; r < kFew; ++r) {
+    sum.opacity(r, 0) = 2 * a.opacity(r, 0) - 3 * b.opacity(r, 0);
+    for (std::int32_t c = 0; c < sum.hidden.cols(); ++c) sum.hidden(r, c) = 2 * a.hidden(r, c) - 3 * b.hidden(r, c);
+  }
+  output(a), output(b), output(sum);
+  Guarded<double> wanted(kFew, head.width());
+  for (std::int64_t r = 0; r < kFew; ++r)
+    for (std::int32_t c = 0; c < head.width(); ++c) wanted(r, c) = 2 * a.out(r, c) - 3 * b.out(r, c);
+  note_failure(failures, "the output is linear in activations and opacity",
+               compare<double, double>(sum.out.view(), wanted.view(), 1e-10));
+  // Without an opacity each row stands for a sample, whose opacity is 1.
+  HeadBench<double> ones(head, build, kFew, 0, seed), none(head, build, kFew, 0, seed);
+  ones.opacity.fill(1);
+  ones.forward();
+  none.forward();
+  head.output_forward(none.ctx, none.box.tensors(), none.hidden.view(), {}, none.out.view());
+  note_failure(failures, "no opacity is an opacity of 1",
+               compare<double, double>(none.out.view(), ones.out.view(), 1e-12));
+}
+
+void check_gradients(const Head<double>& head, const HeadBuild& build, const LawOptions& options, Failures& failures) {
+  HeadBench<double> bench(head, build, kFew, 0, options.seed);
+  bench.forward();
+  bench.backward();
+  const GradientCheck check{options.gradient_tolerance, 1e-6, options.gradient_elements, options.seed};
+  const auto loss = [&] { return bench.loss(); };
+  note_failure(failures, "gradient of the feature",
+               check_gradient(loss, bench.feature.view(), bench.d_feature.view(), check));
+  note_failure(failures, "gradient of the opacity",
+               check_gradient(loss, bench.opacity.view(), bench.d_opacity.view(), check));
+  for (std::size_t i = 0; i < bench.box.count(); ++i) {
+    if (!bench.box.learned(i)) continue;
+    note_failure(failures, "gradient of '" + bench.box.specs()[i].name + "'",
+                 check_gradient(loss, bench.box.value(i), bench.box.grad(i), check));
+  }
+}
+
+void check_accumulates(const Head<double>& head, const HeadBuild& build, std::uint64_t seed, Failures& failures) {
+  HeadBench<double> once(head, build, kFew, 0, seed), twice(head, build, kFew, 0, seed);
+  once.forward();
+  once.backward();
+  twice.forward();
+  twice.backward();
+  twice.forward();
+  twice.backward();
+  for (std::size_t i = 0; i < once.box.count(); ++i) {
+    if (!once.box.learned(i)) continue;
+    const View<double> grad = once.box.grad(i);
+    for (std::int64_t r = 0; r < grad.rows; ++r)
+      for (std::int32_t c = 0; c < grad.cols; ++c) grad(r, c) *= 2;
+    note_failure(failures, "gradients accumulate, '" + once.box.specs()[i].name + "'",
+                 compare<double, double>(twice.box.grad(i), grad, 1e-9));
+  }
+}
+
+// Each row of a batch has the bits that it has alone.
+void check_split(const Head<float>& head, const HeadBuild& build, std::uint64_t seed, Failures& failures) {
+  HeadBench<float> whole(head, build, kFew, 0, seed), part(head, build, kFew, 0, seed);
+  whole.forward();
+  for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 5}, {5, kFew - 5}}) {
+    head.hidden_forward(part.ctx, part.box.tensors(), part.feature.view().row_range(begin, count),
+                        part.hidden.view().row_range(begin, count));
+    head.output_forward(part.ctx, part.box.tensors(), part.hidden.view().row_range(begin, count),
+                        part.opacity.view().row_range(begin, count), part.out.view().row_range(begin, count));
+  }
+  note_failure(failures, "rows are independent", compare_bits<float>(part.out.view(), whole.out.view()));
+}
+
+void check_precision(const Head<float>& single, const Head<double>& oracle, const HeadBuild& build,
+                     const LawOptions& options, Failures& failures) {
+  HeadBench<float> narrow(single, build, kFew, 0, options.seed);
+  HeadBench<double> wide(oracle, build, kFew, 0, options.seed);
+  narrow.forward();
+  narrow.backward();
+  wide.forward();
+  wide.backward();
+  note_failure(failures, "float against double, channel",
+               compare<float, double>(narrow.out.view(), wide.out.view(), options.float_tolerance));
+  note_failure(failures, "float against double, gradient of the feature",
+               compare<float, double>(narrow.d_feature.view(), wide.d_feature.view(), options.float_tolerance));
+}
+
+}  // namespace
+
+Failures head_laws(const Head<float>& single, const Head<double>& oracle, const HeadBuild& build,
+                   const LawOptions& options) {
+  Failures failures;
+  if (single.width() != build.width || oracle.width() != build.width)
+    note_failure(failures, "width", std::to_string(single.width()) + " columns, not " + std::to_string(build.width));
+  check_written(single, build, options.seed, failures);
+  check_written(oracle, build, options.seed, failures);
+  check_linear(oracle, build, options.seed, failures);
+  check_gradients(oracle, build, options, failures);
+  check_accumulates(oracle, build, options.seed, failures);
+  check_split(single, build, options.seed, failures);
+  check_precision(single, oracle, build, options, failures);
+  return failures;
+}
+
+}  // namespace semfield::testkit
