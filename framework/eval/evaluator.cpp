@@ -248,8 +248,7 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     FrameOptions options;
     options.stride = job.stride;
     options.progress = part_done;
-    const RenderedFrame frame =
-        render_named_frame(pipeline, info.name, camera, limits, class_of_logit, truth, options);
+    const RenderedFrame frame = render_named_frame(pipeline, info.name, camera, limits, class_of_logit, truth, options);
     const std::vector<std::uint8_t> stored_rgb = strided(stored.rgb, width, height, 3, job.stride);
     std::vector<float> truth_rgb(stored_rgb.size());
     for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(stored_rgb[i]) / 255.0F;
