@@ -181,9 +181,14 @@ TEST(Program, TooLittleMemoryIsASentence) {
   const std::string config = write_packed_config(dir, kSteps, 0), run_dir = dir / "run";
   const Words words{"train", config, "--out", run_dir, "--steps", "2", "--threads", "1"};
   int refused = 0, done = 0;
-  for (rlim_t most = rlim_t{30} << 20; done == 0 && most < (rlim_t{4} << 30); most += most / 8) {
+  for (rlim_t most = rlim_t{30} << 20; done == 0 && most < (rlim_t{4} << 30); most += most / 32) {
     fs::remove_all(run_dir);
-    const Result r = Process(program(), words, dir.path(), {"OMP_NUM_THREADS=1"}, Limit{RLIMIT_AS, most}).wait();
+    const auto limited = [&](const Words& of) {
+      return Process(program(), of, dir.path(), {"OMP_NUM_THREADS=1"}, Limit{RLIMIT_AS, most}).wait();
+    };
+    const Result r = limited(words);
+    // Before main: TBB's own start, which Embree brings along, crashes where its first allocation fails.
+    if (r.signal != 0 && limited({"--version"}).signal == r.signal) continue;
     EXPECT_EQ(r.signal, 0) << r.err;
     done += r.code == 0 ? 1 : 0;
     if (r.code == 0 || r.code == 127) continue;
