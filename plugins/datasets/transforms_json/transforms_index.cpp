@@ -70,6 +70,9 @@ class FileReader {
       if (!frame.file_path.empty()) frame.split = split_in(lists, frame);
       out_.frames.push_back(std::move(frame));
     }
+    for (const std::string& name : keys_.unread_maps())
+      diagnostics_.note(path_, "frames name maps of '" + name + "', which nothing reads; scene.channels: [" + name +
+                                   "] offers them to heads and losses");
   }
 
  private:
@@ -294,6 +297,7 @@ class FileReader {
   bool check_keys(const json& node, bool of_frame, const std::string& place) {
     const int before = diagnostics_.error_count();
     for (const auto& [key, value] : node.items()) {
+      if (of_frame && value.is_string()) keys_.look_for_map(key, value.get<std::string>());
       const std::string& meant = keys_.meant_by(key, of_frame);
       if (meant.empty() || node.contains(meant)) continue;
       std::string remedy = "write '" + meant + "'";

@@ -108,6 +108,12 @@ TEST(TransformsJson, FurtherChannelsAreReadWhereTheyAreWanted) {
   std::vector<float> cell(3);
   stored.read_channel("normal", stored.width_px - 1, cell);
   EXPECT_EQ(cell, (std::vector<float>{4, 5, 6})) << "the right half of the image";
+  Diagnostics unnamed;
+  TransformsJsonParams none = p;
+  none.channels.clear();
+  TransformsJson(none, {}).open(unnamed);
+  ASSERT_EQ(unnamed.all().size(), 1u);
+  EXPECT_NE(unnamed.all()[0].message.find("scene.channels: [normal]"), std::string::npos);
   for (const auto& [file, says] : {std::pair{"flat.npy", "got (2, 3)"}, std::pair{"gone.npy", "gone.npy"}}) {
     index(file);
     Diagnostics wrong;

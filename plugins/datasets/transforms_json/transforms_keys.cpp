@@ -68,4 +68,14 @@ const std::string& TransformsKeys::meant_by(const std::string& key, bool of_fram
   return found->second;
 }
 
+void TransformsKeys::look_for_map(const std::string& key, const std::string& file) {
+  const std::string end = "_path";
+  const auto among = [&](const std::vector<std::string>& keys) {
+    return std::find(keys.begin(), keys.end(), key) != keys.end();
+  };
+  const bool known = among(kFrameKeys) || among(named_);
+  if (!known && key.ends_with(end) && file.ends_with(".npy"))
+    unread_maps_.insert(key.substr(0, key.size() - end.size()));
+}
+
 }  // namespace semfield

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <map>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -19,8 +20,13 @@ class TransformsKeys {
   /// read itself, is known from other programs, or is near none.
   const std::string& meant_by(const std::string& key, bool of_frame);
 
+  /// A key NAME_path of a frame that names a .npy and that nothing reads is remembered by its name.
+  void look_for_map(const std::string& key, const std::string& file);
+  const std::set<std::string>& unread_maps() const { return unread_maps_; }
+
  private:
-  std::vector<std::string> named_;               // keys of frames that the configuration names
+  std::vector<std::string> named_;  // keys of frames that the configuration names
+  std::set<std::string> unread_maps_;
   std::map<std::string, std::string> meant_[2];  // of a file, of a frame: keys met -> what they look like, or ""
 };
 
