@@ -10,11 +10,6 @@ namespace {
 
 constexpr int kThreads = 256;
 
-__device__ inline float to_float(float x) { return x; }
-__device__ inline float to_float(__nv_bfloat16 x) { return __bfloat162float(x); }
-__device__ inline void assign(float& to, float value) { to = value; }
-__device__ inline void assign(__nv_bfloat16& to, float value) { to = __float2bfloat16_rn(value); }
-
 /// body(row, column) for every number of `rows` x `cols`.
 template <class Body>
 __global__ void each_kernel(std::int64_t rows, std::int32_t cols, Body body) {
@@ -28,58 +23,37 @@ void for_each(std::int64_t rows, std::int32_t cols, const char* what, Body body)
   check_launch(what);
 }
 
-// blockIdx.y: matrix; the blocks of a row share its numbers. 6 bytes a number.
-__global__ void round_kernel(Roundings roundings) {
-  const Rounding& r = roundings.all[blockIdx.y];
-  const std::int32_t size = r.padded_rows * r.padded_cols;
-  for (std::int32_t i = static_cast<std::int32_t>(blockIdx.x * blockDim.x + threadIdx.x); i < size;
-       i += static_cast<std::int32_t>(gridDim.x * blockDim.x)) {
-    const std::int32_t row = i / r.padded_cols, col = i % r.padded_cols;
-    const bool inside = row < r.rows && col < r.cols;
-    r.to[i] = __float2bfloat16_rn(inside ? r.from[static_cast<std::int64_t>(row) * r.stride + col] : 0.0F);
-  }
-}
-
-template <class Act, class Out>
 struct EndOfRow {
-  LayerEnd<Act, Out> end;
+  LayerEnd end;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
-    float value = 0;
-    if (col < end.sums.cols) {
-      value = end.sums(row, col);
-      if (!end.start.empty() && col < end.start.cols)
-        value += end.start(!end.row_of.empty() ? end.row_of(row, 0) : end.start.rows == 1 ? 0 : row, col);
-      if (end.relu && value < 0) value = 0;  // NaN stays NaN
-      if (!end.mask.empty() && !(to_float(end.mask(row, col)) > 0)) value = 0;
-    }
-    assign(end.out(row, col), value);
+    float value = end.sums(row, col);
+    if (!end.start.empty() && col < end.start.cols)
+      value += end.start(!end.row_of.empty() ? end.row_of(row, 0) : end.start.rows == 1 ? 0 : row, col);
+    if (end.relu && value < 0) value = 0;  // NaN stays NaN
+    if (!end.mask.empty() && !(end.mask(row, col) > 0)) value = 0;
+    end.out(row, col) = value;
   }
 };
 
-template <class Act>
 struct SineOfRow {
   View<const float> sums;
   float frequency;
-  View<Act> value, slope;
+  View<float> value, slope;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
+    double turns = static_cast<double>(sums(row, col)) * (static_cast<double>(frequency) * 0.15915494309189535);
+    turns -= rint(turns);
     float sine = 0, cosine = 0;
-    if (col < sums.cols) {
-      double turns = static_cast<double>(sums(row, col)) * (static_cast<double>(frequency) * 0.15915494309189535);
-      turns -= rint(turns);
-      sincos_of_quarters(4.0 * turns, sine, cosine);
-    }
-    assign(value(row, col), sine);
-    if (!slope.empty()) assign(slope(row, col), frequency * cosine);
+    sincos_of_quarters(4.0 * turns, sine, cosine);
+    value(row, col) = sine;
+    if (!slope.empty()) slope(row, col) = frequency * cosine;
   }
 };
 
-template <class Act>
 struct SlopeOfRow {
-  View<const Act> slope;
-  View<const float> sums;
-  View<Act> dz;
+  View<const float> slope, sums;
+  View<float> dz;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
-    assign(dz(row, col), col < sums.cols ? sums(row, col) * to_float(slope(row, col)) : 0.0F);
+    dz(row, col) = sums(row, col) * slope(row, col);
   }
 };
 
@@ -107,26 +81,14 @@ struct LogitOfRow {
 
 }  // namespace
 
-void round_matrices(const Roundings& roundings) {
-  if (roundings.count == 0) return;
-  constexpr unsigned kBlocksEach = 32;
-  round_kernel<<<dim3(kBlocksEach, static_cast<unsigned>(roundings.count)), kThreads, 0, launch().stream>>>(roundings);
-  check_launch("weights to bf16");
+void finish_rows(const LayerEnd& end) { for_each(end.out.rows, end.out.cols, "the end of a layer", EndOfRow{end}); }
+
+void sine_rows(View<const float> sums, float frequency, View<float> value, View<float> slope) {
+  for_each(value.rows, value.cols, "a layer of sines", SineOfRow{sums, frequency, value, slope});
 }
 
-template <class Act, class Out>
-void finish_rows(const LayerEnd<Act, Out>& end) {
-  for_each(end.out.rows, end.out.cols, "the end of a layer", EndOfRow<Act, Out>{end});
-}
-
-template <class Act>
-void sine_rows(View<const float> sums, float frequency, View<Act> value, View<Act> slope) {
-  for_each(value.rows, value.cols, "a layer of sines", SineOfRow<Act>{sums, frequency, value, slope});
-}
-
-template <class Act>
-void times_slope(View<const Act> slope, View<const float> sums, View<Act> dz) {
-  for_each(dz.rows, dz.cols, "the gradient of a layer of sines", SlopeOfRow<Act>{slope, sums, dz});
+void times_slope(View<const float> slope, View<const float> sums, View<float> dz) {
+  for_each(dz.rows, dz.cols, "the gradient of a layer of sines", SlopeOfRow{slope, sums, dz});
 }
 
 void gather_rows(View<const float> in, View<const std::int32_t> ray_of_sample, View<float> out) {
@@ -138,14 +100,5 @@ void sigmoid_rows(View<float> rows) { for_each(rows.rows, rows.cols, "a sigmoid"
 void logit_gradient(View<const float> value, View<const float> d_value, View<float> d_logit) {
   for_each(d_logit.rows, d_logit.cols, "the gradient of a sigmoid", LogitOfRow{value, d_value, d_logit});
 }
-
-#define SEMFIELD_INSTANTIATE(Act)                                               \
-  template void finish_rows<Act, float>(const LayerEnd<Act, float>&);           \
-  template void sine_rows<Act>(View<const float>, float, View<Act>, View<Act>); \
-  template void times_slope<Act>(View<const Act>, View<const float>, View<Act>);
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(__nv_bfloat16)
-template void finish_rows<__nv_bfloat16, __nv_bfloat16>(const LayerEnd<__nv_bfloat16, __nv_bfloat16>&);
-#undef SEMFIELD_INSTANTIATE
 
 }  // namespace semfield::cuda
