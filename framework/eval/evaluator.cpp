@@ -129,7 +129,8 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
       pipeline.render(job);
     } catch (const RayFault& fault) {
       const auto [column, row] = strided_place(begin + fault.ray(), frame.width_px, options.stride);
-      throw Error(fault.kind(), fmt::format("pixel x {}, y {}: {}", column, row, fault.message()), fault.remedy());
+      throw Error(fault.kind(), fault.code(), fmt::format("pixel x {}, y {}: {}", column, row, fault.message()),
+                  fault.remedy());
     }
     for (std::int64_t i = 0; i < count; ++i) {
       frame.depth_m[static_cast<std::size_t>(begin + i)] *=

@@ -28,8 +28,8 @@ using LabelSet = std::vector<FrameLabels>;
 /// Facts of a step for the manifest, in the order of writing: ("pixels changed", "12345").
 using StepFacts = std::vector<std::pair<std::string, std::string>>;
 
-/// What both kinds are: an object that holds its own parameters, so it needs no parameter struct beside it. A copy of an
-/// object that nobody has used is what Registry::add_label_reader and add_degradation make.
+/// What both kinds are: an object that holds its own parameters, so it needs no parameter struct beside it. A copy of
+/// an object that nobody has used is what Registry::add_label_reader and add_degradation make.
 class LabelStep {
  public:
   virtual ~LabelStep() = default;
@@ -74,9 +74,9 @@ class LabelReader : public LabelStep {
 };
 
 /// Throws Error(data): "<place>: <message>".
-[[noreturn]] inline void refuse_labels(const std::string& place, const std::string& message,
+[[noreturn]] inline void refuse_labels(Code code, const std::string& place, const std::string& message,
                                        const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, place + ": " + message, remedy);
+  throw Error(ErrorKind::data, code, place + ": " + message, remedy);
 }
 
 }  // namespace semfield

@@ -22,7 +22,7 @@ LossList::LossList(std::vector<LossEntry> entries) : entries_(std::move(entries)
         std::count_if(traits.moves.begin(), traits.moves.end(), [](auto name) { return !of_pass(name); });
     if (heads > 0) of_heads_ |= 1U << i;
     if (heads > 0 && heads < std::ssize(traits.moves))
-      throw Error(ErrorKind::config,
+      throw Error(ErrorKind::config, "plugin.loss.channels",
                   "losses: '" + entries_[i].type + "' moves a channel of a head and one of the pass itself",
                   "make two losses of it");
   }

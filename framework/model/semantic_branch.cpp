@@ -10,7 +10,7 @@ SemanticBranch<Real>::SemanticBranch(const SemanticBranchParts<Real>& parts, con
                                      TensorStore<Real>& store, const Stages<Real>& stages)
     : parts_(&parts), pass_(pass), store_(&store), stages_(&stages) {
   if (declared_bytes<Real>(*parts_->position, 1, true).learns) {
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "config.encoder.learned",
                 "pass '" + pass +
                     "': the position encoder of its semantic branch has learned tensors, and the branch is to be "
                     "smoother than such tables",

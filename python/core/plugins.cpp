@@ -24,7 +24,8 @@ Domain domain_of(const std::string& name, const std::string& owner) {
   if (name == "metric") return Domain::metric;
   if (name == "unit_cube") return Domain::unit_cube;
   if (name == "direction") return Domain::direction;
-  throw Error(ErrorKind::usage, owner + ": domain '" + name + "' is none", "it is metric, unit_cube or direction");
+  throw Error(ErrorKind::usage, "plugin.python.declaration", owner + ": domain '" + name + "' is none",
+              "it is metric, unit_cube or direction");
 }
 
 template <class Real>
@@ -53,7 +54,8 @@ class PythonEncoder final : public Encoder<Real> {
       }
       instance_ = hold(made);
     });
-    if (traits_.out_dims <= 0) throw Error(ErrorKind::usage, owner_ + ": setup must set out_dims above 0");
+    if (traits_.out_dims <= 0)
+      throw Error(ErrorKind::usage, "plugin.python.declaration", owner_ + ": setup must set out_dims above 0");
   }
 
   EncoderTraits traits() const noexcept override { return traits_; }
@@ -96,11 +98,12 @@ class PythonEncoder final : public Encoder<Real> {
       PyErr_Clear();
       const std::string got =
           given ? py::str(given.attr("shape")).cast<std::string>() : py::repr(answer.get_type()).cast<std::string>();
-      throw Error(ErrorKind::failure, owner_ + "." + what + ": expected an array of the shape (" +
-                                          std::to_string(to.rows) + ", " + std::to_string(to.cols) + "), got " + got);
+      throw Error(ErrorKind::failure, "plugin.python.shape",
+                  owner_ + "." + what + ": expected an array of the shape (" + std::to_string(to.rows) + ", " +
+                      std::to_string(to.cols) + "), got " + got);
     }
     if (std::string_view("fiub").find(given.dtype().kind()) == std::string_view::npos)
-      throw Error(ErrorKind::failure,
+      throw Error(ErrorKind::failure, "plugin.python.value",
                   owner_ + "." + what + ": expected real numbers, got " + py::str(given.dtype()).cast<std::string>());
     py::array target = borrowed(to);
     target[py::ellipsis()] = given;
@@ -258,12 +261,12 @@ void load_python_file(Registry& registry, const std::string& path) {
   } catch (py::error_already_set& raised) {
     b.loading = outer;
     const Error error = error_of(raised, doing);
-    throw Error(ErrorKind::unavailable, error.message(), "mend the file, or leave it out");
+    throw Error(ErrorKind::unavailable, error.code(), error.message(), "mend the file, or leave it out");
   }
   b.loading = outer;
   if (trial.entries().size() == before)
     throw Error(
-        ErrorKind::unavailable, doing + ": it defines no plugin",
+        ErrorKind::unavailable, "plugin.module.empty", doing + ": it defines no plugin",
         "decorate a class with @semfield.encoder(\"name\"), @semfield.dataset(\"name\") or @semfield.loss(\"name\")");
   trial.set_current_module({});
   trial.add_module_file(path);
