@@ -58,7 +58,9 @@ pid_t spawn(const std::vector<std::string>& words, int out, int log, const std::
     execve(argv[0], argv.data(), environment.data());
     _exit(127);
   }
-  if (pid < 0) throw Error(ErrorKind::unavailable, "no process can be started", "see what limits them: ulimit -u");
+  if (pid < 0)
+    throw Error(ErrorKind::unavailable, "system.process.limit", "no process can be started",
+                "see what limits them: ulimit -u");
   return pid;
 }
 
@@ -75,7 +77,8 @@ pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files
 ChildEnd run_child(const std::vector<std::string>& words) {
   int ends[2] = {-1, -1};
   if (pipe2(ends, O_CLOEXEC) != 0)
-    throw Error(ErrorKind::unavailable, "no pipe can be had", "raise the number of open files with `ulimit -n`");
+    throw Error(ErrorKind::unavailable, "system.process.limit", "no pipe can be had",
+                "raise the number of open files with `ulimit -n`");
   pid_t pid = 0;
   try {
     pid = spawn(words, ends[1], STDERR_FILENO, {});

@@ -27,7 +27,7 @@ void refuse_other_words(Ranks& ranks, const std::string& words) {
     const std::string& theirs = all[static_cast<std::size_t>(r)];
     if (theirs == all.front()) continue;
     throw Error(
-        ErrorKind::usage,
+        ErrorKind::usage, "ranks.command.differs",
         ranks.name_of(r) + " was started as `semfield " + theirs + "`, and rank 0 as `semfield " + all.front() + "`",
         "start all processes of a run with the same words");
   }
@@ -40,7 +40,7 @@ int run_launched(const LaunchedVerb& verb, AppContext& context) {
   if (!by || verb.launch == Launch::beside) return verb.run(context);
   if (verb.launch == Launch::alone) {
     throw Error(
-        ErrorKind::usage,
+        ErrorKind::usage, "ranks.verb.single",
         by->by + " started " + std::to_string(by->size) + " processes, but `semfield " + verb.name + "` works in one",
         "start it without " + by->by + "; train, eval, render and sweep work in several");
   }

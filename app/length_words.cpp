@@ -22,7 +22,8 @@ double parse_seconds(const std::string& text) {
   const std::string unit = text.substr(end);
   const double factor = unit.empty() || unit == "s" ? 1 : unit == "m" ? 60 : unit == "h" ? 3600 : -1;
   if (end == 0 || factor < 0 || !(value > 0) || !(value * factor <= kMost_s)) {
-    throw Error(ErrorKind::usage, "--time " + text + ": expected a positive time such as 90s, 5m or 1h");
+    throw Error(ErrorKind::usage, "usage.value.time",
+                "--time " + text + ": expected a positive time such as 90s, 5m or 1h");
   }
   return value * factor;
 }

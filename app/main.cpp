@@ -13,6 +13,7 @@
 #include "app/load_progress.h"
 #include "app/signals.h"
 #include "core/error.h"
+#include "core/findings.h"
 #include "core/work_scope.h"
 #include "plugin/linked_plugins.h"
 #include "plugin/loader.h"
@@ -20,6 +21,16 @@
 namespace {
 
 constexpr unsigned kSecondsOfRank0 = 3;  // until another rank says what is wrong with its own words
+
+// The one form in which errors are printed; the exit code with which the program ends.
+int told(const semfield::Error& error) {
+  std::fprintf(stderr, "semfield: %s\n", semfield::shown(error).c_str());
+  return static_cast<int>(error.kind());
+}
+
+semfield::Error internal(const std::string& cause) {
+  return {semfield::ErrorKind::internal, "internal.exception", "internal error: " + cause};
+}
 
 // What nobody can catch: an exception out of a thread, or out of a static initialiser of a module. An orderly end, with
 // a name, and no core.
@@ -33,13 +44,10 @@ constexpr unsigned kSecondsOfRank0 = 3;  // until another rank says what is wron
     cause = "an unknown exception";
   }
   const std::string& module = semfield::module_being_loaded();
-  if (module.empty()) {
-    std::fprintf(stderr, "semfield: internal error: %s\n", cause.c_str());
-    std::_Exit(static_cast<int>(semfield::ErrorKind::internal));
-  }
-  std::fprintf(stderr, "semfield: cannot load plugin '%s': a static initialiser of it throws: %s; %s\n", module.c_str(),
-               cause.c_str(), "fix the module, or leave it out");
-  std::_Exit(static_cast<int>(semfield::ErrorKind::unavailable));
+  if (module.empty()) std::_Exit(told(internal(cause)));
+  std::_Exit(told({semfield::ErrorKind::unavailable, "plugin.module.throws",
+                   "cannot load plugin '" + module + "': a static initialiser of it throws: " + cause,
+                   "fix the module, or leave it out"}));
 }
 
 }  // namespace
@@ -57,7 +65,7 @@ int main(int argc, char** argv) {
     return app::finish_stdout(app::run_command_line(argc, argv, context));
   } catch (const RankLost& lost) {
     const bool leads = context.ranks->rank() == 0;
-    if (leads) std::fprintf(stderr, "semfield: %s\n", lost.what());
+    if (leads) told(lost);
     std::fflush(nullptr);
     if (!leads) sleep(1);  // rank 0 shall see the one that is gone first, and not this one
     if (leads) context.ranks->abandon(static_cast<int>(lost.kind()));
@@ -66,19 +74,14 @@ int main(int argc, char** argv) {
     const bool leads = context.ranks ? context.ranks->rank() == 0 : app::is_first_process();
     // What is wrong with the words of all, rank 0 says, and its launcher then ends the others.
     if (!leads && !context.ranks) sleep(kSecondsOfRank0);
-    if (leads || !context.ranks) std::fprintf(stderr, "semfield: %s\n", error.what());
-    return static_cast<int>(error.kind());
+    return leads || !context.ranks ? told(error) : static_cast<int>(error.kind());
   } catch (const std::bad_alloc&) {
-    std::fprintf(
-        stderr,
-        "semfield: out of memory; lower train.rays or scene.load.downscale, or see `semfield train --dry-run`\n");
-    return static_cast<int>(ErrorKind::failure);
+    return told({ErrorKind::failure, "memory.host.full", "out of memory",
+                 "lower train.rays or scene.load.downscale, or see `semfield train --dry-run`"});
   } catch (const std::filesystem::filesystem_error& error) {  // a path of the user's that cannot even be looked at
-    std::fprintf(stderr, "semfield: '%s': %s; check the path and its permissions\n", error.path1().c_str(),
-                 error.code().message().c_str());
-    return static_cast<int>(ErrorKind::no_input);
+    return told({ErrorKind::no_input, "files.path.unusable",
+                 "'" + error.path1().string() + "': " + error.code().message(), "check the path and its permissions"});
   } catch (const std::exception& error) {
-    std::fprintf(stderr, "semfield: internal error: %s\n", error.what());
-    return static_cast<int>(ErrorKind::internal);
+    return told(internal(error.what()));
   }
 }

@@ -13,6 +13,7 @@
 #include <cstring>
 
 #include "core/error.h"
+#include "core/findings.h"
 
 namespace semfield::app {
 
@@ -112,8 +113,10 @@ int finish_stdout(int code) {
   const int cause = errno;
   pollfd reader{STDOUT_FILENO, POLLOUT, 0};
   if (cause == EPIPE || (poll(&reader, 1, 0) == 1 && (reader.revents & POLLERR) != 0)) return code;
-  std::fprintf(stderr, "semfield: cannot write the results to stdout%s%s\n", cause != 0 ? ": " : "",
-               cause != 0 ? std::strerror(cause) : "");
+  const Error error(
+      ErrorKind::io, "files.stdout.failed",
+      std::string("cannot write the results to stdout") + (cause != 0 ? std::string(": ") + std::strerror(cause) : ""));
+  std::fprintf(stderr, "semfield: %s\n", shown(error).c_str());
   return code != 0 ? code : static_cast<int>(ErrorKind::io);
 }
 

@@ -1,9 +1,14 @@
-// What a message says, where a test asks for its meaning: the place, the values found and the remedy's words.
+// What a refusal says, where a test asks for its meaning: the code, the place and the values found, in any words.
 #pragma once
 
+#include <exception>
 #include <initializer_list>
 #include <string>
 #include <string_view>
+#include <vector>
+
+#include "core/findings.h"
+#include "core/text.h"
 
 namespace semfield {
 
@@ -16,4 +21,59 @@ inline std::string unsaid(std::string_view text, std::initializer_list<std::stri
   return "";
 }
 
+/// "" when a line of `text`, as it is shown, ends with the code and holds every one of `parts`; else that, and the
+/// text.
+inline std::string unsaid(std::string_view text, Code code, std::initializer_list<std::string_view> parts) {
+  const std::string end = std::string(" [") + code.text() + ']';
+  std::string_view rest = text, line;
+  std::string missing;
+  while (next_line(rest, line)) {
+    if (!line.ends_with(end)) continue;
+    missing = unsaid(line, parts);
+    if (missing.empty()) return "";
+  }
+  return missing.empty() ? "no line with" + end + " in '" + std::string(text) + "'" : missing;
+}
+
+/// "" when one of `findings` has the code and holds every one of `parts`; else what there is.
+inline std::string unfound(const std::vector<Diagnostic>& findings, Code code,
+                           std::initializer_list<std::string_view> parts) {
+  std::string there;
+  for (const Diagnostic& finding : findings) {
+    if (finding.code == code && unsaid(finding.text(), parts).empty()) return "";
+    there += "\n" + finding.shown();
+  }
+  std::string wanted = code.text();
+  for (const std::string_view part : parts) wanted += ", '" + std::string(part) + "'";
+  return "no finding with " + wanted + (there.empty() ? std::string(": there are none") : " among" + there);
+}
+
+/// "" when `work` throws an Error with the code, or one that lists such a finding, which holds every one of `parts`.
+template <class Work>
+std::string unrefused(const Work& work, Code code, std::initializer_list<std::string_view> parts) {
+  try {
+    work();
+  } catch (const FindingsError& error) {
+    return unfound(error.findings(), code, parts);
+  } catch (const Error& error) {
+    if (error.code() == code) return unsaid(error.what(), parts);
+    return std::string("the code is not ") + code.text() + ": " + shown(error);
+  } catch (const std::exception& error) {
+    return std::string("no Error: ") + error.what();
+  }
+  return std::string("nothing was refused, and ") + code.text() + " is expected";
+}
+
 }  // namespace semfield
+
+/// EXPECT_ERROR(read(path), "scene.pose.format", "poses.txt:3", "12"): the expression throws an Error with the code,
+/// and its text holds each of the words behind.
+#define EXPECT_ERROR(expression, code, ...) \
+  EXPECT_EQ(::semfield::unrefused([&] { (void)(expression); }, code, {__VA_ARGS__}), "")
+
+/// The same of a text that is shown, such as the standard error of the program.
+#define EXPECT_SAID(text, code, ...) EXPECT_EQ(::semfield::unsaid(text, ::semfield::Code(code), {__VA_ARGS__}), "")
+
+/// The same of one of the findings of a Diagnostics.
+#define EXPECT_FINDING(diagnostics, code, ...) \
+  EXPECT_EQ(::semfield::unfound((diagnostics).all(), code, {__VA_ARGS__}), "")

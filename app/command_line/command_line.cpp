@@ -63,7 +63,8 @@ Split split_words(const Grammar& grammar, const std::vector<std::string>& words)
 void take(const Word& word, const std::string& value) {
   const std::string wrong = word.take(value);
   const std::string name = word.kind == Word::Kind::operand ? word.value : word.name;
-  if (!wrong.empty()) throw Error(ErrorKind::usage, name + " " + (value.empty() ? "''" : value) + ": " + wrong);
+  if (!wrong.empty())
+    throw Error(ErrorKind::usage, "usage.value.invalid", name + " " + (value.empty() ? "''" : value) + ": " + wrong);
 }
 
 void add_word(CLI::App& parser, const Word& word) {
@@ -100,14 +101,15 @@ void refuse_unknown(const Grammar& grammar, const VerbGrammar& verb, const std::
     if (word.size() > 1 && word.front() == '-') throw unknown_flag(grammar, verb.name, word);
   }
   if (unknown.empty()) return;
-  throw Error(ErrorKind::usage, "unexpected word '" + unknown.front() + "': the usage is `" + usage_of(verb) + "`");
+  throw Error(ErrorKind::usage, "usage.word.unexpected",
+              "unexpected word '" + unknown.front() + "': the usage is `" + usage_of(verb) + "`");
 }
 
 // Words left out, and words that exclude each other.
 Error refused(const VerbGrammar* verb, const CLI::ParseError& error) {
   const bool no_value = dynamic_cast<const CLI::ArgumentMismatch*>(&error) != nullptr;
   const std::string text = error.what(), name = verb == nullptr ? "" : " " + verb->name;
-  return {ErrorKind::usage,
+  return {ErrorKind::usage, "usage.word.missing",
           (verb == nullptr ? "" : verb->name + ": ") +
               (no_value ? text.substr(0, text.find(':')) + ": its value is missing" : text),
           "see " + command("help" + name)};
@@ -175,7 +177,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   if (context.json && !split.verb->json) throw no_json(grammar, *split.verb);
   Diagnostics of_checks;
   for (const std::string& module : global.modules) load_module(context.registry, module, {true, &of_checks});
-  for (const Diagnostic& note : of_checks.all()) print_note(context, note.text());
+  for (const Diagnostic& note : of_checks.all()) print_note(context, note.shown());
   std::vector<std::string> words;
   for (int i = 1; i < argc; ++i) words.push_back(shell_word(argv[i]));
   return run_launched({split.verb->name, split.verb->launch, split.verb->run, join(words, " ")}, context);

@@ -114,7 +114,7 @@ std::string program_help(const Grammar& grammar) {
          "Usage: " +
          program_name() + " VERB [WORDS]\n" + section("Verbs", verb_rows(grammar.below(""))) +
          section("With every verb", rows_of(pointers(grammar.everywhere), false)) + "\n" + command("help VERB") +
-         " prints the words of a verb.\n";
+         " prints the words of a verb. The code at the end of an error is one of docs/reference/codes.md.\n";
 }
 
 std::string verb_help(const Grammar& grammar, const VerbGrammar& verb) {
@@ -144,12 +144,14 @@ Error unknown_verb(const Grammar& grammar, const std::string& group, const std::
   const std::string head = group.empty() ? "" : group + " ";
   const std::string text = "there is no verb '" + head + word + "'";
   if (const std::string near = did_you_mean(word, names_below(grammar, group)); !near.empty())
-    return {ErrorKind::usage, text, "did you mean " + command(head + near) + "?"};
+    return {ErrorKind::usage, "usage.verb.unknown", text, "did you mean " + command(head + near) + "?"};
   for (const VerbGrammar* other : grammar.below("")) {
     const std::string near = did_you_mean(word, names_below(grammar, other->name));
-    if (!near.empty()) return {ErrorKind::usage, text, "did you mean " + command(other->name + " " + near) + "?"};
+    if (!near.empty())
+      return {ErrorKind::usage, "usage.verb.unknown", text, "did you mean " + command(other->name + " " + near) + "?"};
   }
-  return {ErrorKind::usage, text, command("help" + (group.empty() ? "" : " " + group)) + " lists the verbs"};
+  return {ErrorKind::usage, "usage.verb.unknown", text,
+          command("help" + (group.empty() ? "" : " " + group)) + " lists the verbs"};
 }
 
 Error unknown_flag(const Grammar& grammar, const std::string& verb, const std::string& word) {
@@ -162,19 +164,20 @@ Error unknown_flag(const Grammar& grammar, const std::string& verb, const std::s
   if (!others.empty()) {
     const std::vector<std::string> first(others.begin(),
                                          others.begin() + std::min<std::ptrdiff_t>(4, std::ssize(others)));
-    return {ErrorKind::usage, text,
+    return {ErrorKind::usage, "usage.flag.unknown", text,
             "it belongs to " + (others.size() > first.size() ? join(first) + " and others" : one_of(first)) +
                 (verb.empty() ? ", and stands behind the verb" : "")};
   }
   if (const std::string near = closest_flag(flag, flags_of(own)); !near.empty())
-    return {ErrorKind::usage, text, "did you mean " + near + "?"};
+    return {ErrorKind::usage, "usage.flag.unknown", text, "did you mean " + near + "?"};
   std::vector<std::string> all;
   for (const VerbGrammar& other : grammar.verbs) {
     for (const std::string& name : flags_of(pointers(other.words))) all.push_back(name);
   }
   if (const std::string near = closest_flag(flag, all); !near.empty())
-    return {ErrorKind::usage, text, "did you mean " + near + " of " + verbs_with(grammar, near).front() + "?"};
-  return {ErrorKind::usage, text, "see " + command("help" + (verb.empty() ? "" : " " + verb))};
+    return {ErrorKind::usage, "usage.flag.unknown", text,
+            "did you mean " + near + " of " + verbs_with(grammar, near).front() + "?"};
+  return {ErrorKind::usage, "usage.flag.unknown", text, "see " + command("help" + (verb.empty() ? "" : " " + verb))};
 }
 
 Error no_json(const Grammar& grammar, const VerbGrammar& verb) {
@@ -182,7 +185,7 @@ Error no_json(const Grammar& grammar, const VerbGrammar& verb) {
   for (const VerbGrammar& other : grammar.verbs) {
     if (other.json) have.push_back(other.name);
   }
-  return {ErrorKind::usage, verb.name + " takes no --json", "these verbs do: " + join(have)};
+  return {ErrorKind::usage, "usage.json.none", verb.name + " takes no --json", "these verbs do: " + join(have)};
 }
 
 }  // namespace semfield::app

@@ -35,12 +35,14 @@ const HeadConfig& head_of(const ChannelWishes& wishes, const Session& session) {
     if (head.channel == wishes.channel || (wishes.channel.empty() && heads.size() == 1)) return head;
   }
   if (known.empty())
-    throw Error(ErrorKind::usage, "the run has no head beside that of class logits",
+    throw Error(ErrorKind::usage, "render.channel.unknown", "the run has no head beside that of class logits",
                 "train with the lists `heads` and `losses`; docs/guide/features.md shows how");
   if (wishes.channel.empty())
-    throw Error(ErrorKind::usage, "the run has several channels: " + join(known), "name one with --channel");
+    throw Error(ErrorKind::usage, "render.channel.unknown", "the run has several channels: " + join(known),
+                "name one with --channel");
   const std::string near = did_you_mean(wishes.channel, known);
-  throw Error(ErrorKind::usage, "--channel: the run has no channel '" + wishes.channel + "'; it has " + join(known),
+  throw Error(ErrorKind::usage, "render.channel.unknown",
+              "--channel: the run has no channel '" + wishes.channel + "'; it has " + join(known),
               near.empty() ? "" : "did you mean '" + near + "'?");
 }
 

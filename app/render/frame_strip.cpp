@@ -47,8 +47,8 @@ std::vector<Panel> panels_of(const std::vector<std::string>& names, bool semanti
     const auto found = std::find(panel_names().begin(), panel_names().end(), name);
     panels.push_back(static_cast<Panel>(found - panel_names().begin()));
     if (!semantics && (panels.back() == Panel::label || panels.back() == Panel::entropy)) {
-      throw Error(ErrorKind::usage, "--panels: this run has no semantics, so no panel '" + name + "'",
-                  "choose from rgb, depth");
+      throw Error(ErrorKind::usage, "run.semantics.none",
+                  "--panels: this run has no semantics, so no panel '" + name + "'", "choose from rgb, depth");
     }
   }
   return panels;

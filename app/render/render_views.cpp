@@ -73,8 +73,8 @@ std::vector<NamedView> render_views(const Session& s, const RenderOptions& optio
     }
   }
   if (views.empty()) {
-    throw Error(ErrorKind::data, options.run + ": nothing to render in '" + render_name(options) + "'",
-                "see `semfield inspect`");
+    throw Error(ErrorKind::data, "scene.split.empty",
+                options.run + ": nothing to render in '" + render_name(options) + "'", "see `semfield inspect`");
   }
   for (NamedView& view : views) {
     Camera& camera = view.camera.camera;

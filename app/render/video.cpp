@@ -25,7 +25,7 @@ namespace fs = std::filesystem;
 std::string find_ffmpeg() {
   const std::string program = program_in_path("ffmpeg");
   if (!program.empty()) return program;
-  throw Error(ErrorKind::unavailable, "--video: the program ffmpeg is not in PATH",
+  throw Error(ErrorKind::unavailable, "render.video.ffmpeg", "--video: the program ffmpeg is not in PATH",
               "install it (Debian: apt-get install ffmpeg), or render images and join them elsewhere");
 }
 
@@ -44,7 +44,7 @@ std::string video_format(const std::string& path) {
     if (ending == name) return std::string(format);
     known += (known.empty() ? "" : ", ") + std::string(name);
   }
-  throw Error(ErrorKind::usage,
+  throw Error(ErrorKind::usage, "render.video.format",
               path + (ending.empty() ? ": no file ending" : ": '" + ending + "' is not the ending of a video file"),
               "name a file such as room.mp4; known: " + known);
 }
@@ -82,7 +82,8 @@ VideoWriter::VideoWriter(const std::string& ffmpeg, const std::string& path, std
   for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
   argv.push_back(nullptr);  // all before the fork: the child may not allocate
   std::array<int, 2> ends{};
-  if (pipe2(ends.data(), O_CLOEXEC) != 0) throw Error(ErrorKind::unavailable, "cannot open a pipe to ffmpeg");
+  if (pipe2(ends.data(), O_CLOEXEC) != 0)
+    throw Error(ErrorKind::unavailable, "system.process.limit", "cannot open a pipe to ffmpeg");
   old_handler_ = std::signal(SIGPIPE, SIG_IGN);  // a dead ffmpeg is an error of write(), not the end of this program
   pid_ = fork();
   if (pid_ == 0) {
@@ -98,7 +99,7 @@ VideoWriter::VideoWriter(const std::string& ffmpeg, const std::string& path, std
   if (pid_ < 0) {
     close(pipe_);
     std::signal(SIGPIPE, old_handler_);
-    throw Error(ErrorKind::unavailable, "cannot start '" + ffmpeg + "'");
+    throw Error(ErrorKind::unavailable, "render.video.ffmpeg", "cannot start '" + ffmpeg + "'");
   }
 }
 
@@ -125,7 +126,7 @@ void VideoWriter::fail(const std::string& what, int code) {
   file_.count_written();
   const std::vector<std::byte> more(std::size_t{1} << 20);
   file_.append(more);
-  throw Error(ErrorKind::io, fmt::format("{}: {} (exit code {})", path_, what, code),
+  throw Error(ErrorKind::io, "render.video.failed", fmt::format("{}: {} (exit code {})", path_, what, code),
               "its own message is above; try another file ending, or render images without --video");
 }
 

@@ -27,9 +27,10 @@ void check_cameras(const SceneInfo& info) {
   Diagnostics diagnostics;
   for (const FrameInfo& frame : info.frames) {
     const std::string where = "frame " + frame.name;
-    if (frame.camera.has_distortion()) diagnostics.error(where, "has lens distortion", "undistort the images first");
+    if (frame.camera.has_distortion())
+      diagnostics.error("capture.camera.distortion", where, "has lens distortion", "undistort the images first");
     if (!same_camera(frame.camera, info.frames.front().camera)) {
-      diagnostics.error(where, "has another camera than frame " + info.frames.front().name,
+      diagnostics.error("capture.camera.differs", where, "has another camera than frame " + info.frames.front().name,
                         "the layout has one camera for all");
     }
   }
@@ -69,7 +70,7 @@ void write_frame(const FrameInfo& info, const FrameBuffer& frame, const ClassTab
   if (info.has_instances) {
     for (std::size_t i = 0; i < values.size(); ++i) {
       if (frame.instance[i] < 0 || frame.instance[i] > 65535) {
-        throw Error(ErrorKind::data,
+        throw Error(ErrorKind::data, "capture.instance.range",
                     "frame " + info.name + ": instance " + std::to_string(frame.instance[i]) + " does not fit 16 bits");
       }
       values[i] = static_cast<std::uint16_t>(frame.instance[i]);
@@ -83,11 +84,11 @@ void write_frame(const FrameInfo& info, const FrameBuffer& frame, const ClassTab
 CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, const std::string& out_dir,
                               const std::function<void(int done, int total)>& progress,
                               const PoseConvention& convention) {
-  if (info.frames.empty()) throw Error(ErrorKind::data, "the scene has no frames");
+  if (info.frames.empty()) throw Error(ErrorKind::data, "scene.frames.none", "the scene has no frames");
   check_cameras(info);
   const fs::path folder(out_dir);
   if (fs::exists(folder / "traj_w_c.txt")) {
-    throw Error(ErrorKind::cannot_create, "'" + out_dir + "' already holds a captured scene",
+    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + out_dir + "' already holds a captured scene",
                 "choose another folder or remove it");
   }
   for (const char* name : {"rgb", "depth", "semantic_class", "semantic_instance"}) {
@@ -100,7 +101,8 @@ CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, con
     std::error_code code;
     fs::create_directories(folder / name, code);
     if (code)
-      throw Error(ErrorKind::cannot_create, "cannot create '" + (folder / name).string() + "': " + code.message());
+      throw Error(ErrorKind::cannot_create, "files.output.create",
+                  "cannot create '" + (folder / name).string() + "': " + code.message());
   }
   CaptureReport report;
   FrameBuffer frame;

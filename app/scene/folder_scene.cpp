@@ -94,14 +94,15 @@ std::string plain_name(const fs::path& path) {
 
 [[noreturn]] void refuse(const std::string& path, const AppContext& context) {
   std::error_code unknown;
-  if (!fs::exists(path, unknown)) throw Error(ErrorKind::no_input, "no folder '" + path + "'", "check the path");
+  if (!fs::exists(path, unknown))
+    throw Error(ErrorKind::no_input, "files.folder.missing", "no folder '" + path + "'", "check the path");
   for (const PluginEntry* entry : context.registry.entries()) {
     const std::string commands =
         entry->kind == PluginKind::dataset ? entry->new_params()->preparation(path) : std::string();
-    if (!commands.empty()) throw Error(ErrorKind::no_input, commands);
+    if (!commands.empty()) throw Error(ErrorKind::no_input, "scene.poses.missing", commands);
   }
   throw Error(
-      ErrorKind::no_input,
+      ErrorKind::no_input, "scene.dataset.unrecognised",
       "'" + path + "' holds no scene that a dataset knows: " + join(context.registry.names(PluginKind::dataset)),
       "docs/guide/own_data.md says what each reads; for another place of the files write the configuration by hand");
 }
@@ -127,7 +128,8 @@ FolderScene find_scene(const std::string& path, const std::string& type, AppCont
     (void)context.registry.get(PluginKind::dataset, type);
     std::erase_if(found, [&](const Recognised& f) { return f.reader->name != type; });
     if (found.empty())
-      throw Error(ErrorKind::no_input, "'" + path + "' holds nothing that " + type + " knows", "leave --type out");
+      throw Error(ErrorKind::no_input, "scene.dataset.unrecognised",
+                  "'" + path + "' holds nothing that " + type + " knows", "leave --type out");
   }
   if (found.empty()) refuse(path, context);
   for (Recognised& f : found) open_scene(f);

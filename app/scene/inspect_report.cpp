@@ -109,7 +109,7 @@ std::string problems(const Diagnostics& diagnostics) {
   std::string out;
   for (const Severity severity : {Severity::error, Severity::warning, Severity::note}) {
     for (const Diagnostic& d : findings) {
-      if (d.severity == severity) out += fmt::format("{:<11} {}\n", severity_word(severity), d.text());
+      if (d.severity == severity) out += fmt::format("{:<11} {}\n", severity_word(severity), d.shown());
     }
   }
   return out.empty() ? "problems    none\n" : out;
@@ -187,8 +187,11 @@ nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics&
   }
   out["findings"] = Json::array();
   for (const Diagnostic& d : folded(diagnostics)) {
-    out["findings"].push_back(
-        {{"severity", severity_word(d.severity)}, {"where", d.where}, {"message", d.message}, {"remedy", d.remedy}});
+    out["findings"].push_back({{"severity", severity_word(d.severity)},
+                               {"code", d.code.text()},
+                               {"where", d.where},
+                               {"message", d.message},
+                               {"remedy", d.remedy}});
   }
   return out;
 }

@@ -49,7 +49,9 @@ class UnfinishedFolder {
   void finish() {
     std::error_code code;
     fs::rename(path_, name_, code);  // an empty folder of that name is replaced
-    if (code) throw Error(ErrorKind::cannot_create, "cannot create '" + name_.string() + "': " + code.message());
+    if (code)
+      throw Error(ErrorKind::cannot_create, "files.output.create",
+                  "cannot create '" + name_.string() + "': " + code.message());
     done_ = true;
   }
 
@@ -62,7 +64,8 @@ class UnfinishedFolder {
     std::error_code code;
     fs::create_directories(path, code);
     if (code) {
-      throw Error(ErrorKind::cannot_create, "cannot create '" + path.string() + "': " + code.message(),
+      throw Error(ErrorKind::cannot_create, "files.output.create",
+                  "cannot create '" + path.string() + "': " + code.message(),
                   "choose a folder that you may write to with --out");
     }
   }
@@ -91,7 +94,7 @@ std::vector<FrameFiles> files_of(const LoadedScene& scene, const TrainingLabels&
                    labels.frames[f].soft.empty() ? "" : "probability/" + name + ".npy"});
   }
   if (out.empty()) {
-    throw Error(ErrorKind::data, "no training frame keeps labels, so there is nothing to write",
+    throw Error(ErrorKind::data, "labels.training.none", "no training frame keeps labels, so there is nothing to write",
                 "see scene.labels.frames, and `semfield inspect`");
   }
   return out;
@@ -183,11 +186,12 @@ void refuse_used_folder(const std::string& folder) {
   const fs::file_status status = fs::status(folder, code);
   if (status.type() == fs::file_type::not_found) return;
   if (!fs::is_directory(status)) {
-    throw Error(ErrorKind::cannot_create, "'" + folder + "' is no folder", "choose another name with --out");
+    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + folder + "' is no folder",
+                "choose another name with --out");
   }
   const bool empty = fs::is_empty(folder, code);
   if (code || !empty) {
-    throw Error(ErrorKind::cannot_create,
+    throw Error(ErrorKind::cannot_create, "files.output.exists",
                 "the folder '" + folder + "' " + (code ? "cannot be read: " + code.message() : "holds files already"),
                 "choose another folder with --out, or remove it");
   }

@@ -14,8 +14,8 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
   convert_info(info, size.convention);
   for (FrameInfo& frame : info.frames) {
     if (!scaled_camera(frame.camera, size, frame.camera)) {
-      throw Error(ErrorKind::usage, frame_place(frame) + ": frame is smaller than the size asked for",
-                  "ask for at most the stored size");
+      throw Error(ErrorKind::usage, "scene.load.size",
+                  frame_place(frame) + ": frame is smaller than the size asked for", "ask for at most the stored size");
     }
   }
   if (size.near_m > 0) info.near_hint_m = size.near_m;

@@ -40,7 +40,8 @@ int try_port(const in_addr& address, int& port) {
 int free_port(const std::string& address, int port, bool next) {
   in_addr number{};
   if (inet_pton(AF_INET, address.c_str(), &number) != 1)
-    throw Error(ErrorKind::usage, "--address " + address + ": expected an IPv4 address in numbers",
+    throw Error(ErrorKind::usage, "serve.address.invalid",
+                "--address " + address + ": expected an IPv4 address in numbers",
                 "give 127.0.0.1 for this machine alone, or 0.0.0.0 for every network that it is in");
   const int last = next ? port + 99 : port;
   int cause = 0;
@@ -53,17 +54,18 @@ int free_port(const std::string& address, int port, bool next) {
   const std::string place = address + ":" + std::to_string(port);
   if (cause == EADDRINUSE)
     throw Error(
-        ErrorKind::unavailable,
+        ErrorKind::unavailable, "serve.port.taken",
         next ? "the ports " + std::to_string(port) + " to " + std::to_string(last) + " of " + address + " are all taken"
              : "port " + std::to_string(port) + " of " + address + " is taken by another program",
         next ? "name a free one with --port N" : "end that program, name another port, or leave --port out");
   if (cause == EADDRNOTAVAIL)
-    throw Error(ErrorKind::unavailable, "this machine has no address " + address,
+    throw Error(ErrorKind::unavailable, "serve.address.foreign", "this machine has no address " + address,
                 "see `ip address` for those that it has, or leave --address out");
   if (cause == EACCES)
-    throw Error(ErrorKind::unavailable, "port " + std::to_string(port) + " may not be used by this user",
+    throw Error(ErrorKind::unavailable, "serve.port.privileged",
+                "port " + std::to_string(port) + " may not be used by this user",
                 "ports below 1024 belong to root: name a higher one with --port N");
-  throw Error(ErrorKind::unavailable, "cannot listen on " + place + ": " + std::strerror(cause),
+  throw Error(ErrorKind::unavailable, "serve.port.failed", "cannot listen on " + place + ": " + std::strerror(cause),
               "try another --port, or see what limits this process: ulimit -n");
 }
 

@@ -144,7 +144,7 @@ struct HttpServer::Impl {
 };
 
 Error HttpServer::Impl::cannot_start(const HttpOptions& options, const std::string& cause) {
-  return {ErrorKind::unavailable,
+  return {ErrorKind::unavailable, "serve.port.failed",
           fmt::format("the HTTP server cannot start on {}:{}: {}", options.address, options.port, cause),
           "name another --port, or see what limits this process: ulimit -n -u"};
 }

@@ -33,7 +33,8 @@ bool is_ipv4(const std::string& text) {
 std::string new_token() {
   std::array<std::uint8_t, 16> bits{};
   if (getrandom(bits.data(), bits.size(), 0) != static_cast<ssize_t>(bits.size()))
-    throw Error(ErrorKind::unavailable, "the system gives no random bits for the page's secret address",
+    throw Error(ErrorKind::unavailable, "system.random.missing",
+                "the system gives no random bits for the page's secret address",
                 "see `man 2 getrandom`; a kernel from 3.17 on has it");
   std::string token;
   for (const std::uint8_t b : bits) {

@@ -59,8 +59,8 @@ std::string PageExports::start(ExportKind kind) {
   const std::scoped_lock lock(mutex_);
   if (std::count_if(exports_.begin(), exports_.end(), [](const Export& e) { return is_open(e.state); }) >=
       static_cast<std::ptrdiff_t>(kMostOpen))
-    throw Error(ErrorKind::unavailable, fmt::format("{} exports are being made or wait", kMostOpen),
-                "wait until one is done, or cancel one");
+    throw Error(ErrorKind::unavailable, "serve.exports.full",
+                fmt::format("{} exports are being made or wait", kMostOpen), "wait until one is done, or cancel one");
   std::string id;
   for (int n = 1; id.empty() || fs::exists(folder_of(id)); ++n) id = fmt::format("{}-{}", export_name(kind), n);
   create_folders(folder_of(id));
@@ -164,7 +164,8 @@ void PageExports::run_verb(Export& one) {
     std::this_thread::sleep_for(kProgramLook);
   }
   if (asked) return;
-  if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) throw Error(ErrorKind::failure, child_failure(status, log));
+  if (!WIFEXITED(status) || WEXITSTATUS(status) != 0)
+    throw Error(ErrorKind::failure, "export.process.failed", child_failure(status, log));
 }
 
 // Class ids as PNG, and the table that says what they mean.

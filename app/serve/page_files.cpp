@@ -23,7 +23,8 @@ std::map<std::string, PageFile> read_page_files(const std::string& folder) {
   }
   const auto index = files.find("index.html");
   if (index == files.end())
-    throw Error(ErrorKind::no_input, folder + ": the page's index.html is not there, which comes with the program",
+    throw Error(ErrorKind::no_input, "files.shared.missing",
+                folder + ": the page's index.html is not there, which comes with the program",
                 "install the component 'app' whole, or run the program from its build folder");
   files[""] = index->second;
   return files;

@@ -32,7 +32,8 @@ void PagePhotos::open() {
   const std::vector<FrameInfo>& loaded = session_.scene.info.frames;
   if (!std::equal(info_.frames.begin(), info_.frames.end(), loaded.begin(), loaded.end(),
                   [](const FrameInfo& a, const FrameInfo& b) { return a.name == b.name; }))
-    throw Error(ErrorKind::data, "the scene's files list other frames than were loaded", "start semfield serve anew");
+    throw Error(ErrorKind::data, "scene.frames.changed", "the scene's files list other frames than were loaded",
+                "start semfield serve anew");
   dataset_ = std::move(dataset);
 }
 

@@ -35,7 +35,8 @@ std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_p
   for (const std::int16_t index : label) most = std::max<int>(most, index);
   for (const ClassState& c : classes) most = std::max(most, c.index);
   if (most >= kMostPageClasses)
-    throw Error(ErrorKind::data, "the page shows at most " + std::to_string(kMostPageClasses) + " classes",
+    throw Error(ErrorKind::data, "serve.classes.limit",
+                "the page shows at most " + std::to_string(kMostPageClasses) + " classes",
                 "give the scene a table of fewer classes: scene.classes");
   std::vector<std::uint8_t> palette, index(label.size());
   for (int entry = 0; entry < most + 2; ++entry) palette.insert(palette.end(), kUnnamed.begin(), kUnnamed.end());

@@ -19,7 +19,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 [[noreturn]] void refuse(const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, "request: " + message, remedy);
+  throw Error(ErrorKind::data, "serve.request.invalid", "request: " + message, remedy);
 }
 
 std::string shown(const Json& value) {

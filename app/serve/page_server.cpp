@@ -80,9 +80,10 @@ HttpResponse PageServer::answer(const HttpRequest& request) noexcept {
     try {
       return route(access_->name_of(request.path), request);
     } catch (const Error& e) {
-      return {status_of(e.kind()), "application/json", error_json(e.message(), e.remedy())};
+      return {status_of(e.kind()), "application/json", error_json(e.code(), e.message(), e.remedy())};
     } catch (const std::exception& e) {
-      return {500, "application/json", error_json(std::string("internal error: ") + e.what(), "")};
+      return {500, "application/json",
+              error_json("internal.exception", std::string("internal error: ") + e.what(), "")};
     }
   } catch (const std::exception&) {
     return {500, "text/plain", ""};
@@ -97,7 +98,8 @@ HttpResponse PageServer::route(const std::string& name, const HttpRequest& reque
   static const std::map<std::string, Post> posts{
       {"event", &PageServer::post_event}, {"picture", &PageServer::post_picture}, {"export", &PageServer::post_export}};
   const auto not_this = [](const char* allowed) {
-    HttpResponse wrong{405, "application/json", error_json("this address takes another method", "")};
+    HttpResponse wrong{405, "application/json",
+                       error_json("serve.request.method", "this address takes another method", "")};
     wrong.allow = allowed;
     return wrong;
   };
@@ -108,7 +110,8 @@ HttpResponse PageServer::route(const std::string& name, const HttpRequest& reque
   const std::string exported = "export/";
   const auto file = options_.files.find(name);
   if (file == options_.files.end() && !name.starts_with(exported))
-    return {404, "application/json", error_json("nothing is at this address", "see docs/reference/labelling_http.md")};
+    return {404, "application/json",
+            error_json("serve.address.unknown", "nothing is at this address", "see docs/reference/labelling_http.md")};
   if (request.method != "GET") return not_this("GET");
   if (file == options_.files.end()) return get_export(name.substr(exported.size()));
   return {200, file->second.type, file->second.bytes};
@@ -140,13 +143,15 @@ HttpResponse PageServer::get_state(const HttpRequest& request) const {
 void PageServer::check_view(std::uint64_t view) const {
   const std::size_t views = source_.state()->views.size();
   if (view >= views)
-    throw Error(ErrorKind::data, "view " + std::to_string(view) + ": the scene has " + std::to_string(views) + " views",
+    throw Error(ErrorKind::data, "serve.view.unknown",
+                "view " + std::to_string(view) + ": the scene has " + std::to_string(views) + " views",
                 "count from 0; the views are listed in the state");
 }
 
 int PageServer::view_of(const HttpRequest& request) const {
   const std::uint64_t view = query_number(request.query, "view", kMostNumber, kMostNumber);
-  if (view == kMostNumber) throw Error(ErrorKind::data, "request: 'view' is missing", "ask for ?view=0");
+  if (view == kMostNumber)
+    throw Error(ErrorKind::data, "serve.request.invalid", "request: 'view' is missing", "ask for ?view=0");
   check_view(view);
   return static_cast<int>(view);
 }
@@ -186,7 +191,8 @@ HttpResponse PageServer::post_export(const HttpRequest& request) {
   const ExportRequest wanted = parse_export_request(request.body);
   if (!wanted.what) {
     if (!exports_.cancel(wanted.cancel))
-      throw Error(ErrorKind::data, "no export '" + wanted.cancel + "'", "the state lists those that there are");
+      throw Error(ErrorKind::data, "serve.export.unknown", "no export '" + wanted.cancel + "'",
+                  "the state lists those that there are");
     return json(nlohmann::ordered_json{{"id", wanted.cancel}}.dump());
   }
   return json(nlohmann::ordered_json{{"id", exports_.start(*wanted.what)}}.dump());
@@ -199,7 +205,8 @@ HttpResponse PageServer::get_export(const std::string& rest) const {
                       std::all_of(number.begin(), number.end(), [](char c) { return c >= '0' && c <= '9'; });
   const std::string file = digits ? exports_.file(rest.substr(0, slash), std::stoul(number)) : "";
   if (file.empty())
-    return {404, "application/json", error_json("no such file of an export", "the state lists what is done")};
+    return {404, "application/json",
+            error_json("serve.export.unknown", "no such file of an export", "the state lists what is done")};
   HttpResponse response{200, type_of_export(file), ""};
   response.file = file;
   response.download_name = file.substr(file.rfind('/') + 1);

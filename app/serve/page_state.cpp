@@ -104,8 +104,8 @@ std::string camera_json(const FreeCamera& camera) {
   return text_of({{"position", {pose.t.x, pose.t.y, pose.t.z}}, {"rotation", rotation}, {"fov_deg", camera.fov_deg}});
 }
 
-std::string error_json(const std::string& message, const std::string& remedy) {
-  return text_of({{"error", message}, {"remedy", remedy}});
+std::string error_json(Code code, const std::string& message, const std::string& remedy) {
+  return text_of({{"error", message}, {"code", code.text()}, {"remedy", remedy}});
 }
 
 }  // namespace semfield::app

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "app/serve/page_source.h"
+#include "core/error.h"
 
 namespace semfield::app {
 
@@ -30,7 +31,7 @@ std::string state_json(const LabelState& state, const PageSource& source, const 
 /// {"position", "rotation", "fov_deg"}, as pictures of a free camera ask for it.
 std::string camera_json(const FreeCamera& camera);
 
-/// {"error", "remedy"}.
-std::string error_json(const std::string& message, const std::string& remedy);
+/// {"error", "code", "remedy"}.
+std::string error_json(Code code, const std::string& message, const std::string& remedy);
 
 }  // namespace semfield::app

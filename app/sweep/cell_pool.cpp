@@ -16,6 +16,7 @@
 
 #include "app/child_process.h"
 #include "app/signals.h"
+#include "core/findings.h"
 #include "report/sweep/host_share.h"
 #include "system/files.h"
 #include "system/folder_lock.h"
@@ -179,7 +180,7 @@ class Pool {
                         [&] { lock.keep_over_exec(); });
     } catch (const Error& error) {
       if (error.kind() != ErrorKind::unavailable) throw;
-      throw Error(error.kind(), "cannot start a process for a cell", "give fewer --jobs");
+      throw Error(error.kind(), error.code(), "cannot start a process for a cell", "give fewer --jobs");
     }
     lock.sign(pid);
     const bool resumed = std::find(words.begin(), words.end(), "--resume") != words.end();
@@ -238,7 +239,7 @@ class Pool {
       std::error_code ignored;  // a checkpoint that stays costs disk alone
       if (!options_.keep_checkpoints && !wanted) fs::remove_all(folder / "run" / "checkpoints", ignored);
     } catch (const Error& e) {
-      outcome.failure = e.what();
+      outcome.failure = shown(e);
     }
   }
 

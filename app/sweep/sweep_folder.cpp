@@ -81,7 +81,7 @@ SweepFolder::SweepFolder(std::string path, const Sweep& sweep, const std::vector
     beside_ = at_work_.holder();
     if (fs::exists(index) && read_text_file(index.string()) != own_index)
       throw Error(
-          ErrorKind::cannot_create,
+          ErrorKind::cannot_create, "sweep.folder.busy",
           fmt::format("the sweep folder '{}' is in use by {}, another sweep with other cells", path_, beside_),
           "wait for it to end, stop it (the next sweep continues from there), or choose another folder with --out; "
           "--dry-run tells which cells are done");

@@ -23,7 +23,7 @@ int run(const CaptureOptions& options, AppContext& context) {
   SceneInfo info = opened.dataset->open(diagnostics);
   convert_info(info, opened.config.load.convention);
   for (const Diagnostic& finding : folded(diagnostics)) {
-    if (finding.severity != Severity::error) print_note(context, finding.text());
+    if (finding.severity != Severity::error) print_note(context, finding.shown());
   }
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
   CaptureReport report;

@@ -121,7 +121,7 @@ void write_page(const std::string& path, const std::vector<NumericsRow>& rows) {
   std::string page = read_text_file(path);
   const std::size_t begin = page.find(kBegin), end = page.find(kEnd);
   if (begin == std::string::npos || end == std::string::npos || end < begin) {
-    throw Error(ErrorKind::data, path + ": no place for the table",
+    throw Error(ErrorKind::data, "files.page.marks", path + ": no place for the table",
                 fmt::format("put the lines '{}' and '{}' where it should stand", kBegin, kEnd));
   }
   page.replace(begin, end + std::string_view(kEnd).size() - begin, page_part(rows));

@@ -67,7 +67,8 @@ void clear_own_folder(const AppContext& context) {
       std::all_of(begin(entries), end(entries), [](const auto& e) { return e.path().filename() == ".lock"; }))
     return;
   if (!is_demo(kOwnFolder))
-    throw Error(ErrorKind::cannot_create, fmt::format("'{}' is there already and is no earlier demo", kOwnFolder),
+    throw Error(ErrorKind::cannot_create, "files.output.exists",
+                fmt::format("'{}' is there already and is no earlier demo", kOwnFolder),
                 "name a new folder with --out");
   print_note(context, fmt::format("the earlier demo in {} is replaced", kOwnFolder));
   const RunFolder held = RunFolder::resume(kOwnFolder);  // refuses one that is being trained

@@ -58,12 +58,12 @@ int run(const EvalOptions& options, AppContext& context) {
                            split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames,
                            context.ranks.get());
   context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
   Session& s = run.session;
   const std::vector<int> frames = s.scene.frames_of(split);
   if (frames.empty())
-    throw Error(ErrorKind::data, options.run + ": the scene has no frames in split '" + options.split + "'",
-                "see `semfield inspect`");
+    throw Error(ErrorKind::data, "scene.split.empty",
+                options.run + ": the scene has no frames in split '" + options.split + "'", "see `semfield inspect`");
   const SplitScore score = score_frames(s, split, frames, context);
   const Json found = results(run, score, options.split);
   if (!options.out.empty()) write_file_atomic(options.out, json_object(context, found));

@@ -53,8 +53,8 @@ class Exporter {
     std::error_code failed;
     std::filesystem::create_directories(options.out, failed);
     if (failed)
-      throw Error(ErrorKind::cannot_create, options.out + ": cannot create the folder: " + failed.message(),
-                  "choose another --out");
+      throw Error(ErrorKind::cannot_create, "files.output.create",
+                  options.out + ": cannot create the folder: " + failed.message(), "choose another --out");
   }
 
   void add(int number, const std::function<void(double)>& progress) {
@@ -128,13 +128,13 @@ int run(const ExportVerbOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
   context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
   Session& s = run.session;
   if (s.plan.class_of_logit.empty())
-    throw Error(ErrorKind::data, options.run + ": the run has no semantics", "train with labels");
+    throw Error(ErrorKind::data, "run.semantics.none", options.run + ": the run has no semantics", "train with labels");
   const std::vector<int> frames = s.scene.frames_of(options.split == "test" ? Split::test : Split::train);
   if (frames.empty())
-    throw Error(ErrorKind::data, options.run + ": no frames in split '" + options.split + "'",
+    throw Error(ErrorKind::data, "scene.split.empty", options.run + ": no frames in split '" + options.split + "'",
                 "see `semfield inspect`");
   Exporter exporter(options, s);
   {

@@ -39,11 +39,12 @@ void apply(const FuseOptions& options, FusionParams& params) {
   if (!options.depth.empty()) params.depth = options.depth == "true" ? FusionDepth::truth : FusionDepth::learned;
   if (!options.depth_from.empty()) {
     if (options.depth == "true")
-      throw Error(ErrorKind::usage, "--depth true and --depth-from exclude each other", "drop one of them");
+      throw Error(ErrorKind::usage, "usage.flag.conflict", "--depth true and --depth-from exclude each other",
+                  "drop one of them");
     params.depth = FusionDepth::learned;
   }
   if (params.depth == FusionDepth::learned && options.depth_from.empty())
-    throw Error(ErrorKind::usage, "learned depth is asked for, and no run is named",
+    throw Error(ErrorKind::usage, "usage.flag.missing", "learned depth is asked for, and no run is named",
                 "name its folder: --depth-from RUN");
 }
 
@@ -97,8 +98,8 @@ class MapWriter {
     std::error_code failed;
     fs::create_directories(path, failed);
     if (failed)
-      throw Error(ErrorKind::cannot_create, path + ": cannot create the folder: " + failed.message(),
-                  "choose another --out");
+      throw Error(ErrorKind::cannot_create, "files.output.create",
+                  path + ": cannot create the folder: " + failed.message(), "choose another --out");
   }
   std::string folder_;
   const SceneInfo& info_;
@@ -153,15 +154,17 @@ int run(const FuseOptions& options, AppContext& context) {
   opening.build = false;
   opening.depth = DepthKept::all;
   const Session s = open_session(std::move(config), context.registry, opening, diagnostics);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
   if (s.classes() == 0)
-    throw Error(ErrorKind::data, "the scene has no classes, so there is nothing to fuse", "see `semfield inspect`");
+    throw Error(ErrorKind::data, "labels.classes.none", "the scene has no classes, so there is nothing to fuse",
+                "see `semfield inspect`");
   if (!s.config.labels.from.reader && s.config.labels.degrade.empty())
     print_note(context, "predictions are the scene's own labels: name others in scene.labels.from or .degrade");
   const FusionParams& params = s.config.fuse;
 
   const auto frames = static_cast<double>(s.scene.frames_of(Split::train).size());
-  if (frames == 0) throw Error(ErrorKind::data, "the scene has no training frames", "see `semfield inspect`");
+  if (frames == 0)
+    throw Error(ErrorKind::data, "scene.split.empty", "the scene has no training frames", "see `semfield inspect`");
   ProgressLine progress(context, "rendered");
   const FrameMaps maps = run ? learned_depth({run->session, run->run_dir}, s.scene, params.min_opacity,
                                              [&](int done) { progress.show(done, frames); })

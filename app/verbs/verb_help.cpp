@@ -35,7 +35,8 @@ void write_man_pages(const Grammar& grammar, const std::string& folder, const Ap
 // plugins.md and verbs.md in docs/reference, and the table of parameters in each plugin folder's README.
 void renew_pages(const Grammar& grammar, const fs::path& root, const AppContext& context) {
   if (!fs::is_directory(root / "plugins"))
-    throw Error(ErrorKind::no_input, "--pages " + root.string() + ": it has no folder plugins", "name a source tree");
+    throw Error(ErrorKind::no_input, "files.folder.missing", "--pages " + root.string() + ": it has no folder plugins",
+                "name a source tree");
   int written = 0;
   const auto write_if_new = [&written](const fs::path& path, const std::string& text) {
     if (fs::exists(path) && read_text_file(path.string()) == text) return;
@@ -57,7 +58,8 @@ int run(const HelpOptions& options, AppContext& context) {
   const Grammar& grammar = program_grammar();
   const VerbGrammar* verb = verb_named(grammar, options.verb);
   if (verb != nullptr && !(options.out + options.pages).empty())
-    throw Error(ErrorKind::usage, "the pages of all verbs are written, and one is named", "leave out one of them");
+    throw Error(ErrorKind::usage, "usage.flag.conflict", "the pages of all verbs are written, and one is named",
+                "leave out one of them");
   if (!options.pages.empty()) {
     renew_pages(grammar, options.pages, context);
   } else if (!options.out.empty()) {

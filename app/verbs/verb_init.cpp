@@ -66,7 +66,7 @@ LoadedScene look_at(const FolderScene& found, AppContext& context, Diagnostics& 
     OpenedDataset opened = dataset_of(config_of(found, kUsualPreset), {}, context);
     return load_for_labels(opened, diagnostics);
   } catch (const Error& e) {
-    diagnostics.error("", e.message(), e.remedy());
+    diagnostics.error(e.code(), "", e.message(), e.remedy());
     return {};
   }
 }
@@ -85,7 +85,7 @@ int run(const InitOptions& options, AppContext& context) {
   const std::string file = options.out.empty() ? "configs/" + found.name + ".yaml" : options.out;
   std::error_code unknown;
   if (!options.replace && fs::exists(file, unknown)) {
-    throw Error(ErrorKind::cannot_create, "'" + file + "' is there already",
+    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + file + "' is there already",
                 "name another file with --out, or give --replace to write it anew");
   }
   Diagnostics diagnostics;
@@ -109,7 +109,7 @@ int run(const InitOptions& options, AppContext& context) {
     for (const std::string& other : found.others) std::printf("also here   %s; --type takes it\n", other.c_str());
     for (const Diagnostic& finding : folded(diagnostics)) {
       if (finding.severity != Severity::note)
-        std::printf("%-11s %s\n", finding.severity == Severity::error ? "error" : "warning", finding.text().c_str());
+        std::printf("%-11s %s\n", finding.severity == Severity::error ? "error" : "warning", finding.shown().c_str());
     }
     std::fputs(next_steps(file, "runs/" + fs::path(file).stem().string(), found.labels).c_str(), stdout);
   }

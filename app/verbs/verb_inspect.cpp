@@ -29,7 +29,7 @@ void show_training_labels(LoadedScene& scene, const LabelConfig& config, Diagnos
   try {
     labels = make_training_labels(scene, config, diagnostics);
   } catch (const Error& e) {
-    if (!diagnostics.has_errors()) diagnostics.error("", e.message(), e.remedy());
+    if (!diagnostics.has_errors()) diagnostics.error(e.code(), "", e.message(), e.remedy());
     return;
   }
   for (const int f : scene.frames_of(Split::train)) {
@@ -52,7 +52,7 @@ void check_ray_source(const LoadedScene& scene, const RunConfig& config, Diagnos
   warn_of_rare_labels(config.train, labels, diagnostics);
   if (config.train.ray_source != RaySourceKind::label_balanced || labels.labelled_px > 0 || labels.may_come) return;
   const Error refused = no_labelled_pixel();
-  diagnostics.error("", refused.message(), refused.remedy());
+  diagnostics.error(refused.code(), "", refused.message(), refused.remedy());
 }
 
 int run(const InspectOptions& options, AppContext& context) {

@@ -50,7 +50,7 @@ const std::vector<std::string>& known_formats() {
 
 void check_format(const std::string& name, const std::string& where) {
   if (std::find(known_formats().begin(), known_formats().end(), name) != known_formats().end()) return;
-  throw Error(ErrorKind::usage, where + ": unknown mesh format '" + name + "'",
+  throw Error(ErrorKind::usage, "mesh.format.unknown", where + ": unknown mesh format '" + name + "'",
               "one of " + join(known_formats()) +
                   (did_you_mean(name, known_formats()).empty()
                        ? std::string()
@@ -84,7 +84,8 @@ Targets targets_of(const MeshOptions& options) {
 
 std::vector<Coloring> colorings_of(const MeshOptions& options, bool has_classes) {
   if (!has_classes && (options.color == "class" || options.color == "both"))
-    throw Error(ErrorKind::data, "--color " + options.color + ": " + options.run + " has no semantics",
+    throw Error(ErrorKind::data, "run.semantics.none",
+                "--color " + options.color + ": " + options.run + " has no semantics",
                 "train with labels, or leave --color out");
   std::vector<Coloring> colorings;
   if (options.color != "class") colorings.push_back({false, ""});
@@ -170,7 +171,7 @@ int run(const MeshOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
   context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
   Session& s = run.session;
   const ClassTable& classes = s.scene.info.classes;
   const std::vector<Coloring> colorings = colorings_of(options, s.pipeline->has_semantics());
@@ -181,7 +182,7 @@ int run(const MeshOptions& options, AppContext& context) {
   std::error_code failed;
   if (targets.stem.has_parent_path()) fs::create_directories(targets.stem.parent_path(), failed);
   if (failed) {
-    throw Error(ErrorKind::cannot_create,
+    throw Error(ErrorKind::cannot_create, "files.output.create",
                 targets.stem.parent_path().string() + ": cannot create the folder: " + failed.message(),
                 "choose another --out");
   }
@@ -193,14 +194,15 @@ int run(const MeshOptions& options, AppContext& context) {
   if (!options.keep_unseen) drop_unseen(surface, cameras, s.limits, grid.spacing);
   const std::size_t unseen = all - surface.triangles.size();
   if (unseen > 0 && surface.triangles.empty()) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "mesh.surface.unseen",
                 fmt::format("{}: no training camera sees any of the {} faces at a density of {:.4g}", options.run,
                             unseen, level),
                 "train longer, or keep them with --keep-unseen");
   }
   const std::int64_t components = drop_small_components(surface, options.keep_components);
   if (surface.triangles.empty()) {
-    throw Error(ErrorKind::data, fmt::format("{}: no surface at a density of {:.4g}", options.run, level),
+    throw Error(ErrorKind::data, "mesh.surface.none",
+                fmt::format("{}: no surface at a density of {:.4g}", options.run, level),
                 "lower --level, or --keep-components, or train longer");
   }
   if (unseen > 0)

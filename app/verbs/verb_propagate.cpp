@@ -67,13 +67,15 @@ int run(const PropagateOptions& options, AppContext& context) {
   OpenedRun run =
       open_run(options.run, options.set, context.registry, diagnostics, OpenFor::evaluation_of_training_frames);
   context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
   const Session& s = run.session;
   if (s.classes() == 0) {
-    throw Error(ErrorKind::data, options.run + ": the run's scene has no classes, so there are no labels to spread",
+    throw Error(ErrorKind::data, "labels.classes.none",
+                options.run + ": the run's scene has no classes, so there are no labels to spread",
                 "give the scene labels, see `semfield inspect`");
   }
-  if (s.manifest.train_pixels == 0) throw Error(ErrorKind::data, "the scene has no training frames");
+  if (s.manifest.train_pixels == 0)
+    throw Error(ErrorKind::data, "scene.split.empty", "the scene has no training frames");
   const PropagationParams& params = s.config.propagate;
   if (params.method == PropagationMethod::surface && params.cell_m == 0) {
     print_note(context,

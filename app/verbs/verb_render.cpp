@@ -62,7 +62,8 @@ void write_class_order(const std::string& path, const ClassTable& classes) {
 void check_probability(const RenderOptions& options, const Session& s, const std::vector<NamedView>& views,
                        const AppContext& context) {
   if (!s.pipeline->has_semantics())
-    throw Error(ErrorKind::data, "--probability: " + options.run + " has no semantics", "train with labels");
+    throw Error(ErrorKind::data, "run.semantics.none", "--probability: " + options.run + " has no semantics",
+                "train with labels");
   double bytes = 0;
   for (const NamedView& view : views)
     bytes += 4.0 * s.classes() * view.camera.camera.width_px * view.camera.camera.height_px;
@@ -75,8 +76,8 @@ void create_folder(const fs::path& folder) {
   std::error_code failed;
   if (!folder.empty()) fs::create_directories(folder, failed);
   if (failed)
-    throw Error(ErrorKind::cannot_create, folder.string() + ": cannot create the folder: " + failed.message(),
-                "choose another --out");
+    throw Error(ErrorKind::cannot_create, "files.output.create",
+                folder.string() + ": cannot create the folder: " + failed.message(), "choose another --out");
 }
 
 struct Rendered {
@@ -151,7 +152,7 @@ Rendered render_video(const RenderOptions& options, const std::string& ffmpeg, c
   for (const NamedView& view : views) {
     const Camera& c = view.camera.camera;
     if (c.width_px == first.width_px && c.height_px == first.height_px) continue;
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "render.video.sizes",
                 fmt::format("--video: view {} has {}x{} pixels and view {} has {}x{}", views.front().name,
                             first.width_px, first.height_px, view.name, c.width_px, c.height_px),
                 "a video has one size: use --trajectory, whose views have the first frame's camera");
@@ -175,10 +176,10 @@ int run(const RenderOptions& options, AppContext& context) {
   const OpenedRun run =
       open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering, context.ranks.get());
   context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
   Diagnostics of_cameras;
   const std::vector<NamedView> views = render_views(run.session, options, of_cameras);
-  for (const Diagnostic& finding : folded(of_cameras)) print_note(context, finding.text());
+  for (const Diagnostic& finding : folded(of_cameras)) print_note(context, finding.shown());
   const Rendered done = options.video ? render_video(options, ffmpeg, run.session, views, context)
                                       : render_images(options, run.session, views, context);
   if (context.json) {

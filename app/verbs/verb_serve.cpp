@@ -17,6 +17,7 @@
 #include "app/serve/page_server.h"
 #include "app/serve/run_id.h"
 #include "app/signals.h"
+#include "core/findings.h"
 #include "core/text.h"
 #include "run/run_folder.h"
 #include "serve/label_session.h"
@@ -84,14 +85,16 @@ Target going_on(const std::string& run_dir, const ServeOptions& options, Registr
   RunConfig begun = load_run_config(RunFolder::read(run_dir).config_path(), options.set, registry);
   // A run of `semfield train` has no logits for classes that are named later.
   if (begun.labels.selection.class_room == 0)
-    throw Error(ErrorKind::cannot_create, run_dir + ": it holds a run that was not begun by `semfield serve`", remedy);
+    throw Error(ErrorKind::cannot_create, "serve.run.foreign",
+                run_dir + ": it holds a run that was not begun by `semfield serve`", remedy);
   return {std::move(begun), run_dir};
 }
 
 Target target_of(const ServeOptions& options, const AppContext& context, Registry& registry) {
   if (fs::is_directory(options.what)) {
     if (!options.out.empty())
-      throw Error(ErrorKind::usage, "--out " + options.out + ": a run goes on in its own folder", "leave --out out");
+      throw Error(ErrorKind::usage, "usage.flag.conflict", "--out " + options.out + ": a run goes on in its own folder",
+                  "leave --out out");
     return going_on(options.what, options, registry, "begin one of its own: semfield serve CONFIG --out FOLDER");
   }
   RunConfig config = load_run_config(options.what, options.set, registry);
@@ -140,7 +143,7 @@ class SignalWatch {
       session.save();
       print_note(context, "saved, as SIGHUP asked");
     } catch (const Error& e) {
-      print_note(context, std::string("not saved: ") + e.what());
+      print_note(context, "not saved: " + shown(e));
     }
   }
   std::atomic<bool> ended_{false};
@@ -160,7 +163,7 @@ int run(const ServeOptions& options, AppContext& context) {
   LabelSession session(std::move(target.config), context.registry, {target.run_dir}, &told);
   stop_waits(true);
   if (const int room = session.state()->room; room > kMostPageClasses)
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "serve.classes.limit",
                 fmt::format("the scene has room for {} classes, and the page shows at most {}", room, kMostPageClasses),
                 "give it a table of fewer classes: scene.classes");
   SessionSource source(session);
@@ -195,7 +198,7 @@ int run(const ServeOptions& options, AppContext& context) {
 #else
 
 int run(const ServeOptions&, AppContext&) {
-  throw Error(ErrorKind::unavailable, "this build has no labelling page",
+  throw Error(ErrorKind::unavailable, "serve.page.missing", "this build has no labelling page",
               "build with -DSEMFIELD_WITH_SERVE=ON, which needs the package libturbojpeg0-dev");
 }
 

@@ -17,6 +17,7 @@
 #include "app/verb.h"
 #include "compute/parallel.h"
 #include "core/device_id.h"
+#include "core/findings.h"
 #include "execution/device_library.h"
 #include "ranks/launcher.h"
 #include "report/sweep/host_share.h"
@@ -57,13 +58,15 @@ std::vector<std::string> named_devices(const std::vector<std::string>& words) {
   if (words == std::vector<std::string>{"all"}) {
     std::vector<std::string> devices;
     for (int n = 0; cuda_available(&why_not, n); ++n) devices.push_back(fmt::format("cuda:{}", n));
-    if (devices.empty()) throw Error(ErrorKind::unavailable, "--devices all: " + why_not, remedy);
+    if (devices.empty())
+      throw Error(ErrorKind::unavailable, "device.gpu.unavailable", "--devices all: " + why_not, remedy);
     return devices;
   }
   std::vector<std::string> devices = device_names(words);
   for (const std::string& device : devices) {
     if (!cuda_available(&why_not, device_of(device)->ordinal))
-      throw Error(ErrorKind::unavailable, fmt::format("--devices: no {}: {}", device, why_not), remedy);
+      throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
+                  fmt::format("--devices: no {}: {}", device, why_not), remedy);
   }
   return devices;
 }
@@ -75,7 +78,7 @@ std::vector<std::string> own_devices(const SweepOptions& options, const Place& p
   if (!place.launched) return devices;
   const Launched& by = *place.launched;
   if (std::ssize(devices) < by.local_size)
-    throw Error(ErrorKind::usage,
+    throw Error(ErrorKind::usage, "ranks.devices.too_few",
                 fmt::format("{} started {} processes on this host, and --devices gives them {}: {}", by.by,
                             by.local_size, devices.size(), join(devices)),
                 "start no more processes on a host than it has devices, each of which sees all of them (srun "
@@ -241,7 +244,7 @@ int run(const SweepOptions& options, AppContext& context) {
     if (place.reports()) throw;
     // What is wrong with the file rank 0 tells for all; it gets the time, because launchers end all when one fails.
     if (planned) {
-      std::fprintf(stderr, "semfield: %s%s\n", place.prefix().c_str(), error.what());
+      std::fprintf(stderr, "semfield: %s%s\n", place.prefix().c_str(), shown(error).c_str());
     } else {
       sleep(1);
     }

@@ -141,13 +141,13 @@ class ShownRun final : public RunListener {
 int run(const TrainOptions& options, AppContext& context) {
   const bool resume = !options.resume.empty();
   if (resume == !options.config.config.empty()) {
-    throw Error(ErrorKind::usage, "train: expected either a configuration file or --resume RUN",
+    throw Error(ErrorKind::usage, "usage.flag.conflict", "train: expected either a configuration file or --resume RUN",
                 "see `semfield train --help`");
   }
   const AskedLength asked = asked_length(options.length);
   if (options.weak && resume)
-    throw Error(ErrorKind::usage, "train: --weak multiplies the rays of a new run, and a resumed one keeps its own",
-                "leave out --weak");
+    throw Error(ErrorKind::usage, "usage.flag.conflict",
+                "train: --weak multiplies the rays of a new run, and a resumed one keeps its own", "leave out --weak");
   RunConfig config = load_run_config(resume ? RunFolder::read(options.resume).config_path() : options.config.config,
                                      options.config.set, context.registry);
   if (!resume && asked.any()) ask(config, asked);
@@ -157,7 +157,7 @@ int run(const TrainOptions& options, AppContext& context) {
     SessionOptions session_options;
     session_options.keep = options.keep;
     const Session session = open_session(std::move(config), context.registry, session_options, diagnostics);
-    for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.text());
+    for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
     if (context.json) {
       print_json(context, plan_json(session));
     } else {

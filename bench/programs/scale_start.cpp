@@ -67,7 +67,8 @@ cpu_set_t first_of(const cpu_set_t& allowed) {
 std::string mpirun() {
   std::string program = program_in_path("mpirun");
   if (program.empty())
-    throw Error(ErrorKind::unavailable, "the program mpirun, which starts several ranks, is not in PATH",
+    throw Error(ErrorKind::unavailable, "ranks.mpi.missing",
+                "the program mpirun, which starts several ranks, is not in PATH",
                 "install it (Debian: apt-get install openmpi-bin), or ask for one rank with --ranks 1");
   return program;
 }
@@ -123,7 +124,8 @@ ScaleEnd start_ranks(const ScaleStart& start, const std::string& folder, const A
   Clock::time_point kill_at = Clock::time_point::max();
   for (pid_t ended = 0; (ended = waitpid(pid, &status, WNOHANG)) != pid;) {
     if (ended < 0 && errno != EINTR)
-      throw Error(ErrorKind::internal, "the process that was started cannot be waited for", "report this");
+      throw Error(ErrorKind::internal, "internal.process.wait", "the process that was started cannot be waited for",
+                  "report this");
     const Clock::time_point now = Clock::now();
     if (!asked && (stop_signal() != 0 || now - begin > kLongest)) {
       asked = true;
@@ -135,9 +137,11 @@ ScaleEnd start_ranks(const ScaleStart& start, const std::string& folder, const A
   }
   ScaleEnd end;
   end.seconds = std::chrono::duration<double>(Clock::now() - begin).count();
-  if (stop_signal() != 0) throw Error(ErrorKind::failure, "stopped by a signal", "start it again to measure anew");
+  if (stop_signal() != 0)
+    throw Error(ErrorKind::failure, "study.process.stopped", "stopped by a signal", "start it again to measure anew");
   if (asked)
-    throw Error(ErrorKind::failure, fmt::format("`{}` did not end within {} s", join(words, " "), kLongest.count()),
+    throw Error(ErrorKind::failure, "study.process.stuck",
+                fmt::format("`{}` did not end within {} s", join(words, " "), kLongest.count()),
                 "see whether mpirun works here: mpirun -n 2 hostname");
   end.code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   if (end.code != 0) end.failure = failure_text(status, files.log);

@@ -71,7 +71,8 @@ int run(const PairsStudyOptions& options, AppContext& context) {
   for (const LeaveOutPair& pair : leave_out_pairs()) names.push_back(pair.name);
   for (const std::string& name : options.only) {
     if (std::find(names.begin(), names.end(), name) == names.end())
-      throw Error(ErrorKind::usage, "--only " + name + ": there is no such pair", "choose of " + join(names));
+      throw Error(ErrorKind::usage, "study.name.unknown", "--only " + name + ": there is no such pair",
+                  "choose of " + join(names));
   }
   LeaveOutFindings findings;
   bool all_hold = true;

@@ -26,8 +26,8 @@ int run(const QuadratureStudyOptions& options, AppContext& context) {
     std::error_code failed;
     fs::create_directories(options.out, failed);
     if (failed)
-      throw Error(ErrorKind::cannot_create, options.out + ": cannot create the folder: " + failed.message(),
-                  "choose another --out");
+      throw Error(ErrorKind::cannot_create, "files.output.create",
+                  options.out + ": cannot create the folder: " + failed.message(), "choose another --out");
   }
   const QuadratureResults results = measure_quadrature(options.rays, study_tools(context));
   const std::string text = quadrature_tables(results) + "\n## Omissions\n\n" + quadrature_omissions(results);

@@ -76,7 +76,8 @@ ScaleResults measured(const ScaleStudyOptions& options, AppContext& context) {
 
 void write_docs(const std::string& folder, const ScaleResults& fresh) {
   if (fresh.quick)
-    throw Error(ErrorKind::usage, "--write-docs: figures of --quick are of narrow networks", "measure without --quick");
+    throw Error(ErrorKind::usage, "usage.flag.conflict", "--write-docs: figures of --quick are of narrow networks",
+                "measure without --quick");
   const fs::path docs = folder;
   const std::string page = (docs / "evidence" / "scale.md").string(),
                     json = (docs / "evidence" / "scale.json").string();

@@ -98,7 +98,8 @@ std::vector<double> click_through(LabelSession& session, const std::vector<Store
   for (int made = 0, asked = 0; made < clicks && asked < 5 * clicks; ++asked) {
     auto state = session.state();
     while (!state->proposal && state->failure.empty()) state = session.wait_state(state->revision, milliseconds(1000));
-    if (!state->failure.empty()) throw Error(ErrorKind::failure, "the session has ended: " + state->failure);
+    if (!state->failure.empty())
+      throw Error(ErrorKind::failure, "serve.training.failed", "the session has ended: " + state->failure);
     const ProposalState question = *state->proposal;
     const auto frame = static_cast<std::size_t>(frame_of_view[static_cast<std::size_t>(question.view)]);
     const StoredFrame& pixels = truth[frame];
@@ -179,7 +180,7 @@ int count_lost_clicks(int kills) {
   int lost = 0, next = 0;
   for (int kill_number = 0; kill_number < kills; ++kill_number) {
     int pipe_ends[2];
-    if (pipe2(pipe_ends, O_CLOEXEC) != 0) throw Error(ErrorKind::io, "cannot make a pipe");
+    if (pipe2(pipe_ends, O_CLOEXEC) != 0) throw Error(ErrorKind::io, "system.process.limit", "cannot make a pipe");
     const pid_t child = fork();
     if (child == 0) {
       Diagnostics ignored;

@@ -159,7 +159,8 @@ void read_label_json(const std::string& text, const std::string& name, std::vect
       course.scene = one.at("scene");
       const auto& names = ChoiceNames<Acquisition>::names;
       const auto how = std::find(names.begin(), names.end(), one.at("question").get<std::string>());
-      if (how == names.end()) throw Error(ErrorKind::data, name + ": it names a question that there is not");
+      if (how == names.end())
+        throw Error(ErrorKind::data, "study.result.damaged", name + ": it names a question that there is not");
       course.how = static_cast<Acquisition>(how - names.begin());
       course.seed = one.at("seed");
       course.miou = one.at("miou").get<std::vector<double>>();
@@ -172,8 +173,8 @@ void read_label_json(const std::string& text, const std::string& name, std::vect
       courses.push_back(std::move(course));
     }
   } catch (const nlohmann::json::exception& error) {
-    throw Error(ErrorKind::data, name + ": it is no result of `semfield-study label --json`: " + error.what(),
-                "write it again");
+    throw Error(ErrorKind::data, "study.result.damaged",
+                name + ": it is no result of `semfield-study label --json`: " + error.what(), "write it again");
   }
 }
 

@@ -18,7 +18,7 @@ void put_part(std::string& page, const std::string& study, const std::string& pa
   const std::size_t from = page.find(begin);
   const std::size_t to = from == std::string::npos ? from : page.find(end, from);
   if (to == std::string::npos) {
-    throw Error(ErrorKind::data, "'" + name + "' has no place for the part '" + part + "'",
+    throw Error(ErrorKind::data, "files.page.marks", "'" + name + "' has no place for the part '" + part + "'",
                 "put the lines '" + begin + "' and '" + end + "' where it should stand");
   }
   const std::size_t at = from + begin.size();

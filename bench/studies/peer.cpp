@@ -19,14 +19,15 @@ std::string python_with_torch(const std::string& chosen) {
   for (const std::string& python : candidates) {
     if (run_silently({python, "-c", "import torch"}) == 0) return python;
   }
-  throw Error(ErrorKind::unavailable, "no Python with torch (asked: " + join(candidates) + ")",
+  throw Error(ErrorKind::unavailable, "study.peer.missing", "no Python with torch (asked: " + join(candidates) + ")",
               "install python3-torch, or name an interpreter with --python");
 }
 
 json parsed(const std::string& line) {
   const json answer = json::parse(line, nullptr, false);
-  if (!answer.is_object()) throw Error(ErrorKind::unavailable, "the peer answered '" + line.substr(0, 200) + "'");
-  if (answer.contains("error")) throw Error(ErrorKind::unavailable, answer["error"].dump());
+  if (!answer.is_object())
+    throw Error(ErrorKind::unavailable, "study.peer.failed", "the peer answered '" + line.substr(0, 200) + "'");
+  if (answer.contains("error")) throw Error(ErrorKind::unavailable, "study.peer.failed", answer["error"].dump());
   return answer;
 }
 
@@ -46,7 +47,7 @@ Peer::Peer(const std::string& script, const std::string& python, int threads, bo
                              about.value("preload", "").empty() ? "of the C library" : about.value("preload", ""),
                              about.value("capability", "?"));
   if (device == "cpu" && about.value("blas", "") == "reference") {
-    throw Error(ErrorKind::unavailable,
+    throw Error(ErrorKind::unavailable, "study.peer.slow",
                 "PyTorch here multiplies matrices with the reference BLAS, 50 times too slow to compare",
                 "install libopenblas0-openmp");
   }

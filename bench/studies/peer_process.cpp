@@ -26,7 +26,7 @@ PeerProcess::PeerProcess(const std::vector<std::string>& words) : name_(words.at
   const std::vector<char*> argv = argv_of(words);  // before the fork: the child may not allocate
   std::array<int, 2> in{}, out{};
   if (pipe2(in.data(), O_CLOEXEC) != 0 || pipe2(out.data(), O_CLOEXEC) != 0) {
-    throw Error(ErrorKind::unavailable, "no pipe to '" + name_ + "'");
+    throw Error(ErrorKind::unavailable, "system.process.limit", "no pipe to '" + name_ + "'");
   }
   pid_ = fork();
   if (pid_ == 0) {
@@ -40,7 +40,7 @@ PeerProcess::PeerProcess(const std::vector<std::string>& words) : name_(words.at
   close(out[1]);
   to_ = in[1];
   from_ = out[0];
-  if (pid_ < 0) throw Error(ErrorKind::unavailable, "cannot start '" + name_ + "'");
+  if (pid_ < 0) throw Error(ErrorKind::unavailable, "system.process.limit", "cannot start '" + name_ + "'");
 }
 
 PeerProcess::~PeerProcess() {
@@ -57,7 +57,7 @@ std::string PeerProcess::read_line() {
   while ((end = pending_.find('\n')) == std::string::npos) {
     std::array<char, 4096> buffer;
     const ssize_t got = read(from_, buffer.data(), buffer.size());
-    if (got <= 0) throw Error(ErrorKind::unavailable, "'" + name_ + "' ended without an answer");
+    if (got <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' ended without an answer");
     pending_.append(buffer.data(), static_cast<std::size_t>(got));
   }
   std::string line = pending_.substr(0, end);
@@ -69,7 +69,7 @@ std::string PeerProcess::ask(const std::string& line) {
   const std::string text = line + "\n";
   for (std::size_t sent = 0; sent < text.size();) {
     const ssize_t n = write(to_, text.data() + sent, text.size() - sent);
-    if (n <= 0) throw Error(ErrorKind::unavailable, "'" + name_ + "' takes no more requests");
+    if (n <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' takes no more requests");
     sent += static_cast<std::size_t>(n);
   }
   return read_line();

@@ -94,7 +94,8 @@ const PluginEntry& first_pass_sampler(const Registry& registry) {
   for (const PluginEntry* entry : samplers_with_rules(registry)) {
     if (!needs_previous(*entry, registry)) return *entry;
   }
-  throw Error(ErrorKind::config, "no registered sampler has the parameters 'samples' and 'quadrature'",
+  throw Error(ErrorKind::config, "study.sampler.missing",
+              "no registered sampler has the parameters 'samples' and 'quadrature'",
               "build with the stratified sampler");
 }
 

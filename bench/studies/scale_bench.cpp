@@ -86,7 +86,8 @@ class ScaleBench {
     if (seconds != nullptr) *seconds = end.seconds;
     if (end.code == 0) return true;
     if (end.code != static_cast<int>(ErrorKind::unavailable) || start.ranks == 1) {
-      throw Error(ErrorKind::failure, fmt::format("{} on {} failed: {}", what, ranks_text(start.ranks), end.failure),
+      throw Error(ErrorKind::failure, "study.process.failed",
+                  fmt::format("{} on {} failed: {}", what, ranks_text(start.ranks), end.failure),
                   "mend its cause, or leave the part out with --only");
     }
     miss(fmt::format("{} on {} ({})", what, ranks_text(start.ranks), device), end.failure);

@@ -67,7 +67,8 @@ double gather_seconds(const ScaleSystem& system, int devices, double bytes) {
 
 ScaleTime predict_step(const ScaleStep& step, const ScaleSystem& system, int devices, double rays) {
   if (devices < 1 || !(rays > 0)) {
-    throw Error(ErrorKind::usage, "a step is predicted for at least one device and some rays", "give both above 0");
+    throw Error(ErrorKind::usage, "usage.value.range", "a step is predicted for at least one device and some rays",
+                "give both above 0");
   }
   ScaleTime time;
   const double split_s = step.split_s_per_ray * rays * largest_share(step, devices);
@@ -100,8 +101,8 @@ ScaleLimits scale_limits(const ScaleStep& step, const ScaleSystem& system, doubl
 
 ScaleStep fit_step(std::span<const ScaleSample> samples) {
   if (samples.empty())
-    throw Error(ErrorKind::usage, "the cost of a step is fitted to measurements on one device, and there are none",
-                "measure one");
+    throw Error(ErrorKind::usage, "study.result.missing",
+                "the cost of a step is fitted to measurements on one device, and there are none", "measure one");
   // Of a + b r = s with weights 1 / s^2.
   double w = 0, wr = 0, wrr = 0, ws = 0, wrs = 0;
   for (const ScaleSample& sample : samples) {

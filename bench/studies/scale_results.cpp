@@ -126,7 +126,7 @@ std::string scale_json(const ScaleResults& results) {
 ScaleResults parse_scale_json(const std::string& text, const std::string& name) {
   ScaleResults results;
   const auto refuse = [&](const std::string& what) {
-    throw Error(ErrorKind::data, "'" + name + "' is no file of `semfield-study scale`: " + what,
+    throw Error(ErrorKind::data, "study.result.damaged", "'" + name + "' is no file of `semfield-study scale`: " + what,
                 "give a results.json that `semfield-study scale --out FOLDER` has written");
   };
   try {
@@ -185,7 +185,7 @@ ScaleResults parse_scale_json(const std::string& text, const std::string& name) 
 ScaleResults merged(ScaleResults old, const ScaleResults& fresh) {
   if (old.machines.empty()) old.quick = fresh.quick;
   if (old.quick != fresh.quick)
-    throw Error(ErrorKind::usage, "figures of --quick and others do not go together",
+    throw Error(ErrorKind::usage, "usage.flag.conflict", "figures of --quick and others do not go together",
                 "measure all of them with --quick, or none");
   for (const ScaleMachine& machine : fresh.machines) {
     const bool timed = std::any_of(fresh.rows.begin(), fresh.rows.end(),

@@ -131,7 +131,8 @@ std::vector<double> batch_seconds(const std::string& run) {
     before = &row;
   }
   if (seconds.empty() || *std::min_element(seconds.begin(), seconds.end()) <= 0)
-    throw Error(ErrorKind::data, "'" + file + "' has no two rows of training whose time differs",
+    throw Error(ErrorKind::data, "study.result.damaged",
+                "'" + file + "' has no two rows of training whose time differs",
                 "train it again; each row should be a batch of steps");
   return seconds;
 }
@@ -140,7 +141,8 @@ GradientBytes gradient_bytes(const std::string& run) {
   Diagnostics diagnostics;
   const std::optional<CheckpointStore::Found> found =
       CheckpointStore::read(RunFolder::read(run).checkpoints_path()).find_latest(diagnostics);
-  if (!found) throw Error(ErrorKind::no_input, "'" + run + "' has no checkpoint", "train it to its end");
+  if (!found)
+    throw Error(ErrorKind::no_input, "checkpoint.none.yet", "'" + run + "' has no checkpoint", "train it to its end");
   GradientBytes bytes;
   for (const TensorRef& tensor : found->file.tensors()) {
     if (!tensor.name.starts_with("adam/m/")) continue;  // every learned tensor has one, and nothing else

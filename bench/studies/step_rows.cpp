@@ -32,7 +32,7 @@ struct Sizes {
 Sizes sizes_of(const std::string& name) {
   Sizes s;
   if (name == "full") return s;
-  if (name != "tiny") throw Error(ErrorKind::usage, "--size " + name + ": expected full or tiny");
+  if (name != "tiny") throw Error(ErrorKind::usage, "usage.value.choice", "--size " + name + ": expected full or tiny");
   s.rays = s.sweep_rays = 32;
   s.coarse = 8;
   s.fine = 8;
@@ -318,7 +318,7 @@ const PeerRow* find_peer(const BenchStepResults& r, const std::string& net, cons
 }  // namespace
 
 BenchStepResults measure_steps(const BenchStepOptions& options, const StudyTools& tools) {
-  if (options.repeats < 1) throw Error(ErrorKind::usage, "--repeats: expected at least 1");
+  if (options.repeats < 1) throw Error(ErrorKind::usage, "usage.value.range", "--repeats: expected at least 1");
   return StepBench(options, tools).run();
 }
 

@@ -55,8 +55,8 @@ ClassEntry pascal_entry(std::int32_t id, std::string_view name) {
 std::uint8_t color_value(const std::string& text, const std::string& place) {
   std::int64_t value = 0;
   if (!parse_whole(text, value) || value < 0 || value > 255) {
-    throw Error(ErrorKind::data, place + ": expected a colour value from 0 to 255, got '" + text + "'",
-                "write lines 'label:r,g,b::'");
+    throw Error(ErrorKind::data, "classes.label_map.color",
+                place + ": expected a colour value from 0 to 255, got '" + text + "'", "write lines 'label:r,g,b::'");
   }
   return static_cast<std::uint8_t>(value);
 }
@@ -64,7 +64,7 @@ std::uint8_t color_value(const std::string& text, const std::string& place) {
 std::array<std::uint8_t, 3> color_of(const std::string& text, const std::string& place) {
   const std::size_t first = text.find(','), second = text.find(',', first + 1);
   if (first == std::string::npos || second == std::string::npos)
-    throw Error(ErrorKind::data, place + ": expected a colour 'r,g,b', got '" + text + "'",
+    throw Error(ErrorKind::data, "classes.label_map.color", place + ": expected a colour 'r,g,b', got '" + text + "'",
                 "write lines 'label:r,g,b::'");
   return {color_value(text.substr(0, first), place), color_value(text.substr(first + 1, second - first - 1), place),
           color_value(text.substr(second + 1), place)};
@@ -86,7 +86,7 @@ ClassTable published_classes(const std::string& name) {
     for (const ScannetClass& c : kScannet20)
       entries.push_back({c.nyu40, std::string(nyu40_name(c.nyu40)), c.color, false});
   } else {
-    throw Error(ErrorKind::usage, "no published class table '" + name + "'",
+    throw Error(ErrorKind::usage, "classes.published.unknown", "no published class table '" + name + "'",
                 "there are " + join(published_class_names()));
   }
   return with_void(std::move(entries));
@@ -94,7 +94,8 @@ ClassTable published_classes(const std::string& name) {
 
 std::int32_t nyu13_of_nyu40(std::int32_t nyu40id) {
   if (nyu40id < 0 || nyu40id > std::ssize(kNyu40))
-    throw Error(ErrorKind::data, "NYU40 id " + std::to_string(nyu40id), "NYU40 ids run from 0 to 40");
+    throw Error(ErrorKind::data, "classes.table.id", "NYU40 id " + std::to_string(nyu40id),
+                "NYU40 ids run from 0 to 40");
   return nyu40id == 0 ? 0 : kNyu40[static_cast<std::size_t>(nyu40id - 1)].nyu13;
 }
 
@@ -114,12 +115,12 @@ ClassTable load_cvat_labelmap(const std::string& path) {
   bool has_zero = false;
   for (const TextRow& row : read_text_rows(path, ':')) {
     if (row.fields.size() < 2 || row.fields[0].empty())
-      throw Error(ErrorKind::data, row.place + ": expected 'label:color_rgb:parts:actions'",
+      throw Error(ErrorKind::data, "classes.label_map.format", row.place + ": expected 'label:color_rgb:parts:actions'",
                   "export the label map from CVAT again");
     const std::string& name = row.fields[0];
     if (const auto [other, fresh] = place_of_name.emplace(name, row.place); !fresh)
-      throw Error(ErrorKind::data, row.place + ": label '" + name + "' stands in " + other->second + " too",
-                  "keep one of them");
+      throw Error(ErrorKind::data, "classes.name.twice",
+                  row.place + ": label '" + name + "' stands in " + other->second + " too", "keep one of them");
     const bool ignore = name == "background" || is_void_name(name);
     const std::int32_t id = ignore && !has_zero ? 0 : next++;
     has_zero = has_zero || id == 0;
@@ -127,7 +128,9 @@ ClassTable load_cvat_labelmap(const std::string& path) {
     entries.push_back(
         {id, name, row.fields[1].empty() ? ClassTable::default_color(id) : color_of(row.fields[1], row.place), ignore});
   }
-  if (entries.empty()) throw Error(ErrorKind::data, path + ": no labels in it", "export the label map from CVAT again");
+  if (entries.empty())
+    throw Error(ErrorKind::data, "classes.label_map.format", path + ": no labels in it",
+                "export the label map from CVAT again");
   return with_void(std::move(entries));
 }
 
@@ -135,8 +138,8 @@ std::string to_cvat_labelmap(const ClassTable& classes) {
   std::string out = "# label:color_rgb:parts:actions\n";
   for (const ClassEntry& e : classes.entries()) {
     if (e.name.find_first_of(":\n") != std::string::npos)
-      throw Error(ErrorKind::data, "class '" + e.name + "': a label map cannot hold a name with ':'",
-                  "rename the class");
+      throw Error(ErrorKind::data, "classes.name.invalid",
+                  "class '" + e.name + "': a label map cannot hold a name with ':'", "rename the class");
     out += e.name + ":" + std::to_string(e.color[0]) + "," + std::to_string(e.color[1]) + "," +
            std::to_string(e.color[2]) + "::\n";
   }

@@ -44,7 +44,8 @@ int ClassNames::find(const std::string& name) const {
 
 std::int16_t ClassNames::index_of(const std::string& name, const std::string& place) const {
   const int index = find(name);
-  if (index == -2) throw Error(ErrorKind::data, place + ": no class '" + name + "'", remedy_for(name));
+  if (index == -2)
+    throw Error(ErrorKind::data, "labels.class.unknown", place + ": no class '" + name + "'", remedy_for(name));
   return static_cast<std::int16_t>(index);
 }
 

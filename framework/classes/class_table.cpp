@@ -32,8 +32,9 @@ std::string trimmed(std::string_view text) {
   return std::string(text);
 }
 
-[[noreturn]] void refuse(const std::string& place, const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, place + ": " + message, remedy);
+[[noreturn]] void refuse(Code code, const std::string& place, const std::string& message,
+                         const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, code, place + ": " + message, remedy);
 }
 
 constexpr const char* kCsvRemedy = "write one line 'id,name' for each class";
@@ -51,21 +52,22 @@ ClassTable load_csv(const std::string& path) {
     const std::string place = path + ":" + std::to_string(line);
     const std::size_t comma = row.find(',');
     if (comma == std::string::npos)
-      refuse(place, "expected 'class_id,class', got '" + row.substr(0, 80) + "'", kCsvRemedy);
+      refuse("classes.table.format", place, "expected 'class_id,class', got '" + row.substr(0, 80) + "'", kCsvRemedy);
     const std::string id_text = csv_value(std::string_view(row).substr(0, comma), place);
     std::string name = csv_value(std::string_view(row).substr(comma + 1), place);
     ClassEntry entry;
     if (!parse_int(id_text, entry.id)) {
       if (line == 1) continue;  // the header
-      refuse(place, "expected a class id, got '" + id_text + "'", kCsvRemedy);
+      refuse("classes.table.format", place, "expected a class id, got '" + id_text + "'", kCsvRemedy);
     }
-    if (name.empty()) refuse(place, "class " + id_text + " has no name", kCsvRemedy);
+    if (name.empty()) refuse("classes.table.format", place, "class " + id_text + " has no name", kCsvRemedy);
     entry.ignore = entry.id == 0 && is_void_name(name);
     entry.color = ClassTable::default_color(entry.id);
     entry.name = std::move(name);
     entries.push_back(std::move(entry));
   }
-  if (entries.empty()) refuse(path, "no classes in it", "write one line 'id,name' for each class");
+  if (entries.empty())
+    refuse("classes.table.format", path, "no classes in it", "write one line 'id,name' for each class");
   return ClassTable(std::move(entries));
 }
 
@@ -75,24 +77,27 @@ ClassTable load_json(const std::string& path) {
   try {
     root = nlohmann::json::parse(read_text_file(path));
   } catch (const nlohmann::json::exception& e) {
-    refuse(path, "not valid JSON: " + json_cause(e.what()), "export the table again");
+    refuse("classes.table.format", path, "not valid JSON: " + json_cause(e.what()), "export the table again");
   }
   const nlohmann::json* list = root.is_array()                                ? &root
                                : root.is_object() && root.contains("classes") ? &root["classes"]
                                                                               : nullptr;
   if (list == nullptr || !list->is_array())
-    refuse(path, "no list 'classes' in it", "write {\"classes\": [{\"id\": 1, \"name\": \"wall\"}, ...]}");
+    refuse("classes.table.format", path, "no list 'classes' in it",
+           "write {\"classes\": [{\"id\": 1, \"name\": \"wall\"}, ...]}");
   std::vector<ClassEntry> entries;
   bool has_zero = false;
   for (const nlohmann::json& item : *list) {
     if (!item.is_object() || !item.contains("id") || !item["id"].is_number_integer() || !item.contains("name") ||
         !item["name"].is_string()) {
-      refuse(path, "class " + std::to_string(entries.size()) + " of the list needs an integer 'id' and a text 'name'",
+      refuse("classes.table.format", path,
+             "class " + std::to_string(entries.size()) + " of the list needs an integer 'id' and a text 'name'",
              "export the table again");
     }
     const auto id = item["id"].get<std::int64_t>();
     if (id < 0) continue;  // Replica writes -1 for "no class"
-    if (id > kMaxId) refuse(path, "class id " + std::to_string(id) + " is above " + std::to_string(kMaxId));
+    if (id > kMaxId)
+      refuse("classes.table.id", path, "class id " + std::to_string(id) + " is above " + std::to_string(kMaxId));
     ClassEntry entry{static_cast<std::int32_t>(id), item["name"].get<std::string>(),
                      ClassTable::default_color(static_cast<std::int32_t>(id)), false};
     entry.ignore = id == 0 && is_void_name(entry.name);
@@ -106,34 +111,36 @@ ClassTable load_json(const std::string& path) {
 std::int32_t scalar_int(const ConfigNode& node, const std::string& what, std::int32_t low, std::int32_t high) {
   std::int32_t value = 0;
   if (!node.is_scalar() || node.quoted() || !parse_int(node.text(), value) || value < low || value > high) {
-    refuse(node.location().text(), what + ": expected an integer from " + std::to_string(low) + " to " +
-                                       std::to_string(high) + ", got '" + node.text() + "'");
+    refuse("classes.table.value", node.location().text(),
+           what + ": expected an integer from " + std::to_string(low) + " to " + std::to_string(high) + ", got '" +
+               node.text() + "'");
   }
   return value;
 }
 
 ClassEntry yaml_entry(const ConfigNode& item) {
   const std::string place = item.location().text();
-  if (!item.is_map()) refuse(place, "a class is a map {id, name, color, ignore}", kYamlRemedy);
+  if (!item.is_map()) refuse("classes.table.format", place, "a class is a map {id, name, color, ignore}", kYamlRemedy);
   ClassEntry entry;
   bool has_color = false;
   static const std::vector<std::string> keys{"id", "name", "color", "ignore"};
   for (const auto& [key, value] : item.entries()) {
     if (std::find(keys.begin(), keys.end(), key) == keys.end()) {
       const std::string near = did_you_mean(key, keys);
-      refuse(value.location().text(), "unknown key '" + key + "' of a class",
+      refuse("config.key.unknown", value.location().text(), "unknown key '" + key + "' of a class",
              near.empty() ? "known: " + join(keys) : "did you mean '" + near + "'?");
     }
   }
   const ConfigNode* id = item.find("id");
   const ConfigNode* name = item.find("name");
-  if (id == nullptr) refuse(place, "a class needs an 'id'", kYamlRemedy);
+  if (id == nullptr) refuse("classes.table.format", place, "a class needs an 'id'", kYamlRemedy);
   entry.id = scalar_int(*id, "id", 0, kMaxId);
   if (name == nullptr || !name->is_scalar() || name->text().empty())
-    refuse(place, "class " + std::to_string(entry.id) + " needs a 'name'", kYamlRemedy);
+    refuse("classes.table.format", place, "class " + std::to_string(entry.id) + " needs a 'name'", kYamlRemedy);
   entry.name = name->text();
   if (const ConfigNode* color = item.find("color"); color != nullptr && !color->is_null()) {
-    if (!color->is_list() || color->items().size() != 3) refuse(color->location().text(), "color: expected [r, g, b]");
+    if (!color->is_list() || color->items().size() != 3)
+      refuse("classes.table.value", color->location().text(), "color: expected [r, g, b]");
     for (std::size_t i = 0; i < 3; ++i)
       entry.color[i] = static_cast<std::uint8_t>(scalar_int(color->items()[i], "color", 0, 255));
     has_color = true;
@@ -141,7 +148,8 @@ ClassEntry yaml_entry(const ConfigNode& item) {
   if (!has_color) entry.color = ClassTable::default_color(entry.id);
   if (const ConfigNode* ignore = item.find("ignore"); ignore != nullptr) {
     if (ignore->text() != "true" && ignore->text() != "false")
-      refuse(ignore->location().text(), "ignore: expected true or false, got '" + ignore->text() + "'");
+      refuse("classes.table.value", ignore->location().text(),
+             "ignore: expected true or false, got '" + ignore->text() + "'");
     entry.ignore = ignore->text() == "true";
   }
   return entry;
@@ -151,7 +159,7 @@ ClassTable load_yaml(const std::string& path) {
   const ConfigNode root = parse_config_file(path);
   const ConfigNode* list = root.is_list() ? &root : root.find("classes");
   if (list == nullptr || !list->is_list())
-    refuse(path, "expected a list of classes {id, name, color, ignore}", kYamlRemedy);
+    refuse("classes.table.format", path, "expected a list of classes {id, name, color, ignore}", kYamlRemedy);
   std::vector<ClassEntry> entries;
   for (const ConfigNode& item : list->items()) entries.push_back(yaml_entry(item));
   return ClassTable(std::move(entries));
@@ -180,17 +188,17 @@ ClassTable::ClassTable(std::vector<ClassEntry> entries) : entries_(std::move(ent
   for (std::size_t i = 0; i < entries_.size(); ++i) {
     const ClassEntry& e = entries_[i];
     if (e.id < 0 || e.id > kMaxId) {
-      throw Error(ErrorKind::data, "class '" + e.name + "' has id " + std::to_string(e.id),
+      throw Error(ErrorKind::data, "classes.table.id", "class '" + e.name + "' has id " + std::to_string(e.id),
                   "ids run from 0 to " + std::to_string(kMaxId));
     }
     if (!is_line_of_text(e.name)) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "classes.name.invalid",
                   "the name of class " + std::to_string(e.id) + " has control characters or is no UTF-8",
                   "give it a plain name, and save the file as UTF-8");
     }
     if (i > 0 && entries_[i - 1].id == e.id) {
       throw Error(
-          ErrorKind::data,
+          ErrorKind::data, "classes.id.twice",
           "class id " + std::to_string(e.id) + " is given twice ('" + entries_[i - 1].name + "' and '" + e.name + "')",
           "keep one of them");
     }
@@ -226,9 +234,10 @@ ClassTable ClassTable::load(const std::string& path) {
     if (extension == ".yaml" || extension == ".yml") return load_yaml(path);
   } catch (Error& e) {
     if (e.message().find(path) != std::string::npos) throw;
-    throw Error(e.kind(), path + ": " + e.message(), e.remedy());
+    throw Error(e.kind(), e.code(), path + ": " + e.message(), e.remedy());
   }
-  throw Error(ErrorKind::data, "'" + path + "' is not a class table", "give a .yaml, .csv or .json file");
+  throw Error(ErrorKind::data, "classes.table.format", "'" + path + "' is not a class table",
+              "give a .yaml, .csv or .json file");
 }
 
 std::string ClassTable::to_yaml() const {

@@ -24,7 +24,7 @@ void SoftMap::set_row(std::size_t pixel, std::span<const float> probability) {
   SEMFIELD_CHECK(probability.size() == width, "row of another width");
   for (std::size_t c = 0; c < width; ++c) {
     if (!(probability[c] >= 0) || !std::isfinite(probability[c])) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "labels.probability.invalid",
                   "probability of class " + std::to_string(c) + " at pixel " + std::to_string(pixel) + " is " +
                       std::to_string(probability[c]),
                   "probabilities are finite and not negative");

@@ -46,7 +46,7 @@ Isa choose() {
   for (const Isa built : kBuilt) {
     if (isa_name(built) == wanted && processor_has(built)) return built;
   }
-  throw Error(ErrorKind::config,
+  throw Error(ErrorKind::config, "config.environment.value",
               "environment variable SEMFIELD_ISA: '" + std::string(wanted) +
                   "' is no instruction set that this processor and this build have",
               "set one of: " + isas_of_machine() + ", or unset it");

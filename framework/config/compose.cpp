@@ -22,8 +22,8 @@ namespace fs = std::filesystem;
 constexpr int kMaxIncludedFiles = 256;
 constexpr int kMaxIncludeDepth = 32;
 
-[[noreturn]] void fail(const Location& where, const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::config, where.text() + ": " + message, remedy);
+[[noreturn]] void fail(Code code, const Location& where, const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::config, code, where.text() + ": " + message, remedy);
 }
 
 std::string kind_text(const ConfigNode& node) {
@@ -66,7 +66,7 @@ class Loader {
 
   ConfigNode with_includes(const ConfigNode& local) {
     if (!local.is_map()) {
-      fail(local.location(), "expected a map of sections at the top, got " + kind_text(local));
+      fail("config.value.type", local.location(), "expected a map of sections at the top, got " + kind_text(local));
     }
     ConfigNode composed = ConfigNode::make_map({}, local.location());
     if (const ConfigNode* include = local.find("include")) {
@@ -84,7 +84,8 @@ class Loader {
   };
 
   ConfigNode load_included(const ConfigNode& item) {
-    if (!item.is_scalar()) fail(item.location(), "include: expected a file name, got " + kind_text(item));
+    if (!item.is_scalar())
+      fail("config.include.file", item.location(), "include: expected a file name, got " + kind_text(item));
     const fs::path written(item.text());
     fs::path path =
         written.is_absolute() ? written : (fs::path(item.location().file).parent_path() / written).lexically_normal();
@@ -93,7 +94,7 @@ class Loader {
       const std::string shipped = shipped_config(item.text());
       if (shipped.empty()) {
         const std::string place = shipped_place(item.text());
-        fail(item.location(),
+        fail("config.include.file", item.location(),
              "include: no file '" + item.text() + "' (looked for '" + path.string() + "'" +
                  (place.empty() ? ")" : " and '" + place + "')"),
              "paths in a config are relative to the file that wrote them");
@@ -106,11 +107,13 @@ class Loader {
     if (first != open_.end()) {
       std::string chain;
       for (auto file = first; file != open_.end(); ++file) chain += file->shown + " -> ";
-      fail(item.location(), "include: '" + item.text() + "' includes itself: " + chain + first->shown);
+      fail("config.include.cycle", item.location(),
+           "include: '" + item.text() + "' includes itself: " + chain + first->shown);
     }
     if (open_.size() >= kMaxIncludeDepth || ++included_ > kMaxIncludedFiles) {
-      fail(item.location(), "include: more than " + std::to_string(kMaxIncludedFiles) + " files or " +
-                                std::to_string(kMaxIncludeDepth) + " levels");
+      fail("config.include.limit", item.location(),
+           "include: more than " + std::to_string(kMaxIncludedFiles) + " files or " + std::to_string(kMaxIncludeDepth) +
+               " levels");
     }
     return load(path.string());
   }
@@ -140,7 +143,8 @@ std::size_t item_of(const ConfigNode& list, const std::string& segment, const st
   const std::string expected =
       names.empty() ? "an item's index, " + range : "an item's name (" + join(names) + ") or its index (" + range + ")";
   const std::string near = did_you_mean(segment, names);
-  fail(origin, key + " is a list (" + list.location().text() + "): expected " + expected + ", got '" + segment + "'",
+  fail("config.set.key", origin,
+       key + " is a list (" + list.location().text() + "): expected " + expected + ", got '" + segment + "'",
        near.empty() ? "" : "did you mean '" + near + "'?");
 }
 
@@ -156,8 +160,9 @@ ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segmen
     return ConfigNode::make_list(std::move(items), node.location()).with_key_location(node.key_location());
   }
   if (node.is_scalar()) {
-    fail(origin, "'" + joined(segments, at) + "' is " + kind_text(node) + " (" + node.location().text() +
-                     "), it has no key '" + segment + "'");
+    fail("config.set.key", origin,
+         "'" + joined(segments, at) + "' is " + kind_text(node) + " (" + node.location().text() + "), it has no key '" +
+             segment + "'");
   }
   // The override is a map of one key at this level: the rule of merging, with its type change, is then the same.
   const ConfigNode* old_child = node.find(segment);
@@ -176,11 +181,13 @@ ConfigNode apply_override(const ConfigNode& root, const std::string& key, const 
     const std::size_t end = std::min(key.find('.', begin), key.size());
     segments.push_back(key.substr(begin, end - begin));
     if (segments.back().empty())
-      fail(origin, "empty key in '" + key + "'", "write sections and keys with dots between: train.steps");
+      fail("config.set.key", origin, "empty key in '" + key + "'",
+           "write sections and keys with dots between: train.steps");
     begin = end + 1;
   }
-  if (segments.size() > 32) fail(origin, "key path longer than 32 levels");
-  if (segments[0] == "include") fail(origin, "include: files are included by a config, not by an override");
+  if (segments.size() > 32) fail("config.set.key", origin, "key path longer than 32 levels");
+  if (segments[0] == "include")
+    fail("config.set.key", origin, "include: files are included by a config, not by an override");
   return set_at(root, segments, 0, value, origin);
 }
 
@@ -189,7 +196,8 @@ ConfigNode apply_override(const ConfigNode& root, const std::string& text) {
   // "--threads runtime.threads=2" was typed as "--threads 2".
   const std::size_t key = text.starts_with("--") ? text.find(' ') + 1 : 0;
   const Location origin{key > 0 ? text.substr(0, key) + text.substr(equals + 1) : "--set " + text, 0, 0};
-  if (equals == std::string::npos) fail(origin, "expected KEY=VALUE", "for example --set train.steps=1000");
+  if (equals == std::string::npos)
+    fail("config.set.format", origin, "expected KEY=VALUE", "for example --set train.steps=1000");
   return apply_override(root, text.substr(key, equals - key),
                         parse_config_value(std::string_view(text).substr(equals + 1), origin.file), origin);
 }
@@ -218,14 +226,15 @@ ConfigNode resolve_like(const ConfigNode& root) {
     const ConfigNode* like = item.find("like");
     if (like != nullptr) {
       if (!like->is_scalar())
-        fail(like->location(), "like: expected the name of an earlier pass, got " + kind_text(*like));
+        fail("config.value.type", like->location(),
+             "like: expected the name of an earlier pass, got " + kind_text(*like));
       const auto known = std::find(names.rbegin(), names.rend(), like->text());
       if (known == names.rend()) {
         std::vector<std::string> given;
         std::copy_if(names.begin(), names.end(), std::back_inserter(given),
                      [](const std::string& n) { return !n.empty(); });
         const std::string near = did_you_mean(like->text(), given);
-        fail(like->location(),
+        fail("config.pass.like", like->location(),
              "like: no earlier pass named '" + like->text() + "'" +
                  (given.empty() ? "; this is the first one with a name" : "; known: " + join(given)),
              near.empty() ? "" : "did you mean '" + near + "'?");

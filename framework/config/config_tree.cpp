@@ -34,7 +34,8 @@ class Source {
  public:
   Source(std::string_view yaml, std::string name, bool is_value) : name_(std::move(name)), is_value_(is_value) {
     if (yaml.size() > kMaxBytes) {
-      throw Error(ErrorKind::config, name_ + ": larger than 1 MiB", "keep big tables in files of their own");
+      throw Error(ErrorKind::config, "config.file.size", name_ + ": larger than 1 MiB",
+                  "keep big tables in files of their own");
     }
     normalise(yaml);
     check_characters();
@@ -52,8 +53,9 @@ class Source {
 
   Location at(const YAML::Mark& mark) const { return at_offset(mark.pos < 0 ? 0 : static_cast<std::size_t>(mark.pos)); }
 
-  [[noreturn]] void fail(const Location& where, const std::string& message, const std::string& remedy = {}) const {
-    throw Error(ErrorKind::config, where.text() + ": " + message, remedy);
+  [[noreturn]] void fail(Code code, const Location& where, const std::string& message,
+                         const std::string& remedy = {}) const {
+    throw Error(ErrorKind::config, code, where.text() + ": " + message, remedy);
   }
 
   /// False for a quoted scalar at `mark` whose closing quote is missing: yaml-cpp 0.7 takes it when a line end follows.
@@ -115,12 +117,13 @@ class Source {
   void check_characters() const {
     for (std::size_t i = 0; i < text_.size();) {
       const auto byte = static_cast<unsigned char>(text_[i]);
-      if (byte == 0) fail(at_offset(i), "NUL byte: this is not a text file");
+      if (byte == 0) fail("config.text.encoding", at_offset(i), "NUL byte: this is not a text file");
       if ((byte < 0x20 && byte != '\t' && byte != '\n') || byte == 0x7F) {
-        fail(at_offset(i), "control character " + std::to_string(byte), "write it as an escape in double quotes");
+        fail("config.text.encoding", at_offset(i), "control character " + std::to_string(byte),
+             "write it as an escape in double quotes");
       }
       const std::size_t length = utf8_length(text_, i);
-      if (length == 0) fail(at_offset(i), "not valid UTF-8", "save the file as UTF-8");
+      if (length == 0) fail("config.text.encoding", at_offset(i), "not valid UTF-8", "save the file as UTF-8");
       i += length;
     }
   }
@@ -130,7 +133,7 @@ class Source {
     for (std::size_t i = 0; i < text_.size(); ++i) {
       if (text_[i] == '[' || text_[i] == '{') {
         if (++open > kMaxOpenBrackets) {
-          fail(at_offset(i), "nested deeper than " + std::to_string(kMaxDepth) + " levels");
+          fail("config.yaml.depth", at_offset(i), "nested deeper than " + std::to_string(kMaxDepth) + " levels");
         }
       } else if ((text_[i] == ']' || text_[i] == '}') && open > 0) {
         --open;
@@ -155,13 +158,16 @@ class TreeBuilder final : public YAML::EventHandler {
   ConfigNode take_root() { return std::move(root_); }
 
   void OnDocumentStart(const YAML::Mark& mark) override {
-    if (++documents_ > 1) source_.fail(source_.at(mark), "more than one YAML document", "keep one document in a file");
+    if (++documents_ > 1)
+      source_.fail("config.yaml.unsupported", source_.at(mark), "more than one YAML document",
+                   "keep one document in a file");
   }
   void OnDocumentEnd() override {}
 
   void OnAnchor(const YAML::Mark& mark, const std::string& name) override { refuse_anchor(mark, name); }
   void OnAlias(const YAML::Mark& mark, YAML::anchor_t) override {
-    source_.fail(source_.at(mark), "aliases are not allowed", "use 'include' or write the value out");
+    source_.fail("config.yaml.unsupported", source_.at(mark), "aliases are not allowed",
+                 "use 'include' or write the value out");
   }
   void OnNull(const YAML::Mark& mark, YAML::anchor_t anchor) override {
     if (anchor != 0) refuse_anchor(mark, {});
@@ -174,8 +180,8 @@ class TreeBuilder final : public YAML::EventHandler {
                 const std::string& value) override {
     check_properties(mark, tag, anchor);
     const Location where = source_.at(mark);
-    if (tag == "!" && !source_.quote_closes(mark)) source_.fail(where, kUnclosedQuote);
-    if (value.find('\0') != std::string::npos) source_.fail(where, "NUL character in a text");
+    if (tag == "!" && !source_.quote_closes(mark)) source_.fail("config.yaml.syntax", where, kUnclosedQuote);
+    if (value.find('\0') != std::string::npos) source_.fail("config.text.encoding", where, "NUL character in a text");
     add(ConfigNode::make_scalar(value, tag == "!", where), where);
   }
   void OnSequenceStart(const YAML::Mark& mark, const std::string& tag, YAML::anchor_t anchor,
@@ -205,14 +211,16 @@ class TreeBuilder final : public YAML::EventHandler {
   bool expects_key() const { return !stack_.empty() && !stack_.back().is_list && !stack_.back().has_key; }
 
   [[noreturn]] void refuse_anchor(const YAML::Mark& mark, const std::string& name) const {
-    source_.fail(source_.at(mark), "anchors are not allowed" + (name.empty() ? "" : " ('&" + name + "')"),
+    source_.fail("config.yaml.unsupported", source_.at(mark),
+                 "anchors are not allowed" + (name.empty() ? "" : " ('&" + name + "')"),
                  "use 'include' or write the value out");
   }
 
   void check_properties(const YAML::Mark& mark, const std::string& tag, YAML::anchor_t anchor) const {
     if (anchor != 0) refuse_anchor(mark, {});
     if (!tag.empty() && tag != "?" && tag != "!") {
-      source_.fail(source_.at(mark), "tags are not allowed ('" + tag + "')", "write the plain value");
+      source_.fail("config.yaml.unsupported", source_.at(mark), "tags are not allowed ('" + tag + "')",
+                   "write the plain value");
     }
   }
 
@@ -220,9 +228,10 @@ class TreeBuilder final : public YAML::EventHandler {
     check_properties(mark, tag, anchor);
     const Location where = source_.at(mark);
     if (static_cast<int>(stack_.size()) >= kMaxDepth) {
-      source_.fail(where, "nested deeper than " + std::to_string(kMaxDepth) + " levels");
+      source_.fail("config.yaml.depth", where, "nested deeper than " + std::to_string(kMaxDepth) + " levels");
     }
-    if (expects_key()) source_.fail(where, "a list or a map where a key should stand (is a bracket left open?)");
+    if (expects_key())
+      source_.fail("config.yaml.syntax", where, "a list or a map where a key should stand (is a bracket left open?)");
     Level level;
     level.is_list = is_list;
     level.where = where;
@@ -255,18 +264,20 @@ class TreeBuilder final : public YAML::EventHandler {
   }
 
   void set_key(Level& level, const ConfigNode& node, const Location& where) const {
-    if (!node.is_scalar()) source_.fail(where, "a key is missing before ':'");
-    if (node.text().empty()) source_.fail(where, "a key must not be empty");
-    if (node.text().size() > kMaxKeyBytes) source_.fail(where, "a key longer than 512 bytes");
+    if (!node.is_scalar()) source_.fail("config.yaml.syntax", where, "a key is missing before ':'");
+    if (node.text().empty()) source_.fail("config.yaml.syntax", where, "a key must not be empty");
+    if (node.text().size() > kMaxKeyBytes) source_.fail("config.yaml.syntax", where, "a key longer than 512 bytes");
     if (node.text() == "<<" && !node.quoted()) {
-      source_.fail(where, "merge keys are not allowed", "use 'include' or write the values out");
+      source_.fail("config.yaml.unsupported", where, "merge keys are not allowed",
+                   "use 'include' or write the values out");
     }
     if (!level.keys.insert(node.text()).second) {
       std::string first;
       for (const ConfigNode::Entry& entry : level.entries) {
         if (entry.first == node.text()) first = entry.second.key_location().text();
       }
-      source_.fail(where, "duplicate key '" + node.text() + "' (first at " + first + ")", "keep one of them");
+      source_.fail("config.key.twice", where, "duplicate key '" + node.text() + "' (first at " + first + ")",
+                   "keep one of them");
     }
     level.key = node.text();
     level.key_where = where;
@@ -305,8 +316,9 @@ ConfigNode parse(std::string_view yaml, const std::string& name, bool is_value) 
     }
   } catch (const YAML::Exception& error) {
     const Location where = source.at(error.mark);
-    if (source.indented_by_tab(where)) source.fail(where, "a tab cannot indent YAML", "use spaces");
-    source.fail(where, plain_message(error.msg));
+    if (source.indented_by_tab(where))
+      source.fail("config.yaml.syntax", where, "a tab cannot indent YAML", "use spaces");
+    source.fail("config.yaml.syntax", where, plain_message(error.msg));
   }
   if (builder.has_document()) return builder.take_root();
   return is_value ? ConfigNode::make_null({name, 0, 0}) : ConfigNode::make_map({}, {name, 1, 1});
@@ -321,7 +333,7 @@ ConfigNode parse_config_value(std::string_view yaml, const std::string& origin) 
 ConfigNode parse_config_file(const std::string& path) {
   std::error_code unknown;
   if (std::filesystem::is_directory(path, unknown)) {
-    throw Error(ErrorKind::no_input, "'" + path + "' is a folder, not a config file",
+    throw Error(ErrorKind::no_input, "config.file.folder", "'" + path + "' is a folder, not a config file",
                 std::filesystem::exists(std::filesystem::path(path) / "run.yaml")
                     ? "it is a run, whose configuration is its run.yaml"
                     : "`semfield init " + shell_word(path) + "` writes one for the scene in it");
@@ -329,7 +341,8 @@ ConfigNode parse_config_file(const std::string& path) {
   // One byte more than allowed is enough to see that a file is too large; devices and pipes have no size to ask for.
   const auto size = std::filesystem::file_size(path, unknown);
   if (!unknown && size > kMaxBytes) {
-    throw Error(ErrorKind::config, path + ": larger than 1 MiB", "keep big tables in files of their own");
+    throw Error(ErrorKind::config, "config.file.size", path + ": larger than 1 MiB",
+                "keep big tables in files of their own");
   }
   return parse_config_text(read_text_file(path, kMaxBytes), path);
 }

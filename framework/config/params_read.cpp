@@ -107,7 +107,7 @@ class Reader final : public ParamVisitor {
     if (node->is_scalar() && !node->quoted() && (node->text() == "true" || node->text() == "false")) {
       value = node->text() == "true";
     } else {
-      report(*node, key_path(info.name), "bool", found(*node), "write true or false");
+      report("config.value.type", *node, key_path(info.name), "bool", found(*node), "write true or false");
     }
   }
   void integer(const ParamInfo& info, std::int64_t& value) override {
@@ -130,7 +130,7 @@ class Reader final : public ParamVisitor {
     }
     const std::vector<std::string> known(names.begin(), names.end());
     const std::string near = node->is_scalar() ? did_you_mean(node->text(), known) : std::string();
-    report(*node, key_path(info.name), "one of " + join(known), found(*node),
+    report("config.value.choice", *node, key_path(info.name), "one of " + join(known), found(*node),
            near.empty() ? "" : "did you mean '" + near + "'?");
   }
   void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
@@ -159,9 +159,9 @@ class Reader final : public ParamVisitor {
     return path_.empty() ? std::string(key) : path_ + "." + std::string(key);
   }
 
-  void report(const ConfigNode& node, const std::string& path, const std::string& expected, const std::string& got,
-              const std::string& remedy = {}) {
-    diagnostics_.error(node.location().text(), path + ": expected " + expected + ", got " + got, remedy);
+  void report(Code code, const ConfigNode& node, const std::string& path, const std::string& expected,
+              const std::string& got, const std::string& remedy = {}) {
+    diagnostics_.error(code, node.location().text(), path + ": expected " + expected + ", got " + got, remedy);
   }
 
   // "int in [1, 32]", "int >= 1": a limit of the field's type is named only when it is what the value breaks.
@@ -171,7 +171,8 @@ class Reader final : public ParamVisitor {
     (value < range.min ? broken.min : broken.max) = value < range.min ? range.min : range.max;
     const bool breaks_type_limit = range_text(broken, true).empty();
     const std::string bounds = range_text(range, !breaks_type_limit);
-    report(node, path, std::string(type) + (bounds[0] == '[' ? " in " : " ") + bounds, node.text());
+    report("config.value.range", node, path, std::string(type) + (bounds[0] == '[' ? " in " : " ") + bounds,
+           node.text());
     return false;
   }
 
@@ -181,7 +182,7 @@ class Reader final : public ParamVisitor {
     if (node.is_scalar() && !node.quoted()) read = parse_integer(node.text(), remedy);
     if (!read) {
       if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
-      report(node, path, "int", found(node), remedy);
+      report("config.value.type", node, path, "int", found(node), remedy);
       return false;
     }
     if (!in_range(node, path, range, static_cast<double>(*read), "int")) return false;
@@ -195,7 +196,7 @@ class Reader final : public ParamVisitor {
     if (node.is_scalar() && !node.quoted()) read = parse_number(node.text(), remedy);
     if (!read) {
       if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
-      report(node, path, "number", found(node), remedy);
+      report("config.value.type", node, path, "number", found(node), remedy);
       return false;
     }
     if (!in_range(node, path, range, *read, "number")) return false;
@@ -205,7 +206,7 @@ class Reader final : public ParamVisitor {
 
   bool read_word(const ConfigNode& node, const std::string& path, std::string& value) {
     if (!node.is_scalar()) {
-      report(node, path, "text", found(node));
+      report("config.value.type", node, path, "text", found(node));
       return false;
     }
     value = node.text();
@@ -218,7 +219,8 @@ class Reader final : public ParamVisitor {
     const ConfigNode* node = get(info);
     if (node == nullptr) return;
     if (!node->is_list()) {
-      report(*node, key_path(info.name), type, found(*node), node->is_scalar() ? "write [" + node->text() + "]" : "");
+      report("config.value.type", *node, key_path(info.name), type, found(*node),
+             node->is_scalar() ? "write [" + node->text() + "]" : "");
       return;
     }
     std::vector<T> items;
@@ -243,7 +245,7 @@ void read_params(const ConfigNode& node, const std::string& path, const Describe
                  const std::vector<std::string>& other_keys) {
   const std::string prefix = path.empty() ? "" : path + ": ";
   if (!node.is_map() && !node.is_null()) {  // a section with every line commented out is an empty one
-    diagnostics.error(node.location().text(), prefix + "expected a map, got " + found(node));
+    diagnostics.error("config.value.type", node.location().text(), prefix + "expected a map, got " + found(node), {});
     return;
   }
   Reader reader(node, path, diagnostics);
@@ -256,7 +258,8 @@ void read_params(const ConfigNode& node, const std::string& path, const Describe
     std::string remedy = "known: " + join(known);
     if (!near.empty()) remedy = "did you mean '" + near + "'?";
     if (known.empty()) remedy = "there are no keys here";
-    diagnostics.error(entry.second.key_location().text(), prefix + "unknown key '" + entry.first + "'", remedy);
+    diagnostics.error("config.key.unknown", entry.second.key_location().text(),
+                      prefix + "unknown key '" + entry.first + "'", remedy);
   }
 }
 
@@ -265,8 +268,8 @@ std::string read_text(const ConfigNode& parent, const std::string& path, const s
   const ConfigNode* node = parent.find(key);
   if (node == nullptr) return fallback;
   if (node->is_scalar()) return node->text();
-  diagnostics.error(node->location().text(),
-                    (path.empty() ? key : path + "." + key) + ": expected text, got " + found(*node));
+  diagnostics.error("config.value.type", node->location().text(),
+                    (path.empty() ? key : path + "." + key) + ": expected text, got " + found(*node), {});
   return fallback;
 }
 

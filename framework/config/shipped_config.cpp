@@ -66,7 +66,7 @@ std::string find_config(const std::string& name) {
   const std::string ending = written.extension() == kEnding ? kEnding : "";
   const std::string near = did_you_mean((ending.empty() ? written.filename() : written.stem()).string(), names);
   throw Error(
-      ErrorKind::no_input,
+      ErrorKind::no_input, "config.file.missing",
       "no configuration '" + name + "'" +
           (place.empty() ? std::string() : " (looked for '" + name + "' and '" + place + "')"),
       near.empty() ? "check the path" : "did you mean '" + (written.parent_path() / near).string() + ending + "'?");

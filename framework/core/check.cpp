@@ -12,8 +12,9 @@ void check_failed(const char* expression, const char* file, int line, const std:
 
 void check_failed(const char* expression, const char* file, int line, const char* why) {
   const char* base = std::strrchr(file, '/');
-  throw Error(ErrorKind::internal, std::string(base ? base + 1 : file) + ":" + std::to_string(line) + ": " + why +
-                                       " (violated: " + expression + ")");
+  throw Error(ErrorKind::internal, "internal.check.failed",
+              std::string(base ? base + 1 : file) + ":" + std::to_string(line) + ": " + why +
+                  " (violated: " + expression + ")");
 }
 
 }  // namespace semfield

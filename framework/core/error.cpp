@@ -1,6 +1,8 @@
 #include "core/error.h"
 
 #include <algorithm>
+#include <mutex>
+#include <set>
 
 #include "core/findings.h"
 #include "core/text.h"
@@ -29,8 +31,16 @@ std::string printable(const std::string& text) {
 
 }  // namespace
 
-Error::Error(ErrorKind kind, std::string message, std::string remedy)
-    : kind_(kind), message_(printable(message)), remedy_(std::move(remedy)) {
+std::optional<Code> Code::parse(std::string_view text) {
+  if (!is_code(text)) return std::nullopt;
+  static std::mutex guard;
+  static std::set<std::string, std::less<>> known;  // their texts stay, as those of literals do
+  const std::lock_guard lock(guard);
+  return Code(Checked{}, known.emplace(text).first->c_str());
+}
+
+Error::Error(ErrorKind kind, Code code, std::string message, std::string remedy)
+    : kind_(kind), code_(code), message_(printable(message)), remedy_(std::move(remedy)) {
   rebuild();
 }
 
@@ -53,31 +63,28 @@ std::string Diagnostic::text() const {
   return line;
 }
 
-void Diagnostics::error(std::string where, std::string message, std::string remedy) {
-  all_.push_back({Severity::error, printable(where), printable(message), std::move(remedy)});
+std::string Diagnostic::shown() const { return with_code(text(), code); }
+
+void Diagnostics::error(Code code, std::string where, std::string message, std::string remedy) {
+  all_.push_back({Severity::error, code, printable(where), printable(message), std::move(remedy)});
   ++errors_;
 }
 
-void Diagnostics::warning(std::string where, std::string message, std::string remedy) {
-  all_.push_back({Severity::warning, printable(where), printable(message), std::move(remedy)});
+void Diagnostics::warning(Code code, std::string where, std::string message, std::string remedy) {
+  all_.push_back({Severity::warning, code, printable(where), printable(message), std::move(remedy)});
 }
 
-void Diagnostics::note(std::string where, std::string message) {
-  all_.push_back({Severity::note, std::move(where), std::move(message), {}});
+void Diagnostics::note(Code code, std::string where, std::string message) {
+  all_.push_back({Severity::note, code, std::move(where), std::move(message), {}});
 }
 
 void Diagnostics::throw_if_errors(ErrorKind kind, std::string_view summary) const {
   if (!has_errors()) return;
-  std::string text(summary);
-  std::vector<Diagnostic> errors = folded(*this);
-  std::erase_if(errors, [](const Diagnostic& finding) { return finding.severity != Severity::error; });
-  for (const Diagnostic& finding : errors) {
-    if (!text.empty()) text += '\n';
-    text += finding.text();
-  }
-  std::vector<Diagnostic> each = all_;
-  std::erase_if(each, [](const Diagnostic& finding) { return finding.severity != Severity::error; });
-  throw FindingsError(kind, text, std::move(each));
+  const auto is_no_error = [](const Diagnostic& finding) { return finding.severity != Severity::error; };
+  std::vector<Diagnostic> lines = folded(*this), each = all_;
+  std::erase_if(lines, is_no_error);
+  std::erase_if(each, is_no_error);
+  throw FindingsError(kind, std::string(summary), std::move(lines), std::move(each));
 }
 
 std::string join(const std::vector<std::string>& words, std::string_view separator) {

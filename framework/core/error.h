@@ -2,6 +2,7 @@
 #pragma once
 
 #include <exception>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -21,16 +22,49 @@ enum class ErrorKind : int {
   config = 78,
 };
 
-/// Exception of the library: a sentence, an optional place ("room.yaml:7:5", "frame 12 (rgb_12.png)"), an optional
-/// remedy, and the chain of what was being done, outermost first.
+/// The stable name of a cause, such as "scene.pose.rotation", for programs, tests and searches: 2 to 4 words of
+/// [a-z0-9_] joined by dots, the first the area that a user knows. Anything else does not compile.
+/// docs/reference/codes.md lists them.
+class Code {
+ public:
+  consteval Code(const char* text) : text_(text) {  // NOLINT: literals are codes
+    if (!is_code(text)) throw "2 to 4 words of [a-z0-9_] joined by dots";
+  }
+  /// One that arrives as text, from another process or from Python; none where `text` is no code.
+  static std::optional<Code> parse(std::string_view text);
+
+  constexpr const char* text() const noexcept { return text_; }
+  friend constexpr bool operator==(Code a, Code b) noexcept {
+    return std::string_view(a.text_) == std::string_view(b.text_);
+  }
+
+ private:
+  struct Checked {};
+  constexpr Code(Checked, const char* text) noexcept : text_(text) {}
+  static constexpr bool is_code(std::string_view text) {
+    int words = 1;
+    char before = '.';
+    for (const char c : text) {
+      if (c == '.' ? before == '.' : !((c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_')) return false;
+      if (c == '.') ++words;
+      before = c;
+    }
+    return before != '.' && words >= 2 && words <= 4;
+  }
+  const char* text_;
+};
+
+/// Exception of the library: a code, a sentence, an optional place ("room.yaml:7:5", "frame 12 (rgb_12.png)"), an
+/// optional remedy, and the chain of what was being done, outermost first.
 class Error : public std::exception {
  public:
-  Error(ErrorKind kind, std::string message, std::string remedy = {});
+  Error(ErrorKind kind, Code code, std::string message, std::string remedy = {});
 
   /// Adds what was being done when the error passed by ("while reading frame 3 of '...'"); returns *this for rethrow.
   Error& while_doing(std::string what);
 
   ErrorKind kind() const noexcept { return kind_; }
+  Code code() const noexcept { return code_; }
   const std::string& message() const noexcept { return message_; }
   const std::string& remedy() const noexcept { return remedy_; }
   const std::vector<std::string>& context() const noexcept { return context_; }
@@ -39,6 +73,7 @@ class Error : public std::exception {
  private:
   void rebuild();
   ErrorKind kind_;
+  Code code_;
   std::string message_;
   std::string remedy_;
   std::vector<std::string> context_;
@@ -50,25 +85,29 @@ enum class Severity { note, warning, error };
 /// One finding about an input.
 struct Diagnostic {
   Severity severity = Severity::error;
+  Code code;
   std::string where;    ///< "file:line:column", "frame 12 (path)" or a key; may be empty
   std::string message;  ///< what is wrong, with the value found
   std::string remedy;   ///< one next step; may be empty
 
   /// "where: message; remedy" on one line.
   std::string text() const;
+  /// The same with the code behind it: "where: message; remedy [code]".
+  std::string shown() const;
 };
 
 /// Collects every finding of one pass over an input, so that a user sees all of them at once.
 class Diagnostics {
  public:
-  void error(std::string where, std::string message, std::string remedy = {});
-  void warning(std::string where, std::string message, std::string remedy = {});
-  void note(std::string where, std::string message);
+  void error(Code code, std::string where, std::string message, std::string remedy);
+  void warning(Code code, std::string where, std::string message, std::string remedy);
+  void note(Code code, std::string where, std::string message);
   bool has_errors() const noexcept { return errors_ > 0; }
   int error_count() const noexcept { return errors_; }
   const std::vector<Diagnostic>& all() const noexcept { return all_; }
 
-  /// Throws one Error that lists every error, one per line; does nothing when there is none.
+  /// Throws one Error that lists every error, one per line, with the code of the first; does nothing when there is
+  /// none.
   void throw_if_errors(ErrorKind kind, std::string_view summary) const;
 
  private:

@@ -30,7 +30,39 @@ std::string short_place(const std::string& where) {
   return place.substr(place.rfind('/') + 1);
 }
 
+std::string listed(const std::string& summary, const std::vector<Diagnostic>& lines, bool codes) {
+  std::string text = summary;
+  for (const Diagnostic& line : lines) {
+    if (!text.empty()) text += '\n';
+    text += codes ? line.shown() : line.text();
+  }
+  return text;
+}
+
 }  // namespace
+
+FindingsError::FindingsError(ErrorKind kind, std::string summary, std::vector<Diagnostic> lines,
+                             std::vector<Diagnostic> findings)
+    : Error(kind, lines.front().code, listed(summary, lines, false)),
+      summary_(std::move(summary)),
+      lines_(std::move(lines)),
+      findings_(std::move(findings)) {}
+
+std::string FindingsError::shown() const {
+  std::string text;
+  for (const std::string& step : context()) text += step + ": ";
+  return text + listed(summary_, lines_, true);
+}
+
+std::string with_code(std::string text, Code code) {
+  text.insert(std::min(text.find('\n'), text.size()), std::string(" [") + code.text() + ']');
+  return text;
+}
+
+std::string shown(const Error& error) {
+  const auto* findings = dynamic_cast<const FindingsError*>(&error);
+  return findings != nullptr ? findings->shown() : with_code(error.what(), error.code());
+}
 
 std::vector<Diagnostic> folded(const Diagnostics& diagnostics) {
   constexpr std::size_t kNamed = 4;
@@ -40,12 +72,12 @@ std::vector<Diagnostic> folded(const Diagnostics& diagnostics) {
     std::vector<std::string> named;
   };
   std::vector<Diagnostic> out;
-  std::map<std::tuple<Severity, std::string, std::string>, Group> groups;
+  std::map<std::tuple<Severity, std::string, std::string, std::string>, Group> groups;
   std::set<std::string> told;
   for (const Diagnostic& finding : diagnostics.all()) {
     if (!told.insert(finding.text()).second) continue;
-    const auto [found, fresh] =
-        groups.try_emplace({finding.severity, kind_of(finding.message), finding.remedy}, Group{out.size(), {}, {}});
+    const auto [found, fresh] = groups.try_emplace(
+        {finding.severity, finding.code.text(), kind_of(finding.message), finding.remedy}, Group{out.size(), {}, {}});
     Group& group = found->second;
     // One place says two things of a kind: both are kept, since its name tells nothing of the second.
     if (!group.where.insert(finding.where).second || fresh) {

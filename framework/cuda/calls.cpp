@@ -35,8 +35,9 @@ void run(bool deterministic, const std::function<void()>& body) {
   FaultKey left = kNoFault;
   to_host(reinterpret_cast<const std::byte*>(fault.data()), &left, sizeof left);
   if (left == kNoFault) return;
-  throw Error(ErrorKind::failure, fmt::format("CUDA: a fault of stage {} in row {} was not asked for",
-                                              left >> kFaultRowBits, left & ((FaultKey{1} << kFaultRowBits) - 1)));
+  throw Error(ErrorKind::failure, "internal.cuda.fault",
+              fmt::format("CUDA: a fault of stage {} in row {} was not asked for", left >> kFaultRowBits,
+                          left & ((FaultKey{1} << kFaultRowBits) - 1)));
 }
 
 void on(int ordinal, const std::function<void()>& body) {

@@ -16,7 +16,7 @@ std::string describe_device(int ordinal) {
   check(cudaGetDeviceCount(&count), "looking for a device");
   if (count == 0) check(cudaErrorNoDevice, "looking for a device");
   if (ordinal >= count) {
-    throw Error(ErrorKind::unavailable,
+    throw Error(ErrorKind::unavailable, "device.gpu.number",
                 count == 1 ? "this machine has one CUDA device, cuda:0"
                            : fmt::format("this machine has {} CUDA devices, cuda:0 to cuda:{}", count, count - 1),
                 "set runtime.device: cuda");
@@ -24,7 +24,7 @@ std::string describe_device(int ordinal) {
   cudaDeviceProp found{};
   check(cudaGetDeviceProperties(&found, ordinal), "asking for the device's properties");
   if (found.major < kOldestMajor) {
-    throw Error(ErrorKind::unavailable,
+    throw Error(ErrorKind::unavailable, "device.gpu.old",
                 fmt::format("CUDA: {} has compute capability {}.{}, this build's kernels need 8.0", found.name,
                             found.major, found.minor),
                 "set runtime.device: cpu");

@@ -28,7 +28,7 @@ LaunchScope::~LaunchScope() {
 void check(cudaError_t status, const char* what) {
   if (status == cudaSuccess) return;
   const bool no_device = status == cudaErrorNoDevice || status == cudaErrorInsufficientDriver;
-  throw Error(no_device ? ErrorKind::unavailable : ErrorKind::failure,
+  throw Error(no_device ? ErrorKind::unavailable : ErrorKind::failure, "device.cuda.failed",
               std::string("CUDA: ") + what + ": " + cudaGetErrorString(status) + " (" + cudaGetErrorName(status) + ")",
               no_device ? "set runtime.device: cpu, or install the driver of the graphics processor" : "");
 }

@@ -22,7 +22,7 @@ constexpr std::uint32_t kMostAlignment = 256;
 
 void check_lt(cublasStatus_t status, const char* what) {
   if (status == CUBLAS_STATUS_SUCCESS) return;
-  throw Error(ErrorKind::failure,
+  throw Error(ErrorKind::failure, "device.cublas.failed",
               std::string("cuBLASLt: ") + what + ": " + cublasLtGetStatusString(status) + " (" +
                   cublasLtGetStatusName(status) + ")",
               "");

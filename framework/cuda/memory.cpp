@@ -25,7 +25,7 @@ std::byte* allocate(std::size_t bytes, const char* what) {
     (void)cudaGetLastError();  // this error is answered here and must not come back at the next launch
     std::size_t unused = 0, total = 0;
     (void)cudaMemGetInfo(&unused, &total);
-    throw Error(ErrorKind::unavailable,
+    throw Error(ErrorKind::unavailable, "memory.device.full",
                 fmt::format("CUDA: no device memory for '{}': requested {:.1f} MB, free {:.1f} MB of {:.1f} MB", what,
                             static_cast<double>(bytes) / kMega, static_cast<double>(unused) / kMega,
                             static_cast<double>(total) / kMega),

@@ -68,7 +68,7 @@ void StreamExecutor::explain_fault(const std::function<void()>& on_the_host) {
   if (key == kNoFault) return;
   download(0);
   on_the_host();
-  throw Error(ErrorKind::failure,
+  throw Error(ErrorKind::failure, "device.value.not_finite",
               fmt::format("the device met a value that is not finite (stage {}, row {}) where the processor meets none",
                           key >> kFaultRowBits, key & ((FaultKey{1} << kFaultRowBits) - 1)),
               "set runtime.precision: fp32 or runtime.device: cpu, and report this");

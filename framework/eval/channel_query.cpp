@@ -30,12 +30,14 @@ std::string file_name(const std::string& word) {
 void require_sound(const std::string& path, const QueryVector& query, std::int32_t length) {
   const std::string place = fmt::format("'{}': vector '{}'", path, query.name);
   if (std::ssize(query.values) != length)
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "render.query.length",
                 fmt::format("{} has {} numbers, and the channel {}", place, query.values.size(), length), kRemedy);
   double square = 0;
   for (const float value : query.values) square += static_cast<double>(value) * static_cast<double>(value);
-  if (!std::isfinite(square)) throw Error(ErrorKind::data, place + " has a number that is not finite", kRemedy);
-  if (square == 0) throw Error(ErrorKind::data, place + " is zero, which has no direction", kRemedy);
+  if (!std::isfinite(square))
+    throw Error(ErrorKind::data, "render.query.value", place + " has a number that is not finite", kRemedy);
+  if (square == 0)
+    throw Error(ErrorKind::data, "render.query.value", place + " is zero, which has no direction", kRemedy);
 }
 
 std::vector<QueryVector> read_json(const std::string& path) {
@@ -43,12 +45,12 @@ std::vector<QueryVector> read_json(const std::string& path) {
   try {
     words = nlohmann::json::parse(read_text_file(path));
   } catch (const nlohmann::json::exception& error) {
-    throw Error(ErrorKind::data, fmt::format("'{}' is no JSON: {}", path, error.what()),
+    throw Error(ErrorKind::data, "render.query.format", fmt::format("'{}' is no JSON: {}", path, error.what()),
                 "write a map from words to lists of numbers");
   }
   std::vector<QueryVector> queries;
   const auto refuse = [&](const std::string& what) {
-    throw Error(ErrorKind::data, fmt::format("'{}': {}", path, what),
+    throw Error(ErrorKind::data, "render.query.format", fmt::format("'{}': {}", path, what),
                 "write a map from words to lists of numbers: {\"chair\": [0.1, ...]}");
   };
   if (!words.is_object() || words.empty()) refuse("expected a map from words to vectors");
@@ -67,7 +69,7 @@ std::vector<QueryVector> read_json(const std::string& path) {
 std::vector<QueryVector> read_array(const std::string& path) {
   const NumpyArray array = read_npy(path, [&](std::span<const std::int64_t> shape) {
     if (shape.size() == 1 || shape.size() == 2) return;
-    throw Error(ErrorKind::data, fmt::format("'{}' has the shape {}", path, shape_text(shape)),
+    throw Error(ErrorKind::data, "render.query.format", fmt::format("'{}' has the shape {}", path, shape_text(shape)),
                 "write one vector [D] or several [N, D]");
   });
   const std::string stem = file_name(std::filesystem::path(path).stem().string());
@@ -87,7 +89,8 @@ std::vector<QueryVector> read_queries(const std::string& path, std::int32_t leng
   for (const QueryVector& query : queries) {
     require_sound(path, query, length);
     if (std::count_if(queries.begin(), queries.end(), [&](const auto& other) { return other.name == query.name; }) > 1)
-      throw Error(ErrorKind::data, fmt::format("'{}': two vectors would be written as '{}'", path, query.name),
+      throw Error(ErrorKind::data, "render.query.name",
+                  fmt::format("'{}': two vectors would be written as '{}'", path, query.name),
                   "give them names that differ in letters or digits");
   }
   return queries;

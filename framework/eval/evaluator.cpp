@@ -54,7 +54,7 @@ std::optional<double> value_of(const std::optional<Auroc>& found) {
 std::int32_t columns_of(const Pipeline<float>& pipeline, const std::string& channel) {
   for (const HeadParts<float>& head : pipeline.passes().back().parts().heads)
     if (head.channel == channel) return head.head->width();
-  throw Error(ErrorKind::usage, "the run has no head that makes a channel '" + channel + "'",
+  throw Error(ErrorKind::usage, "render.channel.unknown", "the run has no head that makes a channel '" + channel + "'",
               "see the list `heads` of its run.yaml");
 }
 
@@ -143,7 +143,8 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
       pipeline.render(job);
     } catch (const RayFault& fault) {
       const auto [column, row] = strided_place(begin + fault.ray(), frame.width_px, options.stride);
-      throw Error(fault.kind(), fmt::format("pixel x {}, y {}: {}", column, row, fault.message()), fault.remedy());
+      throw Error(fault.kind(), fault.code(), fmt::format("pixel x {}, y {}: {}", column, row, fault.message()),
+                  fault.remedy());
     }
     for (std::int64_t i = 0; i < count; ++i) {
       frame.depth_m[static_cast<std::size_t>(begin + i)] *=

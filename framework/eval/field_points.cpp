@@ -17,8 +17,8 @@ void require_finite(std::span<const Vec3d> vectors, const char* what) {
   for (std::size_t i = 0; i < vectors.size(); ++i) {
     const Vec3d& v = vectors[i];
     if (!std::isfinite(v.x) || !std::isfinite(v.y) || !std::isfinite(v.z))
-      throw Error(ErrorKind::data, fmt::format("{} {}: ({}, {}, {}) is not finite", what, i, v.x, v.y, v.z),
-                  "leave such rows out");
+      throw Error(ErrorKind::data, "usage.points.not_finite",
+                  fmt::format("{} {}: ({}, {}, {}) is not finite", what, i, v.x, v.y, v.z), "leave such rows out");
   }
 }
 

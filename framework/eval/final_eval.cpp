@@ -19,7 +19,8 @@ using Json = nlohmann::ordered_json;
 constexpr std::int64_t kMostPixels = 1'000'000'000'000;
 
 Error unreadable(const std::string& name, const std::string& what) {
-  return Error(ErrorKind::data, fmt::format("'{}' cannot be read: {}", name, what), "delete it; a report does without");
+  return Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' cannot be read: {}", name, what),
+               "delete it; a report does without");
 }
 
 std::int64_t integer_of(const Json& json, std::int64_t low, std::int64_t high) {

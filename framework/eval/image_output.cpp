@@ -70,7 +70,7 @@ std::vector<std::uint16_t> ids_of(std::span<const std::int16_t> label, const Cla
                    "a label lies in the class table");
     const std::int32_t id = classes.id_of(label[i]);
     if (id < 0 || id > 65535) {
-      throw Error(ErrorKind::data, fmt::format("class id {} does not fit a 16-bit image", id),
+      throw Error(ErrorKind::data, "classes.id.large", fmt::format("class id {} does not fit a 16-bit image", id),
                   "give the class an id of at most 65535");
     }
     ids[i] = static_cast<std::uint16_t>(id);
@@ -206,7 +206,8 @@ std::vector<std::uint8_t> to_bytes(std::span<const float> rgb) {
   std::vector<std::uint8_t> bytes(rgb.size());
   for (std::size_t i = 0; i < rgb.size(); ++i) {
     if (std::isnan(rgb[i])) {
-      throw Error(ErrorKind::data, fmt::format("pixel {}, channel {} of a rendered image is NaN", i / 3, i % 3),
+      throw Error(ErrorKind::data, "render.pixel.not_finite",
+                  fmt::format("pixel {}, channel {} of a rendered image is NaN", i / 3, i % 3),
                   "render from an earlier checkpoint");
     }
     bytes[i] = static_cast<std::uint8_t>(std::lround(std::clamp(rgb[i], 0.0f, 1.0f) * 255.0f));

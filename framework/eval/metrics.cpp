@@ -24,7 +24,7 @@ void ConfusionMatrix::add(std::span<const std::int16_t> truth, std::span<const s
   const auto check = [&](const char* what, std::int16_t label, std::size_t pixel) {
     if (label == kVoid || (label >= 0 && label < classes_)) return;
     throw Error(
-        ErrorKind::data,
+        ErrorKind::data, "labels.class.range",
         fmt::format("pixel {}: {} label {} lies outside [0, {})", pixel, what, static_cast<int>(label), classes_),
         "check that the labels and the model use one class table");
   };
@@ -230,7 +230,7 @@ void Calibration::add(std::span<const float> probabilities, int classes, std::sp
   for (std::size_t i = 0; i < truth.size(); ++i) {
     if (truth[i] == kVoid) continue;
     if (truth[i] < 0 || truth[i] >= classes) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "labels.class.range",
                   fmt::format("pixel {}: true label {} lies outside [0, {})", i, static_cast<int>(truth[i]), classes),
                   "check that the labels and the model use one class table");
     }

@@ -22,7 +22,8 @@ const DeviceLibrary& cuda_library() {
                      "install the CUDA runtime and cuBLASLt, or set runtime.device: cpu"))();
   return *loaded;
 #else
-  throw Error(ErrorKind::unavailable, "runtime.device: this build has no CUDA kernels (has: cpu)",
+  throw Error(ErrorKind::unavailable, "device.cuda.missing",
+              "runtime.device: this build has no CUDA kernels (has: cpu)",
               "set runtime.device: cpu, or build where a CUDA compiler is found");
 #endif
 }

@@ -69,7 +69,7 @@ class Executor {
   virtual bool hold(const PixelPool&) { return false; }
   /// As queue, of the batch that RaySource::fill makes of the held pixels; `terms`: RayBatch::terms.
   virtual void queue_drawn(std::int64_t, std::uint32_t, const AdamStep&) {
-    throw Error(ErrorKind::internal, "this executor draws no batches");
+    throw Error(ErrorKind::internal, "internal.executor.batches", "this executor draws no batches");
   }
   virtual int most_queued() const = 0;
   /// Waits for all queued steps.

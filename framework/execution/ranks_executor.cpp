@@ -159,7 +159,8 @@ void RanksExecutor::compare_tensors() {
   if (other == all.end()) return;
   const auto rank = static_cast<int>(other - all.begin());
   throw Error(
-      ErrorKind::failure, "the tensors of " + ranks_.name_of(rank) + " are no longer those of " + ranks_.name_of(0),
+      ErrorKind::failure, "ranks.tensors.differ",
+      "the tensors of " + ranks_.name_of(rank) + " are no longer those of " + ranks_.name_of(0),
       "resume from the last checkpoint; if it happens again, a machine computes wrongly, or is of another kind");
 }
 
@@ -209,7 +210,9 @@ StepResults RanksExecutor::finish() {
 }
 
 void RanksExecutor::set_gradient_hook(GradientHook<float> hook) {
-  if (hook) throw Error(ErrorKind::usage, "a gradient hook sees the gradients of one process", "train in one process");
+  if (hook)
+    throw Error(ErrorKind::usage, "ranks.hook.single", "a gradient hook sees the gradients of one process",
+                "train in one process");
 }
 
 void RanksExecutor::render(const RenderJob<float>& job) {

@@ -87,7 +87,7 @@ template <class Real>
 void check_learned(const Tensor<Real>& t, std::int64_t step, const StepLosses& losses) {
   const Unsound<Real> bad = unsound_of_learned(t, step, 0, t.spec.rows);
   if (bad.element < 0) return;
-  throw Error(ErrorKind::failure,
+  throw Error(ErrorKind::failure, "train.gradient.not_finite",
               fmt::format("the {} of '{}' at {} is {:.6g} (loss {:.6g})", bad.array, t.name,
                           element_text(t, bad.element), bad.found, losses.total),
               std::string(fault_remedy()));
@@ -98,7 +98,7 @@ void check_state(const Tensor<Real>& t, std::int64_t step) {
   const auto [begin, count] = state_window(t, step);
   const std::int64_t at = first_non_finite<Real>(View<const Real>(t.value.data() + begin, count, 1));
   if (at < 0) return;
-  throw Error(ErrorKind::failure,
+  throw Error(ErrorKind::failure, "train.tensor.not_finite",
               fmt::format("'{}' holds {} at {}", t.name, t.value.data()[begin + at], element_text(t, begin + at)),
               std::string(fault_remedy()));
 }
@@ -120,7 +120,7 @@ StepLosses LaneExecutor<Real>::checked_gradients(std::int64_t step, const RayBat
     const std::vector<LossEntry>& entries = options().losses.entries();
     for (std::size_t i = 0; i < entries.size(); ++i) terms += fmt::format(", {} {}", entries[i].type, losses.terms[i]);
     throw Error(
-        ErrorKind::failure,
+        ErrorKind::failure, "train.loss.not_finite",
         fmt::format("the loss is {} (colour {}, semantic {}{})", losses.total, losses.color, losses.semantic, terms),
         std::string(fault_remedy()));
   }
@@ -153,7 +153,7 @@ std::optional<RayFault> LaneExecutor<Real>::find_fault(std::int64_t step, const 
     } catch (const RayFault& found) {
       fault = found;
     } catch (const Error& error) {
-      fault.emplace(ray, error.kind(), error.message(), error.remedy());
+      fault.emplace(ray, error.kind(), error.code(), error.message(), error.remedy());
     }
     for (const Tensor<Real>& t : pipeline_.store().all()) {
       if (fault || t.lanes.size() == 0) continue;
@@ -161,7 +161,7 @@ std::optional<RayFault> LaneExecutor<Real>::find_fault(std::int64_t step, const 
       if (all_finite(lane, t.size())) continue;
       std::int64_t at = 0;
       while (all_finite(lane + at, 1)) ++at;
-      fault.emplace(ray, ErrorKind::failure,
+      fault.emplace(ray, ErrorKind::failure, Code("train.gradient.not_finite"),
                     "the gradient of '" + t.name + "' at " + element_text(t, at) + " that ray " + std::to_string(ray) +
                         " gives is " + std::to_string(lane[at]),
                     std::string(fault_remedy()));

@@ -18,13 +18,15 @@ std::unique_ptr<OIIO::ImageInput> open_input(const std::string& path) {
   config["oiio:UnassociatedAlpha"] = 1;
   auto input = OIIO::ImageInput::open(path, &config);
   if (!input) {
-    throw Error(ErrorKind::data, "not readable as an image: " + OIIO::geterror(), "export it as PNG or JPEG");
+    throw Error(ErrorKind::data, "files.image.unreadable", "not readable as an image: " + OIIO::geterror(),
+                "export it as PNG or JPEG");
   }
   const OIIO::ImageSpec& spec = input->spec();
   check_image_limits(spec.width, spec.height, spec.nchannels, static_cast<std::int64_t>(spec.format.basesize()));
   // Both hold more values than width x height x channels, and would be decoded over the end of our array.
   if (spec.depth > 1 || spec.deep)
-    throw Error(ErrorKind::data, "is a volume or a deep image, not a picture", "export it as PNG or JPEG");
+    throw Error(ErrorKind::data, "files.image.kind", "is a volume or a deep image, not a picture",
+                "export it as PNG or JPEG");
   return input;
 }
 
@@ -39,13 +41,15 @@ template <class T>
 Image<T> read(const std::string& path, OIIO::TypeDesc type) {
   auto input = open_input(path);
   const OIIO::ImageSpec spec = input->spec();
-  if (spec.nchannels < 1) throw Error(ErrorKind::data, "image has no channels", "export it as PNG or JPEG");
+  if (spec.nchannels < 1)
+    throw Error(ErrorKind::data, "files.image.unreadable", "image has no channels", "export it as PNG or JPEG");
   check_image_limits(spec.width, spec.height, spec.nchannels, sizeof(T));
   Image<T> out{spec.width, spec.height, spec.nchannels, {}};
   out.pixels.resize(static_cast<std::size_t>(spec.width) * static_cast<std::size_t>(spec.height) *
                     static_cast<std::size_t>(spec.nchannels));
   if (!input->read_image(0, 0, 0, spec.nchannels, type, out.pixels.data())) {
-    throw Error(ErrorKind::data, "cannot be decoded: " + input->geterror(), "copy or export the file again");
+    throw Error(ErrorKind::data, "files.image.damaged", "cannot be decoded: " + input->geterror(),
+                "copy or export the file again");
   }
   return out;
 }

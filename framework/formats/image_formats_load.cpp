@@ -38,7 +38,7 @@ bool images_available() { return false; }
 bool image_formats_loaded() { return false; }
 
 const ImageFormats& image_formats() {
-  throw Error(ErrorKind::unavailable, "this build reads PNG images only",
+  throw Error(ErrorKind::unavailable, "files.image.unsupported", "this build reads PNG images only",
               "build with -DSEMFIELD_WITH_IMAGES=ON, or pack the scene elsewhere");
 }
 

@@ -28,7 +28,7 @@ auto naming(const std::string& path, Body&& body) {
     return body();
   } catch (Error& e) {
     if (e.message().find(path) != std::string::npos) throw;
-    throw Error(e.kind(), "'" + path + "': " + e.message(), e.remedy());
+    throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
   }
 }
 
@@ -54,7 +54,8 @@ Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background) {
     if (png.palette) {
       const std::size_t index = png.sample(first);
       if (index * 3 + 2 >= png.palette_rgb.size()) {
-        throw Error(ErrorKind::data, "PNG is damaged: palette index " + std::to_string(index) + " has no colour",
+        throw Error(ErrorKind::data, "files.image.damaged",
+                    "PNG is damaged: palette index " + std::to_string(index) + " has no colour",
                     "export the file again");
       }
       for (std::size_t c = 0; c < 3; ++c) rgb[c] = png.palette_rgb[index * 3 + c];
@@ -92,7 +93,7 @@ void check_jpeg_end(const std::string& file) {
       at += 2 + static_cast<std::size_t>(byte(at + 2) << 8 | byte(at + 3));
     }
   }
-  throw Error(ErrorKind::data,
+  throw Error(ErrorKind::data, "files.image.damaged",
               "JPEG is truncated: it ends after " + std::to_string(file.size()) + " bytes, before its end marker",
               "copy or export the file again");
 }
@@ -152,7 +153,8 @@ Image<std::uint16_t> read_ids(const std::string& path) {
       }
     }
     if (out.channels != 1) {
-      throw Error(ErrorKind::data, "expected one channel of ids, the image has " + std::to_string(out.channels),
+      throw Error(ErrorKind::data, "files.image.kind",
+                  "expected one channel of ids, the image has " + std::to_string(out.channels),
                   "export ids or millimetres as a grey or palette PNG, not a coloured picture of them");
     }
     return out;

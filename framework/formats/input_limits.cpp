@@ -28,7 +28,7 @@ const InputLimits& input_limits() {
 void check_input_limit(std::int64_t count, std::int64_t limit, const std::string& what, const std::string& noun,
                        const std::string& key) {
   if (count <= limit) return;
-  throw Error(ErrorKind::data,
+  throw Error(ErrorKind::data, "files.input.limit",
               what + std::to_string(count) + " " + noun + "; at most " + std::to_string(limit) + " are read",
               "check that it is the right file, or raise limits." + key + " in the configuration");
 }
@@ -36,7 +36,8 @@ void check_input_limit(std::int64_t count, std::int64_t limit, const std::string
 void check_image_limits(std::int64_t width, std::int64_t height, std::int64_t channels, std::int64_t bytes_a_value) {
   const std::string size = "image of " + std::to_string(width) + " x " + std::to_string(height) + " pixels: ";
   if (width < 1 || height < 1)
-    throw Error(ErrorKind::data, "image has no pixels (" + std::to_string(width) + " x " + std::to_string(height) + ")",
+    throw Error(ErrorKind::data, "files.image.damaged",
+                "image has no pixels (" + std::to_string(width) + " x " + std::to_string(height) + ")",
                 "copy or export the file again");
   const InputLimits& most = input_limits();
   check_input_limit(std::max(width, height), most.image_axis_px, size, "pixels along an axis", "image_axis_px");
@@ -52,7 +53,7 @@ std::string read_pose_file(const std::string& path) {
     return read_text_file(path, most);
   } catch (const Error& e) {
     if (e.kind() != ErrorKind::data) throw;
-    throw Error(e.kind(), e.message(), e.remedy() + ", or raise limits.pose_file_bytes in the configuration");
+    throw Error(e.kind(), e.code(), e.message(), e.remedy() + ", or raise limits.pose_file_bytes in the configuration");
   }
 }
 

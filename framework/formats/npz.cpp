@@ -21,8 +21,8 @@ constexpr std::size_t kMaxArrayFileBytes = std::size_t{2} << 30;
 constexpr std::size_t kMaxAxes = 8;
 constexpr std::size_t kHeadBytes = std::size_t{1} << 17;  // more than a header of version 1 can be
 
-[[noreturn]] void refuse_array(const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, message, remedy);
+[[noreturn]] void refuse_array(Code code, const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, code, message, remedy);
 }
 
 // `size` bytes as one number.
@@ -50,33 +50,36 @@ std::string_view value_of(std::string_view header, std::string_view key, std::st
     const std::size_t last = header.find_first_of(end, first);
     if (first != std::string_view::npos && last != std::string_view::npos) return header.substr(first, last - first);
   }
-  refuse_array("the header has no '" + std::string(key) + "'", kSaveAgain);
+  refuse_array("files.array.format", "the header has no '" + std::string(key) + "'", kSaveAgain);
 }
 
 ArrayHeader header_of(std::string_view bytes) {
   if (bytes.size() < 10 || bytes.substr(0, 6) != "\x93NUMPY")
-    refuse_array("not a NumPy array: it begins with other bytes");
+    refuse_array("files.array.format", "not a NumPy array: it begins with other bytes");
   const int version = bytes[6];
-  if (version < 1 || version > 3) refuse_array("NumPy format version " + std::to_string(version) + " is not read");
+  if (version < 1 || version > 3)
+    refuse_array("files.array.format", "NumPy format version " + std::to_string(version) + " is not read");
   const std::size_t start = version == 1 ? 10 : 12;
-  if (bytes.size() < start) refuse_array("the header runs past the end of the file", kSaveAgain);
+  if (bytes.size() < start) refuse_array("files.array.format", "the header runs past the end of the file", kSaveAgain);
   const std::size_t length = static_cast<std::size_t>(element(bytes.data() + 8, start - 8, false));
   if (length > kHeadBytes - start)
-    refuse_array("a header of " + std::to_string(length) + " bytes is not read", kSaveAgain);
-  if (length > bytes.size() - start) refuse_array("the header runs past the end of the file", kSaveAgain);
+    refuse_array("files.array.format", "a header of " + std::to_string(length) + " bytes is not read", kSaveAgain);
+  if (length > bytes.size() - start)
+    refuse_array("files.array.format", "the header runs past the end of the file", kSaveAgain);
   const std::string_view text = bytes.substr(start, length);
 
   ArrayHeader header;
   header.data_at = start + length;
   const std::string_view type = value_of(text, "descr", ",}");
-  if (type.size() < 3) refuse_array("the header's 'descr' cannot be read", kSaveAgain);
+  if (type.size() < 3) refuse_array("files.array.format", "the header's 'descr' cannot be read", kSaveAgain);
   header.type = type.substr(1, type.size() - 2);
   const std::string_view order = value_of(text, "fortran_order", ",}");
   if (order != "True" && order != "False")
-    refuse_array("the header's 'fortran_order' is neither True nor False", kSaveAgain);
+    refuse_array("files.array.format", "the header's 'fortran_order' is neither True nor False", kSaveAgain);
   header.fortran = order == "True";
   std::string_view axes = value_of(text, "shape", ")");
-  if (axes.empty() || axes[0] != '(') refuse_array("the header's 'shape' is not a tuple", kSaveAgain);
+  if (axes.empty() || axes[0] != '(')
+    refuse_array("files.array.format", "the header's 'shape' is not a tuple", kSaveAgain);
   axes.remove_prefix(1);
   while (!axes.empty()) {
     const std::size_t end = std::min(axes.find(','), axes.size());
@@ -86,11 +89,12 @@ ArrayHeader header_of(std::string_view bytes) {
     if (number.empty() && axes.empty()) break;  // "(3,)"
     std::int64_t axis = 0;
     if (!parse_whole(number, axis) || axis < 0)
-      refuse_array("the header's shape has the axis '" + std::string(number) + "'");
+      refuse_array("files.array.format", "the header's shape has the axis '" + std::string(number) + "'");
     header.shape.push_back(axis);
   }
   if (header.shape.size() > kMaxAxes)
-    refuse_array(std::to_string(header.shape.size()) + " axes; at most " + std::to_string(kMaxAxes) + " are read");
+    refuse_array("files.array.format",
+                 std::to_string(header.shape.size()) + " axes; at most " + std::to_string(kMaxAxes) + " are read");
   return header;
 }
 
@@ -108,7 +112,8 @@ std::uint64_t element_count(const ArrayHeader& header, std::uint64_t bytes, std:
     }
   }
   if (!fits || count * element_bytes != bytes) {
-    refuse_array("the header states the shape " + shape_text(header.shape) + " of type " + header.type + ", " +
+    refuse_array("files.array.format",
+                 "the header states the shape " + shape_text(header.shape) + " of type " + header.type + ", " +
                      std::to_string(bytes) + " bytes follow it",
                  kSaveAgain);
   }
@@ -142,7 +147,8 @@ ArrayHeader checked_header(std::string_view start, std::uint64_t bytes, const Ac
   const std::string kind = header.type.substr(1);
   if (std::find(kinds.begin(), kinds.end(), kind) == kinds.end() ||
       std::string_view("<>=|").find(header.type[0]) == std::string_view::npos) {
-    refuse_array("arrays of type '" + header.type + "' are not read", "save it as float16, float32, float64 or uint8");
+    refuse_array("files.array.type", "arrays of type '" + header.type + "' are not read",
+                 "save it as float16, float32, float64 or uint8");
   }
   const auto size = static_cast<std::size_t>(kind[1] - '0');
   const std::uint64_t count = element_count(header, bytes - header.data_at, size);
@@ -213,7 +219,7 @@ auto with_header(const std::string& path, const AcceptShape& accept, const Use& 
     return use(checked_header(start, std::filesystem::file_size(path), accept));
   } catch (const Error& e) {
     if (e.message().find(path) != std::string::npos) throw;
-    throw Error(e.kind(), "'" + path + "': " + e.message(), e.remedy());
+    throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
   }
 }
 }  // namespace
@@ -241,9 +247,9 @@ NumpyArray read_npz(const std::string& path, const std::string& key, const Accep
       const ArrayHeader header = checked_header(zip_start(file, entry, kHeadBytes), entry.bytes, accept);
       return array_of(header, zip_contents(file, entry));
     }
-    refuse_array("no array '" + key + "' in it", "it has: " + join(keys));
+    refuse_array("files.array.missing", "no array '" + key + "' in it", "it has: " + join(keys));
   } catch (const Error& e) {
-    throw Error(e.kind(), place + ": " + e.message(), e.remedy());
+    throw Error(e.kind(), e.code(), place + ": " + e.message(), e.remedy());
   }
 }
 
@@ -254,7 +260,7 @@ std::vector<std::string> npz_keys(const std::string& path) {
     for (const ZipEntry& entry : zip_entries(file)) keys.push_back(key_of(entry.name));
     return keys;
   } catch (const Error& e) {
-    throw Error(e.kind(), "'" + path + "': " + e.message(), e.remedy());
+    throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
   }
 }
 

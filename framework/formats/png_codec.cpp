@@ -19,7 +19,7 @@ namespace {
 constexpr std::array<std::uint8_t, 8> kSignature{0x89, 'P', 'N', 'G', 0x0D, 0x0A, 0x1A, 0x0A};
 
 [[noreturn]] void damaged(const std::string& cause) {
-  throw Error(ErrorKind::data, "PNG " + cause, "copy or export the file again");
+  throw Error(ErrorKind::data, "files.image.damaged", "PNG " + cause, "copy or export the file again");
 }
 
 std::uint32_t big32(const std::uint8_t* p) {
@@ -165,7 +165,7 @@ std::vector<std::uint8_t> inflate_data(const std::vector<std::span<const std::ui
   z_stream z{};
   const int started = ::inflateInit(&z);
   if (started == Z_MEM_ERROR) throw std::bad_alloc();
-  if (started != Z_OK) throw Error(ErrorKind::failure, "zlib could not start");
+  if (started != Z_OK) throw Error(ErrorKind::failure, "memory.zlib.failed", "zlib could not start");
   z.next_out = out.data();
   z.avail_out = static_cast<uInt>(size);
   int status = Z_OK;

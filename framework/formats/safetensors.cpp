@@ -141,7 +141,8 @@ void write_safetensors(const std::string& path, const std::vector<TensorRef>& te
     try {
       (void)TensorFile::read(written);  // what was written is what a resume would read
     } catch (const Error& error) {
-      throw Error(ErrorKind::io, fmt::format("cannot write '{}': it does not read back ({})", path, error.message()),
+      throw Error(ErrorKind::io, "files.write.unreadable",
+                  fmt::format("cannot write '{}': it does not read back ({})", path, error.message()),
                   "check the disk; training again from the last checkpoint may help");
     }
   });
@@ -165,7 +166,7 @@ class TensorFileReader {
 
  private:
   [[noreturn]] void fail(const std::string& what) const {
-    throw Error(ErrorKind::data, fmt::format("'{}': {}", file_.name_, what),
+    throw Error(ErrorKind::data, "checkpoint.file.damaged", fmt::format("'{}': {}", file_.name_, what),
                 "the file is damaged or was not written here: use another checkpoint of the run");
   }
 
@@ -188,7 +189,7 @@ class TensorFileReader {
     std::string duplicate;
     const auto watch = [&](int depth, nlohmann::json::parse_event_t event, nlohmann::json& value) {
       using Event = nlohmann::json::parse_event_t;
-      if (depth > 4) throw Error(ErrorKind::data, "nested too deeply");
+      if (depth > 4) throw Error(ErrorKind::data, "checkpoint.file.damaged", "nested too deeply");
       if (event == Event::object_start) keys.emplace_back();
       if (event == Event::object_end) keys.pop_back();
       if (event == Event::key && !keys.back().insert(value.get<std::string>()).second)
@@ -347,10 +348,12 @@ const TensorRef* TensorFile::find(std::string_view name) const {
 const TensorRef& TensorFile::require(std::string_view name, TensorType type, std::int64_t count) const {
   const TensorRef* tensor = find(name);
   const std::string remedy = "the checkpoint belongs to another configuration: use the run's own run.yaml";
-  if (tensor == nullptr) throw Error(ErrorKind::data, fmt::format("'{}' has no tensor '{}'", name_, name), remedy);
+  if (tensor == nullptr)
+    throw Error(ErrorKind::data, "checkpoint.tensor.missing", fmt::format("'{}' has no tensor '{}'", name_, name),
+                remedy);
   const auto elements = static_cast<std::int64_t>(tensor->bytes.size() / tensor_type_bytes(tensor->type));
   if (tensor->type != type || elements != count) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "checkpoint.tensor.shape",
                 fmt::format("'{}': tensor '{}' is {} elements of {}, expected {} of {}", name_, name, elements,
                             tensor_type_name(tensor->type), count, tensor_type_name(type)),
                 remedy);

@@ -29,7 +29,8 @@ std::string quoted_field(std::string_view line, std::size_t& at, const std::stri
     }
     out += line[at];
   }
-  throw Error(ErrorKind::data, place + ": a quote is not closed", "end the field with a double quote");
+  throw Error(ErrorKind::data, "files.rows.quote", place + ": a quote is not closed",
+              "end the field with a double quote");
 }
 
 std::vector<std::string> fields_of(std::string_view line, char separator, const std::string& place) {
@@ -93,7 +94,7 @@ std::string csv_value(std::string_view text, const std::string& place) {
   std::size_t at = 1;
   std::string value = quoted_field(field, at, place);
   if (at != field.size())
-    throw Error(ErrorKind::data, place + ": '" + field.substr(at, 40) + "' follows a quoted field",
+    throw Error(ErrorKind::data, "files.rows.quote", place + ": '" + field.substr(at, 40) + "' follows a quoted field",
                 "write two double quotes for one inside, and nothing behind the last");
   return value;
 }

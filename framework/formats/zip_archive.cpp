@@ -21,7 +21,7 @@ constexpr std::uint32_t kLocal = 0x04034b50, kCentral = 0x02014b50, kEnd = 0x060
 constexpr std::uint32_t kSee64 = 0xFFFFFFFFu;  // "the ZIP64 field has it"
 
 [[noreturn]] void refuse_zip(const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, message, remedy);
+  throw Error(ErrorKind::data, "files.zip.damaged", message, remedy);
 }
 
 template <class T>
@@ -61,7 +61,7 @@ std::string inflated(std::string_view packed, std::uint64_t bytes, std::uint64_t
   z_stream stream{};
   const int started = inflateInit2(&stream, -MAX_WBITS);
   if (started == Z_MEM_ERROR) throw std::bad_alloc();
-  if (started != Z_OK) throw Error(ErrorKind::internal, "zlib cannot start");
+  if (started != Z_OK) throw Error(ErrorKind::internal, "memory.zlib.failed", "zlib cannot start");
   stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(packed.data()));
   stream.next_out = reinterpret_cast<Bytef*>(out.data());
   std::size_t left_in = packed.size(), left_out = out.size();
@@ -89,7 +89,7 @@ std::uint32_t crc_of(std::string_view bytes) {
 std::string deflated(const std::string& bytes) {
   z_stream stream{};
   if (deflateInit2(&stream, 6, Z_DEFLATED, -MAX_WBITS, 8, Z_DEFAULT_STRATEGY) != Z_OK)
-    throw Error(ErrorKind::internal, "zlib cannot start");
+    throw Error(ErrorKind::internal, "memory.zlib.failed", "zlib cannot start");
   std::string out(deflateBound(&stream, bytes.size()), '\0');
   stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(bytes.data()));
   stream.avail_in = static_cast<uInt>(bytes.size());
@@ -98,7 +98,7 @@ std::string deflated(const std::string& bytes) {
   const int status = deflate(&stream, Z_FINISH);
   out.resize(stream.total_out);
   deflateEnd(&stream);
-  if (status != Z_STREAM_END) throw Error(ErrorKind::internal, "zlib cannot pack");
+  if (status != Z_STREAM_END) throw Error(ErrorKind::internal, "memory.zlib.failed", "zlib cannot pack");
   return out;
 }
 
@@ -189,7 +189,7 @@ std::string zip_contents(std::string_view file, const ZipEntry& entry) {
 
 void ZipWriter::add(const std::string& name, const std::string& bytes) {
   if (bytes.size() + out_.size() > kMaxArchiveBytes)
-    throw Error(ErrorKind::data, "'" + path_ + "' would be larger than 2 GiB", "write less a file");
+    throw Error(ErrorKind::data, "files.zip.size", "'" + path_ + "' would be larger than 2 GiB", "write less a file");
   const std::string packed = deflated(bytes);
   const ZipEntry entry{name, 8, crc_of(bytes), packed.size(), bytes.size(), out_.size()};
   const std::string fields = common_fields(entry);

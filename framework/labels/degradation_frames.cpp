@@ -16,7 +16,7 @@ std::vector<std::size_t> hard_frames(const LoadedScene& scene, const LabelSet& l
   for (std::size_t f = 0; f < labels.size(); ++f) {
     if (labels[f].empty()) continue;
     if (!labels[f].soft.empty()) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "labels.degradation.soft",
                   std::string(type) + ": " + frame_place(scene.info.frames[f]) +
                       " has class probabilities, and this degradation works on hard labels",
                   "name it before the step that makes the labels soft, or read hard labels");
@@ -33,7 +33,8 @@ std::vector<std::size_t> hard_frames(const LoadedScene& scene, const LabelSet& l
 std::vector<std::int16_t> scene_classes(const LoadedScene& scene, std::string_view type) {
   const auto classes = static_cast<std::size_t>(scene.info.classes.valid_count());
   if (classes == 0) {
-    throw Error(ErrorKind::data, std::string(type) + ": the class table of the scene has no class to draw from",
+    throw Error(ErrorKind::data, "labels.classes.too_few",
+                std::string(type) + ": the class table of the scene has no class to draw from",
                 "give the scene a classes.yaml with a class that is not ignored");
   }
   std::vector<char> seen(classes, 0);

@@ -63,7 +63,8 @@ std::string CocoExport::image_name(const LabelledFrame& frame) {
   if (stems_.insert(file.stem().string()).second) return file.filename().string();
   const std::string own = output_name(frame.name);
   if (!stems_.insert(own).second)
-    throw Error(ErrorKind::data, "frame '" + frame.name + "': another image of the file is called '" + own + "'",
+    throw Error(ErrorKind::data, "scene.frame.name",
+                "frame '" + frame.name + "': another image of the file is called '" + own + "'",
                 "give the frame another name");
   return own + file.extension().string();
 }

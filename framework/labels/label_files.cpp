@@ -40,12 +40,15 @@ void check_pattern(const std::string& pattern, Diagnostics& diagnostics) {
     const std::size_t end = std::min(pattern.find('}', at), pattern.size() - 1);
     const std::string place = pattern.substr(at, end - at + 1);
     if (place != "{name}" && place != "{stem}" && place != "{number}") {
-      diagnostics.error("pattern", "'" + place + "' in '" + pattern + "' stands for nothing", remedy);
+      diagnostics.error("labels.pattern.invalid", "pattern", "'" + place + "' in '" + pattern + "' stands for nothing",
+                        remedy);
       return;
     }
     has_place = true;
   }
-  if (!has_place) diagnostics.error("pattern", "'" + pattern + "' names the same file for every frame", remedy);
+  if (!has_place)
+    diagnostics.error("labels.pattern.invalid", "pattern", "'" + pattern + "' names the same file for every frame",
+                      remedy);
 }
 
 std::string path_of(const std::string& folder, const std::string& pattern, const FrameInfo& frame) {
@@ -87,7 +90,7 @@ bool has_file(const std::string& folder, const std::string& pattern, const Frame
 void check_label_shape(std::int64_t width, std::int64_t height, const Camera& frame) {
   const std::int64_t w = frame.width_px, h = frame.height_px;
   if (2 * std::abs(width * h - height * w) <= width + height && width <= 64 * w) return;
-  throw Error(ErrorKind::data,
+  throw Error(ErrorKind::data, "labels.image.size",
               "labels are " + std::to_string(width) + " x " + std::to_string(height) + " pixels, the frame is " +
                   std::to_string(w) + " x " + std::to_string(h) + ": another shape",
               "label the image of this frame");
@@ -96,9 +99,9 @@ void check_label_shape(std::int64_t width, std::int64_t height, const Camera& fr
 bool check_folder(const std::string& folder, Diagnostics& diagnostics) {
   std::error_code ignored;
   if (folder.empty()) {
-    diagnostics.error("folder", "no folder is named", "set scene.labels.from.folder");
+    diagnostics.error("labels.folder.unnamed", "folder", "no folder is named", "set scene.labels.from.folder");
   } else if (!std::filesystem::is_directory(folder, ignored)) {
-    diagnostics.error("folder", "'" + folder + "' is no folder", "check the path");
+    diagnostics.error("files.folder.missing", "folder", "'" + folder + "' is no folder", "check the path");
   } else {
     return true;
   }
@@ -107,7 +110,8 @@ bool check_folder(const std::string& folder, Diagnostics& diagnostics) {
 
 ProblemList::~ProblemList() {
   if (count_ > kMaxProblems)
-    diagnostics_.error("", std::to_string(count_ - kMaxProblems) + " further problems are not listed");
+    diagnostics_.error("labels.problems.more", "",
+                       std::to_string(count_ - kMaxProblems) + " further problems are not listed", {});
 }
 
 bool check_folder(const std::string& folder, const std::string& pattern, Diagnostics& diagnostics) {
@@ -124,20 +128,20 @@ bool check_folder(const std::string& folder, const std::string& pattern, Diagnos
     }
     if (other.empty()) other = name;
   }
-  diagnostics.error("pattern", "no file in '" + folder + "' is named like '" + pattern + "'",
+  diagnostics.error("labels.pattern.nothing", "pattern", "no file in '" + folder + "' is named like '" + pattern + "'",
                     other.empty() ? "the folder is empty" : "there is for example '" + other + "'");
   return false;
 }
 
-void ProblemList::error(const std::string& where, const std::string& message, const std::string& remedy) {
-  if (++count_ <= kMaxProblems) diagnostics_.error(where, message, remedy);
+void ProblemList::error(Code code, const std::string& where, const std::string& message, const std::string& remedy) {
+  if (++count_ <= kMaxProblems) diagnostics_.error(code, where, message, remedy);
 }
 
 void ProblemList::collect(const std::function<void()>& body) {
   try {
     body();
   } catch (const Error& e) {
-    error("", e.message(), e.remedy());
+    error(e.code(), "", e.message(), e.remedy());
   }
 }
 

@@ -53,7 +53,7 @@ class ProblemList {
   ProblemList(const ProblemList&) = delete;
   ProblemList& operator=(const ProblemList&) = delete;
 
-  void error(const std::string& where, const std::string& message, const std::string& remedy = {});
+  void error(Code code, const std::string& where, const std::string& message, const std::string& remedy);
   /// Runs `body`; an Error that it throws becomes a problem.
   void collect(const std::function<void()>& body);
   int count() const { return count_; }

@@ -12,8 +12,8 @@ namespace semfield {
 
 namespace {
 
-[[noreturn]] void refuse(const std::string& message, const std::string& remedy) {
-  throw Error(ErrorKind::config, "scene.labels." + message, remedy);
+[[noreturn]] void refuse(Code code, const std::string& message, const std::string& remedy) {
+  throw Error(ErrorKind::config, code, "scene.labels." + message, remedy);
 }
 
 template <class T>
@@ -30,14 +30,16 @@ std::vector<int> named_frames(const SceneInfo& info, const std::vector<std::stri
     const auto found = std::find(known.begin(), known.end(), name);
     if (found == known.end()) {
       const std::string near = did_you_mean(name, known);
-      refuse("names: no frame '" + name + "'",
+      refuse("scene.frame.unknown", "names: no frame '" + name + "'",
              near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
     }
     const auto index = static_cast<std::size_t>(found - known.begin());
     if (info.frames[index].split != Split::train)
-      refuse("names: frame '" + name + "' is not a training frame", "name training frames only");
+      refuse("labels.frame.untrained", "names: frame '" + name + "' is not a training frame",
+             "name training frames only");
     if (!info.frames[index].has_labels)
-      refuse("names: frame '" + name + "' has no labels", "name frames that have a label image");
+      refuse("labels.frame.unlabelled", "names: frame '" + name + "' has no labels",
+             "name frames that have a label image");
     out.push_back(static_cast<int>(index));
   }
   std::sort(out.begin(), out.end());
@@ -96,17 +98,19 @@ void describe(ParamVisitor& visit, LabelParams& p) {
 
 void validate(const LabelParams& p, Diagnostics& diagnostics) {
   if (p.mode == LabelMode::named && p.names.empty())
-    diagnostics.error("scene.labels.names", "mode named needs names", "list the names of frames");
+    diagnostics.error("config.value.missing", "scene.labels.names", "mode named needs names",
+                      "list the names of frames");
   if (p.mode != LabelMode::named && !p.names.empty())
-    diagnostics.error("scene.labels.names", "names are given but mode is not named", "set scene.labels.mode: named");
+    diagnostics.error("config.value.conflict", "scene.labels.names", "names are given but mode is not named",
+                      "set scene.labels.mode: named");
   if (p.mode == LabelMode::named && p.frames != "all")
-    diagnostics.error("scene.labels.frames", "a number of frames and names exclude each other",
+    diagnostics.error("config.value.conflict", "scene.labels.frames", "a number of frames and names exclude each other",
                       "drop scene.labels.frames");
   if (p.mode == LabelMode::named) return;
   try {
     (void)label_frame_count(p.frames, 1 << 30);
   } catch (const Error& e) {
-    diagnostics.error("", e.message(), e.remedy());
+    diagnostics.error(e.code(), "", e.message(), e.remedy());
   }
 }
 
@@ -121,10 +125,12 @@ int label_frame_count(const std::string& frames, int available) {
     }
   } else if (int count = 0; parse_number(frames, count) && count >= 0) {
     if (count <= available) return count;
-    refuse("frames: " + frames + " asked for, " + std::to_string(available) + " labelled training frames are there",
+    refuse("labels.frames.too_few",
+           "frames: " + frames + " asked for, " + std::to_string(available) + " labelled training frames are there",
            "ask for fewer, or write all");
   }
-  refuse("frames: expected all, none, a share such as 10%, or a number, got '" + frames + "'", "write for example 10%");
+  refuse("config.value.type", "frames: expected all, none, a share such as 10%, or a number, got '" + frames + "'",
+         "write for example 10%");
 }
 
 std::vector<int> select_label_frames(const SceneInfo& info, const LabelParams& params,

@@ -74,9 +74,9 @@ class LabelReader : public LabelStep {
 };
 
 /// Throws Error(data): "<place>: <message>".
-[[noreturn]] inline void refuse_labels(const std::string& place, const std::string& message,
+[[noreturn]] inline void refuse_labels(Code code, const std::string& place, const std::string& message,
                                        const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, place + ": " + message, remedy);
+  throw Error(ErrorKind::data, code, place + ": " + message, remedy);
 }
 
 }  // namespace semfield

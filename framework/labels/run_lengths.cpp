@@ -7,7 +7,7 @@ namespace semfield {
 namespace {
 
 [[noreturn]] void refuse(const std::string& message) {
-  throw Error(ErrorKind::data, "run lengths: " + message, "export the annotation again");
+  throw Error(ErrorKind::data, "labels.run_lengths.damaged", "run lengths: " + message, "export the annotation again");
 }
 
 }  // namespace

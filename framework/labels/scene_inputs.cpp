@@ -67,7 +67,7 @@ SceneInputs read_inputs_text(const std::string& text) {
     if (json.contains("labels")) inputs.labels = json.at("labels").get<std::string>();
     if (json.contains("training_labels")) inputs.training_labels = json.at("training_labels").get<std::string>();
   } catch (const nlohmann::json::exception& error) {
-    throw Error(ErrorKind::data, error.what());
+    throw Error(ErrorKind::data, "checkpoint.metadata.damaged", error.what());
   }
   return inputs;
 }
@@ -124,11 +124,12 @@ std::vector<std::string> other_inputs(const SceneInputs& a, const SceneInputs& b
 
 void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Diagnostics& diagnostics) {
   if (const std::vector<std::string> others = other_inputs(trained, now); !others.empty()) {
-    diagnostics.warning("scene", "it is not as it was when the run was trained: " + join(others, " and "),
+    diagnostics.warning("run.scene.changed", "scene",
+                        "it is not as it was when the run was trained: " + join(others, " and "),
                         "restore the data, or train anew");
   }
   if (!trained.labels && now.labels != "")
-    diagnostics.note("scene",
+    diagnostics.note("checkpoint.labels.unknown", "scene",
                      "the checkpoint is of an earlier version, which kept no checksum of labels: whether they "
                      "are still the same was not compared");
 }

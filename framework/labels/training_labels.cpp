@@ -72,7 +72,9 @@ LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const 
   });
   report_unknown_labels(scene.info.frames, unknown, diagnostics);
   for (std::size_t i = 0; i < errors.size(); ++i) {
-    if (errors[i]) diagnostics.error(frame_place(scene.info.frames[i]), errors[i]->message(), errors[i]->remedy());
+    if (errors[i])
+      diagnostics.error(errors[i]->code(), frame_place(scene.info.frames[i]), errors[i]->message(),
+                        errors[i]->remedy());
   }
   return labels;
 }
@@ -130,11 +132,11 @@ void open_reader(LoadedScene& scene, const LabelConfig& config, Diagnostics& dia
   for (const Diagnostic& d : found.all()) {
     const std::string where = "scene.labels.from" + (d.where.empty() ? "" : ": " + d.where);
     if (d.severity == Severity::error) {
-      diagnostics.error(where, d.message, d.remedy);
+      diagnostics.error(d.code, where, d.message, d.remedy);
     } else if (d.severity == Severity::warning) {
-      diagnostics.warning(where, d.message, d.remedy);
+      diagnostics.warning(d.code, where, d.message, d.remedy);
     } else {
-      diagnostics.note(where, d.message);
+      diagnostics.note(d.code, where, d.message);
     }
   }
   const auto trains = [&](const FrameInfo& frame) {
@@ -142,12 +144,13 @@ void open_reader(LoadedScene& scene, const LabelConfig& config, Diagnostics& dia
   };
   const std::vector<FrameInfo>& frames = scene.info.frames;
   if (!diagnostics.has_errors() && !frames.empty() && std::none_of(frames.begin(), frames.end(), trains)) {
-    diagnostics.error("scene.labels.from", "no training frame has labels",
+    diagnostics.error("labels.training.none", "scene.labels.from", "no training frame has labels",
                       "use the names of the frames, such as '" + frames.front().name + "'");
   }
   if (scene.info.classes.empty() || config.from.reader->adds_classes()) take_table(scene, table);
   if (scene.info.classes.empty() && !diagnostics.has_errors()) {
-    diagnostics.error("scene.labels.from", "neither the scene nor its label files have a class table",
+    diagnostics.error("labels.classes.none", "scene.labels.from",
+                      "neither the scene nor its label files have a class table",
                       "write classes.yaml beside the scene, or name a table in scene.labels.from");
   }
 }
@@ -160,10 +163,11 @@ Annotations read_clicks(const SceneInfo& scene, const LabelConfig& config, Diagn
   std::error_code unknown;
   try {
     if (!file.empty() && (room == 0 || std::filesystem::exists(file, unknown))) events = read_click_log(file, found);
-    for (const Diagnostic& d : found.all()) diagnostics.warning("scene.labels.clicks: " + d.where, d.message, d.remedy);
+    for (const Diagnostic& d : found.all())
+      diagnostics.warning(d.code, "scene.labels.clicks: " + d.where, d.message, d.remedy);
     return replay(scene, room, events, file);
   } catch (const Error& e) {
-    throw Error(e.kind(), "scene.labels.clicks: " + e.message(), e.remedy());
+    throw Error(e.kind(), e.code(), "scene.labels.clicks: " + e.message(), e.remedy());
   }
 }
 
@@ -262,7 +266,7 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
                                       [](const auto& pixels) { return !pixels.empty(); });
   if (labelled > 0 && config.selection.class_room == 0 &&
       std::none_of(out.class_pixels.begin(), out.class_pixels.end(), has_class)) {
-    diagnostics.error(scene.info.name,
+    diagnostics.error("labels.training.void", scene.info.name,
                       "the labels of all " + std::to_string(labelled) +
                           " labelled training frames are void in every pixel: nothing can be learned from them",
                       "export label images that hold class ids, or train without them: --set scene.labels.frames=none");

@@ -31,11 +31,13 @@ std::string factor_text(const ImageSize& size, const Camera& camera) {
 }  // namespace
 
 OtherSize other_size(std::string_view what, const std::string& path, const ImageSize& size, const Camera& camera) {
-  OtherSize out{std::string(what) + " '" + path + "' is " + size_text(size.width_px, size.height_px) +
+  OtherSize out{"scene.image.size",
+                std::string(what) + " '" + path + "' is " + size_text(size.width_px, size.height_px) +
                     " pixels, the camera " + size_text(camera.width_px, camera.height_px),
                 "colour, depth and labels of a frame need the size that its camera states"};
   if (what != kColorImage) return out;
   if (size.width_px != size.height_px && size.width_px == camera.height_px && size.height_px == camera.width_px) {
+    out.code = "scene.image.turned";
     if (size.turned_by_exif()) {
       out.message += ", which is that of the picture turned as the file's EXIF orientation says (" +
                      std::to_string(size.orientation) + ")";
@@ -45,6 +47,7 @@ OtherSize other_size(std::string_view what, const std::string& path, const Image
       out.remedy = "turn the image files by a quarter, or export the cameras of the images as they are stored";
     }
   } else if (is_scaled(size, camera)) {
+    out.code = "scene.camera.size";
     out.message += ": its intrinsics are of images " + factor_text(size, camera);
     out.remedy = "give images of the camera's size, or divide its size, focal lengths and centre by " +
                  factor_number(static_cast<double>(camera.width_px) / size.width_px);
@@ -63,7 +66,8 @@ bool CameraFit::fit(const std::string& image, const std::string& place, Camera& 
   if (!is_scaled(size, camera)) {
     OtherSize wrong = other_size(kColorImage, image, size, camera);
     const bool turned = size.width_px == camera.height_px && size.height_px == camera.width_px;
-    diagnostics.error(place, turned ? wrong.message : wrong.message + ": another aspect ratio",
+    diagnostics.error(turned ? wrong.code : Code("scene.image.aspect"), place,
+                      turned ? wrong.message : wrong.message + ": another aspect ratio",
                       turned ? wrong.remedy : "give the images that the cameras were made from, or scaled copies");
     return false;
   }
@@ -79,7 +83,8 @@ bool CameraFit::fit(const std::string& image, const std::string& place, Camera& 
 void CameraFit::report(const std::string& source, Diagnostics& diagnostics) const {
   for (const auto& [factor, one] : scaled_) {
     diagnostics.note(
-        source, "images are " + one.text + ": the intrinsics of " + std::to_string(one.frames) + " frames were scaled");
+        "scene.camera.scaled", source,
+        "images are " + one.text + ": the intrinsics of " + std::to_string(one.frames) + " frames were scaled");
   }
 }
 

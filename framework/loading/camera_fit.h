@@ -17,6 +17,7 @@ inline constexpr const char* kColorImage = "colour image";
 /// What is wrong between an image of a frame and a camera of another size, and what to do. Of a colour image it says by
 /// which factor the intrinsics are off, or that it is turned by a quarter, by its EXIF orientation where that says so.
 struct OtherSize {
+  Code code;
   std::string message, remedy;
 };
 OtherSize other_size(std::string_view what, const std::string& path, const ImageSize& size, const Camera& camera);

@@ -63,7 +63,7 @@ std::string label_pattern(const FrameInfo& frame, const std::filesystem::path& l
 template <class T>
 void check_size(const Image<T>& image, const FrameInfo& frame, const std::string& path) {
   if (image.width_px == frame.camera.width_px && image.height_px == frame.camera.height_px) return;
-  throw Error(ErrorKind::data,
+  throw Error(ErrorKind::data, "scene.image.size",
               "'" + path + "' is " + size_text(image.width_px, image.height_px) + " pixels, the camera " +
                   size_text(frame.camera.width_px, frame.camera.height_px),
               "colour, depth and labels of a frame need the size that its camera states");
@@ -142,7 +142,7 @@ bool FrameFileCheck::present(const FrameInfo& frame, const char* what, const std
   if (missing_ == MissingFiles::skip) return false;
   const std::string other = same_with_other_extension(path);
   diagnostics.error(
-      frame_place(frame),
+      "scene.file.missing", frame_place(frame),
       std::string(what) + " '" + path + "' is missing" + (other.empty() ? "" : ", but there is '" + other + "'"),
       other.empty() ? "restore the file, drop the frame from the index, or leave out what is missing with --set "
                       "scene.missing=skip"
@@ -164,7 +164,7 @@ void FrameFileCheck::check_header(const FrameInfo& frame, const char* what, cons
     if (what == kColorImage && size.orientation != 1) turned_.push_back(frame.name);
     if (size.width_px != frame.camera.width_px || size.height_px != frame.camera.height_px) {
       const OtherSize wrong = other_size(what, path, size, frame.camera);
-      diagnostics.error(frame_place(frame), wrong.message,
+      diagnostics.error(wrong.code, frame_place(frame), wrong.message,
                         is_label ? wrong.remedy + "; labels of another one are scaled with " +
                                        label_settings(frame, path, labels_key_, "")
                                  : wrong.remedy);
@@ -172,38 +172,42 @@ void FrameFileCheck::check_header(const FrameInfo& frame, const char* what, cons
       report_color_labels(frame, path, size.channels, labels_key_, diagnostics);
     }
   } catch (const Error& e) {
-    diagnostics.error(frame_place(frame), std::string(what) + " " + e.message(), e.remedy());
+    diagnostics.error(e.code(), frame_place(frame), std::string(what) + " " + e.message(), e.remedy());
   }
 }
 
 void FrameFileCheck::report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const {
   if (!turned_.empty()) {
-    diagnostics.note(source, std::to_string(turned_.size()) + " of " + std::to_string(frames_left) +
-                                 " images have an EXIF orientation by which viewers turn them; here pixels count as "
-                                 "they are stored, as cameras of COLMAP do: " +
-                                 first_names(turned_));
+    diagnostics.note("scene.image.orientation", source,
+                     std::to_string(turned_.size()) + " of " + std::to_string(frames_left) +
+                         " images have an EXIF orientation by which viewers turn them; here pixels count as "
+                         "they are stored, as cameras of COLMAP do: " +
+                         first_names(turned_));
   }
   if (missing_ == MissingFiles::error) return;
   std::size_t lost = 0;
   for (const auto& [what, names] : left_out_) {
     const std::string count = std::to_string(names.size());
     if (is_optional(what)) {
-      diagnostics.note(source, count + " of " + std::to_string(frames_left) + " frames go without a " + what +
-                                   ", which is missing: " + first_names(names));
+      diagnostics.note("scene.file.skipped", source,
+                       count + " of " + std::to_string(frames_left) + " frames go without a " + what +
+                           ", which is missing: " + first_names(names));
     } else {
       lost += names.size();
-      diagnostics.note(source, count + (names.size() == 1 ? " frame is" : " frames are") + " left out, whose " + what +
-                                   " is missing: " + first_names(names));
+      diagnostics.note("scene.file.skipped", source,
+                       count + (names.size() == 1 ? " frame is" : " frames are") + " left out, whose " + what +
+                           " is missing: " + first_names(names));
     }
   }
   if (lost > 0 && frames_left == 0)
-    diagnostics.error(source, "the files of all " + std::to_string(lost) + " frames are missing", "check the path");
+    diagnostics.error("scene.file.missing", source, "the files of all " + std::to_string(lost) + " frames are missing",
+                      "check the path");
 }
 
 void report_color_labels(const FrameInfo& frame, const std::string& path, int channels, const std::string& labels_key,
                          Diagnostics& diagnostics) {
   if (channels == 1) return;
-  diagnostics.error(frame_place(frame),
+  diagnostics.error("labels.image.channels", frame_place(frame),
                     "label image '" + path + "' has " + std::to_string(channels) +
                         " channels: it is a picture in colours, not one of class ids",
                     "read the classes from the colours of the class table with " +
@@ -251,17 +255,17 @@ ClassTable load_class_file(const std::string& path, const std::vector<std::strin
     if (!found.empty()) {
       ClassTable table = ClassTable::load(found);
       if (has_labels && table.empty())
-        diagnostics.error(found, "no classes in it", "write one {id, name} for each class");
+        diagnostics.error("labels.classes.empty", found, "no classes in it", "write one {id, name} for each class");
       return table;
     }
   } catch (const Error& e) {
     const bool named = e.message().find(found) != std::string::npos;
-    diagnostics.error(named ? "" : found, e.message(), e.remedy());
+    diagnostics.error(e.code(), named ? "" : found, e.message(), e.remedy());
     return {};
   }
   if (has_labels) {
     diagnostics.error(
-        folders.front(),
+        "labels.classes.none", folders.front(),
         "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
         "write classes.yaml there, with a line such as '- {id: 1, name: wall}' for each class, or name a table with "
         "--set "

@@ -59,7 +59,7 @@ void check_labels(const FrameBuffer& b, int classes) {
                                 [classes](std::int16_t c) { return c != kVoid && (c < 0 || c >= classes); });
   if (bad == b.label.end()) return;
   const auto at = bad - b.label.begin();
-  throw Error(ErrorKind::data,
+  throw Error(ErrorKind::data, "plugin.dataset.label",
               "label " + std::to_string(*bad) + " at x " + std::to_string(at % b.width_px) + ", y " +
                   std::to_string(at / b.width_px) + " is no class; classes are 0 to " + std::to_string(classes - 1) +
                   " and void is " + std::to_string(kVoid),
@@ -96,7 +96,8 @@ std::size_t stored_bytes(const FrameInfo& f, const Camera& camera, const SceneLo
 // Every channel that was asked for, as open() told, and finite.
 void check_channels(const FrameBuffer& b, const FrameInfo& f, std::size_t wanted) {
   if (b.channels.size() != wanted)
-    throw Error(ErrorKind::internal, "dataset delivered other channels than those that were wanted",
+    throw Error(ErrorKind::internal, "plugin.dataset.channels",
+                "dataset delivered other channels than those that were wanted",
                 "this is a defect of the dataset plugin");
   for (const FrameChannel& one : b.channels) {
     const auto told = std::find_if(f.channels.begin(), f.channels.end(),
@@ -105,11 +106,12 @@ void check_channels(const FrameBuffer& b, const FrameInfo& f, std::size_t wanted
         static_cast<std::size_t>(one.height) * static_cast<std::size_t>(one.width) * static_cast<std::size_t>(one.cols);
     if (told == f.channels.end() || told->height != one.height || told->width != one.width || told->cols != one.cols ||
         one.values.size() != size)
-      throw Error(ErrorKind::internal, "dataset delivered another channel '" + one.name + "' than open() told",
+      throw Error(ErrorKind::internal, "plugin.dataset.channels",
+                  "dataset delivered another channel '" + one.name + "' than open() told",
                   "this is a defect of the dataset plugin");
     if (!std::all_of(one.values.begin(), one.values.end(), [](float v) { return std::isfinite(v); }))
-      throw Error(ErrorKind::data, "channel '" + one.name + "' holds a value that is not finite",
-                  "write 0 where nothing is known");
+      throw Error(ErrorKind::data, "scene.channel.not_finite",
+                  "channel '" + one.name + "' holds a value that is not finite", "write 0 where nothing is known");
   }
 }
 
@@ -119,8 +121,8 @@ void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
   if (b.width_px != f.camera.width_px || b.height_px != f.camera.height_px || b.rgb.size() != pixels * 3 ||
       !fits(b.depth_m.size(), f.has_depth) || !fits(b.label.size(), f.has_labels) ||
       !fits(b.instance.size(), f.has_instances)) {
-    throw Error(ErrorKind::internal, "dataset delivered other channels or sizes than open() told",
-                "this is a defect of the dataset plugin");
+    throw Error(ErrorKind::internal, "plugin.dataset.channels",
+                "dataset delivered other channels or sizes than open() told", "this is a defect of the dataset plugin");
   }
 }
 
@@ -150,7 +152,7 @@ void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
                                 : "coordinates reach " + shortest_number(reach) + unit + " (bounds from " +
                                       scene.bounds_from + "), at most " + shortest_number(kMostCoordinate_m) +
                                       " are used";
-  diagnostics.error(scene.info.name, found,
+  diagnostics.error("scene.pose.far", scene.info.name, found,
                     (farthest == nullptr ? std::string()
                                          : "the farthest camera is that of " + frame_place(*farthest) + ", " +
                                                shortest_number(camera_at) + unit + " from the origin: ") +
@@ -195,18 +197,19 @@ void describe(ParamVisitor& visit, SceneLoadOptions& p) {
 
 void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {
   if (p.downscale != 1 && (p.width_px > 0 || p.height_px > 0)) {
-    diagnostics.error("scene.load.downscale", "downscale and width_px or height_px exclude each other",
-                      "keep one of them");
+    diagnostics.error("config.value.conflict", "scene.load.downscale",
+                      "downscale and width_px or height_px exclude each other", "keep one of them");
   }
   if (p.near_m > 0 && p.far_m > 0 && p.near_m >= p.far_m)
-    diagnostics.error("scene.load.near_m", "near_m must be below far_m", "swap them");
+    diagnostics.error("config.value.order", "scene.load.near_m", "near_m must be below far_m", "swap them");
   if (!p.bounds.empty() && p.bounds.size() != 6) {
-    diagnostics.error("scene.load.bounds", "expected 6 numbers, got " + std::to_string(p.bounds.size()),
-                      "write [x0, y0, z0, x1, y1, z1]");
+    diagnostics.error("config.value.length", "scene.load.bounds",
+                      "expected 6 numbers, got " + std::to_string(p.bounds.size()), "write [x0, y0, z0, x1, y1, z1]");
   }
   for (std::size_t i = 0; i < 3 && p.bounds.size() == 6; ++i) {
     if (!(p.bounds[i] < p.bounds[i + 3]))
-      diagnostics.error("scene.load.bounds", "the first corner must be below the second on every axis", "swap them");
+      diagnostics.error("config.value.order", "scene.load.bounds",
+                        "the first corner must be below the second on every axis", "swap them");
   }
 }
 
@@ -261,9 +264,10 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   std::vector<FrameInfo>& frames = scene.info.frames;
   check_input_limit(std::ssize(frames), input_limits().frames, "scene '" + scene.info.name + "': ", "frames", "frames");
   if (frames.empty() && !diagnostics.has_errors())
-    diagnostics.error(scene.info.name, "the scene has no frames", "check the path");
+    diagnostics.error("scene.frames.none", scene.info.name, "the scene has no frames", "check the path");
   if (frames.size() == 1 && options.pixels && !diagnostics.has_errors()) {
-    diagnostics.error(frame_place(frames[0]), "is the only frame of the scene; shape needs views from several places",
+    diagnostics.error("scene.frames.single", frame_place(frames[0]),
+                      "is the only frame of the scene; shape needs views from several places",
                       "give two frames at least, better some dozens");
   }
   scene.frames.resize(frames.size());
@@ -285,7 +289,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     const std::string place = frame_place(frames[i]);
     if (failed.count(place) > 0) continue;
     if (!scaled_camera(frames[i].camera, options, cameras[i])) {
-      diagnostics.error(place,
+      diagnostics.error("scene.load.size", place,
                         "frame is " + size_text(frames[i].camera.width_px, frames[i].camera.height_px) +
                             " pixels, smaller than the size asked for",
                         "ask for at most the stored size");
@@ -295,7 +299,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     stretched = stretched || std::abs(stretch - 1) > 0.01;
   }
   if (stretched)
-    diagnostics.warning("scene.load.width_px", "the size asked for changes the aspect ratio; cameras follow it",
+    diagnostics.warning("scene.load.aspect", "scene.load.width_px",
+                        "the size asked for changes the aspect ratio; cameras follow it",
                         "give scene.load.width_px or scene.load.height_px alone");
 
   if (!options.pixels) {
@@ -362,7 +367,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     }
   });
   for (std::size_t i = 0; i < frames.size(); ++i) {
-    if (errors[i]) diagnostics.error(frame_place(frames[i]), errors[i]->message(), errors[i]->remedy());
+    if (errors[i])
+      diagnostics.error(errors[i]->code(), frame_place(frames[i]), errors[i]->message(), errors[i]->remedy());
     if (cameras[i].width_px > 0) frames[i].camera = cameras[i];
     if (!options.with_instances) frames[i].has_instances = false;
   }

@@ -84,7 +84,8 @@ class Reader {
 
  private:
   void need(std::size_t size) const {
-    if (size > left_.size()) throw Error(ErrorKind::data, "manifest ends early", "pack the scene again");
+    if (size > left_.size())
+      throw Error(ErrorKind::data, "scene.packed.damaged", "manifest ends early", "pack the scene again");
   }
   void take(void* to, std::size_t size) {
     need(size);
@@ -126,7 +127,7 @@ void walk_frame(Stream& s, FrameInfo& f, Chunks& chunks) {
   auto split = static_cast<std::uint8_t>(f.split);
   s.number(split);
   if (split > static_cast<std::uint8_t>(Split::unused))
-    throw Error(ErrorKind::data, "manifest has an unknown split", "pack the scene again");
+    throw Error(ErrorKind::data, "scene.packed.damaged", "manifest has an unknown split", "pack the scene again");
   f.split = static_cast<Split>(split);
   for (PackedScene::Chunk& k : chunks) {
     s.number(k.offset);
@@ -207,8 +208,9 @@ void read_at(int file, std::uint64_t offset, std::span<std::byte> out) {
     const ssize_t got = ::pread(file, out.data(), out.size(), static_cast<off_t>(offset));
     if (got < 0 && errno == EINTR) continue;
     if (got <= 0)
-      throw Error(ErrorKind::io, got < 0 ? std::string("cannot read: ") + std::strerror(errno)
-                                         : "file became shorter while it was read");
+      throw Error(
+          ErrorKind::io, "files.read.failed",
+          got < 0 ? std::string("cannot read: ") + std::strerror(errno) : "file became shorter while it was read");
     out = out.subspan(static_cast<std::size_t>(got));
     offset += static_cast<std::uint64_t>(got);
   }
@@ -271,18 +273,22 @@ bool has_magic(const std::string& head) {
 bool is_packed_scene(const std::string& path) { return has_magic(read_file_start(path, sizeof kMagic)); }
 
 PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
-  const auto refuse = [&](const std::string& what, const std::string& remedy) -> Error {
-    return Error(ErrorKind::data, "'" + path_ + "': " + what, remedy);
+  const auto refuse = [&](Code code, const std::string& what, const std::string& remedy) -> Error {
+    return Error(ErrorKind::data, code, "'" + path_ + "': " + what, remedy);
   };
   const std::string again = "pack the scene again";
   const std::string head = read_file_start(path_, kHeaderBytes);
   Header header{};
-  if (!has_magic(head)) throw refuse("not a packed scene", "give a file that 'semfield pack' wrote");
-  if (head.size() < kHeaderBytes) throw refuse("truncated inside its header", "copy the file again");
+  if (!has_magic(head))
+    throw refuse("scene.packed.format", "not a packed scene", "give a file that 'semfield pack' wrote");
+  if (head.size() < kHeaderBytes)
+    throw refuse("scene.packed.damaged", "truncated inside its header", "copy the file again");
   std::memcpy(&header, head.data(), kHeaderBytes);
-  if (crc_of(header) != header.header_crc) throw refuse("header is damaged (wrong checksum)", "copy the file again");
+  if (crc_of(header) != header.header_crc)
+    throw refuse("scene.packed.damaged", "header is damaged (wrong checksum)", "copy the file again");
   if (header.version != kPackedVersion) {
-    throw refuse("format version " + std::to_string(header.version) + "; this build reads version " +
+    throw refuse("scene.packed.version",
+                 "format version " + std::to_string(header.version) + "; this build reads version " +
                      std::to_string(kPackedVersion),
                  again);
   }
@@ -290,26 +296,27 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
   struct stat about {};
   try {
     if (::fstat(file_, &about) != 0)
-      throw refuse(std::string("cannot read: ") + std::strerror(errno), "check the disk");
+      throw refuse("files.read.failed", std::string("cannot read: ") + std::strerror(errno), "check the disk");
     file_bytes_ = static_cast<std::uint64_t>(about.st_size);
     if (file_bytes_ != header.file_bytes) {
       throw refuse(
+          "scene.packed.damaged",
           "holds " + std::to_string(file_bytes_) + " bytes, its header says " + std::to_string(header.file_bytes),
           "copy the file again");
     }
     if (header.manifest_bytes > kMaxManifestBytes || header.manifest_offset > file_bytes_ ||
         header.manifest_bytes > file_bytes_ - header.manifest_offset) {
-      throw refuse("manifest lies outside the file", again);
+      throw refuse("scene.packed.damaged", "manifest lies outside the file", again);
     }
     std::vector<std::byte> manifest(header.manifest_bytes);
     read_at(file_, header.manifest_offset, manifest);
     if (crc32c(manifest) != header.manifest_crc)
-      throw refuse("manifest is damaged (wrong checksum)", "copy the file again");
+      throw refuse("scene.packed.damaged", "manifest is damaged (wrong checksum)", "copy the file again");
     Reader reader(manifest);
     std::vector<ClassEntry> classes;
     walk(reader, info_, classes, chunks_);
     if (!reader.finished() || info_.frames.size() != header.frames)
-      throw refuse("manifest does not match its header", again);
+      throw refuse("scene.packed.damaged", "manifest does not match its header", again);
     info_.classes = ClassTable(std::move(classes));
     static constexpr std::uint64_t kPixelBytes[kChannels] = {3, 4, 2, 4};
     for (std::size_t i = 0; i < info_.frames.size(); ++i) {
@@ -326,7 +333,8 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
             k.raw_bytes == expected &&
             ((k.format & kDeflated) != 0 ? k.raw_bytes / 1032 <= k.stored_bytes : k.stored_bytes == k.raw_bytes);
         if (k.raw_bytes == 0 ? c == kColor : !fits || !sized) {
-          throw refuse("frame '" + f.name + "': " + kChannelNames[c] + " has an impossible size", again);
+          throw refuse("scene.packed.damaged",
+                       "frame '" + f.name + "': " + kChannelNames[c] + " has an impossible size", again);
         }
       }
       f.has_depth = chunks_[i][kDepth].raw_bytes > 0;
@@ -336,7 +344,7 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
   } catch (Error& e) {
     ::close(file_);
     if (e.message().find(path_) != std::string::npos) throw;
-    throw Error(e.kind(), "'" + path_ + "': " + e.message(), e.remedy());
+    throw Error(e.kind(), e.code(), "'" + path_ + "': " + e.message(), e.remedy());
   } catch (...) {
     ::close(file_);
     throw;
@@ -357,7 +365,7 @@ PackedScene::~PackedScene() {
 std::vector<std::byte> PackedScene::chunk_bytes(int frame, Channel channel) const {
   const Chunk& chunk = chunks_[static_cast<std::size_t>(frame)][channel];
   const auto fail = [&](const char* what) {
-    return Error(ErrorKind::data,
+    return Error(ErrorKind::data, "scene.packed.damaged",
                  "'" + path_ + "': frame '" + info_.frames[static_cast<std::size_t>(frame)].name +
                      "': " + kChannelNames[channel] + what,
                  "copy the file again, or pack the scene again");
@@ -393,7 +401,7 @@ void PackedScene::read(int frame, FrameBuffer& out) const {
   const int classes = info_.classes.valid_count();
   for (const std::int16_t c : out.label) {
     if (c < kVoid || c >= classes) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "scene.packed.damaged",
                   "'" + path_ + "': frame '" + info.name + "': label index " + std::to_string(c) +
                       " is outside the class table",
                   "pack the scene again");

@@ -55,12 +55,13 @@ RayCounts count_rays(const LoadedScene& scene, const std::vector<int>& usable) {
 }
 
 // An error where the share is 0, else a warning.
-void report(double share, const std::string& key, const std::string& what, const std::string& remedy,
+void report(Code code, double share, const std::string& key, const std::string& what, const std::string& remedy,
             Diagnostics& diagnostics) {
   if (share == 0) {
-    diagnostics.error(key, "none of " + what, remedy);
+    diagnostics.error(code, key, "none of " + what, remedy);
   } else {
-    diagnostics.warning(key, "only " + number(std::max(0.1, std::round(1000 * share) / 10)) + " % of " + what, remedy);
+    diagnostics.warning(code, key, "only " + number(std::max(0.1, std::round(1000 * share) / 10)) + " % of " + what,
+                        remedy);
   }
 }
 
@@ -78,7 +79,7 @@ void check_rays(const LoadedScene& scene, const std::vector<int>& usable, const 
       "near " + number(scene.near_m) + " and far " + number(scene.far_m) + " (from " + scene.near_far_from + ")";
   const bool box_met = share(counts.meet_box) >= kFew;
   if (counts.rays > 0 && !box_met && !seen.taken) {
-    return report(share(counts.meet_box), "scene.load.bounds",
+    return report("scene.bounds.missed", share(counts.meet_box), "scene.load.bounds",
                   "the rays of the training cameras can meet the bounds " + box_text(scene.bounds) + " (from " +
                       scene.bounds_from + ")",
                   "the data suggest --set 'scene.load.bounds=" + box_text(seen.box) + "'", diagnostics);
@@ -89,14 +90,15 @@ void check_rays(const LoadedScene& scene, const std::vector<int>& usable, const 
     const double part = static_cast<double>(inside) / static_cast<double>(seen.distances.size());
     const auto [nearest, farthest] = std::minmax_element(seen.distances.begin(), seen.distances.end());
     if (part < kFew) {
-      return report(part, "scene.load.near_m", "the depth of the training frames is between " + span,
+      return report("scene.bounds.near_far", part, "scene.load.near_m",
+                    "the depth of the training frames is between " + span,
                     "depth lies from " + number(*nearest) + " to " + number(*farthest) + ": " +
                         set_near_far(0.5 * *nearest, 1.05 * *farthest),
                     diagnostics);
     }
   }
   if (box_met && share(counts.sampled) < kFew) {
-    report(share(counts.sampled), "scene.load.near_m",
+    report("scene.bounds.near_far", share(counts.sampled), "scene.load.near_m",
            "the rays of the training cameras can be inside the bounds between " + span,
            "rays are inside from " + number(counts.nearest) + " to " + number(counts.farthest) + ": " +
                set_near_far(std::max(counts.nearest, 0.01 * counts.farthest), counts.farthest),

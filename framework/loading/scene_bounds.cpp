@@ -285,7 +285,7 @@ void warn_of_coarse_positions(const LoadedScene& scene, Diagnostics& diagnostics
   double largest = 0;
   for (int a = 0; a < 3; ++a) largest = std::max({largest, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
   if (largest * 0x1p-24 <= 1e-3 * scene.pixel_footprint_m) return;
-  diagnostics.warning("scene",
+  diagnostics.warning("scene.coordinates.precision", "scene",
                       "coordinates reach " + short_number(largest) + ", where single precision steps by " +
                           short_number(largest * 0x1p-23) + " against a pixel of " +
                           short_number(scene.pixel_footprint_m),
@@ -306,12 +306,12 @@ void tell_of_guess(const LoadedScene& scene, const SceneLoadOptions& options, Di
                             " are a guess: no depth, no points, no plain background";
   if (scene.rig.inward) {
     diagnostics.warning(
-        "scene.load.bounds",
+        "scene.bounds.guessed", "scene.load.bounds",
         guess + "; the cameras stand around one place and see it together within " + list_text(scene.rig.seen),
         "where the background matters include parts/unbounded.yaml; where only the subject does, set "
         "scene.load.bounds to that box");
   } else if (options.probe_steps == 0) {
-    diagnostics.warning("scene.load.bounds", guess,
+    diagnostics.warning("scene.bounds.guessed", "scene.load.bounds", guess,
                         "let a probe find them with scene.load.probe_steps: 128, or set scene.load.bounds and far_m: "
                         "smaller where space is wasted, larger where parts of the scene are missing");
   }
@@ -341,7 +341,8 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   }
   if (seen.cameras.empty()) {
     if (!diagnostics.has_errors())
-      diagnostics.error(scene.info.name, "no training frame", "check the split parameters of the dataset");
+      diagnostics.error("scene.split.empty", scene.info.name, "no training frame",
+                        "check the split parameters of the dataset");
     return;
   }
   seen.survey = survey_depth(surveyed);
@@ -360,7 +361,7 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   // be.
   const bool both_given = options.near_m > 0 && options.far_m > 0;
   if (!both_given && (!(scene.near_m < scene.far_m) || !std::isfinite(scene.far_m))) {
-    diagnostics.error("scene.load.near_m",
+    diagnostics.error("scene.bounds.near_far", "scene.load.near_m",
                       "near is " + short_number(scene.near_m) + " m and far is " + short_number(scene.far_m) +
                           " m: no part of a ray lies between them",
                       "set scene.load.near_m below scene.load.far_m");

@@ -22,7 +22,7 @@ LossList::LossList(std::vector<LossEntry> entries) : entries_(std::move(entries)
     const bool logits = traits.does_move(channel::logits), one_kind = own == 0 || own == std::ssize(traits.moves);
     if (!one_kind || (logits && traits.moves.size() > 1))
       throw Error(
-          ErrorKind::config,
+          ErrorKind::config, "plugin.loss.channels",
           "losses: '" + entries_[i].type +
               "' moves channels whose gradients are made apart: class logits, channels of other heads, and those "
               "of the pass itself",

@@ -26,7 +26,7 @@ RowSum top_of_row(const Real* logits, std::int32_t classes, std::int64_t ray) {
   const bool finite = all_finite(logits, classes);
   for (std::int32_t c = 0; c < classes && !finite; ++c) {
     if (!std::isfinite(logits[c])) {
-      throw Error(ErrorKind::failure,
+      throw Error(ErrorKind::failure, "train.logit.not_finite",
                   "logit of ray " + std::to_string(ray) + ", class " + std::to_string(c) + " is " +
                       std::to_string(static_cast<double>(logits[c])) + "; it must be finite",
                   "lower the learning rate, or go back to the last checkpoint");
@@ -77,8 +77,9 @@ double soft_row_sum(const float* p, std::int32_t classes, std::int64_t ray) {
   double sum = 0;
   for (std::int32_t c = 0; c < classes; ++c) {
     if (!(p[c] >= 0) || std::isinf(p[c])) {
-      throw Error(ErrorKind::data, "soft label of ray " + std::to_string(ray) + ", class " + std::to_string(c) +
-                                       " is " + std::to_string(p[c]) + "; probabilities are finite and not negative");
+      throw Error(ErrorKind::data, "labels.probability.invalid",
+                  "soft label of ray " + std::to_string(ray) + ", class " + std::to_string(c) + " is " +
+                      std::to_string(p[c]) + "; probabilities are finite and not negative");
     }
     sum += static_cast<double>(p[c]);
   }
@@ -87,7 +88,7 @@ double soft_row_sum(const float* p, std::int32_t classes, std::int64_t ray) {
 
 void check_label(std::int16_t label, std::int32_t classes, std::int64_t ray) {
   if (label >= -1 && label < classes) return;
-  throw Error(ErrorKind::data,
+  throw Error(ErrorKind::data, "labels.class.range",
               "label of ray " + std::to_string(ray) + " is " + std::to_string(label) + "; classes are 0 to " +
                   std::to_string(classes - 1) + " and void is -1",
               "check the class table against the label images");

@@ -241,7 +241,7 @@ void check_density(const Samples<Real>& samples, View<const Real> sigma, std::in
     for (std::int32_t k = begin; k < end; ++k) {
       const Real value = *sigma.row(k);
       if (value >= 0 && value <= kLargest) continue;
-      throw RayFault(first_ray + r, ErrorKind::failure,
+      throw RayFault(first_ray + r, ErrorKind::failure, "train.density.invalid",
                      "density of ray " + std::to_string(first_ray + r) + ", sample " + std::to_string(k - begin) +
                          " at " + std::to_string(static_cast<double>(*samples.t.row(k))) + " m is " +
                          std::to_string(static_cast<double>(value)) + "; it must be finite and not negative",

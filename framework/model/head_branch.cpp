@@ -10,7 +10,7 @@ HeadBranch<Real>::HeadBranch(const BranchParts<Real>& parts, const BranchPlace& 
                              const Stages<Real>& stages)
     : parts_(&parts), place_(place), store_(&store), stages_(&stages) {
   if (declared_bytes<Real>(*parts_->position, 1, true).learns) {
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "config.encoder.learned",
                 "pass '" + place.pass + "': the position encoder of the branch '" + place.prefix +
                     "' has learned tensors, and the branch is to be smoother than such tables",
                 "choose an encoder without learned tensors");

@@ -21,7 +21,7 @@ class Planner {
   bool leave(bool fires, LeftOut row) {
     const bool named = std::find(keep_.begin(), keep_.end(), row.component) != keep_.end();
     if (named && !row.instead.empty()) {
-      throw Error(ErrorKind::usage,
+      throw Error(ErrorKind::usage, "config.keep.unknown",
                   fmt::format("--keep {}: this is not left out by a rule of the scene", row.component), row.instead);
     }
     all_.push_back(row.component);
@@ -39,7 +39,7 @@ class Planner {
       if (std::find(all_.begin(), all_.end(), name) != all_.end()) continue;
       const std::string near = did_you_mean(name, known_);
       throw Error(
-          ErrorKind::usage,
+          ErrorKind::usage, "config.keep.unknown",
           fmt::format("--keep {}: no rule leaves out anything of that name (there are: {})", name, join(known_)),
           near.empty() ? "" : "did you mean '" + near + "'?");
     }
@@ -62,7 +62,8 @@ void plan_semantics(const SceneManifest& manifest, const BuildRequest& request, 
                              : fmt::format("0 labelled pixels in {} training frames", manifest.train_frames),
        ProofClass::bitwise, "head, class layer, logits and cross-entropy", "", ""});
   if (plan.semantics && manifest.classes == 0) {
-    throw Error(ErrorKind::usage, "--keep semantics: the scene has no class table, so a head has no classes to predict",
+    throw Error(ErrorKind::usage, "config.keep.classes",
+                "--keep semantics: the scene has no class table, so a head has no classes to predict",
                 "give the scene labels and classes.yaml");
   }
   const bool absent_out =

@@ -32,8 +32,8 @@ std::string first_in_row(const T* row, std::int32_t cols) {
 
 }  // namespace
 
-RayFault::RayFault(std::int64_t ray, ErrorKind kind, std::string message, std::string remedy)
-    : Error(kind, std::move(message), std::move(remedy)), ray_(ray) {}
+RayFault::RayFault(std::int64_t ray, ErrorKind kind, Code code, std::string message, std::string remedy)
+    : Error(kind, code, std::move(message), std::move(remedy)), ray_(ray) {}
 
 std::string_view fault_remedy() {
   return "lower train.adam.learning_rate, or resume from the last checkpoint with another runtime.seed";
@@ -44,7 +44,7 @@ void guard_rays(const Rays<Real>& rays, View<const float> target, std::int64_t f
   const auto check = [&](const char* name, const auto& values) {
     const std::int64_t bad = first_bad_row(values);
     if (bad < 0) return;
-    throw RayFault(first_ray + bad, ErrorKind::failure,
+    throw RayFault(first_ray + bad, ErrorKind::failure, "scene.rays.invalid",
                    fmt::format("{} of ray {} {}", name, first_ray + bad, first_in_row(values.row(bad), values.cols)),
                    "check the camera poses, the intrinsics and the near and far distances of the scene");
   };
@@ -62,8 +62,8 @@ void RayGuard<Real>::fail(const char* name, std::int64_t row, const std::string&
     place += fmt::format(", sample {}", row - samples_.first(r, 0));
     if (std::isfinite(samples_.t(row, 0))) place += fmt::format(" at {:.4g} m", samples_.t(row, 0));
   }
-  throw RayFault(first_ray_ + r, ErrorKind::failure, fmt::format("pass '{}': {} of {} {}", pass_, name, place, what),
-                 std::string(fault_remedy()));
+  throw RayFault(first_ray_ + r, ErrorKind::failure, "train.value.not_finite",
+                 fmt::format("pass '{}': {} of {} {}", pass_, name, place, what), std::string(fault_remedy()));
 }
 
 template <class Real>
@@ -92,7 +92,7 @@ template <class Real>
 void RayGuard<Real>::per_ray(const char* name, View<const Real> values) const {
   const std::int64_t row = first_bad_row(values);
   if (row < 0) return;
-  throw RayFault(first_ray_ + row, ErrorKind::failure,
+  throw RayFault(first_ray_ + row, ErrorKind::failure, "train.value.not_finite",
                  fmt::format("pass '{}': {} of ray {} {}", pass_, name, first_ray_ + row,
                              first_in_row(values.row(row), values.cols)),
                  std::string(fault_remedy()));

@@ -14,7 +14,7 @@ namespace semfield {
 class RayFault : public Error {
  public:
   /// `ray` counts within the batch of a step, or within the call that rendered.
-  RayFault(std::int64_t ray, ErrorKind kind, std::string message, std::string remedy = {});
+  RayFault(std::int64_t ray, ErrorKind kind, Code code, std::string message, std::string remedy = {});
   std::int64_t ray() const noexcept { return ray_; }
 
  private:

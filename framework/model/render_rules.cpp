@@ -33,8 +33,8 @@ void describe(ParamVisitor& visit, RenderingParams& p) {
 
 void validate(const RenderingParams& p, Diagnostics& diagnostics) {
   if (p.background.size() != 3) {
-    diagnostics.error("rendering.background", "expected 3 values, got " + std::to_string(p.background.size()),
-                      "write [r, g, b]");
+    diagnostics.error("config.value.length", "rendering.background",
+                      "expected 3 values, got " + std::to_string(p.background.size()), "write [r, g, b]");
   }
 }
 

@@ -212,7 +212,7 @@ template <class Real>
 void guard_density_at(View<const double> positions, View<const Real> raw, View<const Real> sigma) {
   for (std::int64_t m = 0; m < sigma.rows; ++m) {
     if (std::isfinite(raw(m, 0)) && std::isfinite(sigma(m, 0))) continue;
-    throw Error(ErrorKind::failure,
+    throw Error(ErrorKind::failure, "train.density.invalid",
                 "density at (" + std::to_string(positions(m, 0)) + ", " + std::to_string(positions(m, 1)) + ", " +
                     std::to_string(positions(m, 2)) + ") m is not finite (raw value " + std::to_string(raw(m, 0)) + ")",
                 std::string(fault_remedy()));

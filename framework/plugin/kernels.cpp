@@ -51,7 +51,8 @@ void KernelTables::add_erased(const Key& key, std::string_view owner, const void
   const std::string variant = variant_name(key.device, key.precision);
   const auto [place, is_new] = tables_.try_emplace(key, table);
   if (!is_new && place->second != table) {
-    throw Error(ErrorKind::unavailable, std::string(owner) + " has two " + variant + " kernel tables",
+    throw Error(ErrorKind::unavailable, "plugin.kernels.twice",
+                std::string(owner) + " has two " + variant + " kernel tables",
                 "load only one module that brings these kernels");
   }
   std::vector<std::string>& variants = owners_[std::string(owner)];
@@ -64,8 +65,9 @@ const void* KernelTables::get_erased(const Key& key, std::string_view owner) con
   const bool refused = block != blocks_.end() && !block->second.in_bf16 && key.precision == Precision::bf16;
   if (found != tables_.end() && !refused) return found->second;
   const std::string have = devices_of(owner);
-  throw Error(ErrorKind::unavailable, std::string(owner) + " has no " + variant_name(key.device, key.precision) +
-                                          " kernels in this build (has: " + (have.empty() ? "none" : have) + ")");
+  throw Error(ErrorKind::unavailable, "plugin.kernels.missing",
+              std::string(owner) + " has no " + variant_name(key.device, key.precision) +
+                  " kernels in this build (has: " + (have.empty() ? "none" : have) + ")");
 }
 
 }  // namespace semfield

@@ -26,7 +26,8 @@ void check_compatible(const PluginModule& module) {
   // The API number stands first in the descriptor and is read first: with another one the rest may have another layout.
   check_interface(module.api, module.api != kPluginApi || module.abi_tag == nullptr ? "" : module.abi_tag);
   if (module.name == nullptr || module.version == nullptr || module.register_into == nullptr) {
-    throw Error(ErrorKind::unavailable, "the module's descriptor lacks its name, version or register function",
+    throw Error(ErrorKind::unavailable, "plugin.module.descriptor",
+                "the module's descriptor lacks its name, version or register function",
                 "end the plugin with SEMFIELD_PLUGIN_MODULE(name, version, function)");
   }
 }
@@ -42,9 +43,11 @@ void register_whole(Registry& registry, const PluginModule& module) {
     error.while_doing("while registering module '" + title + "'");
     throw;
   } catch (const std::exception& error) {
-    throw Error(ErrorKind::unavailable, "while registering module '" + title + "': " + error.what());
+    throw Error(ErrorKind::unavailable, "plugin.module.registration",
+                "while registering module '" + title + "': " + error.what());
   } catch (...) {
-    throw Error(ErrorKind::unavailable, "while registering module '" + title + "': an unknown exception");
+    throw Error(ErrorKind::unavailable, "plugin.module.registration",
+                "while registering module '" + title + "': an unknown exception");
   }
   trial.set_current_module({});
   registry = std::move(trial);
@@ -68,7 +71,8 @@ std::vector<std::string> trusted_folders() {
   for (std::string folder; std::getline(stream, folder, ':');) {
     if (folder.empty()) continue;
     if (!fs::path(folder).is_absolute())
-      throw Error(ErrorKind::unavailable, "SEMFIELD_PLUGIN_PATH: '" + folder + "' is no absolute folder",
+      throw Error(ErrorKind::unavailable, "config.environment.value",
+                  "SEMFIELD_PLUGIN_PATH: '" + folder + "' is no absolute folder",
                   "name folders from the root, separated by colons");
     folders.push_back(real_path(folder));
   }
@@ -89,7 +93,8 @@ void refuse_broken(const std::string& file, const std::string& doing, Diagnostic
   const std::optional<FileVerdict> found =
       read_verdict(file, SEMFIELD_VERSION_TEXT, notes == nullptr ? unread : *notes);
   if (!found || found->passed()) return;
-  throw Error(ErrorKind::unavailable, doing + ": it was checked, and broke a law: " + found->fault,
+  throw Error(ErrorKind::unavailable, "plugin.module.broken_law",
+              doing + ": it was checked, and broke a law: " + found->fault,
               "mend it and run `semfield plugins check " + shell_word(file) + "` again, or remove " +
                   shell_word(found->entry) + " to load it as it is");
 }
@@ -101,13 +106,13 @@ const char* abi_tag_of_framework() { return SEMFIELD_ABI_TAG; }
 void check_interface(int api, const std::string& abi_tag) {
   if (api != kPluginApi) {
     throw Error(
-        ErrorKind::unavailable,
+        ErrorKind::unavailable, "plugin.module.api",
         "the module speaks plugin API " + std::to_string(api) + ", this framework speaks " + std::to_string(kPluginApi),
         "rebuild the plugin against the installed headers");
   }
   const std::string ours = abi_tag_of_framework();
   if (abi_tag != ours) {
-    throw Error(ErrorKind::unavailable,
+    throw Error(ErrorKind::unavailable, "plugin.module.abi",
                 "the module was built with ABI '" + abi_tag + "', this framework with '" + ours + "'",
                 "build both with the same standard library and its options");
   }
@@ -126,7 +131,7 @@ void load_module(Registry& registry, const std::string& path, const LoadOptions&
   const std::string doing = "cannot load plugin '" + path + "'";
   std::error_code ignored;
   if (!fs::is_regular_file(path, ignored)) {
-    throw Error(ErrorKind::unavailable, doing + ": there is no such file",
+    throw Error(ErrorKind::unavailable, "plugin.module.missing", doing + ": there is no such file",
                 "check the path; in a configuration it starts at the file that wrote it");
   }
   // Absolute: a name without a slash would be searched in the library path, which is not what was asked for.
@@ -145,13 +150,14 @@ void load_module(Registry& registry, const std::string& path, const LoadOptions&
   t_being_loaded.clear();
   if (library == nullptr) {
     const char* cause = dlerror();
-    throw Error(ErrorKind::unavailable, doing + ": " + (cause == nullptr ? "dlopen failed" : cause),
+    throw Error(ErrorKind::unavailable, "plugin.module.unloadable",
+                doing + ": " + (cause == nullptr ? "dlopen failed" : cause),
                 "build it as a shared module against the installed framework");
   }
   // Never dlclose: entries hold functions and type tables of the module until the program ends.
   const auto* module = static_cast<const PluginModule*>(dlsym(library, kSymbol));
   if (module == nullptr) {
-    throw Error(ErrorKind::unavailable, doing + ": it does not export '" + kSymbol + "'",
+    throw Error(ErrorKind::unavailable, "plugin.module.descriptor", doing + ": it does not export '" + kSymbol + "'",
                 "build it with SEMFIELD_LOADABLE_MODULE defined and end it with SEMFIELD_PLUGIN_MODULE(...)");
   }
   try {
@@ -177,9 +183,9 @@ void load_listed_module(Registry& registry, const std::string& path) {
   std::error_code none;
   if (!fs::is_regular_file(path, none))
     throw Error(
-        ErrorKind::unavailable, "cannot load plugin '" + path + "': there is no such file",
+        ErrorKind::unavailable, "plugin.module.missing", "cannot load plugin '" + path + "': there is no such file",
         "check the path, which starts at the file that wrote it, or name the module where it lies: --plugin FILE");
-  throw Error(ErrorKind::unavailable,
+  throw Error(ErrorKind::unavailable, "plugin.module.untrusted",
               "the module '" + path + "' was not loaded: it is code, and a configuration alone does not make it run",
               "if you trust it, add --plugin " + path +
                   " (in Python: semfield.load_plugin), or set SEMFIELD_PLUGIN_PATH to a folder that holds it");
@@ -200,10 +206,12 @@ void add_cuda_kernels_of_modules(Registry& registry) {
     t_being_loaded.clear();
     const char* cause = library == nullptr ? dlerror() : nullptr;
     if (library == nullptr)
-      throw Error(ErrorKind::unavailable, doing + ": " + (cause == nullptr ? "dlopen failed" : cause), remedy);
+      throw Error(ErrorKind::unavailable, "plugin.module.unloadable",
+                  doing + ": " + (cause == nullptr ? "dlopen failed" : cause), remedy);
     auto* const add = reinterpret_cast<void (*)(KernelTables&)>(dlsym(library, kCudaSymbol));
     if (add == nullptr)
-      throw Error(ErrorKind::unavailable, doing + ": it does not export '" + kCudaSymbol + "'", remedy);
+      throw Error(ErrorKind::unavailable, "plugin.module.descriptor",
+                  doing + ": it does not export '" + kCudaSymbol + "'", remedy);
     add(registry.kernels());
   }
 }

@@ -89,7 +89,7 @@ std::string plugin_details_text(const Registry& registry, const std::string& nam
   }
   if (!text.empty()) return text;
   const std::string near = did_you_mean(name, known);
-  throw Error(ErrorKind::config, "no plugin named '" + name + "'; known: " + join(known),
+  throw Error(ErrorKind::config, "plugin.name.unknown", "no plugin named '" + name + "'; known: " + join(known),
               near.empty() ? "" : "did you mean '" + near + "'?");
 }
 

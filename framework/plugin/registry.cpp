@@ -58,7 +58,7 @@ Registry::Registry() {
 void Registry::add(PluginEntry entry) {
   entry.module = current_module_;
   if (const PluginEntry* taken = find(entry.kind, entry.name)) {
-    throw Error(ErrorKind::unavailable,
+    throw Error(ErrorKind::unavailable, "plugin.name.taken",
                 "the " + std::string(kind_name(entry.kind)) + " name '" + entry.name + "' of module '" + entry.module +
                     "' is taken by module '" + taken->module + "'",
                 "give one of them another name or load only one");
@@ -71,7 +71,7 @@ const std::string& Registry::pack_reader() const {
   for (const auto& [key, entry] : entries_) {
     if (entry.reads_packs) return entry.name;
   }
-  throw Error(ErrorKind::unavailable, "no dataset of this build reads packed scenes",
+  throw Error(ErrorKind::unavailable, "plugin.dataset.packed", "no dataset of this build reads packed scenes",
               "take `pack` out of the sweep's scenes");
 }
 
@@ -86,7 +86,7 @@ const PluginEntry& Registry::get(PluginKind kind, std::string_view name) const {
   std::string text = "no " + std::string(kind_name(kind)) + " named '" + std::string(name) +
                      "'; known: " + (known.empty() ? "none" : join(known));
   const std::string near = did_you_mean(name, known);
-  throw Error(ErrorKind::config, text, near.empty() ? "" : "did you mean '" + near + "'?");
+  throw Error(ErrorKind::config, "plugin.name.unknown", text, near.empty() ? "" : "did you mean '" + near + "'?");
 }
 
 std::vector<const PluginEntry*> Registry::entries() const {

@@ -10,7 +10,7 @@
 namespace semfield {
 
 void bad_ray_limits(std::int64_t ray, double near_m, double far_m) {
-  throw Error(ErrorKind::data,
+  throw Error(ErrorKind::data, "scene.rays.limits",
               "ray " + std::to_string(ray) + " runs from " + std::to_string(near_m) + " to " + std::to_string(far_m) +
                   " m; samples need finite limits",
               "set a finite far distance");

@@ -22,7 +22,7 @@ void fail_shape(const char* call, const char* view, std::int64_t rows, std::int3
 }
 
 void fail(const char* call, const std::string& what) {
-  throw Error(ErrorKind::internal, std::string(call) + ": " + what);
+  throw Error(ErrorKind::internal, "internal.view.shape", std::string(call) + ": " + what);
 }
 
 }  // namespace semfield::view_checks

@@ -20,7 +20,8 @@ std::unique_ptr<Ranks> join_ranks([[maybe_unused]] const Launched& by) {
       "install OpenMPI (package openmpi-bin), or start one process"));
   return std::unique_ptr<Ranks>(join(&by));
 #else
-  throw Error(ErrorKind::unavailable, by.by + " started several processes, but this build has no MPI",
+  throw Error(ErrorKind::unavailable, "ranks.mpi.missing",
+              by.by + " started several processes, but this build has no MPI",
               "build where MPI is found (package libopenmpi-dev), or start one process");
 #endif
 }

@@ -18,7 +18,8 @@ namespace {
 constexpr std::string_view kRemedy = "start the program by mpirun or srun itself, or unset the variable";
 
 Error senseless(const std::string& name, const std::string& value, const std::string& why) {
-  return {ErrorKind::config, "environment variable " + name + ": '" + value + "' " + why, std::string(kRemedy)};
+  return {ErrorKind::config, "ranks.launcher.variable", "environment variable " + name + ": '" + value + "' " + why,
+          std::string(kRemedy)};
 }
 
 class Environment {
@@ -45,7 +46,7 @@ class Environment {
   // Of a pair that a launcher sets together, both.
   void demand(const char* name, const char* because) const {
     if (has(name)) return;
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "ranks.launcher.variable",
                 std::string("environment variable ") + name + " is not set, although " + because + " is",
                 std::string(kRemedy));
   }

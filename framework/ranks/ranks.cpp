@@ -35,10 +35,12 @@ void agree(Ranks& ranks, const std::function<void()>& work) {
   std::size_t failed = 0;
   while (failed < kinds.size() && kinds[failed] == kSound) ++failed;
   if (failed == kinds.size()) return;
+  const std::vector<std::string> codes = texts_of(ranks, own ? own->code().text() : "");
   const std::vector<std::string> messages = texts_of(ranks, own ? own->message() : "");
   const std::vector<std::string> remedies = texts_of(ranks, own ? own->remedy() : "");
   if (thrown) std::rethrow_exception(thrown);
-  throw Error(static_cast<ErrorKind>(kinds[failed]), messages[failed], remedies[failed]);
+  const Code code = Code::parse(codes[failed]).value_or(Code("internal.exception"));
+  throw Error(static_cast<ErrorKind>(kinds[failed]), code, messages[failed], remedies[failed]);
 }
 
 std::pair<std::int64_t, std::int64_t> part_of(std::int64_t count, int rank, int size) {

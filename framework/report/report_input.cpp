@@ -105,7 +105,7 @@ std::vector<WorstFrame> parse_worst_frames(std::string_view json, const std::str
   try {
     for (const nlohmann::json& row : nlohmann::json::parse(json)) frames.push_back({row.at("frame"), row.at("score")});
   } catch (const nlohmann::json::exception& e) {
-    throw Error(ErrorKind::data, fmt::format("'{}' cannot be read: {}", name, e.what()),
+    throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' cannot be read: {}", name, e.what()),
                 "delete it; a report does without");
   }
   return frames;
@@ -113,7 +113,8 @@ std::vector<WorstFrame> parse_worst_frames(std::string_view json, const std::str
 
 ReportInput read_report_input(const std::vector<std::string>& run_folders, int most_frames) {
   if (run_folders.empty())
-    throw Error(ErrorKind::usage, "a report needs a run folder", "give one or more folders that `train` printed");
+    throw Error(ErrorKind::usage, "usage.word.missing", "a report needs a run folder",
+                "give one or more folders that `train` printed");
   ReportInput input;
   std::set<std::string> taken;
   std::vector<std::string> names;

@@ -54,7 +54,8 @@ std::vector<CheckpointStore::Entry> CheckpointStore::list() const {
   } while (error == std::errc::interrupted);
   // Not the same as no checkpoints: a run that took it for that would start over.
   if (error && error != std::errc::no_such_file_or_directory) {
-    throw Error(ErrorKind::io, fmt::format("cannot read the folder '{}': {}", folder_, error.message()),
+    throw Error(ErrorKind::io, "files.folder.unreadable",
+                fmt::format("cannot read the folder '{}': {}", folder_, error.message()),
                 "check the permissions and the disk");
   }
   std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.step > b.step; });
@@ -103,12 +104,12 @@ std::optional<CheckpointStore::Found> CheckpointStore::find_latest(Diagnostics& 
     try {
       return Found{entry.step, entry.path, TensorFile::read(entry.path)};
     } catch (const Error& error) {
-      diagnostics.warning(entry.path, error.message(), "an older checkpoint is tried");
+      diagnostics.warning(error.code(), entry.path, error.message(), "an older checkpoint is tried");
       causes += "\n" + error.message();
     }
   }
   if (entries.empty()) return std::nullopt;
-  throw Error(ErrorKind::data,
+  throw Error(ErrorKind::data, "checkpoint.none.readable",
               fmt::format("none of the {} checkpoints in '{}' can be read:{}", entries.size(), folder_, causes),
               "train again, or copy a checkpoint from a backup");
 }

@@ -63,7 +63,8 @@ std::string compiler() {
 Json parse(std::string_view text, const std::string& name) {
   Json json = Json::parse(text.begin(), text.end(), nullptr, false);
   if (json.is_discarded())
-    throw Error(ErrorKind::data, fmt::format("'{}' is not JSON", name), "restore the file, or delete it");
+    throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' is not JSON", name),
+                "restore the file, or delete it");
   return json;
 }
 
@@ -105,7 +106,8 @@ std::string environment_json(const Environment& e) {
 std::vector<std::pair<std::string, std::string>> parse_environment(std::string_view text, const std::string& name) {
   const Json json = parse(text, name);
   if (!json.is_object())
-    throw Error(ErrorKind::data, fmt::format("'{}' is not a JSON object", name), "restore the file, or delete it");
+    throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' is not a JSON object", name),
+                "restore the file, or delete it");
   std::vector<std::pair<std::string, std::string>> entries;
   for (const auto& [key, value] : json.items()) {
     std::string shown = value.is_string() ? value.get<std::string>() : value.dump();
@@ -155,7 +157,8 @@ std::string left_out_json(const std::vector<LeftOutRow>& rows) {
 std::vector<LeftOutRow> parse_left_out(std::string_view text, const std::string& name) {
   const Json json = parse(text, name);
   if (!json.is_array())
-    throw Error(ErrorKind::data, fmt::format("'{}' is not a list", name), "restore the file, or delete it");
+    throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' is not a list", name),
+                "restore the file, or delete it");
   std::vector<LeftOutRow> rows;
   for (const Json& object : json) {
     LeftOutRow row;
@@ -165,7 +168,8 @@ std::vector<LeftOutRow> parse_left_out(std::string_view text, const std::string&
       row.*field = value.is_string() ? value.get<std::string>() : value.is_null() ? "" : value.dump();
     }
     if (row.component.empty()) {
-      throw Error(ErrorKind::data, fmt::format("'{}': row {} names no component", name, rows.size() + 1),
+      throw Error(ErrorKind::data, "run.record.damaged",
+                  fmt::format("'{}': row {} names no component", name, rows.size() + 1),
                   "restore the file, or delete it");
     }
     rows.push_back(std::move(row));

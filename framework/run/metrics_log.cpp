@@ -21,7 +21,8 @@ using Json = nlohmann::ordered_json;
 
 MetricsRow parse_row(std::string_view line, const std::string& place) {
   const auto fail = [&](const std::string& what) -> Error {
-    return Error(ErrorKind::data, place + ": " + what, "delete the line, or the rows from there on");
+    return Error(ErrorKind::data, "run.metrics.damaged", place + ": " + what,
+                 "delete the line, or the rows from there on");
   };
   const Json json = Json::parse(line.begin(), line.end(), nullptr, false);
   if (!json.is_object()) throw fail("not a JSON object");
@@ -113,7 +114,8 @@ std::vector<MetricsRow> read_metrics(const std::string& path) { return parse_met
 MetricsLog MetricsLog::open(const std::string& path) {
   const int descriptor = open_for_appending(path);
   if (descriptor < 0) {
-    throw Error(ErrorKind::cannot_create, fmt::format("cannot open '{}' for writing: {}", path, std::strerror(errno)),
+    throw Error(ErrorKind::cannot_create, "files.write.failed",
+                fmt::format("cannot open '{}' for writing: {}", path, std::strerror(errno)),
                 "make the run folder writable, or choose another with --out");
   }
   return MetricsLog(path, descriptor);
@@ -122,7 +124,7 @@ MetricsLog MetricsLog::open(const std::string& path) {
 MetricsLog MetricsLog::create(const std::string& path) {
   std::error_code ignored;
   if (std::filesystem::exists(path, ignored) && std::filesystem::file_size(path, ignored) > 0) {
-    throw Error(ErrorKind::cannot_create, fmt::format("'{}' holds rows already", path),
+    throw Error(ErrorKind::cannot_create, "run.folder.used", fmt::format("'{}' holds rows already", path),
                 "resume the run, or choose another folder with --out");
   }
   return open(path);

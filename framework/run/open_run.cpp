@@ -29,9 +29,9 @@ void add_untold(const Diagnostics& found, const std::string& told_path, Diagnost
   for (const Diagnostic& finding : found.all()) {
     if (told.contains(finding.text())) continue;
     if (finding.severity == Severity::warning) {
-      diagnostics.warning(finding.where, finding.message, finding.remedy);
+      diagnostics.warning(finding.code, finding.where, finding.message, finding.remedy);
     } else {
-      diagnostics.note(finding.where, finding.message);
+      diagnostics.note(finding.code, finding.where, finding.message);
     }
   }
 }
@@ -46,7 +46,7 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   const CheckpointStore store = CheckpointStore::read(folder.checkpoints_path());
   std::optional<CheckpointStore::Found> found = store.find_latest(diagnostics);
   if (!found) {
-    throw Error(ErrorKind::no_input, run_dir + ": the run has no checkpoint yet",
+    throw Error(ErrorKind::no_input, "checkpoint.none.yet", run_dir + ": the run has no checkpoint yet",
                 "train it from step 0 with `semfield train --resume " + shell_word(run_dir) + "`");
   }
   const CheckpointFacts facts = read_checkpoint_facts(found->file, found->step);

@@ -44,7 +44,7 @@ std::optional<ConfigNode> settings_of(const RunFolder& folder, const Side& side,
   for (const ConfigDifference& change : changes_of_identity(settings, resolved_config(*written)))
     edited += (edited.empty() ? "" : ", ") + change.text();
   if (!edited.empty()) {
-    diagnostics.warning(folder.config_path(), "it is not as the run was trained: " + edited,
+    diagnostics.warning("run.config.edited", folder.config_path(), "it is not as the run was trained: " + edited,
                         "restore it; the settings in the checkpoints are compared");
   }
   return settings;
@@ -55,7 +55,7 @@ Side read_side(const std::string& run_dir, Registry& registry, Diagnostics& diag
   std::optional<CheckpointStore::Found> found =
       CheckpointStore::read(folder.checkpoints_path()).find_latest(diagnostics);
   if (!found) {
-    throw Error(ErrorKind::no_input, run_dir + ": the run has no checkpoint yet",
+    throw Error(ErrorKind::no_input, "checkpoint.none.yet", run_dir + ": the run has no checkpoint yet",
                 "train it from step 0 with `semfield train --resume " + shell_word(run_dir) + "`");
   }
   Side side;

@@ -28,7 +28,7 @@ bool holds_files(const std::string& path) {
 Error cannot_write(const std::string& path, int cause) {
   const bool full = cause == ENOSPC || cause == EDQUOT;
   const bool closed = cause == EACCES || cause == EROFS || cause == EPERM;
-  return Error(ErrorKind::cannot_create,
+  return Error(ErrorKind::cannot_create, "run.folder.unwritable",
                fmt::format("cannot write in the run folder '{}': {}", path,
                            full     ? "the disk is full"
                            : closed ? "it is read-only for this user"
@@ -55,7 +55,8 @@ bool RunFolder::lock(bool may_create) {
   if (cause == 0) return true;
   if (cause == ENOENT && !may_create) return false;
   if (cause != EWOULDBLOCK) throw cannot_write(path_, cause);
-  throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' is in use by {}", path_, lock_.holder()),
+  throw Error(ErrorKind::cannot_create, "run.folder.busy",
+              fmt::format("the run folder '{}' is in use by {}", path_, lock_.holder()),
               "wait for it to end, stop it, or choose another folder with --out");
 }
 
@@ -64,20 +65,22 @@ RunFolder RunFolder::create(const std::string& path) {
   try {
     create_folders(path);
   } catch (const Error& error) {
-    throw Error(ErrorKind::cannot_create, error.message(), "choose a folder that you may write to with --out");
+    throw Error(ErrorKind::cannot_create, "run.folder.unwritable", error.message(),
+                "choose a folder that you may write to with --out");
   }
   // An existing lock first: "in use by process 17" says more than "holds files". No lock file is left in a folder of
   // others.
   const bool locked = folder.lock(false);
   if (locked) remove_stale_temporaries(path);  // of a run killed before its run.yaml was there
   if (holds_files(path)) {
-    throw Error(ErrorKind::cannot_create, fmt::format("the run folder '{}' holds files already", path),
+    throw Error(ErrorKind::cannot_create, "run.folder.used",
+                fmt::format("the run folder '{}' holds files already", path),
                 fmt::format("resume that run with --resume {}, or choose another folder with --out", path));
   }
   if (!locked) {
     folder.lock(true);
     if (holds_files(path))
-      throw Error(ErrorKind::cannot_create, fmt::format("another process has just used '{}'", path),
+      throw Error(ErrorKind::cannot_create, "run.folder.used", fmt::format("another process has just used '{}'", path),
                   "choose another folder with --out");
   }
   return folder;
@@ -93,12 +96,12 @@ RunFolder RunFolder::resume(const std::string& path) {
 RunFolder RunFolder::read(const std::string& path) {
   RunFolder folder(path);
   if (!fs::is_directory(path)) {
-    throw Error(ErrorKind::no_input, fmt::format("there is no run folder '{}'", path),
+    throw Error(ErrorKind::no_input, "run.folder.missing", fmt::format("there is no run folder '{}'", path),
                 "give the folder that `train` printed");
   }
   if (!fs::exists(folder.config_path())) {
     throw Error(
-        ErrorKind::no_input, fmt::format("'{}' holds no run.yaml: it is not a run folder", path),
+        ErrorKind::no_input, "run.folder.foreign", fmt::format("'{}' holds no run.yaml: it is not a run folder", path),
         "give the folder that `train` printed; for the folder of a scene `semfield init` writes a configuration");
   }
   return folder;

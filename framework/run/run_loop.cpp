@@ -206,11 +206,12 @@ std::string RunLoop::save(const std::string& run_dir) {
   const WorkScope scope(work_);
   const std::string own = folder_ ? place_of(folder_->path()) : saved_in_;
   if (own.empty() && run_dir.empty())
-    throw Error(ErrorKind::usage, "the run has no folder yet", "name the folder to save it in");
+    throw Error(ErrorKind::usage, "run.folder.unnamed", "the run has no folder yet", "name the folder to save it in");
   const std::string place = run_dir.empty() ? own : place_of(run_dir);
   if (!folder_) return save_without_folder(place);
   if (place != own)
-    throw Error(ErrorKind::usage, "the run has the folder '" + own + "' and cannot be saved in '" + run_dir + "'",
+    throw Error(ErrorKind::usage, "run.folder.own",
+                "the run has the folder '" + own + "' and cannot be saved in '" + run_dir + "'",
                 "save it in its own folder; a copy of the folder is a run too");
   write_rows();
   return write_checkpoint(*checkpoints_, *log_);
@@ -224,7 +225,7 @@ std::string RunLoop::save_without_folder(const std::string& place) {
   if (again) {
     const std::vector<CheckpointStore::Entry> there = CheckpointStore::read(folder.checkpoints_path()).list();
     if (!there.empty() && there.front().path != last_saved_)
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "run.folder.ahead",
                   "somebody went on with the run in '" + place + "': its newest checkpoint is " + there.front().path,
                   "save this one in another folder");
   }

@@ -30,7 +30,7 @@ void require_same_run(const std::vector<ConfigDifference>& identity, const RunFo
     keep += set_text(change.key, change.left);
     anew += set_text(change.key, change.right);
   }
-  throw Error(ErrorKind::config,
+  throw Error(ErrorKind::config, "run.config.other",
               fmt::format("{}: that would be another run than the one in '{}'", changes, folder.path()),
               fmt::format("to resume that one: semfield train --resume {}{}; to train anew: semfield train {}{} "
                           "--out NEW_FOLDER",
@@ -70,7 +70,7 @@ ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, 
   if (!before) before = load_run_config(folder.config_path(), {}, registry);
   if (point.facts && point.facts->seed != before->runtime.seed) {
     throw Error(
-        ErrorKind::data,
+        ErrorKind::data, "checkpoint.seed.differs",
         fmt::format("'{}': its seed is {}, its settings say {}", point.path, point.facts->seed, before->runtime.seed),
         "resume from another checkpoint of the run: move this file out of the folder");
   }
@@ -130,10 +130,12 @@ bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfi
   }
   if (!edited.empty()) {
     throw Error(
-        ErrorKind::config, fmt::format("'{}' is not as the run was trained: {}", folder.config_path(), join(edited)),
+        ErrorKind::config, "run.config.edited",
+        fmt::format("'{}' is not as the run was trained: {}", folder.config_path(), join(edited)),
         fmt::format("for the settings of training add{}, or restore the file; for the file's add{}", back, keep));
   }
-  if (!asked.empty()) diagnostics.note("settings", "other ones than the run was trained with: " + join(asked));
+  if (!asked.empty())
+    diagnostics.note("run.config.settings", "settings", "other ones than the run was trained with: " + join(asked));
   return same_scene;
 }
 

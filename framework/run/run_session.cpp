@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <utility>
 
+#include "core/findings.h"
 #include "labels/clicks/click_file.h"
 
 namespace semfield {
@@ -21,7 +22,7 @@ OpenedForTraining open(RunConfig config, Registry& registry, const RunSessionOpt
   if (labels.clicks.empty() && labels.class_room > 0 && !options.run_dir.empty())
     labels.clicks = (std::filesystem::absolute(options.run_dir) / kClickFile).string();
   if (options.run_dir.empty() && !config.self_training.at.empty())
-    throw Error(ErrorKind::usage,
+    throw Error(ErrorKind::usage, "run.folder.unnamed",
                 "train.self_training: its rounds are written to the run's folder, and this run has none",
                 "name a folder when the run is opened");
   return open_for_training(std::move(config), registry, request, listener);
@@ -36,7 +37,7 @@ RunSession::RunSession(RunConfig config, Registry& registry, const RunSessionOpt
 bool RunSession::apply(const LabelEvent& event) {
   const LabelConfig& labels = session().config.labels;
   if (!annotations_ || labels.selection.clicks.empty())
-    throw Error(ErrorKind::usage, "the run has no file of clicks",
+    throw Error(ErrorKind::usage, "labels.clicks.missing", "the run has no file of clicks",
                 "open it with a folder and scene.labels.class_room, or with scene.labels.clicks");
   if (!clicks_) {  // not before somebody clicks: to learn from another run's clicks is no reason to hold their file
     Diagnostics ignored;  // told when the scene was opened by the file
@@ -58,7 +59,7 @@ bool RunSession::apply(const LabelEvent& event) {
   try {
     write_classes();
   } catch (const Error& error) {  // the event is stored already: a later one writes the file
-    listener().warning(std::string("classes.yaml is behind the classes: ") + error.what());
+    listener().warning("classes.yaml is behind the classes: " + shown(error));
   }
   return true;
 }

@@ -75,10 +75,12 @@ Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes 
                                std::abs(dot(column[0], column[2])), std::abs(length(column[0]) - 1),
                                std::abs(length(column[1]) - 1), std::abs(length(column[2]) - 1)});
   if (!(off < 1e-3) || dot(cross(column[0], column[1]), column[2]) < 0) {
-    throw Error(ErrorKind::data, where + ": the 3x3 part is no rotation", "give camera-to-world matrices");
+    throw Error(ErrorKind::data, "render.path.pose", where + ": the 3x3 part is no rotation",
+                "give camera-to-world matrices");
   }
   if (m.size() == 16 && (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1)) {
-    throw Error(ErrorKind::data, where + ": the last row is not 0 0 0 1", "give camera-to-world matrices, row by row");
+    throw Error(ErrorKind::data, "render.path.pose", where + ": the last row is not 0 0 0 1",
+                "give camera-to-world matrices, row by row");
   }
   if (axes != CameraAxes::right_down_forward) column[1] = column[1] * -1.0;
   if (axes == CameraAxes::right_up_backward) column[2] = column[2] * -1.0;
@@ -111,7 +113,7 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
       const auto [end, code] = std::from_chars(begin, word.data() + word.size(), value);
       const bool tiny = code == std::errc::result_out_of_range && word.find("e-") != std::string::npos;
       if (end != word.data() + word.size() || !(code == std::errc{} || tiny) || !std::isfinite(value)) {
-        throw Error(ErrorKind::data,
+        throw Error(ErrorKind::data, "render.path.number",
                     path + ":" + std::to_string(number) + ": '" + word.substr(0, 40) + "' is not a finite number",
                     "write finite numbers, and leave out poses that are lost");
       }
@@ -119,18 +121,20 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
     }
     if (row.size() != 16 && row.size() != 12 && row.size() != 4) {
       throw Error(
-          ErrorKind::data,
+          ErrorKind::data, "render.path.format",
           path + ":" + std::to_string(number) + ": expected 4, 12 or 16 numbers, got '" + line.substr(0, 80) + "'",
           "write one camera-to-world matrix a line, or one matrix row a line");
     }
     rows.push_back(std::move(row));
     lines.push_back(number);
   }
-  if (rows.empty()) throw Error(ErrorKind::data, path + ": holds no pose", "write one camera-to-world matrix a line");
+  if (rows.empty())
+    throw Error(ErrorKind::data, "render.path.empty", path + ": holds no pose",
+                "write one camera-to-world matrix a line");
   std::size_t per_pose = 1;
   if (rows[0].size() == 4) per_pose = rows.size() >= 4 && rows[3] == std::vector<double>{0, 0, 0, 1} ? 4 : 3;
   if (rows.size() % per_pose != 0) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "render.path.format",
                 path + ": " + std::to_string(rows.size()) + " lines are no multiple of " + std::to_string(per_pose),
                 "the file was cut short");
   }
@@ -140,7 +144,7 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
     for (std::size_t k = 0; k < per_pose; ++k) m.insert(m.end(), rows[i + k].begin(), rows[i + k].end());
     const std::string where = path + ":" + std::to_string(lines[i]);
     if (m.size() != 12 && m.size() != 16)
-      throw Error(ErrorKind::data, where + ": expected 12 or 16 numbers a pose",
+      throw Error(ErrorKind::data, "render.path.format", where + ": expected 12 or 16 numbers a pose",
                   "write all poses of a file in the same form");
     poses.push_back(pose_of(m, where, axes));
   }

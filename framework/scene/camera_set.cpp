@@ -55,7 +55,7 @@ Json json_of(const PlacedCamera& placed) {
 
 [[noreturn]] void refuse(const std::string& path, const std::string& what) {
   throw Error(
-      ErrorKind::data, path + ": " + what,
+      ErrorKind::data, "render.cameras.format", path + ": " + what,
       "give a cameras.json as `semfield render` writes it, or a text file with a camera-to-world matrix a line");
 }
 
@@ -91,7 +91,9 @@ class CameraReader {
   }
 
  private:
-  void error(const std::string& what, const std::string& remedy) { diagnostics_.error(place_, what, remedy); }
+  void error(const std::string& what, const std::string& remedy) {
+    diagnostics_.error("render.cameras.entry", place_, what, remedy);
+  }
 
   void check_keys() {
     std::vector<std::string> known{"name", "width", "height"};
@@ -207,7 +209,8 @@ CameraSet read_cameras(const std::string& path, Diagnostics& diagnostics) {
     const std::string place = fmt::format("{}: camera {}", path, i);
     std::optional<PlacedCamera> camera = CameraReader(root["cameras"][i], place, diagnostics).read();
     if (!camera) continue;
-    if (const auto wrong = names.add(camera->name)) diagnostics.error(place, *wrong, kFrameNameRemedy);
+    if (const auto wrong = names.add(camera->name))
+      diagnostics.error("scene.frame.name", place, *wrong, kFrameNameRemedy);
     set.cameras.push_back(std::move(*camera));
   }
   diagnostics.throw_if_errors(ErrorKind::data, "the cameras have problems:");

@@ -9,7 +9,8 @@ Split HoldOut::split_of(std::size_t rank, std::size_t frames) const {
 
 void check_test_every(std::int32_t every, Diagnostics& diagnostics) {
   if (every == 1)
-    diagnostics.error("test_every", "1 leaves no frame to train on", "take 2 or more, or 0 for no test frames");
+    diagnostics.error("scene.split.empty", "test_every", "1 leaves no frame to train on",
+                      "take 2 or more, or 0 for no test frames");
 }
 
 }  // namespace semfield

@@ -34,7 +34,8 @@ std::optional<std::string> OutputNames::add(const std::string& frame) {
 void check_output_names(const SceneInfo& info, Diagnostics& diagnostics) {
   OutputNames names;
   for (const FrameInfo& frame : info.frames) {
-    if (const auto wrong = names.add(frame.name)) diagnostics.error(frame_place(frame), *wrong, kFrameNameRemedy);
+    if (const auto wrong = names.add(frame.name))
+      diagnostics.error("scene.frame.name", frame_place(frame), *wrong, kFrameNameRemedy);
   }
 }
 

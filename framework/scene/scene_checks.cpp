@@ -48,7 +48,7 @@ void check_focal(const Camera& camera, const std::string& place, Diagnostics& di
   const bool positive = camera.fx > 0 && camera.fy > 0;
   if (is_focal(camera.fx, camera.width_px) && is_focal(camera.fy, camera.height_px)) return;
   diagnostics.error(
-      place,
+      "scene.camera.focal", place,
       "focal length is " + number(camera.fx) + " x " + number(camera.fy) + " pixels; it must be " +
           (positive ? "between a thousandth and a million times the image, which has " +
                           std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) + " pixels"
@@ -115,7 +115,7 @@ bool check_last_row(std::span<const double> numbers, const std::string& place, D
     good = good && std::abs(row[i] - (i == 3 ? 1.0 : 0.0)) < 1e-6;
   }
   if (good || !finite) return true;
-  diagnostics.error(place, "the last row of the pose is not 0 0 0 1",
+  diagnostics.error("scene.pose.last_row", place, "the last row of the pose is not 0 0 0 1",
                     "write camera-to-world matrices row by row; a transposed one has its centre there");
   return false;
 }
@@ -125,17 +125,19 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
   const double error = orthonormal_error(pose);
   const double determinant = dot(cross(pose.axis(0), pose.axis(1)), pose.axis(2));
   if (error > 1e-3) {
-    diagnostics.error(place,
+    diagnostics.error("scene.pose.rotation", place,
                       "pose is no rotation: its axes are " + number(error) + " off orthonormal (1e-3 is allowed)",
                       "check that the matrix is camera-to-world, row by row, without a scale");
     return PoseState::refused;
   }
   if (determinant < 0) {
-    diagnostics.error(place, "pose mirrors the scene (determinant -1)", "flip one camera axis in the export");
+    diagnostics.error("scene.pose.mirrored", place, "pose mirrors the scene (determinant -1)",
+                      "flip one camera axis in the export");
     return PoseState::refused;
   }
   if (error > 1e-5) {
-    diagnostics.warning(place, "pose is " + number(error) + " off orthonormal and was made orthonormal",
+    diagnostics.warning("scene.pose.rounded", place,
+                        "pose is " + number(error) + " off orthonormal and was made orthonormal",
                         "export poses with more digits");
   }
   if (error > 1e-9) make_rotation(pose);
@@ -146,15 +148,18 @@ void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, c
                     Diagnostics& diagnostics) {
   if (kept == 0) {
     diagnostics.error(
-        source, skipped.empty() ? "no frames in it" : "all " + std::to_string(skipped.size()) + " poses are not finite",
+        "scene.frames.none", source,
+        skipped.empty() ? "no frames in it" : "all " + std::to_string(skipped.size()) + " poses are not finite",
         skipped.empty() ? "check the path" : "track the cameras again");
   }
   if (skipped.empty() || kept == 0) return;
   std::vector<std::string> shown(
       skipped.begin(), skipped.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(8, skipped.size())));
   if (shown.size() < skipped.size()) shown.push_back("...");
-  diagnostics.warning(source, std::to_string(skipped.size()) + " of " + std::to_string(skipped.size() + kept) +
-                                  " frames skipped: their poses are not finite (" + join(shown) + ")");
+  diagnostics.warning("scene.pose.skipped", source,
+                      std::to_string(skipped.size()) + " of " + std::to_string(skipped.size() + kept) +
+                          " frames skipped: their poses are not finite (" + join(shown) + ")",
+                      {});
 }
 
 void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics) {
@@ -164,39 +169,43 @@ void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics) {
     const std::string place = frame_place(frame);
     if (named.count(place) > 0) continue;
     if (!finite(frame.world_from_camera)) {
-      diagnostics.error(place, "pose has a number that is not finite", "the dataset must leave such frames out");
+      diagnostics.error("scene.pose.not_finite", place, "pose has a number that is not finite",
+                        "the dataset must leave such frames out");
     } else if (!finite(frame.camera)) {
-      diagnostics.error(place, "camera has an intrinsic that is not finite", "calibrate again");
+      diagnostics.error("scene.camera.not_finite", place, "camera has an intrinsic that is not finite",
+                        "calibrate again");
     } else {
       check_focal(frame.camera, place, diagnostics);
     }
   }
   if (!std::isfinite(info.near_hint_m) || !std::isfinite(info.far_hint_m)) {
-    diagnostics.error(info.name,
+    diagnostics.error("scene.bounds.not_finite", info.name,
                       "near and far distance of the dataset are " + number(info.near_hint_m) + " and " +
                           number(info.far_hint_m) + " m; they must be finite",
                       "set scene.load.near_m and scene.load.far_m");
   }
   if (!finite(info.bounds) || !finite(info.limit))
-    diagnostics.error(info.name, "the dataset's bounds are not finite", "set scene.load.bounds");
+    diagnostics.error("scene.bounds.not_finite", info.name, "the dataset's bounds are not finite",
+                      "set scene.load.bounds");
 }
 
 bool check_camera(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
   const int before = diagnostics.error_count();
   if (camera.width_px <= 0 || camera.height_px <= 0) {
-    diagnostics.error(place,
+    diagnostics.error("scene.image.size", place,
                       "image size is " + std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px),
                       "state the size in pixels");
     return false;
   }
   if (!finite(camera)) {
-    diagnostics.error(place, "camera has an intrinsic that is not finite", "calibrate again");
+    diagnostics.error("scene.camera.not_finite", place, "camera has an intrinsic that is not finite",
+                      "calibrate again");
     return false;
   }
   check_focal(camera, place, diagnostics);
   const auto outside = [](double c, int size) { return c < -size || c > 2.0 * size; };
   if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
-    diagnostics.error(place,
+    diagnostics.error("scene.camera.center", place,
                       "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
                           ") lies far outside the image of " + std::to_string(camera.width_px) + " x " +
                           std::to_string(camera.height_px) + " pixels",
@@ -209,9 +218,10 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
         lost += camera.direction(camera.width_px * i / 2.0, camera.height_px * j / 2.0) == Vec3d{0, 0, 0} ? 1 : 0;
     }
     if (lost == 9) {
-      diagnostics.error(place, "lens distortion has no inverse anywhere in the image", "calibrate again");
+      diagnostics.error("scene.camera.distortion", place, "lens distortion has no inverse anywhere in the image",
+                        "calibrate again");
     } else if (lost > 0) {
-      diagnostics.warning(place,
+      diagnostics.warning("scene.camera.masked", place,
                           "lens distortion has no inverse at " + std::to_string(lost) +
                               " of 9 points of the image; such pixels are masked",
                           "calibrate with points up to the image corners");
@@ -223,7 +233,7 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
 bool check_principal_point(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
   const std::string other = other_image(camera);
   if (other.empty()) return true;
-  diagnostics.error(place,
+  diagnostics.error("scene.camera.size", place,
                     "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
                         ") is the middle of an image " + other + " as this one of " + std::to_string(camera.width_px) +
                         " x " + std::to_string(camera.height_px) + " pixels: the intrinsics are that image's",

@@ -43,7 +43,8 @@ std::string first_of(const UnknownValues& values, const std::string& path, std::
 
 UnknownLabelError::UnknownLabelError(std::string noun, UnknownValues values, const std::string& path,
                                      std::int32_t width_px, std::string remedy)
-    : Error(ErrorKind::data, sentence(noun, counts_of(values), first_of(values, path, width_px)), std::move(remedy)),
+    : Error(ErrorKind::data, "labels.id.unknown", sentence(noun, counts_of(values), first_of(values, path, width_px)),
+            std::move(remedy)),
       noun_(std::move(noun)),
       first_(first_of(values, path, width_px)),
       values_(std::move(values)) {}
@@ -59,7 +60,7 @@ void report_unknown_labels(const std::vector<FrameInfo>& frames,
   }
   if (!first) return;
   const UnknownLabelError& e = *found[*first];
-  diagnostics.error(frame_place(frames[*first]), sentence(e.noun_, counts, e.first_), e.remedy());
+  diagnostics.error(e.code(), frame_place(frames[*first]), sentence(e.noun_, counts, e.first_), e.remedy());
 }
 
 }  // namespace semfield

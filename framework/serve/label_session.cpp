@@ -193,7 +193,7 @@ void LabelSession::save() {
   p.poke();
   p.changed.wait(lock, [&] { return p.saves_made >= mine || p.ended; });
   if (p.saves_made < mine && !p.state->failure.empty())
-    throw Error(ErrorKind::failure, "training has ended with an error: " + p.state->failure);
+    throw Error(ErrorKind::failure, "serve.training.failed", "training has ended with an error: " + p.state->failure);
   if (p.save_error) throw *p.save_error;
 }
 

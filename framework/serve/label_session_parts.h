@@ -25,7 +25,7 @@ std::optional<Error> error_of(const Work& work) {
   } catch (const Error& error) {
     return error;
   } catch (const std::exception& error) {
-    return Error(ErrorKind::failure, error.what());
+    return Error(ErrorKind::failure, "internal.exception", error.what());
   }
   return std::nullopt;
 }

@@ -1,4 +1,5 @@
 // The thread of a labelling session that trains: it takes clicks, serves pictures, saves, and publishes the state.
+#include "core/findings.h"
 #include "serve/label_session_parts.h"
 
 namespace semfield {
@@ -83,7 +84,7 @@ void LabelSession::Parts::save_if_wanted() {
   });
   const bool passes = error && is_write_error(*error);
   if (error && !passes && wanted_now == saves_made) return fail(*error);
-  const std::string trouble = passes ? error->what() : "";
+  const std::string trouble = passes ? shown(*error) : "";
   if (trouble != trouble_told) publish([&](LabelState& next) { next.trouble = trouble; });
   trouble_told = trouble;
   const std::lock_guard lock(mutex);
@@ -104,7 +105,7 @@ void LabelSession::Parts::write_record() {
 void LabelSession::Parts::fail(const Error& error) {
   failure = error;
   publish([&](LabelState& next) {
-    next.failure = error.what();
+    next.failure = shown(error);
     next.phase = "training has ended with an error; labels are stored";
   });
 }

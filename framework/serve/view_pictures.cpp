@@ -64,7 +64,7 @@ RayCamera ViewPictures::camera_for(const PictureRequest& request) const {
 void ViewPictures::begin(const PictureRequest& request) {
   request_.reset();
   const auto refuse = [](const std::string& what, const std::string& remedy) {
-    throw Error(ErrorKind::usage, "picture: " + what, remedy);
+    throw Error(ErrorKind::usage, "serve.picture.request", "picture: " + what, remedy);
   };
   if ((request.view < 0) != request.camera.has_value())
     refuse(request.camera ? "it is of both a view and a camera" : "it is of neither a view nor a camera",

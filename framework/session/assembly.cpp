@@ -41,15 +41,17 @@ std::unique_ptr<Encoder<Real>> make_encoder(const PluginSlot& slot, const Regist
                                                       encoder_build(extent, is_direction, device), registry);
   const EncoderTraits traits = encoder->traits();
   if (traits.in_dims != 3) {
-    throw Error(ErrorKind::config, path + ": encoder '" + slot.entry->name + "' reads " +
-                                       std::to_string(traits.in_dims) + " coordinates, but the scene has 3");
+    throw Error(ErrorKind::config, "config.encoder.inputs",
+                path + ": encoder '" + slot.entry->name + "' reads " + std::to_string(traits.in_dims) +
+                    " coordinates, but the scene has 3");
   }
   if (!is_direction && traits.domain == Domain::direction) {
-    throw Error(ErrorKind::config, path + ": encoder '" + slot.entry->name + "' encodes unit directions, not positions",
+    throw Error(ErrorKind::config, "config.encoder.domain",
+                path + ": encoder '" + slot.entry->name + "' encodes unit directions, not positions",
                 "choose a position encoder, or move it to 'direction'");
   }
   if (is_direction && traits.domain == Domain::unit_cube) {
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "config.encoder.domain",
                 path + ": encoder '" + slot.entry->name + "' encodes positions in a cube, not directions",
                 "choose a direction encoder");
   }
@@ -93,7 +95,7 @@ std::unique_ptr<BranchParts<Real>> make_branch(const BranchSlots& branch, const 
   parts->position =
       make_encoder<Real>(branch.position, build.registry, build.extent, false, build.device, branch.key + ".position");
   if (declared_bytes<Real>(*parts->position, 1, true).learns) {
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "config.encoder.learned",
                 branch.key + ".position: '" + branch.position.entry->name +
                     "' has learned tensors, and the branch is to be smoother than such tables",
                 "choose an encoder without learned tensors: " + join(smooth_encoders(build.registry)));
@@ -194,7 +196,7 @@ std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry
     if (p + 1 == config.passes.size()) sampler = std::move(last);
     passes.push_back(make_pass<Real>(p, build, std::move(sampler)));
     if (passes.size() == 1 && passes.back().sampler->traits().needs_previous) {
-      throw Error(ErrorKind::config,
+      throw Error(ErrorKind::config, "config.sampler.order",
                   pass.key + ".sampler: '" + pass.sampler.entry->name +
                       "' refines the weights of an earlier pass, but this is the first",
                   "put a pass with another sampler before it");
@@ -337,7 +339,7 @@ void say_slow_fields(const RunConfig& config, const std::vector<PassParts<float>
   const auto say = [&](const std::string& where, const Field<float>& field) {
     const auto* part = dynamic_cast<const SlowPath*>(&field);
     const std::string found = part == nullptr ? "" : part->slow_path();
-    if (!found.empty()) diagnostics.warning(where, found);
+    if (!found.empty()) diagnostics.warning("device.field.slow", where, found, {});
   };
   for (const PassParts<float>& pass : passes) {
     const PassConfig& written = config.passes[pass.number];

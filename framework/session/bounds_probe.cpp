@@ -74,7 +74,7 @@ void use_probed_extent(const SurveyedExtent& seen, LoadedScene& scene, SceneLoad
   scene.bounds_from = scene.near_far_from = fmt::format("a probe of {} steps", load.probe_steps);
   const Vec3d size = box.size();
   diagnostics.note(
-      "scene.load.bounds",
+      "scene.bounds.probed", "scene.load.bounds",
       fmt::format("{:.3g} x {:.3g} x {:.3g} and far {:.3g}: where a probe of {} steps shows surfaces; the "
                   "cameras alone gave {:.3g} x {:.3g} x {:.3g} and far {:.3g}, which probe_steps: 0 keeps",
                   size.x, size.y, size.z, load.far_m, load.probe_steps, before.x, before.y, before.z, far_before));

@@ -57,7 +57,7 @@ std::vector<float> principal_axes(const std::vector<const FrameChannel*>& maps, 
   }
   add();
   if (counted == 0)
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "scene.channel.empty",
                 fmt::format("channel '{}': every row that was looked at is zero",
                             maps.empty() ? std::string() : maps.front()->name),
                 "write maps whose rows are not all zero, or take the head out of the list `heads`");

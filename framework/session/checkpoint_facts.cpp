@@ -15,14 +15,15 @@ namespace {
 constexpr const char* kCheckpointFormat = "semfield-checkpoint-1";
 constexpr const char* kOtherCheckpoint = "resume from another checkpoint of the run: move this file out of the folder";
 
-[[noreturn]] void refuse(const TensorFile& file, const std::string& what,
+[[noreturn]] void refuse(Code code, const TensorFile& file, const std::string& what,
                          const std::string& remedy = kOtherCheckpoint) {
-  throw Error(ErrorKind::data, fmt::format("'{}': {}", file.name(), what), remedy);
+  throw Error(ErrorKind::data, code, fmt::format("'{}': {}", file.name(), what), remedy);
 }
 
 const std::string& text_of(const TensorFile& file, const std::string& key) {
   const auto entry = file.metadata().find(key);
-  if (entry == file.metadata().end()) refuse(file, fmt::format("metadata '{}' is missing", key));
+  if (entry == file.metadata().end())
+    refuse("checkpoint.metadata.damaged", file, fmt::format("metadata '{}' is missing", key));
   return entry->second;
 }
 
@@ -33,7 +34,8 @@ Number number_of(const TensorFile& file, const std::string& key) {
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
   const bool finite = std::isfinite(static_cast<double>(value));
   if (status != std::errc{} || end != text.data() + text.size() || !finite || value < 0)
-    refuse(file, fmt::format("metadata '{}' is '{}', no number of that kind", key, text));
+    refuse("checkpoint.metadata.damaged", file,
+           fmt::format("metadata '{}' is '{}', no number of that kind", key, text));
   return value;
 }
 
@@ -45,7 +47,8 @@ std::optional<EventsKnown> clicks_of(const TensorFile& file) {
   const auto events = std::from_chars(text->second.data(), end, known.events);
   const auto checksum = events.ptr < end ? std::from_chars(events.ptr + 1, end, known.checksum, 16) : events;
   if (checksum.ec != std::errc{} || checksum.ptr != end || checksum.ptr == events.ptr || known.events < 0)
-    refuse(file, fmt::format("metadata 'clicks' is '{}', no count and checksum", text->second));
+    refuse("checkpoint.metadata.damaged", file,
+           fmt::format("metadata 'clicks' is '{}', no count and checksum", text->second));
   return known;
 }
 
@@ -55,7 +58,7 @@ std::optional<SceneInputs> inputs_of(const TensorFile& file) {
   try {
     return read_inputs_text(text->second);
   } catch (const Error& error) {
-    refuse(file, fmt::format("metadata 'inputs' cannot be read: {}", error.message()));
+    refuse("checkpoint.metadata.damaged", file, fmt::format("metadata 'inputs' cannot be read: {}", error.message()));
   }
 }
 
@@ -65,7 +68,7 @@ std::map<std::string, std::string> modules_of(const TensorFile& file) {
   try {
     return nlohmann::json::parse(text->second).get<std::map<std::string, std::string>>();
   } catch (const nlohmann::json::exception& error) {
-    refuse(file, fmt::format("metadata 'modules' cannot be read: {}", error.what()));
+    refuse("checkpoint.metadata.damaged", file, fmt::format("metadata 'modules' cannot be read: {}", error.what()));
   }
 }
 
@@ -90,7 +93,8 @@ TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::stri
 
 CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
   if (const std::string format = text_of(file, "format"); format != kCheckpointFormat) {
-    refuse(file, fmt::format("its format is '{}', this program reads '{}'", format, kCheckpointFormat),
+    refuse("checkpoint.file.version", file,
+           fmt::format("its format is '{}', this program reads '{}'", format, kCheckpointFormat),
            "use the version of the program that wrote it, or train anew");
   }
   CheckpointFacts facts;
@@ -111,7 +115,7 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
 CheckpointFacts read_checkpoint_facts(const TensorFile& file, std::int64_t step) {
   CheckpointFacts facts = read_checkpoint_facts(file);
   if (facts.step != step) {
-    refuse(file, fmt::format("its name says step {}, its metadata step {}", step, facts.step),
+    refuse("checkpoint.file.name", file, fmt::format("its name says step {}, its metadata step {}", step, facts.step),
            fmt::format("name it step_{:08d}.safetensors", facts.step));
   }
   return facts;
@@ -131,9 +135,11 @@ void compare_training_labels(const KnownScene& trained, const SceneManifest& now
         fmt::format("class '{}' had {} labelled training pixels when the run began, and has {} now",
                     classes.valid(static_cast<int>(c)).name, before[c], after[c]);
     if ((before[c] == 0) != (after[c] == 0) && !every_class_has_a_logit)
-      throw Error(ErrorKind::data, what + ": the network has one logit for each class with such pixels",
+      throw Error(ErrorKind::data, "checkpoint.labels.changed",
+                  what + ": the network has one logit for each class with such pixels",
                   "restore the labels, or train anew with --out");
-    diagnostics.warning("scene", "the labels are not as they were: " + what, "restore the labels, or train anew");
+    diagnostics.warning("checkpoint.labels.changed", "scene", "the labels are not as they were: " + what,
+                        "restore the labels, or train anew");
     return;
   }
 }

@@ -46,7 +46,8 @@ std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
       json.at(name).get_to(value);
     });
   } catch (const nlohmann::json::exception& e) {
-    throw Error(ErrorKind::data, std::string("checkpoint metadata 'scene' cannot be read: ") + e.what(),
+    throw Error(ErrorKind::data, "checkpoint.metadata.damaged",
+                std::string("checkpoint metadata 'scene' cannot be read: ") + e.what(),
                 "resume from another checkpoint of the run");
   }
   const SceneManifest& m = scene.manifest;
@@ -54,7 +55,7 @@ std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
   if (m.classes < 0 || std::ssize(m.train_class_pixels) != m.classes ||
       std::any_of(m.train_class_pixels.begin(), m.train_class_pixels.end(), negative) ||
       !(scene.pixel_footprint_m > 0) || !std::isfinite(scene.pixel_footprint_m)) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "checkpoint.metadata.damaged",
                 "checkpoint metadata 'scene' cannot be read: " + std::to_string(m.train_class_pixels.size()) +
                     " counts of pixels for " + std::to_string(m.classes) + " classes, a pixel of " +
                     std::to_string(scene.pixel_footprint_m) + " m",

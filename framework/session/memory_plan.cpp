@@ -221,7 +221,7 @@ void require_memory(RunConfig& config, const Registry& registry, const BuildPlan
   if (memory.peak() <= allowed) return;
   const MemoryItem& largest = memory.largest();
   const std::vector<std::string> settings = settings_that_fit(config, registry, plan, extent, facts, allowed);
-  throw Error(ErrorKind::unavailable,
+  throw Error(ErrorKind::unavailable, "memory.training.size",
               fmt::format("training would take {} of memory at its peak, {} are available{}; the largest part is "
                           "'{}' with {}",
                           memory_text(memory.peak()), memory_text(allowed),
@@ -247,7 +247,7 @@ void require_frame_memory(const RunConfig& config, std::size_t frame_bytes, std:
       "the program alone holds {}: raise --memory or runtime.memory_gb where they set the limit, or use a machine with "
       "more memory",
       memory_text(held));
-  throw Error(ErrorKind::unavailable,
+  throw Error(ErrorKind::unavailable, "memory.frames.size",
               fmt::format("the pixels of {} frames would take {} of memory, {} are available", frames,
                           memory_text(frame_bytes), memory_text(room)),
               width > 0 && fitting > 0 ? settings : none);

@@ -41,8 +41,8 @@ DeviceId device_of(const Ranks& ranks, DeviceId asked) {
   if (count == 0) {
     std::string why_not;
     (void)cuda_available(&why_not, asked.ordinal);
-    throw Error(ErrorKind::unavailable, ranks.name_of(ranks.rank()) + ": runtime.device: cuda: " + why_not,
-                "set runtime.device: cpu");
+    throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
+                ranks.name_of(ranks.rank()) + ": runtime.device: cuda: " + why_not, "set runtime.device: cpu");
   }
   return {asked.kind, (asked.ordinal + ranks.local_rank()) % count};
 }
@@ -138,12 +138,12 @@ std::string prepare_ranks(Ranks& ranks, const std::string& version) {
   for (int r = 1; r < ranks.size(); ++r) {
     const auto i = static_cast<std::size_t>(r);
     if (versions[i] != versions[0])
-      throw Error(ErrorKind::unavailable,
+      throw Error(ErrorKind::unavailable, "ranks.version.differs",
                   ranks.name_of(r) + " runs " + versions[i] + ", and " + ranks.name_of(0) + " " + versions[0],
                   "install the same version on all hosts");
     if (sets[i] != sets[0])
       throw Error(
-          ErrorKind::unavailable,
+          ErrorKind::unavailable, "ranks.isa.differs",
           ranks.name_of(r) + " computes with " + sets[i] + " instructions, and " + ranks.name_of(0) + " with " +
               sets[0] + ": their results would differ in the last bits",
           "set the environment variable SEMFIELD_ISA to the weaker of both for all ranks (mpirun -x SEMFIELD_ISA=" +

@@ -42,7 +42,8 @@ std::int64_t label_only_rays(double share, std::int64_t begin, std::int64_t end)
 }
 
 Error no_labelled_pixel() {
-  return Error(ErrorKind::data, "train.ray_source is label_balanced, but no training pixel carries a label",
+  return Error(ErrorKind::data, "labels.training.none",
+               "train.ray_source is label_balanced, but no training pixel carries a label",
                "let the labels decide with --set train.ray_source=auto, or give the scene labels");
 }
 
@@ -55,11 +56,12 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
     offsets_.push_back(offsets_.back() + std::int64_t{frame.pixels->width_px} * frame.pixels->height_px);
   }
   if (offsets_.back() == 0) {
-    throw Error(ErrorKind::data, "the training split has no pixels",
+    throw Error(ErrorKind::data, "scene.split.empty", "the training split has no pixels",
                 "check the split rule of 'scene' with `semfield inspect`");
   }
   if (offsets_.back() > std::int64_t{0xFFFFFFFF}) {
-    throw Error(ErrorKind::data, "the training split has more than 2^32 pixels", "reduce it with scene.load.downscale");
+    throw Error(ErrorKind::data, "scene.pixels.limit", "the training split has more than 2^32 pixels",
+                "reduce it with scene.load.downscale");
   }
   relabel();
 }
@@ -240,7 +242,7 @@ std::int16_t RaySource::label_of(const Pixel& pixel) const {
   const std::int16_t cls = class_of(pixel);
   if (cls == kVoid || logit_of_class_.empty()) return kVoid;
   if (cls < 0 || static_cast<std::size_t>(cls) >= logit_of_class_.size()) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "labels.class.range",
                 fmt::format("{}: label {} is no class; classes are 0 to {} and void is {}", place_of(pixel), cls,
                             logit_of_class_.size() - 1, kVoid),
                 "check the labels against the scene's class table");

@@ -50,8 +50,8 @@ LabelMap decode(std::span<const std::byte> bytes, std::size_t width, int classes
     if (width == 2) value |= std::to_integer<int>(bytes[2 * p + 1]) << 8;
     if (value == none) continue;
     if (value >= classes)
-      throw Error(ErrorKind::data, fmt::format("{}: label {} is no class; there are {}", place, value, classes),
-                  kRemedy);
+      throw Error(ErrorKind::data, "checkpoint.labels.damaged",
+                  fmt::format("{}: label {} is no class; there are {}", place, value, classes), kRemedy);
     labels[p] = static_cast<std::int16_t>(value);
   }
   return LabelMap(std::move(labels));
@@ -198,11 +198,12 @@ void SelfTraining::resume(std::int64_t step, const std::string& named) {
     try {
       return TensorFile::read(path);
     } catch (const Error& error) {
-      throw Error(error.kind(), error.message() + "; the checkpoint was trained on the labels in it", kRemedy);
+      throw Error(error.kind(), error.code(), error.message() + "; the checkpoint was trained on the labels in it",
+                  kRemedy);
     }
   }();
   const auto refuse = [&](const std::string& what) {
-    throw Error(ErrorKind::data, fmt::format("'{}': {}", path, what), kRemedy);
+    throw Error(ErrorKind::data, "checkpoint.labels.damaged", fmt::format("'{}': {}", path, what), kRemedy);
   };
   const auto text = file.metadata().find("rounds");
   if (text == file.metadata().end()) refuse("it does not tell its rounds");

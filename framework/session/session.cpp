@@ -286,13 +286,14 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   const DeviceId device = chosen.device;
   if (config.runtime.precision == Precision::automatic) {
     config.runtime.precision = precision_of(config, registry, device);  // what run.yaml says from here on
-    diagnostics.note("runtime.precision", config.runtime.precision == Precision::bf16
-                                              ? "auto is bf16 here, which this machine computes faster"
-                                              : "auto is fp32 here: no faster kernels of bf16");
+    diagnostics.note("train.precision.chosen", "runtime.precision",
+                     config.runtime.precision == Precision::bf16
+                         ? "auto is bf16 here, which this machine computes faster"
+                         : "auto is fp32 here: no faster kernels of bf16");
   }
   if (options.trainable) {
     if (const std::string length = resolve_length(config, device.kind); !length.empty() && options.build)
-      diagnostics.note("train.steps", length);
+      diagnostics.note("train.steps.chosen", "train.steps", length);
     Diagnostics never;
     check_length(config, never);
     never.throw_if_errors(ErrorKind::config, "");
@@ -304,7 +305,8 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   fix_extent(s, device);
   if (options.trainable) say_slow_paths(s.config, registry, device, bf16_is_native(), diagnostics);
   if (options.trainable && !s.plan.semantics && !s.config.self_training.at.empty()) {
-    diagnostics.warning("train.self_training", "there are no labels to begin with, so no round gives any",
+    diagnostics.warning("labels.training.none", "train.self_training",
+                        "there are no labels to begin with, so no round gives any",
                         "give the scene labels, or set train.self_training.at to []");
   }
   Diagnostics* const slow_fields = options.trainable ? &diagnostics : nullptr;

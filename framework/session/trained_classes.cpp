@@ -23,7 +23,7 @@ std::map<std::int64_t, std::string> classes_by_id(const std::string& yaml) {
   try {
     list = parse_config_text(yaml, "checkpoint metadata 'classes'");
   } catch (const Error& error) {
-    throw Error(ErrorKind::data, error.message(),
+    throw Error(ErrorKind::data, error.code(), error.message(),
                 "resume from another checkpoint of the run: move this file out of the folder");
   }
   for (const ConfigNode& item : list.items()) {
@@ -54,7 +54,7 @@ void require_class_table(const std::string& trained, const ClassTable& now, cons
       return found == end ? "not in the table" : found->second;
     };
     throw Error(
-        ErrorKind::data,
+        ErrorKind::data, "checkpoint.classes.changed",
         fmt::format("the scene's class table is not the one that the run was trained with: class {} was {}, and "
                     "is {} now",
                     id, said(then, before.end()), said(today, after.end())),

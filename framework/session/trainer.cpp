@@ -30,14 +30,14 @@ const TensorRef& matching(const TensorFile& file, const std::string& name, const
   const std::string want = fmt::format("[{}, {}]", t.spec.rows, t.spec.cols);
   if (found == nullptr) {
     throw Error(
-        ErrorKind::data,
+        ErrorKind::data, "checkpoint.tensor.missing",
         fmt::format("{}: tensor '{}' {} is missing: this is another network's checkpoint", file.name(), name, want),
         "train and load with the same configuration (run.yaml of the checkpoint's run)");
   }
   if (found->shape != shape_of(t) || found->type != TensorType::f32) {
     std::string have;
     for (const std::int64_t n : found->shape) have += (have.empty() ? "" : ", ") + std::to_string(n);
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "checkpoint.tensor.shape",
                 fmt::format("{}: tensor '{}' is [{}], the network needs {}: this is another network's checkpoint",
                             file.name(), name, have, want),
                 "train and load with the same configuration (run.yaml of the checkpoint's run)");
@@ -143,7 +143,7 @@ void Trainer::explain_failed_step() {
   }
   pipeline_.store().clear_gradients();
   throw Error(
-      ErrorKind::failure,
+      ErrorKind::failure, "device.value.not_finite",
       fmt::format("step {}: the device met a value that is not finite where the processor meets none; nothing was "
                   "changed in this step",
                   step_),
@@ -182,7 +182,7 @@ void Trainer::fail(const Error& error) {
   if (fault) text += "; " + rays_.place_of_row(step_, fault->ray());
   const std::string tensor = bad_tensor();
   if (!tensor.empty() && text.find(tensor) == std::string::npos) text += "; " + tensor;
-  throw Error(cause.kind(), text + "; nothing was changed in this step", cause.remedy());
+  throw Error(cause.kind(), cause.code(), text + "; nothing was changed in this step", cause.remedy());
 }
 
 void Trainer::note_density(const StepLosses& losses) {
@@ -197,7 +197,7 @@ void Trainer::check_alive() const {
   if (dead_steps_ < kDeadSteps) return;
   const bool relu = pipeline_.options().rules.rendering.density_activation == DensityActivation::relu;
   throw Error(
-      ErrorKind::failure,
+      ErrorKind::failure, "train.density.dead",
       fmt::format("step {}: pass '{}' had no density at any sample of the last {} steps: every weight is 0, no "
                   "gradient reaches the density, and it cannot learn any more; nothing was changed in this step",
                   step_, pipeline_.passes()[dead_pass_].parts().name, dead_steps_),
@@ -213,7 +213,7 @@ void Trainer::check_storable() const {
       const std::int64_t bad = first_non_finite<float>(t.view(*buffer));
       if (bad < 0) continue;
       throw Error(
-          ErrorKind::failure,
+          ErrorKind::failure, "checkpoint.save.not_finite",
           fmt::format("no checkpoint of step {}: {}'{}' holds {} at {}", step_,
                       buffer == &t.value ? "" : "a moment of ", t.name, buffer->data()[bad], element_text(t, bad)),
           "resume from the last checkpoint");
@@ -238,7 +238,7 @@ void Trainer::load(const TensorFile& file, std::int64_t step) {
   for (const TensorRef& wanted : state()) known.insert(wanted.name);
   for (const TensorRef& have : file.tensors()) {
     if (known.count(have.name) == 0) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "checkpoint.tensor.unknown",
                   file.name() + ": tensor '" + have.name +
                       "' belongs to no part of this network: this is another network's checkpoint",
                   "train and load with the same configuration (run.yaml of the checkpoint's run)");

@@ -27,7 +27,7 @@ Session opened(RunConfig config, Registry& registry, const SessionOptions& optio
 }
 
 Error no_logit(const std::string& place, const std::string& name) {
-  return Error(ErrorKind::data,
+  return Error(ErrorKind::data, "labels.class.no_logit",
                fmt::format("{}: no label had class '{}' when the session opened, so the network has no logit for it",
                            place, name),
                "open it with runtime.keep: [semantics, absent_classes]");
@@ -42,9 +42,9 @@ double TrainingListener::step_clock_s() { return steady_s(); }
 void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session) {
   for (const Diagnostic& finding : folded(diagnostics)) {
     if (finding.severity == Severity::note) {
-      listener.note(finding.text());
+      listener.note(finding.shown());
     } else {
-      listener.warning(finding.text());
+      listener.warning(finding.shown());
     }
   }
   for (const std::string& line : session.choices()) listener.note(line);
@@ -153,7 +153,8 @@ SplitScore Training::evaluate(std::vector<int> frames) const {
 void Training::require_drawn(int frame) const {
   const std::vector<int> drawn = session_.drawn_frames();
   if (std::find(drawn.begin(), drawn.end(), frame) != drawn.end()) return;
-  throw Error(ErrorKind::data, fmt::format("frame {}: it is no training frame, so it has no labels that train", frame),
+  throw Error(ErrorKind::data, "labels.frame.untrained",
+              fmt::format("frame {}: it is no training frame, so it has no labels that train", frame),
               "name one of Session::drawn_frames");
 }
 
@@ -161,12 +162,12 @@ void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
   require_drawn(frame);
   const auto f = static_cast<std::size_t>(frame);
   const FrameInfo& info = session_.scene.info.frames[f];
-  const auto refuse = [&](const std::string& what, const std::string& remedy) {
-    throw Error(ErrorKind::data, fmt::format("labels of frame '{}': {}", info.name, what), remedy);
+  const auto refuse = [&](Code code, const std::string& what, const std::string& remedy) {
+    throw Error(ErrorKind::data, code, fmt::format("labels of frame '{}': {}", info.name, what), remedy);
   };
   const std::int32_t width = info.camera.width_px, height = info.camera.height_px;
   if (std::ssize(labels) != std::int64_t{width} * height) {
-    refuse(fmt::format("{} values for {} x {} pixels", labels.size(), width, height),
+    refuse("labels.given.size", fmt::format("{} values for {} x {} pixels", labels.size(), width, height),
            "give a class index, or -1 for none, for every pixel, row by row");
   }
   const std::vector<std::int16_t> logit_of_class = session_.logit_of_class();
@@ -181,7 +182,7 @@ void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
       return fmt::format("pixel x {}, y {}", p % static_cast<std::size_t>(width), p / static_cast<std::size_t>(width));
     };
     if (label < 0 || label >= session_.classes()) {
-      refuse(fmt::format("{}: {} is no class; there are {}", place(), label, session_.classes()),
+      refuse("labels.class.range", fmt::format("{}: {} is no class; there are {}", place(), label, session_.classes()),
              "give class indices, which begin at 0, or -1 for none");
     }
     if (!session_.plan.semantics || logit_of_class[static_cast<std::size_t>(label)] == kVoid) {
@@ -210,7 +211,8 @@ void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
 void Training::set_clicks(const Annotations& clicks, std::span<const int> frames) {
   const ClassTable& classes = session_.scene.info.classes;
   if (session_.labels.unclicked.empty() || clicks.classes().valid_count() != classes.valid_count()) {
-    throw Error(ErrorKind::data, "clicks: they are not those of this session, which was opened for other ones",
+    throw Error(ErrorKind::data, "labels.clicks.foreign",
+                "clicks: they are not those of this session, which was opened for other ones",
                 "open it with scene.labels.clicks or .class_room, and apply events to a copy of config.labels.clicks");
   }
   for (const int frame : frames) require_drawn(frame);
@@ -301,7 +303,7 @@ void Training::load(const std::string& path) {
   require_class_table(facts.classes, session_.scene.info.classes, session_.config.labels.clicks);
   const auto named = file.metadata().find(kSetLabels);
   if (named != file.metadata().end() && named->second != set_labels_name()) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "checkpoint.labels.unset",
                 fmt::format("'{}': it was trained on labels that were set while it trained, and these "
                             "are not set here",
                             path),

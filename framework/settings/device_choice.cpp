@@ -81,8 +81,8 @@ ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnost
     return device_for_parts(config, registry, diagnostics);
   }
   if (is_automatic(config)) return {DeviceId{}, why_not};
-  throw Error(ErrorKind::unavailable, "runtime.device: " + config.runtime.device + ": " + why_not,
-              "set runtime.device: cpu, or auto");
+  throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
+              "runtime.device: " + config.runtime.device + ": " + why_not, "set runtime.device: cpu, or auto");
 }
 
 ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry, Diagnostics& diagnostics) {
@@ -90,10 +90,11 @@ ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry,
   if (part.empty()) return {asked_device(config), ""};
   const std::string why_not = part + " has no cuda kernels";
   if (!is_automatic(config)) {
-    throw Error(ErrorKind::unavailable, "runtime.device: " + config.runtime.device + ": " + why_not,
+    throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
+                "runtime.device: " + config.runtime.device + ": " + why_not,
                 "set runtime.device: cpu, or auto, which stays on the processor then");
   }
-  diagnostics.warning("runtime.device",
+  diagnostics.warning("device.cpu.slow", "runtime.device",
                       why_not + ", so the run stays on the CPU, which is tens to hundreds of times slower than a GPU",
                       "use parts that have kernels for it: `semfield plugins list --devices` lists them");
   return {DeviceId{}, why_not};
@@ -112,7 +113,7 @@ void say_slow_paths(const RunConfig& config, const Registry& registry, DeviceId 
   const bool bf16 = config.runtime.precision == Precision::bf16;
   if (device.kind == Device::cpu) {
     if (bf16 && !bf16_instructions) {
-      diagnostics.warning("runtime.precision",
+      diagnostics.warning("device.bf16.emulated", "runtime.precision",
                           "this CPU has no bf16 instructions: they are emulated, which is slower than fp32",
                           "set runtime.precision: auto");
     }
@@ -122,9 +123,9 @@ void say_slow_paths(const RunConfig& config, const Registry& registry, DeviceId 
   const std::string lacking = field_without_bf16(config, registry, device.kind);
   const std::string cost = "fp32 runs layer by layer on a GPU, 3 to 15 times slower than bf16";
   if (lacking.empty()) {
-    diagnostics.warning("runtime.precision", cost, "set runtime.precision: auto");
+    diagnostics.warning("device.bf16.slow", "runtime.precision", cost, "set runtime.precision: auto");
   } else {
-    diagnostics.warning("runtime.precision", cost + "; " + lacking + " has no kernels of bf16",
+    diagnostics.warning("device.bf16.slow", "runtime.precision", cost + "; " + lacking + " has no kernels of bf16",
                         "use a field that has: `semfield plugins list --devices` lists them");
   }
 }

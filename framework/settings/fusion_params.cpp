@@ -30,14 +30,16 @@ void describe(ParamVisitor& visit, FusionParams& p) {
 
 void validate(const FusionParams& p, Diagnostics& diagnostics) {
   if (p.neighbourhood % 2 == 0) {
-    diagnostics.error("fuse.neighbourhood", "a window of " + std::to_string(p.neighbourhood) + " pixels has no centre",
+    diagnostics.error("config.value.range", "fuse.neighbourhood",
+                      "a window of " + std::to_string(p.neighbourhood) + " pixels has no centre",
                       "write an odd number");
   }
-  if (p.methods.empty()) diagnostics.error("fuse.methods", "no method is named", "write for example [bayesian]");
+  if (p.methods.empty())
+    diagnostics.error("config.value.missing", "fuse.methods", "no method is named", "write for example [bayesian]");
   try {
     (void)fusion_methods(p.methods);
   } catch (const Error& e) {
-    diagnostics.error("", e.message(), e.remedy());
+    diagnostics.error(e.code(), "", e.message(), e.remedy());
   }
 }
 
@@ -55,7 +57,7 @@ std::vector<FusionMethod> fusion_methods(const std::vector<std::string>& names) 
     if (found == known.end()) {
       const std::vector<std::string> all(known.begin(), known.end());
       const std::string near = did_you_mean(name, all);
-      throw Error(ErrorKind::config, "fuse.methods: there is no method '" + name + "'",
+      throw Error(ErrorKind::config, "config.value.choice", "fuse.methods: there is no method '" + name + "'",
                   near.empty() ? "known: " + join(all) : "did you mean '" + near + "'?");
     }
     const auto method = static_cast<FusionMethod>(found - known.begin());

@@ -31,7 +31,7 @@ constexpr std::array kTaken{channel::color,   channel::label,  channel::soft_lab
 void check_channel(const HeadConfig& head, const std::vector<HeadConfig>& earlier, const ConfigNode& item,
                    Diagnostics& diagnostics) {
   const auto refuse = [&](const std::string& what, const std::string& remedy) {
-    diagnostics.error(item.location().text(), head.key + ".channel: " + what, remedy);
+    diagnostics.error("config.head.channel", item.location().text(), head.key + ".channel: " + what, remedy);
   };
   const std::string& name = head.channel;
   const auto allowed = [](char c) { return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_'; };
@@ -57,7 +57,7 @@ HeadConfig read_head(const ConfigNode& item, const std::string& path, const Regi
       item, path, [&](ParamVisitor& visit) { describe(visit, head); }, diagnostics, of_plugin);
   const ConfigNode* branch = item.find("branch");
   if (branch == nullptr || branch->is_null()) {
-    diagnostics.error(item.location().text(), path + ": key 'branch' is missing",
+    diagnostics.error("config.key.missing", item.location().text(), path + ": key 'branch' is missing",
                       "give the head a network of its own: branch: {position: {type: ...}, field: {type: ...}}");
     return head;
   }
@@ -75,7 +75,8 @@ std::vector<HeadConfig> read_heads(const ConfigNode& tree, const Registry& regis
   const ConfigNode* list = tree.find("heads");
   if (list == nullptr || list->is_null()) return heads;
   if (!list->is_list()) {
-    diagnostics.error(list->location().text(), "heads: expected a list of heads {type, channel, branch, ...}",
+    diagnostics.error("config.value.type", list->location().text(),
+                      "heads: expected a list of heads {type, channel, branch, ...}",
                       "write heads: [{type: TYPE, channel: NAME, branch: {...}}]");
     return heads;
   }
@@ -87,7 +88,7 @@ std::vector<HeadConfig> read_heads(const ConfigNode& tree, const Registry& regis
     heads.push_back(std::move(head));
   }
   if (heads.size() > kMostHeads)
-    diagnostics.error(list->location().text(),
+    diagnostics.error("config.head.limit", list->location().text(),
                       fmt::format("heads: {} heads, and a pass has at most {}", heads.size(), kMostHeads),
                       "take some out");
   return heads;
@@ -112,7 +113,7 @@ void check_heads_of_losses(const RunConfig& config, Diagnostics& diagnostics) {
     for (const std::string_view name : entry.loss->traits().heads) {
       const auto makes = [&](const HeadConfig& head) { return head.channel == name; };
       if (name == channel::logits || std::any_of(config.heads.begin(), config.heads.end(), makes)) continue;
-      diagnostics.error(entry.where,
+      diagnostics.error("config.loss.channel", entry.where,
                         fmt::format("losses: '{}' reads the channel '{}', which no head makes", entry.type, name),
                         fmt::format("add a head with channel: {} to the list `heads`", name));
     }
@@ -127,25 +128,25 @@ void settle_heads(RunConfig& config, const SceneInfo& scene) {
         if (frame.split != Split::train || one.name != head.channel) continue;
         if (columns == 0) columns = one.cols;
         if (columns != one.cols)
-          throw Error(ErrorKind::data,
+          throw Error(ErrorKind::data, "scene.channel.columns",
                       fmt::format("frame '{}': its channel '{}' has {} columns, and that of earlier frames {}",
                                   frame.name, head.channel, one.cols, columns),
                       "write the maps of all frames with the same model");
       }
     }
     if (head.source_width > 0 && columns > 0 && columns != head.source_width)
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "scene.channel.changed",
                   fmt::format("{}: the dataset's channel '{}' has {} columns, and the run was trained on {}", head.key,
                               head.channel, columns, head.source_width),
                   "give it the maps that it was trained on");
     if (head.width == 0) head.width = std::min(columns, kUsualHeadWidth);
     if (head.width == 0)
-      throw Error(ErrorKind::config,
+      throw Error(ErrorKind::config, "config.head.width",
                   fmt::format("{}.width: no training frame has a channel '{}', so its columns are not known", head.key,
                               head.channel),
                   "set width, or give the dataset the channel");
     if (columns > 0 && head.width > columns)
-      throw Error(ErrorKind::config,
+      throw Error(ErrorKind::config, "config.head.width",
                   fmt::format("{}.width: {} columns are asked for, and the dataset's channel '{}' has {}", head.key,
                               head.width, head.channel, columns),
                   "set it to at most that, or to 0");

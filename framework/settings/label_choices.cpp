@@ -133,7 +133,7 @@ void warn_of_rare_labels(const TrainParams& train, const LabelCount& labels, Dia
       static_cast<double>(labels.labelled_px) / static_cast<double>(std::max<std::int64_t>(1, labels.train_px));
   if (!evenly || labels.labelled_px == 0 || share >= kRareShare) return;
   diagnostics.warning(
-      "train.ray_source",
+      "train.ray_source.rare", "train.ray_source",
       fmt::format(
           "{} draws pixels evenly, and {:.3g} % of them have a label: about {:.3g} of the {} rays of a step see "
           "one, so classes are hardly learned",

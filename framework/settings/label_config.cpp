@@ -43,7 +43,7 @@ void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, const R
   if (list == nullptr || list->is_null()) return;
   if (!list->is_list()) {
     diagnostics.error(
-        list->location().text(), "scene.labels.degrade: expected a list of steps {type, ...}",
+        "config.value.type", list->location().text(), "scene.labels.degrade: expected a list of steps {type, ...}",
         "write degrade: [{type: TYPE, ...}], TYPE one of " + join(registry.names(PluginKind::degradation)));
     return;
   }

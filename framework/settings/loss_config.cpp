@@ -13,7 +13,7 @@ std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& regis
   const ConfigNode* list = tree.find("losses");
   if (list == nullptr || list->is_null()) return entries;
   if (!list->is_list()) {
-    diagnostics.error(list->location().text(), "losses: expected a list of terms {type, ...}",
+    diagnostics.error("config.value.type", list->location().text(), "losses: expected a list of terms {type, ...}",
                       "write losses: [{type: distortion, weight: 0.002}]");
     return entries;
   }
@@ -27,7 +27,7 @@ std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& regis
     const auto same = std::find_if(entries.begin(), entries.end(),
                                    [&](const LossEntry& earlier) { return earlier.type == entry.type; });
     if (same != entries.end()) {
-      diagnostics.error(entry.where,
+      diagnostics.error("config.loss.twice", entry.where,
                         fmt::format("{}: the term '{}' stands at {} already", path, entry.type, same->where),
                         "keep one of them, with the weight that both together should have");
       continue;
@@ -35,7 +35,7 @@ std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& regis
     entries.push_back(std::move(entry));
   }
   if (entries.size() > kMostLossTerms) {
-    diagnostics.error(list->location().text(),
+    diagnostics.error("config.loss.limit", list->location().text(),
                       fmt::format("losses: {} terms, and a list holds at most {}", entries.size(), kMostLossTerms),
                       "take some out");
     entries.resize(kMostLossTerms);
@@ -81,7 +81,7 @@ std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth
                        depth.frames);
   if (depth.pixels > 0) return fmt::format("depth images of {} training frames will be used", depth.frames);
   diagnostics.warning(
-      "losses",
+      "scene.depth.empty", "losses",
       fmt::format("the depth images of all {} training frames have no valid pixel, so no term can read them",
                   depth.frames),
       "export z-depth that is finite and above 0, or set losses: []");

@@ -37,20 +37,20 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
                      Diagnostics& diagnostics, const std::vector<std::string>& other_keys) {
   PluginSlot slot;
   if (!node.is_map()) {
-    diagnostics.error(node.location().text(),
-                      path + ": expected a map with 'type', one of " + join(registry.names(kind)));
+    diagnostics.error("config.value.type", node.location().text(),
+                      path + ": expected a map with 'type', one of " + join(registry.names(kind)), {});
     return slot;
   }
   const ConfigNode* type = node.find("type");
   if (type == nullptr || !type->is_scalar()) {
-    diagnostics.error(node.location().text(), path + ": key 'type' is missing",
+    diagnostics.error("config.key.missing", node.location().text(), path + ": key 'type' is missing",
                       "choose one of " + join(registry.names(kind)));
     return slot;
   }
   try {
     slot.entry = &registry.get(kind, type->text());
   } catch (const Error& error) {
-    diagnostics.error(type->location().text(), error.message(), error.remedy());
+    diagnostics.error(error.code(), type->location().text(), error.message(), error.remedy());
     return slot;
   }
   slot.params = slot.entry->new_params();
@@ -65,9 +65,9 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
     for (const Diagnostic& finding : relations.all()) {
       const std::string message = path + (finding.where.empty() ? "" : "." + finding.where) + ": " + finding.message;
       if (finding.severity == Severity::error) {
-        diagnostics.error(node.location().text(), message, finding.remedy);
+        diagnostics.error(finding.code, node.location().text(), message, finding.remedy);
       } else {
-        diagnostics.warning(node.location().text(), message, finding.remedy);
+        diagnostics.warning(finding.code, node.location().text(), message, finding.remedy);
       }
     }
   }
@@ -77,13 +77,14 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
 bool read_branch_slots(const ConfigNode& node, const std::string& path, const Registry& registry, PluginSlot& position,
                        PluginSlot& field, Diagnostics& diagnostics) {
   if (!node.is_map()) {
-    diagnostics.error(node.location().text(), path + ": expected a map {position, field, ...}");
+    diagnostics.error("config.value.type", node.location().text(), path + ": expected a map {position, field, ...}",
+                      {});
     return false;
   }
   const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out) {
     const ConfigNode* plugin = node.find(key);
     if (plugin == nullptr || plugin->is_null()) {
-      diagnostics.error(node.location().text(), path + ": key '" + key + "' is missing");
+      diagnostics.error("config.key.missing", node.location().text(), path + ": key '" + key + "' is missing", {});
       return;
     }
     out = read_slot(kind, *plugin, path + "." + key, registry, diagnostics);
@@ -118,12 +119,13 @@ std::vector<SemanticBranchConfig> read_branches(const ConfigNode& node, const st
     branches.back().key = "semantic." + item_key(node, branches.size() - 1);
     bool& known = served[static_cast<std::size_t>(branches.back().labels)];
     if (known || served[0])
-      diagnostics.error(item.location().text(), path + ": an earlier branch takes all labels that this one is for");
+      diagnostics.error("config.branch.unreached", item.location().text(),
+                        path + ": an earlier branch takes all labels that this one is for", {});
     known = true;
   }
   for (std::size_t kind = 1; kind < served.size() && !served[0]; ++kind) {
     if (!served[kind])
-      diagnostics.error(node.location().text(),
+      diagnostics.error("config.branch.missing", node.location().text(),
                         path + ": no branch is for labels: " + std::string(ChoiceNames<LabelKind>::names[kind]),
                         "add one, or let the last one be for labels: any");
   }
@@ -136,8 +138,8 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
   const ConfigNode* list = tree.find("passes");
   if (list == nullptr || !list->is_list() || list->items().empty()) {
     const Location& where = list == nullptr ? tree.location() : list->location();
-    diagnostics.error(where.text(),
-                      "passes: expected a list of at least one pass {name, sampler, position, direction, field}");
+    diagnostics.error("config.value.type", where.text(),
+                      "passes: expected a list of at least one pass {name, sampler, position, direction, field}", {});
     return;
   }
   static const std::vector<std::string> kKeys{"name", "like", "sampler", "position", "direction", "field", "semantic"};
@@ -147,20 +149,22 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
     PassConfig pass;
     pass.key = path;
     if (!item.is_map()) {
-      diagnostics.error(item.location().text(), path + ": expected a map {name, sampler, position, direction, field}");
+      diagnostics.error("config.value.type", item.location().text(),
+                        path + ": expected a map {name, sampler, position, direction, field}", {});
       continue;
     }
     for (const auto& [key, value] : item.entries()) {
       if (std::find(kKeys.begin(), kKeys.end(), key) != kKeys.end()) continue;
       const std::string near = did_you_mean(key, kKeys);
-      diagnostics.error(value.key_location().text(), path + ": unknown key '" + key + "'",
+      diagnostics.error("config.key.unknown", value.key_location().text(), path + ": unknown key '" + key + "'",
                         near.empty() ? "known: " + join(kKeys) : "did you mean '" + near + "'?");
     }
     pass.name = read_text(item, path, "name", usual_pass_name(index), diagnostics);
     const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out, bool required) {
       const ConfigNode* node = item.find(key);
       if (node == nullptr || node->is_null()) {
-        if (required) diagnostics.error(item.location().text(), path + ": key '" + key + "' is missing");
+        if (required)
+          diagnostics.error("config.key.missing", item.location().text(), path + ": key '" + key + "' is missing", {});
         return;
       }
       out = read_slot(kind, *node, path + "." + key, registry, diagnostics);
@@ -173,7 +177,8 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
       pass.semantic = read_branches(*branch, path + ".semantic", registry, diagnostics);
     for (const PassConfig& other : config.passes) {
       if (other.name == pass.name)
-        diagnostics.error(item.location().text(), path + ": name '" + pass.name + "' is taken by an earlier pass");
+        diagnostics.error("config.pass.twice", item.location().text(),
+                          path + ": name '" + pass.name + "' is taken by an earlier pass", {});
     }
     config.passes.push_back(std::move(pass));
   }

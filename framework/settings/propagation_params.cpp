@@ -29,10 +29,12 @@ void describe(ParamVisitor& visit, PropagationParams& p) {
 
 void validate(const PropagationParams& p, Diagnostics& diagnostics) {
   if (p.vote_cells_m.empty()) {
-    diagnostics.error("propagate.vote_cells_m", "no edge is given", "write for example [0.06, 0.12, 0.2]");
+    diagnostics.error("config.value.missing", "propagate.vote_cells_m", "no edge is given",
+                      "write for example [0.06, 0.12, 0.2]");
   }
   if (!std::is_sorted(p.vote_cells_m.begin(), p.vote_cells_m.end(), std::less_equal<>())) {
-    diagnostics.error("propagate.vote_cells_m", "the edges do not ascend", "write the smallest first, each once");
+    diagnostics.error("config.value.order", "propagate.vote_cells_m", "the edges do not ascend",
+                      "write the smallest first, each once");
   }
 }
 

@@ -41,7 +41,7 @@ void describe(ParamVisitor& visit, TrainParams& p) {
 void validate(const TrainParams& p, Diagnostics& diagnostics) {
   const bool balanced = p.ray_source == RaySourceKind::label_balanced || p.ray_source == RaySourceKind::automatic;
   if (!balanced || p.label_rays_teach_color || p.labelled_share < 1) return;
-  diagnostics.error("train.labelled_share",
+  diagnostics.error("config.value.conflict", "train.labelled_share",
                     "1 draws every ray for its label, and label_rays_teach_color is false: nothing would teach colour",
                     "lower labelled_share, or set train.label_rays_teach_color: true");
 }
@@ -58,7 +58,8 @@ void describe(ParamVisitor& visit, SelfTrainingParams& p) {
 
 void validate(const SelfTrainingParams& p, Diagnostics& diagnostics) {
   if (std::is_sorted(p.at.begin(), p.at.end(), std::less_equal<>())) return;
-  diagnostics.error("train.self_training.at", "the shares do not ascend", "write the smallest first, each once");
+  diagnostics.error("config.value.order", "train.self_training.at", "the shares do not ascend",
+                    "write the smallest first, each once");
 }
 
 void describe(ParamVisitor& visit, RuntimeParams& p) {
@@ -95,7 +96,7 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
 void validate(const RuntimeParams& p, Diagnostics& diagnostics) {
   if (p.device == "auto" || device_of(p.device)) return;
   const std::string near = did_you_mean(p.device, {"auto", "cpu", "cuda"});
-  diagnostics.error("runtime.device",
+  diagnostics.error("config.value.choice", "runtime.device",
                     "expected one of auto, cpu, cuda, or cuda:N for GPU N counted from 0, got '" + p.device + "'",
                     near.empty() ? "write one of them" : "did you mean '" + near + "'?");
 }
@@ -183,7 +184,7 @@ void validate_section(const ConfigNode& tree, const std::string& path, const Par
     const std::string key = finding.where.substr(std::min(finding.where.rfind('.') + 1, finding.where.size()));
     const ConfigNode* value = section != nullptr && section->is_map() ? section->find(key) : nullptr;
     const ConfigNode& nearest = value != nullptr ? *value : section != nullptr ? *section : tree;
-    diagnostics.error(nearest.location().text(),
+    diagnostics.error(finding.code, nearest.location().text(),
                       finding.where.empty() ? finding.message : finding.where + ": " + finding.message, finding.remedy);
   }
 }
@@ -192,7 +193,7 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
   const ConfigNode* scene = tree.find("scene");
   if (scene == nullptr) {
     diagnostics.error(
-        tree.location().text(), "scene: section is missing",
+        "config.key.missing", tree.location().text(), "scene: section is missing",
         "name a dataset: scene: {type: TYPE, ...}, TYPE one of " + join(registry.names(PluginKind::dataset)));
     return;
   }
@@ -219,7 +220,8 @@ ConfigNode with_former_limit(const ConfigNode& tree, Diagnostics& diagnostics) {
   const ConfigNode* limit = train != nullptr && train->is_map() ? train->find("time_limit_s") : nullptr;
   if (limit == nullptr) return tree;
   if (tree.find("base_dir") == nullptr || train->find("time_s") != nullptr) {
-    diagnostics.error(limit->key_location().text(), "train: time_limit_s is gone: a run ends at its steps",
+    diagnostics.error("config.key.gone", limit->key_location().text(),
+                      "train: time_limit_s is gone: a run ends at its steps",
                       "write train: {steps: 0, time_s: SECONDS} to have steps and schedule settled for a time");
   }
   ConfigNode now = train->without("time_limit_s");
@@ -234,7 +236,7 @@ ConfigNode without_former_keys(const ConfigNode& written, Diagnostics& diagnosti
   const ConfigNode* gemm = runtime != nullptr && runtime->is_map() ? runtime->find("gemm") : nullptr;
   if (gemm == nullptr) return tree;
   if (gemm->text() != "auto" && gemm->text() != "builtin") {
-    diagnostics.error(gemm->key_location().text(),
+    diagnostics.error("config.key.gone", gemm->key_location().text(),
                       "runtime: gemm is gone, Semfield multiplies matrices by its own kernels alone",
                       "remove the key; runtime.precision: bf16 is the faster arithmetic");
   }
@@ -254,7 +256,8 @@ ConfigNode with_path(const ConfigNode& tree, const std::string& path, const Conf
 RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnostics& diagnostics) {
   RunConfig config;
   if (!written.is_map()) {
-    diagnostics.error(written.location().text(), "expected a map of sections at the top of the config");
+    diagnostics.error("config.value.type", written.location().text(),
+                      "expected a map of sections at the top of the config", {});
     return config;
   }
   const ConfigNode tree = without_former_keys(written, diagnostics);
@@ -262,19 +265,21 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
   for (const auto& [key, value] : tree.entries()) {
     if (std::find(known.begin(), known.end(), key) != known.end()) continue;
     const std::string near = did_you_mean(key, known);
-    diagnostics.error(value.key_location().text(), "unknown section '" + key + "'",
+    diagnostics.error("config.key.unknown", value.key_location().text(), "unknown section '" + key + "'",
                       near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
   }
   config.name = read_text(tree, "", "name", "run", diagnostics);
   config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
   if (const ConfigNode* plugins = tree.find("plugins"); plugins != nullptr && !plugins->is_null()) {
-    if (!plugins->is_list()) diagnostics.error(plugins->location().text(), "plugins: expected a list of module files");
+    if (!plugins->is_list())
+      diagnostics.error("config.value.type", plugins->location().text(), "plugins: expected a list of module files",
+                        {});
     bool loaded = true;
     for (const ConfigNode& item : plugins->items()) {
       try {
         load_listed_module(registry, resolve_path(item));
       } catch (const Error& error) {
-        diagnostics.error(item.location().text(), error.message(), error.remedy());
+        diagnostics.error(error.code(), item.location().text(), error.message(), error.remedy());
         loaded = false;
       }
     }

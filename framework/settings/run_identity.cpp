@@ -44,7 +44,7 @@ void require_utf8(const std::string& text) {
     const std::size_t length = utf8_length(text, i);
     if (length == 0) {
       const std::size_t begin = text.rfind('\n', i) + 1, end = text.find('\n', i);
-      throw Error(ErrorKind::config,
+      throw Error(ErrorKind::config, "config.text.encoding",
                   "run.yaml cannot hold '" + text.substr(begin, end - begin) + "': it is no UTF-8; nothing was written",
                   "give the folder or file another name");
     }
@@ -103,7 +103,7 @@ void require_scene_places(const RunConfig& config, const std::string& run_dir) {
     const std::string place = parse_config_value(setting.left, setting.key).text();
     std::error_code unknown;
     if (place.empty() || std::filesystem::exists(std::filesystem::path(config.base_dir) / place, unknown)) continue;
-    throw Error(ErrorKind::no_input,
+    throw Error(ErrorKind::no_input, "run.scene.moved",
                 "'" + place + "' is not there, where " + setting.key + " of the run '" + run_dir + "' points",
                 "if the data moved, add --set " + setting.key + "=NEW_PLACE");
   }

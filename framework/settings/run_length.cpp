@@ -17,7 +17,8 @@ std::vector<ScheduleLeg> read_legs(const ConfigNode& list, Diagnostics& diagnost
   std::vector<ScheduleLeg> legs;
   if (list.is_null()) return legs;
   if (!list.is_list()) {
-    diagnostics.error(list.location().text(), path + ": expected a list of maps {start, rate, hold_until, end}",
+    diagnostics.error("config.value.type", list.location().text(),
+                      path + ": expected a list of maps {start, rate, hold_until, end}",
                       "`semfield train --resume RUN --time T` writes it");
     return legs;
   }
@@ -31,7 +32,8 @@ std::vector<ScheduleLeg> read_legs(const ConfigNode& list, Diagnostics& diagnost
     const bool last = i + 1 == list.items().size();
     if (diagnostics.error_count() == errors &&
         ((!legs.empty() && leg.start <= legs.back().start) || (leg.end == 0 ? !last : leg.end < leg.start)))
-      diagnostics.error(item.location().text(), place + ": the leg does not follow on the one before",
+      diagnostics.error("config.schedule.legs", item.location().text(),
+                        place + ": the leg does not follow on the one before",
                         "legs start one after the other, and only the last may have no end yet");
     legs.push_back(leg);
   }
@@ -120,7 +122,7 @@ void settle(RunConfig& config, std::int64_t step, std::int64_t end) {
 void check_length(const RunConfig& config, Diagnostics& diagnostics) {
   const std::int64_t end = last_step(config);
   if (end > 0 && config.schedule.warmup_steps >= end) {
-    diagnostics.error("train.schedule.warmup_steps",
+    diagnostics.error("config.schedule.warmup", "train.schedule.warmup_steps",
                       fmt::format("a warm-up of {} steps does not end in a run of {}: the learning rate never reaches "
                                   "its value",
                                   config.schedule.warmup_steps, end),
@@ -130,7 +132,7 @@ void check_length(const RunConfig& config, Diagnostics& diagnostics) {
     const double share = entry.loss->rule().from_step;
     const bool never = end > 0 ? step_of_share(share, config.train.steps, config.schedule) >= end : share >= 1;
     if (!never) continue;
-    diagnostics.error(entry.where,
+    diagnostics.error("config.loss.never", entry.where,
                       fmt::format("losses: the term '{}' never works: its from_step {:.6g} is the end of the run{}",
                                   entry.type, share, end > 0 ? fmt::format(" of {} steps", end) : ""),
                       "let it begin earlier, or take it out of the list");

@@ -136,7 +136,7 @@ Diffusion diffuse_votes(std::span<const GraphEdge> edges, std::span<const double
       for (Eigen::Index row = 0; row < right.size(); ++row) right[row] = vote_weight * votes[place(row)];
       const Eigen::VectorXd solution = solver.solve(right);
       if (solver.info() != Eigen::Success) {
-        throw Error(ErrorKind::failure, "the diffusion of a class's votes does not converge",
+        throw Error(ErrorKind::failure, "fuse.diffusion.diverged", "the diffusion of a class's votes does not converge",
                     "raise propagate.vote_weight, propagate.color_sigma or propagate.normal_sigma");
       }
       for (Eigen::Index row = 0; row < right.size(); ++row)

@@ -81,7 +81,7 @@ Finding compare(const PoseConvention& fits, const PoseConvention& given, bool op
 void report(const PoseConvention& fits, const PoseConvention& given, const SceneInfo& as_opened,
             const std::string& evidence, Diagnostics& diagnostics) {
   const Finding finding = compare(fits, given, as_opened.opengl_files);
-  diagnostics.error(as_opened.name, join(finding.what, "; ") + ": " + evidence,
+  diagnostics.error("scene.pose.convention", as_opened.name, join(finding.what, "; ") + ": " + evidence,
                     "add " + join(finding.set, " ") + " (scene.load.check_geometry: false takes the scene as it is)");
 }
 
@@ -128,7 +128,7 @@ std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened,
   if (given.pairs == 0) return "could not be checked: no two frames with depth overlap";
   const std::string numbers = "median error " + percent(given.error) + " over " + pairs_text(given.pairs);
   if (given.error > kContradicts && given.pairs >= 3) {
-    diagnostics.warning(as_opened.name,
+    diagnostics.warning("scene.depth.disagrees", as_opened.name,
                         "poses and depth do not agree: depth warped between neighbouring frames is off by " +
                             percent(given.error) + " (median over " + pairs_text(given.pairs) +
                             "), and neither other axes, nor inverse poses, nor another unit explain it",
@@ -156,7 +156,7 @@ std::string judge_photos(const PhotoTallies& found, const SceneInfo& as_opened, 
     const bool large = focal.factor > 1;
     const std::string factor = plain_number(large ? focal.factor : 1 / focal.factor);
     diagnostics.error(
-        as_opened.name,
+        "scene.camera.size", as_opened.name,
         "intrinsics are of images " + factor + (large ? " times as large: of " : " times as small: of ") + seen + ", " +
             percent(share(given)) + " lie where the poses put them as given, " + percent(share(focal)) +
             " with focal lengths " + (large ? "divided" : "multiplied") + " by " + factor,
@@ -170,11 +170,12 @@ std::string judge_photos(const PhotoTallies& found, const SceneInfo& as_opened, 
     const std::string remedy =
         "check that the poses are in the order of the images, were made from them, and that the intrinsics are theirs";
     if (share(given) < kByChance && found.matches >= kManyCorners) {
-      diagnostics.error(as_opened.name, "the poses are not those of the photographs: " + only,
+      diagnostics.error("scene.pose.photographs", as_opened.name, "the poses are not those of the photographs: " + only,
                         remedy + " (scene.load.check_geometry: false takes the scene as it is)");
       return "poses contradict the photographs";
     }
-    diagnostics.warning(as_opened.name, "poses and photographs do not agree: " + only, remedy);
+    diagnostics.warning("scene.pose.photographs", as_opened.name, "poses and photographs do not agree: " + only,
+                        remedy);
     return "poses do not agree with the photographs: " + only;
   }
   if (clearly_better(best)) {

@@ -60,7 +60,7 @@ std::uint64_t cache_limit() {
   double gigabytes = -1;
   const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), gigabytes);
   if (failed != std::errc() || end != text.data() + text.size() || !(gigabytes >= 0 && gigabytes <= 1e6)) {
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "config.environment.value",
                 "environment variable SEMFIELD_CACHE_GB: '" + std::string(text) + "' is no number from 0 to 1000000",
                 "set it to the gigabytes that the cache may hold, or set SEMFIELD_CACHE=off");
   }

@@ -45,9 +45,10 @@ std::optional<FileVerdict> read_verdict(const std::string& file, const std::stri
       if (all.substr(rest.size()) == hex32(crc_of(rest)) + "\n" && rest.ends_with('\n'))
         return FileVerdict{std::string(rest.substr(kHead.size(), rest.size() - kHead.size() - 1)), entry};
     }
-    notes.note(file, "what a check found out about it is damaged in '" + entry + "' and counts as not there");
+    notes.note("files.verdict.lost", file,
+               "what a check found out about it is damaged in '" + entry + "' and counts as not there");
   } catch (const Error& error) {
-    notes.note(file, "whether it was checked cannot be read: " + error.message());
+    notes.note("files.verdict.lost", file, "whether it was checked cannot be read: " + error.message());
   }
   return std::nullopt;
 }
@@ -56,13 +57,14 @@ void keep_verdict(const std::string& file, const std::string& version, const std
   try {
     const std::string entry = entry_of(file, version);
     if (entry.empty()) {
-      notes.note(file, "there is no folder for caches, so nobody is told later what the check found");
+      notes.note("files.verdict.lost", file,
+                 "there is no folder for caches, so nobody is told later what the check found");
       return;
     }
     const std::string text = std::string(kHead) + fault + "\n";
     write_file_atomic(entry, text + hex32(crc_of(text)) + "\n");
   } catch (const Error& error) {
-    notes.note(file, "what the check found is not kept: " + error.message());
+    notes.note("files.verdict.lost", file, "what the check found is not kept: " + error.message());
   }
 }
 

@@ -109,7 +109,7 @@ int sync_entry_of(const std::string& path) {
                      : S_ISSOCK(mode)                 ? "socket"
                      : S_ISCHR(mode) || S_ISBLK(mode) ? "device"
                                                       : "special file";
-  throw Error(ErrorKind::no_input, "'" + path + "' is a " + what + ", not a file", "check the path");
+  throw Error(ErrorKind::no_input, "files.read.kind", "'" + path + "' is a " + what + ", not a file", "check the path");
 }
 
 }  // namespace
@@ -121,7 +121,8 @@ std::string read_text_file(const std::string& path, std::size_t limit_bytes) {
   std::string out;
   if (unknown || size <= limit_bytes) out = read_file_start(path, limit_bytes + 1);
   if ((!unknown && size > limit_bytes) || out.size() > limit_bytes) {
-    throw Error(ErrorKind::data, "'" + path + "' is larger than " + std::to_string(limit_bytes) + " bytes",
+    throw Error(ErrorKind::data, "files.read.size",
+                "'" + path + "' is larger than " + std::to_string(limit_bytes) + " bytes",
                 "check that it is the right file");
   }
   return out;
@@ -133,7 +134,7 @@ int open_for_reading(const std::string& path) {
   if (file < 0) {
     const int cause = errno;
     if (cause == ENXIO) refuse_special(path, S_IFSOCK);
-    throw Error(ErrorKind::no_input, "cannot open '" + path + "': " + cause_text(cause),
+    throw Error(ErrorKind::no_input, "files.read.missing", "cannot open '" + path + "': " + cause_text(cause),
                 cause == ENOENT ? "check the path" : "check the permissions");
   }
   struct stat about {};
@@ -169,7 +170,8 @@ std::string read_file_start(const std::string& path, std::size_t bytes) {
   }
   ::close(file);
   if (cause != 0)
-    throw Error(ErrorKind::no_input, "cannot read '" + path + "': " + cause_text(cause), "check the path");
+    throw Error(ErrorKind::no_input, "files.read.failed", "cannot read '" + path + "': " + cause_text(cause),
+                "check the path");
   return out;
 }
 
@@ -188,7 +190,7 @@ Error write_error(std::string_view doing, const std::string& path, int cause, st
     if (::getrlimit(RLIMIT_FSIZE, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY)
       text += ", the process may write " + std::to_string(limit.rlim_cur);
   }
-  return Error(place_refuses(cause) ? ErrorKind::cannot_create : ErrorKind::io,
+  return Error(place_refuses(cause) ? ErrorKind::cannot_create : ErrorKind::io, "files.write.failed",
                "cannot " + std::string(doing) + " '" + path + "': " + text, write_remedy(cause));
 }
 

@@ -16,7 +16,8 @@ std::string shared_root() {
   std::error_code unknown;
   if (const char* named = std::getenv("SEMFIELD_SHARE"); named != nullptr && *named != '\0') {
     if (!fs::is_directory(named, unknown))
-      throw Error(ErrorKind::config, std::string("environment variable SEMFIELD_SHARE: no folder '") + named + "'",
+      throw Error(ErrorKind::config, "config.environment.value",
+                  std::string("environment variable SEMFIELD_SHARE: no folder '") + named + "'",
                   "set it to the folder that holds configs/ and scenes/, or leave it out");
     return fs::absolute(named).lexically_normal().string();
   }
@@ -38,7 +39,7 @@ std::string shared_file(const std::string& relative) {
   std::error_code unknown;
   if (root.empty() || !fs::exists(path, unknown))
     throw Error(
-        ErrorKind::no_input,
+        ErrorKind::no_input, "files.shared.missing",
         root.empty() ? "no file '" + relative + "', which comes with the program: no folder share/semfield"
                      : "no file '" + path.string() + "', which comes with the program",
         "install the component 'app' whole, or set SEMFIELD_SHARE to the folder that holds configs/ and scenes/");

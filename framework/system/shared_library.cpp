@@ -15,7 +15,8 @@ void* library_symbol(const std::string& file, const char* symbol, const std::str
       self.dli_fname != nullptr ? std::filesystem::path(self.dli_fname).parent_path() : std::filesystem::path();
   void* library = ::dlopen((folder / file).c_str(), RTLD_NOW | RTLD_LOCAL);
   void* found = library != nullptr ? ::dlsym(library, symbol) : nullptr;
-  if (found == nullptr) throw Error(ErrorKind::unavailable, what + ": " + ::dlerror(), remedy);
+  if (found == nullptr)
+    throw Error(ErrorKind::unavailable, "system.library.missing", what + ": " + ::dlerror(), remedy);
   return found;
 }
 

@@ -14,7 +14,8 @@ std::vector<fs::directory_entry> sorted_folder(const std::string& folder) {
   for (fs::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error))
     entries.push_back(*entry);
   if (error) {
-    throw Error(ErrorKind::no_input, "cannot read the folder '" + folder + "': " + error.message(),
+    throw Error(ErrorKind::no_input, "files.folder.unreadable",
+                "cannot read the folder '" + folder + "': " + error.message(),
                 error == std::errc::permission_denied ? "check the permissions" : "check the path");
   }
   std::sort(entries.begin(), entries.end());

@@ -78,7 +78,8 @@ class Copies {
         const std::string where = inside            ? "into an input"
                                   : i < kGuardBytes ? std::to_string(kGuardBytes - i) + " bytes before a view"
                                                     : std::to_string(i - end) + " bytes behind a view";
-        throw Error(ErrorKind::internal, std::string(call_) + " on the device wrote " + where);
+        throw Error(ErrorKind::internal, "plugin.kernels.out_of_bounds",
+                    std::string(call_) + " on the device wrote " + where);
       }
       if (copy.host != nullptr) std::memcpy(copy.host, now.data() + kGuardBytes, copy.used);
     }
@@ -200,7 +201,7 @@ void HostSampler::derive(const StepContext& ctx, const Tensors<float>& tensors) 
 }
 
 void HostSampler::observe(const StepContext&, const Tensors<float>&, const DensityQuery<float>&) const {
-  throw Error(ErrorKind::internal, "a sampler's twin on the host does not observe");
+  throw Error(ErrorKind::internal, "internal.sampler.twin", "a sampler's twin on the host does not observe");
 }
 
 void HostSampler::do_sample(const StepContext& ctx, const Tensors<float>& tensors, const Rays<float>& rays,

@@ -90,7 +90,7 @@ class Suite {
         try {
           if (entry->kind != PluginKind::dataset) (void)make_params(*entry, line.settings);
         } catch (const Error& error) {
-          throw Error(ErrorKind::config, place + error.message(), error.remedy());
+          throw Error(ErrorKind::config, error.code(), place + error.message(), error.remedy());
         }
       }
       if (fits) continue;
@@ -98,8 +98,8 @@ class Suite {
       for (const PluginEntry* entry : request_.entries) {
         for (const std::string& name : parameters_of(*entry)) known.push_back(name);
       }
-      throw Error(ErrorKind::config, place + "no plugin has the parameters of '" + text_of(line.settings) + "'",
-                  "known: " + join(known));
+      throw Error(ErrorKind::config, "plugin.laws.settings",
+                  place + "no plugin has the parameters of '" + text_of(line.settings) + "'", "known: " + join(known));
     }
   }
 
@@ -107,7 +107,8 @@ class Suite {
     for (const std::string& word : request_.scene) {
       const std::size_t equals = word.find('=');
       if (equals == std::string::npos || equals == 0)
-        throw Error(ErrorKind::usage, "--scene " + word + ": expected NAME=VALUE", "such as --scene root=my_room");
+        throw Error(ErrorKind::usage, "usage.value.scene", "--scene " + word + ": expected NAME=VALUE",
+                    "such as --scene root=my_room");
       scene_[word.substr(0, equals)] = word.substr(equals + 1);
     }
     bool dataset = false;
@@ -117,13 +118,14 @@ class Suite {
       try {
         for (const Settings& settings : rows_of(*entry)) require_opens(*entry, settings);
       } catch (const Error& error) {
-        throw Error(ErrorKind::usage,
+        throw Error(ErrorKind::usage, "plugin.laws.scene",
                     "dataset '" + entry->name + "' needs a scene that its laws can read: " + error.message(),
                     "add --scene NAME=VALUE for each of its parameters that names one: " + join(parameters_of(*entry)));
       }
     }
     if (!dataset && !scene_.empty())
-      throw Error(ErrorKind::usage, "--scene is for datasets, and the file registers none", "leave --scene out");
+      throw Error(ErrorKind::usage, "usage.flag.conflict", "--scene is for datasets, and the file registers none",
+                  "leave --scene out");
   }
 
   // A scene that is not there is no broken law.

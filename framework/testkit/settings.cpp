@@ -164,7 +164,7 @@ std::vector<SettingsLine> read_settings_lines(const std::string& path) {
       if (words.size() == 1 && word == "defaults") break;
       const std::size_t equals = word.find('=');
       if (equals == std::string_view::npos || equals == 0)
-        throw Error(ErrorKind::config,
+        throw Error(ErrorKind::config, "plugin.laws.settings",
                     path + ":" + std::to_string(number) + ": '" + std::string(word) + "' sets nothing",
                     "write name=value name=value, or the one word defaults");
       read.settings[std::string(word.substr(0, equals))] = word.substr(equals + 1);
@@ -189,7 +189,8 @@ Settings settings_of(PluginParams& params) {
 std::unique_ptr<PluginParams> make_params(const PluginEntry& entry, const Settings& settings) {
   std::unique_ptr<PluginParams> params = entry.new_params();
   Diagnostics diagnostics;
-  for (const std::string& failure : apply_settings(*params, settings)) diagnostics.error(entry.name, failure);
+  for (const std::string& failure : apply_settings(*params, settings))
+    diagnostics.error("plugin.laws.settings", entry.name, failure, {});
   params->validate(diagnostics);
   diagnostics.throw_if_errors(ErrorKind::config, {});
   return params;

@@ -29,7 +29,7 @@ ConfigNode node_at(const py::handle& value, const Location& where, const std::st
     std::vector<ConfigNode::Entry> entries;
     for (const auto& [name, item] : py::dict(py::reinterpret_borrow<py::object>(value))) {
       if (!py::isinstance<py::str>(name))
-        throw Error(ErrorKind::usage,
+        throw Error(ErrorKind::usage, "config.key.type",
                     place_of(where.file, key) + ": a key is no text: " + py::repr(name).cast<std::string>());
       const auto word = name.cast<std::string>();
       entries.emplace_back(word, node_at(item, where, key.empty() ? word : key + "." + word));
@@ -50,7 +50,7 @@ ConfigNode node_at(const py::handle& value, const Location& where, const std::st
   if (PyFloat_Check(value.ptr()) || py::hasattr(value, "__float__"))
     return scalar(shortest_number(value.cast<double>()), false);
   if (py::hasattr(value, "__fspath__")) return scalar(py::str(value.attr("__fspath__")()).cast<std::string>(), true);
-  throw Error(ErrorKind::usage,
+  throw Error(ErrorKind::usage, "config.value.type",
               place_of(where.file, key) + ": " + py::repr(value.get_type()).cast<std::string>() +
                   " is no value of a configuration",
               "give text, numbers, truth values, lists, dicts or paths");

@@ -35,14 +35,24 @@ const char* class_of(ErrorKind kind) {
 void raise(const Error& error) {
   py::list findings;
   if (const auto* all = dynamic_cast<const FindingsError*>(&error)) {
-    for (const Diagnostic& d : all->findings()) findings.append(py::make_tuple(d.where, d.message, d.remedy));
+    for (const Diagnostic& d : all->findings())
+      findings.append(py::make_tuple(d.where, d.message, d.remedy, d.code.text()));
   } else {
-    findings.append(py::make_tuple("", error.message(), error.remedy()));
+    findings.append(py::make_tuple("", error.message(), error.remedy(), error.code().text()));
   }
   const py::object type = py::module_::import("semfield.errors").attr(class_of(error.kind()));
-  const py::object made =
-      type(error.what(), findings, error.remedy(), py::cast(error.context()), static_cast<int>(error.kind()));
+  const py::object made = type(error.what(), findings, error.remedy(), py::cast(error.context()),
+                               static_cast<int>(error.kind()), error.code().text());
   PyErr_SetObject(type.ptr(), made.ptr());
+}
+
+// That of an exception of the package, which a plugin lets pass or raises with a code of its own.
+Code code_of(const py::error_already_set& raised) {
+  const py::object value = raised.value();
+  if (py::isinstance(value, py::module_::import("semfield.errors").attr("Error"))) {
+    if (const std::optional<Code> code = Code::parse(py::str(value.attr("code")).cast<std::string>())) return *code;
+  }
+  return "plugin.python.raised";
 }
 
 }  // namespace
@@ -54,7 +64,7 @@ void register_errors(py::module_&) {
     } catch (const Error& error) {
       raise(error);
     } catch (const py::cast_error& error) {  // a value beyond its type
-      raise(Error(ErrorKind::usage, error.what()));
+      raise(Error(ErrorKind::usage, "python.value.type", error.what()));
     }
   });
 }
@@ -69,7 +79,7 @@ Error error_of(py::error_already_set& raised, const std::string& doing) {
     what += " (" + code.attr("co_filename").cast<std::string>() + ":" +
             py::str(trace.attr("tb_lineno")).cast<std::string>() + ")";
   }
-  return Error(ErrorKind::failure, doing + ": " + what);
+  return Error(ErrorKind::failure, code_of(raised), doing + ": " + what);
 }
 
 }  // namespace semfield::python

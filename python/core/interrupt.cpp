@@ -18,7 +18,9 @@ std::atomic<std::int64_t> g_noted{0};
 std::atomic<int> g_working{0};
 std::atomic<bool> g_ending{false};
 
-[[noreturn]] void refuse() { throw Error(ErrorKind::usage, "Python ends, and so does the work of this run"); }
+[[noreturn]] void refuse() {
+  throw Error(ErrorKind::usage, "python.session.ending", "Python ends, and so does the work of this run");
+}
 
 }  // namespace
 

@@ -38,7 +38,7 @@ auto called(const std::string& doing, const Call& call) {
     }
     throw error_of(raised, doing);
   } catch (const py::cast_error& wrong) {
-    throw Error(ErrorKind::failure, doing + ": " + wrong.what());
+    throw Error(ErrorKind::failure, "plugin.python.value", doing + ": " + wrong.what());
   }
 }
 

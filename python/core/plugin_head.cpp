@@ -13,7 +13,7 @@ class PythonHead final : public Head<Real> {
   PythonHead(const std::string& name, const py::object& type, const PythonParams& params, const HeadBuild& build)
       : owner_("head '" + name + "'"), width_(build.width) {
     if (build.device != Device::cpu)
-      throw Error(ErrorKind::unavailable,
+      throw Error(ErrorKind::unavailable, "plugin.kernels.missing",
                   owner_ + " is written in Python and has no " + std::string(device_name(build.device)) + " kernels");
     called(owner_, [&] {
       const py::object made = type.attr("_made")(params.values(), build.feature_dims, build.width);
@@ -21,7 +21,8 @@ class PythonHead final : public Head<Real> {
       tensors_ = PythonTensors<Real>(made);
       instance_ = hold(made);
     });
-    if (hidden_ <= 0) throw Error(ErrorKind::usage, owner_ + ": setup must set hidden_width above 0");
+    if (hidden_ <= 0)
+      throw Error(ErrorKind::usage, "plugin.python.declaration", owner_ + ": setup must set hidden_width above 0");
   }
 
   std::int32_t hidden_width() const override { return hidden_; }
@@ -55,7 +56,8 @@ class PythonHead final : public Head<Real> {
       const py::object answer = instance_->attr("output_backward")(
           borrowed(h), seen(opacity), borrowed(d_rows), tensors_.values(tensors), tensors_.gradients(tensors));
       if (!py::isinstance<py::tuple>(answer) || py::len(answer) != 2)
-        throw Error(ErrorKind::failure, owner_ + ".output_backward: expected two arrays, dL/dh and dL/d(opacity)");
+        throw Error(ErrorKind::failure, "plugin.python.shape",
+                    owner_ + ".output_backward: expected two arrays, dL/dh and dL/d(opacity)");
       take(owner_ + ".output_backward", py::object(answer[py::int_(0)]), d_h);
       if (!d_opacity.empty()) take(owner_ + ".output_backward", py::object(answer[py::int_(1)]), d_opacity);
     });

@@ -24,7 +24,9 @@ class PythonLoss final : public Loss {
       moves_ = made.attr("moves").cast<std::vector<std::string>>();
       instance_ = hold(made);
     });
-    if (moves_.empty()) throw Error(ErrorKind::usage, owner_ + ": moves names no channel that it has a gradient of");
+    if (moves_.empty())
+      throw Error(ErrorKind::usage, "plugin.python.moves",
+                  owner_ + ": moves names no channel that it has a gradient of");
     traits_.targets.assign(targets_.begin(), targets_.end());
     traits_.heads.assign(heads_.begin(), heads_.end());
     traits_.moves.assign(moves_.begin(), moves_.end());
@@ -45,8 +47,9 @@ class PythonLoss final : public Loss {
     return add_real(targets, values, scale, gradients);
   }
   LossKernel kernel(Device device, std::string_view owner, const KernelTables&) const override {
-    throw Error(ErrorKind::unavailable, std::string(owner) + " is written in Python and has no " +
-                                            std::string(device_name(device)) + " kernels");
+    throw Error(
+        ErrorKind::unavailable, "plugin.kernels.missing",
+        std::string(owner) + " is written in Python and has no " + std::string(device_name(device)) + " kernels");
   }
 
  private:
@@ -92,7 +95,8 @@ class PythonLoss final : public Loss {
     return called(owner_ + ".value", [&] {
       const auto answer = instance_->attr("value")(arrays(targets), arrays(values)).template cast<py::tuple>();
       if (answer.size() != 2)
-        throw Error(ErrorKind::failure, owner_ + ".value: expected a loss and a dict of gradients");
+        throw Error(ErrorKind::failure, "plugin.python.value",
+                    owner_ + ".value: expected a loss and a dict of gradients");
       for (const auto& [key, gradient] : answer[1].template cast<py::dict>())
         add_gradient(py::str(key).cast<std::string>(), gradient, scale, gradients);
       return answer[0].attr("sum")().template cast<double>();
@@ -103,13 +107,15 @@ class PythonLoss final : public Loss {
                     const RayGradients<Real>& gradients) const {
     const View<Real> to = gradient_of(gradients, name);
     const std::string what = owner_ + ".value: gradient of '" + name + "'";
-    if (!traits_.does_move(name)) throw Error(ErrorKind::failure, what + ", which `moves` does not name");
+    if (!traits_.does_move(name))
+      throw Error(ErrorKind::failure, "plugin.python.moves", what + ", which `moves` does not name");
     if (to.empty()) return;
     const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(given);
     if (!array || array.ndim() != 2 || array.shape(0) > to.rows || array.shape(1) != to.cols) {
       PyErr_Clear();
-      throw Error(ErrorKind::failure, what + ": expected an array of the shape (" + std::to_string(to.rows) + ", " +
-                                          std::to_string(to.cols) + ")");
+      throw Error(
+          ErrorKind::failure, "plugin.python.shape",
+          what + ": expected an array of the shape (" + std::to_string(to.rows) + ", " + std::to_string(to.cols) + ")");
     }
     const auto rows = array.template unchecked<2>();
     for (py::ssize_t r = 0; r < array.shape(0); ++r) {

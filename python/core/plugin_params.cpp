@@ -30,8 +30,9 @@ void require_in_range(const PythonParam& param, const std::string& owner) {
   if (const auto* reals = std::get_if<std::vector<double>>(&param.value)) numbers = *reals;
   for (const double number : numbers) {
     if (number >= param.range.min && number <= param.range.max) continue;
-    throw Error(ErrorKind::usage, owner + ": the default of '" + param.name + "' is " + shortest_number(number) +
-                                      ", outside its own range");
+    throw Error(
+        ErrorKind::usage, "plugin.python.default",
+        owner + ": the default of '" + param.name + "' is " + shortest_number(number) + ", outside its own range");
   }
 }
 
@@ -89,7 +90,8 @@ std::vector<PythonParam> params_of(const py::list& declared, const std::string& 
       ChoiceValue choice{0, item["choices"].cast<std::vector<std::string>>()};
       const auto at = std::find(choice.names.begin(), choice.names.end(), py::str(value).cast<std::string>());
       if (at == choice.names.end())
-        throw Error(ErrorKind::usage, owner + ": the default of '" + p.name + "' is none of its choices");
+        throw Error(ErrorKind::usage, "plugin.python.default",
+                    owner + ": the default of '" + p.name + "' is none of its choices");
       choice.index = static_cast<int>(at - choice.names.begin());
       p.value = std::move(choice);
     } else if (py::isinstance<py::bool_>(value)) {
@@ -109,12 +111,12 @@ std::vector<PythonParam> params_of(const py::list& declared, const std::string& 
       } else if (all_are(list, is_number)) {
         p.value = list.cast<std::vector<double>>();
       } else {
-        throw Error(ErrorKind::usage,
+        throw Error(ErrorKind::usage, "plugin.python.default",
                     owner + ": the default of '" + p.name + "' is " + py::repr(value).cast<std::string>(),
                     "a list has numbers alone, or texts alone");
       }
     } else {
-      throw Error(ErrorKind::usage,
+      throw Error(ErrorKind::usage, "plugin.python.default",
                   owner + ": the default of '" + p.name + "' is " + py::repr(value).cast<std::string>(),
                   "a parameter is a truth value, a number, a text, or a list of numbers or texts");
     }

@@ -56,11 +56,12 @@ void take(const std::string& doing, const py::object& answer, View<Real> to) {
     PyErr_Clear();
     const std::string got =
         given ? py::str(given.attr("shape")).cast<std::string>() : py::repr(answer.get_type()).cast<std::string>();
-    throw Error(ErrorKind::failure, doing + ": expected an array of the shape (" + std::to_string(to.rows) + ", " +
-                                        std::to_string(to.cols) + "), got " + got);
+    throw Error(ErrorKind::failure, "plugin.python.shape",
+                doing + ": expected an array of the shape (" + std::to_string(to.rows) + ", " +
+                    std::to_string(to.cols) + "), got " + got);
   }
   if (std::string_view("fiub").find(given.dtype().kind()) == std::string_view::npos)
-    throw Error(ErrorKind::failure,
+    throw Error(ErrorKind::failure, "plugin.python.value",
                 doing + ": expected real numbers, got " + py::str(given.dtype()).cast<std::string>());
   py::array target = borrowed(to);
   target[py::ellipsis()] = given;

@@ -26,7 +26,8 @@ Domain domain_of(const std::string& name, const std::string& owner) {
   if (name == "metric") return Domain::metric;
   if (name == "unit_cube") return Domain::unit_cube;
   if (name == "direction") return Domain::direction;
-  throw Error(ErrorKind::usage, owner + ": domain '" + name + "' is none", "it is metric, unit_cube or direction");
+  throw Error(ErrorKind::usage, "plugin.python.declaration", owner + ": domain '" + name + "' is none",
+              "it is metric, unit_cube or direction");
 }
 
 template <class Real>
@@ -48,7 +49,8 @@ class PythonEncoder final : public Encoder<Real> {
       tensors_ = PythonTensors<Real>(made);
       instance_ = hold(made);
     });
-    if (traits_.out_dims <= 0) throw Error(ErrorKind::usage, owner_ + ": setup must set out_dims above 0");
+    if (traits_.out_dims <= 0)
+      throw Error(ErrorKind::usage, "plugin.python.declaration", owner_ + ": setup must set out_dims above 0");
   }
 
   EncoderTraits traits() const noexcept override { return traits_; }
@@ -233,11 +235,11 @@ void load_python_file(Registry& registry, const std::string& path) {
   } catch (py::error_already_set& raised) {
     b.loading = outer;
     const Error error = error_of(raised, doing);
-    throw Error(ErrorKind::unavailable, error.message(), "mend the file, or leave it out");
+    throw Error(ErrorKind::unavailable, error.code(), error.message(), "mend the file, or leave it out");
   }
   b.loading = outer;
   if (trial.entries().size() == before)
-    throw Error(ErrorKind::unavailable, doing + ": it defines no plugin",
+    throw Error(ErrorKind::unavailable, "plugin.module.empty", doing + ": it defines no plugin",
                 "decorate a class with @semfield.encoder(\"name\"), .dataset, .head or .loss");
   trial.set_current_module({});
   trial.add_module_file(path);

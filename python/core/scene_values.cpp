@@ -33,23 +33,27 @@ py::array_t<T, py::array::c_style | py::array::forcecast> shaped(const py::objec
   const py::array given = py::array::ensure(value);
   if (!given) {
     PyErr_Clear();
-    throw Error(ErrorKind::data, place + ": expected an array, got " + py::repr(value.get_type()).cast<std::string>());
+    throw Error(ErrorKind::data, "python.array.type",
+                place + ": expected an array, got " + py::repr(value.get_type()).cast<std::string>());
   }
   const bool same =
       given.ndim() == static_cast<py::ssize_t>(shape.size()) && std::equal(shape.begin(), shape.end(), given.shape());
   if (!same) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "python.array.shape",
                 fmt::format("{}: expected the shape {}, got {}", place, text(shape.data(), shape.size()),
                             text(given.shape(), static_cast<std::size_t>(given.ndim()))));
   }
   const char kind = given.dtype().kind();
   if (std::string_view("fiub").find(kind) == std::string_view::npos)
-    throw Error(ErrorKind::data, place + ": expected real numbers, got " + py::str(given.dtype()).cast<std::string>());
+    throw Error(ErrorKind::data, "python.array.type",
+                place + ": expected real numbers, got " + py::str(given.dtype()).cast<std::string>());
   if (std::is_integral_v<T> && kind != 'u' && kind != 'i' && kind != 'b')
-    throw Error(ErrorKind::data, place + ": expected whole numbers, got " + py::str(given.dtype()).cast<std::string>(),
+    throw Error(ErrorKind::data, "python.array.type",
+                place + ": expected whole numbers, got " + py::str(given.dtype()).cast<std::string>(),
                 sizeof(T) == 1 ? "give uint8 values of 0 to 255" : "give class ids as integers");
   if (std::is_same_v<T, std::uint8_t> && !(kind == 'u' && given.itemsize() == 1))
-    throw Error(ErrorKind::data, place + ": expected uint8, got " + py::str(given.dtype()).cast<std::string>(),
+    throw Error(ErrorKind::data, "python.array.type",
+                place + ": expected uint8, got " + py::str(given.dtype()).cast<std::string>(),
                 "give values of 0 to 255 as uint8");
   return py::array_t<T, py::array::c_style | py::array::forcecast>(given);
 }
@@ -58,7 +62,8 @@ Split split_of(const std::string& name, const std::string& place) {
   if (name == "train") return Split::train;
   if (name == "test") return Split::test;
   if (name == "unused") return Split::unused;
-  throw Error(ErrorKind::data, place + ": split '" + name + "' is none", "it is train, test or unused");
+  throw Error(ErrorKind::data, "scene.split.unknown", place + ": split '" + name + "' is none",
+              "it is train, test or unused");
 }
 
 ClassTable classes_of(const py::list& classes) {
@@ -90,7 +95,7 @@ std::vector<std::int16_t> indices_in(const Ids& ids, const ClassTable& classes, 
     const int index = std::cmp_equal(id, -1) ? kVoid : fits ? classes.index_of(static_cast<std::int32_t>(id)) : -2;
     if (index == -2) {
       const auto w = static_cast<std::size_t>(width);
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "labels.id.unknown",
                   fmt::format("{}: pixel x {}, y {}: {} is the id of no class", place, i % w, i / w, id),
                   "add the class, or give -1 for pixels without a label");
     }
@@ -122,7 +127,7 @@ Pose pose_of(const py::object& value, const std::string& place) {
   if (tall && !check_last_row(numbers, place, diagnostics)) diagnostics.throw_if_errors(ErrorKind::data, "");
   Pose pose = pose_from_rows(numbers);
   if (check_pose(pose, place, diagnostics) == PoseState::not_finite)
-    throw Error(ErrorKind::data, place + ": the pose has numbers that are not finite");
+    throw Error(ErrorKind::data, "scene.pose.not_finite", place + ": the pose has numbers that are not finite");
   diagnostics.throw_if_errors(ErrorKind::data, "");
   return pose;
 }
@@ -161,7 +166,7 @@ void collect(Diagnostics& diagnostics, const std::string& place, const std::func
   } catch (const Error& error) {
     const std::string before = place + ": ";
     const bool named = error.message().starts_with(before);
-    diagnostics.error(place, error.message().substr(named ? before.size() : 0), error.remedy());
+    diagnostics.error(error.code(), place, error.message().substr(named ? before.size() : 0), error.remedy());
   }
 }
 
@@ -175,7 +180,8 @@ SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
     frame.name = given["name"].cast<std::string>();
     frame.source = given["source"].cast<std::string>();
     const std::string place = "frame '" + frame.name + "'";
-    if (const auto wrong = names.add(frame.name)) diagnostics.error(place, *wrong, kFrameNameRemedy);
+    if (const auto wrong = names.add(frame.name))
+      diagnostics.error("scene.frame.name", place, *wrong, kFrameNameRemedy);
     frame.split = split_of(given["split"].cast<std::string>(), place);
     frame.has_depth = given["has_depth"].cast<bool>();
     frame.has_labels = given["has_labels"].cast<bool>();
@@ -197,7 +203,7 @@ SceneInfo scene_info_of(const py::dict& scene, Diagnostics& diagnostics) {
       info.bounds.lo[i] = corners.at(0, i);
       info.bounds.hi[i] = corners.at(1, i);
       if (!(corners.at(0, i) < corners.at(1, i)))
-        diagnostics.error("bounds",
+        diagnostics.error("config.value.order", "bounds",
                           fmt::format("axis {} goes from {} to {}", "xyz"[i], corners.at(0, i), corners.at(1, i)),
                           "give the lowest corner first");
     }

@@ -58,7 +58,7 @@ std::vector<Vec3d> vectors_of(const py::object& value, const char* what) {
   const auto rows = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(value);
   if (!rows || rows.ndim() != 2 || rows.shape(1) != 3) {
     PyErr_Clear();
-    throw Error(ErrorKind::usage, std::string(what) + ": expected numbers of the shape [N, 3]");
+    throw Error(ErrorKind::usage, "python.array.shape", std::string(what) + ": expected numbers of the shape [N, 3]");
   }
   std::vector<Vec3d> out(static_cast<std::size_t>(rows.shape(0)));
   for (py::ssize_t i = 0; i < rows.shape(0); ++i)
@@ -84,7 +84,7 @@ PySession::~PySession() {
 
 void PySession::refuse_fork() const {
   if (getpid() == owner_) return;
-  throw Error(ErrorKind::usage,
+  throw Error(ErrorKind::usage, "python.session.fork",
               "this run was opened by process " + std::to_string(owner_) + ", and this is a fork of it, process " +
                   std::to_string(getpid()),
               "save the run before the fork and semfield.load its folder here, or open it here");
@@ -132,14 +132,15 @@ std::unique_ptr<PySession> PySession::load(const std::string& run_dir, const py:
     return std::make_unique<OpenedRun>(
         open_run(run_dir, overrides, made->registry_, found, OpenFor::evaluation_of_training_frames));
   });
-  for (const Diagnostic& finding : folded(found)) made->notes_.note(finding.text());
+  for (const Diagnostic& finding : folded(found)) made->notes_.note(finding.shown());
   return made;
 }
 
 RunSession& PySession::training() {
   refuse_fork();
   if (run_) return *run_;
-  throw Error(ErrorKind::usage, "this run was opened to be looked at", "open it with semfield.resume to go on with it");
+  throw Error(ErrorKind::usage, "python.session.read_only", "this run was opened to be looked at",
+              "open it with semfield.resume to go on with it");
 }
 
 std::vector<std::string> PySession::notes() const {
@@ -236,7 +237,8 @@ void PySession::set_labels(int frame, const py::object& ids) {
   RunSession& run = training();
   const std::vector<FrameInfo>& frames = session().scene.info.frames;
   if (frame < 0 || frame >= std::ssize(frames))
-    throw Error(ErrorKind::usage, "frame " + std::to_string(frame) + ": there are " + std::to_string(frames.size()));
+    throw Error(ErrorKind::usage, "python.frame.range",
+                "frame " + std::to_string(frame) + ": there are " + std::to_string(frames.size()));
   const FrameInfo& info = frames[static_cast<std::size_t>(frame)];
   std::vector<std::int16_t> labels = indices_of(ids, session().scene.info.classes, info.camera.height_px,
                                                 info.camera.width_px, "labels of frame '" + info.name + "'");
@@ -293,7 +295,8 @@ py::dict PySession::render(const py::dict& camera, const py::object& pose, int s
   check_camera(view.camera, "render", found);
   found.throw_if_errors(ErrorKind::usage, "");
   if (stride < 1 || stride > std::min(view.camera.width_px, view.camera.height_px))
-    throw Error(ErrorKind::usage, "stride " + std::to_string(stride) + ": expected 1 to the picture's shorter side");
+    throw Error(ErrorKind::usage, "usage.value.stride",
+                "stride " + std::to_string(stride) + ": expected 1 to the picture's shorter side");
   FrameOptions options;
   options.stride = stride;
   options.probability = probability;
@@ -331,7 +334,8 @@ py::dict PySession::render(const py::dict& camera, const py::object& pose, int s
 
 py::tuple PySession::evaluate(const std::string& split, const std::vector<int>& frames) {
   if (frames.empty())
-    throw Error(ErrorKind::usage, "the scene has no frames in split '" + split + "'", "see run.frames");
+    throw Error(ErrorKind::usage, "scene.split.empty", "the scene has no frames in split '" + split + "'",
+                "see run.frames");
   Interrupt interrupt;
   const SplitScore score = computed([&] {
     EvalJob job = session().eval_job(frames);
@@ -349,8 +353,9 @@ py::dict PySession::query(const py::object& positions, const py::object& directi
   const std::vector<Vec3d> places = vectors_of(positions, "positions");
   const std::vector<Vec3d> seen = directions.is_none() ? std::vector<Vec3d>() : vectors_of(directions, "directions");
   if (!directions.is_none() && seen.size() != places.size())
-    throw Error(ErrorKind::usage, "directions: expected one for each of " + std::to_string(places.size()) +
-                                      " positions, got " + std::to_string(seen.size()));
+    throw Error(ErrorKind::usage, "python.array.shape",
+                "directions: expected one for each of " + std::to_string(places.size()) + " positions, got " +
+                    std::to_string(seen.size()));
   const int classes = session().classes();
   FieldPoints found;
   Interrupt interrupt;

@@ -45,7 +45,7 @@ py::dict pixels_of(const PySession& self, int frame) {
   const Session& s = self.session();
   const auto f = static_cast<std::size_t>(frame);
   if (frame < 0 || f >= s.scene.frames.size())
-    throw Error(ErrorKind::usage,
+    throw Error(ErrorKind::usage, "python.frame.range",
                 "frame " + std::to_string(frame) + ": there are " + std::to_string(s.scene.frames.size()));
   const StoredFrame& stored = s.scene.frames[f];
   const std::int32_t height = stored.height_px, width = stored.width_px;

@@ -69,7 +69,8 @@ void start_python() {
   const PyStatus status = Py_InitializeFromConfig(&config);
   PyConfig_Clear(&config);
   if (PyStatus_Exception(status) != 0)
-    throw Error(ErrorKind::unavailable, std::string("Python cannot be started: ") + status.err_msg, kRemedy);
+    throw Error(ErrorKind::unavailable, "python.interpreter.failed",
+                std::string("Python cannot be started: ") + status.err_msg, kRemedy);
   add_build_folder();
   PyEval_SaveThread();
 }
@@ -85,13 +86,18 @@ struct Gil {
 const Host& host() {
   static const Host& found = []() -> const Host& {
     PyObject* const core = PyImport_ImportModule("semfield._core");
-    if (core == nullptr) throw Error(ErrorKind::unavailable, "Python's module semfield: " + raised_text(), kRemedy);
+    if (core == nullptr)
+      throw Error(ErrorKind::unavailable, "python.module.missing", "Python's module semfield: " + raised_text(),
+                  kRemedy);
     PyObject* const capsule = PyObject_GetAttrString(core, "_host");
     const auto* const own =
         capsule != nullptr ? static_cast<const Host*>(PyCapsule_GetPointer(capsule, "semfield.host")) : nullptr;
-    if (own == nullptr) throw Error(ErrorKind::unavailable, "Python's module semfield: " + raised_text(), kRemedy);
+    if (own == nullptr)
+      throw Error(ErrorKind::unavailable, "python.module.missing", "Python's module semfield: " + raised_text(),
+                  kRemedy);
     if (own->framework != semfield::abi_tag_of_framework)
-      throw Error(ErrorKind::unavailable, "Python's module semfield belongs to another installation of Semfield",
+      throw Error(ErrorKind::unavailable, "python.module.foreign",
+                  "Python's module semfield belongs to another installation of Semfield",
                   "let PYTHONPATH name this one's, or run the other's program");
     return *own;
   }();

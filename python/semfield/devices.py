@@ -19,7 +19,7 @@ def ordinal_of(device: str) -> int:
     number = str(device)[5:]
     if str(device).startswith("cuda:") and number.isdecimal() and len(number) < 10:
         return int(number)
-    raise UsageError(f"device {device!r}: expected cpu, cuda or cuda:N")
+    raise UsageError(f"device {device!r}: expected cpu, cuda or cuda:N", code="usage.value.devices")
 
 
 def to_device(array: np.ndarray[Any, Any], device: str = "cuda") -> _core.DeviceArray:
@@ -30,5 +30,6 @@ def to_device(array: np.ndarray[Any, Any], device: str = "cuda") -> _core.Device
     """
     ordinal = ordinal_of(device)
     if ordinal < 0:
-        raise UsageError("to_device: an array in the memory of the processor is the array itself; name cuda or cuda:N")
+        raise UsageError("to_device: an array in the memory of the processor is the array itself; name cuda or cuda:N",
+                         code="python.device.host")
     return _core.to_device(np.asarray(array), ordinal)

@@ -11,6 +11,7 @@ class Finding(NamedTuple):
     where: str  #: file:line:column, frame or key; may be empty
     message: str  #: what is wrong, with the value found
     remedy: str  #: one next step; may be empty
+    code: str  #: the name of the cause, such as ``config.key.unknown``
 
 
 class Error(Exception):
@@ -20,22 +21,25 @@ class Error(Exception):
         findings: every problem, at least one.
         remedy: one next step; may be empty.
         context: what was being done, outermost first.
+        code: the stable name of the cause, such as ``config.key.unknown``; of several findings that of the first.
         exit_code: the code with which the program `semfield` would end.
     """
 
     def __init__(
         self,
         text: str,
-        findings: Sequence[Tuple[str, str, str]] = (),
+        findings: Sequence[Tuple[str, str, str, str]] = (),
         remedy: str = "",
         context: Sequence[str] = (),
         exit_code: int = 1,
+        code: str = "plugin.python.raised",
     ) -> None:
         super().__init__(text)
-        self.findings: List[Finding] = [Finding(*f) for f in findings] or [Finding("", text, remedy)]
+        self.findings: List[Finding] = [Finding(*f) for f in findings] or [Finding("", text, remedy, code)]
         self.remedy = remedy
         self.context: List[str] = list(context)
         self.exit_code = exit_code
+        self.code = code
 
 
 class UsageError(Error, ValueError):

@@ -28,7 +28,7 @@ class Labels:
     def _apply(self, kind: str, **more: Any) -> str:
         if self._session.trains and not self._session.config()["scene"]["labels"]["clicks"]:
             raise UsageError("this run has no place for clicks; open it with class_room= and out=: "
-                             "semfield.open(config, out=\"runs/a\", class_room=20)")
+                             "semfield.open(config, out=\"runs/a\", class_room=20)", code="labels.clicks.missing")
         event = {"id": uuid.uuid4().hex, "type": kind, **more}
         try:
             self._session.apply(json.dumps(event))
@@ -64,7 +64,8 @@ class Labels:
         known = self._frame(frame)
         at = _floats("points", points)
         if at.ndim != 2 or at.shape[1] != 2 or not np.isfinite(at).all():
-            raise UsageError(f"a click is at finite x and y, and a stroke at [N, 2] of them; got {points!r}")
+            raise UsageError(f"a click is at finite x and y, and a stroke at [N, 2] of them; got {points!r}",
+                             code="python.value.type")
         size = [known["camera"]["width"], known["camera"]["height"]]
         return self._apply("click", frame=known["name"], size=size, radius=_number("radius_px", radius_px),
                            points=at.tolist(), **{"class": class_})

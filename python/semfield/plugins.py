@@ -129,7 +129,8 @@ class Encoder(_Plugin):
         known = {p["name"]: p["default"] for p in cls._params()}
         unknown = [name for name in values if name not in known]
         if unknown:
-            raise UsageError(f"{cls.__name__}: no parameter is named {unknown[0]!r}; there are {', '.join(known) or 'none'}")
+            raise UsageError(f"{cls.__name__}: no parameter is named {unknown[0]!r}; there are {', '.join(known) or 'none'}",
+                             code="plugin.python.parameter")
         return cls._made({**known, **values}, {"in_dims": in_dims, "is_direction": cls.domain == "direction", "extent_m": 1.0,
                                                "pixel_footprint_m": 0.0, "largest_coordinate": 1.0})
 
@@ -316,10 +317,11 @@ L_ = TypeVar("L_", bound=Type[Loss])
 
 def _summary(cls: type, base: type, summary: str) -> str:
     if not (isinstance(cls, type) and issubclass(cls, base)):
-        raise UsageError(f"{cls!r}: expected a subclass of semfield.{base.__name__}")
+        raise UsageError(f"{cls!r}: expected a subclass of semfield.{base.__name__}", code="plugin.python.declaration")
     text = summary or (cls.__doc__ or "").strip().split("\n")[0]
     if not text:
-        raise UsageError(f"{cls.__name__}: a plugin has a sentence that says what it is; give a docstring or summary=")
+        raise UsageError(f"{cls.__name__}: a plugin has a sentence that says what it is; give a docstring or summary=",
+                         code="plugin.python.declaration")
     return text
 
 
@@ -382,7 +384,7 @@ def _run_file(path: str) -> None:
     name = f"semfield_plugin_{abs(hash(path)):x}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise UsageError(f"{path}: not a file of Python")
+        raise UsageError(f"{path}: not a file of Python", code="plugin.python.file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pathlib
+import re
 import shutil
 import signal
 import subprocess
@@ -33,7 +34,8 @@ def program() -> str:
     on_path = shutil.which("semfield")
     if on_path is None:
         raise UnavailableError("the program semfield is not beside the module and not in PATH",
-                               remedy="install the package semfield, or set SEMFIELD_PROGRAM", exit_code=69)
+                               remedy="install the package semfield, or set SEMFIELD_PROGRAM", exit_code=69,
+                               code="python.program.missing")
     return on_path
 
 
@@ -57,7 +59,9 @@ def command(*words: Any, json_output: bool = False) -> Any:
             running.communicate()
             raise
     if running.returncode != 0:
-        error = CommandError(f"semfield {' '.join(line[1:])}: {told.strip() or out.strip()}", exit_code=running.returncode)
+        named = re.search(r"\[(\w+(?:\.\w+){1,3})\]\s*$", told)  # behind the sentence of the error
+        error = CommandError(f"semfield {' '.join(line[1:])}: {told.strip() or out.strip()}", exit_code=running.returncode,
+                             code=named.group(1) if named else "python.program.failed")
         error.stderr = told
         raise error
     return json.loads(out) if json_output else out

@@ -28,7 +28,8 @@ class _Closed:
         self._name = name
 
     def __getattr__(self, name: str) -> Any:
-        raise UsageError(f"the run {self._name!r} is closed; open it again with open, resume or load")
+        raise UsageError(f"the run {self._name!r} is closed; open it again with open, resume or load",
+                         code="python.run.closed")
 
 
 class Training(Iterator[Step]):
@@ -170,13 +171,13 @@ class Run:
         if isinstance(frame, (int, np.integer)):
             if 0 <= frame < len(self._frames):
                 return int(frame)
-            raise UsageError(f"frame {frame}: there are {len(self._frames)}, from 0 on")
+            raise UsageError(f"frame {frame}: there are {len(self._frames)}, from 0 on", code="python.frame.range")
         for i, f in enumerate(self._frames):
             if f["name"] == frame:
                 return i
         near = difflib.get_close_matches(str(frame), [f["name"] for f in self._frames], 1)
         raise UsageError(f"the scene has no frame named {frame!r}; " +
-                         (f"did you mean {near[0]!r}?" if near else "run.frames has their names"))
+                         (f"did you mean {near[0]!r}?" if near else "run.frames has their names"), code="scene.frame.unknown")
 
     def _frame(self, frame: FrameId) -> Dict[str, Any]:
         return self._frames[self._index(frame)]
@@ -206,7 +207,7 @@ class Run:
         known = self._frame(frame)
         if known["split"] != "train":
             raise UsageError(f"frame {known['name']!r} does not train, as its split is {known['split']}: "
-                             "labels of it would change nothing")
+                             "labels of it would change nothing", code="labels.frame.untrained")
         self._session.set_labels(self._index(frame), np.asarray(labels))
 
     def train(self, steps: Optional[int] = None, every: int = 100) -> Training:
@@ -244,7 +245,8 @@ class Run:
         more = 0 if steps is None else _whole("extend: steps", steps, 0, 10**9)
         time_s = 0.0 if seconds is None else _number("extend: seconds", seconds)
         if (steps is None) == (seconds is None) or not (more or 0 < time_s <= 1e8):
-            raise UsageError(f"extend(steps={steps}, seconds={seconds}): expected steps of 1 or more, or seconds above 0")
+            raise UsageError(f"extend(steps={steps}, seconds={seconds}): expected steps of 1 or more, or seconds above 0",
+                             code="python.value.range")
         self._session.train_more(more, time_s)
 
     def render(
@@ -272,7 +274,7 @@ class Run:
             channels: of heads beside that of class logits, by name.
         """
         if frame is None and pose is None:
-            raise UsageError("render: give a pose, or the frame that is meant")
+            raise UsageError("render: give a pose, or the frame that is meant", code="python.value.missing")
         known = self._frames[0] if frame is None else self._frame(frame)
         at = _floats("pose", known["pose"] if pose is None else pose)
         if camera is None:
@@ -304,11 +306,11 @@ class Run:
         if frames is not None:
             chosen = [self._index(f) for f in ([frames] if isinstance(frames, str) else frames)]
             if not chosen:
-                raise UsageError("evaluate: frames is empty; None means all of the split")
+                raise UsageError("evaluate: frames is empty; None means all of the split", code="python.value.missing")
         elif split in ("train", "test"):
             chosen = [i for i, f in enumerate(self._frames) if f["split"] == split]
         else:
-            raise UsageError(f"split {split!r}: expected train or test")
+            raise UsageError(f"split {split!r}: expected train or test", code="scene.split.unknown")
         values, detail = self._session.evaluate(split, chosen)
         return Score(values, json.loads(detail))
 
@@ -338,7 +340,8 @@ class Run:
         """
         if self._scene is not None:
             raise UsageError("the scene is in a temporary file, which is gone when this process ends: "
-                             "give it a place, Scene(..., file=\"room.sfpack\"), and open the run with that")
+                             "give it a place, Scene(..., file=\"room.sfpack\"), and open the run with that",
+                             code="python.scene.temporary")
         return str(self._session.save(os.fspath(run_dir)))
 
 

@@ -37,30 +37,30 @@ def _floats(what: str, value: Any) -> np.ndarray[Any, Any]:
             raise TypeError("complex ones are none")
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise UsageError(f"{what}: expected numbers: {error}") from None
+        raise UsageError(f"{what}: expected numbers: {error}", code="python.value.type") from None
 
 
 def _number(what: str, value: Any) -> float:
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise UsageError(f"{what}: {value!r} is no number") from None
+        raise UsageError(f"{what}: {value!r} is no number", code="python.value.type") from None
 
 
 def _whole(what: str, value: Any, low: int = 0, high: int = 2**31 - 1) -> int:
     try:
         number = operator.index(value)
     except TypeError:
-        raise UsageError(f"{what}: {value!r} is no whole number") from None
+        raise UsageError(f"{what}: {value!r} is no whole number", code="python.value.type") from None
     if not low <= number <= high:
-        raise UsageError(f"{what}: {number} is out of range; expected {low} to {high}")
+        raise UsageError(f"{what}: {number} is out of range; expected {low} to {high}", code="python.value.range")
     return number
 
 
 def _pixels(what: str, value: Any) -> int:
     number = _number(what, value)
     if not number.is_integer():
-        raise UsageError(f"{what} {value!r} is no whole number of pixels")
+        raise UsageError(f"{what} {value!r} is no whole number of pixels", code="python.value.type")
     return _whole(what, int(number), -2**31)
 
 
@@ -87,7 +87,8 @@ class Camera:
         width, height = _pixels("camera: width", self.width), _pixels("camera: height", self.height)
         lens = tuple(_floats("camera: distortion", self.distortion).ravel().tolist())
         if len(lens) > 6:
-            raise UsageError(f"camera: distortion has {len(lens)} numbers; k1, k2, p1, p2, k3, k4 are known")
+            raise UsageError(f"camera: distortion has {len(lens)} numbers; k1, k2, p1, p2, k3, k4 are known",
+                             code="python.value.length")
         made: Dict[str, Any] = {"width": width, "height": height, "distortion": lens}
         for name, otherwise in (("fx", None), ("fy", self.fx), ("cx", width / 2), ("cy", height / 2)):
             given = getattr(self, name)
@@ -100,7 +101,8 @@ class Camera:
         """A camera with this horizontal field of view, above 0 and below 180 degrees."""
         angle = _number("from_fov: degrees", degrees)
         if not 0 < angle < 180:
-            raise UsageError(f"from_fov: degrees {degrees!r}: a lens sees more than 0 and less than 180 degrees")
+            raise UsageError(f"from_fov: degrees {degrees!r}: a lens sees more than 0 and less than 180 degrees",
+                             code="python.value.range")
         return Camera(width, height, 0.5 * _pixels("camera: width", width) / float(np.tan(np.radians(angle) / 2)))
 
     def resized(self, width: int, height: int) -> "Camera":
@@ -173,11 +175,12 @@ def _class_rows(classes: Any) -> List[Tuple[int, str, Optional[Tuple[int, int, i
         if isinstance(item, str):
             item = ClassEntry(i, item)
         if not isinstance(item, ClassEntry):
-            raise UsageError(f"class {i}: {item!r} is neither a name nor a ClassEntry")
+            raise UsageError(f"class {i}: {item!r} is neither a name nor a ClassEntry", code="python.value.type")
         color: Optional[Tuple[int, int, int]] = None
         if item.color is not None:
             if len(item.color) != 3 or not all(0 <= c <= 255 for c in item.color):
-                raise UsageError(f"class {item.name!r}: color {item.color!r}: expected red, green and blue of 0 to 255")
+                raise UsageError(f"class {item.name!r}: color {item.color!r}: expected red, green and blue of 0 to 255",
+                                 code="python.value.range")
             color = (int(item.color[0]), int(item.color[1]), int(item.color[2]))
         rows.append((_whole(f"class {item.name!r}: id", item.id, -2**31), str(item.name), color, bool(item.ignore)))
     return rows
@@ -230,7 +233,8 @@ class Scene:
         try:
             count = len(images)
         except TypeError:
-            raise UsageError(f"images: {type(images).__name__} has no length; give a list of arrays") from None
+            raise UsageError(f"images: {type(images).__name__} has no length; give a list of arrays",
+                             code="python.value.type") from None
         poses = _floats("poses", poses)
         all_cameras = [cameras] * count if isinstance(cameras, Camera) else list(cameras)
         all_labels: List[Optional[np.ndarray[Any, Any]]] = [None] * count if labels is None else list(labels)
@@ -239,16 +243,17 @@ class Scene:
         for what, given in (("poses", poses), ("cameras", all_cameras), ("labels", all_labels),
                             ("depths", all_depths), ("names", all_names)):
             if len(given) != count:
-                raise UsageError(f"{what}: {len(given)} for {count} images")
+                raise UsageError(f"{what}: {len(given)} for {count} images", code="python.value.length")
         if count == 0:
-            raise UsageError("images: a scene has at least one")
+            raise UsageError("images: a scene has at least one", code="scene.frames.none")
         if any(m is not None for m in all_labels) and classes is None:
-            raise UsageError("labels: classes tell what their ids mean, and there are none")
+            raise UsageError("labels: classes tell what their ids mean, and there are none", code="labels.classes.none")
         if not all(isinstance(c, Camera) for c in all_cameras):
-            raise UsageError("cameras: expected one Camera for all images, or one for each")
+            raise UsageError("cameras: expected one Camera for all images, or one for each", code="python.value.length")
         held_out = {_whole("test", i, -2**31) for i in test}
         if not held_out <= set(range(count)):
-            raise UsageError(f"test: {sorted(held_out - set(range(count)))} are no indices of {count} images")
+            raise UsageError(f"test: {sorted(held_out - set(range(count)))} are no indices of {count} images",
+                             code="python.frame.range")
         frames = []
         for i in range(count):
             frames.append({
@@ -297,9 +302,10 @@ def _refuse_to_replace(path: str, overwrite: bool) -> None:
     if not os.path.lexists(path):
         return
     if not overwrite:
-        raise UsageError(f"{path!r} is there already; name another file, or give overwrite=True to replace that scene")
+        raise UsageError(f"{path!r} is there already; name another file, or give overwrite=True to replace that scene",
+                         code="files.output.exists")
     if not (os.path.isfile(path) and _core.is_pack(path)):
-        raise UsageError(f"{path!r} is no packed scene, so it is not replaced; name another file")
+        raise UsageError(f"{path!r} is no packed scene, so it is not replaced; name another file", code="files.output.foreign")
 
 
 def _remove_file(path: str, owner: int) -> None:

@@ -28,7 +28,8 @@ class Sweep:
     def _file(self, name: str) -> pathlib.Path:
         path = pathlib.Path(self.folder) / name
         if not path.is_file():
-            raise InputError(f"no sweep has ended in {self.folder!r}: there is no {name}; run semfield.sweep(file, out=...)", exit_code=66)
+            raise InputError(f"no sweep has ended in {self.folder!r}: there is no {name}; run semfield.sweep(file, out=...)", exit_code=66,
+                             code="sweep.result.missing")
         return path
 
     def table(self) -> List[Dict[str, Any]]:

@@ -32,14 +32,14 @@ const QuadratureRule& rule_named(std::string_view name) {
   for (const QuadratureRule& rule : rules) {
     if (rule.name == name) return rule;
   }
-  throw Error(ErrorKind::failure, "no rule '" + std::string(name) + "'");
+  throw Error(ErrorKind::failure, "test.error.made", "no rule '" + std::string(name) + "'");
 }
 
 RayProblem problem_named(const std::string& key) {
   for (RayProblem& p : quadrature_problems()) {
     if (p.key == key) return p;
   }
-  throw Error(ErrorKind::failure, "no problem '" + key + "'");
+  throw Error(ErrorKind::failure, "test.error.made", "no problem '" + key + "'");
 }
 
 QuadratureOptions grid(std::int64_t rays, std::vector<std::int64_t> samples = {64, 128, 256, 512}) {

@@ -130,7 +130,7 @@ TEST(CompletionVerb, UnknownShell) {
   const TempDir dir;
   const testing_program::Result r = testing_program::semfield_run("completion zhs", dir.path());
   EXPECT_EQ(r.code, 2);
-  EXPECT_EQ(r.err, "semfield: SHELL zhs: expected bash, zsh or fish; did you mean zsh?\n");
+  EXPECT_EQ(r.err, "semfield: SHELL zhs: expected bash, zsh or fish; did you mean zsh? [usage.value.invalid]\n");
 }
 
 }  // namespace

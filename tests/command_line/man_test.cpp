@@ -33,7 +33,7 @@ TEST(Man, PageOfAVerbHasItsWords) {
   EXPECT_NE(whole.out.find(".TP\n.BR semfield\\-render (1)\n"), std::string::npos) << whole.out;
   EXPECT_NE(whole.out.find(".SH EXIT STATUS\n.TP\n.B 0\ndone\n"), std::string::npos) << whole.out;
   EXPECT_EQ(semfield_run("help --man rendr", dir.path()).err,
-            "semfield: there is no verb 'rendr'; did you mean `semfield render`?\n");
+            "semfield: there is no verb 'rendr'; did you mean `semfield render`? [usage.verb.unknown]\n");
   EXPECT_EQ(semfield_run("help --man render --out all", dir.path()).code, 2);
 }
 

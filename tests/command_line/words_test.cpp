@@ -5,6 +5,7 @@
 #include <regex>
 #include <sstream>
 
+#include "core/error.h"
 #include "system/files.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
@@ -19,10 +20,10 @@ class Words : public ::testing::Test {
  protected:
   Result run(const std::string& words) { return testing_program::semfield_run(words, dir_.path()); }
   // Refused with exit code 2, with this on stderr and nothing on stdout.
-  void refused(const std::string& words, const std::string& sentence) {
+  void refused(const std::string& words, Code code, const std::string& sentence) {
     const Result r = run(words);
     EXPECT_EQ(r.code, 2) << words << "\n" << r.err;
-    EXPECT_EQ(r.err, "semfield: " + sentence + "\n") << words;
+    EXPECT_EQ(r.err, "semfield: " + sentence + " [" + code.text() + "]\n") << words;
     EXPECT_EQ(r.out, "") << words;
   }
   TempDir dir_;
@@ -88,36 +89,40 @@ TEST_F(Words, VersionSaysWhatTheProgramIs) {
 }
 
 TEST_F(Words, AMisspelledVerbGetsASuggestion) {
-  refused("trian room.yaml", "there is no verb 'trian'; did you mean `semfield train`?");
-  refused("-q trian", "there is no verb 'trian'; did you mean `semfield train`?");
-  refused("config chek", "there is no verb 'config chek'; did you mean `semfield config check`?");
-  refused("explain", "there is no verb 'explain'; did you mean `semfield config explain`?");
-  refused("help config chek", "there is no verb 'config chek'; did you mean `semfield config check`?");
-  refused("xyzzy", "there is no verb 'xyzzy'; `semfield help` lists the verbs");
-  refused("bench xyzzy", "there is no verb 'bench xyzzy'; `semfield help bench` lists the verbs");
+  refused("trian room.yaml", "usage.verb.unknown", "there is no verb 'trian'; did you mean `semfield train`?");
+  refused("-q trian", "usage.verb.unknown", "there is no verb 'trian'; did you mean `semfield train`?");
+  refused("config chek", "usage.verb.unknown", "there is no verb 'config chek'; did you mean `semfield config check`?");
+  refused("explain", "usage.verb.unknown", "there is no verb 'explain'; did you mean `semfield config explain`?");
+  refused("help config chek", "usage.verb.unknown",
+          "there is no verb 'config chek'; did you mean `semfield config check`?");
+  refused("xyzzy", "usage.verb.unknown", "there is no verb 'xyzzy'; `semfield help` lists the verbs");
+  refused("bench xyzzy", "usage.verb.unknown", "there is no verb 'bench xyzzy'; `semfield help bench` lists the verbs");
 }
 
 TEST_F(Words, AnUnknownFlagGetsASuggestionOrTheVerbThatItBelongsTo) {
-  refused("train --thread 4 room.yaml", "train has no flag --thread; did you mean --threads?");
-  refused("eval --spilt=train run", "eval has no flag --spilt; did you mean --split?");
-  refused("eval -split train run", "eval has no flag -split; did you mean --split?");
-  refused("eval --video run", "eval has no flag --video; it belongs to `semfield render`");
-  refused("eval run --viddeo", "eval has no flag --viddeo; did you mean --video of `semfield render`?");
-  refused("--dry-run train room.yaml",
+  refused("train --thread 4 room.yaml", "usage.flag.unknown", "train has no flag --thread; did you mean --threads?");
+  refused("eval --spilt=train run", "usage.flag.unknown", "eval has no flag --spilt; did you mean --split?");
+  refused("eval -split train run", "usage.flag.unknown", "eval has no flag -split; did you mean --split?");
+  refused("eval --video run", "usage.flag.unknown", "eval has no flag --video; it belongs to `semfield render`");
+  refused("eval run --viddeo", "usage.flag.unknown",
+          "eval has no flag --viddeo; did you mean --video of `semfield render`?");
+  refused("--dry-run train room.yaml", "usage.flag.unknown",
           "no verb before the flag --dry-run; it belongs to `semfield train` or `semfield sweep`, and stands behind "
           "the verb");
-  refused("train --xyzzy", "train has no flag --xyzzy; see `semfield help train`");
-  refused("eval --vers run", "eval has no flag --vers; did you mean --version?");
+  refused("train --xyzzy", "usage.flag.unknown", "train has no flag --xyzzy; see `semfield help train`");
+  refused("eval --vers run", "usage.flag.unknown", "eval has no flag --vers; did you mean --version?");
 }
 
 TEST_F(Words, WordsThatAreMissingOrTooMany) {
-  refused("eval", "eval: RUN is required; see `semfield help eval`");
-  refused("eval a b", "unexpected word 'b': the usage is `semfield eval RUN [OPTIONS]`");
-  refused("capture room.yaml", "capture: --out is required; see `semfield help capture`");
-  refused("render run --panels", "render: --panels: its value is missing; see `semfield help render`");
-  refused("--plugin", "--plugin: its value is missing; see `semfield help`");
-  refused("mesh run --format ply,,glb", "--format ply,,glb: an item between the commas is empty");
-  refused("render run --split tset", "--split tset: expected test or train; did you mean test?");
+  refused("eval", "usage.word.missing", "eval: RUN is required; see `semfield help eval`");
+  refused("eval a b", "usage.word.unexpected", "unexpected word 'b': the usage is `semfield eval RUN [OPTIONS]`");
+  refused("capture room.yaml", "usage.word.missing", "capture: --out is required; see `semfield help capture`");
+  refused("render run --panels", "usage.word.missing",
+          "render: --panels: its value is missing; see `semfield help render`");
+  refused("--plugin", "usage.word.missing", "--plugin: its value is missing; see `semfield help`");
+  refused("mesh run --format ply,,glb", "usage.value.invalid",
+          "--format ply,,glb: an item between the commas is empty");
+  refused("render run --split tset", "usage.value.invalid", "--split tset: expected test or train; did you mean test?");
 }
 
 // A run folder may be called as a verb is.

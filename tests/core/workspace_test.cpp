@@ -17,7 +17,7 @@ constexpr std::size_t kMega = std::size_t{1} << 20;
 std::size_t g_left = 0;
 std::int64_t g_blocks = 0;
 std::byte* give(std::size_t bytes) {
-  if (bytes > g_left) throw Error(ErrorKind::unavailable, "no memory");
+  if (bytes > g_left) throw Error(ErrorKind::unavailable, "test.error.made", "no memory");
   ++g_blocks;
   return static_cast<std::byte*>(std::aligned_alloc(256, bytes));
 }

@@ -14,7 +14,7 @@ class TempFolder {
  public:
   TempFolder() {
     path_ = (std::filesystem::temp_directory_path() / "semfield_reorder_XXXXXX").string();
-    if (mkdtemp(path_.data()) == nullptr) throw Error(ErrorKind::io, "cannot make " + path_);
+    if (mkdtemp(path_.data()) == nullptr) throw Error(ErrorKind::io, "test.error.made", "cannot make " + path_);
   }
   ~TempFolder() {
     std::error_code ignored;

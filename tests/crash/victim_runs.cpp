@@ -24,7 +24,8 @@ std::vector<FileCall> read_calls(const std::string& log) {
     std::vector<std::string> fields;
     std::istringstream split(line);
     for (std::string field; std::getline(split, field, '\t');) fields.push_back(field);
-    if (fields.size() != 9) throw Error(ErrorKind::internal, "a line of the log is not whole: " + line);
+    if (fields.size() != 9)
+      throw Error(ErrorKind::internal, "test.error.made", "a line of the log is not whole: " + line);
     FileCall c{std::stoi(fields[0]),
                fields[1],
                std::stoi(fields[2]),
@@ -59,7 +60,7 @@ std::vector<std::string> fault_environment(const std::string& folder, const std:
 
 Trial::Trial(Save what) : what_(what) {
   root_ = (fs::temp_directory_path() / "semfield_crash_XXXXXX").string();
-  if (mkdtemp(root_.data()) == nullptr) throw Error(ErrorKind::io, "cannot make " + root_);
+  if (mkdtemp(root_.data()) == nullptr) throw Error(ErrorKind::io, "test.error.made", "cannot make " + root_);
   folder_ = root_ + "/work";
   log_ = root_ + "/log";
   fs::create_directories(folder_);

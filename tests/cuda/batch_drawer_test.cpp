@@ -185,7 +185,9 @@ TEST(CudaBatchDrawer, WhatAHostMustSayIsLeftToIt) {
   bad_camera.frames.back().camera.cx = NAN;
   EXPECT_FALSE(executor.hold(bad_camera));
   PixelPool bad_label = *pool;
-  bad_label.read_labels = [](std::size_t, std::span<std::int16_t>) { throw Error(ErrorKind::data, "no class", ""); };
+  bad_label.read_labels = [](std::size_t, std::span<std::int16_t>) {
+    throw Error(ErrorKind::data, "test.error.made", "no class", "");
+  };
   EXPECT_FALSE(executor.hold(bad_label));
 }
 

@@ -126,7 +126,7 @@ TEST(CudaGradientHook, AnErrorEndsTheStepAndChangesNothing) {
   plain.to(5);
   hooked.to(5);
   hooked.call([](const StepGradients<float>& gradients) {
-    if (gradients.step == 7) throw Error(ErrorKind::failure, "rank 3 is gone", "start it again");
+    if (gradients.step == 7) throw Error(ErrorKind::failure, "test.error.made", "rank 3 is gone", "start it again");
   });
   try {
     hooked.to(10);

@@ -294,7 +294,7 @@ TEST(CudaGradientSums, AnErrorOfOneRankIsMetByAll) {
     };
     const auto fail_on = [&](int rank, const char* text) {
       return [&ranks, rank, text] {
-        if (ranks.rank() == rank) throw Error(ErrorKind::unavailable, text, "");
+        if (ranks.rank() == rank) throw Error(ErrorKind::unavailable, "test.error.made", text, "");
       };
     };
     EXPECT_EQ(message([] {}), "");

@@ -66,7 +66,7 @@ std::map<std::string, Section> read_golden_file(const std::string& path) {
     }
     const std::vector<std::string> words = words_of(line);
     if (section == nullptr || words.size() < 2 || (!isas.empty() && words.size() != isas.size() + 1)) {
-      throw Error(ErrorKind::data, path + ":" + std::to_string(number) + ": no row of golden values",
+      throw Error(ErrorKind::data, "test.error.made", path + ":" + std::to_string(number) + ": no row of golden values",
                   "write the section anew, as the head of the file says");
     }
     if (isas.empty()) {

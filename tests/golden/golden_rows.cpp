@@ -105,7 +105,7 @@ std::uint32_t trained(const Golden& golden, Registry& registry) {
   Run resumed{open_text(golden.yaml, registry)};
   Diagnostics diagnostics;
   auto found = store.find_latest(diagnostics);
-  if (!found) throw Error(ErrorKind::failure, "the checkpoint of step 10 is not found");
+  if (!found) throw Error(ErrorKind::failure, "test.error.made", "the checkpoint of step 10 is not found");
   resumed.trainer.load(found->file, found->step);
   resumed.to(kSteps);
   return fingerprint(resumed.session.pipeline->store());

@@ -313,7 +313,7 @@ TEST(LabelSession, LabelsOfTheConfigurationCountAsGiven) {
 class Thrower final : public RunListener {
  public:
   void stepped(std::int64_t step, const StepLosses&) override {
-    if (step >= 20) throw Error(ErrorKind::unavailable, "out of everything");
+    if (step >= 20) throw Error(ErrorKind::unavailable, "test.error.made", "out of everything");
   }
 };
 

@@ -7,6 +7,7 @@
 #include "system/files.h"
 #include "tests/labels/reader_case.h"
 #include "tests/program.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -80,10 +81,12 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
     EXPECT_GE(smallest, 30) << name;
   }
   EXPECT_EQ(semfield_run("export run --min-area -1 --out x.json", folder).err,
-            "semfield: --min-area -1: expected 0 to 1000000000\n");
+            "semfield: --min-area -1: expected 0 to 1000000000 [usage.value.invalid]\n");
   const Result wrong = semfield_run("export run --format coc --out x.json", folder);
   EXPECT_EQ(wrong.code, 2);
-  EXPECT_EQ(wrong.err, "semfield: --format coc: expected coco, coco_rle, labelme or png; did you mean coco?\n");
+  EXPECT_EQ(
+      wrong.err,
+      "semfield: --format coc: expected coco, coco_rle, labelme or png; did you mean coco? [usage.value.invalid]\n");
   EXPECT_EQ(semfield_run("export none --out x.json", folder).code, 66);
 }
 
@@ -99,9 +102,9 @@ TEST(ClassesVerb, ConvertsTables) {
   EXPECT_NE(semfield_run("classes l.tsv", folder).out.find("{id: 2, name: \"office chair\""), std::string::npos);
   const Result wrong = semfield_run("classes nyu13 --ids nyu40", folder);
   EXPECT_EQ(wrong.code, 2);
-  EXPECT_EQ(wrong.err, "semfield: --ids nyu40: 'nyu13' is no table of ScanNet; give scannetv2-labels.combined.tsv\n");
+  EXPECT_SAID(wrong.err, "usage.flag.conflict", "semfield: --ids nyu40", "'nyu13'", "scannetv2-labels.combined.tsv");
   EXPECT_EQ(semfield_run("classes nyu13 --format yml", folder).err,
-            "semfield: --format yml: expected yaml, csv or cvat; did you mean yaml?\n");
+            "semfield: --format yml: expected yaml, csv or cvat; did you mean yaml? [usage.value.invalid]\n");
   EXPECT_EQ(semfield_run("classes none.yaml", folder).code, 66);
 }
 

@@ -19,7 +19,7 @@ std::vector<app::NumericsRow> run_suite(const Registry& registry, const std::vec
   const std::vector<Case> all = all_cases();
   for (const std::string& id : ids) {
     if (std::none_of(all.begin(), all.end(), [&](const Case& one) { return one.id.starts_with(id); })) {
-      throw Error(ErrorKind::usage, "no case begins with '" + id + "'",
+      throw Error(ErrorKind::usage, "usage.case.unknown", "no case begins with '" + id + "'",
                   "ids are A01 to I07; A stands for all of its group");
     }
   }

@@ -87,7 +87,8 @@ void CaseRun::absent(std::string_view reason) {
 const std::string& CaseRun::folder() {
   if (folder_.empty()) {
     std::string name = (std::filesystem::temp_directory_path() / "semfield_case_XXXXXX").string();
-    if (::mkdtemp(name.data()) == nullptr) throw Error(ErrorKind::cannot_create, "no folder for a case: " + name);
+    if (::mkdtemp(name.data()) == nullptr)
+      throw Error(ErrorKind::cannot_create, "files.output.create", "no folder for a case: " + name);
     folder_ = name;
   }
   return folder_;

@@ -59,7 +59,8 @@ TEST(NumericsSuite, ARowWithoutChecksFails) {
 TEST(NumericsSuite, NanErrorsAndThrownErrorsFail) {
   const Case nan{"Z02", "nan", "", "", [](CaseRun& run) { run.measure(std::nan(""), 1.0); }};
   EXPECT_EQ(run_case(nan, linked()).at(0).status, app::NumericsStatus::failed);
-  const Case thrown{"Z03", "thrown", "", "", [](CaseRun&) { throw Error(ErrorKind::data, "broken"); }};
+  const Case thrown{"Z03", "thrown", "", "",
+                    [](CaseRun&) { throw Error(ErrorKind::data, "test.error.made", "broken"); }};
   const auto rows = run_case(thrown, linked());
   EXPECT_EQ(rows.at(0).status, app::NumericsStatus::failed);
   EXPECT_NE(rows.at(0).note.find("broken"), std::string::npos);

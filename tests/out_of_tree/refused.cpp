@@ -13,7 +13,7 @@ void validate(const NoParams&, semfield::Diagnostics&) {}
 class Broken final : public semfield::Dataset {
  public:
   Broken(const NoParams&, const semfield::DatasetBuild&) {
-    throw semfield::Error(semfield::ErrorKind::data, "the factory found nothing to read");
+    throw semfield::Error(semfield::ErrorKind::data, "test.error.made", "the factory found nothing to read");
   }
   semfield::SceneInfo open(semfield::Diagnostics&) override { return {}; }
   void read(int, semfield::FrameBuffer&) const override {}

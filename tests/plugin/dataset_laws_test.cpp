@@ -19,7 +19,7 @@ class BrokenRoom final : public Dataset {
   explicit BrokenRoom(Break broken) : broken_(broken), room_(testkit::make_analytic_scene()) {}
   SceneInfo open(Diagnostics& diagnostics) override {
     SceneInfo scene = room_->open(diagnostics);
-    if (broken_ == Break::reports_error) diagnostics.error("view_03", "is truncated");
+    if (broken_ == Break::reports_error) diagnostics.error("test.finding.made", "view_03", "is truncated", {});
     for (FrameInfo& frame : scene.frames) {
       for (auto& row : frame.world_from_camera.r) {
         if (broken_ == Break::mirrored) row[0] = -row[0];

@@ -96,7 +96,8 @@ TEST_F(ModuleTrust, AThrowingInitialiserEndsInOrder) {
   EXPECT_EQ(r.signal, 0);
   EXPECT_EQ(r.code, 69) << r.err;
   EXPECT_EQ(r.err, "semfield: cannot load plugin '" + probe("throwing") +
-                       "': a static initialiser of it throws: no licence found; fix the module, or leave it out\n");
+                       "': a static initialiser of it throws: no licence found; fix the module, or leave it out "
+                       "[plugin.module.throws]\n");
 }
 
 TEST_F(ModuleTrust, AConfigurationAloneRunsNoCode) {

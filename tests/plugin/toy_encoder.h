@@ -34,7 +34,7 @@ inline void describe(ParamVisitor& visit, ToyParams& p) {
   SEMFIELD_PARAM(visit, p, flip, "changes the sign of every output");
 }
 inline void validate(const ToyParams& p, Diagnostics& diagnostics) {
-  if (p.flip && p.gain == 0) diagnostics.error("gain", "0 has no sign to flip", "set flip: false");
+  if (p.flip && p.gain == 0) diagnostics.error("test.finding.made", "gain", "0 has no sign to flip", "set flip: false");
 }
 
 /// y[b] = gain * table[b] * sum_d sin((b + 1) x[d]).

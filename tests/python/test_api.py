@@ -331,6 +331,7 @@ def test_what_can_be_pickled_and_what_cannot(run: sf.Run, scene: sf.Scene, tmp_p
         sf.resolved({**config_of(scene), "tarin": {}})
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value) and again.findings == caught.value.findings and again.exit_code == 78
+    assert again.code == "config.key.unknown" and [f.code for f in again.findings] == ["config.key.unknown"]
     with pytest.raises(sf.InputError) as missing:
         sf.load(tmp_path / "nothing")
     assert str(pickle.loads(pickle.dumps(missing.value))) == str(missing.value)
@@ -367,9 +368,13 @@ def test_errors_are_those_that_python_has(scene: sf.Scene, tmp_path: Path) -> No
     with pytest.raises(sf.Error) as caught:
         sf.open("quikstart")
     assert "did you mean 'quickstart'" in str(caught.value) and caught.value.exit_code in (66, 78)
+    assert caught.value.code == "config.file.missing" and caught.value.findings[0].code == caught.value.code
     with pytest.raises(sf.CommandError, match="did you mean") as ended:
         sf.command("trian")
-    assert ended.value.exit_code == 2 and "trian" in ended.value.stderr
+    assert ended.value.exit_code == 2 and "trian" in ended.value.stderr and ended.value.code == "usage.verb.unknown"
+    with pytest.raises(sf.UsageError) as own:
+        sf.to_device([1.0], "gpu")
+    assert own.value.code == "usage.value.devices"
 
 
 def test_configurations_of_other_mappings_and_arrays(scene: sf.Scene) -> None:

@@ -162,6 +162,8 @@ def raising(where: str) -> Type[sf.Encoder]:
         def forward(self, x: np.ndarray, params: Dict[str, np.ndarray]) -> np.ndarray:
             if where == "forward":
                 raise ZeroDivisionError("forward is wrong")
+            if where == "own code":
+                raise sf.DataError("no bands", code="idea.bands.none")
             return x[:-1] if where == "rows" else x.tolist()[0] if where == "list" else x + 1j if where == "complex" else x
 
         def backward(self, x: np.ndarray, dy: np.ndarray, params: Any, grads: Any) -> Any:
@@ -172,18 +174,20 @@ def raising(where: str) -> Type[sf.Encoder]:
     return Raises
 
 
-@pytest.mark.parametrize("where, says", [
-    ("forward", r"encoder 'py_raises'.forward: ZeroDivisionError: forward is wrong \(.*test_plugins.py:\d+\)"),
-    ("backward", r"encoder 'py_raises'.backward: KeyError: .*backward is wrong.*test_plugins.py:\d+\)"),
-    ("setup", r"encoder 'py_raises': RuntimeError: setup is wrong \(.*test_plugins.py:\d+\)"),
-    ("rows", r"py_raises'.forward: expected an array of the shape \(\d+, 3\), got \(\d+, 3\)"),
-    ("list", r"expected an array of the shape \(\d+, 3\), got \(3,\)"),
-    ("complex", r"py_raises'.forward: expected real numbers, got complex128"),
+@pytest.mark.parametrize("where, code, says", [
+    ("forward", "plugin.python.raised", r"encoder 'py_raises'.forward: ZeroDivisionError: forward is wrong \(.*test_plugins.py:\d+\)"),
+    ("backward", "plugin.python.raised", r"encoder 'py_raises'.backward: KeyError: .*backward is wrong.*test_plugins.py:\d+\)"),
+    ("setup", "plugin.python.raised", r"encoder 'py_raises': RuntimeError: setup is wrong \(.*test_plugins.py:\d+\)"),
+    ("rows", "plugin.python.shape", r"py_raises'.forward: expected an array of the shape \(\d+, 3\), got \(\d+, 3\)"),
+    ("list", "plugin.python.shape", r"expected an array of the shape \(\d+, 3\), got \(3,\)"),
+    ("own code", "idea.bands.none", r"DataError: no bands"),
+    ("complex", "plugin.python.value", r"py_raises'.forward: expected real numbers, got complex128"),
 ])
-def test_one_that_is_wrong(scene: sf.Scene, where: str, says: str) -> None:
+def test_one_that_is_wrong(scene: sf.Scene, where: str, code: str, says: str) -> None:
     sf.encoder("py_raises")(raising(where))
-    with pytest.raises(sf.Error, match=says):
+    with pytest.raises(sf.Error, match=says) as caught:
         trained(sf.open(with_position(scene, type="py_raises")), 3)
+    assert caught.value.code == code
     sf.encoder("py_raises")(raising("nowhere"))  # mended, as in a notebook
     assert trained(sf.open(with_position(scene, type="py_raises")), 2)[0].step == 2
 

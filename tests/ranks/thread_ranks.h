@@ -58,7 +58,7 @@ class ThreadMeeting {
   /// Throws where a rank has ended.
   void look() {
     const std::lock_guard lock(mutex_);
-    if (!lost_.empty()) throw RankLost(ErrorKind::failure, lost_, "");
+    if (!lost_.empty()) throw RankLost(ErrorKind::failure, "test.error.made", lost_, "");
   }
   void end(int rank, bool failed) {
     const std::lock_guard lock(mutex_);
@@ -74,7 +74,7 @@ class ThreadMeeting {
     constexpr std::chrono::minutes kLongest{5};
     const bool in_time = changed_.wait_for(lock, kLongest, [&] { return ready() || failed_ || hopeless(); });
     if (ready()) return;
-    throw RankLost(ErrorKind::failure, in_time ? lost_ : "a rank of this test does not answer", "");
+    throw RankLost(ErrorKind::failure, "test.error.made", in_time ? lost_ : "a rank of this test does not answer", "");
   }
   void wait_for_all() {
     std::unique_lock lock(mutex_);

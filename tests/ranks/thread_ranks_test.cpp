@@ -47,7 +47,7 @@ TEST(ThreadRanks, AnErrorOfOneReachesAllThatAgree) {
   as_ranks(3, [&](Ranks& ranks) {
     try {
       agree(ranks, [&] {
-        if (ranks.rank() == 1) throw Error(ErrorKind::data, "no room", "make some");
+        if (ranks.rank() == 1) throw Error(ErrorKind::data, "test.error.made", "no room", "make some");
       });
     } catch (const Error& error) {
       const std::lock_guard lock(mutex);
@@ -60,7 +60,7 @@ TEST(ThreadRanks, AnErrorOfOneReachesAllThatAgree) {
 TEST(ThreadRanks, NobodyWaitsForARankThatHasEnded) {
   try {
     as_ranks(3, [](Ranks& ranks) {
-      if (ranks.rank() == 1) throw Error(ErrorKind::failure, "the first error", "");
+      if (ranks.rank() == 1) throw Error(ErrorKind::failure, "test.error.made", "the first error", "");
       (void)all_of(ranks, 1);
     });
     FAIL() << "the others went on";

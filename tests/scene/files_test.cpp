@@ -167,7 +167,7 @@ TEST(Files, WhatDoesNotVerifyTakesNoName) {
               file.append(std::as_bytes(std::span<const char>("bad", 3)));
               file.commit([](const std::string& written) {
                 EXPECT_EQ(read_text_file(written), "bad");
-                throw Error(ErrorKind::io, "it is bad");
+                throw Error(ErrorKind::io, "test.error.made", "it is bad");
               });
             }),
             "it is bad");

@@ -49,7 +49,7 @@ struct RoomDataset {
     return info;
   }
   void read(int i, FrameBuffer& out) const {
-    if (i == broken) throw Error(ErrorKind::data, "the file is broken", "mend it");
+    if (i == broken) throw Error(ErrorKind::data, "test.error.made", "the file is broken", "mend it");
     out = render_room(room_camera(), room_pose(i));
     out.instance.clear();
     if (!depth) out.depth_m.clear();
@@ -315,7 +315,7 @@ TEST(LoadScene, WithoutClassesOnlyTheirCauseIsTold) {
     SceneInfo open(Diagnostics& d) const {
       SceneInfo info = RoomDataset::open(d);
       info.classes = {};
-      d.error("classes.yaml", "no classes in it", "write one");
+      d.error("test.finding.made", "classes.yaml", "no classes in it", "write one");
       return info;
     }
   } room;
@@ -364,7 +364,7 @@ TEST(LoadScene, TellsHowFarItIsAndThatItEnded) {
 
   ended = false;
   struct Broken : RoomDataset {
-    SceneInfo open(Diagnostics&) const { throw Error(ErrorKind::no_input, "gone"); }
+    SceneInfo open(Diagnostics&) const { throw Error(ErrorKind::no_input, "test.error.made", "gone"); }
   } gone;
   EXPECT_THROW((void)load_scene(gone, {}, d), Error);
   EXPECT_TRUE(ended);

@@ -218,7 +218,7 @@ TEST(Npz, AShapeThatIsNotWantedIsRefusedBeforeAnythingIsUnpacked) {
   const auto read = [&](std::int64_t width) {
     return error_of([&] {
       (void)read_npz(path, "a", [&](std::span<const std::int64_t> shape) {
-        if (shape[1] != width) throw Error(ErrorKind::data, "another shape: " + shape_text(shape));
+        if (shape[1] != width) throw Error(ErrorKind::data, "test.error.made", "another shape: " + shape_text(shape));
       });
     });
   };
@@ -232,7 +232,7 @@ TEST(Npy, AShapeThatIsNotWantedOrTooLargeIsRefusedByItsHeader) {
   plain_write(c.path, npy(header("|u1", "(2, 3)"), std::string(6, '\1')));
   EXPECT_EQ(error_of([&] {
               (void)read_npy(c.path, [](std::span<const std::int64_t> shape) {
-                throw Error(ErrorKind::data, "not " + shape_text(shape));
+                throw Error(ErrorKind::data, "test.error.made", "not " + shape_text(shape));
               });
             }),
             "'" + c.path + "': not (2, 3)");

@@ -189,7 +189,8 @@ TEST(PackedScene, FailingSourceLeavesNoFile) {
   const std::string folder = fresh_folder("p");
   const SceneInfo info = room_info(2);
   EXPECT_THROW(
-      write_packed_scene(folder + "/a", info, [](int, FrameBuffer&) { throw Error(ErrorKind::data, "broken frame"); }),
+      write_packed_scene(folder + "/a", info,
+                         [](int, FrameBuffer&) { throw Error(ErrorKind::data, "test.error.made", "broken frame"); }),
       Error);
   EXPECT_TRUE(std::filesystem::is_empty(folder));
 }

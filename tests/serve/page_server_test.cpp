@@ -125,7 +125,8 @@ TEST_F(ServedPage, AnEventIsAppliedOnceAndItsTimeIsTheServers) {
 TEST_F(ServedPage, RefusedEventsSayWhyAndWhatToDo) {
   const Answer unknown = post("event", click("a-1", "nobody"));
   EXPECT_EQ(unknown.status, 400);
-  EXPECT_EQ(Json::parse(unknown.body), (Json{{"error", "no class 'nobody'"}, {"remedy", "add it first"}}));
+  EXPECT_EQ(Json::parse(unknown.body),
+            (Json{{"error", "no class 'nobody'"}, {"code", "labels.class.unknown"}, {"remedy", "add it first"}}));
   EXPECT_EQ(post("event", click("a-1", "full disk")).status, 503);
   EXPECT_EQ(post("event", click("a-1", "broken")).status, 500);
   EXPECT_EQ(post("event", "{").status, 400);

@@ -13,7 +13,7 @@ TEST(ServeOff, TheVerbNamesThePackagesThatItNeeds) {
   EXPECT_EQ(r.code, 69);
   EXPECT_EQ(r.err,
             "semfield: this build has no labelling page; build with -DSEMFIELD_WITH_SERVE=ON, which needs the package "
-            "libturbojpeg0-dev\n");
+            "libturbojpeg0-dev [serve.page.missing]\n");
 }
 
 }  // namespace

@@ -202,7 +202,7 @@ TEST(ServeVerb, TheNextPortIsTakenUnlessOneIsNamed) {
   EXPECT_EQ(named.code, 69);
   EXPECT_EQ(named.err, "semfield: port " + std::to_string(first.port()) +
                            " of 127.0.0.1 is taken by another program; end that program, name another port, or leave "
-                           "--port out\n");
+                           "--port out [serve.port.taken]\n");
   EXPECT_FALSE(std::filesystem::exists(other / "room"));
   Served second(config, other, {"--out", other / "room"});
   ASSERT_TRUE(second.up()) << second.process().err_so_far();

@@ -44,8 +44,10 @@ class FakeSource final : public PageSource {
     for (const LabelEvent& known : events_) {
       if (known.id == event.id) return false;
     }
-    if (event.class_name == "nobody") throw Error(ErrorKind::data, "no class 'nobody'", "add it first");
-    if (event.class_name == "full disk") throw Error(ErrorKind::io, "cannot write clicks.jsonl", "free some space");
+    if (event.class_name == "nobody")
+      throw Error(ErrorKind::data, "labels.class.unknown", "no class 'nobody'", "add it first");
+    if (event.class_name == "full disk")
+      throw Error(ErrorKind::io, "files.write.failed", "cannot write clicks.jsonl", "free some space");
     if (event.class_name == "broken") throw std::runtime_error("broken");
     events_.push_back(event);
     change_locked([](LabelState& s) { ++s.events; });

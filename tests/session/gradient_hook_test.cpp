@@ -96,7 +96,9 @@ TEST(GradientHook, AnErrorEndsTheStepAndChangesNothing) {
   Subject plain(hash_config(), registry), hooked(hash_config(), registry);
   plain.to(3);
   hooked.to(3);
-  hooked.call([](const StepGradients<float>&) { throw Error(ErrorKind::failure, "rank 3 is gone", "start it again"); });
+  hooked.call([](const StepGradients<float>&) {
+    throw Error(ErrorKind::failure, "test.error.made", "rank 3 is gone", "start it again");
+  });
   try {
     hooked.trainer.advance();
     FAIL() << "the step went on";

@@ -36,13 +36,15 @@ LawRow row_in(const Json& said) {
 
 Json message_of(const Error& error) {
   return {{"kind", static_cast<int>(error.kind())},
+          {"code", error.code().text()},
           {"message", error.message()},
           {"remedy", error.remedy()},
           {"context", error.context()}};
 }
 
 Error error_in(const Json& said) {
-  Error error(static_cast<ErrorKind>(said["kind"].get<int>()), said["message"], said["remedy"]);
+  const Code code = Code::parse(said["code"].get<std::string>()).value_or(Code("internal.exception"));
+  Error error(static_cast<ErrorKind>(said["kind"].get<int>()), code, said["message"], said["remedy"]);
   const std::vector<std::string> context = said["context"];
   for (auto doing = context.rbegin(); doing != context.rend(); ++doing) error.while_doing(*doing);
   return error;
@@ -67,7 +69,7 @@ void say(int pipe, const char* what, const Json& value) {
   } catch (const Error& error) {
     say(pipe, "error", message_of(error));
   } catch (const std::exception& error) {
-    say(pipe, "error", message_of(Error(ErrorKind::internal, error.what())));
+    say(pipe, "error", message_of(Error(ErrorKind::internal, "internal.exception", error.what())));
   }
   std::fflush(nullptr);
   _exit(0);
@@ -86,7 +88,9 @@ void ask_laws_apart(const std::string& file, const std::function<void(LawRequest
   std::array<int, 2> ends{-1, -1};
   const pid_t parent = getpid();
   const pid_t pid = pipe2(ends.data(), O_CLOEXEC) == 0 ? fork() : -1;
-  if (pid < 0) throw Error(ErrorKind::unavailable, "no process can be started", "see what limits them: ulimit -a");
+  if (pid < 0)
+    throw Error(ErrorKind::unavailable, "system.process.limit", "no process can be started",
+                "see what limits them: ulimit -a");
   if (pid == 0) {
     prctl(PR_SET_PDEATHSIG, SIGTERM);  // a parent that is killed leaves no child behind
     if (getppid() != parent) _exit(128 + SIGTERM);
@@ -124,7 +128,8 @@ void ask_laws_apart(const std::string& file, const std::function<void(LawRequest
   if (thrown) throw Error(*thrown);
   if (done) return;
   if (!begun) {
-    throw Error(ErrorKind::unavailable, "cannot load plugin '" + file + "': " + how_it_ended(status),
+    throw Error(ErrorKind::unavailable, "plugin.module.ended",
+                "cannot load plugin '" + file + "': " + how_it_ended(status),
                 "mend it: a module registers its plugins, and no more");
   }
   LawRow row = under_way.value_or(LawRow{});

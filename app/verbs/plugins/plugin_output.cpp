@@ -6,6 +6,7 @@
 #include "app/json_output.h"
 #include "config/params_read.h"
 #include "core/error.h"
+#include "core/findings.h"
 #include "execution/device_library.h"
 #include "session/assembly.h"
 
@@ -47,7 +48,7 @@ void add_cuda_kernels(AppContext& context) {
   try {
     semfield::add_cuda_kernels(context.registry);
   } catch (const Error& error) {
-    print_note(context, error.what());
+    print_note(context, shown(error));
   }
 }
 

@@ -47,7 +47,7 @@ std::vector<const PluginEntry*> load(const std::string& file, Registry& registry
       found.push_back(entry);
   }
   if (found.empty())
-    throw Error(ErrorKind::data, file + ": registers no plugin",
+    throw Error(ErrorKind::data, "plugin.module.empty", file + ": registers no plugin",
                 "call add_encoder, add_field, add_sampler or add_dataset");
   return found;
 }
@@ -95,7 +95,7 @@ int run(const CheckOptions& options, AppContext& context) {
                                  : fmt::format("{} '{}', {}: {}", kind_name(first->kind), first->name,
                                                subject_of(*first), first->found.front()),
              notes);
-  for (const Diagnostic& note : notes.all()) print_note(context, note.text());
+  for (const Diagnostic& note : notes.all()) print_note(context, note.shown());
   if (context.json) {
     Json out{{"file", options.file}, {"passed", passed}, {"failed", failed}, {"refused", refused}};
     out["rows"] = Json::array();

@@ -16,7 +16,7 @@ struct EqualOptions {
 int run(const EqualOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   const RunComparison found = compare_runs(options.a, options.b, context.registry, diagnostics);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.text());
+  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.shown());
   if (context.json) {
     Json out{{"equal", found.difference.empty()}};
     if (found.difference.empty()) {

@@ -47,7 +47,7 @@ void simple_product(const Product& p) {
   if (p.d.rows == 0 || p.d.cols == 0) return;
   constexpr std::int64_t kMostColumns = std::int64_t{65535} * kTile;
   if (p.d.cols > kMostColumns) {
-    throw Error(ErrorKind::failure,
+    throw Error(ErrorKind::failure, "internal.cuda.shape",
                 "a matrix product of " + std::to_string(p.d.cols) + " columns; at most " +
                     std::to_string(kMostColumns) + " are computed",
                 "");

@@ -182,7 +182,8 @@ __global__ void add_parts_kernel(const __grid_constant__ Products products) {
 
 void small_products(std::span<const SmallProduct> list, Workspace* arena) {
   constexpr std::int64_t kTermsOfPart = 256, kMostParts = 32;
-  if (list.size() > kMostSmallProducts) throw Error(ErrorKind::internal, "too many small products for one launch");
+  if (list.size() > kMostSmallProducts)
+    throw Error(ErrorKind::internal, "internal.cuda.shape", "too many small products for one launch");
   std::optional<Workspace::Scope> scope;
   if (arena != nullptr) scope.emplace(*arena);
   Products products{};

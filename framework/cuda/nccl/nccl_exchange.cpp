@@ -21,7 +21,8 @@ void check_nccl(ncclResult_t status, const char* what, ncclComm_t of = nullptr) 
   const char* const more = ncclGetLastError(of);
   std::string message = std::string("NCCL: ") + what + ": " + ncclGetErrorString(status);
   if (more != nullptr && *more != '\0') message += std::string(" (") + more + ")";
-  throw Error(ErrorKind::failure, message, "set NCCL_DEBUG=INFO to see why, or train on one device");
+  throw Error(ErrorKind::failure, "device.nccl.failed", message,
+              "set NCCL_DEBUG=INFO to see why, or train on one device");
 }
 
 class NcclExchange final : public RankExchange {
@@ -74,9 +75,9 @@ class NcclExchange final : public RankExchange {
     try {
       check(state, "waiting for the device");
     } catch (const Error& error) {
-      throw RankLost(error.kind(), error.message(), error.remedy());
+      throw RankLost(error.kind(), error.code(), error.message(), error.remedy());
     }
-    throw RankLost(ErrorKind::internal, "a device was said to fail without an error", "");
+    throw RankLost(ErrorKind::internal, "internal.cuda.fault", "a device was said to fail without an error", "");
   }
   // `call`, and the fault's least, as one launch.
   template <class Call>

@@ -47,7 +47,7 @@ int GradientSums::slot_of(int shard) const {
 void GradientSums::join() {
   if (ranks_ == nullptr || exchange_) return;
   if (ranks() > shards_) {
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "ranks.shards.too_few",
                 fmt::format("runtime.deterministic cuts a step into {} shards, and this run has {} processes", shards_,
                             ranks()),
                 fmt::format("start at most {} processes, or set runtime.deterministic: false", shards_));
@@ -88,7 +88,7 @@ void GradientSums::afterwards(const std::function<void()>& work) {
   } catch (const RankLost&) {
     throw;
   } catch (const Error& error) {
-    if (!waits()) throw RankLost(error.kind(), error.message(), error.remedy());
+    if (!waits()) throw RankLost(error.kind(), error.code(), error.message(), error.remedy());
     pending_ = error;
   }
 }

@@ -58,10 +58,10 @@ Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& sh
   forget_step();
   drop_gradients();
   if (fit == rays) {
-    return {error.kind(), error.message(),
+    return {error.kind(), error.code(), error.message(),
             "other processes held the memory and have freed it: start again; or runtime.device: cpu"};
   }
-  return {error.kind(), error.message(),
+  return {error.kind(), error.code(), error.message(),
           fmt::format("any of these fits: train.rays: {} (now {}); {:.2f} times the samples in every pass; "
                       "runtime.device: cpu",
                       fit * shards, rays_, static_cast<double>(fit) / static_cast<double>(rays))};

@@ -12,8 +12,9 @@ namespace semfield {
 
 namespace {
 
-[[noreturn]] void refuse(const LabelEvent& event, const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, "event '" + event.id + "': " + message, remedy);
+[[noreturn]] void refuse(Code code, const LabelEvent& event, const std::string& message,
+                         const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, code, "event '" + event.id + "': " + message, remedy);
 }
 
 Annotations::Mark mark_of(const LabelEvent& event, int frame, const Camera& camera, int class_index) {
@@ -64,16 +65,17 @@ int Annotations::resolve_class(const LabelEvent& event, const std::string& name)
     const Record& record = records_[static_cast<std::size_t>(*end)];
     if (!record.in_force || record.event.class_name != name) continue;
     const bool merged = record.event.kind == LabelEventKind::merge_class;
-    refuse(event, "no class '" + name + "' any more",
+    refuse("labels.class.unknown", event, "no class '" + name + "' any more",
            merged ? "it was merged into '" + record.event.new_name + "'" : "it was deleted");
   }
-  refuse(event, "no class '" + name + "'", names.remedy_for(name));
+  refuse("labels.class.unknown", event, "no class '" + name + "'", names.remedy_for(name));
 }
 
 int Annotations::resolve_added_class(const LabelEvent& event, const char* remedy) const {
   const int c = resolve_class(event, event.class_name);
-  if (c == kVoid) refuse(event, "'" + event.class_name + "' stands for pixels without a class");
-  if (c < own_classes_) refuse(event, "the class '" + event.class_name + "' is one of the scene's own", remedy);
+  if (c == kVoid) refuse("labels.event.void", event, "'" + event.class_name + "' stands for pixels without a class");
+  if (c < own_classes_)
+    refuse("labels.event.own_class", event, "the class '" + event.class_name + "' is one of the scene's own", remedy);
   return c;
 }
 
@@ -81,10 +83,10 @@ void Annotations::require_free_name(const LabelEvent& event, const std::string& 
   for (const ClassEntry& entry : classes_.entries()) {
     const int c = classes_.index_of(entry.id);
     if (entry.name == name && (c == kVoid || is_named(c)))
-      refuse(event, "there is a class '" + name + "' already", remedy);
+      refuse("labels.event.taken", event, "there is a class '" + name + "' already", remedy);
   }
   if (is_void_name(name) || is_unnamed_class(name))
-    refuse(event, "'" + name + "' stands for pixels and classes without a name", remedy);
+    refuse("labels.event.void", event, "'" + name + "' stands for pixels and classes without a name", remedy);
 }
 
 void Annotations::resolve_place(const LabelEvent& event) const {
@@ -93,23 +95,25 @@ void Annotations::resolve_place(const LabelEvent& event) const {
     std::vector<std::string> known;
     for (const FrameShape& f : frames_) known.push_back(f.name);
     const std::string near = did_you_mean(event.frame, known);
-    refuse(event, "no frame '" + event.frame + "'",
+    refuse("scene.frame.unknown", event, "no frame '" + event.frame + "'",
            near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
   }
   const FrameShape& shape = frames_[static_cast<std::size_t>(frame->second)];
   if (shape.split != Split::train)
-    refuse(event, "frame '" + event.frame + "' is not a training frame", "label training frames only");
+    refuse("labels.frame.untrained", event, "frame '" + event.frame + "' is not a training frame",
+           "label training frames only");
   if (event.width_px < 1 || event.height_px < 1 || event.points.empty())
-    refuse(event, "needs the size of an image and a point in it");
+    refuse("labels.event.points", event, "needs the size of an image and a point in it");
   try {
     check_label_shape(event.width_px, event.height_px, shape.camera);
   } catch (const Error& e) {
-    refuse(event, "frame '" + event.frame + "': " + e.message(), e.remedy());
+    refuse(e.code(), event, "frame '" + event.frame + "': " + e.message(), e.remedy());
   }
   for (const PixelPoint& p : event.points) {
     if (!(p.x >= 0 && p.x <= event.width_px && p.y >= 0 && p.y <= event.height_px))
-      refuse(event, "a point lies outside the image of " + std::to_string(event.width_px) + " x " +
-                        std::to_string(event.height_px));
+      refuse("labels.event.points", event,
+             "a point lies outside the image of " + std::to_string(event.width_px) + " x " +
+                 std::to_string(event.height_px));
   }
 }
 
@@ -143,9 +147,9 @@ const Annotations::Record* Annotations::end_of_class(int added) const {
 
 void Annotations::check_undo(const LabelEvent& event) const {
   const auto found = record_of_.find(event.of);
-  if (found == record_of_.end()) refuse(event, "there is no event '" + event.of + "' to undo");
+  if (found == record_of_.end()) refuse("labels.event.undo", event, "there is no event '" + event.of + "' to undo");
   if (!records_[static_cast<std::size_t>(found->second)].in_force)
-    refuse(event, "event '" + event.of + "' is undone already", "undo its undo to bring it back");
+    refuse("labels.event.undo", event, "event '" + event.of + "' is undone already", "undo its undo to bring it back");
   const Turned turned = turned_by(found->second);
   const int last = turned.records.back();
   const Record& record = records_[static_cast<std::size_t>(last)];
@@ -154,7 +158,8 @@ void Annotations::check_undo(const LabelEvent& event) const {
   if (!turned.in_force) return;
   const bool is_deleted = !class_now(last).has_value();
   if (is_deleted || !has_its_class(record))
-    refuse(event, "the class '" + record.event.class_name + "' of this click is " + (is_deleted ? "deleted" : "undone"),
+    refuse("labels.event.undo", event,
+           "the class '" + record.event.class_name + "' of this click is " + (is_deleted ? "deleted" : "undone"),
            "bring the class back first");
 }
 
@@ -163,13 +168,13 @@ void Annotations::check_class_undo(const LabelEvent& event, const Turned& turned
   const auto c = static_cast<std::size_t>(last.class_index);
   if (last.event.kind == LabelEventKind::add_class && !turned.in_force) {
     if (const Record* const end = end_of_class(turned.records.back()))
-      refuse(event, "the class '" + last.event.class_name + "' was merged or deleted since",
+      refuse("labels.event.undo", event, "the class '" + last.event.class_name + "' was merged or deleted since",
              "undo event '" + end->event.id + "' first");
     const auto uses = [&](const Mark& mark) { return mark.class_index == last.class_index; };
     const auto clicks = std::count_if(marks().begin(), marks().end(), uses);
     if (clicks > 0) {
-      refuse(event, "the class '" + named_[c]->name + "' has " + std::to_string(clicks) + " clicks",
-             "undo its clicks first");
+      refuse("labels.event.undo", event,
+             "the class '" + named_[c]->name + "' has " + std::to_string(clicks) + " clicks", "undo its clicks first");
     }
   }
   const bool ends = ends_a_class(last.event.kind);
@@ -177,12 +182,14 @@ void Annotations::check_class_undo(const LabelEvent& event, const Turned& turned
     const auto is_there = [&](int of, int added) { return is_named(of) && record_of_class(of) == added; };
     const bool has_own = is_there(last.class_index, last.class_record);
     if (!has_own || (last.into >= 0 && !is_there(last.into, last.into_record)))
-      refuse(event, "the class '" + (has_own ? last.event.new_name : last.event.class_name) + "' is no longer there",
+      refuse("labels.event.undo", event,
+             "the class '" + (has_own ? last.event.new_name : last.event.class_name) + "' is no longer there",
              "bring the class back first");
   }
   const bool comes_back = last.event.kind == LabelEventKind::add_class ? turned.in_force : ends && !turned.in_force;
   if (comes_back && named_[c]) {
-    refuse(event, "the place of the class '" + last.event.class_name + "' has been given to '" + named_[c]->name + "'",
+    refuse("labels.event.undo", event,
+           "the place of the class '" + last.event.class_name + "' has been given to '" + named_[c]->name + "'",
            "add the class anew, or undo '" + named_[c]->name + "' first");
   }
   const std::optional<Naming> after = namings(turned.records.back())[c];
@@ -192,7 +199,8 @@ void Annotations::check_class_undo(const LabelEvent& event, const Turned& turned
 
 Annotations::Record Annotations::resolve(const LabelEvent& event) const {
   Record record{event};
-  if (!is_event_id(event.id)) refuse(event, "its id is not 1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'");
+  if (!is_event_id(event.id))
+    refuse("labels.event.format", event, "its id is not 1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'");
   switch (event.kind) {
     case LabelEventKind::undo:
       check_undo(event);
@@ -209,7 +217,8 @@ Annotations::Record Annotations::resolve(const LabelEvent& event) const {
     case LabelEventKind::change_class:
       record.class_index = resolve_class(event, event.class_name);
       record.class_record = record_of_class(record.class_index);
-      if (record.class_index == kVoid) refuse(event, "'" + event.class_name + "' stands for pixels without a class");
+      if (record.class_index == kVoid)
+        refuse("labels.event.void", event, "'" + event.class_name + "' stands for pixels without a class");
       if (event.new_name == event.class_name) break;
       (void)resolve_added_class(event, "rename it in the scene's table");
       require_free_name(event, event.new_name, "choose another name");
@@ -219,9 +228,10 @@ Annotations::Record Annotations::resolve(const LabelEvent& event) const {
       record.class_record = record_of_class(record.class_index);
       record.into = resolve_class(event, event.new_name);
       record.into_record = record_of_class(record.into);
-      if (record.into == kVoid) refuse(event, "'" + event.new_name + "' stands for pixels without a class");
+      if (record.into == kVoid)
+        refuse("labels.event.void", event, "'" + event.new_name + "' stands for pixels without a class");
       if (record.into == record.class_index)
-        refuse(event, "a class cannot be merged into itself", "name another class");
+        refuse("labels.event.merge", event, "a class cannot be merged into itself", "name another class");
       break;
     case LabelEventKind::delete_class:
       record.class_index = resolve_added_class(event, "undo its clicks instead");
@@ -231,7 +241,8 @@ Annotations::Record Annotations::resolve(const LabelEvent& event) const {
       require_free_name(event, event.class_name, "choose another name");
       record.class_index = free_place();
       if (record.class_index < 0) {
-        refuse(event, "there is room for " + std::to_string(ids_.size()) + " classes, and all have names",
+        refuse("labels.event.room", event,
+               "there is room for " + std::to_string(ids_.size()) + " classes, and all have names",
                "rename a class that nobody needs, or raise scene.labels.class_room in a new run");
       }
       break;
@@ -379,7 +390,7 @@ Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEven
       sum.apply(events[i]);
     } catch (const Error& e) {
       const bool adds = events[i].kind == LabelEventKind::add_class;
-      throw Error(e.kind(), name + ":" + std::to_string(i + 1) + ": " + e.message(),
+      throw Error(e.kind(), e.code(), name + ":" + std::to_string(i + 1) + ": " + e.message(),
                   adds                 ? "delete the line, or change its name: clicks name their class by its name"
                   : e.remedy().empty() ? "mend or delete the line"
                                        : e.remedy());

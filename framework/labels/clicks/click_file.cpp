@@ -41,7 +41,7 @@ void require_clicks(const ClicksTrained& trained, const LabelConfig& labels, con
   // A checkpoint of an earlier version does not say what it knew; its run has had the file from the start.
   const bool unknown = trained.any_checkpoint && !trained.known;
   if (!file.empty() && !is_there(file) && (unknown || !room)) {
-    throw Error(ErrorKind::no_input,
+    throw Error(ErrorKind::no_input, "labels.clicks.missing",
                 fmt::format("'{}' is not there, where scene.labels.clicks of the run '{}' points", file, run_dir),
                 fmt::format("put the file back, or say where it is: {}{}", other,
                             unknown ? "; where nobody ever clicked, make an empty one" : ""));
@@ -56,14 +56,14 @@ void require_clicks(const ClicksTrained& trained, const LabelConfig& labels, con
   }
   if (now.events == 0) {
     throw Error(
-        ErrorKind::no_input,
+        ErrorKind::no_input, "labels.clicks.missing",
         fmt::format("the run '{}' has learned from {} of clicks, and {}", run_dir, events_text(trained.known->events),
                     file.empty() ? "scene.labels.clicks names no file"
                                  : fmt::format("'{}' {}", file, is_there(file) ? "is empty" : "is not there")),
         fmt::format("put the file back, or say where it is: {}", other));
   }
   if (begins) return;
-  diagnostics.warning("scene.labels.clicks",
+  diagnostics.warning("labels.clicks.changed", "scene.labels.clicks",
                       fmt::format("'{}' does not begin with the {} that the run has learned from: other clicks", file,
                                   events_text(trained.known->events)),
                       fmt::format("put the run's own file back, or say where it is: {}", other));
@@ -74,7 +74,7 @@ ClickLog open_click_log(const LabelConfig& labels, const std::string& run_dir, D
   const fs::path folder = place_of(file).parent_path();
   std::error_code unknown;
   if (folder != place_of(run_dir) && fs::exists(folder / "run.yaml", unknown)) {
-    throw Error(ErrorKind::cannot_create,
+    throw Error(ErrorKind::cannot_create, "labels.clicks.foreign",
                 fmt::format("the clicks in '{}' are those of another run, so none are added to them", file),
                 fmt::format("go on with that run, or with a copy of its folder; or name a file of this run's own: "
                             "--set scene.labels.clicks={}",
@@ -84,8 +84,8 @@ ClickLog open_click_log(const LabelConfig& labels, const std::string& run_dir, D
   EventsKnown known;
   for (const LabelEvent& event : log.events()) known.add(event);
   if (labels.clicks && known != labels.clicks->known())
-    throw Error(ErrorKind::cannot_create, fmt::format("'{}' has changed while the scene was opened", file),
-                "start the program again");
+    throw Error(ErrorKind::cannot_create, "labels.clicks.changed",
+                fmt::format("'{}' has changed while the scene was opened", file), "start the program again");
   return log;
 }
 

@@ -31,7 +31,7 @@ std::size_t whole_lines(std::string_view text, const std::string& name) {
   }
   const std::string_view torn = text.substr(whole);
   if (torn.size() > kMostEventBytes || (!torn.empty() && torn.front() != '{' && torn.front() != '\0'))
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "labels.clicks.format",
                 "'" + name + "' holds no label events: its last line has no end and begins with no '{'",
                 "check the path");
   return whole;
@@ -41,7 +41,8 @@ FolderLock lock_of(const std::string& path) {
   FolderLock lock;
   const int cause = lock.take_file(path);
   if (cause == EWOULDBLOCK) {
-    throw Error(ErrorKind::cannot_create, "the file of clicks '" + path + "' is in use by " + lock.holder(),
+    throw Error(ErrorKind::cannot_create, "labels.clicks.busy",
+                "the file of clicks '" + path + "' is in use by " + lock.holder(),
                 "end that program first, or name another file: --set scene.labels.clicks=FILE");
   }
   if (cause != 0) throw write_error("open", path, cause);
@@ -60,18 +61,19 @@ std::vector<LabelEvent> parse_click_log(std::string_view text, const std::string
     try {
       events.push_back(parse_label_event(text.substr(at, end - at)));
     } catch (const Error& e) {
-      throw Error(e.kind(), place + ": " + e.message(), e.remedy().empty() ? "mend or delete the line" : e.remedy());
+      throw Error(e.kind(), e.code(), place + ": " + e.message(),
+                  e.remedy().empty() ? "mend or delete the line" : e.remedy());
     }
     const auto [first, is_new] = line_of.emplace(events.back().id, events.size());
     if (!is_new) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "labels.clicks.twice",
                   place + ": line " + std::to_string(first->second) + " has the id '" + events.back().id + "', too",
                   "delete one of the lines, or give it another id");
     }
     at = end + 1;
   }
   if (whole < text.size()) {
-    diagnostics.warning(name + ":" + std::to_string(events.size() + 1),
+    diagnostics.warning("labels.clicks.torn", name + ":" + std::to_string(events.size() + 1),
                         "the last line is torn, as a kill leaves an event that was not yet acknowledged; it is dropped",
                         "check the last click");
   }
@@ -123,7 +125,7 @@ void ClickLog::require_own(std::string_view mine) const {
   struct stat now {};
   if (::fstat(file_, &now) != 0) throw write_error("look at", path_, errno);
   if (now.st_nlink == 0) {
-    throw Error(ErrorKind::io, "'" + path_ + "' was removed while this program appends to it",
+    throw Error(ErrorKind::io, "labels.clicks.changed", "'" + path_ + "' was removed while this program appends to it",
                 "put the file back, and start this program again");
   }
   const auto size = static_cast<std::uint64_t>(now.st_size);
@@ -133,7 +135,7 @@ void ClickLog::require_own(std::string_view mine) const {
   while (read < 0 && errno == EINTR);
   const bool is_read = read == static_cast<ssize_t>(tail.size());
   if (size >= size_ && is_read && mine.starts_with(tail)) return;
-  throw Error(ErrorKind::io,
+  throw Error(ErrorKind::io, "labels.clicks.changed",
               "'" + path_ + "' has " + std::to_string(size) + " bytes where this program left " +
                   std::to_string(size_) + ": another program has changed it",
               "end that program, and start this one again");
@@ -151,7 +153,8 @@ void ClickLog::take_back(std::string_view line) noexcept {
 void ClickLog::append(const LabelEvent& event) {
   std::string line = label_event_json(event) + "\n";
   if (size_ + line.size() > kMostLogBytes) {
-    throw Error(ErrorKind::io, "'" + path_ + "' is full: it holds " + std::to_string(kMostLogBytes) + " bytes at most",
+    throw Error(ErrorKind::io, "labels.clicks.full",
+                "'" + path_ + "' is full: it holds " + std::to_string(kMostLogBytes) + " bytes at most",
                 "export the labels and go on in a new run");
   }
   require_own(torn_);

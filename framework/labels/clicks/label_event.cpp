@@ -34,8 +34,8 @@ const std::vector<KindText>& kinds() {
   return all;
 }
 
-[[noreturn]] void refuse(const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, "event: " + message, remedy);
+[[noreturn]] void refuse(Code code, const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, code, "event: " + message, remedy);
 }
 
 // What was found, short enough for a message.
@@ -49,13 +49,14 @@ std::string shown(const Json& value) {
 }
 
 [[noreturn]] void refuse_value(const char* key, const std::string& expected, const Json& found) {
-  refuse(std::string("'") + key + "': expected " + expected + ", got " + shown(found));
+  refuse("labels.event.format", std::string("'") + key + "': expected " + expected + ", got " + shown(found));
 }
 
 // The keys of one object; the parser alone sees one that is given twice.
 Json parse_object(std::string_view text) {
   if (text.size() > kMostEventBytes) {
-    refuse("it is " + std::to_string(text.size()) + " bytes long; at most " + std::to_string(kMostEventBytes) +
+    refuse("labels.event.size",
+           "it is " + std::to_string(text.size()) + " bytes long; at most " + std::to_string(kMostEventBytes) +
                " are read",
            "send a stroke in parts");
   }
@@ -72,16 +73,16 @@ Json parse_object(std::string_view text) {
   try {
     root = Json::parse(text, watch);
   } catch (const Json::exception& e) {
-    refuse("not valid JSON: " + json_cause(e.what()));
+    refuse("labels.event.format", "not valid JSON: " + json_cause(e.what()));
   }
-  if (!root.is_object()) refuse("expected a map {\"id\":...,\"type\":...}, got " + shown(root));
-  if (!twice.empty()) refuse("key " + twice + " is given twice");
+  if (!root.is_object()) refuse("labels.event.format", "expected a map {\"id\":...,\"type\":...}, got " + shown(root));
+  if (!twice.empty()) refuse("labels.event.format", "key " + twice + " is given twice");
   return root;
 }
 
 const Json& at(const Json& root, const char* key) {
   const auto found = root.find(key);
-  if (found == root.end()) refuse(std::string("key '") + key + "' is missing");
+  if (found == root.end()) refuse("labels.event.format", std::string("key '") + key + "' is missing");
   return *found;
 }
 
@@ -131,10 +132,11 @@ void read_points(const Json& root, LabelEvent& event) {
   for (const Json& point : points) {
     const std::string which = "'points': point " + std::to_string(event.points.size() + 1);
     if (!point.is_array() || point.size() != 2 || !point[0].is_number() || !point[1].is_number())
-      refuse(which + " is no pair of numbers [x, y]: " + shown(point));
+      refuse("labels.event.points", which + " is no pair of numbers [x, y]: " + shown(point));
     const PixelPoint p{point[0].get<double>(), point[1].get<double>()};
     if (!(p.x >= 0 && p.x <= event.width_px && p.y >= 0 && p.y <= event.height_px)) {
-      refuse(which + ", (" + shown(point[0]) + ", " + shown(point[1]) + "), lies outside the image of " +
+      refuse("labels.event.points",
+             which + ", (" + shown(point[0]) + ", " + shown(point[1]) + "), lies outside the image of " +
                  std::to_string(event.width_px) + " x " + std::to_string(event.height_px),
              "count pixels of the image of 'size'");
     }
@@ -155,7 +157,8 @@ void read_fill(const Json& root, LabelEvent& event) {
   if (!fill->is_boolean()) refuse_value("fill", "true or false", *fill);
   event.fill = fill->get<bool>();
   if (event.fill && event.points.size() < kLeastOutlinePoints)
-    refuse("'fill': an outline needs 3 points, and there are " + std::to_string(event.points.size()));
+    refuse("labels.event.points",
+           "'fill': an outline needs 3 points, and there are " + std::to_string(event.points.size()));
 }
 
 void read_color(const Json& root, LabelEvent& event) {
@@ -188,7 +191,7 @@ void check_keys(const Json& root, const KindText& kind) {
   for (const auto& item : root.items()) {
     if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
     const std::string near = did_you_mean(item.key(), known);
-    refuse("unknown key " + shown(Json(item.key())) + " of a '" + kind.type + "'",
+    refuse("labels.event.format", "unknown key " + shown(Json(item.key())) + " of a '" + kind.type + "'",
            near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
   }
 }
@@ -235,7 +238,7 @@ LabelEvent parse_label_event(std::string_view json) {
   if (kind.may == "color") read_color(root, event);
   if (kind.kind == LabelEventKind::undo) {
     event.of = id_at(root, "of");
-    if (event.of == event.id) refuse("'of': it is the event's own id");
+    if (event.of == event.id) refuse("labels.event.format", "'of': it is the event's own id");
   }
   return event;
 }

@@ -36,7 +36,7 @@ LabellingRecord parse_labelling_record(std::string_view json, const std::string&
           {c.at("id"), c.at("name"), c.at("color"), c.at("clicks"), c.at("area_share"), c.at("confidence")});
     for (const nlohmann::json& f : root.at("shown")) record.shown.push_back({f.at("frame"), f.at("clicks")});
   } catch (const nlohmann::json::exception& e) {
-    throw Error(ErrorKind::data, "'" + name + "' cannot be read: " + e.what(),
+    throw Error(ErrorKind::data, "run.record.damaged", "'" + name + "' cannot be read: " + e.what(),
                 "delete it; the labelling page writes it anew");
   }
   return record;

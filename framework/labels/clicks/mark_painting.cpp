@@ -17,7 +17,7 @@ std::vector<std::int16_t> Annotations::paint(int frame, std::span<const std::int
   LabelRaster raster = void_raster(camera.width_px, camera.height_px);
   if (!base.empty()) {
     if (base.size() != raster.hard.size())
-      throw Error(ErrorKind::internal, "labels to paint over have another size than the frame");
+      throw Error(ErrorKind::internal, "internal.labels.size", "labels to paint over have another size than the frame");
     raster.hard.assign(base.begin(), base.end());
   }
   paint_marks(frame, raster);

@@ -27,15 +27,16 @@ class ModuleFile {
  public:
   ModuleFile(const std::string& path, std::string doing)
       : doing_(std::move(doing)), file_(path, std::ios::binary), size_(std::filesystem::file_size(path)) {
-    if (!file_) refuse("it cannot be opened", "check its permissions");
+    if (!file_) refuse("plugin.module.unreadable", "it cannot be opened", "check its permissions");
   }
 
-  [[noreturn]] void refuse(const std::string& why, const std::string& remedy) const {
-    throw Error(ErrorKind::unavailable, doing_ + ": " + why, remedy);
+  [[noreturn]] void refuse(Code code, const std::string& why, const std::string& remedy) const {
+    throw Error(ErrorKind::unavailable, code, doing_ + ": " + why, remedy);
   }
   void require(std::uint64_t end) const {
     if (end > size_)
-      refuse("the file is cut short: it ends at byte " + std::to_string(size_) + " of " + std::to_string(end),
+      refuse("plugin.module.damaged",
+             "the file is cut short: it ends at byte " + std::to_string(size_) + " of " + std::to_string(end),
              "copy or build it again");
   }
   template <class T>
@@ -48,7 +49,7 @@ class ModuleFile {
     if (offset > size_ || bytes > size_ - offset) require(offset > ~bytes ? ~std::uint64_t{0} : offset + bytes);
     file_.seekg(static_cast<std::streamoff>(offset));
     file_.read(static_cast<char*>(out), static_cast<std::streamsize>(bytes));
-    if (!file_) refuse("it cannot be read", "check the disk");
+    if (!file_) refuse("plugin.module.unreadable", "it cannot be read", "check the disk");
   }
   std::uint64_t size() const { return size_; }
 
@@ -65,7 +66,8 @@ void check_processor(const ModuleFile& file, const ElfW(Ehdr) & header) {
   if (header.e_ident[EI_CLASS] == own.e_ident[EI_CLASS] && header.e_ident[EI_DATA] == own.e_ident[EI_DATA] &&
       header.e_machine == own.e_machine)
     return;
-  file.refuse("it was built for another processor (ELF class " + std::to_string(header.e_ident[EI_CLASS]) +
+  file.refuse("plugin.module.processor",
+              "it was built for another processor (ELF class " + std::to_string(header.e_ident[EI_CLASS]) +
                   ", machine " + std::to_string(header.e_machine) + "; this program: " +
                   std::to_string(own.e_ident[EI_CLASS]) + ", " + std::to_string(own.e_machine) + ")",
               "build it on this kind of machine");
@@ -94,6 +96,7 @@ PluginStamp stamp_of(ModuleFile& file, const ElfW(Ehdr) & header) {
     }
   }
   file.refuse(
+      "plugin.module.foreign",
       std::string("it has no section '") + kPluginSection + "', so it is no plugin, or one built before modules had it",
       "build it with SEMFIELD_LOADABLE_MODULE defined and end it with SEMFIELD_PLUGIN_MODULE(...)");
 }
@@ -103,15 +106,16 @@ PluginStamp stamp_of(ModuleFile& file, const ElfW(Ehdr) & header) {
 void check_module_file(const std::string& path, const std::string& doing) {
   ModuleFile file(path, doing);
   if (file.size() < SELFMAG || std::memcmp(file.at<std::array<char, SELFMAG>>(0).data(), ELFMAG, SELFMAG) != 0)
-    file.refuse("it is no shared library", "check that it is the right file");
+    file.refuse("plugin.module.foreign", "it is no shared library", "check that it is the right file");
   const auto header = file.at<ElfW(Ehdr)>(0);
   check_processor(file, header);
-  if (header.e_type != ET_DYN) file.refuse("it is no shared library", "check that it is the right file");
+  if (header.e_type != ET_DYN)
+    file.refuse("plugin.module.foreign", "it is no shared library", "check that it is the right file");
   check_length(file, header);
   const PluginStamp stamp = stamp_of(file, header);
   const PluginStamp ours{};
   if (std::memcmp(stamp.magic, ours.magic, sizeof ours.magic) != 0)
-    file.refuse(std::string("its section '") + kPluginSection + "' holds something else",
+    file.refuse("plugin.module.foreign", std::string("its section '") + kPluginSection + "' holds something else",
                 "end the plugin with SEMFIELD_PLUGIN_MODULE(name, version, function)");
   const std::string tag(stamp.abi_tag, strnlen(stamp.abi_tag, sizeof stamp.abi_tag));
   try {
@@ -136,7 +140,7 @@ void warn_of_other_modules(const std::map<std::string, std::string>& trained, co
   for (const auto& [name, checksum] : module_checksums(files)) {
     const auto before = trained.find(name);
     if (before == trained.end() || before->second == checksum) continue;
-    diagnostics.warning(name,
+    diagnostics.warning("plugin.module.changed", name,
                         fmt::format("the file of this plugin is not the one that the run was trained with: its "
                                     "CRC-32C is {} where it was {}; results may differ",
                                     checksum, before->second),

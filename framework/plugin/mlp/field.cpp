@@ -13,8 +13,8 @@ namespace {
 
 MlpBuild network_build(const FieldBuild& build, std::string_view owner) {
   if (build.position_dims < 1) {
-    throw Error(ErrorKind::config, std::string(owner) + " needs an encoded position of at least one number",
-                "choose a position encoder");
+    throw Error(ErrorKind::config, "config.encoder.empty",
+                std::string(owner) + " needs an encoded position of at least one number", "choose a position encoder");
   }
   return {build.device,
           build.precision,

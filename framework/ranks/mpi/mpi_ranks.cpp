@@ -67,7 +67,7 @@ class MpiRanks final : public Ranks {
     check(MPI_Comm_size(MPI_COMM_WORLD, &size_), "starting MPI");
     if (size_ != by.size || rank_ != by.rank) {
       MPI_Finalize();
-      throw Error(ErrorKind::unavailable,
+      throw Error(ErrorKind::unavailable, "ranks.mpi.size",
                   by.by + " started " + std::to_string(by.size) + " processes, but MPI sees " + std::to_string(size_),
                   "start them with the mpirun of the MPI that semfield was built with, or with srun --mpi=pmix");
     }
@@ -194,7 +194,7 @@ class MpiRanks final : public Ranks {
   [[noreturn]] void lose(std::string what) {
     lost_ = true;
     why_ = what;
-    throw RankLost(ErrorKind::failure, what, "its own messages may say why");
+    throw RankLost(ErrorKind::failure, "ranks.process.lost", what, "its own messages may say why");
   }
 
   void check(int code, const std::string& doing) {

@@ -38,12 +38,12 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
     if (training && config.report.training_frames == 0) config.report.training_frames = 1000000;
     if (!found.has_errors()) text = write_config(resolved_config(config));
   } catch (const Error& error) {
-    found.error("", error.message(), error.remedy());
+    found.error(error.code(), "", error.message(), error.remedy());
   }
   for (const Diagnostic& finding : found.all()) {
     if (finding.severity != Severity::error || !told.insert(finding.text()).second) continue;
     const std::string where = e.name + " / " + scene.name + " / " + variant.name;
-    diagnostics.error(finding.where, finding.message + " (" + where + ")", finding.remedy);
+    diagnostics.error(finding.code, finding.where, finding.message + " (" + where + ")", finding.remedy);
   }
   return text;
 }

@@ -45,14 +45,15 @@ class Reader {
 
  private:
   void error(const ConfigNode& node, const std::string& message, const std::string& remedy = {}) {
-    diagnostics_.error(node.location().text(), message, remedy);
+    diagnostics_.error("sweep.file.value", node.location().text(), message, remedy);
   }
 
   void known_keys(const ConfigNode& node, const std::string& path, const std::vector<std::string>& known) {
     for (const auto& [key, value] : node.entries()) {
       if (std::find(known.begin(), known.end(), key) != known.end()) continue;
       const std::string near = did_you_mean(key, known);
-      diagnostics_.error(value.key_location().text(), (path.empty() ? "" : path + ": ") + "unknown key '" + key + "'",
+      diagnostics_.error("config.key.unknown", value.key_location().text(),
+                         (path.empty() ? "" : path + ": ") + "unknown key '" + key + "'",
                          near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
     }
   }
@@ -260,7 +261,8 @@ Sweep read_sweep(const std::string& path) {
   sweep.name = read_text(root, "", "name", stem_of(path), diagnostics);
   Reader reader(diagnostics);
   if (const ConfigNode* list = root.find("sweeps"); list != nullptr) {
-    if (!list->is_list()) diagnostics.error(list->location().text(), "sweeps: expected a list of files");
+    if (!list->is_list())
+      diagnostics.error("sweep.file.value", list->location().text(), "sweeps: expected a list of files", {});
     const ConfigNode over = root.without("sweeps").without("name");
     for (const ConfigNode& item : list->items()) {
       const std::string file = resolve_path(item);
@@ -271,7 +273,8 @@ Sweep read_sweep(const std::string& path) {
   }
   std::set<std::string> names;
   for (const Experiment& e : sweep.experiments) {
-    if (!names.insert(e.name).second) diagnostics.error(path, "two experiments are called '" + e.name + "'");
+    if (!names.insert(e.name).second)
+      diagnostics.error("sweep.name.twice", path, "two experiments are called '" + e.name + "'", {});
   }
   diagnostics.throw_if_errors(ErrorKind::config, "");
   return sweep;

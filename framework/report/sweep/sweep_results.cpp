@@ -21,7 +21,8 @@ Json parse(const std::string& text, const std::string& name) {
   try {
     return Json::parse(text);
   } catch (const nlohmann::json::exception& e) {
-    throw Error(ErrorKind::data, name + ": not valid JSON: " + e.what(), "remove the cell's folder and run it again");
+    throw Error(ErrorKind::data, "sweep.result.damaged", name + ": not valid JSON: " + e.what(),
+                "remove the cell's folder and run it again");
   }
 }
 
@@ -56,7 +57,8 @@ std::optional<CellValues> read_cell_result(const std::string& path) {
   if (!std::filesystem::exists(path)) return std::nullopt;
   const Json root = parse(read_text_file(path), path);
   if (!root.is_object() || !root.contains("values") || !root["values"].is_object())
-    throw Error(ErrorKind::data, path + ": no map 'values' in it", "remove the cell's folder and run it again");
+    throw Error(ErrorKind::data, "sweep.result.damaged", path + ": no map 'values' in it",
+                "remove the cell's folder and run it again");
   return numbers_of(root["values"]);
 }
 
@@ -64,7 +66,7 @@ CellValues values_of_run(const std::string& metrics_path, const std::string& spl
   const std::vector<MetricsRow> rows = read_metrics(metrics_path);
   const MetricsRow* const last = last_row(rows, split);
   if (last == nullptr)
-    throw Error(ErrorKind::data, metrics_path + ": no evaluation of the split '" + split + "'",
+    throw Error(ErrorKind::data, "scene.split.empty", metrics_path + ": no evaluation of the split '" + split + "'",
                 "the scene needs frames in that split; see `semfield inspect`");
   CellValues out;
   for (const auto& [name, value] : last->values) {
@@ -87,7 +89,7 @@ CellValues values_of_fusion(const std::string& json, const std::string& method) 
   for (const Json& row : root.is_object() ? root.value("scores", Json::array()) : Json::array()) {
     if (row.is_object() && row.value("method", "") == method) return numbers_of(row);
   }
-  throw Error(ErrorKind::data, "semfield fuse gave no result for the method '" + method + "'");
+  throw Error(ErrorKind::data, "sweep.result.missing", "semfield fuse gave no result for the method '" + method + "'");
 }
 
 std::string results_csv(const Sweep& sweep, const std::vector<Cell>& cells, const SweepResults& results) {

@@ -74,7 +74,8 @@ EventWriter::EventWriter(const std::string& folder, double now_s) {
       fmt::format("{}/events.out.tfevents.{:010d}.{}.{}", folder, static_cast<std::int64_t>(now_s), host, ::getpid());
   descriptor_ = ::open(path_.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
   if (descriptor_ < 0) {
-    throw Error(ErrorKind::cannot_create, fmt::format("cannot open '{}' for writing: {}", path_, std::strerror(errno)),
+    throw Error(ErrorKind::cannot_create, "files.write.failed",
+                fmt::format("cannot open '{}' for writing: {}", path_, std::strerror(errno)),
                 "make the run folder writable, or choose another with --out");
   }
   std::string event = event_head(now_s);

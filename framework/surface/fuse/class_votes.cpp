@@ -18,7 +18,7 @@ constexpr double kTie = 1e-9;
 HardLikelihood::HardLikelihood(double confidence, int classes) : hit(confidence) {
   if (classes > 1) miss = (1 - confidence) / (classes - 1);
   if (classes > 1 && !(hit > miss)) {
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "config.value.range",
                 fmt::format("fuse.hard_confidence: {} says nothing among {} classes, each has {:.3g}", confidence,
                             classes, miss),
                 fmt::format("write more than {:.3g}", 1.0 / classes));

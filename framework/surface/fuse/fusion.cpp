@@ -23,7 +23,7 @@ void check_view(const FusionView& view, std::size_t index, int classes) {
   for (std::size_t i = 0; i < prediction.hard.size(); ++i) {
     if (prediction.hard[i] >= kVoid && prediction.hard[i] < classes) continue;
     throw Error(
-        ErrorKind::data,
+        ErrorKind::data, "labels.class.range",
         fmt::format("view {}: pixel {} has class index {}, there are {}", index, i, prediction.hard[i], classes),
         "predict with the scene's class table");
   }

@@ -132,11 +132,13 @@ void require_labels_and_depth(const Surface& surface) {
     depth = depth || std::any_of(z.begin(), z.end(), [](float v) { return v > 0 && std::isfinite(v); });
   }
   if (!label) {
-    throw Error(ErrorKind::data, "no training pixel carries a label, so there is nothing to spread",
+    throw Error(ErrorKind::data, "labels.training.none",
+                "no training pixel carries a label, so there is nothing to spread",
                 "see scene.labels.frames, and `semfield inspect`");
   }
   if (!depth) {
-    throw Error(ErrorKind::data, "no training pixel has depth: its rays meet no surface that is dense enough",
+    throw Error(ErrorKind::data, "fuse.depth.none",
+                "no training pixel has depth: its rays meet no surface that is dense enough",
                 "train the run longer, or lower propagate.min_opacity");
   }
 }
@@ -150,8 +152,8 @@ void spread_over_surface(const Surface& surface, const PropagationParams& params
                          TrainingLabels& out) {
   const double edge_m = params.cell_m > 0 ? params.cell_m : default_cell_m(surface.scene);
   if (!(edge_m > 0)) {
-    throw Error(ErrorKind::config, "the scene tells no size from which a cell's edge could be chosen",
-                "set propagate.cell_m");
+    throw Error(ErrorKind::config, "fuse.cell.unknown",
+                "the scene tells no size from which a cell's edge could be chosen", "set propagate.cell_m");
   }
   const Pooled cells = pooled(surface, edge_m);
   const Diffusion spread =

@@ -22,11 +22,13 @@ void check_frame(const FrameInfo& frame, const TrainedField& run) {
   const auto found =
       std::find_if(known.begin(), known.end(), [&](const FrameInfo& other) { return other.name == frame.name; });
   if (found == known.end()) {
-    throw Error(ErrorKind::data, frame_place(frame) + ": the scene of " + run.run_dir + " has no frame of this name",
+    throw Error(ErrorKind::data, "fuse.depth.foreign",
+                frame_place(frame) + ": the scene of " + run.run_dir + " has no frame of this name",
                 "take depth from a run of this scene");
   }
   if (!same_pose(found->world_from_camera, frame.world_from_camera)) {
-    throw Error(ErrorKind::data, frame_place(frame) + ": the camera stands elsewhere in the scene of " + run.run_dir,
+    throw Error(ErrorKind::data, "fuse.depth.foreign",
+                frame_place(frame) + ": the camera stands elsewhere in the scene of " + run.run_dir,
                 "take depth from a run of this scene");
   }
 }
@@ -48,7 +50,7 @@ FrameMaps true_depth(const LoadedScene& scene) {
     maps.depth_m.push_back(frame.depth_m.empty() ? std::vector<float>(frame.rgb.size() / 3) : frame.depth_m.expand());
   }
   if (!any) {
-    throw Error(ErrorKind::data, "no training frame of the scene has depth",
+    throw Error(ErrorKind::data, "fuse.depth.none", "no training frame of the scene has depth",
                 "train on the scene and take the depth of the run: --depth-from RUN");
   }
   maps.label.resize(maps.frames.size());

@@ -195,7 +195,8 @@ void write_glb(const std::string& path, const Surface& surface, const ClassTable
   while (json.size() % 4 != 0) json += ' ';
   const std::size_t total = 12 + 8 + json.size() + 8 + layout.bytes();
   if (total > std::numeric_limits<std::uint32_t>::max()) {
-    throw Error(ErrorKind::data, path + ": " + std::to_string(total) + " bytes do not fit the 4 GiB of a GLB file",
+    throw Error(ErrorKind::data, "mesh.file.size",
+                path + ": " + std::to_string(total) + " bytes do not fit the 4 GiB of a GLB file",
                 "choose a larger --voxel, or --format ply");
   }
   BufferedFile file(path);

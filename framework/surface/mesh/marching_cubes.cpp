@@ -82,7 +82,7 @@ class Marcher {
     const std::int64_t at = bad - values.begin();
     const Vec3d p =
         grid_.world({static_cast<double>(at % grid_.nx), static_cast<double>(at / grid_.nx), static_cast<double>(z)});
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "mesh.density.not_finite",
                 "the density at (" + std::to_string(p.x) + ", " + std::to_string(p.y) + ", " + std::to_string(p.z) +
                     ") is not a number",
                 "train again, or use an earlier checkpoint");
@@ -139,7 +139,8 @@ class Marcher {
       next += strip.rising.size();
     }
     if (next >= kNone) {
-      throw Error(ErrorKind::data, "the surface has more vertices than 32 bits can number", "choose a larger --voxel");
+      throw Error(ErrorKind::data, "mesh.surface.size", "the surface has more vertices than 32 bits can number",
+                  "choose a larger --voxel");
     }
     surface_.positions.resize(next);
   }
@@ -196,9 +197,11 @@ class Marcher {
 }  // namespace
 
 VoxelGrid VoxelGrid::covering(const Box& bounds, double spacing) {
-  if (bounds.empty()) throw Error(ErrorKind::usage, "the scene's bounds are empty", "set scene.load.bounds");
+  if (bounds.empty())
+    throw Error(ErrorKind::usage, "mesh.bounds.empty", "the scene's bounds are empty", "set scene.load.bounds");
   if (!(spacing > 0) || !std::isfinite(spacing))
-    throw Error(ErrorKind::usage, "a voxel of " + std::to_string(spacing), "give a positive edge length");
+    throw Error(ErrorKind::usage, "mesh.voxel.size", "a voxel of " + std::to_string(spacing),
+                "give a positive edge length");
   VoxelGrid grid;
   grid.spacing = spacing;
   const Vec3d size = bounds.size();
@@ -207,7 +210,8 @@ VoxelGrid VoxelGrid::covering(const Box& bounds, double spacing) {
     // The slack absorbs rounding when the spacing is a fraction of the side itself.
     const double cells = std::max(1.0, std::ceil(size[axis] / spacing - 1e-9));
     if (!(cells < kMostPoints)) {
-      throw Error(ErrorKind::usage, "voxels of " + std::to_string(spacing) + " would be more than 4095 along an axis",
+      throw Error(ErrorKind::usage, "mesh.voxel.count",
+                  "voxels of " + std::to_string(spacing) + " would be more than 4095 along an axis",
                   "choose a larger --voxel or a smaller --resolution");
     }
     *counts[axis] = static_cast<std::int64_t>(cells) + 1;

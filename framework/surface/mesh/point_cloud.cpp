@@ -9,7 +9,8 @@ namespace semfield {
 
 PointCloud::PointCloud(double voxel, const std::array<double, 3>& background) : voxel_(voxel), background_(background) {
   if (!(voxel > 0) || !std::isfinite(voxel))
-    throw Error(ErrorKind::usage, "a voxel of " + std::to_string(voxel), "give a positive edge length");
+    throw Error(ErrorKind::usage, "mesh.voxel.size", "a voxel of " + std::to_string(voxel),
+                "give a positive edge length");
 }
 
 std::size_t PointCloud::Hash::operator()(const std::array<std::int64_t, 3>& key) const {

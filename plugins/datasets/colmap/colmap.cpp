@@ -30,7 +30,8 @@ void describe(ParamVisitor& visit, ColmapParams& p) {
 }
 
 void validate(const ColmapParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  if (p.root.empty())
+    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
   check_test_every(p.test_every, diagnostics);
 }
 
@@ -92,21 +93,23 @@ double quantile(std::vector<double>& values, double share) {
 std::string Colmap::model_folder(Diagnostics& diagnostics) const {
   const fs::path root(root_);
   if (!fs::is_directory(root))
-    throw Error(ErrorKind::no_input, "folder '" + root_ + "' is missing", "check scene.root");
+    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root_ + "' is missing", "check scene.root");
   if (!params_.model.empty()) {
     if (holds_model(root / params_.model)) return (root / params_.model).string();
-    throw Error(ErrorKind::no_input, "no cameras.bin or cameras.txt in '" + (root / params_.model).string() + "'",
-                "check scene.model");
+    throw Error(ErrorKind::no_input, "scene.poses.missing",
+                "no cameras.bin or cameras.txt in '" + (root / params_.model).string() + "'", "check scene.model");
   }
   for (const char* folder : kModelFolders) {
     if (!holds_model(root / folder)) continue;
     if (holds_model(root / folder / ".." / "1")) {
-      diagnostics.note(root_, std::string("the reconstruction fell into several models; '") + folder +
-                                  "' is read, scene.model chooses another");
+      diagnostics.note("scene.colmap.several", root_,
+                       std::string("the reconstruction fell into several models; '") + folder +
+                           "' is read, scene.model chooses another");
     }
     return (root / folder).lexically_normal().string();
   }
-  throw Error(ErrorKind::no_input, "no cameras.bin or cameras.txt in '" + root_ + "', its sparse/0 or sparse",
+  throw Error(ErrorKind::no_input, "scene.poses.missing",
+              "no cameras.bin or cameras.txt in '" + root_ + "', its sparse/0 or sparse",
               "check scene.root, or name the model's folder with scene.model");
 }
 
@@ -120,7 +123,7 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
   info_.metric = false;
   for (const auto& [what, name] : {std::pair{"images", params_.images}, std::pair{"label_dir", params_.label_dir}}) {
     if (!name.empty() && !fs::is_directory(root / name)) {
-      throw Error(ErrorKind::no_input, "folder '" + (root / name).string() + "' is missing",
+      throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + (root / name).string() + "' is missing",
                   std::string("check scene.") + what);
     }
   }
@@ -164,12 +167,12 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
   sizes.report(root_, diagnostics);
   const bool has_labels = unlabelled < info_.frames.size() && !params_.label_dir.empty();
   if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty()) {
-    diagnostics.error((root / params_.label_dir).string(), "no label image for any frame",
+    diagnostics.error("labels.frames.missing", (root / params_.label_dir).string(), "no label image for any frame",
                       "name them like the images, with .png: '" +
                           fs::path(model.images.front().name).replace_extension(".png").string() + "'");
   } else if (has_labels && unlabelled > 0) {
     diagnostics.note(
-        (root / params_.label_dir).string(),
+        "labels.frames.missing", (root / params_.label_dir).string(),
         std::to_string(unlabelled) + " of " + std::to_string(info_.frames.size()) + " frames have no label image");
   }
   extent_from_points(model);

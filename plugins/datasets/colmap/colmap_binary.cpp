@@ -75,7 +75,8 @@ class BinaryFile {
   }
 
   [[noreturn]] void fail(const std::string& what, std::size_t offset) const {
-    throw Error(ErrorKind::data, "'" + path_ + "' " + what + " (offset " + std::to_string(offset) + ")",
+    throw Error(ErrorKind::data, "scene.colmap.damaged",
+                "'" + path_ + "' " + what + " (offset " + std::to_string(offset) + ")",
                 "copy the model again, or export it anew with colmap model_converter");
   }
 

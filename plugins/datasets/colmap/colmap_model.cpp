@@ -69,7 +69,7 @@ class TextFile {
   }
 
   [[noreturn]] void fail(const std::string& what, const std::string& remedy) const {
-    throw Error(ErrorKind::data, path_ + ":" + std::to_string(number_) + ": " + what, remedy);
+    throw Error(ErrorKind::data, "scene.colmap.format", path_ + ":" + std::to_string(number_) + ": " + what, remedy);
   }
 
   double real(std::string_view word) const {
@@ -149,19 +149,20 @@ void read_points_text(const std::string& path, ColmapBuilder& out) {
 
 void ColmapBuilder::add_camera(std::int64_t id, std::string_view model_name, double width, double height,
                                const std::vector<double>& params, const std::string& place) {
-  if (model_.cameras.count(id) > 0) return diagnostics_.error(place, "camera id is given twice", "keep one of the two");
+  if (model_.cameras.count(id) > 0)
+    return diagnostics_.error("scene.camera.twice", place, "camera id is given twice", "keep one of the two");
   Camera& camera = model_.cameras[id];  // kept without a size when refused: images then need no error of their own
   const Lens* lens = find_lens(model_name);
   if (lens == nullptr) {
     std::string names;
     for (const Lens& known : lenses()) names += (names.empty() ? "" : ", ") + std::string(known.name);
     return diagnostics_.error(
-        place,
+        "scene.camera.model", place,
         "camera model '" + std::string(model_name) + "' is not supported (only perspective lenses: " + names + ")",
         "undistort the images with colmap image_undistorter, or reconstruct with another camera model");
   }
   if (params.size() != lens->params.size()) {
-    return diagnostics_.error(place,
+    return diagnostics_.error("scene.camera.format", place,
                               "camera model " + std::string(model_name) + " has " +
                                   std::to_string(lens->params.size()) + " parameters, got " +
                                   std::to_string(params.size()),
@@ -169,7 +170,7 @@ void ColmapBuilder::add_camera(std::int64_t id, std::string_view model_name, dou
   }
   const auto whole = [](double v) { return v >= 1 && v <= 65536 && v == std::floor(v); };
   if (!whole(width) || !whole(height))
-    return diagnostics_.error(place, "image size is not a pair of whole numbers from 1 to 65536",
+    return diagnostics_.error("scene.image.size", place, "image size is not a pair of whole numbers from 1 to 65536",
                               "export the model again");
   for (std::size_t i = 0; i < params.size(); ++i) camera.*(lens->params[i]) = params[i];
   if (lens->params[1] != &Camera::fy) camera.fy = camera.fx;
@@ -180,11 +181,13 @@ void ColmapBuilder::add_camera(std::int64_t id, std::string_view model_name, dou
 void ColmapBuilder::add_image(ColmapImage image, const double pose[7]) {
   if (image.name.empty() || !is_line_of_text(image.name)) {
     const std::string entry = image.place.substr(0, image.place.find(" ('"));
-    return diagnostics_.error(entry, "the name of its image is empty, no UTF-8 or has control characters",
+    return diagnostics_.error("scene.frame.name", entry,
+                              "the name of its image is empty, no UTF-8 or has control characters",
                               "copy the model again, or give the image a plain name");
   }
   if (model_.cameras.count(image.camera) == 0) {
-    return diagnostics_.error(image.place, "its camera " + std::to_string(image.camera) + " is not in the model",
+    return diagnostics_.error("scene.camera.missing", image.place,
+                              "its camera " + std::to_string(image.camera) + " is not in the model",
                               "take cameras and images of the same model");
   }
   image.world_from_camera = inverse_pose(pose);
@@ -212,7 +215,7 @@ ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostic
             [](const ColmapImage& a, const ColmapImage& b) { return a.name < b.name; });
   for (std::size_t i = 1; i < model.images.size(); ++i) {
     if (model.images[i].name == model.images[i - 1].name)
-      diagnostics.error(model.images[i].place, "image is listed twice", "keep one of the two");
+      diagnostics.error("scene.frame.twice", model.images[i].place, "image is listed twice", "keep one of the two");
   }
   return model;
 }

@@ -37,7 +37,8 @@ void describe(ParamVisitor& visit, LlffParams& p) {
 }
 
 void validate(const LlffParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  if (p.root.empty())
+    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
   check_test_every(p.test_every, diagnostics);
 }
 
@@ -56,7 +57,8 @@ Llff::Llff(const LlffParams& params, const DatasetBuild& build)
 std::vector<std::string> Llff::image_files() const {
   const fs::path folder = fs::path(root_) / params_.images;
   if (!fs::is_directory(folder))
-    throw Error(ErrorKind::no_input, "folder '" + folder.string() + "' is missing", "check scene.images");
+    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + folder.string() + "' is missing",
+                "check scene.images");
   return files_with(folder.string(), kPhotographs);
 }
 
@@ -65,16 +67,17 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
   files_.clear();
   const std::string path = (fs::path(root_) / kPosesFile).string();
   if (!fs::is_directory(root_))
-    throw Error(ErrorKind::no_input, "folder '" + root_ + "' is missing", "check scene.root");
+    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root_ + "' is missing", "check scene.root");
   const NumpyArray poses = read_npy(path, [&](std::span<const std::int64_t> shape) {
     if (shape.size() == 2 && shape[0] > 0 && shape[1] == static_cast<std::int64_t>(kRow)) return;
-    throw Error(ErrorKind::data, "shape " + shape_text(shape) + " is not that of poses: 17 numbers per frame",
+    throw Error(ErrorKind::data, "scene.pose.format",
+                "shape " + shape_text(shape) + " is not that of poses: 17 numbers per frame",
                 "write 3 x 5 numbers of pose and size, near and far for each frame");
   });
   const std::vector<std::string> images = image_files();
   const std::size_t count = poses.values.size() / kRow;
   if (images.size() != count) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "scene.pose.count",
                 "'" + path + "' has " + std::to_string(count) + " frames, '" +
                     (fs::path(root_) / params_.images).string() + "' " + std::to_string(images.size()) + " images",
                 "keep those images that the poses are of: rows go by the order of names");
@@ -104,7 +107,8 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     if (state != PoseState::good || !check.present(frame, files, diagnostics)) continue;
     const double height = at(0, 4), width = at(1, 4), focal = at(2, 4);
     if (!(width >= 1 && width <= 1 << 20 && height >= 1 && height <= 1 << 20)) {
-      diagnostics.error(place, "'" + path + "' states no image size in its row " + std::to_string(i),
+      diagnostics.error("scene.camera.format", place,
+                        "'" + path + "' states no image size in its row " + std::to_string(i),
                         "write height, width and focal length in the fifth column");
       continue;
     }
@@ -131,8 +135,8 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
   check.report(root_, info_.frames.size(), diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), path, diagnostics);
   if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty()) {
-    diagnostics.error((fs::path(root_) / params_.label_dir).string(), "no label image for any frame",
-                      "name them like the images, with .png");
+    diagnostics.error("labels.frames.missing", (fs::path(root_) / params_.label_dir).string(),
+                      "no label image for any frame", "name them like the images, with .png");
   }
   info_.classes = load_class_file(class_file_, {root_}, has_labels, diagnostics);
   return info_;

@@ -26,7 +26,7 @@ const ClassEntry* find_class(const ClassTable& table, const std::string& name) {
 void read_rule(const ConfigNode& node, ClassRules& out, Diagnostics& diagnostics) {
   const std::string where = node.location().text();
   if (!node.is_map()) {
-    diagnostics.error(where, "a rule is a map such as {object: \"chair_*\", class: chair}");
+    diagnostics.error("classes.rule.format", where, "a rule is a map such as {object: \"chair_*\", class: chair}", {});
     return;
   }
   ClassRule rule;
@@ -43,20 +43,21 @@ void read_rule(const ConfigNode& node, ClassRules& out, Diagnostics& diagnostics
       const ClassEntry* entry = find_class(out.table, value.text());
       if (entry == nullptr) {
         const std::string near = did_you_mean(value.text(), class_names(out.table));
-        diagnostics.error(value.location().text(), "no class named '" + value.text() + "'",
+        diagnostics.error("labels.class.unknown", value.location().text(), "no class named '" + value.text() + "'",
                           near.empty() ? "" : "did you mean '" + near + "'?");
       } else {
         rule.id = entry->id;
       }
     } else {
       const std::string near = did_you_mean(key, {"object", "group", "material", "class"});
-      diagnostics.error(value.location().text(), "unknown key '" + key + "' in a rule",
+      diagnostics.error("config.key.unknown", value.location().text(), "unknown key '" + key + "' in a rule",
                         near.empty() ? "known: object, group, material, class" : "did you mean '" + near + "'?");
     }
   }
-  if (!has_class) diagnostics.error(where, "the rule names no class", "add class: NAME");
+  if (!has_class) diagnostics.error("classes.rule.format", where, "the rule names no class", "add class: NAME");
   if (rule.object.empty() && rule.group.empty() && rule.material.empty()) {
-    diagnostics.error(where, "the rule asks for no object, group or material", "add object: \"PATTERN\"");
+    diagnostics.error("classes.rule.format", where, "the rule asks for no object, group or material",
+                      "add object: \"PATTERN\"");
   }
   out.rules.push_back(rule);
 }
@@ -107,17 +108,19 @@ ClassRules load_class_rules(const std::string& path) {
   Diagnostics diagnostics;
   for (const auto& [key, value] : root.entries()) {
     if (key != "classes" && key != "rules") {
-      diagnostics.error(value.location().text(), "unknown key '" + key + "'", "known: classes, rules");
+      diagnostics.error("config.key.unknown", value.location().text(), "unknown key '" + key + "'",
+                        "known: classes, rules");
     }
   }
   try {
     out.table = ClassTable::load(path);  // reads the list 'classes' of such a map
   } catch (const Error& e) {
     if (!diagnostics.has_errors()) throw;
-    diagnostics.error("", e.message(), e.remedy());
+    diagnostics.error(e.code(), "", e.message(), e.remedy());
   }
   if (const ConfigNode* rules = root.find("rules"); rules != nullptr && !out.table.empty()) {
-    if (!rules->is_list()) diagnostics.error(rules->location().text(), "'rules' is a list of rules");
+    if (!rules->is_list())
+      diagnostics.error("classes.rule.format", rules->location().text(), "'rules' is a list of rules", {});
     for (const ConfigNode& rule : rules->items()) read_rule(rule, out, diagnostics);
   }
   diagnostics.throw_if_errors(ErrorKind::config, "the class table '" + path + "' has errors");
@@ -157,7 +160,7 @@ std::vector<std::int16_t> classes_of_mesh(const TriangleMesh& mesh, const ClassR
       const auto o = static_cast<std::size_t>(mesh.object_of[i]);
       if (!found && !reported[o]) {
         reported[o] = true;
-        diagnostics.error("object '" + object + "'",
+        diagnostics.error("classes.rule.missing", "object '" + object + "'",
                           "has no class" + (group.empty() ? "" : " (group '" + group + "')") +
                               (material.empty() ? "" : " (material '" + material + "')"),
                           "add a rule such as {object: \"" + object + "\", class: NAME} to the class table");

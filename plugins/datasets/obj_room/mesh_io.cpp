@@ -60,14 +60,14 @@ void check_numbers(std::string_view rest, int least, const std::string& path, st
     const bool too_small = code == std::errc::result_out_of_range && digits.find("e-") != std::string_view::npos;
     if (!too_small && (code != std::errc{} || end != digits.data() + digits.size() || !std::isfinite(value) ||
                        std::abs(value) > 1e30)) {
-      throw Error(ErrorKind::data, place(path, line) + "'" + std::string(word) + "' is not a finite number",
-                  "export the mesh again");
+      throw Error(ErrorKind::data, "scene.obj.damaged",
+                  place(path, line) + "'" + std::string(word) + "' is not a finite number", "export the mesh again");
     }
     rest.remove_prefix(word.size());
     ++count;
   }
   if (count < least) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "scene.obj.damaged",
                 place(path, line) + "expected " + std::to_string(least) + " numbers, found " + std::to_string(count),
                 "export the mesh again");
   }
@@ -90,8 +90,8 @@ void check_indices(std::string_view rest, const std::string& path, std::size_t l
       left.remove_prefix(1);
     }
     if (!good) {
-      throw Error(ErrorKind::data, place(path, line) + "'" + std::string(word) + "' is not an index",
-                  "export the mesh again");
+      throw Error(ErrorKind::data, "scene.obj.damaged",
+                  place(path, line) + "'" + std::string(word) + "' is not an index", "export the mesh again");
     }
     rest.remove_prefix(word.size());
   }
@@ -140,7 +140,7 @@ std::string resolved_map(const fs::path& folder, std::string name, const std::st
   }
   const fs::path file = folder / name;
   if (is_file(file)) return file.string();
-  diagnostics.warning(owner, "texture '" + file.string() + "' is missing",
+  diagnostics.warning("scene.obj.texture", owner, "texture '" + file.string() + "' is missing",
                       "the plain colour is used; add the file to see it");
   return {};
 }
@@ -171,7 +171,7 @@ void load_materials(const fs::path& folder, const std::string& name, TriangleMes
                     std::map<std::string, int>& index, Diagnostics& diagnostics) {
   const fs::path file = folder / name;
   if (!is_file(file)) {
-    diagnostics.warning(file.string(), "material file is missing",
+    diagnostics.warning("scene.obj.material", file.string(), "material file is missing",
                         "surfaces get a colour by object; put it beside the OBJ file");
     return;
   }
@@ -222,7 +222,8 @@ struct Builder {
 
   [[noreturn]] void fail(const std::string& why) const {
     const std::string owner = object < 0 ? "" : "object '" + mesh.objects[static_cast<std::size_t>(object)] + "': ";
-    throw Error(ErrorKind::data, place(path, outline.face_lines.at(face)) + owner + why, "export the mesh again");
+    throw Error(ErrorKind::data, "scene.obj.damaged", place(path, outline.face_lines.at(face)) + owner + why,
+                "export the mesh again");
   }
 
   // 1-based or negative (counting back) to 0-based; -1 for "none given".
@@ -345,22 +346,24 @@ TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics) {
   std::istringstream stream(outline.bare_groups.empty() ? text : with_blank_groups(text, outline.bare_groups));
   std::string warning, error;
   tinyobj::LoadObjWithCallback(stream, callbacks(), &builder, nullptr, &warning, &error);
-  if (!error.empty()) throw Error(ErrorKind::data, path + ": " + error, "export the mesh again");
+  if (!error.empty()) throw Error(ErrorKind::data, "scene.obj.damaged", path + ": " + error, "export the mesh again");
   for (const std::string& name : builder.missing_materials) {
-    diagnostics.warning(path, "material '" + name + "' is not defined",
+    diagnostics.warning("scene.obj.material", path, "material '" + name + "' is not defined",
                         "its surfaces get a colour by object; add it to the MTL file");
   }
   if (mesh.triangles.empty()) {
-    throw Error(ErrorKind::data, path + ": holds no triangle", "check that the file was exported completely");
+    throw Error(ErrorKind::data, "scene.obj.empty", path + ": holds no triangle",
+                "check that the file was exported completely");
   }
   if (mesh.zero_area_skipped > 0) {
-    diagnostics.note(path, "skipped " + std::to_string(mesh.zero_area_skipped) + " faces without area");
+    diagnostics.note("scene.obj.area", path,
+                     "skipped " + std::to_string(mesh.zero_area_skipped) + " faces without area");
   }
   return mesh;
 }
 #else
 TriangleMesh load_obj(const std::string& path, Diagnostics&) {
-  throw Error(ErrorKind::unavailable, path + ": this build cannot read OBJ files",
+  throw Error(ErrorKind::unavailable, "scene.obj.unsupported", path + ": this build cannot read OBJ files",
               "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs tinyobjloader)");
 }
 #endif

@@ -83,7 +83,8 @@ void MeshRenderer::prepare_materials(Diagnostics& diagnostics) {
         list.push_back(std::decay_t<decltype(list)>::value_type::load(path));
         index = static_cast<int>(list.size()) - 1;
       } catch (const Error& error) {
-        diagnostics.warning(path, "texture cannot be read: " + error.message(), "the plain colour is used");
+        diagnostics.warning("scene.obj.texture", path, "texture cannot be read: " + error.message(),
+                            "the plain colour is used");
       }
       known[path] = index;
       return index;

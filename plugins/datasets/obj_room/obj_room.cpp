@@ -58,14 +58,15 @@ void describe(ParamVisitor& visit, ObjRoomParams& p) {
 }
 
 void validate(const ObjRoomParams& p, Diagnostics& diagnostics) {
-  if (p.highest_m < p.lowest_m) diagnostics.error("highest_m", "is below lowest_m", "raise it");
-  if (p.far_m > 0 && p.far_m <= p.near_m) diagnostics.error("far_m", "is not beyond near_m", "raise it");
+  if (p.highest_m < p.lowest_m) diagnostics.error("config.value.order", "highest_m", "is below lowest_m", "raise it");
+  if (p.far_m > 0 && p.far_m <= p.near_m)
+    diagnostics.error("config.value.order", "far_m", "is not beyond near_m", "raise it");
   if (!p.bounds.empty()) {
     if (p.bounds.size() != 6) {
-      diagnostics.error("bounds", "has " + std::to_string(p.bounds.size()) + " numbers",
+      diagnostics.error("config.value.length", "bounds", "has " + std::to_string(p.bounds.size()) + " numbers",
                         "give [xmin, ymin, zmin, xmax, ymax, zmax]");
     } else if (p.bounds[0] >= p.bounds[3] || p.bounds[1] >= p.bounds[4] || p.bounds[2] >= p.bounds[5]) {
-      diagnostics.error("bounds", "has a least corner that is not below the greatest",
+      diagnostics.error("config.value.order", "bounds", "has a least corner that is not below the greatest",
                         "give [xmin, ymin, zmin, xmax, ymax, zmax]");
     }
   }
@@ -87,16 +88,18 @@ ObjRoom::ObjRoom(const ObjRoomParams& params, const DatasetBuild& build)
 
 std::string ObjRoom::obj_path() const {
   if (!fs::is_directory(root_))
-    throw Error(ErrorKind::no_input, "no folder '" + root_ + "'", "set scene.root to the room's folder");
+    throw Error(ErrorKind::no_input, "files.folder.missing", "no folder '" + root_ + "'",
+                "set scene.root to the room's folder");
   if (!params_.obj.empty()) return resolved(root_, params_.obj);
   std::vector<std::string> found;
   for (const auto& entry : sorted_folder(root_)) {
     if (entry.path().extension() == ".obj") found.push_back(entry.path().filename().string());
   }
   if (found.empty())
-    throw Error(ErrorKind::no_input, "no OBJ file in '" + root_ + "'", "put one there or set scene.obj");
+    throw Error(ErrorKind::no_input, "scene.obj.missing", "no OBJ file in '" + root_ + "'",
+                "put one there or set scene.obj");
   if (found.size() > 1) {
-    throw Error(ErrorKind::no_input, "several OBJ files in '" + root_ + "': " + join(found),
+    throw Error(ErrorKind::no_input, "scene.obj.several", "several OBJ files in '" + root_ + "': " + join(found),
                 "set scene.obj to one of them");
   }
   return resolved(root_, found[0]);
@@ -107,7 +110,7 @@ std::string ObjRoom::class_path() const {
   for (const char* name : {"classes.yaml", "classes.csv"}) {
     if (fs::is_regular_file(fs::path(root_) / name)) return resolved(root_, name);
   }
-  throw Error(ErrorKind::no_input, "no classes.yaml or classes.csv in '" + root_ + "'",
+  throw Error(ErrorKind::no_input, "labels.classes.none", "no classes.yaml or classes.csv in '" + root_ + "'",
               "write one ({classes: [...], rules: [...]}) or set scene.classes");
 }
 
@@ -252,7 +255,7 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
     const std::string file = resolved(root_, params_.cameras);
     const std::vector<Pose> all = read_camera_file(file, params_.camera_axes);
     if (static_cast<int>(all.size()) < total) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "scene.obj.poses",
                   file + ": holds " + std::to_string(all.size()) + " poses, frames + test_frames asks for " +
                       std::to_string(total),
                   "lower scene.frames or scene.test_frames");
@@ -293,7 +296,7 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
 
 void ObjRoom::read(int frame, FrameBuffer& out) const {
   if (frame < 0 || frame >= static_cast<int>(info_.frames.size())) {
-    throw Error(ErrorKind::internal,
+    throw Error(ErrorKind::internal, "internal.frame.range",
                 "frame " + std::to_string(frame) + " of " + std::to_string(info_.frames.size()) + " was asked for");
   }
   const FrameInfo& f = info_.frames[static_cast<std::size_t>(frame)];

@@ -52,7 +52,8 @@ struct Raycaster::Impl {
                                                                    3 * sizeof(unsigned), list.size()));
     if (vertices == nullptr || indices == nullptr) {
       rtcReleaseGeometry(geometry);
-      throw Error(ErrorKind::unavailable, "not enough memory for the ray-casting scene", "use a smaller mesh");
+      throw Error(ErrorKind::unavailable, "memory.raycast.full", "not enough memory for the ray-casting scene",
+                  "use a smaller mesh");
     }
     for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
       for (int k = 0; k < 3; ++k) vertices[3 * i + static_cast<std::size_t>(k)] = mesh.positions[i][k];
@@ -76,7 +77,7 @@ Raycaster::Raycaster(const TriangleMesh& mesh, std::vector<bool> cut_out, Opaque
   // One build thread: the tree, and with it the choice between coincident surfaces, is the same on every machine size.
   impl_->device = rtcNewDevice("threads=1");
   if (impl_->device == nullptr) {
-    throw Error(ErrorKind::unavailable,
+    throw Error(ErrorKind::unavailable, "system.embree.failed",
                 "Embree cannot start (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
   }
   impl_->opaque = std::move(opaque);
@@ -91,7 +92,8 @@ Raycaster::Raycaster(const TriangleMesh& mesh, std::vector<bool> cut_out, Opaque
   impl_->add_geometry(1);
   rtcCommitScene(impl_->scene);
   if (rtcGetDeviceError(impl_->device) != RTC_ERROR_NONE) {
-    throw Error(ErrorKind::unavailable, "Embree cannot build the ray-casting scene", "use a smaller mesh");
+    throw Error(ErrorKind::unavailable, "memory.raycast.full", "Embree cannot build the ray-casting scene",
+                "use a smaller mesh");
   }
 }
 
@@ -230,7 +232,7 @@ bool raycast_available() { return false; }
 struct Raycaster::Impl {};
 
 Raycaster::Raycaster(const TriangleMesh&, std::vector<bool>, OpaqueTest) {
-  throw Error(ErrorKind::unavailable, "this build cannot cast rays",
+  throw Error(ErrorKind::unavailable, "scene.obj.unsupported", "this build cannot cast rays",
               "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs Embree 3 or 4)");
 }
 RayHit Raycaster::trace(Vec3d, Vec3d, double) const { return {}; }

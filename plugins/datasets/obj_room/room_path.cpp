@@ -163,7 +163,7 @@ std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& s)
   const std::vector<Vec3d> all = free_positions(rays, s);
   const std::vector<Vec3d> points = all.empty() ? all : largest_room(rays, all);
   if (points.size() < 4) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "scene.obj.space",
                 "no free space for cameras: " + std::to_string(points.size()) + " of 4000 positions are free",
                 "lower scene.clearance_m or set scene.bounds to the inside of the room");
   }

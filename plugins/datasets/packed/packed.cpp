@@ -14,7 +14,8 @@ void describe(ParamVisitor& visit, PackedParams& p) {
 }
 
 void validate(const PackedParams& p, Diagnostics& diagnostics) {
-  if (p.file.empty()) diagnostics.error("file", "the packed scene is not given", "set scene.file");
+  if (p.file.empty())
+    diagnostics.error("scene.root.unnamed", "file", "the packed scene is not given", "set scene.file");
 }
 
 namespace {
@@ -56,7 +57,7 @@ SceneInfo Packed::open(Diagnostics& diagnostics) {
   for (FrameInfo& frame : info.frames) {
     check_camera(frame.camera, frame_place(frame), diagnostics);
     if (check_pose(frame.world_from_camera, frame_place(frame), diagnostics) == PoseState::not_finite) {
-      diagnostics.error(frame_place(frame), "pose is not finite", "pack the scene again");
+      diagnostics.error("scene.pose.not_finite", frame_place(frame), "pose is not finite", "pack the scene again");
     }
   }
   return info;

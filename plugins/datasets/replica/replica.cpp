@@ -48,17 +48,19 @@ void describe(ParamVisitor& visit, ReplicaParams& p) {
 }
 
 void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  if (p.root.empty())
+    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
   check_test_every(p.test_every, diagnostics);
   if (p.split == ReplicaSplit::paper && (p.train_step > 0 || p.test_step > 0))
-    diagnostics.error("split", "paper has steps of its own",
+    diagnostics.error("config.value.conflict", "split", "paper has steps of its own",
                       "drop scene.train_step and scene.test_step, or set scene.split: auto");
   if (p.train_step == 0 && p.test_step == 1)
-    diagnostics.error("test_step", "1 leaves no frame to train on", "take 2 or more, or 0 for test_every");
+    diagnostics.error("scene.split.empty", "test_step", "1 leaves no frame to train on",
+                      "take 2 or more, or 0 for test_every");
   // Two arithmetic sequences meet when their offsets agree modulo the greatest common divisor of their steps.
   if (p.train_step > 0 && p.test_step > 0 &&
       (p.train_offset - p.test_offset) % std::gcd(p.train_step, p.test_step) == 0) {
-    diagnostics.error("test_offset",
+    diagnostics.error("scene.split.overlap", "test_offset",
                       "test frames " + std::to_string(p.test_offset) + " + n * " + std::to_string(p.test_step) +
                           " meet training frames " + std::to_string(p.train_offset) + " + n * " +
                           std::to_string(p.train_step),
@@ -87,17 +89,18 @@ Replica::Replica(const ReplicaParams& params, const DatasetBuild& build)
 
 std::string Replica::sequence_folder() const {
   if (!fs::is_directory(root_))
-    throw Error(ErrorKind::no_input, "folder '" + root_ + "' is missing", "check scene.root");
+    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root_ + "' is missing", "check scene.root");
   if (!params_.sequence.empty()) {
     const fs::path folder = fs::path(root_) / params_.sequence;
     if (!fs::is_directory(folder))
-      throw Error(ErrorKind::no_input, "folder '" + folder.string() + "' is missing", "check scene.sequence");
+      throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + folder.string() + "' is missing",
+                  "check scene.sequence");
     return folder.string();
   }
   if (fs::exists(fs::path(root_) / "traj_w_c.txt")) return root_;
   const fs::path first = fs::path(root_) / "Sequence_1";
   if (fs::exists(first / "traj_w_c.txt")) return first.string();
-  throw Error(ErrorKind::no_input, "no traj_w_c.txt in '" + root_ + "' or its Sequence_1",
+  throw Error(ErrorKind::no_input, "scene.poses.missing", "no traj_w_c.txt in '" + root_ + "' or its Sequence_1",
               "check scene.root; it names the folder of one scene");
 }
 
@@ -128,7 +131,7 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
     if (numbers.size() != 16 || !bad.empty()) {
       const bool quaternion = bad.empty() && (numbers.size() == 7 || numbers.size() == 8);  // 8: a time stands first
       diagnostics.error(
-          place,
+          "scene.pose.format", place,
           "expected 16 numbers, got " + std::to_string(numbers.size()) +
               (quaternion                                 ? ", as of a position and a quaternion"
                : bad.empty()                              ? ""
@@ -179,8 +182,9 @@ void Replica::check_poses_for_images(const std::string& folder, std::size_t rows
   const std::string trajectory = (fs::path(folder) / "traj_w_c.txt").string();
   const std::string sentence = std::to_string(rows) + " poses for " + std::to_string(images) + " images: from rgb_" +
                                std::to_string(without.front()) + " on " + std::to_string(without.size()) + " have none";
-  if (params_.missing == MissingFiles::skip) return diagnostics.note(trajectory, sentence + "; they are left out");
-  diagnostics.error(trajectory, sentence,
+  if (params_.missing == MissingFiles::skip)
+    return diagnostics.note("scene.pose.count", trajectory, sentence + "; they are left out");
+  diagnostics.error("scene.pose.count", trajectory, sentence,
                     "write one pose a line for every image, or leave out what has none with --set scene.missing=skip");
 }
 
@@ -203,7 +207,7 @@ void Replica::index_labels(const std::string& folder, Diagnostics& diagnostics) 
       }
       const auto [other, fresh] = files.emplace(std::stoi(digits), entry.path().string());
       if (!fresh) {
-        diagnostics.error(where.string(),
+        diagnostics.error("labels.frame.twice", where.string(),
                           "'" + fs::path(other->second).filename().string() + "' and '" +
                               entry.path().filename().string() + "' are labels of the same frame",
                           "keep one of the two");
@@ -236,11 +240,12 @@ void Replica::report_unlabelled(const std::string& folder, Diagnostics& diagnost
                                        [&](const FrameInfo& f) { return in_split(f) && !f.has_labels; });
     const std::string place = (fs::path(folder) / labels).string();
     if (all > 0 && missing == all) {
-      diagnostics.error(place, std::string("no label image of any ") + what + " frame in it",
+      diagnostics.error("labels.frames.missing", place, std::string("no label image of any ") + what + " frame in it",
                         "name them semantic_class_<i>.png or <i>.png, <i> as in rgb_<i>.png");
     } else if (missing > 0) {
       diagnostics.note(
-          place, std::to_string(missing) + " of " + std::to_string(all) + " " + what + " frames have no label image");
+          "labels.frames.missing", place,
+          std::to_string(missing) + " of " + std::to_string(all) + " " + what + " frames have no label image");
     }
   }
 }
@@ -270,7 +275,7 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
     // The default folder may be absent (a scene without labels); one that was asked for may not.
     const bool asked = !labels.empty() && labels != ReplicaParams{}.label_dir;
     if (asked && !fs::is_directory(fs::path(folder) / labels)) {
-      diagnostics.error((fs::path(folder) / labels).string(), "label folder is missing",
+      diagnostics.error("labels.folder.missing", (fs::path(folder) / labels).string(), "label folder is missing",
                         "check scene.label_dir and scene.test_label_dir");
     }
   }
@@ -320,8 +325,9 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
   for (std::size_t number = 0; number < rows; ++number)
     unused += split_of(static_cast<int>(number)) == Split::unused ? 1 : 0;
   if (unused > 0) {
-    diagnostics.note(root_, std::to_string(unused) + " of " + std::to_string(rows) +
-                                " frames are in neither split (scene.split, or train_step and test_step)");
+    diagnostics.note("scene.frames.unused", root_,
+                     std::to_string(unused) + " of " + std::to_string(rows) +
+                         " frames are in neither split (scene.split, or train_step and test_step)");
   }
   check.report(folder, info_.frames.size(), diagnostics);
   report_unlabelled(folder, diagnostics);

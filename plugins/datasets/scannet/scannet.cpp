@@ -37,7 +37,8 @@ void describe(ParamVisitor& visit, ScannetParams& p) {
 }
 
 void validate(const ScannetParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  if (p.root.empty())
+    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
   check_test_every(p.test_every, diagnostics);
 }
 
@@ -70,18 +71,19 @@ std::optional<std::vector<double>> read_matrix(const std::string& path, const st
     for (const std::string_view word : words_of(text)) {
       double value = 0;
       if (!parse_number(word, value)) {
-        diagnostics.error(place, "'" + path + "': '" + std::string(word) + "' is not a number",
+        diagnostics.error("scene.pose.format", place, "'" + path + "': '" + std::string(word) + "' is not a number",
                           "export the scene again");
         return std::nullopt;
       }
       numbers.push_back(value);
     }
   } catch (const Error& e) {
-    diagnostics.error(place, e.message(), e.remedy());
+    diagnostics.error(e.code(), place, e.message(), e.remedy());
     return std::nullopt;
   }
   if (numbers.size() != 16) {
-    diagnostics.error(place, "'" + path + "': expected 16 numbers, got " + std::to_string(numbers.size()),
+    diagnostics.error("scene.pose.format", place,
+                      "'" + path + "': expected 16 numbers, got " + std::to_string(numbers.size()),
                       "write a 4 x 4 matrix row by row");
     return std::nullopt;
   }
@@ -98,13 +100,13 @@ void check_shape(const std::string& path, const FrameInfo& frame, bool is_label,
     if (is_label) report_color_labels(frame, path, size.channels, "label_dir", diagnostics);
     const double shape = static_cast<double>(size.width_px) * color.height_px / size.height_px / color.width_px;
     if (std::abs(shape - 1) < 0.02) return;
-    diagnostics.error(place,
+    diagnostics.error("scene.image.aspect", place,
                       "'" + path + "' is " + std::to_string(size.width_px) + " x " + std::to_string(size.height_px) +
                           " pixels, the colour image " + std::to_string(color.width_px) + " x " +
                           std::to_string(color.height_px) + ": another aspect ratio",
                       "export labels and colour of the same camera");
   } catch (const Error& e) {
-    diagnostics.error(place, e.message(), e.remedy());
+    diagnostics.error(e.code(), place, e.message(), e.remedy());
   }
 }
 
@@ -147,7 +149,8 @@ std::vector<Scannet::View> Scannet::list_views(FrameFileCheck& check, Diagnostic
   const fs::path root(root_);
   for (const char* name : {"", "color", "pose", "intrinsic"}) {
     if (!fs::is_directory(root / name)) {
-      throw Error(ErrorKind::no_input, "folder '" + (*name == '\0' ? root : root / name).string() + "' is missing",
+      throw Error(ErrorKind::no_input, "files.folder.missing",
+                  "folder '" + (*name == '\0' ? root : root / name).string() + "' is missing",
                   "check scene.root; it names the folder of one exported scene");
     }
   }
@@ -158,10 +161,11 @@ std::vector<Scannet::View> Scannet::list_views(FrameFileCheck& check, Diagnostic
     if (extension != ".jpg" && extension != ".jpeg" && extension != ".png") continue;
     const std::string path = entry.path().string();
     if (!parse_whole(entry.path().stem().string(), number) || number < 0 || number > 1'000'000'000) {
-      diagnostics.error("'" + path + "'", "the name is not a frame's number",
+      diagnostics.error("scene.frame.name", "'" + path + "'", "the name is not a frame's number",
                         "name colour images <id>.jpg or <id>.png");
     } else if (const auto [other, fresh] = images.emplace(number, path); !fresh) {
-      diagnostics.error("'" + path + "'", "is the same frame as '" + other->second + "'", "keep one of the two");
+      diagnostics.error("scene.frame.twice", "'" + path + "'", "is the same frame as '" + other->second + "'",
+                        "keep one of the two");
     }
   }
   std::vector<View> out;
@@ -185,8 +189,9 @@ std::vector<Scannet::View> Scannet::list_views(FrameFileCheck& check, Diagnostic
     report_skipped(skipped, out.size(), (root / "pose").string(), diagnostics);
   if (params_.max_frames > 0 && out.size() > static_cast<std::size_t>(params_.max_frames)) {
     const auto taken = static_cast<std::size_t>(params_.max_frames);
-    diagnostics.note(root_, std::to_string(taken) + " of " + std::to_string(out.size()) +
-                                " frames with a pose are taken, evenly spaced (scene.max_frames)");
+    diagnostics.note("scene.frames.taken", root_,
+                     std::to_string(taken) + " of " + std::to_string(out.size()) +
+                         " frames with a pose are taken, evenly spaced (scene.max_frames)");
     for (std::size_t k = 0; k < taken; ++k) out[k] = out[k * out.size() / taken];
     out.resize(taken);
   }
@@ -212,7 +217,7 @@ Camera Scannet::read_camera(const std::string& file, const std::vector<std::stri
   const auto m = read_matrix(path, path, diagnostics);
   if (!m) return camera;
   if ((*m)[1] != 0 || (*m)[4] != 0 || (*m)[8] != 0 || (*m)[9] != 0 || (*m)[10] != 1) {
-    diagnostics.error(path, "is not a pinhole camera without skew",
+    diagnostics.error("scene.camera.format", path, "is not a pinhole camera without skew",
                       "write rows 'fx 0 cx 0', '0 fy cy 0', '0 0 1 0', '0 0 0 1'");
     return camera;
   }
@@ -222,7 +227,7 @@ Camera Scannet::read_camera(const std::string& file, const std::vector<std::stri
   camera.cy = (*m)[6] + 0.5;
   if (!check_principal_point(camera, path, diagnostics) || !check_camera(camera, path, diagnostics)) return camera;
   if (std::abs(camera.cx / camera.width_px - 0.5) > 0.2 || std::abs(camera.cy / camera.height_px - 0.5) > 0.2) {
-    diagnostics.warning(path,
+    diagnostics.warning("scene.camera.center", path,
                         "its principal point is far from the middle of images of " + std::to_string(camera.width_px) +
                             " x " + std::to_string(camera.height_px) + " pixels",
                         "if the images were made smaller on export, scale the intrinsics with them");
@@ -239,7 +244,8 @@ void Scannet::check_extrinsics(Diagnostics& diagnostics) const {
     double off = 0;
     for (std::size_t i = 0; i < 16; ++i) off = std::max(off, std::abs((*m)[i] - (i % 5 == 0 ? 1.0 : 0.0)));
     if (!(off < 1e-4)) {
-      diagnostics.warning(path, "is not the identity; colour and depth are taken to be seen from the same pose",
+      diagnostics.warning("scene.scannet.shifted", path,
+                          "is not the identity; colour and depth are taken to be seen from the same pose",
                           "expect depth and colour to be shifted against each other");
     }
   }
@@ -252,14 +258,15 @@ void Scannet::load_classes(Diagnostics& diagnostics) {
     if (path.empty() && fs::exists(folder / kTableName)) path = (folder / kTableName).string();
   }
   if (path.empty()) {
-    return diagnostics.error(root_, std::string("labels without ") + kTableName + " in the scene's folder or above it",
+    return diagnostics.error("labels.classes.none", root_,
+                             std::string("labels without ") + kTableName + " in the scene's folder or above it",
                              "copy the file there, or set scene.classes");
   }
   try {
     info_.classes = load_scannet_classes(path, params_.class_ids);
     if (info_.classes.valid_count() == 0) {
       const auto choice = static_cast<std::size_t>(params_.class_ids);
-      return diagnostics.error(path,
+      return diagnostics.error("classes.scannet.damaged", path,
                                "has no ids of '" + std::string(ChoiceNames<ScannetIds>::names[choice]) + "' classes",
                                "choose other class_ids, or restore the table as ScanNet distributes it");
     }
@@ -272,7 +279,7 @@ void Scannet::load_classes(Diagnostics& diagnostics) {
       index_of_raw_[static_cast<std::size_t>(label.id)] = static_cast<std::int16_t>(info_.classes.index_of(id));
     }
   } catch (const Error& e) {
-    diagnostics.error("", e.message(), e.remedy());
+    diagnostics.error(e.code(), "", e.message(), e.remedy());
   }
 }
 
@@ -317,7 +324,8 @@ SceneInfo Scannet::open(Diagnostics& diagnostics) {
   has_ = {fs::is_directory(root / "depth"), !params_.label_dir.empty() && fs::is_directory(root / params_.label_dir),
           fs::is_directory(root / "instance-filt")};
   if (!params_.label_dir.empty() && params_.label_dir != ScannetParams{}.label_dir && !has_[1])
-    diagnostics.error((root / params_.label_dir).string(), "label folder is missing", "check scene.label_dir");
+    diagnostics.error("labels.folder.missing", (root / params_.label_dir).string(), "label folder is missing",
+                      "check scene.label_dir");
   if (views.empty()) {
     check.report(root_, 0, diagnostics);
     return info_;
@@ -339,7 +347,7 @@ SceneInfo Scannet::open(Diagnostics& diagnostics) {
       std::count_if(info_.frames.begin(), info_.frames.end(), [](const FrameInfo& f) { return !f.has_labels; });
   if (has_[1] && unlabelled > 0) {
     diagnostics.note(
-        (root / params_.label_dir).string(),
+        "labels.frames.missing", (root / params_.label_dir).string(),
         std::to_string(unlabelled) + " of " + std::to_string(info_.frames.size()) + " frames have no label image");
   }
   if (has_[1]) load_classes(diagnostics);

@@ -48,18 +48,19 @@ class FileReader {
     try {
       root = json::parse(read_pose_file(path_));
     } catch (const json::exception& e) {
-      throw Error(ErrorKind::data, "'" + path_ + "' is not valid JSON: " + json_cause(e.what()),
+      throw Error(ErrorKind::data, "scene.index.format", "'" + path_ + "' is not valid JSON: " + json_cause(e.what()),
                   "export the poses again");
     }
     if (!root.is_object() || !root.contains("frames") || !root["frames"].is_array()) {
-      throw Error(ErrorKind::data, "'" + path_ + "' has no list 'frames'",
+      throw Error(ErrorKind::data, "scene.index.format", "'" + path_ + "' has no list 'frames'",
                   "give a transforms.json of nerfstudio, instant-ngp or Blender");
     }
     if (!check_model(root, path_)) return;
     const TransformsLens lens = read_lens(root, {}, path_);
     if (const auto unit = number(root, "depth_unit_m", path_)) out_.depth_unit_m = *unit;
     if (!(out_.depth_unit_m >= 0))
-      diagnostics_.error(path_, "depth_unit_m must be positive", "write the metres of one step, such as 0.001");
+      diagnostics_.error("scene.index.value", path_, "depth_unit_m must be positive",
+                         "write the metres of one step, such as 0.001");
     read_classes(root);
     read_limit(root);
     // What is missing in every frame for a key that the file misspells would be said of every frame.
@@ -71,8 +72,9 @@ class FileReader {
       out_.frames.push_back(std::move(frame));
     }
     for (const std::string& name : keys_.unread_maps())
-      diagnostics_.note(path_, "frames name maps of '" + name + "', which nothing reads; scene.channels: [" + name +
-                                   "] offers them to heads and losses");
+      diagnostics_.note("scene.channel.unread", path_,
+                        "frames name maps of '" + name + "', which nothing reads; scene.channels: [" + name +
+                            "] offers them to heads and losses");
   }
 
  private:
@@ -98,7 +100,7 @@ class FileReader {
     const Names& held_out = lists.test.empty() ? lists.val : lists.test;
     const bool trains = lists.train.count(frame.file_path) > 0, tests = held_out.count(frame.file_path) > 0;
     if (trains && tests) {
-      diagnostics_.error(frame.place, "is both in train_filenames and among the frames held out",
+      diagnostics_.error("scene.split.overlap", frame.place, "is both in train_filenames and among the frames held out",
                          "keep it in one of the two lists");
     }
     return trains ? Split::train : tests ? Split::test : Split::unused;
@@ -107,7 +109,7 @@ class FileReader {
   std::optional<double> number(const json& node, const char* key, const std::string& place) {
     if (!node.contains(key) || node[key].is_null()) return std::nullopt;
     if (!node[key].is_number()) {
-      diagnostics_.error(place, std::string("'") + key + "' is not a number", "write a number");
+      diagnostics_.error("scene.index.value", place, std::string("'") + key + "' is not a number", "write a number");
       return std::nullopt;
     }
     return node[key].get<double>();
@@ -122,7 +124,8 @@ class FileReader {
          {std::pair{true, json{1, "true", "True", "1"}}, std::pair{false, json{0, "false", "False", "0", ""}}}) {
       if (std::find(as_written.begin(), as_written.end(), value) != as_written.end()) return means;
     }
-    diagnostics_.error(place, std::string("'") + key + "' is " + value.dump() + ", neither true nor false",
+    diagnostics_.error("scene.index.value", place,
+                       std::string("'") + key + "' is " + value.dump() + ", neither true nor false",
                        "write true or false");
     return std::nullopt;
   }
@@ -131,7 +134,8 @@ class FileReader {
     std::string model;
     if (node.contains("camera_model") && !node["camera_model"].is_null()) {
       if (!node["camera_model"].is_string()) {
-        diagnostics_.error(place, "'camera_model' is " + node["camera_model"].dump() + ", which is no name",
+        diagnostics_.error("scene.index.value", place,
+                           "'camera_model' is " + node["camera_model"].dump() + ", which is no name",
                            "write \"camera_model\": \"OPENCV\", or leave the key out");
         return false;
       }
@@ -144,7 +148,7 @@ class FileReader {
                                                 "RADIAL", "PERSPECTIVE"};
     if (std::find(known.begin(), known.end(), model) != known.end()) return true;
     diagnostics_.error(
-        place,
+        "scene.camera.model", place,
         "camera model '" + model +
             "' is not supported (only perspective lenses: OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL)",
         "undistort the images to a pinhole camera, for example with colmap image_undistorter");
@@ -159,14 +163,16 @@ class FileReader {
                                                       {"k4", &lens.k4}, {"p1", &lens.p1}, {"p2", &lens.p2}};
     if (!list.is_array() || list.size() != std::size(fields) ||
         !std::all_of(list.begin(), list.end(), [](const json& v) { return v.is_number(); })) {
-      diagnostics_.error(place, "'distortion_params' is not a list of six numbers", "write [k1, k2, k3, k4, p1, p2]");
+      diagnostics_.error("scene.index.value", place, "'distortion_params' is not a list of six numbers",
+                         "write [k1, k2, k3, k4, p1, p2]");
       return;
     }
     for (std::size_t i = 0; i < std::size(fields); ++i) {
       const auto& [key, field] = fields[i];
       const double value = list[i].get<double>();
       if (node.contains(key) && node[key].is_number() && node[key].get<double>() != value) {
-        diagnostics_.error(place, std::string("'") + key + "' is not what 'distortion_params' has in its place",
+        diagnostics_.error("scene.index.value", place,
+                           std::string("'") + key + "' is not what 'distortion_params' has in its place",
                            "keep one of the two");
         return;
       }
@@ -209,14 +215,15 @@ class FileReader {
       for (std::size_t a = 0; a < 3; ++a) {
         const json& one = given.is_array() && given.size() == 3 ? given[a] : given;
         if (!one.is_number()) {
-          diagnostics_.error(path_, "'offset' is neither a number nor a list of 3", "write [0.5, 0.5, 0.5]");
+          diagnostics_.error("scene.index.value", path_, "'offset' is neither a number nor a list of 3",
+                             "write [0.5, 0.5, 0.5]");
           return;
         }
         offset[static_cast<int>(a)] = one.get<double>();
       }
     }
     if (!(*side > 0) || !(scale > 0) || !std::isfinite(*side / scale)) {
-      diagnostics_.error(path_, "'aabb_scale' and 'scale' must be positive",
+      diagnostics_.error("scene.index.value", path_, "'aabb_scale' and 'scale' must be positive",
                          "write \"aabb_scale\": 1 or a power of two");
       return;
     }
@@ -239,7 +246,7 @@ class FileReader {
                                 (!c.contains("ignore") || c["ignore"].is_boolean());
                        });
     if (!valid) {
-      diagnostics_.error(path_, "'classes' is neither a path nor a list of {id, name, ignore}",
+      diagnostics_.error("scene.index.value", path_, "'classes' is neither a path nor a list of {id, name, ignore}",
                          "write \"classes\": \"classes.yaml\"");
       return;
     }
@@ -260,7 +267,8 @@ class FileReader {
     TransformsFrame frame;
     frame.place = path_ + ": frame " + std::to_string(index);
     if (!item.is_object()) {
-      diagnostics_.error(frame.place, "is not a map", "write {\"file_path\": ..., \"transform_matrix\": ...}");
+      diagnostics_.error("scene.index.format", frame.place, "is not a map",
+                         "write {\"file_path\": ..., \"transform_matrix\": ...}");
       return frame;
     }
     const auto path_of = [&](const char* key) {
@@ -270,7 +278,7 @@ class FileReader {
     const bool keys_are_read = check_keys(item, true, frame.place + " (" + frame.file_path + ")");
     if (frame.file_path.empty() && !keys_are_read) return frame;
     if (frame.file_path.empty()) {
-      diagnostics_.error(frame.place, "has no 'file_path'", "name the image of the frame");
+      diagnostics_.error("scene.index.format", frame.place, "has no 'file_path'", "name the image of the frame");
       return frame;
     }
     frame.place += " (" + frame.file_path + ")";
@@ -302,14 +310,15 @@ class FileReader {
       if (meant.empty() || node.contains(meant)) continue;
       std::string remedy = "write '" + meant + "'";
       if (meant == "label_path") remedy += ", or read it as it is with --set scene.label_key=" + key;
-      diagnostics_.error(place, "key '" + key + "' is not read; it looks like '" + meant + "'", remedy);
+      diagnostics_.error("scene.index.key", place, "key '" + key + "' is not read; it looks like '" + meant + "'",
+                         remedy);
     }
     for (const char* key : {"skew", "k5", "k6", "rolling_shutter"}) {
       if (!node.contains(key)) continue;
       const json& value = node[key];
       const auto is_zero = [](const json& v) { return v.is_null() || (v.is_number() && v.get<double>() == 0); };
       if (value.is_array() ? std::all_of(value.begin(), value.end(), is_zero) : is_zero(value)) continue;
-      diagnostics_.error(place, std::string("'") + key + "' is not 0: such cameras are not read",
+      diagnostics_.error("scene.camera.model", place, std::string("'") + key + "' is not 0: such cameras are not read",
                          "undistort the images to a pinhole camera, for example with colmap image_undistorter");
     }
     return diagnostics_.error_count() == before;
@@ -345,7 +354,7 @@ class FileReader {
     if (valid) return;
     frame.matrix.clear();
     diagnostics_.error(
-        frame.place,
+        "scene.pose.format", frame.place,
         (rows == nullptr ? "has no 'transform_matrix'" : "'transform_matrix' is not 4 rows of 4 numbers") +
             quaternion_in(item),
         "write the camera-to-world matrix row by row");
@@ -376,7 +385,7 @@ TransformsIndex read_transforms(const std::string& root, const std::string& labe
     return out;
   }
   if (!fs::is_directory(root, ignored))
-    throw Error(ErrorKind::no_input, "folder '" + root + "' is missing", "check scene.root");
+    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root + "' is missing", "check scene.root");
   if (fs::exists(folder / "transforms.json", ignored)) {
     read((folder / "transforms.json").string(), std::nullopt);
     return out;
@@ -392,7 +401,8 @@ TransformsIndex read_transforms(const std::string& root, const std::string& labe
     read((folder / name).string(), split);
   }
   if (!any) {
-    throw Error(ErrorKind::no_input, "no transforms.json or transforms_train.json in '" + root + "'",
+    throw Error(ErrorKind::no_input, "scene.poses.missing",
+                "no transforms.json or transforms_train.json in '" + root + "'",
                 "check scene.root; it names the folder of one scene");
   }
   return out;

@@ -51,7 +51,7 @@ FrameChannelInfo channel_info(const std::string& name, const std::string& file) 
                                                      [](std::int64_t n) { return n > 0 && n <= kMostChannelCells; });
   if (!fits)
     throw Error(
-        ErrorKind::data,
+        ErrorKind::data, "scene.channel.shape",
         "'" + file + "': the shape of a channel is [height, width, numbers of a cell], got " + shape_text(shape),
         "write a .npy with three axes");
   return {name, static_cast<std::int32_t>(shape[0]), static_cast<std::int32_t>(shape[1]),
@@ -59,7 +59,8 @@ FrameChannelInfo channel_info(const std::string& name, const std::string& file) 
 }
 
 void validate(const TransformsJsonParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty()) diagnostics.error("root", "the scene's folder is not given", "set scene.root");
+  if (p.root.empty())
+    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
   check_test_every(p.test_every, diagnostics);
 }
 
@@ -119,7 +120,7 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
   ImageSize size;
   if (in.lens.w != 0 || in.lens.h != 0) {
     if (!whole_size(in.lens.w) || !whole_size(in.lens.h)) {
-      diagnostics.error(place, "image size 'w' x 'h' is not a pair of whole numbers of pixels",
+      diagnostics.error("scene.image.size", place, "image size 'w' x 'h' is not a pair of whole numbers of pixels",
                         "write the size of the image, or leave both out");
       return false;
     }
@@ -127,7 +128,7 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
       check_input_limit(static_cast<std::int64_t>(std::max(in.lens.w, in.lens.h)), input_limits().image_axis_px,
                         "image size 'w' x 'h': ", "pixels along an axis", "image_axis_px");
     } catch (const Error& e) {
-      diagnostics.error(place, e.message(), e.remedy());
+      diagnostics.error(e.code(), place, e.message(), e.remedy());
       return false;
     }
     size = {static_cast<std::int32_t>(in.lens.w), static_cast<std::int32_t>(in.lens.h), 3, 8};
@@ -135,7 +136,7 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
     try {
       size = image_size(in.files.color);
     } catch (const Error& e) {
-      diagnostics.error(place, "colour image " + e.message(), e.remedy());
+      diagnostics.error(e.code(), place, "colour image " + e.message(), e.remedy());
       return false;
     }
   }
@@ -158,7 +159,8 @@ std::vector<const TransformsFrame*> TransformsJson::used_frames(const Transforms
     const auto [other, fresh] = seen.emplace(fs::path(in.files.color).lexically_normal().string(), &in);
     if (!fresh) {
       const bool both = other->second->split != in.split;
-      diagnostics.error(in.place, both ? "image is listed for training and for tests" : "image is listed twice",
+      diagnostics.error("scene.frame.twice", in.place,
+                        both ? "image is listed for training and for tests" : "image is listed twice",
                         "keep one of the two frames");
       continue;
     }
@@ -166,11 +168,12 @@ std::vector<const TransformsFrame*> TransformsJson::used_frames(const Transforms
     used.push_back(&in);
   }
   if (unused > 0) {
-    diagnostics.note(root_, std::to_string(unused) + " of " + std::to_string(index.frames.size()) +
-                                " frames are in neither split, as the index says");
+    diagnostics.note("scene.frames.unused", root_,
+                     std::to_string(unused) + " of " + std::to_string(index.frames.size()) +
+                         " frames are in neither split, as the index says");
   }
   if (masks > 0) {
-    diagnostics.warning(root_,
+    diagnostics.warning("scene.mask.unread", root_,
                         std::to_string(masks) + " of " + std::to_string(used.size()) +
                             " frames name a 'mask_path', which is not read: what it hides trains and is scored",
                         "cut or paint it out of the images");
@@ -187,7 +190,7 @@ std::vector<Split> TransformsJson::splits_of(const std::vector<const TransformsF
   if (std::any_of(frames.begin(), frames.end(), is_test)) {
     for (const TransformsFrame* in : frames) splits.push_back(*in->split);
     if (params_.test_every != TransformsJsonParams{}.test_every)
-      diagnostics.note(root_, "the index names the test frames; scene.test_every is not used");
+      diagnostics.note("scene.split.given", root_, "the index names the test frames; scene.test_every is not used");
     return splits;
   }
   std::vector<std::string> order;
@@ -201,9 +204,10 @@ std::vector<Split> TransformsJson::splits_of(const std::vector<const TransformsF
   }
   const bool told = std::any_of(frames.begin(), frames.end(), [](const TransformsFrame* in) { return in->split; });
   if (told && held_out > 0) {
-    diagnostics.note(root_, "the index names no test frame: " + std::to_string(held_out) + " of " +
-                                std::to_string(frames.size()) + " are held out, one in " +
-                                std::to_string(params_.test_every) + " (scene.test_every; 0 = none)");
+    diagnostics.note("scene.split.made", root_,
+                     "the index names no test frame: " + std::to_string(held_out) + " of " +
+                         std::to_string(frames.size()) + " are held out, one in " + std::to_string(params_.test_every) +
+                         " (scene.test_every; 0 = none)");
   }
   return splits;
 }
@@ -252,7 +256,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
       try {
         frame.channels.push_back(channel_info(name, file));
       } catch (const Error& error) {
-        diagnostics.error(place, error.message(), error.remedy());
+        diagnostics.error(error.code(), place, error.message(), error.remedy());
       }
     }
     info_.frames.push_back(frame);
@@ -281,7 +285,7 @@ void TransformsJson::load_classes(const TransformsIndex& index, bool has_labels,
   try {
     info_.classes = ClassTable(index.class_list);
   } catch (const Error& e) {
-    diagnostics.error(root_ + ": 'classes'", e.message(), e.remedy());
+    diagnostics.error(e.code(), root_ + ": 'classes'", e.message(), e.remedy());
   }
 }
 

@@ -111,7 +111,8 @@ class RegionNoise final : public Degradation {
 
   void validate(Diagnostics& diagnostics) const override {
     if (!params_.instances.empty() && !params_.classes.empty())
-      diagnostics.error("region_noise.classes", "instances and classes exclude each other", "keep one of them");
+      diagnostics.error("config.value.conflict", "region_noise.classes", "instances and classes exclude each other",
+                        "keep one of them");
   }
 
   bool needs_instances() const override { return true; }
@@ -119,7 +120,7 @@ class RegionNoise final : public Degradation {
   StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const override {
     const std::vector<std::int16_t> classes = scene_classes(scene, kRegionNoise);
     if (classes.size() < 2) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "labels.classes.too_few",
                   std::string(kRegionNoise) + ": the scene has one class, so no label can be a wrong one",
                   "remove this degradation");
     }
@@ -161,7 +162,7 @@ class RegionNoise final : public Degradation {
     const std::vector<std::size_t> frames = hard_frames(scene, labels, kRegionNoise);
     for (const std::size_t f : frames) {
       if (scene.frames[f].instance.empty()) {
-        throw Error(ErrorKind::data,
+        throw Error(ErrorKind::data, "scene.instances.none",
                     std::string(kRegionNoise) + ": " + frame_place(scene.info.frames[f]) + " has no instance image",
                     "use a scene whose dataset reads instances (docs/reference/plugins.md says which do), or another "
                     "degradation");
@@ -191,7 +192,7 @@ class RegionNoise final : public Degradation {
              std::find(params_.classes.begin(), params_.classes.end(), name) == params_.classes.end();
     });
     if (views.empty()) {
-      throw Error(ErrorKind::data,
+      throw Error(ErrorKind::data, "labels.instances.none",
                   std::string(kRegionNoise) + ": no instance of the classes asked for is seen in " +
                       std::to_string(params_.min_frames) + " labelled training frames",
                   "lower its min_frames, name other classes, or label more frames");
@@ -205,7 +206,7 @@ class RegionNoise final : public Degradation {
       std::vector<std::int32_t> known;
       for (const auto& entry : views) known.push_back(entry.first);
       throw Error(
-          ErrorKind::data,
+          ErrorKind::data, "labels.instances.none",
           std::string(kRegionNoise) + ".instances: no labelled training frame sees instance " + std::to_string(id),
           known.empty() ? "label frames that show instances" : "there are " + ids_text(known));
     }
@@ -214,7 +215,8 @@ class RegionNoise final : public Degradation {
     for (const std::string& name : params_.classes) {
       if (std::find(known.begin(), known.end(), name) != known.end()) continue;
       const std::string near = did_you_mean(name, known);
-      throw Error(ErrorKind::data, std::string(kRegionNoise) + ".classes: the class table has no class '" + name + "'",
+      throw Error(ErrorKind::data, "labels.class.unknown",
+                  std::string(kRegionNoise) + ".classes: the class table has no class '" + name + "'",
                   near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
     }
   }

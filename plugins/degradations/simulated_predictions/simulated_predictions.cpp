@@ -217,8 +217,9 @@ class SimulatedPredictions final : public Degradation {
   // Without it the same configuration would give other labels wherever depth is not kept in memory.
   void check_depth(const LoadedScene& scene, std::size_t f) const {
     if (params_.depth_half_m > 0 && scene.info.frames[f].has_depth && scene.frames[f].depth_m.empty()) {
-      throw Error(ErrorKind::internal, std::string(kSimulatedPredictions) + ": the depth of " +
-                                           frame_place(scene.info.frames[f]) + " was not kept");
+      throw Error(
+          ErrorKind::internal, "internal.degradation.depth",
+          std::string(kSimulatedPredictions) + ": the depth of " + frame_place(scene.info.frames[f]) + " was not kept");
     }
   }
 

@@ -21,14 +21,14 @@ void describe(ParamVisitor& visit, FrequencyParams& p) {
 
 void validate(const FrequencyParams& p, Diagnostics& diagnostics) {
   if (p.frequencies == 0 && !p.include_input) {
-    diagnostics.error("frequencies", "0 bands without the input leave nothing to encode",
+    diagnostics.error("config.encoder.empty", "frequencies", "0 bands without the input leave nothing to encode",
                       "set include_input: true or frequencies to at least 1");
   }
 }
 
 int effective_bands(double delta_x, Angular angular) {
   if (!(delta_x > 0) || !std::isfinite(delta_x)) {
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "config.value.range",
                 "effective bands need a positive, finite coordinate error, got " + std::to_string(delta_x),
                 "give the rounding or measurement error of the coordinates");
   }
@@ -69,8 +69,9 @@ Frequency<Real>::Frequency(const FrequencyParams& params, const EncoderBuild& bu
     : kernels_(&kernels.get<FrequencyKernels<Real>>(build.device, "encoder 'frequency'")),
       shape_{build.in_dims, params.frequencies, params.include_input, params.angular, params.arithmetic} {
   if (build.in_dims < 1 || build.in_dims > kFrequencyMaxDims) {
-    throw Error(ErrorKind::config, "encoder 'frequency' takes 1 to " + std::to_string(kFrequencyMaxDims) +
-                                       " coordinates, got " + std::to_string(build.in_dims));
+    throw Error(ErrorKind::config, "config.encoder.inputs",
+                "encoder 'frequency' takes 1 to " + std::to_string(kFrequencyMaxDims) + " coordinates, got " +
+                    std::to_string(build.in_dims));
   }
 }
 
@@ -84,7 +85,7 @@ template <class Real>
 void Frequency<Real>::do_forward(const StepContext&, const Tensors<Real>&, View<const double> x, View<Real> y) const {
   const std::int64_t bad = kernels_->forward(shape_, x, y);
   if (bad >= 0) {
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "scene.coordinates.not_finite",
                 "encoder 'frequency': coordinates of row " + std::to_string(bad) +
                     " are not finite or farther than 2^30 from the origin",
                 "check the camera poses, the scene scale and the ray limits");

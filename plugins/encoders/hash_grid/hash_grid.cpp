@@ -31,16 +31,17 @@ void describe(ParamVisitor& visit, HashGridParams& p) {
 
 void validate(const HashGridParams& p, Diagnostics& diagnostics) {
   if (p.features != 1 && p.features != 2 && p.features != 4 && p.features != 8) {
-    diagnostics.error("features", "must be 1, 2, 4 or 8, got " + std::to_string(p.features), "2 suits most scenes");
+    diagnostics.error("config.value.choice", "features", "must be 1, 2, 4 or 8, got " + std::to_string(p.features),
+                      "2 suits most scenes");
   }
   if (p.finest_resolution != 0 && p.finest_resolution < p.base_resolution) {
     diagnostics.error(
-        "finest_resolution",
+        "config.value.order", "finest_resolution",
         std::to_string(p.finest_resolution) + " is coarser than base_resolution " + std::to_string(p.base_resolution),
         "give at least base_resolution");
   }
   if (p.levels == 1 && p.finest_resolution > p.base_resolution) {
-    diagnostics.error("levels",
+    diagnostics.error("config.value.conflict", "levels",
                       "1 level has one resolution, but base_resolution " + std::to_string(p.base_resolution) +
                           " and finest_resolution " + std::to_string(p.finest_resolution) + " differ",
                       "make them equal or use more levels");
@@ -122,7 +123,8 @@ HashGrid<Real>::HashGrid(const HashGridParams& written, const EncoderBuild& buil
   std::vector<std::string> chosen;  // said by whoever asked for the choice before
   choose(params, build, chosen);
   if (build.in_dims != 3) {
-    throw Error(ErrorKind::config, "encoder 'hash_grid' takes 3 coordinates, got " + std::to_string(build.in_dims));
+    throw Error(ErrorKind::config, "config.encoder.inputs",
+                "encoder 'hash_grid' takes 3 coordinates, got " + std::to_string(build.in_dims));
   }
   Diagnostics diagnostics;
   validate(params, diagnostics);
@@ -165,7 +167,8 @@ void HashGrid<Real>::do_forward(const StepContext& ctx, const Tensors<Real>& ten
   check_tables(shape_, tensors.value);
   const std::int64_t bad = kernels_->forward(shape_, tensors.value.data(), x, y, *ctx.workspace);
   if (bad >= 0) {
-    throw Error(ErrorKind::data, "encoder 'hash_grid': coordinates of row " + std::to_string(bad) + " are not finite",
+    throw Error(ErrorKind::data, "scene.coordinates.not_finite",
+                "encoder 'hash_grid': coordinates of row " + std::to_string(bad) + " are not finite",
                 "check the camera poses and the ray limits");
   }
 }

@@ -24,7 +24,8 @@ template <class Real>
 void Identity<Real>::do_forward(const StepContext&, const Tensors<Real>&, View<const double> x, View<Real> y) const {
   const std::int64_t bad = kernels_->forward(x, y);
   if (bad >= 0) {
-    throw Error(ErrorKind::data, "encoder 'identity': coordinate of row " + std::to_string(bad) + " is not finite",
+    throw Error(ErrorKind::data, "scene.coordinates.not_finite",
+                "encoder 'identity': coordinate of row " + std::to_string(bad) + " is not finite",
                 "check the camera poses and the ray limits");
   }
 }

@@ -20,7 +20,8 @@ template <class Real>
 OneBlob<Real>::OneBlob(const OneBlobParams& params, const EncoderBuild& build, const KernelTables& kernels)
     : kernels_(&kernels.get<OneBlobKernels<Real>>(build.device, "encoder 'one_blob'")), bins_(params.bins) {
   if (build.in_dims != kOneBlobDims) {
-    throw Error(ErrorKind::config, "encoder 'one_blob' takes 3 coordinates, got " + std::to_string(build.in_dims));
+    throw Error(ErrorKind::config, "config.encoder.inputs",
+                "encoder 'one_blob' takes 3 coordinates, got " + std::to_string(build.in_dims));
   }
   SEMFIELD_CHECK(bins_ >= 2 && bins_ <= kOneBlobMaxBins, "the range is checked while reading");
 }
@@ -34,7 +35,8 @@ template <class Real>
 void OneBlob<Real>::do_forward(const StepContext&, const Tensors<Real>&, View<const double> x, View<Real> y) const {
   const std::int64_t bad = kernels_->forward(bins_, x, y);
   if (bad >= 0) {
-    throw Error(ErrorKind::data, "encoder 'one_blob': coordinates of row " + std::to_string(bad) + " are not finite",
+    throw Error(ErrorKind::data, "scene.coordinates.not_finite",
+                "encoder 'one_blob': coordinates of row " + std::to_string(bad) + " are not finite",
                 "check the camera poses and the ray limits");
   }
 }

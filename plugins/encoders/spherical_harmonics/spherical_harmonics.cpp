@@ -23,7 +23,7 @@ SphericalHarmonics<Real>::SphericalHarmonics(const SphericalHarmonicsParams& par
       degree_(params.degree),
       norms_(harmonic_norms<Real>()) {
   if (build.in_dims != 3) {
-    throw Error(ErrorKind::config,
+    throw Error(ErrorKind::config, "config.encoder.inputs",
                 "encoder 'spherical_harmonics' takes 3 coordinates, got " + std::to_string(build.in_dims));
   }
   SEMFIELD_CHECK(degree_ >= 1 && degree_ <= kHarmonicMaxDegree, "the range is checked while reading");
@@ -43,7 +43,7 @@ void SphericalHarmonics<Real>::do_forward(const StepContext&, const Tensors<Real
                                    ? " (" + std::to_string(x(bad, 0)) + ", " + std::to_string(x(bad, 1)) + ", " +
                                          std::to_string(x(bad, 2)) + ")"
                                    : "";
-    throw Error(ErrorKind::data,
+    throw Error(ErrorKind::data, "scene.direction.length",
                 "encoder 'spherical_harmonics': row " + std::to_string(bad) + " is no unit vector" + vector,
                 "this encoder is for view directions; use frequency or hash_grid for positions");
   }

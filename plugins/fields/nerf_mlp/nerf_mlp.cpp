@@ -19,7 +19,7 @@ void describe(ParamVisitor& visit, NerfMlpParams& p) {
 
 void validate(const NerfMlpParams& p, Diagnostics& diagnostics) {
   if (p.skip_at >= p.depth) {
-    diagnostics.error("skip_at",
+    diagnostics.error("config.value.range", "skip_at",
                       "layer " + std::to_string(p.skip_at) + " is not one of the layers 1 to " +
                           std::to_string(p.depth - 1) + " of a trunk of depth " + std::to_string(p.depth),
                       "set skip_at below depth, or 0 for no skip connection");
@@ -73,7 +73,8 @@ NerfMlp<Real>::NerfMlp(const NerfMlpParams& params, const FieldBuild& build, con
   Diagnostics diagnostics;
   validate(params, diagnostics);
   if (build.position_dims < 1)
-    diagnostics.error("", "field 'nerf_mlp' needs an encoded position of at least one number");
+    diagnostics.error("config.encoder.empty", "", "field 'nerf_mlp' needs an encoded position of at least one number",
+                      {});
   diagnostics.throw_if_errors(ErrorKind::config, "field 'nerf_mlp' cannot be built");
   NerfMlpShape& s = shape_;
   s.position_dims = build.position_dims;

@@ -245,7 +245,8 @@ void weight_gradients(const WeightGradients& call, Workspace& arena) {
     const bool wide = gradient.a_cols == kWidth;
     const int take = wide ? kHalf : kWidth;
     if ((!wide && gradient.a_cols != kPosition) || gradient.b_cols % take != 0) {
-      throw Error(ErrorKind::internal, "a weight gradient of a shape that the fused kernel has not");
+      throw Error(ErrorKind::internal, "internal.cuda.shape",
+                  "a weight gradient of a shape that the fused kernel has not");
     }
     const bool biased = !gradient.d_bias.empty();
     blocks = std::max(blocks, gradient.blocks);

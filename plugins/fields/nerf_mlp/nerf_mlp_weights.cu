@@ -86,7 +86,8 @@ __global__ void gather_kernel(View<const float> direction, View<const std::int32
 
 template <class Act>
 NerfMlpWeights<Act> nerf_mlp_weights(const NerfMlpShape& s, const Tensors<float>& tensors, Workspace& arena) {
-  if (s.depth > kMaxDepth) throw Error(ErrorKind::config, "field 'nerf_mlp': at most 32 trunk layers on the device");
+  if (s.depth > kMaxDepth)
+    throw Error(ErrorKind::config, "config.value.range", "field 'nerf_mlp': at most 32 trunk layers on the device");
   const auto value = [&](int index) -> View<const float> { return tensors.value[static_cast<std::size_t>(index)]; };
   Source<Act> source(arena);
   NerfMlpWeights<Act> w;

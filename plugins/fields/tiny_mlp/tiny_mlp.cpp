@@ -55,7 +55,8 @@ TinyMlp<Real>::TinyMlp(const TinyMlpParams& params, const FieldBuild& build, con
   Diagnostics diagnostics;
   validate(params, diagnostics);
   if (build.position_dims < 1)
-    diagnostics.error("", "field 'tiny_mlp' needs an encoded position of at least one number");
+    diagnostics.error("config.encoder.empty", "", "field 'tiny_mlp' needs an encoded position of at least one number",
+                      {});
   diagnostics.throw_if_errors(ErrorKind::config, "field 'tiny_mlp' cannot be built");
   TinyMlpShape& s = shape_;
   s.position_dims = build.position_dims;

@@ -28,17 +28,21 @@ const char* kRemedy = "write lines 'frame,x,y,class' or 'frame,x,y,class,radius'
 Click click_of(const TextRow& row) {
   const std::vector<std::string>& f = row.fields;
   if (f.size() != 4 && f.size() != 5)
-    refuse_labels(row.place, "expected 4 or 5 columns, got " + std::to_string(f.size()), kRemedy);
+    refuse_labels("labels.clicks.format", row.place, "expected 4 or 5 columns, got " + std::to_string(f.size()),
+                  kRemedy);
   Click click{row.place, f[3], 0, 0, 0};
-  if (f[0].empty()) refuse_labels(row.place, "no frame is named", kRemedy);
+  if (f[0].empty()) refuse_labels("labels.clicks.format", row.place, "no frame is named", kRemedy);
   if (!parse_whole(f[1], click.x))
-    refuse_labels(row.place, "x: expected a whole number of pixels, got '" + f[1] + "'", kRemedy);
+    refuse_labels("labels.clicks.format", row.place, "x: expected a whole number of pixels, got '" + f[1] + "'",
+                  kRemedy);
   if (!parse_whole(f[2], click.y))
-    refuse_labels(row.place, "y: expected a whole number of pixels, got '" + f[2] + "'", kRemedy);
-  if (f[3].empty()) refuse_labels(row.place, "no class is named", kRemedy);
+    refuse_labels("labels.clicks.format", row.place, "y: expected a whole number of pixels, got '" + f[2] + "'",
+                  kRemedy);
+  if (f[3].empty()) refuse_labels("labels.clicks.format", row.place, "no class is named", kRemedy);
   if (f.size() == 5 && !f[4].empty() &&
       (!parse_real(f[4], click.radius_px) || click.radius_px < 0 || click.radius_px > kMaxCoordinate))
-    refuse_labels(row.place, "radius: expected pixels from 0 to a million, got '" + f[4] + "'", kRemedy);
+    refuse_labels("labels.clicks.format", row.place, "radius: expected pixels from 0 to a million, got '" + f[4] + "'",
+                  kRemedy);
   return click;
 }
 
@@ -89,7 +93,7 @@ class EventFrames {
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const {
     const int* index = entry_of(frame_of_, frame);
-    if (index == nullptr) refuse_labels(file_, "no click in frame '" + frame.name + "'");
+    if (index == nullptr) refuse_labels("labels.frame.unlabelled", file_, "no click in frame '" + frame.name + "'");
     SceneInfo scene = scene_;
     Camera& camera = scene.frames[static_cast<std::size_t>(*index)].camera;
     camera.width_px = frame.camera.width_px;
@@ -123,7 +127,8 @@ class ClickReader : public LabelReader {
     events_.reset();
     if (holds_events(file)) {
       events_.emplace(file, known, diagnostics);
-      if (events_->empty()) diagnostics.error(file, "no clicks in it", "label the scene with `semfield serve`");
+      if (events_->empty())
+        diagnostics.error("labels.clicks.empty", file, "no clicks in it", "label the scene with `semfield serve`");
       return events_->table();
     }
     const std::vector<TextRow> rows = read_text_rows(file, ',');
@@ -138,7 +143,8 @@ class ClickReader : public LabelReader {
         clicks_[f[0]].push_back(std::move(click));
       });
     }
-    if (clicks_.empty() && problems.count() == 0) problems.error(file, "no clicks in it", kRemedy);
+    if (clicks_.empty() && problems.count() == 0)
+      problems.error("labels.clicks.empty", file, "no clicks in it", kRemedy);
     return table_for(place_of_name, known, problems);
   }
 
@@ -151,7 +157,7 @@ class ClickReader : public LabelReader {
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
     if (events_) return events_->read(frame, classes);
     const std::vector<Click>* clicks = entry_of(clicks_, frame);
-    if (clicks == nullptr) refuse_labels(file, "no click in frame '" + frame.name + "'");
+    if (clicks == nullptr) refuse_labels("labels.frame.unlabelled", file, "no click in frame '" + frame.name + "'");
     // At the frame's own size: scaled as an image by the nearest pixel, a single pixel could get lost.
     LabelRaster raster = void_raster(frame.camera.width_px, frame.camera.height_px);
     const ImageSize size = clicked_size(frame);
@@ -160,7 +166,7 @@ class ClickReader : public LabelReader {
     const ClassNames names(classes);
     for (const Click& click : *clicks) {
       if (click.x < 0 || click.y < 0 || click.x >= size.width_px || click.y >= size.height_px) {
-        refuse_labels(click.place,
+        refuse_labels("labels.shape.outside", click.place,
                       "pixel (" + std::to_string(click.x) + ", " + std::to_string(click.y) +
                           ") lies outside the image of " + std::to_string(size.width_px) + " x " +
                           std::to_string(size.height_px),

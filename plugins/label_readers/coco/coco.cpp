@@ -34,28 +34,29 @@ struct CocoImage {
 std::int64_t whole(const Json& item, const char* key, const std::string& place) {
   const auto found = item.find(key);
   if (!item.is_object() || found == item.end() || !found->is_number_integer())
-    refuse_labels(place, std::string("needs a whole number '") + key + "'");
+    refuse_labels("labels.file.format", place, std::string("needs a whole number '") + key + "'");
   return found->get<std::int64_t>();
 }
 
 std::string text(const Json& item, const char* key, const std::string& place) {
   const auto found = item.find(key);
   if (!item.is_object() || found == item.end() || !found->is_string() || found->get<std::string>().empty())
-    refuse_labels(place, std::string("needs a text '") + key + "'");
+    refuse_labels("labels.file.format", place, std::string("needs a text '") + key + "'");
   return found->get<std::string>();
 }
 
 Outline outline_of(const Json& part, const std::string& place) {
   if (!part.is_array() || part.size() < 6 || part.size() % 2 != 0 || part.size() > 2 * kMaxOutlinePoints)
-    refuse_labels(place,
+    refuse_labels("labels.shape.points", place,
                   "a polygon is a list [x, y, x, y, ...] of 3 to " + std::to_string(kMaxOutlinePoints) + " points");
   Outline outline;
   for (std::size_t i = 0; i < part.size(); i += 2) {
     if (!part[i].is_number() || !part[i + 1].is_number())
-      refuse_labels(place, "point " + std::to_string(i / 2 + 1) + " is no pair of numbers");
+      refuse_labels("labels.file.format", place, "point " + std::to_string(i / 2 + 1) + " is no pair of numbers");
     const PixelPoint p{part[i].get<double>(), part[i + 1].get<double>()};
     if (!(std::abs(p.x) <= kMaxCoordinate) || !(std::abs(p.y) <= kMaxCoordinate))
-      refuse_labels(place, "point " + std::to_string(i / 2 + 1) + " lies more than a million pixels outside");
+      refuse_labels("labels.shape.outside", place,
+                    "point " + std::to_string(i / 2 + 1) + " lies more than a million pixels outside");
     outline.push_back(p);
   }
   return outline;
@@ -64,22 +65,24 @@ Outline outline_of(const Json& part, const std::string& place) {
 std::vector<std::int64_t> counts_of(const Json& segmentation, const CocoImage& image, const std::string& place) {
   const auto size = segmentation.find("size");
   if (size != segmentation.end() && *size != Json::array({image.height_px, image.width_px}))
-    refuse_labels(place, "run lengths of size " + size->dump() + ", the image is [" + std::to_string(image.height_px) +
-                             "," + std::to_string(image.width_px) + "] (height, width)");
+    refuse_labels("labels.image.size", place,
+                  "run lengths of size " + size->dump() + ", the image is [" + std::to_string(image.height_px) + "," +
+                      std::to_string(image.width_px) + "] (height, width)");
   const auto counts = segmentation.find("counts");
   if (counts == segmentation.end() || (!counts->is_string() && !counts->is_array()))
-    refuse_labels(place, "run lengths need 'counts', a list or a text");
+    refuse_labels("labels.run_lengths.damaged", place, "run lengths need 'counts', a list or a text");
   std::vector<std::int64_t> out;
   if (counts->is_string()) {
     out = counts_of_text(counts->get<std::string>());
   } else {
     for (const Json& count : *counts) {
       if (!count.is_number_integer())
-        refuse_labels(place, "count " + std::to_string(out.size() + 1) + " is no whole number");
+        refuse_labels("labels.run_lengths.damaged", place,
+                      "count " + std::to_string(out.size() + 1) + " is no whole number");
       out.push_back(count.get<std::int64_t>());
     }
   }
-  if (out.empty()) refuse_labels(place, "run lengths without a count");
+  if (out.empty()) refuse_labels("labels.run_lengths.damaged", place, "run lengths without a count");
   return out;
 }
 
@@ -95,11 +98,13 @@ class CocoReader : public LabelReader {
     try {
       root = Json::parse(read_text_file(file));
     } catch (const Json::exception& e) {
-      refuse_labels(file, "not valid JSON: " + json_cause(e.what()), "export the annotations again");
+      refuse_labels("labels.file.format", file, "not valid JSON: " + json_cause(e.what()),
+                    "export the annotations again");
     }
     for (const char* key : {"images", "annotations", "categories"}) {
       if (!root.is_object() || !root.contains(key) || !root[key].is_array())
-        refuse_labels(file, std::string("no list '") + key + "' in it", "give a COCO file of instances");
+        refuse_labels("labels.file.format", file, std::string("no list '") + key + "' in it",
+                      "give a COCO file of instances");
     }
     ProblemList problems(diagnostics);
     std::map<std::int64_t, std::string> stem_of_image;
@@ -117,7 +122,8 @@ class CocoReader : public LabelReader {
       problems.collect([&] {
         const std::int64_t category = whole(item, "category_id", place);
         const auto name = categories.find(category);
-        if (name == categories.end()) refuse_labels(place, "no category has the id " + std::to_string(category));
+        if (name == categories.end())
+          refuse_labels("labels.annotation.reference", place, "no category has the id " + std::to_string(category));
         if (!read_annotation(item, place, name->second, stem_of_image)) {
           ++boxes;
           return;
@@ -126,7 +132,8 @@ class CocoReader : public LabelReader {
       });
     }
     if (boxes > 0) {
-      diagnostics.warning(file, std::to_string(boxes) + " annotations have a box and no mask; left out",
+      diagnostics.warning("labels.annotation.box", file,
+                          std::to_string(boxes) + " annotations have a box and no mask; left out",
                           "export masks or polygons for them");
     }
     if (known.empty()) return own_table(categories, problems);
@@ -140,7 +147,7 @@ class CocoReader : public LabelReader {
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
     const CocoImage* image = entry_of(images_, frame);
-    if (image == nullptr) refuse_labels(file, "no image of frame '" + frame.name + "'");
+    if (image == nullptr) refuse_labels("labels.frame.unlabelled", file, "no image of frame '" + frame.name + "'");
     check_label_shape(image->width_px, image->height_px, frame.camera);
     LabelRaster raster = void_raster(image->width_px, image->height_px);
     const ClassNames names(classes);
@@ -156,7 +163,7 @@ class CocoReader : public LabelReader {
         try {
           mask.runs = runs_of_counts(annotation.counts, raster.width_px, raster.height_px);
         } catch (const Error& e) {
-          refuse_labels(annotation.place, e.message(), e.remedy());
+          refuse_labels(e.code(), annotation.place, e.message(), e.remedy());
         }
       }
       for (const Outline& part : annotation.parts) {
@@ -183,7 +190,7 @@ class CocoReader : public LabelReader {
       problems.collect([&] {
         const std::int64_t id = whole(item, "id", place);
         if (!names.emplace(id, text(item, "name", place)).second)
-          refuse_labels(place, "id " + std::to_string(id) + " is given twice");
+          refuse_labels("labels.annotation.twice", place, "id " + std::to_string(id) + " is given twice");
       });
     }
     return names;
@@ -197,14 +204,16 @@ class CocoReader : public LabelReader {
     try {
       check_image_limits(width, height);
     } catch (const Error& e) {
-      refuse_labels(place, e.message(), e.remedy());
+      refuse_labels(e.code(), place, e.message(), e.remedy());
     }
     image.width_px = static_cast<std::int32_t>(width);
     image.height_px = static_cast<std::int32_t>(height);
     const std::string stem = file_stem(image.name);
-    if (!stem_of_image.emplace(id, stem).second) refuse_labels(place, "id " + std::to_string(id) + " is given twice");
+    if (!stem_of_image.emplace(id, stem).second)
+      refuse_labels("labels.annotation.twice", place, "id " + std::to_string(id) + " is given twice");
     if (const auto other = images_.find(stem); other != images_.end())
-      refuse_labels(place, "'" + image.name + "' and '" + other->second.name + "' are the same frame '" + stem + "'");
+      refuse_labels("labels.frame.twice", place,
+                    "'" + image.name + "' and '" + other->second.name + "' are the same frame '" + stem + "'");
     images_.emplace(stem, std::move(image));
   }
 
@@ -213,7 +222,8 @@ class CocoReader : public LabelReader {
                        const std::map<std::int64_t, std::string>& stem_of_image) {
     const std::int64_t id = whole(item, "image_id", place);
     const auto stem = stem_of_image.find(id);
-    if (stem == stem_of_image.end()) refuse_labels(place, "no image has the id " + std::to_string(id));
+    if (stem == stem_of_image.end())
+      refuse_labels("labels.annotation.reference", place, "no image has the id " + std::to_string(id));
     const auto found = images_.find(stem->second);
     if (found == images_.end()) return true;  // its image has been reported
     CocoImage& image = found->second;
@@ -225,12 +235,12 @@ class CocoReader : public LabelReader {
         annotation.counts = counts_of(*segmentation, image, place);
       } catch (const Error& e) {
         if (e.message().rfind(place, 0) == 0) throw;
-        refuse_labels(place, e.message(), e.remedy());
+        refuse_labels(e.code(), place, e.message(), e.remedy());
       }
     } else if (segmentation->is_array()) {
       for (const Json& part : *segmentation) annotation.parts.push_back(outline_of(part, place));
     } else {
-      refuse_labels(place, "'segmentation' is neither polygons nor run lengths");
+      refuse_labels("labels.file.format", place, "'segmentation' is neither polygons nor run lengths");
     }
     image.annotations.push_back(std::move(annotation));
     return true;
@@ -242,7 +252,8 @@ class CocoReader : public LabelReader {
     problems.collect([&] {
       for (const auto& [id, name] : categories) {
         if (id < 0 || id > 65535)
-          refuse_labels(file, "category '" + name + "' has id " + std::to_string(id), "ids run from 0 to 65535");
+          refuse_labels("classes.table.id", file, "category '" + name + "' has id " + std::to_string(id),
+                        "ids run from 0 to 65535");
         const auto small = static_cast<std::int32_t>(id);
         entries.push_back({small, name, ClassTable::default_color(small), is_void_name(name)});
       }

@@ -48,21 +48,23 @@ std::vector<NamedColor> read_colors(const std::string& path) {
   std::map<Rgb, std::string> seen;
   for (const TextRow& row : read_text_rows(path, ',')) {
     if (row.fields[0] == "r" || row.fields[0] == "red") continue;  // the header
-    if (row.fields.size() != 4 || row.fields[3].empty()) refuse_labels(row.place, "expected 'r,g,b,name'");
+    if (row.fields.size() != 4 || row.fields[3].empty())
+      refuse_labels("labels.colors.format", row.place, "expected 'r,g,b,name'");
     NamedColor entry{{}, row.fields[3], row.place};
     for (std::size_t i = 0; i < 3; ++i) {
       std::int64_t value = 0;
       if (!parse_whole(row.fields[i], value) || value < 0 || value > 255)
-        refuse_labels(row.place, "expected a number from 0 to 255, got '" + row.fields[i] + "'",
+        refuse_labels("labels.colors.format", row.place, "expected a number from 0 to 255, got '" + row.fields[i] + "'",
                       "write lines 'r,g,b,name'");
       entry.color[i] = static_cast<std::uint8_t>(value);
     }
     const auto [other, fresh] = seen.emplace(entry.color, entry.name);
     if (!fresh)
-      refuse_labels(row.place, "colour " + text_of(entry.color) + " is given to '" + other->second + "' before");
+      refuse_labels("labels.colors.twice", row.place,
+                    "colour " + text_of(entry.color) + " is given to '" + other->second + "' before");
     out.push_back(std::move(entry));
   }
-  if (out.empty()) refuse_labels(path, "no colours in it", "write lines 'r,g,b,name'");
+  if (out.empty()) refuse_labels("labels.colors.format", path, "no colours in it", "write lines 'r,g,b,name'");
   return out;
 }
 
@@ -85,7 +87,8 @@ class ImageLabelReader : public LabelReader {
   void validate(Diagnostics& diagnostics) const override {
     check_pattern(pattern, diagnostics);
     if (!file.empty() && kind != LabelImageKind::color)
-      diagnostics.error("file", "a table of colours is given, but kind is not color", "set kind: color");
+      diagnostics.error("config.value.conflict", "file", "a table of colours is given, but kind is not color",
+                        "set kind: color");
   }
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
@@ -97,7 +100,8 @@ class ImageLabelReader : public LabelReader {
     if (!file.empty()) problems.collect([&] { colors_ = read_colors(file); });
     if (!colors_.empty()) table = table_of_colors(table, problems);
     if (table.empty() && problems.count() == 0)
-      problems.error("classes", "the scene has no class table", "name one in scene.labels.from.classes");
+      problems.error("labels.classes.none", "classes", "the scene has no class table",
+                     "name one in scene.labels.from.classes");
     if (kind == LabelImageKind::color && problems.count() == 0) problems.collect([&] { (void)index_of_color(table); });
     return table;
   }
@@ -107,12 +111,12 @@ class ImageLabelReader : public LabelReader {
   LabelRaster read(const FrameInfo& frame, const ClassTable& table) const override {
     const std::string path = path_of(folder, pattern, frame);
     if (kind == LabelImageKind::palette && !is_palette_png(path))
-      refuse_labels("'" + path + "'", "no PNG with a palette", "set kind: ids or color");
+      refuse_labels("labels.image.palette", "'" + path + "'", "no PNG with a palette", "set kind: ids or color");
     const ImageSize size = image_size(path);  // before anything is unpacked on the word of its header
     check_label_shape(size.width_px, size.height_px, frame.camera);
     if (kind != LabelImageKind::color && size.channels > 1) {
       refuse_labels(
-          "'" + path + "'",
+          "labels.image.channels", "'" + path + "'",
           "has " + std::to_string(size.channels) + " channels: it is a picture in colours, not one of class ids",
           "read the classes from the colours with --set scene.labels.from.kind=color");
     }
@@ -153,7 +157,7 @@ class ImageLabelReader : public LabelReader {
     for (const ClassEntry& entry : table.entries()) {
       const auto [other, fresh] = owner.emplace(entry.color, entry.name);
       if (!fresh) {
-        refuse_labels("class table",
+        refuse_labels("labels.colors.twice", "class table",
                       "'" + other->second + "' and '" + entry.name + "' have the same colour " + text_of(entry.color),
                       "give each class its own colour, or name a table of colours in scene.labels.from.file");
       }

@@ -38,7 +38,8 @@ ShapeKind kind_of(const std::string& name, const std::string& place) {
   if (name == "rectangle") return ShapeKind::rectangle;
   if (name == "circle") return ShapeKind::circle;
   if (name == "point") return ShapeKind::point;
-  refuse_labels(place, "shape type '" + name + "' is not read", "draw it as polygon, rectangle, circle or point");
+  refuse_labels("labels.shape.kind", place, "shape type '" + name + "' is not read",
+                "draw it as polygon, rectangle, circle or point");
 }
 
 void check_points(const Shape& shape) {
@@ -46,20 +47,23 @@ void check_points(const Shape& shape) {
   switch (shape.kind) {
     case ShapeKind::polygon:
       if (count < 3 || count > kMaxOutlinePoints)
-        refuse_labels(shape.place, "a polygon of " + std::to_string(count) + " points",
+        refuse_labels("labels.shape.points", shape.place, "a polygon of " + std::to_string(count) + " points",
                       "a polygon has from 3 to " + std::to_string(kMaxOutlinePoints) + " points");
       return;
     case ShapeKind::rectangle:
       if (count != 2)
-        refuse_labels(shape.place, "a rectangle of " + std::to_string(count) + " points", "give two corners");
+        refuse_labels("labels.shape.points", shape.place, "a rectangle of " + std::to_string(count) + " points",
+                      "give two corners");
       return;
     case ShapeKind::circle:
       if (count != 2)
-        refuse_labels(shape.place, "a circle of " + std::to_string(count) + " points",
+        refuse_labels("labels.shape.points", shape.place, "a circle of " + std::to_string(count) + " points",
                       "give its centre and a point on it");
       return;
     case ShapeKind::point:
-      if (count != 1) refuse_labels(shape.place, "a point of " + std::to_string(count) + " points", "give one point");
+      if (count != 1)
+        refuse_labels("labels.shape.points", shape.place, "a point of " + std::to_string(count) + " points",
+                      "give one point");
       return;
   }
 }
@@ -68,23 +72,24 @@ Shape shape_of(const Json& item, std::string place) {
   Shape shape;
   const auto label = item.find("label");
   if (!item.is_object() || label == item.end() || !label->is_string() || label->get<std::string>().empty())
-    refuse_labels(place, "the shape has no label", "give every shape the name of a class");
+    refuse_labels("labels.file.format", place, "the shape has no label", "give every shape the name of a class");
   shape.label = label->get<std::string>();
   shape.place = std::move(place) + " ('" + shape.label + "')";
   const auto type = item.find("shape_type");  // files of labelme before 3.4 have polygons alone and do not say so
   if (type != item.end() && !type->is_null()) {
-    if (!type->is_string()) refuse_labels(shape.place, "shape_type is no text");
+    if (!type->is_string()) refuse_labels("labels.file.format", shape.place, "shape_type is no text");
     shape.kind = kind_of(type->get<std::string>(), shape.place);
   }
   const auto points = item.find("points");
-  if (points == item.end() || !points->is_array()) refuse_labels(shape.place, "the shape has no list 'points'");
+  if (points == item.end() || !points->is_array())
+    refuse_labels("labels.file.format", shape.place, "the shape has no list 'points'");
   for (const Json& point : *points) {
     const std::string which = "point " + std::to_string(shape.points.size() + 1);
     if (!point.is_array() || point.size() != 2 || !point[0].is_number() || !point[1].is_number())
-      refuse_labels(shape.place, which + " is no pair of numbers [x, y]");
+      refuse_labels("labels.file.format", shape.place, which + " is no pair of numbers [x, y]");
     const PixelPoint p{point[0].get<double>(), point[1].get<double>()};
     if (!(std::abs(p.x) <= kMaxCoordinate) || !(std::abs(p.y) <= kMaxCoordinate))
-      refuse_labels(shape.place, which + " lies more than a million pixels outside");
+      refuse_labels("labels.shape.outside", shape.place, which + " lies more than a million pixels outside");
     shape.points.push_back(p);
   }
   check_points(shape);
@@ -95,7 +100,8 @@ std::int32_t size_of(const Json& root, const char* key, const std::string& path)
   const auto value = root.find(key);
   if (value == root.end() || !value->is_number_integer() || value->get<std::int64_t>() < 1 ||
       value->get<std::int64_t>() > 1 << 20) {
-    refuse_labels(path, std::string("'") + key + "' is " + (value == root.end() ? "missing" : value->dump()),
+    refuse_labels("labels.file.format", path,
+                  std::string("'") + key + "' is " + (value == root.end() ? "missing" : value->dump()),
                   "save the file again in labelme: it writes the size of the image");
   }
   return value->get<std::int32_t>();
@@ -113,7 +119,7 @@ void paint_shape(const Shape& shape, std::int16_t index, LabelRaster& raster) {
       return paint(disc_runs(p[0], std::hypot(p[1].x - p[0].x, p[1].y - p[0].y), w, h), index, raster);
     case ShapeKind::point: {
       if (p[0].x < 0 || p[0].y < 0 || p[0].x > w || p[0].y > h)
-        refuse_labels(shape.place,
+        refuse_labels("labels.shape.outside", shape.place,
                       "the point lies outside the image of " + std::to_string(w) + " x " + std::to_string(h));
       const auto x = std::min(static_cast<std::int32_t>(p[0].x), w - 1);
       const auto y = std::min(static_cast<std::int32_t>(p[0].y), h - 1);
@@ -140,7 +146,7 @@ class LabelmeReader : public LabelReader {
         problems.collect([&] { load(entry.path().string(), place_of_name, diagnostics); });
     }
     if (files_.empty() && problems.count() == 0)
-      problems.error("folder", "no labelme file (*.json) in '" + folder + "'", "check the path");
+      problems.error("labels.folder.empty", "folder", "no labelme file (*.json) in '" + folder + "'", "check the path");
     return table_for(place_of_name, known, problems);
   }
 
@@ -151,7 +157,8 @@ class LabelmeReader : public LabelReader {
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
     const LabelmeFile* file = entry_of(files_, frame);
-    if (file == nullptr) refuse_labels(folder, "there is no labelme file for frame '" + frame.name + "'");
+    if (file == nullptr)
+      refuse_labels("labels.frame.unlabelled", folder, "there is no labelme file for frame '" + frame.name + "'");
     check_label_shape(file->width_px, file->height_px, frame.camera);
     LabelRaster raster = void_raster(file->width_px, file->height_px);
     const ClassNames names(classes);
@@ -167,18 +174,20 @@ class LabelmeReader : public LabelReader {
     try {
       root = Json::parse(read_text_file(path));
     } catch (const Json::exception& e) {
-      refuse_labels(path, "not valid JSON: " + json_cause(e.what()), "save the file again in labelme");
+      refuse_labels("labels.file.format", path, "not valid JSON: " + json_cause(e.what()),
+                    "save the file again in labelme");
     }
     if (!root.is_object() || !root.contains("shapes")) {
-      diagnostics.note(path, "no labelme file (it has no 'shapes'); left out");
+      diagnostics.note("labels.file.foreign", path, "no labelme file (it has no 'shapes'); left out");
       return;
     }
-    if (!root["shapes"].is_array()) refuse_labels(path, "'shapes' is not a list", "save the file again in labelme");
+    if (!root["shapes"].is_array())
+      refuse_labels("labels.file.format", path, "'shapes' is not a list", "save the file again in labelme");
     LabelmeFile file{path, size_of(root, "imageWidth", path), size_of(root, "imageHeight", path), {}};
     try {
       check_image_limits(file.width_px, file.height_px);
     } catch (const Error& e) {
-      refuse_labels(path, e.message(), e.remedy());
+      refuse_labels(e.code(), path, e.message(), e.remedy());
     }
     for (const Json& item : root["shapes"]) {
       file.shapes.push_back(shape_of(item, path + ": shape " + std::to_string(file.shapes.size() + 1)));
@@ -189,8 +198,8 @@ class LabelmeReader : public LabelReader {
     if (root.contains("imagePath") && root["imagePath"].is_string())
       stems.insert(stems.begin(), file_stem(root["imagePath"].get<std::string>()));
     if (const auto other = files_.find(stems[0]); other != files_.end() && other->second.path != path)
-      refuse_labels(path, "image '" + stems[0] + "' has labels in '" + other->second.path + "' too",
-                    "keep one of the files");
+      refuse_labels("labels.frame.twice", path,
+                    "image '" + stems[0] + "' has labels in '" + other->second.path + "' too", "keep one of the files");
     for (const std::string& stem : stems) files_.emplace(stem, file);
   }
 

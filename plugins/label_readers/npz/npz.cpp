@@ -34,14 +34,15 @@ std::vector<std::string> names_of_map(const Json& root, const std::string& path)
       name = value.get<std::string>();
     }
     if (column < 0)
-      refuse_labels(path, "'" + key + "' is neither a name with a column nor a column with a name", kOrderRemedy);
+      refuse_labels("labels.order.format", path,
+                    "'" + key + "' is neither a name with a column nor a column with a name", kOrderRemedy);
     if (!names.emplace(column, name).second)
-      refuse_labels(path, "column " + std::to_string(column) + " is given twice", kOrderRemedy);
+      refuse_labels("labels.order.format", path, "column " + std::to_string(column) + " is given twice", kOrderRemedy);
   }
   std::vector<std::string> out;
   for (auto& [column, name] : names) {
     if (column != std::ssize(out))
-      refuse_labels(path, "no class for column " + std::to_string(out.size()), kOrderRemedy);
+      refuse_labels("labels.order.format", path, "no class for column " + std::to_string(out.size()), kOrderRemedy);
     out.push_back(std::move(name));
   }
   return out;
@@ -52,7 +53,7 @@ std::vector<std::string> read_class_order(const std::string& path) {
   try {
     root = Json::parse(read_text_file(path, std::size_t{16} << 20));
   } catch (const Json::exception& e) {
-    refuse_labels(path, "not valid JSON: " + json_cause(e.what()), kOrderRemedy);
+    refuse_labels("labels.order.format", path, "not valid JSON: " + json_cause(e.what()), kOrderRemedy);
   }
   std::vector<std::string> names;
   if (root.is_object()) {
@@ -60,15 +61,16 @@ std::vector<std::string> read_class_order(const std::string& path) {
   } else if (root.is_array()) {
     for (const Json& item : root) {
       if (!item.is_string())
-        refuse_labels(path, "entry " + std::to_string(names.size() + 1) + " is no text", kOrderRemedy);
+        refuse_labels("labels.order.format", path, "entry " + std::to_string(names.size() + 1) + " is no text",
+                      kOrderRemedy);
       names.push_back(item.get<std::string>());
     }
   }
-  if (names.empty()) refuse_labels(path, "no class names in it", kOrderRemedy);
+  if (names.empty()) refuse_labels("labels.order.format", path, "no class names in it", kOrderRemedy);
   std::vector<std::string> sorted = names;
   std::sort(sorted.begin(), sorted.end());
   if (const auto twice = std::adjacent_find(sorted.begin(), sorted.end()); twice != sorted.end())
-    refuse_labels(path, "class '" + *twice + "' is named twice", kOrderRemedy);
+    refuse_labels("labels.order.format", path, "class '" + *twice + "' is named twice", kOrderRemedy);
   return names;
 }
 
@@ -88,9 +90,11 @@ class NpzReader : public LabelReader {
 
   void validate(Diagnostics& diagnostics) const override {
     check_pattern(pattern, diagnostics);
-    if (key.empty()) diagnostics.error("key", "no array is named", "write for example key: probability");
+    if (key.empty())
+      diagnostics.error("config.value.missing", "key", "no array is named", "write for example key: probability");
     if (!confidence_key.empty() && is_npy())
-      diagnostics.error("confidence_key", "a .npy file holds one array", "save both arrays in one .npz file");
+      diagnostics.error("config.value.conflict", "confidence_key", "a .npy file holds one array",
+                        "save both arrays in one .npz file");
   }
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
@@ -116,10 +120,11 @@ class NpzReader : public LabelReader {
     const std::string path = path_of(folder, pattern, frame);
     const auto accept = [&](std::span<const std::int64_t> shape) {
       if (shape.size() != 3) {
-        throw Error(ErrorKind::data, "the shape is " + shape_text(shape), "save an array [height, width, classes]");
+        throw Error(ErrorKind::data, "labels.array.shape", "the shape is " + shape_text(shape),
+                    "save an array [height, width, classes]");
       }
       if (shape[2] != std::ssize(order_)) {
-        throw Error(ErrorKind::data,
+        throw Error(ErrorKind::data, "labels.array.classes",
                     std::to_string(shape[2]) + " classes, '" + order_path_ + "' names " + std::to_string(order_.size()),
                     "name every class of the last axis, in its order");
       }
@@ -131,7 +136,7 @@ class NpzReader : public LabelReader {
     if (!confidence_key.empty()) {
       confidence = read_npz(path, confidence_key, [&](std::span<const std::int64_t> shape) {
         if (shape.size() == 2 && shape[0] == probability.shape[0] && shape[1] == probability.shape[1]) return;
-        throw Error(ErrorKind::data,
+        throw Error(ErrorKind::data, "labels.array.shape",
                     "the shape is " + shape_text(shape) + ", that of '" + key + "' " + shape_text(probability.shape),
                     "save a confidence [height, width]");
       });
@@ -174,7 +179,7 @@ class NpzReader : public LabelReader {
   [[noreturn]] static void refuse_pixel(const std::string& path, std::size_t pixel, std::int32_t width,
                                         const std::string& what) {
     const auto w = static_cast<std::size_t>(width);
-    refuse_labels("'" + path + "'",
+    refuse_labels("labels.probability.invalid", "'" + path + "'",
                   "pixel x " + std::to_string(pixel % w) + ", y " + std::to_string(pixel / w) + ": " + what,
                   "save probabilities (after softmax): not negative, in all at most 1");
   }

@@ -19,7 +19,7 @@ void describe(ParamVisitor& visit, ImportanceParams& params) {
 void validate(const ImportanceParams&, Diagnostics&) {}
 
 void bad_proposal_weight(std::int64_t ray, std::int64_t sample, double weight) {
-  throw Error(ErrorKind::failure,
+  throw Error(ErrorKind::failure, "train.weight.invalid",
               "sampler 'importance': weight of ray " + std::to_string(ray) + ", sample " + std::to_string(sample) +
                   " of the previous pass is " + std::to_string(weight) + "; it must be finite and not negative",
               "lower the learning rate, or go back to the last checkpoint");

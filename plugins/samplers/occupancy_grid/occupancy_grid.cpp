@@ -12,7 +12,7 @@
 namespace semfield {
 
 void bad_density(const double* position, double sigma) {
-  throw Error(ErrorKind::failure,
+  throw Error(ErrorKind::failure, "train.density.invalid",
               "sampler 'occupancy_grid': density at (" + std::to_string(position[0]) + ", " +
                   std::to_string(position[1]) + ", " + std::to_string(position[2]) + ") is " + std::to_string(sigma) +
                   "; it must be finite and not negative",
@@ -26,13 +26,15 @@ constexpr double kStepsAcross = 1024;  // steps along the diagonal of a cube [Mu
 
 OccupancyGeometry make_geometry(const OccupancyGridParams& params, const SamplerBuild& build) {
   if (build.bounds.empty()) {
-    throw Error(ErrorKind::config, "sampler 'occupancy_grid' needs the bounds of the scene, and they are unknown",
+    throw Error(ErrorKind::config, "scene.bounds.unknown",
+                "sampler 'occupancy_grid' needs the bounds of the scene, and they are unknown",
                 "set the scene's bounds, or use the stratified sampler");
   }
   const Vec3d side = build.bounds.size(), center = build.bounds.center();
   const double longest = std::max({side.x, side.y, side.z});
   if (!(longest > 0) || !std::isfinite(longest)) {
-    throw Error(ErrorKind::config, "sampler 'occupancy_grid': the bounds of the scene are a point or not finite",
+    throw Error(ErrorKind::config, "scene.bounds.unknown",
+                "sampler 'occupancy_grid': the bounds of the scene are a point or not finite",
                 "set the scene's bounds, or use the stratified sampler");
   }
   OccupancyGeometry g;
@@ -88,7 +90,8 @@ void describe(ParamVisitor& visit, OccupancyGridParams& params) {
 void validate(const OccupancyGridParams& params, Diagnostics& diagnostics) {
   if (params.resolution % 32 != 0) {
     const std::int64_t near = std::clamp<std::int64_t>((params.resolution + 16) / 32 * 32, 32, 512);
-    diagnostics.error("resolution", "must be a multiple of 32, got " + std::to_string(params.resolution),
+    diagnostics.error("config.value.range", "resolution",
+                      "must be a multiple of 32, got " + std::to_string(params.resolution),
                       "use " + std::to_string(near));
   }
 }
