@@ -34,8 +34,9 @@ class Labels:
             self._session.apply(json.dumps(event))
         except Error as error:  # the event is the caller's: its id says nothing
             name = f"event '{event['id']}': "
-            findings = [(f.where, f.message.replace(name, ""), f.remedy) for f in error.findings]
-            raise type(error)(str(error).replace(name, ""), findings, error.remedy, error.context, error.exit_code) from None
+            findings = [f._replace(message=f.message.replace(name, "")) for f in error.findings]
+            raise type(error)(str(error).replace(name, ""), findings, error.remedy, error.context, error.exit_code,
+                              error.code) from None
         return str(event["id"])
 
     def add_class(self, name: str, color: Optional[Tuple[int, int, int]] = None) -> str:

@@ -7,6 +7,7 @@
 
 #include "config/shipped_config.h"
 #include "config_testing.h"
+#include "core/findings.h"
 #include "system/shared_files.h"
 
 namespace semfield {
@@ -119,7 +120,7 @@ TEST(Compose, AnUnknownConfigurationNamesBothPlacesAndTheNearest) {
       return find_config(name);
     } catch (const Error& error) {
       EXPECT_EQ(error.kind(), ErrorKind::no_input);
-      return std::string(error.what());
+      return shown(error);
     }
   };
   const std::string configs = shared_root() + "/configs/";

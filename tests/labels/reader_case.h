@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "core/findings.h"
 #include "tests/labels/label_plugins.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -33,12 +34,12 @@ inline std::string open_findings(LabelReader& reader, const ClassTable& known) {
   try {
     (void)reader.open(known, diagnostics);
   } catch (const Error& e) {
-    return std::string("thrown: ") + e.what();
+    return "thrown: " + shown(e);
   }
   std::string out;
   for (const Diagnostic& d : diagnostics.all()) {
     if (!out.empty()) out += "\n";
-    out += d.text();
+    out += d.shown();
   }
   return out;
 }

@@ -7,6 +7,7 @@
 #include <set>
 #include <sstream>
 
+#include "core/findings.h"
 #include "plugin/linked_plugins.h"
 #include "report/sweep/sweep_cells.h"
 #include "report/sweep/sweep_schema.h"
@@ -46,7 +47,7 @@ class SweepFile : public testing::Test {
     try {
       (void)cells(text);
     } catch (const Error& e) {
-      std::string what = e.what();
+      std::string what = shown(e);
       for (std::size_t at; (at = what.find(folder_ + "/")) != std::string::npos;) what.erase(at, folder_.size() + 1);
       return what;
     }
