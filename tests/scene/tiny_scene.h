@@ -1,13 +1,9 @@
 // The box room of room_files.h in folders of the running test: what tests of datasets read.
 #pragma once
 
-#include <gtest/gtest.h>
 #include <unistd.h>
 
-#include <filesystem>
-#include <string>
-#include <vector>
-
+#include "tests/says.h"
 #include "tests/scene/room_files.h"
 
 namespace semfield::testing_room {
@@ -33,17 +29,6 @@ inline std::string fresh_folder(const std::string& name) {
   std::filesystem::create_directories(folder);
   keeper.folders.push_back(folder);
   return folder.string();
-}
-
-/// The message of the Error that `body` throws, "" when it throws none.
-template <class Body>
-std::string error_of(Body&& body) {
-  try {
-    body();
-  } catch (const Error& e) {
-    return e.what();
-  }
-  return {};
 }
 
 }  // namespace semfield::testing_room
